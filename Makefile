@@ -1,0 +1,53 @@
+# Everything on a machine with Python 3.11+, make and pip: `make demo`, `make test`.
+PYTHON ?= python3
+UV := .tools/bin/uv
+BIN := .venv/bin
+OUT ?= out/demo
+
+.PHONY: demo test test-all lint format bench setup clean
+.DEFAULT_GOAL := help
+
+help:
+	@echo "make demo    render a stressed scenario, run base and Dual-SLAM on it, show the result (OUT=$(OUT))"
+	@echo "make test    the test suite without the slow tests    make test-all   all of it"
+	@echo "make lint    formatting, lint, types, layers            make bench      speed of the tracker"
+	@echo "make clean   remove the virtual environment, tools, outputs and compiled kernels"
+
+setup: .venv/.ready
+
+.tools/bin/uv:
+	@echo "dslab setup: installing uv"
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-warn-script-location --root-user-action=ignore --target .tools "uv==0.13.8"
+
+.venv/.ready: pyproject.toml uv.lock .tools/bin/uv
+	@echo "dslab setup: installing the locked packages into .venv"
+	@$(UV) sync --quiet --frozen --extra evo --python $(PYTHON)
+	@$(BIN)/python -m sim.gl_setup --uv $(UV)
+	@$(BIN)/dslab warmup
+	@touch $@
+
+demo: setup
+	@$(BIN)/dslab demo --out $(OUT)
+
+test: setup
+	@$(BIN)/pytest -m "not slow" -n 2
+
+test-all: setup
+	@$(BIN)/pytest -n 2
+
+lint: setup
+	@$(BIN)/ruff format --check .
+	@$(BIN)/ruff check .
+	@$(BIN)/lint-imports
+	@$(BIN)/pyright
+
+format: setup
+	@$(BIN)/ruff format .
+	@$(BIN)/ruff check --fix .
+
+bench: setup
+	@$(BIN)/dslab bench
+
+clean:
+	rm -rf .venv .tools .pytest_cache .ruff_cache .import_linter_cache out
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

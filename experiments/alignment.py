@@ -1,0 +1,114 @@
+"""Similarity and rigid alignment of an estimated path to the true one. NaN-free poses in, transform out."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+_RANK_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Undefined:
+    """A figure that the data do not determine, and why; stands where the number would."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """``S_world_map``: ``p_world = scale * R_world_map @ p_map + t_world_map``.
+
+    Attributes:
+        scale: metres per unit of the map.
+        R_world_map: (3, 3) float64 rotation.
+        t_world_map: (3,) float64, metres.
+    """
+
+    scale: float
+    R_world_map: np.ndarray
+    t_world_map: np.ndarray
+
+    def points(self, p_map: np.ndarray) -> np.ndarray:
+        """(n, 3) points of the map in the world, metres."""
+        return self.scale * p_map @ self.R_world_map.T + self.t_world_map
+
+    def poses(self, T_map_cam: np.ndarray) -> np.ndarray:
+        """(n, 4, 4) camera poses in the map as rigid camera poses in the world."""
+        T_world_cam = np.array(T_map_cam, float)
+        T_world_cam[:, :3, :3] = self.R_world_map @ T_map_cam[:, :3, :3]
+        T_world_cam[:, :3, 3] = self.points(T_map_cam[:, :3, 3])
+        return T_world_cam
+
+
+IDENTITY = Similarity(1.0, np.eye(3), np.zeros(3))
+
+
+def umeyama(p_map: np.ndarray, p_world: np.ndarray, with_scale: bool = True) -> Similarity | Undefined:
+    """Least-squares alignment of positions alone: the one that ATE is defined with.
+
+    Args:
+        p_map: (n, 3) float64 estimated positions.
+        p_world: (n, 3) float64 true positions, metres.
+        with_scale: Sim(3), the rule for one camera; else SE(3).
+
+    Returns:
+        The alignment; Undefined for fewer than 3 positions and for collinear or coincident ones, about
+        whose line the rotation is free.
+
+    Source: Umeyama, "Least-squares estimation of transformation parameters between two point patterns",
+    PAMI 1991, eqs. 34-43.
+    """
+    n = len(p_map)
+    if n < 3:
+        return Undefined(f"{n} poses, alignment needs 3")
+    mean_map, mean_world = p_map.mean(axis=0), p_world.mean(axis=0)
+    centred_map, centred_world = p_map - mean_map, p_world - mean_world
+    for name, centred in (("estimated", centred_map), ("true", centred_world)):
+        extent = np.linalg.svd(centred, compute_uv=False)
+        if extent[1] <= _RANK_TOLERANCE * max(extent[0], np.finfo(float).tiny):
+            return Undefined(f"the {name} positions lie on a line")
+    u, d, vt = np.linalg.svd(centred_world.T @ centred_map / n)
+    sign = np.ones(3)
+    if np.linalg.det(u) * np.linalg.det(vt) < 0:
+        sign[2] = -1
+    R = (u * sign) @ vt
+    scale = float((d * sign).sum() / (centred_map**2).sum(axis=1).mean()) if with_scale else 1.0
+    return Similarity(scale, R, mean_world - scale * R @ mean_map)
+
+
+def align_poses(T_map_cam: np.ndarray, T_world_cam: np.ndarray) -> Similarity | Undefined:
+    """Sim(3) alignment with the rotation from the orientations, scale and translation from the positions.
+
+    The positions of a camera that goes straight on leave the rotation about its line of travel free, its
+    orientations do not; what comes after such a stretch can be judged with this alignment only.
+
+    Args:
+        T_map_cam: (n, 4, 4) float64 estimated poses.
+        T_world_cam: (n, 4, 4) float64 true poses of the same camera frame, metres.
+
+    Returns:
+        The alignment; Undefined for fewer than 3 poses or where one of the paths does not move.
+    """
+    n = len(T_map_cam)
+    if n < 3:
+        return Undefined(f"{n} poses, alignment needs 3")
+    u, _, vt = np.linalg.svd(np.einsum("nij,nkj->ik", T_world_cam[:, :3, :3], T_map_cam[:, :3, :3]))
+    R = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    p_map, p_world = T_map_cam[:, :3, 3], T_world_cam[:, :3, 3]
+    turned = (p_map - p_map.mean(axis=0)) @ R.T
+    centred = p_world - p_world.mean(axis=0)
+    spread = float((turned**2).sum())
+    # A path that stands still, to rounding, has no length to compare.
+    if spread <= n * np.finfo(float).eps * float((p_map**2).sum() + 1e-12):
+        return Undefined("the estimated path does not move")
+    scale = float((centred * turned).sum() / spread)
+    if scale <= 0 or not np.isfinite(scale):
+        return Undefined("the estimated path does not follow the true one at any scale")
+    return Similarity(scale, R, p_world.mean(axis=0) - scale * R @ p_map.mean(axis=0))
+
+
+def rotation_angle_deg(R: np.ndarray) -> np.ndarray:
+    """Angle of rotation, degrees, of (n, 3, 3) rotation matrices; accurate near 0 and 180."""
+    axis = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
+    sine, cosine = np.linalg.norm(axis, axis=1), np.trace(R, axis1=1, axis2=2) - 1
+    return np.degrees(np.arctan2(sine, cosine))

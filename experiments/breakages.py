@@ -1,0 +1,108 @@
+"""What became of every declared breakage, read off the events and nothing else."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from sim.sequence import SegmentTruth
+from slam.events import Breakage, Event, Fusion, Initialized, MapDropped, RecoveryEnd, ReinitDone
+
+EXPOSURE_GRACE_S = 0.5
+"""A breakage this long after a segment's last frame still counts as the segment's: declaring takes time."""
+
+
+@dataclass(frozen=True)
+class BreakageOutcome:
+    """A declared breakage and what followed, up to the next breakage of the same map.
+
+    Attributes:
+        breakage: the declaration.
+        segment: index of the injected segment in which it fell, None outside.
+        until_frame: first frame of the next breakage of the same map, None where none came.
+        reinit_frame: frame at which a new map stood, None if none did.
+        recoveries: the ends of the recovery threads, in order.
+        fusion: the last decision on fusing with the broken map, None if it never came to one.
+        dropped: why the broken map was thrown away at once, empty where it was kept.
+    """
+
+    breakage: Breakage
+    segment: int | None
+    until_frame: int | None
+    reinit_frame: int | None
+    recoveries: tuple[RecoveryEnd, ...]
+    fusion: Fusion | None
+    dropped: str
+
+    @property
+    def recovered(self) -> bool:
+        """By the system's own word."""
+        return self.fusion is not None and self.fusion.accepted
+
+    @property
+    def failure_reason(self) -> str:
+        """Why it was not recovered, empty if it was."""
+        if self.recovered:
+            return ""
+        if self.dropped:
+            return f"map dropped: {self.dropped}"
+        if self.reinit_frame is None:
+            return "no_reinit"
+        if self.fusion is not None:
+            return f"fusion: {self.fusion.reason}"
+        if self.recoveries:
+            last = self.recoveries[-1]
+            return f"{last.stage}: {last.reason}" if last.stage else last.reason
+        return "no recovery was run"
+
+
+def segment_of_frame(
+    frame: int, stamp_s: float, segments: Sequence[SegmentTruth], stamps_s: Sequence[float]
+) -> int | None:
+    """The last segment that acts on a frame or ended at most EXPOSURE_GRACE_S before it, by its index."""
+    found = None
+    for index, segment in enumerate(segments):
+        if segment.first_frame < 0 or frame < segment.first_frame:
+            continue
+        exposed = stamp_s <= stamps_s[segment.last_frame] + EXPOSURE_GRACE_S
+        if exposed and (found is None or segment.first_frame > segments[found].first_frame):
+            found = index
+    return found
+
+
+def breakage_outcomes(
+    events: Iterable[Event], segments: Sequence[SegmentTruth], stamps_s: Sequence[float]
+) -> list[BreakageOutcome]:
+    """Every breakage in order, with its recovery.
+
+    A fusion or recovery belongs to the last breakage of its old map before it.
+    """
+    events = list(events)
+    breakages = [e for e in events if isinstance(e, Breakage)]
+    return [_outcome(b, breakages, events, segments, stamps_s) for b in breakages]
+
+
+def _outcome(
+    breakage: Breakage,
+    breakages: list[Breakage],
+    events: list[Event],
+    segments: Sequence[SegmentTruth],
+    stamps_s: Sequence[float],
+) -> BreakageOutcome:
+    later = [b.frame for b in breakages if b.map_id == breakage.map_id and b.frame > breakage.frame]
+    until = later[0] if later else None
+    after = [e for e in events if e.frame >= breakage.frame and (until is None or e.frame < until)]
+    reinit = [e.frame for e in after if isinstance(e, ReinitDone | Initialized) and e.frame > breakage.frame]
+    dropped = [
+        e.reason
+        for e in after
+        if isinstance(e, MapDropped) and (e.frame, e.map_id) == (breakage.frame, breakage.map_id)
+    ]
+    fusions = [e for e in after if isinstance(e, Fusion) and e.old_map_id == breakage.map_id]
+    return BreakageOutcome(
+        breakage=breakage,
+        segment=segment_of_frame(breakage.frame, breakage.stamp_s, segments, stamps_s),
+        until_frame=until,
+        reinit_frame=reinit[0] if reinit else None,
+        recoveries=tuple(e for e in after if isinstance(e, RecoveryEnd) and e.old_map_id == breakage.map_id),
+        fusion=fusions[-1] if fusions else None,
+        dropped=dropped[0] if dropped else "",
+    )

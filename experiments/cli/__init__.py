@@ -1,0 +1,47 @@
+"""The ``dslab`` command."""
+
+import sys
+
+import typer
+
+from experiments.cli import bench, demo, doctor, experiment, run, view, warmup
+from experiments.cli.console import err
+from experiments.cli.render import render_command
+from experiments.cli.scenarios import app as scenarios_app
+from scenarios.errors import InputError
+
+app = typer.Typer(
+    name="dslab",
+    help="Synthetic stress tests for monocular SLAM and Dual-SLAM: render, run, judge, look.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command("demo")(demo.demo_command)
+app.command("doctor")(doctor.doctor_command)
+app.command("warmup")(warmup.warmup_command)
+app.add_typer(scenarios_app, name="scenarios")
+app.command("render")(render_command)
+app.command("run")(run.run_command)
+app.command("view")(view.view_command)
+app.add_typer(experiment.app, name="experiment")
+app.command("bench")(bench.bench_command)
+
+
+def main() -> None:
+    """Entry point: bad input is one line and exit code 2, an interruption one line and 130."""
+    try:
+        app()
+    except InputError as error:
+        _say(f"error: {error}")
+        sys.exit(2)
+    except SystemExit as exit_:
+        if exit_.code == 130:
+            _say("interrupted: nothing half-written is left")
+        raise
+
+
+def _say(line: str) -> None:
+    err.print(line.replace("\n", " "), markup=False, soft_wrap=True)

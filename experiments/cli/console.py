@@ -1,0 +1,53 @@
+"""What the commands share: consoles, progress bars, the setting of libraries."""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+out = Console(highlight=False)
+err = Console(stderr=True, highlight=False)
+
+SeedOption = typer.Option(None, "--seed", min=0, help="Root seed; the scenario's own by default.")
+
+
+def single_threaded_opencv() -> None:
+    """OpenCV's own threads would take the cores that runs and figures are measured on."""
+    import cv2
+
+    cv2.setNumThreads(1)
+
+
+@contextmanager
+def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
+    """Progress on stderr, one bar per step; yields a callback of (step, done, total)."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as progress:
+        tasks: dict[str, int] = {}
+
+        def show(step: str, done: int, total: int) -> None:
+            if step not in tasks:
+                tasks[step] = progress.add_task(step, total=total)
+            progress.update(tasks[step], completed=done, total=total)
+
+        yield show
+
+
+def print_json_line(value: dict) -> None:
+    """One line of JSON on stdout, unwrapped."""
+    print(json.dumps(value, allow_nan=False))
+
+
+def number(value: float | None, digits: int = 3, unit: str = "") -> str:
+    """A figure for a table; a dash where there is none."""
+    if value is None:
+        return "-"
+    return f"{value:.{digits}f}{unit}"
+
+
+def share(value: float | None) -> str:
+    """A share as a percentage; a dash where there is none."""
+    return "-" if value is None else f"{100 * value:.1f} %"

@@ -1,0 +1,79 @@
+"""``dslab demo``."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich import box
+from rich.table import Table
+
+from experiments.cli.console import number, out, progress_bars, share, single_threaded_opencv
+
+
+def demo_command(
+    out_dir: Annotated[
+        Path, typer.Option("--out", help="Result folder; an earlier demonstration is replaced.")
+    ] = Path("out/demo"),
+    scenario: Annotated[str, typer.Option(help="Scenario: a name or a YAML file.")] = "stressed",
+    seed: Annotated[int | None, typer.Option(min=0, help="Root seed; the scenario's own by default.")] = None,
+) -> None:
+    """Render a stressed scenario, run base and Dual-SLAM on it and show what happened.
+
+    For example:
+
+    `dslab demo --out out/demo`
+    """
+    from experiments.demo import MARKER_FILE, PICTURE_FILE, run_demo
+    from experiments.output import check_free
+    from scenarios.loading import load_scenario
+    from sim.render import render_sequence
+
+    check_free(out_dir, MARKER_FILE)
+    single_threaded_opencv()
+    spec = load_scenario(scenario)
+    root_seed = spec.seed if seed is None else seed
+    with progress_bars() as show:
+        sequence = render_sequence(spec, root_seed, progress=show)
+        summaries = run_demo(sequence, root_seed, out_dir, show)
+    out.print(demo_table(summaries, f"{spec.name}, seed {root_seed}, {spec.duration_s:g} s"))
+    out.print(f"picture    {out_dir / PICTURE_FILE}")
+    for kind in summaries:
+        out.print(f"{kind:10s} {out_dir / kind}  (look at it: dslab view {out_dir / kind})")
+
+
+def demo_table(summaries: dict, title: str) -> Table:
+    """Per system one row for the whole and one per injected segment."""
+    table = Table(title=title, box=box.SIMPLE, pad_edge=False)
+    table.add_column("")
+    for column in ("frames", "tracked", "breakages", "recoveries", "ATE", "over"):
+        table.add_column(column, justify="right")
+    for kind, summary in summaries.items():
+        table.add_section()
+        table.add_row(f"[bold]{kind}[/bold]", *_cells(summary, summary["ate_m"], summary["ate_poses"]))
+        for segment in summary["segments"]:
+            part = f"{segment['kind'].replace('_', ' ')} {segment['start_s']:g}-{segment['end_s']:g} s"
+            table.add_row(f" {part}", *_cells(segment, segment["ate_m"], segment["ate_frames"]))
+    table.caption = (
+        "ATE: RMSE after Sim(3) alignment of the map with most frames, over the share of\n"
+        "the frames in the last column. A breakage up to "
+        f"{_grace_s():g} s after a segment is the segment's."
+    )
+    return table
+
+
+def _cells(part: dict, ate_m: float | None, ate_frames: int | None) -> list[str]:
+    frames = part["frames"]
+    return [
+        str(frames),
+        share(part["tracked"] / frames if frames else None),
+        str(part["breakages"]),
+        str(part["recoveries"]),
+        number(ate_m, 3, " m"),
+        share((ate_frames or 0) / frames if frames else None),
+    ]
+
+
+def _grace_s() -> float:
+    from experiments.breakages import EXPOSURE_GRACE_S
+
+    return EXPOSURE_GRACE_S

@@ -1,0 +1,73 @@
+"""``dslab doctor``."""
+
+import os
+import platform
+from pathlib import Path
+
+import typer
+from rich.table import Table
+
+from experiments.cli.console import err, out
+from scenarios.errors import InputError
+
+
+def doctor_command() -> None:
+    """Report GL renderer, versions, cores, memory and caches; exit code 2 if something needed is missing.
+
+    Example: `dslab doctor`
+    """
+    from experiments.provenance import commit, usable_cores, versions
+
+    table = Table(show_header=False, box=None)
+    gl, gl_error = _gl()
+    table.add_row("GL renderer", gl)
+    for name, version in versions().items():
+        table.add_row(name, version)
+    table.add_row("commit", commit() or "not a git work tree")
+    table.add_row("system", f"{platform.system()} {platform.release()}, {platform.machine()}")
+    table.add_row("cores", f"{usable_cores()} usable of {os.cpu_count()}")
+    table.add_row("memory", _memory())
+    table.add_row("render cache", _render_cache())
+    table.add_row("kernel cache", _kernel_cache())
+    out.print(table)
+    if gl_error is not None:
+        err.print(f"error: {gl_error}", markup=False, soft_wrap=True)
+        raise typer.Exit(2)
+
+
+def _gl() -> tuple[str, InputError | None]:
+    from sim.gl_context import gl_info
+
+    try:
+        info = gl_info()
+    except InputError as error:
+        return "none", error
+    return f"{info['renderer']} ({info['version']}, through {info['backend']})", None
+
+
+def _memory() -> str:
+    import psutil
+
+    memory = psutil.virtual_memory()
+    return f"{memory.total / 2**30:.1f} GiB, {memory.available / 2**30:.1f} free"
+
+
+def _render_cache() -> str:
+    from sim.cache import default_cache_dir
+
+    return _folder(default_cache_dir(), ("*",))
+
+
+def _kernel_cache() -> str:
+    import slam
+
+    root = Path(str(slam.__file__)).parent
+    if named := os.environ.get("NUMBA_CACHE_DIR"):
+        root = Path(named)
+    return _folder(root, ("*.nbi", "*.nbc"))
+
+
+def _folder(root: Path, patterns: tuple[str, ...]) -> str:
+    files = [f for pattern in patterns for f in root.rglob(pattern) if f.is_file()]
+    size = sum(f.stat().st_size for f in files)
+    return f"{root}, {len(files)} files, {size / 2**20:.0f} MiB"

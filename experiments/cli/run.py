@@ -1,0 +1,101 @@
+"""``dslab run``."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from experiments.cli.console import (
+    number,
+    out,
+    print_json_line,
+    progress_bars,
+    share,
+    single_threaded_opencv,
+)
+
+
+class SystemChoice(StrEnum):
+    """The systems to choose from."""
+
+    BASE = "base"
+    DUAL = "dual"
+
+
+def run_command(
+    source: Annotated[str, typer.Argument(help="A sequence folder, a scenario's name or its YAML file.")],
+    out_dir: Annotated[Path, typer.Option("--out", help="Result folder; absent or empty.")],
+    system: Annotated[SystemChoice, typer.Option(help="The SLAM system.")] = SystemChoice.BASE,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, help="Root seed of the scenario and of the SLAM; the scenario's own, or 0."),
+    ] = None,
+    rerun: Annotated[bool, typer.Option("--rerun", help="Write recording.rrd too.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one line of JSON.")] = False,
+) -> None:
+    """Run SLAM over a sequence folder or a scenario and write what came of it.
+
+    Writes trajectory.txt (TUM), keyframes.txt, frames.csv, events.jsonl and summary.json.
+
+    For example:
+
+    `dslab run stressed --system dual --seed 3 --out out/stressed-3 --rerun`
+
+    `dslab run path/to/sequence --out out/sequence --json`
+    """
+    from experiments.output import check_free
+    from experiments.run import run_sequence
+    from experiments.sources import open_sequence
+
+    check_free(out_dir)
+    single_threaded_opencv()
+    with progress_bars() as show:
+        sequence = open_sequence(source, seed, show)
+        slam_seed = seed if seed is not None else int(sequence.meta.get("seed", 0))
+        summary = run_sequence(
+            sequence,
+            system.value,
+            slam_seed,
+            out_dir,
+            recording=rerun,
+            progress=lambda done, total: show(f"SLAM ({system})", done, total),
+        )
+    if as_json:
+        print_json_line(summary)
+        return
+    out.print(summary_table(summary))
+    out.print(f"files in {out_dir}" + (f"; look at it: dslab view {out_dir}" if rerun else ""))
+
+
+def summary_table(summary: dict) -> Table:
+    """The figures of a run that one looks at first."""
+    table = Table(
+        title=f"{summary['sequence']}, {summary['system']}, seed {summary['seed']}", show_header=False
+    )
+    rows = {
+        "frames tracked": f"{summary['tracked']} of {summary['frames']} ({share(summary['share_tracked'])})",
+        "first tracked frame": str(summary["first_tracked_frame"]),
+        "maps / keyframes / points": f"{summary['maps']} / {summary['keyframes']} / {summary['map_points']}",
+        "breakages / recoveries": f"{summary['breakages']} / {summary['recoveries']}",
+        "ATE (RMSE, Sim(3))": _ate(summary),
+        "path covered": f"{number(summary['path_m'], 2, ' m')} ({share(summary['path_share'])})",
+        "tracking CPU, median / p95": f"{number(summary['cpu_ms_median'], 1)} / "
+        f"{number(summary['cpu_ms_p95'], 1)} ms per frame",
+        "mapping CPU, median / p95": f"{number(summary['mapping_cpu_ms_median'], 1)} / "
+        f"{number(summary['mapping_cpu_ms_p95'], 1)} ms per keyframe",
+        "peak memory": number(summary["peak_rss_mb"], 0, " MiB"),
+    }
+    for name, value in rows.items():
+        table.add_row(name, value)
+    return table
+
+
+def _ate(summary: dict) -> str:
+    if summary["ate_m"] is None:
+        return f"- ({summary['ate_reason']})"
+    return (
+        f"{summary['ate_m']:.4f} m, {share(summary['ate_share_of_path'])} of the path, "
+        f"over {summary['ate_poses']} frames"
+    )

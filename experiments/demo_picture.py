@@ -1,0 +1,143 @@
+"""The demonstration in one picture: paths from above, inliers over time, sample frames."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from experiments.breakages import BreakageOutcome, breakage_outcomes
+from experiments.execution import RunRecord, SystemKind
+from experiments.scene import Scene, lay_out
+from sim.sequence import Sequence
+
+_SYSTEM_COLORS = {"base": "#d9622b", "dual": "#1f6fb4"}
+_SEGMENT_COLORS = {"low_texture": "#e8cf8a", "motion_blur": "#c9b3e6", "fast_rotation": "#a9d5c5"}
+_SAMPLES = 5
+
+
+def draw_demo(path: Path, sequence: Sequence, records: dict[SystemKind, RunRecord]) -> None:
+    """Write the picture.
+
+    Paths are the final ones of each map, aligned to the truth for display only. A cross marks a breakage, a
+    disc a recovery.
+
+    Args:
+        path: PNG file to write.
+        sequence: what was fed.
+        records: one run per system.
+    """
+    figure = Figure(figsize=(13, 8.2), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    top, middle, bottom = np.ravel(figure.subfigures(3, 1, height_ratios=[1.35, 3.3, 1.9]))
+    for axes, frame in zip(top.subplots(1, _SAMPLES), _sample_frames(sequence), strict=True):
+        _draw_frame(axes, sequence, frame)
+    panels = middle.subplots(1, len(records), sharex=True, sharey=True)
+    for axes, (kind, record) in zip(panels, records.items(), strict=True):
+        outcomes = breakage_outcomes(record.events, sequence.segments, list(sequence.stamps_s))
+        _draw_paths(axes, kind, record, lay_out(record), outcomes)
+    _draw_inliers(bottom.subplots(), sequence, records)
+    figure.savefig(path)
+
+
+def _sample_frames(sequence: Sequence) -> list[int]:
+    """The middle of every segment, filled up with frames spread over the sequence."""
+    acting = [s for s in sequence.segments if s.first_frame >= 0]
+    chosen = [(s.first_frame + s.last_frame) // 2 for s in acting][:_SAMPLES]
+    spread = np.linspace(0.03, 0.97, _SAMPLES - len(chosen)) * (len(sequence) - 1)
+    return sorted([*chosen, *(int(f) for f in spread)])
+
+
+def _draw_frame(axes: Axes, sequence: Sequence, frame: int) -> None:
+    axes.imshow(sequence.frames[frame], cmap="gray", vmin=0, vmax=255)
+    kind = next((s.kind for s in sequence.segments if s.first_frame <= frame <= s.last_frame), None)
+    axes.set_title(
+        f"{sequence.stamps_s[frame]:.1f} s{', ' + kind.replace('_', ' ') if kind else ''}", fontsize=9
+    )
+    axes.set_xticks([])
+    axes.set_yticks([])
+    if kind:
+        for spine in axes.spines.values():
+            spine.set(color=_SEGMENT_COLORS.get(kind, "0.6"), linewidth=3)
+
+
+def _draw_paths(
+    axes: Axes, kind: str, record: RunRecord, scene: Scene, outcomes: list[BreakageOutcome]
+) -> None:
+    ground = [i for i in range(3) if scene.up[i] == 0]
+    truth = scene.T_world_cam
+    if truth is not None:
+        axes.plot(*truth[:, ground, 3].T, color="0.72", linewidth=4, label="truth", zorder=1)
+        for segment in record.sequence.segments:
+            inside = truth[segment.first_frame : segment.last_frame + 1]
+            axes.plot(
+                *inside[:, ground, 3].T,
+                color=_SEGMENT_COLORS.get(segment.kind, "0.6"),
+                linewidth=10,
+                solid_capstyle="butt",
+                zorder=0,
+                label=segment.kind.replace("_", " "),
+            )
+    for rank, trajectory in enumerate(scene.final.values()):
+        label = (
+            f"{kind}, {len(trajectory.frames)} frames" if rank == 0 else f"map {trajectory.map_id}, not fused"
+        )
+        style = "-" if rank == 0 else ":"
+        position = np.full((len(record.results), 3), np.nan)
+        position[trajectory.frames] = trajectory.T_map_cam[:, :3, 3]
+        axes.plot(
+            *position[:, ground].T, style, color=_SYSTEM_COLORS[kind], linewidth=1.8, label=label, zorder=3
+        )
+    if truth is not None:
+        _mark(axes, truth[:, ground, 3], outcomes)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.06)
+    axes.set_title(
+        f"{kind}: {len(outcomes)} breakage(s), {sum(o.recovered for o in outcomes)} recovered", fontsize=11
+    )
+    axes.set_xlabel("m", fontsize=8)
+    axes.tick_params(labelsize=8)
+    axes.legend(fontsize=8, loc="best", framealpha=0.9)
+
+
+def _mark(axes: Axes, positions: np.ndarray, outcomes: list[BreakageOutcome]) -> None:
+    if not outcomes:
+        return
+    broke = positions[[o.breakage.frame for o in outcomes]]
+    axes.plot(*broke.T, "x", color="#c00020", markersize=10, markeredgewidth=2.5, zorder=5, label="breakage")
+    mended = positions[[o.fusion.frame for o in outcomes if o.fusion is not None and o.recovered]]
+    if len(mended):
+        axes.plot(*mended.T, "o", color="#208040", markersize=8, zorder=5, label="recovered and fused")
+
+
+def _draw_inliers(axes: Axes, sequence: Sequence, records: dict[SystemKind, RunRecord]) -> None:
+    for segment in sequence.segments:
+        if segment.first_frame >= 0:
+            span = sequence.stamps_s[[segment.first_frame, segment.last_frame]]
+            axes.axvspan(*span, color=_SEGMENT_COLORS.get(segment.kind, "0.8"), alpha=0.6, zorder=0)
+            axes.text(
+                span.mean(),
+                0.97,
+                segment.kind.replace("_", " "),
+                transform=axes.get_xaxis_transform(),
+                ha="center",
+                va="top",
+                fontsize=8,
+            )
+    for kind, record in records.items():
+        axes.plot(
+            sequence.stamps_s,
+            [r.inliers for r in record.results],
+            color=_SYSTEM_COLORS[kind],
+            # The two are the same up to the first breakage; the wider line shows under the other.
+            linewidth=1.2 if kind == "dual" else 2.6,
+            alpha=0.9 if kind == "dual" else 0.5,
+            label=kind,
+        )
+    axes.set_xlim(sequence.stamps_s[0], sequence.stamps_s[-1])
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel("s", fontsize=8)
+    axes.set_ylabel("inliers", fontsize=9)
+    axes.tick_params(labelsize=8)
+    axes.legend(fontsize=8, loc="lower left")

@@ -1,0 +1,161 @@
+"""Feed a sequence to a SLAM system and keep everything it said."""
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from experiments.memory import peak_rss_mb, reset_peak
+from sim.camera import Intrinsics
+from sim.sequence import Sequence
+from slam.camera import PinholeCamera
+from slam.events import Event, TrackingState
+from slam.results import MapTrajectory, TrackingResult
+
+SystemKind = Literal["base", "dual"]
+Progress = Callable[[int, int], None]
+
+
+class SlamSystem(Protocol):
+    """What is asked of a SLAM system: see ``slam.system``."""
+
+    events: list[Event]
+
+    def process(self, image: np.ndarray, stamp_s: float) -> TrackingResult: ...
+    def finish(self) -> None: ...
+    def trajectories(self) -> list[MapTrajectory]: ...
+    def keyframe_trajectories(self) -> list[MapTrajectory]: ...
+    def map_points(self, map_id: int) -> np.ndarray: ...
+    def maps(self) -> list[int]: ...
+    @property
+    def config(self) -> Any: ...
+
+
+SystemFactory = Callable[[SystemKind, PinholeCamera, int], SlamSystem]
+
+
+class Observer(Protocol):
+    """Something that watches a run, such as a recording."""
+
+    def frame(self, image: np.ndarray, result: TrackingResult, system: SlamSystem) -> None:
+        """Called after every frame."""
+        ...
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """One run, complete.
+
+    Attributes:
+        sequence: what was fed.
+        system_kind, seed, config: what it was fed to.
+        results: one per frame, in order, without keypoints.
+        events: everything the system declared.
+        trajectories: final paths, the map with most frames first.
+        keyframes: final keyframe poses per map.
+        live: the poses as they were given frame by frame, per map.
+        map_points: number of points per map.
+        wall_s: time spent in the system.
+        peak_rss_mb: largest resident memory of the process during the run.
+    """
+
+    sequence: Sequence
+    system_kind: SystemKind
+    seed: int
+    config: dict
+    results: tuple[TrackingResult, ...]
+    events: tuple[Event, ...]
+    trajectories: tuple[MapTrajectory, ...]
+    keyframes: tuple[MapTrajectory, ...]
+    live: dict[int, MapTrajectory]
+    map_points: dict[int, int]
+    wall_s: float
+    peak_rss_mb: float
+
+
+def slam_camera(camera: Intrinsics) -> PinholeCamera:
+    """The simulator's camera as the estimator takes it."""
+    return PinholeCamera(**asdict(camera))
+
+
+def execute(
+    sequence: Sequence,
+    system_kind: SystemKind,
+    seed: int,
+    observer: Observer | None = None,
+    progress: Progress | None = None,
+    build: SystemFactory | None = None,
+) -> RunRecord:
+    """Run a system over a sequence: image, time and intrinsics in, nothing else.
+
+    Args:
+        sequence: frames, times, camera; its truth is not passed on.
+        system_kind: ``base`` or ``dual``.
+        seed: root of every random stream of the system.
+        observer: told of every frame.
+        progress: called with (frames done, frames in all).
+        build: makes the system; ``slam.system.build_system`` by default.
+
+    Raises:
+        InputError: a frame cannot be read.
+    """
+    system = (build or _default_factory())(system_kind, slam_camera(sequence.camera), seed)
+    reset_peak()
+    results: list[TrackingResult] = []
+    wall_s = 0.0
+    for index, stamp_s in enumerate(sequence.stamps_s):
+        image = sequence.frames[index]
+        started = time.perf_counter()
+        result = system.process(image, float(stamp_s))
+        wall_s += time.perf_counter() - started
+        if observer is not None:
+            observer.frame(image, result, system)
+        results.append(_without_features(result))
+        if progress is not None:
+            progress(index + 1, len(sequence))
+    started = time.perf_counter()
+    system.finish()
+    wall_s += time.perf_counter() - started
+    return RunRecord(
+        sequence=sequence,
+        system_kind=system_kind,
+        seed=seed,
+        config=asdict(system.config),
+        results=tuple(results),
+        events=tuple(system.events),
+        trajectories=tuple(system.trajectories()),
+        keyframes=tuple(system.keyframe_trajectories()),
+        live=live_trajectories(results),
+        map_points={map_id: len(system.map_points(map_id)) for map_id in system.maps()},
+        wall_s=wall_s,
+        peak_rss_mb=peak_rss_mb(),
+    )
+
+
+def _default_factory() -> SystemFactory:
+    from slam.system import build_system
+
+    return build_system
+
+
+def live_trajectories(results: Iterable[TrackingResult]) -> dict[int, MapTrajectory]:
+    """The poses as given frame by frame, gathered per map."""
+    rows: dict[int, list[TrackingResult]] = {}
+    for result in results:
+        if result.state is TrackingState.TRACKING and result.T_map_cam is not None:
+            rows.setdefault(result.map_id, []).append(result)
+    return {
+        map_id: MapTrajectory(
+            map_id,
+            np.array([r.frame for r in of_map], int),
+            np.array([r.stamp_s for r in of_map]),
+            np.array([r.T_map_cam for r in of_map]),
+        )
+        for map_id, of_map in rows.items()
+    }
+
+
+def _without_features(result: TrackingResult) -> TrackingResult:
+    return replace(result, keypoints_px=np.empty((0, 2), np.float32), inlier_mask=np.empty(0, bool))

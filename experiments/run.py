@@ -1,0 +1,83 @@
+"""One run of one system over one sequence, with its result folder."""
+
+from contextlib import ExitStack
+from pathlib import Path
+
+from experiments.execution import Progress, RunRecord, SystemFactory, SystemKind, execute
+from experiments.files import to_json, write_events, write_frames_csv, write_tum
+from experiments.output import new_directory
+from experiments.summary import summarise
+from sim.sequence import Sequence
+
+SUMMARY_FILE = "summary.json"
+RECORDING_FILE = "recording.rrd"
+
+
+def run_sequence(
+    sequence: Sequence,
+    system_kind: SystemKind,
+    seed: int,
+    out_dir: Path,
+    recording: bool = False,
+    progress: Progress | None = None,
+    build: SystemFactory | None = None,
+) -> dict:
+    """Run a system and write its result folder, whole or not at all.
+
+    The folder holds trajectory.txt (the map with most frames), trajectory_map<k>.txt (every other map),
+    keyframes.txt (of the first), frames.csv, events.jsonl, summary.json and, if asked for, recording.rrd.
+
+    Args:
+        sequence: what to feed.
+        system_kind: ``base`` or ``dual``.
+        seed: root of every random stream of the system.
+        out_dir: the result folder, absent or empty.
+        recording: write recording.rrd as well.
+        progress: called with (frames done, frames in all).
+        build: makes the system; ``slam.system.build_system`` by default.
+
+    Returns:
+        The summary, as in summary.json.
+
+    Raises:
+        InputError: the folder is taken or not writable, the disk is full, a frame cannot be read.
+    """
+    with new_directory(Path(out_dir)) as folder:
+        record = execute_recorded(
+            sequence, system_kind, seed, folder / RECORDING_FILE if recording else None, progress, build
+        )
+        summary = summarise(record)
+        write_run(folder, record, summary)
+    return summary
+
+
+def execute_recorded(
+    sequence: Sequence,
+    system_kind: SystemKind,
+    seed: int,
+    recording_path: Path | None = None,
+    progress: Progress | None = None,
+    build: SystemFactory | None = None,
+) -> RunRecord:
+    """Run a system and, given a path, write the recording of it there."""
+    if recording_path is None:
+        return execute(sequence, system_kind, seed, None, progress, build)
+    from experiments.recording import Recorder
+
+    with ExitStack() as stack:
+        recorder = stack.enter_context(Recorder(recording_path, sequence, system_kind))
+        record = execute(sequence, system_kind, seed, recorder, progress, build)
+        recorder.finish(record)
+    return record
+
+
+def write_run(folder: Path, record: RunRecord, summary: dict) -> None:
+    """Write the files of a run, all but the recording, into an existing folder."""
+    main = record.trajectories[0] if record.trajectories else None
+    write_tum(folder / "trajectory.txt", main)
+    for trajectory in record.trajectories[1:]:
+        write_tum(folder / f"trajectory_map{trajectory.map_id}.txt", trajectory)
+    write_tum(folder / "keyframes.txt", record.keyframes[0] if record.keyframes else None)
+    write_frames_csv(folder / "frames.csv", record.results)
+    write_events(folder / "events.jsonl", record.events)
+    (folder / SUMMARY_FILE).write_text(to_json(summary, indent=2) + "\n", encoding="utf-8")

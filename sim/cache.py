@@ -1,0 +1,178 @@
+"""A cache of folders by content hash: atomic, checksummed, safe for several processes."""
+
+import hashlib
+import json
+import logging
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from scenarios.errors import InputError
+
+CACHE_DIR_VARIABLE = "DSLAB_CACHE_DIR"
+MAX_BYTES = 20 * 10**9
+_MANIFEST = "manifest.json"
+_UNFINISHED = ".unfinished-"
+_STALE_S = 24 * 3600
+
+_log = logging.getLogger(__name__)
+
+
+def default_cache_dir() -> Path:
+    """``DSLAB_CACHE_DIR``, else ``dual-slam-lab`` in the platform's cache folder."""
+    if named := os.environ.get(CACHE_DIR_VARIABLE):
+        return Path(named).expanduser()
+    if sys.platform == "win32":
+        base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Caches"
+    else:
+        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return base / "dual-slam-lab"
+
+
+def content_key(content: Any) -> str:
+    """Hash of JSON-like content; equal content gives equal keys."""
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+class FolderCache:
+    """Finished folders by key.
+
+    An entry appears under its name only when it is complete, by a rename; its manifest holds the size and
+    SHA-256 of every file. The entries used longest ago are dropped beyond ``max_bytes``.
+
+    Args:
+        root: folder of the cache, made when needed; None for ``default_cache_dir()``.
+        max_bytes: size to which the cache is cut back after an entry has been added.
+    """
+
+    def __init__(self, root: Path | None = None, max_bytes: int = MAX_BYTES) -> None:
+        self.root = root or default_cache_dir()
+        self._max_bytes = max_bytes
+
+    def find(self, key: str) -> Path | None:
+        """The folder of a complete and sound entry; an unsound one is reported, dropped and not found."""
+        entry = self.root / key
+        if not entry.is_dir():
+            return None
+        if fault := _fault(entry):
+            _log.warning("cache entry %s is corrupt (%s): rendering it again", entry, fault)
+            _discard(entry)
+            return None
+        _touch(entry / _MANIFEST)
+        return entry
+
+    @contextmanager
+    def create(self, key: str) -> Iterator[Path]:
+        """An empty folder to fill; it becomes the entry when the block ends, and vanishes if it raises.
+
+        When another process has finished the same entry meanwhile, that one stays.
+
+        Raises:
+            InputError: the cache folder cannot be written or the disk is full.
+        """
+        try:
+            self.root.mkdir(parents=True, exist_ok=True)
+            self._drop_stale()
+            unfinished = Path(tempfile.mkdtemp(prefix=_UNFINISHED, dir=self.root))
+        except OSError as error:
+            raise self._unusable(error) from error
+        try:
+            yield unfinished
+            _write_manifest(unfinished)
+            self._publish(unfinished, self.root / key)
+        except OSError as error:
+            raise self._unusable(error) from error
+        finally:
+            shutil.rmtree(unfinished, ignore_errors=True)
+        self._cut_back(keep=key)
+
+    def _publish(self, unfinished: Path, entry: Path) -> None:
+        try:
+            unfinished.rename(entry)
+        except OSError:
+            if not entry.is_dir():
+                raise
+
+    def _unusable(self, error: OSError) -> InputError:
+        problem = f"the cache cannot be written ({error.strerror or error})"
+        return InputError(
+            str(self.root), problem, f"free space or set {CACHE_DIR_VARIABLE} to another folder"
+        )
+
+    def _drop_stale(self) -> None:
+        """Removes what processes left behind that were killed while they wrote."""
+        for leftover in self.root.glob(f"{_UNFINISHED}*"):
+            if time.time() - _modified_s(leftover) > _STALE_S:
+                shutil.rmtree(leftover, ignore_errors=True)
+
+    def _cut_back(self, keep: str) -> None:
+        entries = [path.parent for path in self.root.glob(f"*/{_MANIFEST}")]
+        sizes = {entry: sum(f.stat().st_size for f in _files(entry)) for entry in entries}
+        total = sum(sizes.values())
+        for entry in sorted(entries, key=lambda e: _modified_s(e / _MANIFEST)):
+            if total <= self._max_bytes:
+                return
+            if entry.name != keep:
+                total -= sizes[entry]
+                _discard(entry)
+
+
+def _write_manifest(folder: Path) -> None:
+    files = {f.name: {"bytes": f.stat().st_size, "sha256": _sha256(f)} for f in _files(folder)}
+    (folder / _MANIFEST).write_text(json.dumps({"files": files}, indent=1))
+
+
+def _fault(entry: Path) -> str:
+    """What is wrong with an entry, empty if nothing is."""
+    try:
+        files = json.loads((entry / _MANIFEST).read_text())["files"]
+        for name, expected in files.items():
+            if (entry / name).stat().st_size != expected["bytes"]:
+                return f"{name} has the wrong size"
+            if _sha256(entry / name) != expected["sha256"]:
+                return f"{name} has the wrong checksum"
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        return str(error) or type(error).__name__
+    return ""
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.is_file())
+
+
+def _discard(entry: Path) -> None:
+    """Takes the entry out of sight in one step, then deletes it."""
+    away = entry.with_name(f"{_UNFINISHED}{entry.name}-{os.getpid()}")
+    try:
+        entry.rename(away)
+    except OSError:
+        return  # another process has been faster
+    shutil.rmtree(away, ignore_errors=True)
+
+
+def _touch(path: Path) -> None:
+    try:
+        os.utime(path)
+    except OSError:
+        return  # a read-only cache still serves
+
+
+def _modified_s(path: Path) -> float:
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return 0.0

@@ -1,0 +1,45 @@
+"""Low texture, built into the world along the path."""
+
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from scenarios.spec import LowTexture
+from sim.degradations.base import Shoot, Stage
+
+HALF_THE_VIEW = 0.5
+
+
+class LowTextureDegradation:
+    """Multiplies the contrast of the surfaces that the camera passes in the segment's time.
+
+    A surface belongs to the moment at which it fills most of the view.
+    """
+
+    kind: ClassVar[str] = "low_texture"
+    stage: ClassVar[Stage] = Stage.WORLD
+    measure_name: ClassVar[str] = "faded_share"
+
+    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
+        """Contrast, uniform in its logarithm: matches fall off with log contrast between .5 and .05."""
+        return {"contrast": float(np.exp(rng.uniform(np.log(0.02), np.log(0.5))))}
+
+    def apply(self, shoot: Shoot, segment: LowTexture) -> Shoot:
+        """See ``Degradation``."""
+        contrast = np.where(_passed(shoot, segment), shoot.contrast * segment.contrast, shoot.contrast)
+        return replace(shoot, contrast=contrast)
+
+    def measure(self, shoot: Shoot, segment: LowTexture, blur_px: np.ndarray) -> np.ndarray:
+        """(N,) share of the view that the segment's surfaces fill."""
+        return shoot.view_share[:, _passed(shoot, segment)].sum(axis=1, dtype=float)
+
+    def threshold(self, segment: LowTexture) -> float:
+        """Half of the view."""
+        return HALF_THE_VIEW
+
+
+def _passed(shoot: Shoot, segment: LowTexture) -> np.ndarray:
+    """(S,) bool: surfaces whose moment lies in the segment."""
+    moment = shoot.view_share.argmax(axis=0)
+    return shoot.within(segment)[moment] & (shoot.view_share.max(axis=0) > 0)

@@ -1,0 +1,37 @@
+"""Motion blur: the shutter stays open longer."""
+
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from scenarios.spec import MotionBlur
+from sim.degradations.base import Shoot, Stage
+
+# Corners survive a shorter smear.
+FELT_PX = 4.0
+
+
+class MotionBlurDegradation:
+    """Sets the shutter time of the segment's frames; how far they smear depends on the motion."""
+
+    kind: ClassVar[str] = "motion_blur"
+    stage: ClassVar[Stage] = Stage.SHUTTER
+    measure_name: ClassVar[str] = "blur_px"
+
+    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
+        """Exposure, uniform in its logarithm."""
+        return {"exposure_s": float(np.exp(rng.uniform(np.log(0.01), np.log(0.3))))}
+
+    def apply(self, shoot: Shoot, segment: MotionBlur) -> Shoot:
+        """See ``Degradation``."""
+        exposure_s = np.where(shoot.within(segment), segment.exposure_s, shoot.exposure_s)
+        return replace(shoot, exposure_s=exposure_s)
+
+    def measure(self, shoot: Shoot, segment: MotionBlur, blur_px: np.ndarray) -> np.ndarray:
+        """(N,) median smear of the segment's frames, pixels; 0 elsewhere."""
+        return np.where(shoot.within(segment), blur_px, 0.0)
+
+    def threshold(self, segment: MotionBlur) -> float:
+        """A smear that corners do not survive unharmed."""
+        return FELT_PX

@@ -1,0 +1,93 @@
+"""From a route's polyline to a smooth path by arc length that stays in the free space."""
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from sim.world.base import Route
+
+STEP_M = 0.05
+# Shares of the clearance: cutting corners, and wandering sideways. The rest is left to the carrier's sway.
+CORNER_SHARE = 0.6
+WANDER_SHARE = 0.25
+_WANDER_SIGMA_M = 2.0
+_SOFTENING_M = 0.25
+
+
+def smooth_path(route: Route, rng: np.random.Generator) -> np.ndarray:
+    """The route with its corners rounded and a seeded, smooth sideways wander.
+
+    Args:
+        route: polyline and clearance, metres.
+        rng: stream of this path.
+
+    Returns:
+        (M, 2) float64 points about ``STEP_M`` apart, within the route's clearance; of a closed route the
+        first is not repeated.
+    """
+    corners = np.asarray(route.centre_m, float)
+    if route.closed and np.allclose(corners[0], corners[-1]):
+        corners = corners[:-1]
+    line = _round_corners(corners, CORNER_SHARE * route.clearance_m, route.closed)
+    line = _resample(line, route.closed)
+    # Softens the jumps of curvature where arcs meet straights; moves the line by millimetres.
+    line = _soften(line, route.closed)
+    mode = "wrap" if route.closed else "nearest"
+    wander = gaussian_filter1d(rng.standard_normal(len(line)), _WANDER_SIGMA_M / STEP_M, mode=mode)
+    wander *= WANDER_SHARE * route.clearance_m / max(float(np.abs(wander).max()), 1e-12)
+    return _resample(line + wander[:, None] * _normals(line, route.closed), route.closed)
+
+
+def arc_length(line: np.ndarray) -> np.ndarray:
+    """(M,) cumulative length along a line of (M, 2) points, from 0."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+
+
+def _round_corners(corners: np.ndarray, budget_m: float, closed: bool) -> np.ndarray:
+    """Arcs that cut each corner by at most ``budget_m``, and use at most half of the shorter side."""
+    count = len(corners)
+    pieces = [] if closed else [corners[:1]]
+    for i in range(count) if closed else range(1, count - 1):
+        pieces.append(_arc(corners[i - 1], corners[i], corners[(i + 1) % count], budget_m))
+    return np.vstack(pieces if closed else [*pieces, corners[-1:]])
+
+
+def _arc(before: np.ndarray, at: np.ndarray, after: np.ndarray, budget_m: float) -> np.ndarray:
+    """(n, 2) points of the arc that replaces the corner ``at``."""
+    into, out = at - before, after - at
+    into_m, out_m = np.linalg.norm(into), np.linalg.norm(out)
+    into, out = into / into_m, out / out_m
+    turn = np.arccos(np.clip(into @ out, -1, 1))
+    if turn < 1e-3:
+        return at[None]
+    # An arc of radius r passes the corner at a distance of r (1 / cos(turn / 2) - 1).
+    half = turn / 2
+    radius = min(budget_m / (1 / np.cos(half) - 1), 0.5 * min(into_m, out_m) / np.tan(half))
+    side = np.sign(into[0] * out[1] - into[1] * out[0])
+    begin = at - radius * np.tan(half) * into
+    centre = begin + side * radius * np.array([-into[1], into[0]])
+    first = np.arctan2(*(begin - centre)[::-1])
+    angles = first + side * np.linspace(0, turn, max(4, int(radius * turn / STEP_M)))
+    return centre + radius * np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+def _resample(line: np.ndarray, closed: bool) -> np.ndarray:
+    points = np.vstack([line, line[:1]]) if closed else line
+    along = arc_length(points)
+    count = max(8, round(along[-1] / STEP_M))
+    at = np.linspace(0, along[-1], count, endpoint=not closed)
+    return np.column_stack([np.interp(at, along, points[:, 0]), np.interp(at, along, points[:, 1])])
+
+
+def _soften(line: np.ndarray, closed: bool) -> np.ndarray:
+    sigma = _SOFTENING_M / STEP_M
+    if closed:
+        return gaussian_filter1d(line, sigma, axis=0, mode="wrap")
+    # Smoothed about its chord, so that the ends are hardly drawn in.
+    chord = np.linspace(line[0], line[-1], len(line))
+    return chord + gaussian_filter1d(line - chord, sigma, axis=0, mode="nearest")
+
+
+def _normals(line: np.ndarray, closed: bool) -> np.ndarray:
+    step = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0) if closed else np.gradient(line, axis=0)
+    step /= np.linalg.norm(step, axis=1, keepdims=True)
+    return np.column_stack([-step[:, 1], step[:, 0]])

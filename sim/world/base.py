@@ -1,0 +1,54 @@
+"""What a world is to the rest of the simulator: textured surfaces and a walkable route. Metres, z up."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Route:
+    """Where a carrier may go.
+
+    Attributes:
+        centre_m: (M, 2) float64 polyline in x, y, passable on both sides within ``clearance_m``.
+        clearance_m: half width of the free space about the polyline.
+        closed: the polyline returns to its start.
+    """
+
+    centre_m: np.ndarray
+    clearance_m: float
+    closed: bool
+
+
+@dataclass(frozen=True)
+class Surface:
+    """One textured mesh; the unit to which a texture contrast applies.
+
+    Attributes:
+        vertices: (V, 3) float64, metres, world frame.
+        triangles: (T, 3) int32, counter-clockwise seen from the visible side.
+        uv: (V, 2) float64 texture coordinates in [0, 1], v downward in the texture image.
+        texture: (h, w) uint8 gray texture, unique to the surface.
+        label: human name, e.g. ``wall 3``.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    uv: np.ndarray
+    texture: np.ndarray
+    label: str
+
+
+@dataclass(frozen=True)
+class WorldModel:
+    """A built world.
+
+    Attributes:
+        surfaces: every textured surface.
+        mean_level: the gray level about which a contrast fades every texture.
+        contrast: (len(surfaces),) float64 in [0, 1], the texture contrast of each surface.
+    """
+
+    surfaces: list[Surface]
+    mean_level: float
+    contrast: np.ndarray = field(default_factory=lambda: np.empty(0))

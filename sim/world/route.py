@@ -1,0 +1,37 @@
+"""Polylines with rounded corners."""
+
+import numpy as np
+
+_ARC_STEP_RAD = np.pi / 12
+
+
+def rounded(corners: np.ndarray, radius_m: float, closed: bool) -> np.ndarray:
+    """A polyline whose corners are replaced by arcs tangent to both sides.
+
+    Args:
+        corners: (M, 2) float64, metres.
+        radius_m: of every arc; a side must be at least as long as the two tangents on it.
+        closed: the last corner joins the first.
+
+    Returns:
+        (K, 2) float64; a closed one ends where it starts.
+    """
+    count = len(corners)
+    points = [] if closed else [corners[:1]]
+    for k in range(count) if closed else range(1, count - 1):
+        before, corner, after = corners[k - 1], corners[k], corners[(k + 1) % count]
+        points.append(_arc(before, corner, after, radius_m))
+    points.append(points[0][:1] if closed else corners[-1:])
+    return np.concatenate(points)
+
+
+def _arc(before: np.ndarray, corner: np.ndarray, after: np.ndarray, radius_m: float) -> np.ndarray:
+    """(K, 2) points of the arc that rounds one corner, both tangent points included."""
+    incoming, outgoing = (corner - before, after - corner)
+    incoming, outgoing = incoming / np.linalg.norm(incoming), outgoing / np.linalg.norm(outgoing)
+    turn = np.arctan2(incoming[0] * outgoing[1] - incoming[1] * outgoing[0], incoming @ outgoing)
+    start = corner - radius_m * np.tan(abs(turn) / 2) * incoming
+    angles = np.linspace(0.0, turn, max(2, int(np.ceil(abs(turn) / _ARC_STEP_RAD)) + 1))
+    left = np.array([-incoming[1], incoming[0]]) * np.sign(turn)
+    along, aside = radius_m * np.sin(np.abs(angles)), radius_m * (1 - np.cos(angles))
+    return start + along[:, None] * incoming + aside[:, None] * left

@@ -1,0 +1,33 @@
+"""Ordering a frame's keypoints by grid cell."""
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def sort_into_cells(xy, view):
+    """Counting sort of keypoints by grid cell.
+
+    Args:
+        xy: (N, 2) float64 undistorted keypoints, px.
+        view: ViewGeometry.
+
+    Returns:
+        order (N,) int64, cell_start (cols * rows + 1,) int32.
+    """
+    n = len(xy)
+    cells = np.empty(n, np.int32)
+    cell_start = np.zeros(view.cols * view.rows + 1, np.int32)
+    for i in range(n):
+        col = min(max(int((xy[i, 0] - view.x_min) / view.cell), 0), view.cols - 1)
+        row = min(max(int((xy[i, 1] - view.y_min) / view.cell), 0), view.rows - 1)
+        cells[i] = row * view.cols + col
+        cell_start[cells[i] + 1] += 1
+    for c in range(view.cols * view.rows):
+        cell_start[c + 1] += cell_start[c]
+    fill = cell_start.copy()
+    order = np.empty(n, np.int64)
+    for i in range(n):
+        order[fill[cells[i]]] = i
+        fill[cells[i]] += 1
+    return order, cell_start

@@ -1,0 +1,105 @@
+"""The camera model of the estimator: pinhole, undistorted keypoints."""
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+# The default of five rounds leaves pixels of error at the corners of a wide-angle lens.
+_UNDISTORT_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
+_MOST_UNDISTORT_ERROR_PX = 0.5
+
+
+@dataclass(frozen=True)
+class PinholeCamera:
+    """Intrinsics in pixels; integer pixel coordinates are pixel centres, as in OpenCV.
+
+    ``distortion`` is OpenCV's radtan (k1, k2, p1, p2, k3).
+
+    Raises:
+        ValueError: a field is out of range (the message names it), or the distortion folds the image over
+            itself so that it cannot be taken out.
+    """
+
+    width_px: int
+    height_px: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    fps: float
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        """Check every field."""
+        for name in ("width_px", "height_px"):
+            value = getattr(self, name)
+            if not isinstance(value, (int, np.integer)) or value < 1:
+                raise ValueError(f"camera {name} must be a whole number of at least 1, is {value}")
+        for name in ("fx", "fy", "fps"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(f"camera {name} must be finite and greater than 0, is {value}")
+        for name, size in (("cx", self.width_px), ("cy", self.height_px)):
+            value = getattr(self, name)
+            if not 0 <= value <= size:
+                raise ValueError(f"camera {name} must lie in the image, in [0, {size}], is {value}")
+        if len(self.distortion) != 5 or not all(math.isfinite(k) for k in self.distortion):
+            raise ValueError(f"camera distortion must be five finite numbers, is {self.distortion}")
+        if any(self.distortion):
+            self._check_invertible()
+
+    @property
+    def K(self) -> np.ndarray:
+        """(3, 3) float64 camera matrix."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], float)
+
+    def undistort_points(self, xy: np.ndarray) -> np.ndarray:
+        """Where points of the image would lie without distortion.
+
+        Args:
+            xy: (N, 2) float32 pixels of the image as taken.
+
+        Returns:
+            (N, 2) float32 pixels of the ideal camera ``K``; ``xy`` itself where there is no distortion.
+        """
+        if not any(self.distortion) or not len(xy):
+            return xy
+        K = self.K
+        points = cv2.undistortPoints(
+            np.ascontiguousarray(xy, np.float32)[:, None],
+            K,
+            np.array(self.distortion),
+            P=K,
+            criteria=_UNDISTORT_UNTIL,
+        )
+        return points[:, 0]
+
+    def undistorted_bounds(self) -> tuple[float, float, float, float]:
+        """The smallest upright box that holds the undistorted image, edges of its pixels included.
+
+        Returns:
+            x_min, y_min, x_max, y_max in pixels.
+        """
+        xy = self.undistort_points(self._outline())
+        (x_min, y_min), (x_max, y_max) = xy.min(axis=0), xy.max(axis=0)
+        return float(x_min), float(y_min), float(x_max), float(y_max)
+
+    def _outline(self) -> np.ndarray:
+        x = np.arange(self.width_px + 1, dtype=np.float32) - 0.5
+        y = np.arange(self.height_px + 1, dtype=np.float32) - 0.5
+        return np.concatenate(
+            [np.stack([x, np.full_like(x, end)], axis=1) for end in y[[0, -1]]]
+            + [np.stack([np.full_like(y, end), y], axis=1) for end in x[[0, -1]]]
+        )
+
+    def _check_invertible(self) -> None:
+        outline = self._outline()
+        ideal = self.undistort_points(outline)
+        rays = np.column_stack([(ideal - [self.cx, self.cy]) / [self.fx, self.fy], np.ones(len(ideal))])
+        if np.isfinite(rays).all():
+            again, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), self.K, np.array(self.distortion))
+            if np.abs(again[:, 0] - outline).max() < _MOST_UNDISTORT_ERROR_PX:
+                return
+        raise ValueError(f"camera distortion cannot be taken out over the whole image: {self.distortion}")

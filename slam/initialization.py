@@ -1,0 +1,182 @@
+"""Initialisation: the first map, from two views with enough parallax."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from slam import _map_kernels as kernels
+from slam.camera import PinholeCamera
+from slam.frame import Frame
+from slam.geometry import ViewGeometry
+from slam.local_mapping import LocalMapper, LocalMappingConfig
+from slam.map import Map
+from slam.matching import match_for_initialization
+from slam.two_view import TwoViewConfig, two_view_reconstruction
+
+
+@dataclass(frozen=True)
+class InitializationConfig:
+    """Settings of the two-view initialisation.
+
+    Attributes:
+        min_keypoints: a frame with fewer is no reference.
+        min_matches: fewer matches with the reference frame make the present one the new reference.
+        radius_px: half side of the search window about a keypoint's last known place.
+        max_octave: coarsest pyramid level matched.
+        ratio: best over second best descriptor distance at the most.
+        min_points: map points that the first bundle adjustment must leave.
+        two_view: settings of the geometry.
+    """
+
+    min_keypoints: int = 100
+    min_matches: int = 100
+    radius_px: float = 100.0
+    max_octave: int = 2
+    ratio: float = 0.9
+    min_points: int = 50
+    two_view: TwoViewConfig = field(default_factory=TwoViewConfig)
+
+
+@dataclass(frozen=True)
+class InitialMap:
+    """A fresh two-view map: the map, its two frames (tracked, with poses), and the model used."""
+
+    map: Map
+    first: Frame
+    second: Frame
+    model: str
+    points: int
+
+
+class Initializer:
+    """Seeks two frames that a map can start from.
+
+    Attributes:
+        reference: the frame that later ones are matched with, None while there is none.
+    """
+
+    def __init__(self, camera: PinholeCamera, view: ViewGeometry, config: InitializationConfig) -> None:
+        self.camera = camera
+        self.view = view
+        self.config = config
+        self.reference: Frame | None = None
+        self._around = np.empty((0, 2))
+
+    def reset(self) -> None:
+        """Forget the reference frame."""
+        self.reference = None
+
+    def offer(
+        self, frame: Frame, map_id: int, rng: np.random.Generator, mapping: LocalMappingConfig
+    ) -> tuple[InitialMap | None, str, int]:
+        """Try to start a map from the reference frame and this one.
+
+        Args:
+            frame: features only.
+            map_id: number of the map to be.
+            rng: stream of the two-view RANSAC.
+            mapping: settings of the first bundle adjustment.
+
+        Returns:
+            The map or None, the reason where there is none, and the matches found.
+        """
+        if len(frame.features) < self.config.min_keypoints:
+            self.reference = None
+            return None, "too_few_keypoints", 0
+        if self.reference is None:
+            self._take_reference(frame)
+            return None, "reference_frame", 0
+        matched, count = self._match(frame)
+        if count < self.config.min_matches:
+            self._take_reference(frame)
+            return None, "too_few_matches", count
+        rows = np.flatnonzero(matched >= 0)
+        pixels_1 = np.ascontiguousarray(self.reference.features.xy[rows])
+        pixels_2 = np.ascontiguousarray(frame.features.xy[matched[rows]])
+        geometry = two_view_reconstruction(pixels_1, pixels_2, self.camera.K, rng, self.config.two_view)
+        if not geometry.success:
+            return None, geometry.reason, count
+        keep = geometry.triangulated
+        built = _build_map(
+            map_id,
+            self.view,
+            self.reference,
+            frame,
+            geometry.T_2_1,
+            geometry.points[keep],
+            rows[keep],
+            matched[rows[keep]],
+        )
+        points = _refine(built, mapping)
+        if points < self.config.min_points:
+            self._take_reference(frame)
+            return None, "few_points_after_adjustment", count
+        first = _tracked(built, self.reference, 0)
+        second = _tracked(built, frame, 1)
+        self.reset()
+        return InitialMap(built, first, second, geometry.model, points), "", count
+
+    def _take_reference(self, frame: Frame) -> None:
+        self.reference = frame
+        self._around = frame.features.xy.copy()
+
+    def _match(self, frame: Frame) -> tuple[np.ndarray, int]:
+        if self.reference is None:
+            raise RuntimeError("no reference frame")
+        a, b, c = self.reference.features, frame.features, self.config
+        matched, count = match_for_initialization(
+            a.xy, a.octave, a.angle_deg, a.descriptors, self._around, self.view,
+            b.xy, b.octave, b.angle_deg, b.descriptors, b.cell_start, c.radius_px, c.max_octave, c.ratio,
+        )  # fmt: skip
+        found = matched >= 0
+        self._around[found] = b.xy[matched[found]]
+        return matched, count
+
+
+def _build_map(
+    map_id: int,
+    view: ViewGeometry,
+    frame_1: Frame,
+    frame_2: Frame,
+    T_2_1: np.ndarray,
+    points: np.ndarray,
+    rows_1: np.ndarray,
+    rows_2: np.ndarray,
+) -> Map:
+    """Two keyframes and the points between them; the first camera is the map's origin."""
+    built = Map(map_id, view)
+    frames = (Frame(frame_1.features), Frame(frame_2.features))
+    for frame, T in zip(frames, (np.eye(4), T_2_1), strict=True):
+        frame.T_cam_map = T
+        built.add_keyframe(frame, -1 if T is not T_2_1 else 0)
+    start_2 = built.keypoints(1).start
+    first = built.reserve_points(len(points))
+    kernels.create_points(
+        built.arrays,
+        first,
+        np.ascontiguousarray(points),
+        rows_1.astype(np.int32),
+        (rows_2 + start_2).astype(np.int32),
+        view.scale,
+    )
+    return built
+
+
+def _refine(built: Map, mapping: LocalMappingConfig) -> int:
+    """Bundle adjustment of both keyframes, then unit median depth; the points left."""
+    LocalMapper(built, mapping).adjust_keyframes(np.array([False, True]))
+    depth = kernels.median_depth(built.arrays, 0)
+    if depth <= 0:
+        return 0
+    built.transform(1.0 / depth, np.eye(3), np.zeros(3))
+    return len(built.points())
+
+
+def _tracked(built: Map, frame: Frame, keyframe: int) -> Frame:
+    """The frame as tracked in the new map."""
+    tracked = Frame(frame.features)
+    tracked.point[:] = built.observed_points(keyframe)
+    tracked.T_cam_map = built.T_cam_map(keyframe)
+    tracked.reference_keyframe = keyframe
+    tracked.T_cam_reference = np.eye(4)
+    return tracked

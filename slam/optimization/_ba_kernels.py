@@ -1,0 +1,210 @@
+"""Kernels of bundle adjustment: residuals, normal equations, Levenberg-Marquardt.
+
+Observations are sorted by point, so that everything about a point is at hand at once.
+
+Names: ``T`` (C, 4, 4) T_cam_map; ``points`` (P, 3); ``start`` (P + 1,) first observation of each point;
+``camera`` (M,), ``pixels`` (M, 2), ``weights`` (M,) observations sorted by point; ``slot`` (C,) position
+of a camera among the free ones, -1 where fixed; ``intrinsics`` (4,) fx, fy, cx, cy.
+"""
+
+import numpy as np
+from numba import njit
+
+from slam.optimization._cholesky import factor, solve
+from slam.optimization._schur import back_substitute, eliminate_points, predicted_gain, skyline
+from slam.optimization._se3 import retract
+
+MIN_DEPTH = 1e-6
+# What an observation behind its camera costs: a hundred sigma, so that no step gains by going there.
+_BEHIND_CHI2 = 1e4
+
+
+@njit(cache=True, nogil=True)
+def sort_by_point(n_points, obs_point):
+    """Counting sort of observations by point: ``start`` (P + 1,) int64 and ``order`` (M,) int64."""
+    start = np.zeros(n_points + 1, np.int64)
+    for i in range(obs_point.shape[0]):
+        start[obs_point[i] + 1] += 1
+    for p in range(n_points):
+        start[p + 1] += start[p]
+    cursor = start[:-1].copy()
+    order = np.empty(obs_point.shape[0], np.int64)
+    for i in range(obs_point.shape[0]):
+        p = obs_point[i]
+        order[cursor[p]] = i
+        cursor[p] += 1
+    return start, order
+
+
+@njit(cache=True, nogil=True)
+def errors(T, points, camera, point, pixels, weights, intrinsics):
+    """Squared error of each observation in units of its variance, and whether its depth is positive.
+
+    An observation at or behind the camera plane has an infinite error.
+    """
+    m = camera.shape[0]
+    chi2 = np.full(m, np.inf)
+    positive = np.zeros(m, np.bool_)
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    for i in range(m):
+        pose, x = T[camera[i]], points[point[i]]
+        z = pose[2, 0] * x[0] + pose[2, 1] * x[1] + pose[2, 2] * x[2] + pose[2, 3]
+        if not z > MIN_DEPTH:
+            continue
+        eu = fx * (pose[0, 0] * x[0] + pose[0, 1] * x[1] + pose[0, 2] * x[2] + pose[0, 3]) / z
+        ev = fy * (pose[1, 0] * x[0] + pose[1, 1] * x[1] + pose[1, 2] * x[2] + pose[1, 3]) / z
+        eu += cx - pixels[i, 0]
+        ev += cy - pixels[i, 1]
+        chi2[i] = weights[i] * (eu * eu + ev * ev)
+        positive[i] = True
+    return chi2, positive
+
+
+@njit(cache=True, nogil=True)
+def robust_cost(T, points, start, camera, pixels, weights, intrinsics, huber2):
+    """Sum of the (Huber) squared errors over the points with two observations or more."""
+    cost = 0.0
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    for p in range(points.shape[0]):
+        if start[p + 1] - start[p] < 2:
+            continue
+        px, py, pz = points[p, 0], points[p, 1], points[p, 2]
+        for i in range(start[p], start[p + 1]):
+            pose = T[camera[i]]
+            z = pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * pz + pose[2, 3]
+            chi2 = _BEHIND_CHI2
+            if z > MIN_DEPTH:
+                inv_z = 1.0 / z
+                x = (pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * pz + pose[0, 3]) * inv_z
+                y = (pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * pz + pose[1, 3]) * inv_z
+                eu = fx * x + cx - pixels[i, 0]
+                ev = fy * y + cy - pixels[i, 1]
+                chi2 = weights[i] * (eu * eu + ev * ev)
+            if 0.0 < huber2 < chi2:
+                cost += 2.0 * np.sqrt(huber2 * chi2) - huber2
+            else:
+                cost += chi2
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def normal_equations(
+    T, points, start, camera, pixels, weights, intrinsics, huber2, slot, U, V, W, gradient_c, gradient_p
+):
+    """Gauss-Newton model of half the cost, in blocks.
+
+    Written: ``U`` (F, 6, 6) camera blocks, ``V`` (P, 3, 3) point blocks, ``W`` (M, 6, 3) camera-point
+    blocks (those of free cameras), ``gradient_c`` (F, 6) and ``gradient_p`` (P, 3). Camera steps are
+    twists from the left. An observation behind its camera contributes nothing.
+    """
+    U[:] = 0.0
+    V[:] = 0.0
+    gradient_c[:] = 0.0
+    gradient_p[:] = 0.0
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    Ju, Jv = np.zeros(6, np.float64), np.zeros(6, np.float64)
+    Au, Av = np.zeros(3, np.float64), np.zeros(3, np.float64)
+    for p in range(points.shape[0]):
+        if start[p + 1] - start[p] < 2:
+            continue
+        px, py, pz = points[p, 0], points[p, 1], points[p, 2]
+        for i in range(start[p], start[p + 1]):
+            f = slot[camera[i]]
+            pose = T[camera[i]]
+            z = pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * pz + pose[2, 3]
+            if not z > MIN_DEPTH:
+                W[i] = 0.0
+                continue
+            inv_z = 1.0 / z
+            x = (pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * pz + pose[0, 3]) * inv_z
+            y = (pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * pz + pose[1, 3]) * inv_z
+            eu = fx * x + cx - pixels[i, 0]
+            ev = fy * y + cy - pixels[i, 1]
+            weight = weights[i]
+            chi2 = weight * (eu * eu + ev * ev)
+            if 0.0 < huber2 < chi2:
+                weight *= np.sqrt(huber2 / chi2)
+            for k in range(3):
+                Au[k] = fx * inv_z * (pose[0, k] - x * pose[2, k])
+                Av[k] = fy * inv_z * (pose[1, k] - y * pose[2, k])
+            for r in range(3):
+                gradient_p[p, r] += weight * (Au[r] * eu + Av[r] * ev)
+                for c in range(r + 1):
+                    V[p, r, c] += weight * (Au[r] * Au[c] + Av[r] * Av[c])
+            if f < 0:
+                continue
+            Ju[0], Ju[2] = fx * inv_z, -fx * x * inv_z
+            Ju[3], Ju[4], Ju[5] = -fx * x * y, fx * (1.0 + x * x), -fx * y
+            Jv[1], Jv[2] = fy * inv_z, -fy * y * inv_z
+            Jv[3], Jv[4], Jv[5] = -fy * (1.0 + y * y), fy * x * y, fy * x
+            for r in range(6):
+                wu, wv = weight * Ju[r], weight * Jv[r]
+                gradient_c[f, r] += wu * eu + wv * ev
+                for c in range(r + 1):
+                    U[f, r, c] += wu * Ju[c] + wv * Jv[c]
+                for c in range(3):
+                    W[i, r, c] = wu * Au[c] + wv * Av[c]
+
+
+@njit(cache=True, nogil=True)
+def adjust(T, points, start, camera, pixels, weights, intrinsics, slot, n_free, iterations, huber2):
+    """Levenberg-Marquardt on ``T`` and ``points``, in place.
+
+    A step that does not lower the cost is undone and the damping raised.
+
+    Returns:
+        The cost before and after.
+    """
+    n_points, m = points.shape[0], camera.shape[0]
+    U, V = np.empty((n_free, 6, 6)), np.empty((n_points, 3, 3))
+    W, V_inv = np.empty((m, 6, 3)), np.empty((n_points, 3, 3))
+    gradient_c, gradient_p = np.empty((n_free, 6)), np.empty((n_points, 3))
+    S, step_c = np.empty((6 * n_free, 6 * n_free)), np.empty(6 * n_free)
+    step_p, held = np.empty((n_points, 3)), np.zeros(n_points, np.bool_)
+    first = skyline(start, camera, slot, n_free)
+    trial_T, trial_points = T.copy(), points.copy()
+    initial = robust_cost(T, points, start, camera, pixels, weights, intrinsics, huber2)
+    cost = initial
+    damping, growth, fresh = 1e-4, 2.0, False
+    # Reweighting for the robust loss closes in slowly: a small gain says less there.
+    tolerance = 1e-9 if huber2 > 0.0 else 1e-7
+    for _ in range(iterations):
+        if not fresh:
+            normal_equations(
+                T, points, start, camera, pixels, weights, intrinsics, huber2, slot,
+                U, V, W, gradient_c, gradient_p,
+            )  # fmt: skip
+            fresh = True
+        eliminate_points(
+            U, V, W, gradient_c, gradient_p, start, camera, slot, damping, first, V_inv, held, S, step_c
+        )
+        gain, predicted = -1.0, np.inf
+        if factor(S, first):
+            solve(S, first, step_c)
+            back_substitute(W, gradient_p, start, camera, slot, V_inv, held, step_c, step_p)
+            predicted = predicted_gain(U, V, gradient_c, gradient_p, damping, step_c, step_p, held)
+            for k in range(T.shape[0]):
+                if slot[k] >= 0:
+                    retract(T[k], step_c[6 * slot[k] : 6 * slot[k] + 6], trial_T[k])
+            trial_points[:] = points + step_p
+            trial_cost = robust_cost(
+                trial_T, trial_points, start, camera, pixels, weights, intrinsics, huber2
+            )
+            gain = cost - trial_cost
+        if gain >= 0.0:
+            T[:], points[:] = trial_T, trial_points
+            converged = gain <= tolerance * cost
+            cost -= gain
+            fresh = False
+            if converged:
+                break
+            ratio = min(gain / max(predicted, 1e-300), 2.0)
+            damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-10)
+            growth = 2.0
+        else:
+            # A rise where next to nothing was to be gained means that the minimum is reached.
+            if predicted <= 1e-9 * cost:
+                break
+            damping *= growth
+            growth *= 2.0
+    return initial, cost

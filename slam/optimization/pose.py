@@ -1,0 +1,212 @@
+"""Pose of one camera from map points: motion-only bundle adjustment with outlier rejection."""
+
+import numpy as np
+from numba import njit
+
+from slam.optimization._cholesky import factor, solve, whole_rows
+from slam.optimization._se3 import orthonormalise, retract
+
+CHI2_2DOF = 5.991
+"""95% of the squared errors of a good observation, in units of its variance, lie below this."""
+
+_ROUNDS = 4
+_HUBER_ROUNDS = 2
+_ITERATIONS = 10
+_MIN_POINTS = 3
+_MIN_DEPTH = 1e-6
+# What a point behind the camera costs: as much as a good way off, so that a step can neither gain by
+# pushing points behind the camera nor be held up by a single one.
+_BEHIND_CHI2 = 100.0
+
+
+def optimize_pose(
+    T_cam_map: np.ndarray,
+    points: np.ndarray,
+    pixels: np.ndarray,
+    inv_sigma2: np.ndarray,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Refine a camera's pose on fixed map points and tell inliers from outliers.
+
+    Four rounds of Levenberg-Marquardt; after each, observations are sorted anew by their squared error
+    against chi-square at 95%. The first rounds have a Huber loss on all sound observations, the last ones
+    plain least squares on the inliers.
+
+    Args:
+        T_cam_map: (4, 4) pose to begin from.
+        points: (N, 3) map points, frame map.
+        pixels: (N, 2) their undistorted keypoints, px.
+        inv_sigma2: (N,) information of each keypoint, 1/px².
+        fx: focal length along x, px.
+        fy: focal length along y, px.
+        cx: principal point along x, px.
+        cy: principal point along y, px.
+
+    Returns:
+        The refined pose (4, 4) and the inliers (N,) bool. Points behind the camera and non-finite
+        observations are outliers. With fewer than three sound observations the pose is that given and
+        nothing is an inlier; where rejection leaves fewer than three, the pose is the last one estimated.
+
+    Source: Mur-Artal, Montiel, Tardós, "ORB-SLAM", 2015, section V and appendix (motion-only bundle
+        adjustment); Levenberg-Marquardt with the damping of Nielsen, 1999.
+    """
+    return _optimize_pose(
+        np.ascontiguousarray(T_cam_map, np.float64),
+        np.ascontiguousarray(points, np.float64),
+        np.ascontiguousarray(pixels, np.float64),
+        np.ascontiguousarray(inv_sigma2, np.float64),
+        float(fx),
+        float(fy),
+        float(cx),
+        float(cy),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _optimize_pose(T_start, points, pixels, inv_sigma2, fx, fy, cx, cy):
+    n = points.shape[0]
+    T = T_start.copy()
+    inlier = np.zeros(n, np.bool_)
+    sound = np.zeros(n, np.bool_)
+    usable = 0
+    for i in range(n):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        sound[i] = np.isfinite(x + y + z + pixels[i, 0] + pixels[i, 1] + inv_sigma2[i])
+        usable += sound[i]
+    if usable < _MIN_POINTS or not np.isfinite(T_start.sum()):
+        return T, inlier
+    active = sound.copy()
+    for round_ in range(_ROUNDS):
+        huber2 = CHI2_2DOF if round_ < _HUBER_ROUNDS else 0.0
+        refine_pose(T, points, pixels, inv_sigma2, active, huber2, fx, fy, cx, cy)
+        changed = _classify(T, points, pixels, inv_sigma2, sound, fx, fy, cx, cy, inlier)
+        if inlier.sum() < _MIN_POINTS:
+            break
+        if round_ >= _HUBER_ROUNDS and changed == 0:
+            break
+        active[:] = inlier
+    orthonormalise(T)
+    return T, inlier
+
+
+@njit(cache=True, nogil=True)
+def refine_pose(T, points, pixels, inv_sigma2, active, huber2, fx, fy, cx, cy):
+    """Levenberg-Marquardt on the pose ``T`` (4, 4), in place, over the ``active`` (N,) observations.
+
+    Returns:
+        The cost reached: the sum of the (robust) squared errors in units of their variance.
+    """
+    gradient = np.empty(6, np.float64)
+    H = np.empty((6, 6), np.float64)
+    trial_gradient = np.empty(6, np.float64)
+    trial_H = np.empty((6, 6), np.float64)
+    damped = np.empty((6, 6), np.float64)
+    step = np.empty(6, np.float64)
+    trial = T.copy()
+    rows = whole_rows(6)
+    damping, growth = 1e-5, 2.0
+    cost = linearise(T, points, pixels, inv_sigma2, active, huber2, fx, fy, cx, cy, H, gradient)
+    for _ in range(_ITERATIONS):
+        floor = 1e-12 * (1.0 + np.trace(H))
+        for i in range(6):
+            for j in range(i + 1):
+                damped[i, j] = H[i, j]
+            damped[i, i] += damping * H[i, i] + floor
+            step[i] = -gradient[i]
+        if not factor(damped, rows):
+            break
+        solve(damped, rows, step)
+        predicted = 0.0
+        for i in range(6):
+            predicted += step[i] * (damping * H[i, i] * step[i] - gradient[i])
+        retract(T, step, trial)
+        trial_cost = linearise(
+            trial, points, pixels, inv_sigma2, active, huber2, fx, fy, cx, cy, trial_H, trial_gradient
+        )
+        gain = cost - trial_cost
+        if gain >= 0.0:
+            converged = gain <= 1e-7 * cost
+            cost = trial_cost
+            T[:] = trial
+            H[:] = trial_H
+            gradient[:] = trial_gradient
+            if converged:
+                break
+            ratio = min(gain / max(predicted, 1e-300), 2.0)
+            damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-10)
+            growth = 2.0
+        else:
+            # A rise within rounding means that the minimum is reached, NaN that the step is useless.
+            if predicted <= 1e-9 * cost:
+                break
+            damping *= growth
+            growth *= 2.0
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def linearise(T, points, pixels, inv_sigma2, active, huber2, fx, fy, cx, cy, H, gradient):
+    """Cost and its Gauss-Newton model about ``T`` for a twist from the left.
+
+    Half the cost is ``cost/2 + gradient · twist + twist · H twist / 2`` to second order.
+
+    ``active`` (N,) bool tells the observations that count, ``huber2`` is the squared threshold of the
+    Huber loss, 0 for plain least squares. Written: the lower triangle of ``H`` (6, 6), ``gradient`` (6,).
+    """
+    H[:] = 0.0
+    gradient[:] = 0.0
+    cost = 0.0
+    Ju = np.zeros(6, np.float64)
+    Jv = np.zeros(6, np.float64)
+    for i in range(points.shape[0]):
+        if not active[i]:
+            continue
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+        if not z > _MIN_DEPTH:
+            cost += _BEHIND_CHI2
+            continue
+        inv_z = 1.0 / z
+        x = (T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]) * inv_z
+        y = (T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]) * inv_z
+        eu = fx * x + cx - pixels[i, 0]
+        ev = fy * y + cy - pixels[i, 1]
+        weight = inv_sigma2[i]
+        chi2 = weight * (eu * eu + ev * ev)
+        if 0.0 < huber2 < chi2:
+            scale = np.sqrt(huber2 / chi2)
+            cost += 2.0 * scale * chi2 - huber2
+            weight *= scale
+        else:
+            cost += chi2
+        Ju[0], Ju[2] = fx * inv_z, -fx * x * inv_z
+        Ju[3], Ju[4], Ju[5] = -fx * x * y, fx * (1.0 + x * x), -fx * y
+        Jv[1], Jv[2] = fy * inv_z, -fy * y * inv_z
+        Jv[3], Jv[4], Jv[5] = -fy * (1.0 + y * y), fy * x * y, fy * x
+        for r in range(6):
+            wu, wv = weight * Ju[r], weight * Jv[r]
+            gradient[r] += wu * eu + wv * ev
+            for c in range(r + 1):
+                H[r, c] += wu * Ju[c] + wv * Jv[c]
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def _classify(T, points, pixels, inv_sigma2, sound, fx, fy, cx, cy, inlier):
+    """Mark the observations within chi-square in ``inlier``; how many changed."""
+    changed = 0
+    for i in range(points.shape[0]):
+        good = False
+        if sound[i]:
+            px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+            z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+            if z > _MIN_DEPTH:
+                eu = fx * (T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]) / z + cx - pixels[i, 0]
+                ev = fy * (T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]) / z + cy - pixels[i, 1]
+                good = inv_sigma2[i] * (eu * eu + ev * ev) <= CHI2_2DOF
+        changed += good != inlier[i]
+        inlier[i] = good
+    return changed

@@ -1,0 +1,79 @@
+"""Breakages are tied to their segment and to what followed."""
+
+import numpy as np
+import pytest
+from slam_fakes import make_sequence
+
+from experiments.breakages import breakage_outcomes, segment_of_frame
+from slam import events as ev
+
+SEQUENCE = make_sequence()
+STAMPS = list(SEQUENCE.stamps_s)
+
+
+def outcomes(*events):
+    return breakage_outcomes(events, SEQUENCE.segments, STAMPS)
+
+
+def at(frame: int) -> dict:
+    return {"frame": frame, "stamp_s": frame / 30}
+
+
+def broke(frame: int, map_id: int = 0) -> ev.Breakage:
+    return ev.Breakage(**at(frame), map_id=map_id, reason="few_inliers", inliers=3)
+
+
+def fused(frame: int, old: int = 0, accepted: bool = True) -> ev.Fusion:
+    return ev.Fusion(
+        **at(frame), map_id=old, old_map_id=old, accepted=accepted, scale=1.0, inliers=9, reason="why"
+    )
+
+
+@pytest.mark.parametrize(
+    ("frame", "segment"), [(149, None), (150, 0), (180, 0), (195, 0), (196, None), (299, None)]
+)
+def test_a_frame_is_the_segments_until_half_a_second_after_it(frame, segment):
+    assert segment_of_frame(frame, frame / 30, SEQUENCE.segments, STAMPS) == segment
+
+
+def test_a_fusion_mends_the_breakage_of_its_old_map():
+    (one,) = outcomes(broke(160), fused(220))
+    assert one.recovered and one.failure_reason == ""
+    assert one.segment == 0
+
+
+def test_a_fusion_belongs_to_the_last_breakage_before_it():
+    first, second = outcomes(broke(160), fused(220), broke(240), fused(280))
+    assert first.fusion.frame == 220 and second.fusion.frame == 280
+    assert first.until_frame == 240 and second.until_frame is None
+
+
+def test_a_fusion_of_another_map_mends_nothing():
+    (one,) = outcomes(broke(160), fused(220, old=3))
+    assert not one.recovered
+
+
+def test_a_refused_fusion_is_a_failure_with_its_reason():
+    done = ev.ReinitDone(**at(200), map_id=1, frames_taken=40)
+    (one,) = outcomes(broke(160), done, fused(220, accepted=False))
+    assert not one.recovered
+    assert one.failure_reason == "fusion: why"
+
+
+def test_the_reason_of_a_dropped_map_is_told():
+    dropped = ev.MapDropped(**at(160), map_id=0, reason="too_few_keyframes", keyframes=3)
+    (one,) = outcomes(broke(160), dropped)
+    assert one.failure_reason == "map dropped: too_few_keyframes"
+
+
+def test_a_breakage_without_a_new_map_is_no_reinit():
+    (one,) = outcomes(broke(160))
+    assert one.failure_reason == "no_reinit"
+    done = ev.ReinitDone(**at(200), map_id=1, frames_taken=40)
+    (one,) = outcomes(broke(160), done)
+    assert one.reinit_frame == 200 and one.failure_reason == "no recovery was run"
+
+
+def test_overlapping_grace_goes_to_the_later_segment():
+    later = make_sequence(segment=(185, 190)).segments[0]
+    assert segment_of_frame(187, 187 / 30, [*SEQUENCE.segments, later], np.arange(300) / 30) == 1

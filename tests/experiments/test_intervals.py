@@ -1,0 +1,45 @@
+"""Clopper-Pearson intervals against statsmodels and against their own promise."""
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from experiments.statistics.intervals import clopper_pearson
+
+
+@pytest.mark.parametrize(
+    ("events", "units"), [(0, 10), (1, 10), (5, 10), (10, 10), (30, 153), (24, 30), (0, 1)]
+)
+@pytest.mark.parametrize("confidence", [0.9, 0.95])
+def test_the_interval_is_statsmodels(events, units, confidence):
+    proportion = pytest.importorskip("statsmodels.stats.proportion")
+    ours = clopper_pearson(events, units, confidence)
+    low, high = proportion.proportion_confint(events, units, 1 - confidence, method="beta")
+    # statsmodels leaves the ends at 0 and 1 undefined in some releases.
+    assert ours.low == pytest.approx(low if events else 0.0, abs=1e-12)
+    assert ours.high == pytest.approx(high if events < units else 1.0, abs=1e-12)
+
+
+def test_the_published_recovery_interval():
+    # 24 failures of thread 2 in 30: .61 to .92.
+    found = clopper_pearson(24, 30)
+    assert (round(found.low, 2), round(found.high, 2)) == (0.61, 0.92)
+
+
+def test_the_interval_covers_at_least_as_promised():
+    units = 12
+    intervals = [clopper_pearson(k, units) for k in range(units + 1)]
+    for p in np.linspace(0.01, 0.99, 33):
+        covered = sum(binom.pmf(k, units, p) for k, i in enumerate(intervals) if i.low <= p <= i.high)
+        assert covered >= 0.95 - 1e-12
+
+
+def test_no_units_say_nothing():
+    found = clopper_pearson(0, 0)
+    assert (found.estimate, found.low, found.high) == (None, 0.0, 1.0)
+
+
+@pytest.mark.parametrize(("events", "units"), [(-1, 3), (4, 3)])
+def test_impossible_counts_are_refused(events, units):
+    with pytest.raises(ValueError):
+        clopper_pearson(events, units)

@@ -1,0 +1,150 @@
+"""Scenario files: what is accepted, and that every fault is one line with file, field and remedy."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scenarios.errors import InputError
+from scenarios.loading import dump_yaml, json_schema, load_scenario, named_scenarios
+from scenarios.spec import Camera, FastRotation, LowTexture, MotionBlur, RoomWorld, Scenario
+
+VALID = """\
+name: trial
+duration_s: 20
+world: {kind: room}
+segments:
+  - {kind: low_texture, start_s: 4, duration_s: 2, contrast: 0.1}
+  - {kind: motion_blur, start_s: 8, duration_s: 1, exposure_s: 0.05}
+"""
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "trial.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def fault(folder: Path, text: str) -> str:
+    with pytest.raises(InputError) as caught:
+        load_scenario(write(folder, text))
+    line = str(caught.value)
+    assert "\n" not in line
+    assert "trial.yaml" in line
+    return line
+
+
+def test_a_valid_file_gives_its_values_and_the_defaults(tmp_path):
+    scenario = load_scenario(write(tmp_path, VALID))
+    assert scenario.segments[0] == LowTexture(kind="low_texture", start_s=4, duration_s=2, contrast=0.1)
+    assert scenario.segments[1].end_s == 9
+    assert scenario.segments[1].severity == {"exposure_s": 0.05}
+    assert scenario.camera == Camera()
+    assert scenario.frame_count == 600
+
+
+@pytest.mark.parametrize("name", named_scenarios())
+def test_every_named_scenario_survives_being_written_out_and_read_back(name, tmp_path):
+    scenario = load_scenario(name)
+    assert scenario.name == name
+    assert load_scenario(write(tmp_path, dump_yaml(scenario))) == scenario
+
+
+def test_the_three_named_scenarios_are_30_s_of_vga_video():
+    assert {"clean-room", "clean-corridor", "stressed"} <= set(named_scenarios())
+    for name in ("clean-room", "clean-corridor", "stressed"):
+        scenario = load_scenario(name)
+        assert (scenario.duration_s, scenario.camera.fps) == (30, 30)
+        assert (scenario.camera.width_px, scenario.camera.height_px) == (640, 480)
+    kinds = [segment.kind for segment in load_scenario("stressed").segments]
+    assert kinds == ["low_texture", "motion_blur", "fast_rotation"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("contrast", "contrats", ["trial.yaml:5: segments[0].contrats", "unknown key", "contrast (did you"]),
+        (
+            "duration_s: 20",
+            "durations: 20",
+            ["trial.yaml:2: durations", "unknown key", "duration_s", "world"],
+        ),
+        ("kind: room", "kind: room, lenght_m: 9", ["trial.yaml:3: world.lenght_m", "length_m", "width_m"]),
+        ("kind: low_texture", "kind: low_textur", [":5: segments[0].kind", "'low_textur'", "motion_blur"]),
+        ("kind: room", "kind: castle", [":3: world.kind", "'castle'", "room, corridor"]),
+        ("{kind: room}", "{}", ["world.kind", "is missing", "room, corridor"]),
+        ("name: trial\n", "", ["name", "is missing", "add it"]),
+        ("duration_s: 20", "duration_s: -20", [":2: duration_s", "-20", "greater than 0"]),
+        ("duration_s: 1,", "duration_s: -1,", [":6: segments[1].duration_s", "greater than 0"]),
+        ("duration_s: 20", "duration_s: .nan", [":2: duration_s", "finite"]),
+        ("contrast: 0.1", "contrast: 1.5", [":5: segments[0].contrast", "less than or equal to 1"]),
+        ("contrast: 0.1", "contrast: low", [":5: segments[0].contrast", "'low'", "number"]),
+        (
+            "start_s: 8",
+            "start_s: 5",
+            ["segments[0] (low_texture, 4-6 s)", "segments[1] (motion_blur, 5-6 s)"],
+        ),
+        ("start_s: 8", "start_s: 19.5", ["segments[1]", "ends after the sequence", "duration_s = 20"]),
+        ("{kind: room}", "{kind: room}\ncamera: {cx_px: 640}", [":4: camera", "cx_px = 640", "0 to 639"]),
+        ("{kind: room}", "{kind: room}\ncamera: {fx_px: 3}", ["fx_px = 3", "absurd"]),
+        (
+            "{kind: room}",
+            "{kind: room}\ncamera: {exposure_s: 0.1}",
+            ["exposure_s = 0.1", "longer than a frame"],
+        ),
+        ("duration_s: 20", "duration_s: 20\nduration_s: 30", [":3: duration_s", "twice"]),
+        ("duration_s: 20", "duration_s: [", ["not valid YAML"]),
+        (VALID, "", ["holds no scenario"]),
+        (VALID, "- 1\n", ["holds no scenario"]),
+        (VALID, "seed: 2024-13-45\n", ["not valid YAML"]),
+    ],
+)
+def test_each_fault_names_file_field_and_remedy(tmp_path, old, new, expected):
+    assert old in VALID
+    line = fault(tmp_path, VALID.replace(old, new, 1))
+    for part in expected:
+        assert part in line
+
+
+def test_a_misspelt_key_is_named_before_the_key_that_is_missing_for_it(tmp_path):
+    line = fault(tmp_path, VALID.replace("contrast:", "contrst:"))
+    assert "unknown key" in line
+    assert "1 more" in line
+
+
+def test_segments_that_touch_do_not_overlap(tmp_path):
+    scenario = load_scenario(write(tmp_path, VALID.replace("start_s: 8", "start_s: 6")))
+    assert scenario.segments[0].end_s == scenario.segments[1].start_s
+
+
+def test_overlap_is_found_whatever_the_order_in_the_file():
+    late = MotionBlur(kind="motion_blur", start_s=5, duration_s=2, exposure_s=0.1)
+    early = FastRotation(kind="fast_rotation", start_s=1, duration_s=5, rate_degps=90)
+    with pytest.raises(ValueError, match=r"segments\[1\].*segments\[0\].*overlap"):
+        Scenario(name="x", world=RoomWorld(), segments=(late, early))
+
+
+def test_an_unknown_name_lists_the_names():
+    with pytest.raises(InputError, match=r"stressed \(did you mean that\?\).*clean-corridor, clean-room"):
+        load_scenario("stresed")
+
+
+@pytest.mark.parametrize("path", ["missing.yaml", "."])
+def test_a_path_that_is_no_file_is_refused(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError):
+        load_scenario(path)
+
+
+def test_binary_content_is_refused(tmp_path):
+    path = tmp_path / "trial.yaml"
+    path.write_bytes(np.arange(128, 256, dtype=np.uint8).tobytes())
+    with pytest.raises(InputError, match="UTF-8"):
+        load_scenario(path)
+
+
+def test_the_schema_knows_every_part_and_forbids_unknown_keys():
+    schema = json_schema()
+    assert set(schema["properties"]) == set(Scenario.model_fields)
+    assert schema["additionalProperties"] is False
+    assert schema["$defs"]["LowTexture"]["properties"]["contrast"]["maximum"] == 1

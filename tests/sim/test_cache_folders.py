@@ -1,0 +1,137 @@
+"""The cache: atomic, checked on every use, safe for several writers, bounded."""
+
+import logging
+import multiprocessing
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from scenarios.errors import InputError
+from sim import cache
+from sim.cache import FolderCache, content_key, default_cache_dir
+
+
+def store(root: Path, key: str, text: str = "frames", max_bytes: int = 10**9) -> Path:
+    folders = FolderCache(root, max_bytes)
+    with folders.create(key) as folder:
+        (folder / "data.bin").write_text(text)
+    return root / key
+
+
+def test_an_entry_is_found_with_its_content(tmp_path):
+    assert FolderCache(tmp_path).find("k") is None
+    store(tmp_path, "k")
+    found = FolderCache(tmp_path).find("k")
+    assert found is not None
+    assert (found / "data.bin").read_text() == "frames"
+
+
+def test_nothing_is_left_of_an_entry_whose_making_failed(tmp_path):
+    def fail_half_way() -> None:
+        with FolderCache(tmp_path).create("k") as folder:
+            (folder / "data.bin").write_text("half")
+            raise RuntimeError("boom")
+
+    with pytest.raises(RuntimeError, match="boom"):
+        fail_half_way()
+    assert list(tmp_path.iterdir()) == []
+
+
+def flip_a_byte(entry: Path) -> None:
+    (entry / "data.bin").write_text("fRames")
+
+
+def cut_short(entry: Path) -> None:
+    (entry / "data.bin").write_text("fra")
+
+
+def lose_a_file(entry: Path) -> None:
+    (entry / "data.bin").unlink()
+
+
+def spoil_the_manifest(entry: Path) -> None:
+    (entry / "manifest.json").write_text("{")
+
+
+def lose_the_manifest(entry: Path) -> None:
+    (entry / "manifest.json").unlink()
+
+
+@pytest.mark.parametrize(
+    "damage", [flip_a_byte, cut_short, lose_a_file, spoil_the_manifest, lose_the_manifest]
+)
+def test_a_damaged_entry_is_reported_in_a_line_and_not_used(tmp_path, damage, caplog):
+    damage(store(tmp_path, "k"))
+    with caplog.at_level(logging.WARNING):
+        assert FolderCache(tmp_path).find("k") is None
+    assert len(caplog.records) == 1
+    assert "corrupt" in caplog.records[0].getMessage()
+    store(tmp_path, "k", "anew")
+    found = FolderCache(tmp_path).find("k")
+    assert found is not None and (found / "data.bin").read_text() == "anew"
+
+
+def _store_slowly(root: str, barrier) -> None:
+    with FolderCache(Path(root)).create("k") as folder:
+        (folder / "data.bin").write_text("frames")
+        barrier.wait()
+
+
+def test_two_processes_that_make_the_same_entry_leave_one_sound_one(tmp_path):
+    context = multiprocessing.get_context("spawn")
+    barrier = context.Barrier(2)
+    workers = [context.Process(target=_store_slowly, args=(str(tmp_path), barrier)) for _ in range(2)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join(30)
+    assert [worker.exitcode for worker in workers] == [0, 0]
+    assert [path.name for path in tmp_path.iterdir()] == ["k"]
+    assert FolderCache(tmp_path).find("k") is not None
+
+
+def test_the_entries_used_longest_ago_go_first(tmp_path):
+    for age, key in enumerate(("new", "old", "oldest")):
+        os.utime(store(tmp_path, key, "x" * 1000) / "manifest.json", (time.time() - 100 * age - 50,) * 2)
+    assert FolderCache(tmp_path).find("old") is not None  # used just now
+    store(tmp_path, "newest", "x" * 1000, max_bytes=4000)
+    left = {path.name for path in tmp_path.iterdir()}
+    assert "newest" in left and "old" in left and "oldest" not in left
+
+
+def test_what_a_killed_process_left_is_cleared_a_day_later(tmp_path):
+    dead, busy = tmp_path / f"{cache._UNFINISHED}dead", tmp_path / f"{cache._UNFINISHED}busy"
+    dead.mkdir()
+    busy.mkdir()
+    os.utime(dead, (time.time() - 2 * 24 * 3600,) * 2)
+    store(tmp_path, "k")
+    assert not dead.exists()
+    assert busy.exists()
+
+
+def test_an_unusable_cache_folder_is_an_input_error(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="DSLAB_CACHE_DIR"), FolderCache(tmp_path / "file").create("k"):
+        pass
+
+
+def test_a_full_disk_while_writing_is_an_input_error_and_leaves_nothing(tmp_path):
+    with pytest.raises(InputError, match="No space left"), FolderCache(tmp_path).create("k"):
+        raise OSError(28, "No space left on device")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_default_folder_follows_the_environment(monkeypatch, tmp_path):
+    monkeypatch.setenv("DSLAB_CACHE_DIR", str(tmp_path / "mine"))
+    assert default_cache_dir() == tmp_path / "mine"
+    monkeypatch.delenv("DSLAB_CACHE_DIR")
+    monkeypatch.setattr(cache.sys, "platform", "linux")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert default_cache_dir() == tmp_path / "dual-slam-lab"
+
+
+def test_keys_depend_on_content_and_not_on_order():
+    assert content_key({"a": 1, "b": [2, 3]}) == content_key({"b": [2, 3], "a": 1})
+    assert content_key({"a": 1}) != content_key({"a": 2})

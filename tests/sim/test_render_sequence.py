@@ -1,0 +1,214 @@
+"""Rendering a scenario: same bytes for the same seed, the cache, truth that fits the frames."""
+
+import hashlib
+import json
+import logging
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scenarios.errors import InputError
+from scenarios.spec import Scenario
+from sim.io.tum import load_sequence
+from sim.render import Studio, mujoco_studio, render_sequence
+from sim.world.base import Route, Surface, WorldModel
+
+SPEC = {
+    "name": "trial",
+    "duration_s": 4,
+    "world": {"kind": "corridor", "length_m": 10, "turns": 0},
+    "trajectory": {"gaze_deg": 90},
+    "camera": {
+        "width_px": 96,
+        "height_px": 64,
+        "fx_px": 70,
+        "fy_px": 70,
+        "cx_px": 47.5,
+        "cy_px": 31.5,
+        "fps": 10,
+    },
+    "segments": [
+        {"kind": "low_texture", "start_s": 0.5, "duration_s": 1, "contrast": 0.1},
+        {"kind": "motion_blur", "start_s": 2, "duration_s": 0.5, "exposure_s": 0.3},
+        {"kind": "fast_rotation", "start_s": 3, "duration_s": 0.8, "rate_degps": 90},
+    ],
+}
+SCENARIO = Scenario.model_validate(SPEC)
+
+
+class FakeRenderer:
+    """A wall 1 m to the left with a texture in vertical stripes; surface k is its k-th metre."""
+
+    gl_renderer = "fake"
+
+    def __init__(self, world, camera) -> None:
+        self._world, self._camera = world, camera
+
+    def _metre(self, T_world_cam) -> np.ndarray:
+        rays = (np.arange(self._camera.width_px) - self._camera.cx) / self._camera.fx
+        directions = T_world_cam[:2, 2] + rays[:, None] * T_world_cam[:2, 0]
+        reach = 1.0 / np.maximum(directions[:, 1], 0.05)
+        return T_world_cam[0, 3] + reach * directions[:, 0]
+
+    def render(self, T_world_cam):
+        metre = self._metre(T_world_cam)
+        contrast = self._world.contrast[np.clip(metre.astype(int), 0, 9)]
+        line = 128 + contrast * 100 * np.sign(np.sin(40 * metre))
+        shape = (self._camera.height_px, self._camera.width_px)
+        return np.tile(line.astype(np.uint8), (shape[0], 1)), np.ones(shape, np.float32)
+
+    def render_surface_ids(self, T_world_cam):
+        metre = self._metre(T_world_cam)
+        ids = np.where((metre >= 0) & (metre < 10), metre, -1).astype(np.int32)
+        return np.tile(ids, (self._camera.height_px, 1))
+
+    def close(self) -> None:
+        pass
+
+
+def fake_studio() -> Studio:
+    blank = Surface(
+        np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32), np.zeros((3, 2)), np.zeros((1, 1), np.uint8), ""
+    )
+    return Studio(
+        layout=lambda spec, seed: Route(np.array([[0.0, 0], [10, 0]]), 0.4, False),
+        build_world=lambda spec, seed: WorldModel([blank] * 10, 128.0, np.ones(10)),
+        renderer=FakeRenderer,
+        gl_info=lambda: {"renderer": "fake"},
+    )
+
+
+def digest(sequence) -> str:
+    return hashlib.sha256(b"".join(f.tobytes() for f in sequence.frames)).hexdigest()
+
+
+@pytest.fixture
+def rendered(tmp_path):
+    return render_sequence(SCENARIO, 1, cache_dir=tmp_path / "cache", studio=fake_studio())
+
+
+def test_frames_stamps_and_poses_are_complete(rendered):
+    assert len(rendered) == len(rendered.frames) == 40
+    np.testing.assert_allclose(rendered.stamps_s, np.arange(40) / 10)
+    assert rendered.T_world_cam.shape == (40, 4, 4)
+    assert rendered.frames[0].shape == (64, 96)
+    assert rendered.meta["seed"] == 1
+    assert rendered.meta["gl"] == {"renderer": "fake"}
+    assert rendered.depths is None
+
+
+def test_the_segments_are_where_they_were_asked_for(rendered):
+    low, blur, swing = rendered.segments
+    assert 3 <= low.first_frame <= 10 and 10 <= low.last_frame <= 20
+    assert (blur.first_frame, blur.last_frame) == (20, 24)
+    assert 30 <= swing.first_frame < swing.last_frame <= 38
+    truth = rendered.frame_truth
+    assert set(truth) == {"exposure_s", "blur_px", "faded_share", "swing_degps"}
+    assert all(values.shape == (40,) for values in truth.values())
+    assert (truth["exposure_s"] == np.where((np.arange(40) >= 20) & (np.arange(40) < 25), 0.3, 0.004)).all()
+
+
+def test_the_segments_act_on_the_frames(rendered):
+    spread = np.array([float(frame.std()) for frame in rendered.frames])
+    low, blur, _ = rendered.segments
+    assert spread[low.first_frame : low.last_frame + 1].min() < 0.5 * spread[30]
+    assert spread[blur.first_frame + 1] < 0.5 * spread[blur.last_frame + 2]
+
+
+def test_the_frame_shows_the_true_pose_at_the_centre_of_its_exposure(rendered):
+    calm = Scenario.model_validate({**SPEC, "segments": []})
+    world = replace(fake_studio().build_world(None, 0), contrast=np.ones(10))
+    sequence = render_sequence(
+        calm, 1, cache_dir=Path(str(rendered.frames._stack.filename)).parents[1], studio=fake_studio()
+    )
+    for frame in (0, 17, 39):
+        sharp, _ = FakeRenderer(world, sequence.camera).render(sequence.T_world_cam[frame])
+        error = np.abs(sequence.frames[frame].astype(int) - sharp)
+        assert np.median(error) <= 3
+
+
+def test_a_second_call_takes_the_frames_from_the_cache(tmp_path, rendered):
+    def nobody(*_):
+        raise AssertionError("rendered again")
+
+    steps: list[str] = []
+    again = render_sequence(
+        SCENARIO, 1, cache_dir=tmp_path / "cache", studio=replace(fake_studio(), renderer=nobody),
+        progress=lambda step, done, total: steps.append(step),
+    )  # fmt: skip
+    assert digest(again) == digest(rendered)
+    assert steps == []
+    assert again.segments == rendered.segments
+
+
+def test_seed_spec_and_depth_make_other_entries(tmp_path, rendered):
+    options = {"cache_dir": tmp_path / "cache", "studio": fake_studio()}
+    assert digest(render_sequence(SCENARIO, 2, **options)) != digest(rendered)
+    quiet = Scenario.model_validate({**SPEC, "camera": {**SPEC["camera"], "noise_sigma": 0}})
+    assert digest(render_sequence(quiet, 1, **options)) != digest(rendered)
+    deep = render_sequence(SCENARIO, 1, depth=True, **options)
+    assert digest(deep) == digest(rendered)
+    assert deep.depths is not None and deep.depths[3].dtype == np.float32
+    assert len(list((tmp_path / "cache").iterdir())) == 4
+
+
+def test_a_corrupt_entry_is_rendered_again(tmp_path, rendered, caplog):
+    before = digest(rendered)
+    stack = next((tmp_path / "cache").glob("*/gray.npy"))
+    data = bytearray(stack.read_bytes())
+    data[-5] ^= 0xFF
+    stack.write_bytes(bytes(data))
+    with caplog.at_level(logging.WARNING):
+        again = render_sequence(SCENARIO, 1, cache_dir=tmp_path / "cache", studio=fake_studio())
+    assert "corrupt" in caplog.text
+    assert digest(again) == before
+
+
+def test_the_written_folder_is_the_sequence(tmp_path):
+    out = tmp_path / "out"
+    options = {"cache_dir": tmp_path / "cache", "studio": fake_studio()}
+    sequence = render_sequence(SCENARIO, 1, out_dir=out, **options)
+    read = load_sequence(out)
+    assert digest(read) == digest(sequence)
+    np.testing.assert_allclose(read.T_world_cam, sequence.T_world_cam, atol=1e-8)
+    assert read.segments == sequence.segments
+    assert read.meta["spec"]["name"] == "trial"
+    with pytest.raises(InputError, match="not empty"):
+        render_sequence(SCENARIO, 1, out_dir=out, **options)
+
+
+def test_a_full_disk_is_an_input_error_and_leaves_no_half_entry(tmp_path, monkeypatch):
+    from sim.io.raw import RawWriter
+
+    def full(self, frame):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(RawWriter, "append", full)
+    with pytest.raises(InputError, match="No space left"):
+        render_sequence(SCENARIO, 1, cache_dir=tmp_path / "cache", studio=fake_studio())
+    assert list((tmp_path / "cache").iterdir()) == []
+
+
+_IN_ANOTHER_PROCESS = """
+import hashlib, json, sys
+from pathlib import Path
+from scenarios.spec import Scenario
+from sim.render import render_sequence
+s = render_sequence(Scenario.model_validate(json.loads(sys.argv[1])), 5, cache_dir=Path(sys.argv[2]))
+print(hashlib.sha256(b"".join(f.tobytes() for f in s.frames)).hexdigest())
+"""
+
+
+def test_same_seed_same_bytes_in_another_process(tmp_path):
+    """The real renderer, in two processes with caches of their own."""
+    spec = {**SPEC, "duration_s": 3.8}
+    command = [sys.executable, "-c", _IN_ANOTHER_PROCESS, json.dumps(spec), str(tmp_path / "theirs")]
+    other = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    own = render_sequence(
+        Scenario.model_validate(spec), 5, cache_dir=tmp_path / "own", studio=mujoco_studio()
+    )
+    assert digest(own) == other.stdout.strip()

@@ -1,0 +1,158 @@
+"""The map keeps its invariants under every operation, and observation lists say what the owner says."""
+
+import numpy as np
+import pytest
+
+from slam import _map_kernels as kernels
+from slam.camera import PinholeCamera
+from slam.frame import Frame, FrameFeatures
+from slam.geometry import view_geometry
+from slam.map import MIN_OBSERVATIONS, Map
+from slam.orb import Features
+
+CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
+VIEW = view_geometry(CAMERA, 8, 1.2)
+
+
+def make_frame(index, rng, n=60, T=None):
+    features = Features(
+        xy=rng.uniform((0, 0), (639, 479), (n, 2)).astype(np.float32),
+        octave=rng.integers(0, 8, n).astype(np.int32),
+        angle_deg=rng.uniform(0, 360, n).astype(np.float32),
+        response=np.ones(n, np.float32),
+        descriptors=rng.integers(0, 2**63, (n, 4)).astype(np.uint64),
+    )
+    frame = Frame(FrameFeatures.build(index, index / 30, features, CAMERA, VIEW))
+    frame.T_cam_map = np.eye(4) if T is None else T
+    frame.T_cam_map[0, 3] = -0.1 * index
+    return frame
+
+
+def random_map(rng, keyframes=6, points=80, map_id=0):
+    built = Map(map_id, VIEW)
+    for k in range(keyframes):
+        built.add_keyframe(make_frame(k, rng), k - 1)
+    for _ in range(points):
+        seen_by = rng.permutation(keyframes)[: rng.integers(2, keyframes + 1)]
+        rows = [rng.integers(built.keypoints(k).start, built.keypoints(k).stop) for k in seen_by]
+        rows = [r for r in rows if built.arrays.kp_point[r] < 0]
+        if len(rows) < 2:
+            continue
+        p = built.create_point(rng.normal((0, 0, 5), 1, 3), rows[0])
+        for r in rows[1:]:
+            kernels.add_observation(built.arrays, r, p)
+    return built
+
+
+def test_invariants_hold_after_random_edits():
+    rng = np.random.default_rng(1)
+    m = random_map(rng)
+    m.check()
+    for _ in range(150):
+        good = m.points()
+        if len(good) < 4:
+            break
+        edit = rng.integers(4)
+        if edit == 0:
+            kernels.remove_point(m.arrays, rng.choice(good))
+        elif edit == 1:
+            kernels.replace_point(m.arrays, *rng.choice(good, 2, replace=False), VIEW.scale)
+        elif edit == 2:
+            rows = np.flatnonzero(m.arrays.kp_point[: m.arrays.kf_start[m.n_keyframes]] >= 0)
+            kernels.erase_observation(m.arrays, rng.choice(rows), MIN_OBSERVATIONS)
+        else:
+            kernels.add_observation(m.arrays, rng.integers(0, m.arrays.kf_start[6]), rng.choice(good))
+        m.check()
+
+
+def test_check_notices_a_broken_association():
+    m = random_map(np.random.default_rng(2))
+    row = np.flatnonzero(m.arrays.kp_point[: m.arrays.kf_start[m.n_keyframes]] >= 0)[0]
+    m.arrays.kp_point[row] = -1
+    with pytest.raises(AssertionError):
+        m.check()
+
+
+def test_a_keyframe_observes_a_point_once():
+    m = random_map(np.random.default_rng(3))
+    p = int(m.points()[0])
+    keyframe = int(m.arrays.kp_keyframe[m.arrays.pt_head[p]])
+    free = m.keypoints(keyframe).start + np.flatnonzero(m.observed_points(keyframe) < 0)[0]
+    assert not kernels.add_observation(m.arrays, free, p)
+    m.check()
+
+
+def test_replacement_is_followed_by_frames():
+    m = random_map(np.random.default_rng(4))
+    a, b, c, d = (int(p) for p in m.points()[:4])
+    kernels.replace_point(m.arrays, a, b, VIEW.scale)
+    kernels.replace_point(m.arrays, b, c, VIEW.scale)
+    kernels.remove_point(m.arrays, d)
+    frame_points = np.array([a, b, c, d, -1], np.int32)
+    kernels.resolve_points(m.arrays, frame_points)
+    assert frame_points.tolist() == [c, c, c, -1, -1]
+
+
+def test_a_culled_keyframe_follows_its_parent():
+    m = random_map(np.random.default_rng(5))
+    before = m.T_cam_map(3) @ np.linalg.inv(m.T_cam_map(2))
+    m.cull_keyframe(3)
+    m.check()
+    assert m.parent(4) == 2
+    m.arrays.kf_T_cam_map[2, :3, 3] += (1.0, 2.0, 3.0)
+    np.testing.assert_allclose(m.T_cam_map(3), before @ m.T_cam_map(2), atol=1e-12)
+
+
+def test_transform_moves_points_and_cameras_together():
+    rng = np.random.default_rng(6)
+    m = random_map(rng)
+    m.cull_keyframe(2)
+    p = m.points()
+    seen_before = [m.arrays.pt_xyz[p] @ m.T_cam_map(k)[:3, :3].T + m.T_cam_map(k)[:3, 3] for k in range(6)]
+    Q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    Q *= np.linalg.det(Q)
+    m.transform(2.5, Q, np.array([1.0, -2.0, 0.5]))
+    for k in range(6):
+        seen = m.arrays.pt_xyz[p] @ m.T_cam_map(k)[:3, :3].T + m.T_cam_map(k)[:3, 3]
+        np.testing.assert_allclose(seen, 2.5 * seen_before[k], atol=1e-9)
+
+
+def test_absorb_keeps_both_maps_whole():
+    rng = np.random.default_rng(7)
+    a, b = random_map(rng), random_map(rng, keyframes=5, points=60, map_id=1)
+    b.cull_keyframe(2)
+    xyz_b, T_b = b.arrays.pt_xyz[b.points()].copy(), [b.T_cam_map(k) for k in range(5)]
+    count = len(a.points()) + len(b.points())
+    keyframes, points = a.absorb(b)
+    a.check()
+    b.check()
+    assert len(a.points()) == count
+    np.testing.assert_array_equal(a.arrays.pt_xyz[b.points() + points], xyz_b)
+    for k in range(5):
+        np.testing.assert_array_equal(a.T_cam_map(k + keyframes), T_b[k])
+
+
+def test_a_copy_is_independent():
+    m = random_map(np.random.default_rng(8))
+    twin = m.copy()
+    kernels.remove_point(twin.arrays, int(twin.points()[0]))
+    twin.cull_keyframe(3)
+    m.check()
+    twin.check()
+    assert len(m.keyframes()) == len(twin.keyframes()) + 1
+
+
+def test_the_representative_descriptor_has_the_least_median_distance():
+    rng = np.random.default_rng(9)
+    m = random_map(rng, keyframes=8, points=40)
+    for p in m.points():
+        rows, e = [], int(m.arrays.pt_head[p])
+        while e >= 0:
+            rows.append(e)
+            e = int(m.arrays.kp_next[e])
+        kernels.refresh_point(m.arrays, int(p), VIEW.scale)
+        d = m.arrays.kp_descriptor[rows]
+        distance = np.bitwise_count(d[:, None] ^ d[None]).sum(-1)
+        medians = np.sort(distance, 1)[:, (len(rows) - 1) // 2]
+        chosen = [int(np.bitwise_count(x ^ m.arrays.pt_descriptor[p]).sum()) for x in d].index(0)
+        assert medians[chosen] == medians.min() or len(rows) == 2

@@ -1,0 +1,309 @@
+import numpy as np
+import pytest
+from numba import njit
+from scipy.optimize import least_squares
+
+from slam._two_view_models import (
+    epipolar_score,
+    essential_motions,
+    homography_motions,
+    homography_score,
+    try_motion,
+)
+from slam.optimization._se3 import so3_exp
+from slam.optimization._triangulation import triangulate
+from slam.two_view import TwoViewConfig, two_view_reconstruction
+
+K = np.array([[500.0, 0, 320], [0, 505, 240], [0, 0, 1]])
+
+
+def rigid(translation, rotation):
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = so3_exp(*rotation), translation
+    return T
+
+
+def project(T, points):
+    q = points @ T[:3, :3].T + T[:3, 3]
+    return q[:, :2] / q[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2]
+
+
+def scene(kind, seed=0, n=300, outliers=0.3, baseline=0.4, noise=0.5):
+    """T_2_1, points in camera 1, pixels of both, the first ``outliers`` share of them wrong."""
+    rng = np.random.default_rng(seed)
+    direction = rng.normal(size=3) * [1, 1, 0.3]
+    T = rigid(baseline * direction / np.linalg.norm(direction), rng.normal(0, 0.04, 3))
+    if kind == "rotation":
+        T[:3, 3] = 0.0
+    rays = np.column_stack([rng.uniform([60, 60], [580, 420], (n, 2)), np.ones(n)]) @ np.linalg.inv(K).T
+    # The plane is tilted enough for its second decomposition to be ruled out in most views.
+    depth = 4.0 / (rays @ [0.5, -0.3, 1.0]) if kind == "plane" else rng.uniform(2, 8, n)
+    points = rays * depth[:, None]
+    pixels = [project(np.eye(4), points), project(T, points)]
+    pixels = [p + rng.normal(0, noise, p.shape) for p in pixels]
+    wrong = int(outliers * n)
+    pixels[1][:wrong] = rng.uniform([0, 0], [640, 480], (wrong, 2))
+    return T, points, pixels[0], pixels[1], wrong
+
+
+def rotation_error_deg(T, other):
+    return np.degrees(np.linalg.norm(T[:3, :3] @ other[:3, :3].T - np.eye(3)) / np.sqrt(2))
+
+
+def direction_error_deg(a, b):
+    return np.degrees(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1)))
+
+
+def reconstruct(pixels_1, pixels_2, config=None, seed=1):
+    return two_view_reconstruction(pixels_1, pixels_2, K, np.random.default_rng(seed), config)
+
+
+# -- triangulation -----------------------------------------------------------------------------------------
+
+
+def normalised(T, point):
+    q = T[:3, :3] @ point + T[:3, 3]
+    return q[0] / q[2], q[1] / q[2]
+
+
+@pytest.mark.parametrize("baseline", [0.003, 0.03, 0.3, 1.0])
+def test_triangulation_is_the_least_squares_point(baseline):
+    rng = np.random.default_rng(int(1000 * baseline))
+    compared = 0
+    for _ in range(40):
+        T_1 = rigid(rng.normal(size=3), rng.normal(0, 0.3, 3))
+        T_2 = rigid(baseline * rng.normal(size=3), rng.normal(0, 0.1, 3)) @ T_1
+        truth = T_1[:3, :3].T @ ([*rng.uniform(-2, 2, 2), rng.uniform(3, 8)] - T_1[:3, 3])
+        noise = min(1 / 500, baseline / 50) * rng.normal(size=4)
+        seen = np.array([*normalised(T_1, truth), *normalised(T_2, truth)]) + noise
+
+        def residuals(x, T_1=T_1, T_2=T_2, seen=seen):
+            return np.array([*normalised(T_1, x), *normalised(T_2, x)]) - seen
+
+        point = np.array(triangulate(T_1, T_2, *seen))
+        if not np.isfinite(point).all():
+            continue
+        oracle = least_squares(residuals, truth, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        assert (residuals(point) ** 2).sum() <= 2 * oracle.cost * (1 + 1e-6) + 1e-20
+        compared += 1
+    assert compared >= 35
+
+
+def test_triangulation_of_perfect_observations_is_exact_at_small_parallax():
+    T_1, point = rigid([0.3, 0.1, -0.2], [0.1, 0.2, -0.1]), np.array([1.0, -0.5, 6.0])
+    for baseline in (1.0, 1e-2, 1e-4):
+        T_2 = rigid([baseline, 0, 0], [0.0, 0.05, 0.0]) @ T_1
+        found = triangulate(T_1, T_2, *normalised(T_1, point), *normalised(T_2, point))
+        np.testing.assert_allclose(found, point, rtol=1e-11 / baseline)
+
+
+def test_triangulation_refuses_what_is_not_in_front_of_both():
+    T_1, T_2 = np.eye(4), rigid([-0.5, 0, 0], [0.0, 0, 0])
+    assert np.isfinite(triangulate(T_1, T_2, 0.0, 0.0, -0.1, 0.0)).all()
+    assert np.isnan(triangulate(T_1, T_2, 0.0, 0.0, 0.1, 0.0)).all()  # rays that part
+    assert np.isnan(triangulate(T_1, T_2, 0.0, 0.0, 0.0, 0.0)).all()  # parallel rays
+    assert np.isnan(triangulate(T_1, T_1, 0.0, 0.0, 0.1, 0.0)).all()  # no baseline
+    away = rigid([0.0, 0, 0], [0.0, np.pi, 0]) @ T_2
+    assert np.isnan(triangulate(T_1, away, 0.0, 0.0, 0.1, 0.0)).all()
+
+
+def test_triangulation_is_callable_from_kernels():
+    @njit
+    def caller(T_1, T_2):
+        x, y, z = triangulate(T_1, T_2, 0.0, 0.0, -0.1, 0.0)
+        return x + y + z
+
+    assert caller(np.eye(4), rigid([-0.5, 0, 0], [0.0, 0, 0])) == pytest.approx(5.0)
+
+
+# -- models ------------------------------------------------------------------------------------------------
+
+
+def test_scores_agree_with_their_definition():
+    T, _, u, v, _ = scene("general", n=60)
+    skew = np.cross(np.eye(3), T[:3, 3])
+    F = np.linalg.inv(K).T @ -skew @ T[:3, :3] @ np.linalg.inv(K)
+    H = K @ T[:3, :3] @ np.linalg.inv(K)
+
+    def transferred(M, p):
+        q = M @ [*p, 1.0]
+        return q[:2] / q[2]
+
+    def to_line(line, p):
+        return (line @ [*p, 1.0]) ** 2 / (line[0] ** 2 + line[1] ** 2)
+
+    for score_of, threshold, distances in (
+        (homography_score, 5.991, lambda a, b: (
+            ((transferred(H, a) - b) ** 2).sum(), ((transferred(np.linalg.inv(H), b) - a) ** 2).sum())),
+        (epipolar_score, 3.841, lambda a, b: (
+            to_line(F @ [*a, 1.0], b), to_line(F.T @ [*b, 1.0], a))),
+    ):  # fmt: skip
+        sigma = 15.0
+        expected, inliers = 0.0, []
+        for a, b in zip(u, v, strict=True):
+            d = [value / sigma**2 for value in distances(a, b)]
+            expected += sum(5.991 - value for value in d if value <= threshold)
+            inliers.append(max(d) <= threshold)
+        score, mask = score_of(H if score_of is homography_score else F, u, v, sigma)
+        assert score == pytest.approx(expected, rel=1e-6)
+        np.testing.assert_array_equal(mask, inliers)
+        assert any(inliers)
+
+
+def test_missing_and_singular_models_score_nothing():
+    _, _, u, v, _ = scene("general", n=60)
+    for score, mask in (
+        homography_score(None, u, v, 1.0),
+        homography_score(np.ones((3, 3)), u, v, 1.0),
+        epipolar_score(None, u, v, 1.0),
+    ):
+        assert score == 0.0 and not mask.any()
+
+
+def test_the_true_motion_is_among_those_of_its_matrices():
+    T, *_ = scene("plane")
+    t = T[:3, 3]
+    normal = np.array([0.5, -0.3, 1.0])
+    H = K @ (T[:3, :3] + np.outer(t, normal) / 4.0) @ np.linalg.inv(K)
+    E = np.cross(np.eye(3), -t) @ T[:3, :3]
+    for motions in (homography_motions(H, K), essential_motions(E)):
+        assert len(motions) == 4
+        errors = [rotation_error_deg(M, T) + direction_error_deg(M[:3, 3], t) for M in motions]
+        assert min(errors) < 1e-4
+        assert all(np.linalg.norm(M[:3, 3]) == pytest.approx(1.0) for M in motions)
+
+
+def test_a_motion_triangulates_its_points_and_its_mirror_none():
+    T, points, u, v, _ = scene("general", n=80, outliers=0.0, noise=0.0)
+    T[:3, 3] /= 0.4
+    inliers = np.arange(80) > 9
+    tried = try_motion(T, u, v, inliers, K, 2.0, 0.0)
+    np.testing.assert_array_equal(tried.triangulated, inliers)
+    np.testing.assert_allclose(tried.points[inliers], points[inliers] / 0.4, rtol=1e-6)
+    centre = -T[:3, :3].T @ T[:3, 3]
+    rays = points / 0.4, points / 0.4 - centre
+    cosine = (
+        (rays[0] * rays[1]).sum(axis=1) / np.linalg.norm(rays[0], axis=1) / np.linalg.norm(rays[1], axis=1)
+    )
+    np.testing.assert_allclose(tried.parallax_deg[inliers], np.degrees(np.arccos(cosine))[inliers], atol=1e-5)
+    assert np.isnan(tried.points[~inliers]).all()
+    mirror = T.copy()
+    mirror[:3, 3] *= -1
+    assert not try_motion(mirror, u, v, inliers, K, 2.0, 0.0).triangulated.any()
+    far = try_motion(T, u, v, inliers, K, 2.0, 90.0)
+    np.testing.assert_array_equal(far.far, inliers)
+    assert not far.triangulated.any()
+
+
+# -- reconstruction ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("kind", "model"), [("general", "essential"), ("plane", "homography")])
+def test_most_scenes_are_reconstructed_and_none_wrongly(kind, model):
+    successes = 0
+    for seed in range(12):
+        T, points, u, v, wrong = scene(kind, seed)
+        result = reconstruct(u, v)
+        assert result.model == model
+        if not result.success:
+            assert kind == "plane" and result.reason == "ambiguous"
+            continue
+        successes += 1
+        assert result.reason == ""
+        assert rotation_error_deg(result.T_2_1, T) < 0.5
+        assert direction_error_deg(result.T_2_1[:3, 3], T[:3, 3]) < 4.0
+        assert np.linalg.norm(result.T_2_1[:3, 3]) == pytest.approx(1.0)
+        found = result.triangulated
+        assert found.sum() >= 150 and found[:wrong].mean() < 0.1
+        np.testing.assert_array_equal(found, np.isfinite(result.points).all(axis=1))
+        relative = np.abs(0.4 * result.points[wrong:] - points[wrong:])[found[wrong:], 2]
+        assert np.median(relative / points[wrong:][found[wrong:], 2]) < 0.1
+        assert result.parallax_deg > 2.0
+    assert successes >= (12 if kind == "general" else 4)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_pure_rotation_is_refused_for_its_parallax(seed, noise):
+    _, _, u, v, _ = scene("rotation", seed, noise=noise)
+    result = reconstruct(u, v)
+    assert not result.success
+    assert result.reason == "low_parallax"
+    assert result.parallax_deg < 0.5
+    assert not result.triangulated.any() and np.isnan(result.points).all()
+
+
+def test_standing_still_is_refused_for_its_parallax():
+    _, _, u, _, _ = scene("rotation", n=200)
+    result = reconstruct(u, u.copy())
+    assert (result.success, result.reason) == (False, "low_parallax")
+
+
+def test_too_little_parallax_is_refused_by_the_bound_given():
+    T, _, u, v, _ = scene("general", baseline=0.2)
+    result = reconstruct(u, v)
+    assert result.success
+    assert rotation_error_deg(result.T_2_1, T) < 1.0
+    bound = result.parallax_deg + 0.1
+    refused = reconstruct(u, v, TwoViewConfig(min_parallax_deg=bound))
+    assert (refused.success, refused.reason) == (False, "low_parallax")
+    assert refused.parallax_deg == result.parallax_deg
+
+
+def test_a_plane_with_two_explanations_is_refused():
+    """On the way towards a tilted plane, a second plane and motion explain the views as well."""
+    _, points, u, _, _ = scene("plane", outliers=0.0)
+    T = rigid([0.0, 0.0, -0.5], [0.0, 0.0, 0.0])
+    v = project(T, points) + np.random.default_rng(0).normal(0, 0.3, u.shape)
+    result = reconstruct(u, v)
+    assert (result.model, result.success, result.reason) == ("homography", False, "ambiguous")
+
+
+@pytest.mark.parametrize("n", [0, 1, 7, 99])
+def test_few_matches_are_refused(n):
+    _, _, u, v, _ = scene("general")
+    result = reconstruct(u[:n], v[:n])
+    assert (result.success, result.reason, result.model) == (False, "too_few_matches", None)
+    assert result.points.shape == (n, 3) and result.triangulated.shape == (n,)
+
+
+def test_matches_without_a_geometry_are_refused():
+    rng = np.random.default_rng(0)
+    result = reconstruct(*(rng.uniform([0, 0], [640, 480], (200, 2)) for _ in range(2)))
+    assert not result.success
+    assert result.reason in {"no_model", "few_points", "ambiguous", "low_parallax"}
+
+
+@pytest.mark.parametrize("spread", [0.0, 600.0])
+@pytest.mark.parametrize("slope", [0.0, 0.5])
+@pytest.mark.parametrize("noise", [0.0, 0.5])
+def test_matches_on_a_point_or_a_line_are_refused(spread, slope, noise):
+    rng = np.random.default_rng(0)
+    x = 20 + spread * rng.random(150)
+    u = np.column_stack([x, 50 + slope * x]) + rng.normal(0, noise, (150, 2))
+    for shift in (0.0, 10.0, 40.0):
+        v = u + np.array([shift, 0.0]) + rng.normal(0, noise, (150, 2))
+        assert not reconstruct(u, v).success
+
+
+def test_too_few_points_are_refused():
+    _, _, u, v, _ = scene("general", n=120)
+    assert reconstruct(u, v, TwoViewConfig(min_points=110)).reason == "few_points"
+
+
+def test_same_seed_same_bits():
+    _, _, u, v, _ = scene("general", n=150)
+    first, second = reconstruct(u, v, seed=5), reconstruct(u, v, seed=5)
+    np.testing.assert_array_equal(first.T_2_1, second.T_2_1)
+    np.testing.assert_array_equal(first.points, second.points)
+    assert (first.score_h, first.score_e) == (second.score_h, second.score_e)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_matches_that_are_no_pairs_of_pixels_are_refused(bad):
+    _, _, u, v, _ = scene("general")
+    with pytest.raises(ValueError, match="pairs"):
+        reconstruct(u, v[:-1])
+    v[3, 0] = bad
+    with pytest.raises(ValueError, match="finite"):
+        reconstruct(u, v)
