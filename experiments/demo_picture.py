@@ -33,7 +33,7 @@ def draw_demo(path: Path, sequence: Sequence, records: dict[SystemKind, RunRecor
     top, middle, bottom = np.ravel(figure.subfigures(3, 1, height_ratios=[1.35, 3.3, 1.9]))
     for axes, frame in zip(top.subplots(1, _SAMPLES), _sample_frames(sequence), strict=True):
         _draw_frame(axes, sequence, frame)
-    panels = middle.subplots(1, len(records), sharex=True, sharey=True)
+    panels = middle.subplots(1, len(records))
     for axes, (kind, record) in zip(panels, records.items(), strict=True):
         outcomes = breakage_outcomes(record.events, sequence.segments, list(sequence.stamps_s))
         _draw_paths(axes, kind, record, lay_out(record), outcomes)
@@ -91,6 +91,10 @@ def _draw_paths(
         )
     if truth is not None:
         _mark(axes, truth[:, ground, 3], outcomes)
+    unplaced = len(record.trajectories) - len(scene.final)
+    if unplaced:
+        note = f"{unplaced} map(s) not drawn: not like the truth at any scale"
+        axes.text(0.01, 0.01, note, transform=axes.transAxes, fontsize=8, color="#c00020")
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.06)
     axes.set_title(

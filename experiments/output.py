@@ -10,7 +10,6 @@ from uuid import uuid4
 from scenarios.errors import InputError
 
 _FULL = {errno.ENOSPC, errno.EDQUOT}
-_DENIED = {errno.EACCES, errno.EPERM, errno.EROFS}
 
 
 @contextmanager
@@ -99,7 +98,7 @@ def _raise_as_input_error(error: OSError, out_dir: Path, partial: Path) -> None:
             str(out_dir), "the disk is full", "free some space or choose another disk"
         ) from error
     at = str(error.filename or "")
-    if error.errno in _DENIED and at.startswith((str(partial), str(out_dir))):
+    if at.startswith((str(partial), str(out_dir))):
         raise InputError(
-            str(out_dir), f"cannot be written ({error.strerror})", "choose a folder you may write to"
+            str(out_dir), f"cannot be written ({error.strerror})", "choose another folder"
         ) from error

@@ -1,5 +1,9 @@
 """A run as a rerun recording. The only file that imports rerun."""
 
+import errno
+import os
+import shutil
+import socket
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -8,8 +12,6 @@ from typing import Self
 
 import cv2
 import numpy as np
-import rerun as rr
-import rerun.blueprint as rrb
 from scipy.spatial.transform import Rotation
 
 from experiments.breakages import breakage_outcomes
@@ -20,6 +22,11 @@ from sim.sequence import Sequence
 from slam.events import Event
 from slam.results import TrackingResult
 
+# rerun reads this when it is loaded. Its writer logs what is raised here as an error of its own.
+os.environ.setdefault("RUST_LOG", "off")
+import rerun as rr
+import rerun.blueprint as rrb
+
 APPLICATION = "dslab"
 
 IMAGES_PER_S = 15.0
@@ -27,6 +34,7 @@ _JPEG = [cv2.IMWRITE_JPEG_QUALITY, 60]
 _IMAGE_WIDTH_PX = 640
 _SNAPSHOT_S = 0.5
 _MAX_POINTS, _MAX_PATH = 4000, 600
+_NO_SPACE_BYTES = 1 << 20
 
 _TRUE, _CAMERA = [150, 150, 150], [255, 255, 255]
 _MAPS = ([31, 160, 255], [255, 150, 40], [60, 200, 110], [220, 90, 200], [240, 220, 60], [120, 220, 220])
@@ -70,15 +78,29 @@ class Recorder:
         self._rec = rr.RecordingStream(APPLICATION, recording_id=self._title)
         self._rec.set_log_time_enabled(False)
         self._rec.set_log_tick_enabled(False)
-        self._rec.save(self._path)
+        try:
+            self._rec.save(self._path)
+        except RuntimeError as error:
+            raise self._write_error() from error
         self._rec.send_recording_name(self._title)
         classes = [(_FEATURE, "feature", [110, 130, 160]), (_INLIER, "on the map", [80, 230, 90])]
         self._rec.log("world/camera/features", rr.AnnotationContext(classes), static=True)
         return self
 
-    def __exit__(self, *exception: object) -> None:
-        self._rec.flush()
-        self._rec.disconnect()
+    def __exit__(self, failed: type[BaseException] | None, *rest: object) -> None:
+        try:
+            self._rec.flush()
+        except RuntimeError as error:
+            if failed is None:
+                raise self._write_error() from error
+        finally:
+            self._rec.disconnect()
+
+    def _write_error(self) -> OSError:
+        """Why the file could not be written; rerun's writer does not say."""
+        full = shutil.disk_usage(self._path.parent).free < _NO_SPACE_BYTES
+        code = errno.ENOSPC if full else errno.EIO
+        return OSError(code, os.strerror(code), str(self._path))
 
     def frame(self, image: np.ndarray, result: TrackingResult, system: SlamSystem) -> None:
         """Record one frame: image, features and, now and then, the map."""
@@ -269,15 +291,26 @@ def open_viewer(path: Path, stamp_s: float) -> None:
     """Open a recording in the viewer, paused at a time; the viewer outlives this process.
 
     Raises:
-        RuntimeError: the viewer does not start.
+        ConnectionError: the viewer does not start, for want of a display as a rule.
     """
     from rerun.experimental import ViewerClient
 
-    viewer = ViewerClient.spawn(
-        port=0, executable_path=str(Path(sys.executable).with_name("rerun")), detach_process=True
-    )
-    viewer.open(str(path.resolve()))
-    viewer.set_time("time", duration=stamp_s, play_state="paused")
+    try:
+        viewer = ViewerClient.spawn(
+            port=_free_port(),
+            executable_path=str(Path(sys.executable).with_name("rerun")),
+            detach_process=True,
+        )
+        viewer.open(str(path.resolve()))
+        viewer.set_time("time", duration=stamp_s, play_state="paused")
+    except RuntimeError as error:
+        raise ConnectionError(str(error)) from error
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
 
 
 def _blueprint(record: RunRecord, scene: Scene) -> rrb.Blueprint:
@@ -287,7 +320,7 @@ def _blueprint(record: RunRecord, scene: Scene) -> rrb.Blueprint:
     """
     sequence = record.sequence
     across = np.roll(np.abs(scene.up), 1) * 0.8 + np.roll(np.abs(scene.up), 2) * 0.6
-    eye = scene.centre + scene.extent * (1.25 * scene.up - 0.6 * across)
+    eye = scene.centre + scene.extent * (1.7 * scene.up - 0.8 * across)
     world = rrb.Spatial3DView(
         name="map (estimate aligned to truth for display)" if scene.T_world_cam is not None else "map",
         origin="world",
@@ -300,7 +333,9 @@ def _blueprint(record: RunRecord, scene: Scene) -> rrb.Blueprint:
         name="camera (green: on the map)", origin="world/camera", contents=["+ $origin/**"]
     )
     inliers = rrb.TimeSeriesView(name="inliers and matches", origin="plots/inliers")
-    cpu = rrb.TimeSeriesView(name="CPU ms per frame", origin="plots/cpu_ms")
+    cpu = rrb.TimeSeriesView(
+        name="CPU ms per frame", origin="plots/cpu_ms", axis_y=rrb.ScalarAxis(range=(0.0, _usual_ms(record)))
+    )
     lanes = rrb.StateTimelineView(name="state, map, injected segment", origin="lanes")
     log = rrb.TextLogView(
         name="events",
@@ -327,6 +362,12 @@ def _blueprint(record: RunRecord, scene: Scene) -> rrb.Blueprint:
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="collapsed"),
     )
+
+
+def _usual_ms(record: RunRecord) -> float:
+    """Top of the time plot: the first frame, which loads the kernels, would flatten all others."""
+    times = [max(sum(r.cpu_ms.values()), r.mapping_cpu_ms) for r in record.results]
+    return max(1.0, 1.3 * float(np.percentile(times, 98)))
 
 
 def _view_coordinates(up: np.ndarray) -> rr.ViewCoordinates:

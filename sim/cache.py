@@ -115,8 +115,8 @@ class FolderCache:
                 shutil.rmtree(leftover, ignore_errors=True)
 
     def _cut_back(self, keep: str) -> None:
-        entries = [path.parent for path in self.root.glob(f"*/{_MANIFEST}")]
-        sizes = {entry: sum(f.stat().st_size for f in _files(entry)) for entry in entries}
+        entries = [path for path in self.root.iterdir() if not path.name.startswith(_UNFINISHED)]
+        sizes = {entry: _bytes(entry) for entry in entries}
         total = sum(sizes.values())
         for entry in sorted(entries, key=lambda e: _modified_s(e / _MANIFEST)):
             if total <= self._max_bytes:
@@ -152,6 +152,14 @@ def _sha256(path: Path) -> str:
 
 def _files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.is_file())
+
+
+def _bytes(entry: Path) -> int:
+    """Size of an entry; 0 of one that another process is just deleting."""
+    try:
+        return sum(path.stat().st_size for path in _files(entry))
+    except OSError:
+        return 0
 
 
 def _discard(entry: Path) -> None:

@@ -15,7 +15,8 @@ class Renderer(Protocol):
             T_world_cam: (4, 4) float64, camera (x right, y down, z forward) to world.
 
         Returns:
-            gray (H, W) uint8 sRGB-encoded, depth (H, W) float32 metres along the optical axis, 0 for no surface.
+            gray (H, W) uint8 sRGB-encoded; depth (H, W) float32 metres along the optical axis, 0 for no
+            surface.
         """
         ...
 

@@ -169,12 +169,12 @@ def match_last_frame(
 
 @njit(cache=True, nogil=True)
 def match_local_points(
-    m, view, T_cam_map, candidates, xy, octave, descriptors, cell_start, point, widen, ratio
+    m, view, T_cam_map, candidates, xy, octave, descriptors, cell_start, point, widen, ratio, count_visible
 ):
     """Find more map points of the local map in a frame whose pose is known.
 
     Args:
-        m: MapArrays; visibility counts are raised.
+        m: MapArrays.
         view: ViewGeometry.
         T_cam_map: (4, 4) pose.
         candidates: (Q,) int32 map points.
@@ -182,6 +182,7 @@ def match_local_points(
         point: (N,) int32 associations; extended in place.
         widen: factor on the search radius.
         ratio: see :func:`nearest_in_window`.
+        count_visible: whether the points in view are counted as such.
 
     Returns:
         (points expected in view, matches added).
@@ -201,7 +202,7 @@ def match_local_points(
         p = candidates[q]
         if p in present:
             expected += 1
-            m.pt_visible[p] += 1
+            m.pt_visible[p] += count_visible
             continue
         u, v, z = project(T_cam_map, view, m.pt_xyz[p])
         if z <= 0 or not in_view(view, u, v):
@@ -215,7 +216,7 @@ def match_local_points(
         if cosine < 0.5:
             continue
         expected += 1
-        m.pt_visible[p] += 1
+        m.pt_visible[p] += count_visible
         level = predicted_octave(view, far, distance)
         radius = (2.5 if cosine > 0.998 else 4.0) * widen * view.scale[level]
         i, d = nearest_in_window(

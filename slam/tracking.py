@@ -165,7 +165,7 @@ class Tracker:
             frame.point[:] = -1
             _, count = matching.match_local_points(
                 m.arrays, m.view, predicted, candidates,
-                f.xy, f.octave, f.descriptors, f.cell_start, frame.point, radius_px / 4.0, 0.8,
+                f.xy, f.octave, f.descriptors, f.cell_start, frame.point, radius_px / 4.0, 0.8, False,
             )  # fmt: skip
             frame.T_cam_map = predicted
             if (
@@ -211,7 +211,7 @@ class Tracker:
             return 0, 0
         matching.match_local_points(
             m.arrays, m.view, frame.T_cam_map, self._local_points,
-            f.xy, f.octave, f.descriptors, f.cell_start, frame.point, 1.0, 0.8,
+            f.xy, f.octave, f.descriptors, f.cell_start, frame.point, 1.0, 0.8, True,
         )  # fmt: skip
         matches = int((frame.point >= 0).sum())
         inliers = self._optimise(frame)

@@ -43,10 +43,10 @@ def demo_command(
 
 def demo_table(summaries: dict, title: str) -> Table:
     """Per system one row for the whole and one per injected segment."""
-    table = Table(title=title, box=box.SIMPLE, pad_edge=False)
-    table.add_column("")
-    for column in ("frames", "tracked", "breakages", "recoveries", "ATE", "over"):
-        table.add_column(column, justify="right")
+    table = Table(title=title, box=box.SIMPLE, show_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("", no_wrap=True)
+    for column in ("frames", "tracked", "breakages", "recovered", "ATE", "over"):
+        table.add_column(column, justify="right", no_wrap=True)
     for kind, summary in summaries.items():
         table.add_section()
         table.add_row(f"[bold]{kind}[/bold]", *_cells(summary, summary["ate_m"], summary["ate_poses"]))

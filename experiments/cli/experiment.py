@@ -42,6 +42,7 @@ def run_command(
     single_threaded_opencv()
     spec = load_scenario(scenario)
     with progress_bars() as show:
+        show(f"experiment {name}", 0, units)
         result, rows = run_smoke(
             spec, units, out_dir, workers, lambda done, total: show(f"experiment {name}", done, total)
         )
@@ -50,8 +51,8 @@ def run_command(
         return
     out.print(_table(result, spec.name))
     out.print(
-        "pr|B is conditional on breakage in the free arm, where recovery only ever runs after one. By the\n"
-        "chain rule p0 · pr|B equals the measured share, so this table cannot refute Eq. 1: that takes the\n"
+        "pr|B is conditional on breakage in the free arm, where recovery only ever runs after one. By the "
+        "chain rule p0 · pr|B equals the measured share, so this table cannot refute Eq. 1: that takes the "
         "pr of a crossing arm, in which every unit is crossed backward whether or not the base broke."
     )
     for row in rows:

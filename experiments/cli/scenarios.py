@@ -21,13 +21,12 @@ def list_scenarios() -> None:
     """The scenarios that come with dslab."""
     from scenarios.loading import load_scenario, named_scenarios
 
-    table = Table("name", "world", "duration", "segments", "what happens")
+    table = Table("scenario", "world", "duration", "segments", show_lines=True)
     for name in named_scenarios():
         scenario = load_scenario(name)
-        segments = "\n".join(f"{s.kind} {s.start_s:g}-{s.end_s:g} s" for s in scenario.segments)
-        table.add_row(
-            name, scenario.world.kind, f"{scenario.duration_s:g} s", segments or "-", scenario.description
-        )
+        segments = "\n".join(f"{s.kind}, {s.start_s:g}-{s.end_s:g} s" for s in scenario.segments)
+        what = f"[bold]{name}[/bold]\n{scenario.description}"
+        table.add_row(what, scenario.world.kind, f"{scenario.duration_s:g} s", segments or "-")
     Console().print(table)
 
 

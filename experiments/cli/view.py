@@ -26,9 +26,9 @@ def view_command(
 
     try:
         open_viewer(recording, stamp_s)
-    except RuntimeError as error:
-        cause = str(error).strip().splitlines()[0]
-        raise InputError("viewer", cause, f"it needs a display; or run: rerun {recording}") from error
+    except ConnectionError as error:
+        remedy = f"it needs a display; on a machine that has one: rerun {recording}"
+        raise InputError("rerun viewer", "does not start", remedy) from error
     err.print(f"opened {recording} at {stamp_s:.2f} s")
 
 

@@ -16,7 +16,7 @@ from sim.camera import Intrinsics
 SHARP_PX = np.float32(0.3)
 # One sample per so many pixels of smear, up to a number.
 PX_PER_SAMPLE = np.float32(1.25)
-MAX_SAMPLES = 32
+MAX_SAMPLES = 64
 # The median smear is taken over a grid of pixels so far apart.
 GRID_PX = 16
 _CODES = 16384

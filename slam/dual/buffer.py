@@ -36,6 +36,10 @@ class FeatureBuffer:
         """Frames before frame ``index``, newest first."""
         return (f for f in reversed(self._frames) if f.index < index)
 
+    def reaches(self, index: int) -> bool:
+        """Whether frame ``index`` or an older one is still held."""
+        return bool(self._frames) and self._frames[0].index <= index
+
     @property
     def nbytes(self) -> int:
         """Memory of the buffered features."""

@@ -52,6 +52,7 @@ class Alignment:
     Attributes:
         S_old_new: (4, 4) similarity from the new map to the old one.
         scale: its scale.
+        old_map_id: the old map.
         old_keyframe, new_keyframe: the pair.
         old_points, new_points: (n,) int32 points that it identifies.
         inliers: how many.
@@ -59,6 +60,7 @@ class Alignment:
 
     S_old_new: np.ndarray
     scale: float
+    old_map_id: int
     old_keyframe: int
     new_keyframe: int
     old_points: np.ndarray
@@ -114,6 +116,7 @@ def align(
         Alignment(
             S_old_new,
             float(refined.s),
+            old.map_id,
             old_keyframe,
             new_keyframe,
             a.kp_point[old_rows[keep]].copy(),
@@ -126,7 +129,7 @@ def align(
 
 def agree(old: Map, first: Alignment, second: Alignment, config: FusionConfig) -> bool:
     """Whether two alignments at different keyframes of the old map tell the same similarity."""
-    if first.old_keyframe == second.old_keyframe:
+    if first.old_map_id != second.old_map_id or first.old_keyframe == second.old_keyframe:
         return False
     s_1, R_1, _ = sim3_decompose(first.S_old_new)
     s_2, R_2, _ = sim3_decompose(second.S_old_new)

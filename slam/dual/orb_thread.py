@@ -54,15 +54,16 @@ class OrbRecovery:
 
 
 class _Meeting:
-    """Watches for the old map: aligns where the two maps have keyframes of the same time."""
+    """Watches for the old maps: aligns where two maps have keyframes of about the same time."""
 
     def __init__(self, task: RecoveryTask, config: RecoveryConfig) -> None:
         self._task = task
         self._config = config.fusion
-        old: Map = task.old_map
-        self._old_keyframes = {old.frame_index(int(k)): int(k) for k in old.keyframes()}
+        self._keyframes = [
+            {old.frame_index(int(k)): int(k) for k in old.keyframes()} for old in task.old_maps
+        ]
         self._found: list[Alignment] = []
-        self._failures: list[tuple[str, int]] = []
+        self._failures: list[str] = []
 
     @property
     def accepted(self) -> Alignment:
@@ -70,31 +71,32 @@ class _Meeting:
         return self._found[-1]
 
     def possible(self, frame: Frame) -> bool:
-        """Whether the old map has a keyframe of this very frame."""
-        return frame.features.index in self._old_keyframes
+        """Whether an old map has a keyframe of this very frame."""
+        return any(frame.features.index in keyframes for keyframes in self._keyframes)
 
     def attempt(self, frame: Frame, keyframe: int) -> bool:
-        """Align at this keyframe; True once enough alignments agree."""
+        """Align at this keyframe with every old map that it may meet; True once enough alignments agree."""
         index = frame.features.index
-        near = [f for f in self._old_keyframes if abs(f - index) <= self._config.max_frame_gap]
-        if not near:
-            return False
-        old_keyframe = self._old_keyframes[min(near, key=lambda f: abs(f - index))]
+        for old, keyframes in zip(self._task.old_maps, self._keyframes, strict=True):
+            near = [f for f in keyframes if abs(f - index) <= self._config.max_frame_gap]
+            if near and self._align(old, keyframes[min(near, key=lambda f: abs(f - index))], keyframe):
+                return True
+        return False
+
+    def _align(self, old: Map, old_keyframe: int, keyframe: int) -> bool:
         task = self._task
-        alignment, reason, count = align(
-            task.old_map, task.new_map, old_keyframe, keyframe, task.rng, self._config
-        )
+        alignment, reason, _ = align(old, task.new_map, old_keyframe, keyframe, task.rng, self._config)
         if alignment is None:
-            self._failures.append((reason, count))
+            self._failures.append(reason)
             return False
+        agreeing = sum(agree(old, earlier, alignment, self._config) for earlier in self._found)
         self._found.append(alignment)
-        agreeing = [a for a in self._found[:-1] if agree(task.old_map, a, alignment, self._config)]
-        return len(agreeing) + 1 >= self._config.confirmations
+        return agreeing + 1 >= self._config.confirmations
 
     def verdict(self) -> tuple[str, str]:
         """(stage, reason) of a failure to meet."""
         if self._found:
             return "sim3", "alignments_do_not_agree" if len(self._found) > 1 else "alignment_not_confirmed"
-        if any(reason == "sim3" for reason, _ in self._failures):
+        if "sim3" in self._failures:
             return "sim3", "too_few_inliers"
         return "overlap", "too_few_common_points" if self._failures else "old_map_not_reached"

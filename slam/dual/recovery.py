@@ -3,7 +3,7 @@
 Source: paper, Sec. III-B and Algorithm 1.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -24,7 +24,7 @@ class RecoveryTask:
         new_map: a copy of its own to extend.
         first: the new map's first frame, tracked in it.
         backward: buffered frames before it, newest first.
-        old_map: the saved map, not to be changed.
+        old_maps: the saved maps that the buffer reaches, newest first, not to be changed.
         step: T_cam_last of one frame backward, as far as the new map's first motion tells.
         rng: stream of this thread.
     """
@@ -32,7 +32,7 @@ class RecoveryTask:
     new_map: Map
     first: Frame
     backward: Iterable[FrameFeatures]
-    old_map: Map
+    old_maps: Sequence[Map]
     step: np.ndarray
     rng: np.random.Generator
 

@@ -11,11 +11,12 @@ from scipy.spatial.transform import Rotation
 from slam import events as ev
 from slam._map_kernels import resolve_points
 from slam.dual.buffer import FeatureBuffer
-from slam.dual.fusion import fuse
+from slam.dual.fusion import Alignment, fuse
 from slam.dual.orb_thread import OrbRecovery
 from slam.dual.recovery import RecoveryConfig, RecoveryResult, RecoveryTask, RecoveryThread
 from slam.frame import Frame
 from slam.initialization import InitialMap
+from slam.map import Map
 from slam.seeds import rng_for
 from slam.system import MonocularSlam, SlamConfig
 from slam.timing import StageTimer
@@ -49,7 +50,8 @@ class DualSlam(MonocularSlam):
         self.dual = dual or DualConfig()
         self._buffer = FeatureBuffer(self.dual.buffer_s, self.dual.buffer_cap_s)
         self._threads: list[RecoveryThread] = [OrbRecovery(self.dual.recovery)]
-        self._saved_map_id: int | None = None
+        self._saved: list[int] = []
+        self._recovery_due = False
         self._broke_at = -1
         self._first: Frame | None = None
         self._second: Frame | None = None
@@ -57,29 +59,39 @@ class DualSlam(MonocularSlam):
     # -- breakage ----------------------------------------------------------------------------------------
 
     def _break(self, frame: Frame, outcome: TrackingOutcome) -> None:
+        """Save the map, unless it is too young to be worth it, and seek another.
+
+        A new map that breaks before its recovery has run is dropped: the frames it had are in the buffer, and
+        the next map's recovery goes back over them too.
+        """
         self._emit(frame, ev.Breakage, reason=outcome.reason, inliers=outcome.inliers)
-        if self._saved_map_id is not None:
+        if self._recovery_due:
             self._drop(frame, "broke_before_recovery")
         elif not self._drop_if_young(frame):
             m = self.current_map
             self._emit(frame, ev.MapSaved, keyframes=len(m.keyframes()), points=len(m.points()))
-            self._saved_map_id = self._map_id
+            self._saved.insert(0, self._map_id)
             self._broke_at = frame.features.index
-            self._buffer.frozen = True
             self._seek_new_map()
+        self._recovery_due = bool(self._reachable())
+        self._buffer.frozen = self._recovery_due
         self._emit(frame, ev.ReinitStart)
+
+    def _reachable(self) -> list[int]:
+        """Saved maps that the buffer goes back to, newest first."""
+        return [k for k in self._saved if self._buffer.reaches(_newest_frame(self._maps[k]))]
 
     def _start_map(self, initial: InitialMap) -> None:
         super()._start_map(initial)
         self._first, self._second = initial.first, initial.second
-        if self._saved_map_id is not None:
+        if self._recovery_due:
             taken = initial.second.features.index - self._broke_at
             self._emit(initial.second, ev.ReinitDone, frames_taken=taken)
 
     def _after_frame(self, frame: Frame, outcome: TrackingOutcome) -> None:
         self._buffer.append(frame.features)
         if (
-            self._saved_map_id is not None
+            self._recovery_due
             and outcome.success
             and len(self.current_map.keyframes()) >= self.dual.start_keyframes
         ):
@@ -88,26 +100,28 @@ class DualSlam(MonocularSlam):
     # -- recovery ----------------------------------------------------------------------------------------
 
     def _recover(self, frame: Frame) -> None:
-        """Run the recovery threads in order until one succeeds, and fuse; the saved map is then settled."""
-        old_id = self._saved_map_id
-        if old_id is None:
-            raise RuntimeError("no map is waiting for recovery")
+        """Run the recovery threads in order until one succeeds, and fuse; the breakage is then settled."""
+        old_ids = self._reachable()
         for number, thread in enumerate(self._threads, start=1):
-            result = self._run_thread(frame, number, thread, old_id)
-            if result.success:
-                self._fuse(frame, result, old_id)
+            if not old_ids:
                 break
-        self._saved_map_id = None
+            result = self._run_thread(frame, number, thread, old_ids)
+            if result.alignment is not None:
+                self._fuse(frame, result, result.alignment)
+                break
+        self._recovery_due = False
         self._buffer.frozen = False
 
-    def _run_thread(self, frame: Frame, number: int, thread: RecoveryThread, old_id: int) -> RecoveryResult:
-        task = self._task(number, old_id)
+    def _run_thread(
+        self, frame: Frame, number: int, thread: RecoveryThread, old_ids: list[int]
+    ) -> RecoveryResult:
+        task = self._task(number, old_ids)
         self._emit(
             frame,
             ev.RecoveryStart,
             thread=number,
             method=thread.name,
-            old_map_id=old_id,
+            old_map_id=old_ids[0],
             buffered_frames=sum(1 for _ in self._buffer.backward_from(task.first.features.index)),
         )
         timer = StageTimer()
@@ -118,7 +132,7 @@ class DualSlam(MonocularSlam):
             ev.RecoveryEnd,
             thread=number,
             method=thread.name,
-            old_map_id=old_id,
+            old_map_id=result.alignment.old_map_id if result.alignment else old_ids[0],
             success=result.success,
             stage=result.stage,
             reason=result.reason,
@@ -129,7 +143,7 @@ class DualSlam(MonocularSlam):
         )
         return result
 
-    def _task(self, number: int, old_id: int) -> RecoveryTask:
+    def _task(self, number: int, old_ids: list[int]) -> RecoveryTask:
         new_map = self.current_map.copy()
         first, second = self._first, self._second
         if first is None or second is None:
@@ -144,19 +158,17 @@ class DualSlam(MonocularSlam):
             new_map,
             start,
             self._buffer.backward_from(first.features.index),
-            self._maps[old_id],
+            [self._maps[k] for k in old_ids],
             _fraction(motion, 1.0 / steps),
             rng_for(self.seed, "recovery", number, self._broke_at),
         )
 
     # -- fusion ------------------------------------------------------------------------------------------
 
-    def _fuse(self, frame: Frame, result: RecoveryResult, old_id: int) -> None:
-        """The old map takes in the new one as the recovery has extended it; tracking goes on in the result."""
-        alignment = result.alignment
-        if alignment is None:
-            raise RuntimeError("a recovery without alignment cannot be fused")
-        old, new_id = self._maps[old_id], self._map_id
+    def _fuse(self, frame: Frame, result: RecoveryResult, alignment: Alignment) -> None:
+        """The old map takes in the new one as the recovery extended it; tracking goes on in the result."""
+        old_id, new_id = alignment.old_map_id, self._map_id
+        old = self._maps[old_id]
         seam_frame = old.frame_index(alignment.old_keyframe)
         keyframes, points = fuse(old, result.map, alignment, self.config.mapping)
         self._poses.join(old_id, new_id, keyframes, alignment.scale)
@@ -165,6 +177,7 @@ class DualSlam(MonocularSlam):
                 _shift(tracked, keyframes, points, alignment.scale)
                 self._poses.add(old_id, tracked)
         del self._maps[new_id]
+        self._saved.remove(old_id)
         self._map_id = old_id
         self._continue_in(old, frame, keyframes, points, alignment.scale)
         self._emit(
@@ -177,7 +190,7 @@ class DualSlam(MonocularSlam):
             reason="",
         )
 
-    def _continue_in(self, old, frame: Frame, keyframes: int, points: int, scale: float) -> None:
+    def _continue_in(self, old: Map, frame: Frame, keyframes: int, points: int, scale: float) -> None:
         tracker, mapper = self.tracker, self.mapper
         _shift(frame, keyframes, points, scale)
         resolve_points(old.arrays, frame.point)
@@ -185,6 +198,10 @@ class DualSlam(MonocularSlam):
             tracker.velocity[:3, 3] *= scale
         tracker.rebase(old, frame)
         mapper.rebase(old, points)
+
+
+def _newest_frame(map_: Map) -> int:
+    return max(map_.frame_index(int(k)) for k in map_.keyframes())
 
 
 def _shift(frame: Frame, keyframes: int, points: int, scale: float) -> None:

@@ -41,8 +41,8 @@ def test_the_table_fits_a_terminal_and_tells_base_from_dual(demo):
     console = Console(width=80, record=True, file=io.StringIO())
     console.print(demo_table(summaries, "made-up"))
     lines = console.export_text().splitlines()
-    base = next(line for line in lines if line.startswith("base")).split()
-    dual = next(line for line in lines if line.startswith("dual")).split()
+    base = next(line for line in lines if line.strip().startswith("base")).split()
+    dual = next(line for line in lines if line.strip().startswith("dual")).split()
     assert base[1:6] == ["300", "51.7", "%", "1", "0"]
     assert dual[1:6] == ["300", "91.7", "%", "1", "1"]
     assert sum("low texture 5-6 s" in line for line in lines) == 2

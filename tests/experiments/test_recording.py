@@ -11,7 +11,7 @@ import pytest
 from slam_fakes import CAMERA, FakeSystem, fake_factory, make_sequence
 
 from experiments.execution import execute
-from experiments.recording import describe_event
+from experiments.recording import Recorder, describe_event
 from experiments.run import run_sequence
 from experiments.scene import lay_out
 
@@ -58,6 +58,18 @@ def test_a_minute_of_video_stays_under_60_mb(tmp_path):
     camera = replace(CAMERA, width_px=640, height_px=480)
     path = record(tmp_path, replace(sequence, frames=frames, camera=camera))
     assert 30 * path.stat().st_size < 60e6
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+def test_a_recording_that_cannot_be_written_raises():
+    sequence = make_sequence(30, segment=None)
+
+    def work():
+        with Recorder(Path("/dev/full"), sequence, "base") as recorder:
+            recorder.finish(execute(sequence, "base", 0, recorder, build=fake_factory(sequence)))
+
+    with pytest.raises(OSError, match="/dev/full"):
+        work()
 
 
 def test_the_estimate_is_laid_on_the_truth_for_display():

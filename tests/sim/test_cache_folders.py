@@ -135,3 +135,7 @@ def test_the_default_folder_follows_the_environment(monkeypatch, tmp_path):
 def test_keys_depend_on_content_and_not_on_order():
     assert content_key({"a": 1, "b": [2, 3]}) == content_key({"b": [2, 3], "a": 1})
     assert content_key({"a": 1}) != content_key({"a": 2})
+
+
+def test_an_entry_that_vanishes_while_the_cache_is_measured_does_no_harm(tmp_path):
+    assert cache._bytes(tmp_path / "gone") == 0

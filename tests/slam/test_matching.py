@@ -103,7 +103,8 @@ def test_local_points_are_found_and_counted_as_visible():
     f = current.features
     point = np.full(len(f), -1, np.int32)
     expected, added = matching.match_local_points(
-        m.arrays, VIEW, np.eye(4), frame.point, f.xy, f.octave, f.descriptors, f.cell_start, point, 1.0, 0.8
+        m.arrays, VIEW, np.eye(4), frame.point,
+        f.xy, f.octave, f.descriptors, f.cell_start, point, 1.0, 0.8, True,
     )
     assert expected >= 0.98 * len(f) and added >= 0.95 * len(f)
     for row in np.flatnonzero(point >= 0):
