@@ -122,7 +122,7 @@ def execute(
         sequence=sequence,
         system_kind=system_kind,
         seed=seed,
-        config=asdict(system.config),
+        config=system.settings,
         results=tuple(results),
         events=tuple(system.events),
         trajectories=tuple(system.trajectories()),

@@ -1,6 +1,6 @@
 """The monocular SLAM system: reads as the steps of the method."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
@@ -172,6 +172,11 @@ class MonocularSlam:
         """Hook of systems built on this one."""
 
     # -- what the outside sees ---------------------------------------------------------------------------
+
+    @property
+    def settings(self) -> dict:
+        """Every setting in force, nested by component, to be saved with the results."""
+        return asdict(self.config)
 
     @property
     def tracker(self) -> Tracker:

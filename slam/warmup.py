@@ -80,7 +80,8 @@ def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
     """
     from slam.system import build_system
 
-    count, blank = 110, range(60, 70)
+    # Long enough for a map worth saving, a breakage, a recovery and a fusion.
+    count, blank = 180, range(90, 96)
     system = build_system("dual", CAMERA, seed=0)
     for i, (image, stamp_s, _) in enumerate(toy_frames(count, blank)):
         if progress:

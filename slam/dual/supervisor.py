@@ -3,7 +3,7 @@
 Source: paper, Sec. II and III, Fig. 3.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -55,6 +55,11 @@ class DualSlam(MonocularSlam):
         self._broke_at = -1
         self._first: Frame | None = None
         self._second: Frame | None = None
+
+    @property
+    def settings(self) -> dict:
+        """Every setting in force, those of Dual-SLAM under ``dual``."""
+        return {**super().settings, "dual": asdict(self.dual)}
 
     # -- breakage ----------------------------------------------------------------------------------------
 
