@@ -68,7 +68,7 @@ def _sound(matrix: np.ndarray | None) -> np.ndarray | None:
 
 
 def homography_score(
-    H: np.ndarray | None, pixels_1: np.ndarray, pixels_2: np.ndarray, sigma_px: float
+    H: np.ndarray | None, pixels_1: np.ndarray, pixels_2: np.ndarray, sigma_px: np.ndarray | float
 ) -> tuple[float, np.ndarray]:
     """How well ``H`` (3, 3), view 1 to view 2, transfers matches both ways: score and inliers (N,) bool.
 
@@ -82,7 +82,7 @@ def homography_score(
 
 
 def epipolar_score(
-    F: np.ndarray | None, pixels_1: np.ndarray, pixels_2: np.ndarray, sigma_px: float
+    F: np.ndarray | None, pixels_1: np.ndarray, pixels_2: np.ndarray, sigma_px: np.ndarray | float
 ) -> tuple[float, np.ndarray]:
     """How near matches lie to their epipolar lines under ``F`` (3, 3), both ways: score and inliers.
 
@@ -151,7 +151,7 @@ def try_motion(
     pixels_2: np.ndarray,
     inliers: np.ndarray,
     K: np.ndarray,
-    max_error_px: float,
+    max_error_px: np.ndarray,
     far_deg: float,
 ) -> TriedMotion:
     """Triangulate the inliers under a motion; those with rays less than ``far_deg`` apart are left alone."""
@@ -193,7 +193,7 @@ def _triangulate_all(T_2_1, pixels_1, pixels_2, inliers, fx, fy, cx, cy, max_err
         qz = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + R[2, 3]
         error1 = (fx * (px / pz - x1)) ** 2 + (fy * (py / pz - y1)) ** 2
         error2 = (fx * (qx / qz - x2)) ** 2 + (fy * (qy / qz - y2)) ** 2
-        if error1 <= max_error2 and error2 <= max_error2:
+        if error1 <= max_error2[i] and error2 <= max_error2[i]:
             kind[i] = _TRIANGULATED
             points[i, 0], points[i, 1], points[i, 2] = px, py, pz
     return kind, points, parallax

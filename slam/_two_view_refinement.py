@@ -1,142 +1,221 @@
-"""Refinement of a relative pose over its epipolar errors, and how well they determine it."""
+"""Refinement of a relative pose over what all matches say, and how well they determine it.
+
+A match speaks against a motion in two ways: its keypoints lie off each other's epipolar lines, or they lie on
+them the wrong way along, so that no point in front of both cameras explains them and the nearest that does is
+at infinity. Both are errors in pixels and make one cost. It tells the mirrored motion from the true one, and
+takes a point behind the camera no more seriously than it is clearly behind.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
+from slam.optimization._se3 import so3_exp
+
+TUKEY = 4.685
+"""Errors of more sigmas count no more; this loses 5 % of efficiency under normal noise."""
+
+_PARAMETERS = 5
 _STEP = 1e-6
+_DAMPING = 1e-3
+_RETRIES = 6
+_CONVERGED = 1e-5
+_PRIOR = 1e-2
+"""Information on each parameter before any match, 1/rad²: next to none, but equations are never singular."""
 
 
 class RefinedMotion(NamedTuple):
-    """A relative pose at the minimum of its robust epipolar cost.
+    """A relative pose at a minimum of its robust cost.
 
     Attributes:
-        T_2_1: (4, 4), translation of unit length.
-        errors: (N,) squared Sampson errors over the noise variance.
-        cost: robust (Huber) sum of them.
-        direction_std_deg: standard deviation of the translation's direction, in its worst direction.
+        T_2_1: (4, 4) camera 1 to camera 2, translation of unit length.
+        errors: (N, 2) off the epipolar line and behind the cameras, in sigmas.
+        costs: (N,) what each match adds to the cost, ``TUKEY**2 / 3`` at the most.
+        covariance: (5, 5) of a turn (3, from the left) and of the direction in its tangent plane (2), rad².
     """
 
     T_2_1: np.ndarray
     errors: np.ndarray
-    cost: float
-    direction_std_deg: float
+    costs: np.ndarray
+    covariance: np.ndarray
+
+    @property
+    def cost(self) -> float:
+        """Sum of the costs."""
+        return float(self.costs.sum())
+
+    @property
+    def direction_std_deg(self) -> float:
+        """Standard deviation of the translation's direction, the way in which it is worst."""
+        return float(np.degrees(np.sqrt(np.linalg.eigvalsh(self.covariance[3:, 3:])[1])))
+
+
+def refined(
+    T_2_1: np.ndarray,
+    rays_1: np.ndarray,
+    rays_2: np.ndarray,
+    sigma: np.ndarray,
+    widest: float = 1.0,
+    iterations: int = 20,
+) -> RefinedMotion:
+    """The minimum of the robust cost of all matches next to a motion.
+
+    Args:
+        T_2_1: (4, 4) motion to start from, translation of unit length.
+        rays_1, rays_2: (N, 2) normalised keypoints.
+        sigma: (N,) their noise, normalised units; the covariance is right if this is.
+        widest: the first iteration takes errors seriously that are so many times too large, the next half
+            as many, and so on down to one: the larger, the farther away a minimum is found.
+        iterations: cap.
+    """
+    return RefinedMotion(*refine_motion(T_2_1, rays_1, rays_2, sigma, widest, iterations))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def motion_errors(R, t, rays_1, rays_2, sigma, off, behind):
+    """Errors of matches under a motion, in sigmas.
+
+    Args:
+        R, t: camera 1 to camera 2, unit baseline.
+        rays_1, rays_2: (N, 2) normalised keypoints.
+        sigma: (N,) their noise, normalised units.
+        off: (N,) filled with the signed distances to the epipolar lines (Sampson's).
+        behind: (N,) filled with the distances along the line to the image of infinity, negative, where the
+            keypoint lies beyond it and its point behind a camera; zero elsewhere.
+
+    Source: Sampson error: Hartley, Zisserman, "Multiple View Geometry", 2003, section 11.4.3.
+    """
+    r00, r01, r02, r10, r11, r12 = R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2]
+    r20, r21, r22, t0, t1, t2 = R[2, 0], R[2, 1], R[2, 2], t[0], t[1], t[2]
+    # Squared norm of the upper left 2x2 block of the essential matrix [t]x R.
+    corner = (t1 * r20 - t2 * r10) ** 2 + (t1 * r21 - t2 * r11) ** 2
+    corner += (t2 * r00 - t0 * r20) ** 2 + (t2 * r01 - t0 * r21) ** 2
+    for i in range(len(sigma)):
+        x1, y1, x2, y2, s = rays_1[i, 0], rays_1[i, 1], rays_2[i, 0], rays_2[i, 1], sigma[i]
+        qx = r00 * x1 + r01 * y1 + r02
+        qy = r10 * x1 + r11 * y1 + r12
+        qz = r20 * x1 + r21 * y1 + r22
+        # Epipolar lines: t x q in view 2, R^T (ray_2 x t) in view 1.
+        a, b, c = t1 * qz - t2 * qy, t2 * qx - t0 * qz, t0 * qy - t1 * qx
+        mx, my, mz = y2 * t2 - t1, t0 - x2 * t2, x2 * t1 - y2 * t0
+        d, e = r00 * mx + r10 * my + r20 * mz, r01 * mx + r11 * my + r21 * mz
+        # Second order of the noise: it matters near the epipoles, where the lines lose their direction.
+        noise = s * s * corner + 1e-300
+        off[i] = (x2 * a + y2 * b + c) / (np.sqrt(a * a + b * b + d * d + e * e + noise) * s)
+        behind[i] = 0.0
+        if qz <= 0.0:
+            behind[i] = -1.0 / s
+            continue
+        # Way from the image of infinity to the keypoint, in the direction in which nearer points lie. It is
+        # that at the end farther from the epipole, so that a point beyond the epipole is behind.
+        du, dv = my, -mx
+        if t2 < 0.0:
+            du, dv = t0 - qx / qz * t2, t1 - qy / qz * t2
+        along = (x2 - qx / qz) * du + (y2 - qy / qz) * dv
+        if along < 0.0:
+            behind[i] = along / (np.sqrt(2.0 * (du * du + dv * dv + noise)) * s)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _biweight(e2, c2):
+    """Tukey's loss of a squared error; the squared error itself where small."""
+    if e2 >= c2:
+        return c2 / 3.0
+    left = 1.0 - e2 / c2
+    return c2 / 3.0 * (1.0 - left * left * left)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cost(off, behind, c2):
+    total = 0.0
+    for i in range(len(off)):
+        total += _biweight(off[i] * off[i] + behind[i] * behind[i], c2)
+    return total
 
 
 @njit(cache=True, nogil=True)
-def _sampson(R, t, rays_1, rays_2, out):
-    """Signed Sampson errors of matched normalised keypoints (N, 2), in normalised units."""
-    E = np.empty((3, 3))
-    for c in range(3):
-        E[0, c] = t[1] * R[2, c] - t[2] * R[1, c]
-        E[1, c] = t[2] * R[0, c] - t[0] * R[2, c]
-        E[2, c] = t[0] * R[1, c] - t[1] * R[0, c]
-    for i in range(len(out)):
-        x1, y1 = rays_1[i, 0], rays_1[i, 1]
-        x2, y2 = rays_2[i, 0], rays_2[i, 1]
-        a = E[0, 0] * x1 + E[0, 1] * y1 + E[0, 2]
-        b = E[1, 0] * x1 + E[1, 1] * y1 + E[1, 2]
-        c = E[2, 0] * x1 + E[2, 1] * y1 + E[2, 2]
-        d = E[0, 0] * x2 + E[1, 0] * y2 + E[2, 0]
-        e = E[0, 1] * x2 + E[1, 1] * y2 + E[2, 1]
-        out[i] = (x2 * a + y2 * b + c) / np.sqrt(a * a + b * b + d * d + e * e + 1e-300)
-
-
-@njit(cache=True, nogil=True)
-def _moved(R, t, delta):
-    """The pose after a small turn ``delta[:3]`` and a move of the direction in its tangent plane."""
-    x, y, z = delta[0], delta[1], delta[2]
-    angle = np.sqrt(x * x + y * y + z * z)
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    if angle < 1e-12:
-        turn = np.eye(3) + skew
-    else:
-        turn = (
-            np.eye(3) + np.sin(angle) / angle * skew + (1.0 - np.cos(angle)) / (angle * angle) * (skew @ skew)
-        )
+def moved(R, t, delta):
+    """The motion after a turn ``delta[:3]`` from the left and a step ``delta[3:]`` of its direction."""
     axis = np.zeros(3)
     axis[np.argmin(np.abs(t))] = 1.0
     u = np.cross(t, axis)
     u /= np.sqrt((u * u).sum())
     v = np.cross(t, u)
-    moved = t + delta[3] * u + delta[4] * v
-    return turn @ R, moved / np.sqrt((moved * moved).sum())
+    direction = t + delta[3] * u + delta[4] * v
+    return so3_exp(delta[0], delta[1], delta[2]) @ R, direction / np.sqrt((direction * direction).sum())
 
 
-@njit(cache=True, nogil=True)
-def _robust_cost(errors, huber):
-    cost = 0.0
-    for e in errors:
-        a = abs(e)
-        cost += a * a if a <= huber else 2 * huber * a - huber * huber
-    return cost
+@njit(cache=True, nogil=True, error_model="numpy")
+def _linearise(R, t, rays_1, rays_2, sigma, c2, off, behind, H, g):
+    """Fill the normal equations ``H``, ``g`` of the reweighted squares at a motion with the errors given."""
+    n = len(sigma)
+    J, K, delta = np.empty((_PARAMETERS, n)), np.empty((_PARAMETERS, n)), np.zeros(_PARAMETERS)
+    for p in range(_PARAMETERS):
+        delta[p] = _STEP
+        R_p, t_p = moved(R, t, delta)
+        delta[p] = 0.0
+        motion_errors(R_p, t_p, rays_1, rays_2, sigma, J[p], K[p])
+    H[:] = 0.0
+    g[:] = 0.0
+    j, k = np.empty(_PARAMETERS), np.empty(_PARAMETERS)
+    for i in range(n):
+        e2 = off[i] * off[i] + behind[i] * behind[i]
+        if e2 >= c2:
+            continue
+        w = (1.0 - e2 / c2) ** 2
+        for p in range(_PARAMETERS):
+            j[p], k[p] = (J[p, i] - off[i]) / _STEP, (K[p, i] - behind[i]) / _STEP
+            g[p] += w * (j[p] * off[i] + k[p] * behind[i])
+            for q in range(p + 1):
+                H[p, q] += w * (j[p] * j[q] + k[p] * k[q])
+    for p in range(_PARAMETERS):
+        for q in range(p):
+            H[q, p] = H[p, q]
 
 
-@njit(cache=True, nogil=True)
-def refine_motion(T_2_1, rays_1, rays_2, sigma, iterations):
-    """Levenberg-Marquardt over the robust Sampson cost of all matches.
+@njit(cache=True, nogil=True, error_model="numpy")
+def refine_motion(T_2_1, rays_1, rays_2, sigma, widest, iterations):
+    """Levenberg-Marquardt over the robust cost of all matches; arguments as for :func:`refined`.
 
-    Args:
-        T_2_1: (4, 4) starting motion, translation of unit length.
-        rays_1, rays_2: (N, 2) normalised keypoints.
-        sigma: their noise, normalised units.
-        iterations: cap.
-
-    Source: Sampson error: Hartley, Zisserman, "Multiple View Geometry", 2003, section 11.4.3.
+    Returns:
+        The fields of :class:`RefinedMotion`.
     """
-    n = len(rays_1)
-    R = np.ascontiguousarray(T_2_1[:3, :3])
-    t = np.ascontiguousarray(T_2_1[:3, 3])
-    errors, trial = np.empty(n), np.empty(n)
-    J = np.empty((n, 5))
-    _sampson(R, t, rays_1, rays_2, errors)
-    errors /= sigma
-    huber, damping = 2.0, 1e-3
-    cost = _robust_cost(errors, huber)
-    H = np.zeros((5, 5))
+    n = len(sigma)
+    R, t = T_2_1[:3, :3].copy(), T_2_1[:3, 3].copy()
+    H, g = np.empty((_PARAMETERS, _PARAMETERS)), np.empty(_PARAMETERS)
+    off, behind, off_new, behind_new = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    motion_errors(R, t, rays_1, rays_2, sigma, off, behind)
+    damping = _DAMPING
     for _ in range(iterations):
-        for p in range(5):
-            delta = np.zeros(5)
-            delta[p] = _STEP
-            R_p, t_p = _moved(R, t, delta)
-            _sampson(R_p, t_p, rays_1, rays_2, trial)
-            for i in range(n):
-                J[i, p] = (trial[i] / sigma - errors[i]) / _STEP
-        g = np.zeros(5)
-        H[:] = 0.0
-        for i in range(n):
-            w = min(1.0, huber / max(abs(errors[i]), 1e-12))
-            for p in range(5):
-                g[p] += w * J[i, p] * errors[i]
-                for q in range(5):
-                    H[p, q] += w * J[i, p] * J[i, q]
-        improved = False
-        for _retry in range(6):
+        final = widest <= 1.0
+        c2 = (TUKEY * max(widest, 1.0)) ** 2
+        widest *= 0.5
+        cost = _cost(off, behind, c2)
+        _linearise(R, t, rays_1, rays_2, sigma, c2, off, behind, H, g)
+        gain = 0.0
+        for _retry in range(_RETRIES):
             A = H.copy()
-            for p in range(5):
-                A[p, p] += damping * H[p, p] + 1e-9
-            R_n, t_n = _moved(R, t, -np.linalg.solve(A, g))
-            _sampson(R_n, t_n, rays_1, rays_2, trial)
-            trial /= sigma
-            new_cost = _robust_cost(trial, huber)
-            if new_cost < cost:
-                improved = True
+            for p in range(_PARAMETERS):
+                A[p, p] += damping * H[p, p] + _PRIOR
+            R_new, t_new = moved(R, t, -np.linalg.solve(A, g))
+            motion_errors(R_new, t_new, rays_1, rays_2, sigma, off_new, behind_new)
+            gain = cost - _cost(off_new, behind_new, c2)
+            if gain > 0.0:
+                R, t = R_new, t_new
+                off, off_new = off_new, off
+                behind, behind_new = behind_new, behind
+                damping = max(0.1 * damping, 1e-9)
                 break
             damping *= 10.0
-        if not improved:
+        if final and gain < _CONVERGED * cost:
             break
-        gain = cost - new_cost
-        R, t, cost = R_n, t_n, new_cost
-        errors[:] = trial
-        damping = max(damping * 0.1, 1e-9)
-        if gain < 1e-4 * cost:
-            break
-    covariance = np.linalg.inv(H + 1e-9 * np.eye(5))
-    direction = covariance[3:, 3:]
-    half = 0.5 * (direction[0, 0] + direction[1, 1])
-    spread = np.sqrt(0.25 * (direction[0, 0] - direction[1, 1]) ** 2 + direction[0, 1] ** 2)
+    c2 = TUKEY**2
+    _linearise(R, t, rays_1, rays_2, sigma, c2, off, behind, H, g)
     T = np.eye(4)
-    T[:3, :3] = R
-    T[:3, 3] = t
-    return T, errors * errors, cost, np.degrees(np.sqrt(half + spread))
+    T[:3, :3], T[:3, 3] = R, t
+    errors, costs = np.empty((n, 2)), np.empty(n)
+    for i in range(n):
+        errors[i, 0], errors[i, 1] = off[i], behind[i]
+        costs[i] = _biweight(off[i] * off[i] + behind[i] * behind[i], c2)
+    return T, errors, costs, np.linalg.inv(H + _PRIOR * np.eye(_PARAMETERS))

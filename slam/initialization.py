@@ -93,7 +93,10 @@ class Initializer:
         rows = np.flatnonzero(matched >= 0)
         pixels_1 = np.ascontiguousarray(self.reference.features.xy[rows])
         pixels_2 = np.ascontiguousarray(frame.features.xy[matched[rows]])
-        geometry = two_view_reconstruction(pixels_1, pixels_2, self.camera.K, rng, self.config.two_view)
+        noise = self.view.scale[self.reference.features.octave[rows]]
+        geometry = two_view_reconstruction(
+            pixels_1, pixels_2, self.camera.K, rng, self.config.two_view, noise
+        )
         if not geometry.success:
             return None, geometry.reason, count
         keep = geometry.triangulated

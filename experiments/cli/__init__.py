@@ -1,5 +1,6 @@
 """The ``dslab`` command."""
 
+import os
 import sys
 
 import typer
@@ -32,6 +33,8 @@ app.command("bench")(bench.bench_command)
 
 def main() -> None:
     """Entry point: bad input is one line and exit code 2, an interruption one line and 130."""
+    # OpenCV's own warnings would stand beside the one line.
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     try:
         app()
     except InputError as error:

@@ -2,46 +2,10 @@
 
 import numpy as np
 import pytest
+from slam_scenes import VIEW, random_map
 
 from slam import _map_kernels as kernels
-from slam.camera import PinholeCamera
-from slam.frame import Frame, FrameFeatures
-from slam.geometry import view_geometry
-from slam.map import MIN_OBSERVATIONS, Map
-from slam.orb import Features
-
-CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
-VIEW = view_geometry(CAMERA, 8, 1.2)
-
-
-def make_frame(index, rng, n=60, T=None):
-    features = Features(
-        xy=rng.uniform((0, 0), (639, 479), (n, 2)).astype(np.float32),
-        octave=rng.integers(0, 8, n).astype(np.int32),
-        angle_deg=rng.uniform(0, 360, n).astype(np.float32),
-        response=np.ones(n, np.float32),
-        descriptors=rng.integers(0, 2**63, (n, 4)).astype(np.uint64),
-    )
-    frame = Frame(FrameFeatures.build(index, index / 30, features, CAMERA, VIEW))
-    frame.T_cam_map = np.eye(4) if T is None else T
-    frame.T_cam_map[0, 3] = -0.1 * index
-    return frame
-
-
-def random_map(rng, keyframes=6, points=80, map_id=0):
-    built = Map(map_id, VIEW)
-    for k in range(keyframes):
-        built.add_keyframe(make_frame(k, rng), k - 1)
-    for _ in range(points):
-        seen_by = rng.permutation(keyframes)[: rng.integers(2, keyframes + 1)]
-        rows = [rng.integers(built.keypoints(k).start, built.keypoints(k).stop) for k in seen_by]
-        rows = [r for r in rows if built.arrays.kp_point[r] < 0]
-        if len(rows) < 2:
-            continue
-        p = built.create_point(rng.normal((0, 0, 5), 1, 3), rows[0])
-        for r in rows[1:]:
-            kernels.add_observation(built.arrays, r, p)
-    return built
+from slam.map import MIN_OBSERVATIONS
 
 
 def test_invariants_hold_after_random_edits():

@@ -1,13 +1,11 @@
 """Guided matching agrees with plain NumPy on random scenes."""
 
 import numpy as np
-from test_map import CAMERA, VIEW, make_frame
+from slam_scenes import VIEW, make_frame, random_map, scene, seen_from
 
 from slam import _map_kernels as kernels
 from slam import matching
-from slam.frame import Frame, FrameFeatures
-from slam.map import Map
-from slam.orb import Features
+from slam.frame import Frame
 
 
 def nearest_in_window_twin(features, taken, u, v, radius, low, high, query, ratio):
@@ -45,33 +43,6 @@ def test_window_search_agrees_with_its_twin():
     assert hits > 100
 
 
-def scene(rng, n=400):
-    """A map of one keyframe at the origin whose points project exactly onto its keypoints."""
-    frame = make_frame(0, rng, n=n)
-    m = Map(0, VIEW)
-    m.add_keyframe(frame, -1)
-    f = frame.features
-    depth = rng.uniform(3, 8, n)
-    rays = np.column_stack([(f.xy - (CAMERA.cx, CAMERA.cy)) / (CAMERA.fx, CAMERA.fy), np.ones(n)])
-    for i in range(n):
-        frame.point[i] = m.create_point(rays[i] * depth[i], i)
-    return m, frame
-
-
-def seen_from(m, frame, T_cam_map):
-    """The frame that a camera at another pose would have: same descriptors, moved keypoints."""
-    xyz = m.arrays.pt_xyz[frame.point] @ T_cam_map[:3, :3].T + T_cam_map[:3, 3]
-    xy = xyz[:, :2] / xyz[:, 2:] * (CAMERA.fx, CAMERA.fy) + (CAMERA.cx, CAMERA.cy)
-    f = frame.features
-    inside = ((xy > 1) & (xy < (638, 478))).all(1)
-    features = Features(
-        xy[inside].astype(np.float32), f.octave[inside], f.angle_deg[inside],
-        np.ones(inside.sum(), np.float32), f.descriptors[inside],
-    )  # fmt: skip
-    truth = {tuple(d): p for d, p in zip(f.descriptors.tolist(), frame.point.tolist(), strict=True)}
-    return Frame(FrameFeatures.build(1, 1 / 30, features, CAMERA, VIEW)), truth
-
-
 def moved_camera():
     T = np.eye(4)
     c, s = np.cos(0.05), np.sin(0.05)
@@ -103,8 +74,18 @@ def test_local_points_are_found_and_counted_as_visible():
     f = current.features
     point = np.full(len(f), -1, np.int32)
     expected, added = matching.match_local_points(
-        m.arrays, VIEW, np.eye(4), frame.point,
-        f.xy, f.octave, f.descriptors, f.cell_start, point, 1.0, 0.8, True,
+        m.arrays,
+        VIEW,
+        np.eye(4),
+        frame.point,
+        f.xy,
+        f.octave,
+        f.descriptors,
+        f.cell_start,
+        point,
+        1.0,
+        0.8,
+        True,
     )
     assert expected >= 0.98 * len(f) and added >= 0.95 * len(f)
     for row in np.flatnonzero(point >= 0):
@@ -122,8 +103,6 @@ def test_a_common_rotation_is_kept_and_others_go():
 
 
 def test_the_local_map_holds_the_keyframes_that_share_points_and_their_neighbours():
-    from test_map import random_map
-
     m = random_map(np.random.default_rng(4), keyframes=8, points=120)
     point = m.points()[:5].astype(np.int32)
     keyframes, points = matching.collect_local_map(m.arrays, m.n_keyframes, m.n_points, point, 80)
@@ -156,8 +135,6 @@ def test_duplicates_of_a_keyframe_are_joined():
 
 
 def test_a_local_problem_lists_every_observation_of_the_free_keyframes_points():
-    from test_map import random_map
-
     m = random_map(np.random.default_rng(6), keyframes=7, points=100)
     free = np.zeros(7, bool)
     free[[1, 3]] = True

@@ -177,7 +177,7 @@ def test_a_motion_triangulates_its_points_and_its_mirror_none():
     T, points, u, v, _ = scene("general", n=80, outliers=0.0, noise=0.0)
     T[:3, 3] /= 0.4
     inliers = np.arange(80) > 9
-    tried = try_motion(T, u, v, inliers, K, 2.0, 0.0)
+    tried = try_motion(T, u, v, inliers, K, np.full(80, 2.0), 0.0)
     np.testing.assert_array_equal(tried.triangulated, inliers)
     np.testing.assert_allclose(tried.points[inliers], points[inliers] / 0.4, rtol=1e-6)
     centre = -T[:3, :3].T @ T[:3, 3]
@@ -189,8 +189,8 @@ def test_a_motion_triangulates_its_points_and_its_mirror_none():
     assert np.isnan(tried.points[~inliers]).all()
     mirror = T.copy()
     mirror[:3, 3] *= -1
-    assert not try_motion(mirror, u, v, inliers, K, 2.0, 0.0).triangulated.any()
-    far = try_motion(T, u, v, inliers, K, 2.0, 90.0)
+    assert not try_motion(mirror, u, v, inliers, K, np.full(80, 2.0), 0.0).triangulated.any()
+    far = try_motion(T, u, v, inliers, K, np.full(80, 2.0), 90.0)
     np.testing.assert_array_equal(far.far, inliers)
     assert not far.triangulated.any()
 

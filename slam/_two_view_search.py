@@ -1,0 +1,76 @@
+"""Search for every relative pose that explains the matches of two views."""
+
+import numpy as np
+
+from slam._two_view_refinement import TUKEY, RefinedMotion, refined
+
+_SAMPLE = 200
+"""Matches that the search goes by."""
+
+_DIRECTIONS = 16
+_SAME_DIRECTION_DEG = 2.0
+_SAME_TURN_DEG = 2.0
+_MOST = 6
+"""Minima that are followed to the end; those beyond explain far less."""
+
+_MIN_SCALE = 0.1
+"""The noise is never taken for smaller than this share of the nominal: keypoints are no better."""
+
+
+def search_motions(
+    starts: list[np.ndarray], rays_1: np.ndarray, rays_2: np.ndarray, sigma: np.ndarray
+) -> tuple[list[RefinedMotion], float]:
+    """The distinct minima of the robust cost, best first.
+
+    Over a short baseline a turn looks much like a sideways move and the cost has several minima. They are
+    sought from the motions given and, with the turn of the best of these, from directions all around.
+
+    Args:
+        starts: (4, 4) motions camera 1 to camera 2, at least one.
+        rays_1, rays_2: (N, 2) normalised keypoints.
+        sigma: (N,) their nominal noise, normalised units.
+
+    Returns:
+        The minima, their errors in units of the noise as it is, and that noise over the nominal.
+    """
+    every = slice(None, None, -(-len(sigma) // _SAMPLE))
+    sample = tuple(np.ascontiguousarray(a[every]) for a in (rays_1, rays_2, sigma))
+    rough = [refined(T, *sample, widest=2.0, iterations=10) for T in starts]
+    T_best = min(rough, key=lambda m: m.cost).T_2_1
+    for direction in _directions(_DIRECTIONS):
+        T = T_best.copy()
+        T[:3, 3] = direction
+        rough.append(refined(T, *sample, widest=8.0, iterations=10))
+    minima = distinct([refined(m.T_2_1, rays_1, rays_2, sigma) for m in distinct(rough)[:_MOST]])
+    scale = _noise(minima[0])
+    return distinct([refined(m.T_2_1, rays_1, rays_2, sigma * scale, widest=2.0) for m in minima]), scale
+
+
+def distinct(motions: list[RefinedMotion]) -> list[RefinedMotion]:
+    """Those that are no worse copy of another, lowest cost first."""
+    kept: list[RefinedMotion] = []
+    for motion in sorted(motions, key=lambda m: m.cost):
+        if not any(_same(motion.T_2_1, other.T_2_1) for other in kept):
+            kept.append(motion)
+    return kept
+
+
+def _same(T: np.ndarray, other: np.ndarray) -> bool:
+    cos_turn = 0.5 * (np.trace(T[:3, :3].T @ other[:3, :3]) - 1.0)
+    return bool(
+        T[:3, 3] @ other[:3, 3] > np.cos(np.deg2rad(_SAME_DIRECTION_DEG))
+        and cos_turn > np.cos(np.deg2rad(_SAME_TURN_DEG))
+    )
+
+
+def _noise(motion: RefinedMotion) -> float:
+    """Robust standard deviation of the distances to the epipolar lines, among the matches that fit at all."""
+    off = np.abs(motion.errors[motion.costs < TUKEY**2 / 3.0, 0])
+    return max(1.4826 * float(np.median(off)), _MIN_SCALE) if len(off) else 1.0
+
+
+def _directions(n: int) -> np.ndarray:
+    """(n, 3) unit vectors spread over the sphere, on a spiral."""
+    k = np.arange(n) + 0.5
+    polar, azimuth = np.arccos(1.0 - 2.0 * k / n), np.pi * (1.0 + np.sqrt(5.0)) * k
+    return np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)

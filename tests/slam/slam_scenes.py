@@ -1,0 +1,286 @@
+"""Made-up maps, point worlds and short image sequences that the tests of ``slam`` share."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from slam import _map_kernels as kernels
+from slam import warmup
+from slam.camera import PinholeCamera
+from slam.frame import Frame, FrameFeatures
+from slam.geometry import view_geometry
+from slam.map import Map
+from slam.optimization.sim3 import horn_sim3
+from slam.orb import Features
+from slam.results import MapTrajectory
+
+CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
+VIEW = view_geometry(CAMERA, 8, 1.2)
+FPS = 30.0
+NO_POINT = -1
+
+
+# -- random maps ---------------------------------------------------------------------------------------------
+
+
+def make_frame(index, rng, n=60, T=None):
+    """A frame of random keypoints, one step of 0.1 to the right per index."""
+    features = Features(
+        xy=rng.uniform((0, 0), (639, 479), (n, 2)).astype(np.float32),
+        octave=rng.integers(0, 8, n).astype(np.int32),
+        angle_deg=rng.uniform(0, 360, n).astype(np.float32),
+        response=np.ones(n, np.float32),
+        descriptors=rng.integers(0, 2**63, (n, 4)).astype(np.uint64),
+    )
+    frame = Frame(FrameFeatures.build(index, index / FPS, features, CAMERA, VIEW))
+    frame.T_cam_map = np.eye(4) if T is None else T
+    frame.T_cam_map[0, 3] = -0.1 * index
+    return frame
+
+
+def random_map(rng, keyframes=6, points=80, map_id=0):
+    """A map of random associations: sound to ``Map.check``, without geometric meaning."""
+    built = Map(map_id, VIEW)
+    for k in range(keyframes):
+        built.add_keyframe(make_frame(k, rng), k - 1)
+    for _ in range(points):
+        seen_by = rng.permutation(keyframes)[: rng.integers(2, keyframes + 1)]
+        rows = [rng.integers(built.keypoints(k).start, built.keypoints(k).stop) for k in seen_by]
+        rows = [r for r in rows if built.arrays.kp_point[r] < 0]
+        if len(rows) < 2:
+            continue
+        p = built.create_point(rng.normal((0, 0, 5), 1, 3), rows[0])
+        for r in rows[1:]:
+            kernels.add_observation(built.arrays, r, p)
+    return built
+
+
+def scene(rng, n=400):
+    """A map of one keyframe at the origin whose points project exactly onto its keypoints."""
+    frame = make_frame(0, rng, n=n)
+    m = Map(0, VIEW)
+    m.add_keyframe(frame, -1)
+    f = frame.features
+    depth = rng.uniform(3, 8, n)
+    rays = np.column_stack([(f.xy - (CAMERA.cx, CAMERA.cy)) / (CAMERA.fx, CAMERA.fy), np.ones(n)])
+    for i in range(n):
+        frame.point[i] = m.create_point(rays[i] * depth[i], i)
+    return m, frame
+
+
+def seen_from(m, frame, T_cam_map):
+    """The frame that a camera at another pose would have: same descriptors, moved keypoints."""
+    xyz = m.arrays.pt_xyz[frame.point] @ T_cam_map[:3, :3].T + T_cam_map[:3, 3]
+    xy = xyz[:, :2] / xyz[:, 2:] * (CAMERA.fx, CAMERA.fy) + (CAMERA.cx, CAMERA.cy)
+    f = frame.features
+    inside = ((xy > 1) & (xy < (638, 478))).all(1)
+    features = Features(
+        xy[inside].astype(np.float32), f.octave[inside], f.angle_deg[inside],
+        np.ones(inside.sum(), np.float32), f.descriptors[inside],
+    )  # fmt: skip
+    truth = {tuple(d): p for d, p in zip(f.descriptors.tolist(), frame.point.tolist(), strict=True)}
+    return Frame(FrameFeatures.build(1, 1 / FPS, features, CAMERA, VIEW)), truth
+
+
+# -- a world of points ---------------------------------------------------------------------------------------
+
+
+def rigid(t=(0.0, 0.0, 0.0), rotvec_deg=(0.0, 0.0, 0.0)):
+    """(4, 4) rigid motion."""
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(rotvec_deg, degrees=True).as_matrix()
+    T[:3, 3] = t
+    return T
+
+
+def walk(i, step=0.06):
+    """T_cam_world of frame ``i``: to the right, swaying a little in every other direction."""
+    T_world_cam = rigid((step * i, 0.08 * np.sin(i / 9), 0.1 * np.sin(i / 15)), (0, 3 * np.sin(i / 20), 1))
+    return np.linalg.inv(T_world_cam)
+
+
+@dataclass
+class Sighting:
+    """A frame, and for each of its keypoints the point of the world that it shows, -1 for none."""
+
+    frame: Frame
+    ids: np.ndarray
+    T_cam_world: np.ndarray
+
+    def again(self):
+        """The same image as a fresh frame, free of matches and pose."""
+        return Frame(self.frame.features)
+
+    def rows_of(self, ids):
+        """Rows of the keypoints that show any of these points."""
+        return np.flatnonzero(np.isin(self.ids, ids) & (self.ids >= 0))
+
+
+class PointWorld:
+    """Points along a corridor of view, each with a descriptor and a size of its own.
+
+    Observations are what a perfect detector would report, with noise where asked for, so that tests know
+    which point of the world every keypoint shows.
+    """
+
+    def __init__(self, seed=0, points=4000, reach=(-3.0, 16.0)):
+        rng = np.random.default_rng(seed)
+        self.xyz = np.column_stack(
+            [rng.uniform(*reach, points), rng.uniform(-2.5, 2.5, points), rng.uniform(3.5, 8.0, points)]
+        )
+        self.descriptor = rng.integers(0, 2**64, (points, 4), dtype=np.uint64)
+        self.angle_deg = rng.uniform(0, 360, points)
+        # Distance at which the point appears on level 0.
+        self.size = rng.uniform(5.0, 14.0, points)
+
+    def see(self, index, T_cam_world, rng, noise_px=0.0, bits=0, share=0.7, clutter=40):
+        """What a camera sees.
+
+        Args:
+            index: frame number.
+            T_cam_world: pose.
+            rng: stream of the noise.
+            noise_px: standard deviation of the keypoints on level 0.
+            bits: descriptor bits flipped per observation.
+            share: of the points in view that are detected.
+            clutter: keypoints that show nothing of the world.
+        """
+        xyz = self.xyz @ T_cam_world[:3, :3].T + T_cam_world[:3, 3]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            xy = xyz[:, :2] / xyz[:, 2:] * (CAMERA.fx, CAMERA.fy) + (CAMERA.cx, CAMERA.cy)
+        seen = (xyz[:, 2] > 0.5) & (xy > 4).all(1) & (xy < (635, 475)).all(1)
+        seen &= rng.random(len(xyz)) < share
+        ids = np.flatnonzero(seen)
+        level = np.round(np.log(self.size[ids] / np.linalg.norm(xyz[ids], axis=1)) / VIEW.log_scale)
+        octave = np.clip(level, 0, 7).astype(np.int32)
+        xy = xy[ids] + noise_px * VIEW.scale[octave][:, None] * rng.normal(size=(len(ids), 2))
+        descriptor = self.descriptor[ids]
+        for _ in range(bits):
+            word, bit = rng.integers(0, 4, len(ids)), rng.integers(0, 64, len(ids), dtype=np.uint64)
+            descriptor[np.arange(len(ids)), word] ^= np.uint64(1) << bit
+        features = Features(
+            xy=np.concatenate([xy, rng.uniform((4, 4), (635, 475), (clutter, 2))]).astype(np.float32),
+            octave=np.concatenate([octave, rng.integers(0, 8, clutter)]).astype(np.int32),
+            angle_deg=np.concatenate([self.angle_deg[ids], rng.uniform(0, 360, clutter)]).astype(np.float32),
+            response=np.ones(len(ids) + clutter, np.float32),
+            descriptors=np.concatenate([descriptor, rng.integers(0, 2**64, (clutter, 4), dtype=np.uint64)]),
+        )
+        frame = Frame(FrameFeatures.build(index, index / FPS, features, CAMERA, VIEW))
+        where = {tuple(p): i for p, i in zip(features.xy.tolist(), ids.tolist(), strict=False)}
+        shown = [where.get(tuple(p), NO_POINT) for p in frame.features.xy_image.tolist()]
+        return Sighting(frame, np.array(shown), T_cam_world)
+
+    def map_of(self, sightings, rng, noise=0.0, keep=1.0, map_id=0):
+        """A map whose frame is the world's: a keyframe per sighting, a point per world point seen twice.
+
+        Args:
+            sightings: the keyframes to be.
+            rng: stream of the noise.
+            noise: standard deviation of the points, metres.
+            keep: share of the points that the map knows.
+            map_id: its number.
+
+        Returns:
+            The map, and the map point of each world point, -1 for none.
+        """
+        built = Map(map_id, VIEW)
+        point_of = np.full(len(self.xyz), NO_POINT)
+        for k, sighting in enumerate(sightings):
+            frame = sighting.again()
+            frame.T_cam_map = sighting.T_cam_world.copy()
+            built.add_keyframe(frame, k - 1)
+        shown = np.concatenate([s.ids for s in sightings])
+        ids, counts = np.unique(shown[shown >= 0], return_counts=True)
+        ids = ids[(counts >= 2) & (rng.random(len(ids)) < keep)]
+        for i in ids:
+            rows = np.flatnonzero(shown == i)
+            p = built.create_point(self.xyz[i] + noise * rng.normal(size=3), int(rows[0]))
+            for row in rows[1:]:
+                kernels.add_observation(built.arrays, int(row), p)
+            kernels.refresh_point(built.arrays, p, VIEW.scale)
+            point_of[i] = p
+        return built, point_of
+
+
+def tracked_in(built, point_of, sighting, reference, T_cam_map=None):
+    """The sighting as a frame tracked in a map of the world: matches by truth, the true pose or another."""
+    frame = sighting.again()
+    frame.point[:] = np.where(sighting.ids >= 0, point_of[sighting.ids], NO_POINT)
+    frame.T_cam_map = (sighting.T_cam_world if T_cam_map is None else T_cam_map).copy()
+    frame.reference_keyframe = reference
+    frame.T_cam_reference = frame.T_cam_map @ np.linalg.inv(built.T_cam_map(reference))
+    return frame
+
+
+def world_ids(built, sightings):
+    """The world point that each point of a map stands for, and whether all its observations show that one.
+
+    Args:
+        built: the map, whose keyframe rows are those of ``sightings``.
+        sightings: one per keyframe.
+
+    Returns:
+        ids (n_points,), -1 for dropped points and for those of clutter; pure (n_points,) bool.
+    """
+    shown = np.concatenate([s.ids for s in sightings])
+    owner = built.arrays.kp_point[: len(shown)]
+    ids = np.full(built.n_points, NO_POINT)
+    pure = np.ones(built.n_points, bool)
+    for p in built.points():
+        seen = np.unique(shown[owner == p])
+        ids[p], pure[p] = seen[0], len(seen) == 1 and seen[0] >= 0
+    return ids, pure
+
+
+def pose_error(T, truth):
+    """(distance of the centres, angle in degrees) between two poses."""
+    centre = np.linalg.inv(T)[:3, 3] - np.linalg.inv(truth)[:3, 3]
+    angle = Rotation.from_matrix(T[:3, :3] @ truth[:3, :3].T).magnitude()
+    return float(np.linalg.norm(centre)), float(np.rad2deg(angle))
+
+
+# -- short image sequences -----------------------------------------------------------------------------------
+
+
+@cache
+def toy(count, seed=0, step_m=0.03):
+    """A made-up sequence: images, stamps (n,), T_world_cam (n, 4, 4). Shared: not to be written to."""
+    images, stamps_s, T_world_cam = zip(*warmup.toy_frames(count, seed=seed, step_m=step_m), strict=True)
+    return list(images), np.array(stamps_s), np.array(T_world_cam)
+
+
+def blanked(images, *spans):
+    """The images, showing nothing in the given ranges."""
+    blank = np.full_like(images[0], 120)
+    return [blank if any(i in span for span in spans) else image for i, image in enumerate(images)]
+
+
+def feed(system, images, stamps_s, check=True):
+    """Run a system over frames; with ``check``, prove every map after every frame."""
+    results = []
+    for image, stamp_s in zip(images, stamps_s, strict=True):
+        results.append(system.process(image, float(stamp_s)))
+        for map_id in system.maps() if check else ():
+            system.map(map_id).check()
+    system.finish()
+    return results
+
+
+def kinds(system):
+    """The kinds of a system's events, in order."""
+    return [event.kind for event in system.events]
+
+
+def errors_m(trajectory: MapTrajectory, T_world_cam):
+    """Position errors after alignment by Sim(3), and metres per map unit."""
+    estimate = trajectory.T_map_cam[:, :3, 3]
+    truth = T_world_cam[trajectory.frames, :3, 3]
+    s, R, t = horn_sim3(truth, estimate)
+    return np.linalg.norm(s * estimate @ R.T + t - truth, axis=1), s
+
+
+def rms(values):
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
