@@ -1,9 +1,9 @@
-"""Refinement of a relative pose over what all matches say, and how well they determine it.
+"""Refinement of a relative pose over what all matches say.
 
 A match speaks against a motion in two ways: its keypoints lie off each other's epipolar lines, or they lie on
 them the wrong way along, so that no point in front of both cameras explains them and the nearest that does is
 at infinity. Both are errors in pixels and make one cost. It tells the mirrored motion from the true one, and
-takes a point behind the camera no more seriously than it is clearly behind.
+takes a point behind a camera no more seriously than it is clearly behind.
 """
 
 from typing import NamedTuple
@@ -32,23 +32,19 @@ class RefinedMotion(NamedTuple):
         T_2_1: (4, 4) camera 1 to camera 2, translation of unit length.
         errors: (N, 2) off the epipolar line and behind the cameras, in sigmas.
         costs: (N,) what each match adds to the cost, ``TUKEY**2 / 3`` at the most.
-        covariance: (5, 5) of a turn (3, from the left) and of the direction in its tangent plane (2), rad².
+        information: (5, 5), or (3, 3) where the direction was kept, on the steps of ``moved``, 1/rad²; right
+            if the noise given was.
     """
 
     T_2_1: np.ndarray
     errors: np.ndarray
     costs: np.ndarray
-    covariance: np.ndarray
+    information: np.ndarray
 
     @property
     def cost(self) -> float:
         """Sum of the costs."""
         return float(self.costs.sum())
-
-    @property
-    def direction_std_deg(self) -> float:
-        """Standard deviation of the translation's direction, the way in which it is worst."""
-        return float(np.degrees(np.sqrt(np.linalg.eigvalsh(self.covariance[3:, 3:])[1])))
 
 
 def refined(
@@ -56,20 +52,24 @@ def refined(
     rays_1: np.ndarray,
     rays_2: np.ndarray,
     sigma: np.ndarray,
+    *,
     widest: float = 1.0,
     iterations: int = 20,
+    turn_only: bool = False,
 ) -> RefinedMotion:
     """The minimum of the robust cost of all matches next to a motion.
 
     Args:
         T_2_1: (4, 4) motion to start from, translation of unit length.
         rays_1, rays_2: (N, 2) normalised keypoints.
-        sigma: (N,) their noise, normalised units; the covariance is right if this is.
+        sigma: (N,) their noise, normalised units.
         widest: the first iteration takes errors seriously that are so many times too large, the next half
             as many, and so on down to one: the larger, the farther away a minimum is found.
         iterations: cap.
+        turn_only: keep the direction of the translation.
     """
-    return RefinedMotion(*refine_motion(T_2_1, rays_1, rays_2, sigma, widest, iterations))
+    free = 3 if turn_only else _PARAMETERS
+    return RefinedMotion(*refine_motion(T_2_1, rays_1, rays_2, sigma, widest, iterations, free))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -108,7 +108,7 @@ def motion_errors(R, t, rays_1, rays_2, sigma, off, behind):
             behind[i] = -1.0 / s
             continue
         # Way from the image of infinity to the keypoint, in the direction in which nearer points lie. It is
-        # that at the end farther from the epipole, so that a point beyond the epipole is behind.
+        # taken at the end farther from the epipole, so that what is beyond the epipole is behind.
         du, dv = my, -mx
         if t2 < 0.0:
             du, dv = t0 - qx / qz * t2, t1 - qy / qz * t2
@@ -135,55 +135,64 @@ def _cost(off, behind, c2):
 
 
 @njit(cache=True, nogil=True)
-def moved(R, t, delta):
-    """The motion after a turn ``delta[:3]`` from the left and a step ``delta[3:]`` of its direction."""
+def tangent(t):
+    """Two unit vectors at right angles to each other and to the direction ``t``."""
     axis = np.zeros(3)
     axis[np.argmin(np.abs(t))] = 1.0
     u = np.cross(t, axis)
     u /= np.sqrt((u * u).sum())
-    v = np.cross(t, u)
-    direction = t + delta[3] * u + delta[4] * v
-    return so3_exp(delta[0], delta[1], delta[2]) @ R, direction / np.sqrt((direction * direction).sum())
+    return u, np.cross(t, u)
+
+
+@njit(cache=True, nogil=True)
+def moved(R, t, step):
+    """The motion turned by ``step[:3]`` from the left and its direction moved by ``step[3:]``, rad."""
+    u, v = tangent(t)
+    direction = t + step[3] * u + step[4] * v
+    return so3_exp(step[0], step[1], step[2]) @ R, direction / np.sqrt((direction * direction).sum())
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _linearise(R, t, rays_1, rays_2, sigma, c2, off, behind, H, g):
-    """Fill the normal equations ``H``, ``g`` of the reweighted squares at a motion with the errors given."""
-    n = len(sigma)
-    J, K, delta = np.empty((_PARAMETERS, n)), np.empty((_PARAMETERS, n)), np.zeros(_PARAMETERS)
-    for p in range(_PARAMETERS):
-        delta[p] = _STEP
-        R_p, t_p = moved(R, t, delta)
-        delta[p] = 0.0
+    """Fill the normal equations of the reweighted squares, in the first ``len(g)`` parameters."""
+    n, free = len(sigma), len(g)
+    J, K, step = np.empty((free, n)), np.empty((free, n)), np.zeros(_PARAMETERS)
+    for p in range(free):
+        step[p] = _STEP
+        R_p, t_p = moved(R, t, step)
+        step[p] = 0.0
         motion_errors(R_p, t_p, rays_1, rays_2, sigma, J[p], K[p])
     H[:] = 0.0
     g[:] = 0.0
-    j, k = np.empty(_PARAMETERS), np.empty(_PARAMETERS)
+    j, k = np.empty(free), np.empty(free)
     for i in range(n):
         e2 = off[i] * off[i] + behind[i] * behind[i]
         if e2 >= c2:
             continue
         w = (1.0 - e2 / c2) ** 2
-        for p in range(_PARAMETERS):
+        for p in range(free):
             j[p], k[p] = (J[p, i] - off[i]) / _STEP, (K[p, i] - behind[i]) / _STEP
             g[p] += w * (j[p] * off[i] + k[p] * behind[i])
             for q in range(p + 1):
                 H[p, q] += w * (j[p] * j[q] + k[p] * k[q])
-    for p in range(_PARAMETERS):
+    for p in range(free):
         for q in range(p):
             H[q, p] = H[p, q]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def refine_motion(T_2_1, rays_1, rays_2, sigma, widest, iterations):
+def refine_motion(T_2_1, rays_1, rays_2, sigma, widest, iterations, free):
     """Levenberg-Marquardt over the robust cost of all matches; arguments as for :func:`refined`.
+
+    Args:
+        free: 5, or 3 to keep the direction.
 
     Returns:
         The fields of :class:`RefinedMotion`.
     """
     n = len(sigma)
     R, t = T_2_1[:3, :3].copy(), T_2_1[:3, 3].copy()
-    H, g = np.empty((_PARAMETERS, _PARAMETERS)), np.empty(_PARAMETERS)
+    H, g, step = np.empty((free, free)), np.empty(free), np.zeros(_PARAMETERS)
     off, behind, off_new, behind_new = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     motion_errors(R, t, rays_1, rays_2, sigma, off, behind)
     damping = _DAMPING
@@ -196,9 +205,10 @@ def refine_motion(T_2_1, rays_1, rays_2, sigma, widest, iterations):
         gain = 0.0
         for _retry in range(_RETRIES):
             A = H.copy()
-            for p in range(_PARAMETERS):
+            for p in range(free):
                 A[p, p] += damping * H[p, p] + _PRIOR
-            R_new, t_new = moved(R, t, -np.linalg.solve(A, g))
+            step[:free] = -np.linalg.solve(A, g)
+            R_new, t_new = moved(R, t, step)
             motion_errors(R_new, t_new, rays_1, rays_2, sigma, off_new, behind_new)
             gain = cost - _cost(off_new, behind_new, c2)
             if gain > 0.0:
@@ -210,12 +220,13 @@ def refine_motion(T_2_1, rays_1, rays_2, sigma, widest, iterations):
             damping *= 10.0
         if final and gain < _CONVERGED * cost:
             break
-    c2 = TUKEY**2
-    _linearise(R, t, rays_1, rays_2, sigma, c2, off, behind, H, g)
+    _linearise(R, t, rays_1, rays_2, sigma, TUKEY**2, off, behind, H, g)
+    for p in range(free):
+        H[p, p] += _PRIOR
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, t
     errors, costs = np.empty((n, 2)), np.empty(n)
     for i in range(n):
         errors[i, 0], errors[i, 1] = off[i], behind[i]
-        costs[i] = _biweight(off[i] * off[i] + behind[i] * behind[i], c2)
-    return T, errors, costs, np.linalg.inv(H + _PRIOR * np.eye(_PARAMETERS))
+        costs[i] = _biweight(off[i] * off[i] + behind[i] * behind[i], TUKEY**2)
+    return T, errors, costs, H

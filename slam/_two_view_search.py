@@ -1,15 +1,15 @@
-"""Search for every relative pose that explains the matches of two views."""
+"""Search for the relative poses that explain the matches of two views."""
 
 import numpy as np
 
-from slam._two_view_refinement import TUKEY, RefinedMotion, refined
+from slam._two_view_refinement import TUKEY, RefinedMotion, refined, tangent
 
 _SAMPLE = 200
 """Matches that the search goes by."""
 
 _DIRECTIONS = 16
-_SAME_DIRECTION_DEG = 2.0
-_SAME_TURN_DEG = 2.0
+_AROUND = 8
+_SAME_DEG = 2.0
 _MOST = 6
 """Minima that are followed to the end; those beyond explain far less."""
 
@@ -46,6 +46,29 @@ def search_motions(
     return distinct([refined(m.T_2_1, rays_1, rays_2, sigma * scale, widest=2.0) for m in minima]), scale
 
 
+def motions_around(
+    motion: RefinedMotion, angle_deg: float, rays_1: np.ndarray, rays_2: np.ndarray, sigma: np.ndarray
+) -> list[RefinedMotion]:
+    """The best motions whose direction lies at an angle from a motion's, among them the worst determined.
+
+    Args:
+        motion: the minimum to go away from.
+        angle_deg: how far.
+        rays_1, rays_2, sigma: as for :func:`refined`.
+    """
+    t = motion.T_2_1[:3, 3].copy()
+    u, v = tangent(t)
+    weakest = np.linalg.eigh(np.linalg.inv(motion.information)[3:, 3:])[1][:, 1]
+    first = np.arctan2(weakest[1], weakest[0])
+    angle = np.deg2rad(angle_deg)
+    found = []
+    for way in first + np.linspace(0.0, 2.0 * np.pi, _AROUND, endpoint=False):
+        T = motion.T_2_1.copy()
+        T[:3, 3] = np.cos(angle) * t + np.sin(angle) * (np.cos(way) * u + np.sin(way) * v)
+        found.append(refined(T, rays_1, rays_2, sigma, widest=4.0, turn_only=True))
+    return found
+
+
 def distinct(motions: list[RefinedMotion]) -> list[RefinedMotion]:
     """Those that are no worse copy of another, lowest cost first."""
     kept: list[RefinedMotion] = []
@@ -56,11 +79,8 @@ def distinct(motions: list[RefinedMotion]) -> list[RefinedMotion]:
 
 
 def _same(T: np.ndarray, other: np.ndarray) -> bool:
-    cos_turn = 0.5 * (np.trace(T[:3, :3].T @ other[:3, :3]) - 1.0)
-    return bool(
-        T[:3, 3] @ other[:3, 3] > np.cos(np.deg2rad(_SAME_DIRECTION_DEG))
-        and cos_turn > np.cos(np.deg2rad(_SAME_TURN_DEG))
-    )
+    cos_turn = 0.5 * ((T[:3, :3] * other[:3, :3]).sum() - 1.0)
+    return min(float(T[:3, 3] @ other[:3, 3]), float(cos_turn)) > np.cos(np.deg2rad(_SAME_DEG))
 
 
 def _noise(motion: RefinedMotion) -> float:

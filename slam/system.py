@@ -1,6 +1,7 @@
 """The monocular SLAM system: reads as the steps of the method."""
 
 from dataclasses import asdict, dataclass, field, replace
+from numbers import Real
 
 import numpy as np
 
@@ -230,7 +231,8 @@ class MonocularSlam:
         if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.shape != shape:
             got = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
             raise ValueError(f"frame {self._frames}: expected a uint8 image of shape {shape}, got {got}")
-        if not stamp_s > self._last_stamp_s or not np.isfinite(stamp_s):
+        is_time = isinstance(stamp_s, Real) and np.isfinite(stamp_s)
+        if not is_time or not stamp_s > self._last_stamp_s:
             raise ValueError(
                 f"frame {self._frames}: time {stamp_s} s is not after the last one, {self._last_stamp_s} s"
             )

@@ -1,5 +1,6 @@
 """Tracking: the pose of every frame from its matches with the map."""
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -111,8 +112,11 @@ class Tracker:
         return TrackingOutcome(True, inliers, matches)
 
     def pass_over(self, frame: Frame) -> None:
-        """Skip an unusable frame: the last tracked one is carried on by the motion model."""
-        last = self._refreshed_last()
+        """Skip an unusable frame: the last pose is carried on by the motion model.
+
+        It is a copy that is carried: the last tracked frame keeps the pose that was estimated for it.
+        """
+        last = self.last = copy(self._refreshed_last())
         self._passed_over += 1
         if self.velocity is not None:
             last.T_cam_map = self.velocity @ last.T_cam_map

@@ -3,8 +3,8 @@
 A homography (planar or distant scene) and an essential matrix (general scene) are estimated in parallel.
 Over a short baseline both explain the matches equally well and neither's motion is near the truth. So their
 motions are only where the search starts for every motion that explains the matches. The best is accepted
-where its points are seen under enough parallax, no other explains the matches about as well, and the matches
-determine its direction.
+where its points are seen under enough parallax and no truly different one explains the matches about as well:
+neither another minimum (ambiguous) nor a motion on the same slope (ill conditioned).
 
 Source: two models and the parallax: Mur-Artal, Montiel, Tardós, "ORB-SLAM", 2015, section IV.
 """
@@ -15,9 +15,8 @@ from typing import Literal
 import numpy as np
 
 from slam import _two_view_models as models
-from slam._two_view_models import TriedMotion
 from slam._two_view_refinement import RefinedMotion
-from slam._two_view_search import search_motions
+from slam._two_view_search import motions_around, search_motions
 
 Reason = Literal[
     "", "too_few_matches", "no_model", "low_parallax", "few_points", "ambiguous", "ill_conditioned"
@@ -25,6 +24,10 @@ Reason = Literal[
 Model = Literal["homography", "essential"]
 
 _CHI2_1DOF = 3.841
+_ROUNDING = 1e-9
+_LINE_SIGMAS = 5.0
+"""Keypoints that scatter less than this about a line do not tell one motion from another."""
+
 _MAX_ERROR_SIGMAS = 2.0
 """Largest distance between a triangulated point's reprojection and its keypoint."""
 
@@ -41,10 +44,9 @@ class TwoViewConfig:
         min_parallax_deg: angle of rays that ``min_points`` points must reach.
         far_parallax_deg: points under less are taken for too far away to triangulate.
         homography_share: share of the homography in the scores from which the scene is called flat.
-        rival_angle_deg: a motion whose direction is farther from the best one's is another motion.
+        rival_angle_deg: a motion whose direction is so far from the best one's is another motion.
         min_lead_sigmas: standard deviations by which the best motion must explain the matches better than
-            any other.
-        max_direction_std_deg: standard deviation of the translation's direction.
+            any other; more than three, as it is asked of frame after frame until one passes.
         ransac_threshold_px: largest distance to the model of an inlier in RANSAC.
         ransac_iterations: cap on the samples.
         ransac_confidence: probability with which RANSAC should find the model.
@@ -56,9 +58,8 @@ class TwoViewConfig:
     min_parallax_deg: float = 1.0
     far_parallax_deg: float = 0.3
     homography_share: float = 0.38
-    rival_angle_deg: float = 5.0
-    min_lead_sigmas: float = 4.0
-    max_direction_std_deg: float = 2.0
+    rival_angle_deg: float = 20.0
+    min_lead_sigmas: float = 3.5
     ransac_threshold_px: float = 1.5
     ransac_iterations: int = 2000
     ransac_confidence: float = 0.999
@@ -166,15 +167,28 @@ def _best_motion(
     """Search for all motions, triangulate under the best, and judge it."""
     focal, centre = np.array([K[0, 0], K[1, 1]]), K[:2, 2]
     rays_1, rays_2 = (np.ascontiguousarray((pixels - centre) / focal) for pixels in (pixels_1, pixels_2))
-    (best, *others), noise = search_motions(starts, rays_1, rays_2, sigma_px / focal.mean())
+    sigma = sigma_px / focal.mean()
+    (best, *others), noise = search_motions(starts, rays_1, rays_2, sigma)
     inliers = noise**2 * (best.errors**2).sum(axis=1) <= _CHI2_1DOF
+    if inliers.sum() < config.min_points:
+        return replace(failure, reason="few_points")
     tried = models.try_motion(
         best.T_2_1, pixels_1, pixels_2, inliers, K, _MAX_ERROR_SIGMAS * sigma_px, config.far_parallax_deg
     )
-    if inliers.sum() < config.min_points:
-        return replace(failure, reason="few_points")
     parallax_deg = float(np.sort(tried.parallax_deg[inliers])[-config.min_points])
-    reason = _objection(best, others, tried, parallax_deg, config)
+    reason: Reason = ""
+    if parallax_deg < config.min_parallax_deg:
+        reason = "low_parallax"
+    elif tried.triangulated.sum() < config.min_points:
+        reason = "few_points"
+    elif any(_rivals(best, other, config) for other in others):
+        reason = "ambiguous"
+    elif _in_line(pixels_1[inliers], config) or _in_line(pixels_2[inliers], config):
+        reason = "ill_conditioned"
+    else:
+        around = motions_around(best, config.rival_angle_deg, rays_1, rays_2, noise * sigma)
+        if any(_rivals(best, other, config) for other in around):
+            reason = "ill_conditioned"
     if reason:
         return replace(failure, reason=reason, parallax_deg=parallax_deg)
     return replace(
@@ -187,36 +201,25 @@ def _best_motion(
     )
 
 
-def _objection(
-    best: RefinedMotion,
-    others: list[RefinedMotion],
-    tried: TriedMotion,
-    parallax_deg: float,
-    config: TwoViewConfig,
-) -> Reason:
-    """Why the best motion is not to be trusted; empty if it is."""
-    if parallax_deg < config.min_parallax_deg:
-        return "low_parallax"
-    if tried.triangulated.sum() < config.min_points:
-        return "few_points"
-    if any(_rivals(best, other, config) for other in others):
-        return "ambiguous"
-    if best.direction_std_deg > config.max_direction_std_deg:
-        return "ill_conditioned"
-    return ""
+def _in_line(pixels: np.ndarray, config: TwoViewConfig) -> bool:
+    scatter = np.linalg.svd(pixels - pixels.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(pixels))
+    return bool(scatter < _LINE_SIGMAS * config.sigma_px)
 
 
 def _rivals(best: RefinedMotion, other: RefinedMotion, config: TwoViewConfig) -> bool:
     """Whether another, truly different motion explains the matches not significantly worse than the best.
 
-    The scatter of what the matches say is measured, so the test holds whatever the noise.
+    The lead must stand out from the scatter of what the matches say, which is measured and so holds whatever
+    the noise, and where they all say the same, from the noise itself.
 
     Source: Vuong, "Likelihood ratio tests for model selection and non-nested hypotheses", 1989.
     """
-    if best.T_2_1[:3, 3] @ other.T_2_1[:3, 3] > np.cos(np.deg2rad(config.rival_angle_deg)):
+    cosine = best.T_2_1[:3, 3] @ other.T_2_1[:3, 3]
+    if cosine > np.cos(np.deg2rad(config.rival_angle_deg)) + _ROUNDING:
         return False
     lead = other.costs - best.costs
-    return bool(lead.sum() < config.min_lead_sigmas * np.sqrt(len(lead)) * lead.std())
+    scatter = max(np.sqrt(len(lead)) * lead.std(), config.min_lead_sigmas)
+    return bool(lead.sum() < config.min_lead_sigmas * scatter)
 
 
 def _failure(n: int) -> TwoViewResult:

@@ -50,13 +50,6 @@ def make_sequence(frames: int = 300, truth: bool = True, segment: tuple[int, int
     )
 
 
-@dataclass(frozen=True)
-class FakeConfig:
-    """Stands for a system's configuration."""
-
-    name: str = "fake"
-
-
 @dataclass
 class FakeSystem:
     """Replays a truth as an estimate at another scale and place.
@@ -80,7 +73,7 @@ class FakeSystem:
     scale: float = 0.4
     new_map_scale: float = 1.0
     fails_at: int | None = None
-    config: FakeConfig = field(default_factory=FakeConfig)
+    settings: dict = field(default_factory=lambda: {"name": "fake"})
     events: list[ev.Event] = field(default_factory=list)
 
     def __post_init__(self) -> None:

@@ -1,5 +1,7 @@
 """Made-up maps, point worlds and short image sequences that the tests of ``slam`` share."""
 
+import hashlib
+import json
 from dataclasses import dataclass
 from functools import cache
 
@@ -15,6 +17,7 @@ from slam.map import Map
 from slam.optimization.sim3 import horn_sim3
 from slam.orb import Features
 from slam.results import MapTrajectory
+from slam.system import build_system
 
 CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
 VIEW = view_geometry(CAMERA, 8, 1.2)
@@ -284,3 +287,25 @@ def errors_m(trajectory: MapTrajectory, T_world_cam):
 def rms(values):
     """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+def fingerprint(system):
+    """A digest of all that a system has produced: poses, maps and events, bit by bit, CPU times left out."""
+    digest = hashlib.sha256()
+    for path in (*system.trajectories(), *system.keyframe_trajectories()):
+        for array in (path.frames, path.stamps_s, path.T_map_cam):
+            digest.update(np.ascontiguousarray(array).tobytes())
+    for map_id in system.maps():
+        digest.update(system.map_points(map_id).tobytes())
+    for event in system.events:
+        record = {k: v for k, v in event.record().items() if k != "cpu_ms"}
+        digest.update(json.dumps(record, sort_keys=True).encode())
+    return digest.hexdigest()
+
+
+def digest_of_run(kind, count, spans, step_m=0.05, seed=0):
+    """The fingerprint of a system after a toy sequence that is blank in ``spans`` [(first, end), ...]."""
+    images, stamps_s, _ = toy(count, step_m=step_m)
+    system = build_system(kind, warmup.CAMERA, seed)
+    feed(system, blanked(images, *(range(*span) for span in spans)), stamps_s, check=False)
+    return fingerprint(system)

@@ -1,0 +1,49 @@
+"""The base system on footage of real cameras, against their measured paths; skipped where there is none."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from slam_scenes import errors_m, feed, kinds, rms
+
+from sim.io.tum_reader import load_sequence
+from slam.camera import PinholeCamera
+from slam.events import TrackingState
+from slam.system import build_system
+
+DATA = Path(__file__).parents[2].parent / "shared" / "data"
+
+
+def run(name, count, kind="base"):
+    """The first frames of a sequence: the system, its answers, the truth."""
+    if not (DATA / name).is_dir():
+        pytest.skip(f"no {DATA / name}")
+    sequence = load_sequence(DATA / name)
+    c = sequence.camera
+    camera = PinholeCamera(c.width_px, c.height_px, c.fx, c.fy, c.cx, c.cy, c.fps)
+    system = build_system(kind, camera, 0)
+    images = (sequence.frames[i] for i in range(count))
+    results = feed(system, images, sequence.stamps_s[:count], check=False)
+    for map_id in system.maps():
+        system.map(map_id).check()
+    return system, results, sequence.T_world_cam
+
+
+def test_a_drive_is_tracked():
+    system, results, T_world_cam = run("kitti07_160", 160)
+    assert sum(r.state is TrackingState.TRACKING for r in results) >= 150
+    path = system.trajectories()[0]
+    errors, _ = errors_m(path, T_world_cam)
+    assert len(path.frames) >= 150
+    # Of 90 m or so.
+    assert rms(errors) < 0.6
+
+
+def test_a_walk_through_a_kitchen_is_tracked():
+    system, results, T_world_cam = run("sevenscenes_redkitchen", 400)
+    assert results[-1].state is TrackingState.TRACKING
+    assert kinds(system) == ["initialized"]
+    path = system.trajectories()[0]
+    assert path.frames[-1] == 399 and len(path.frames) >= 360
+    assert np.isfinite(T_world_cam[path.frames]).all()
+    assert rms(errors_m(path, T_world_cam)[0]) < 0.08

@@ -1,0 +1,372 @@
+"""The base system: what it is given, what it answers, and that it answers the same every time."""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from slam_scenes import blanked, digest_of_run, errors_m, feed, fingerprint, kinds, rms, toy
+
+from slam.events import TrackingState
+from slam.system import MonocularSlam, SlamConfig, build_system, default_config
+from slam.warmup import CAMERA
+
+COUNT, STEP_M = 100, 0.05
+REPOSITORY = Path(__file__).parents[2]
+SHAPE = (CAMERA.height_px, CAMERA.width_px)
+
+
+def base(**config):
+    return build_system("base", CAMERA, 0, replace(default_config(CAMERA), **config) if config else None)
+
+
+@pytest.fixture(scope="module")
+def sequence():
+    return toy(COUNT, step_m=STEP_M)
+
+
+@pytest.fixture(scope="module")
+def run(sequence):
+    """A whole run, every map proved after every frame."""
+    images, stamps_s, T_world_cam = sequence
+    system = base()
+    return system, feed(system, images, stamps_s), T_world_cam
+
+
+# -- tracking ------------------------------------------------------------------------------------------------
+
+
+def test_a_clean_sequence_is_tracked_from_its_initialisation_on(run):
+    system, results, _ = run
+    assert kinds(system) == ["initialized"]
+    start = system.events[0].frame
+    assert start < 20
+    tracked = [r.state is TrackingState.TRACKING for r in results]
+    assert not any(tracked[:start])
+    assert np.mean(tracked[start:]) >= 0.95
+
+
+def test_the_path_is_that_of_the_camera(run):
+    system, results, T_world_cam = run
+    (path,) = system.trajectories()
+    errors, _ = errors_m(path, T_world_cam)
+    # Of a path of 5 m.
+    assert rms(errors) < 0.03 and errors.max() < 0.1
+    first = system.current_map.frame_index(0)
+    assert path.frames.tolist() == [first, *(r.frame for r in results if r.T_map_cam is not None)]
+    assert len(path.frames) >= 0.9 * COUNT
+    rotation = path.T_map_cam[:, :3, :3] @ path.T_map_cam[0, :3, :3].T
+    cosine = (np.trace(rotation, axis1=1, axis2=2) - 1) / 2
+    assert np.rad2deg(np.arccos(np.clip(cosine, -1, 1))).max() < 1.0
+
+
+def test_what_the_camera_sees_while_tracking_is_where_it_sees_it(run):
+    """The error at each frame, before later adjustment, is small too."""
+    system, results, T_world_cam = run
+    (path,) = system.trajectories()
+    online = [r for r in results if r.T_map_cam is not None]
+    now = replace(
+        path, frames=np.array([r.frame for r in online]), T_map_cam=np.array([r.T_map_cam for r in online])
+    )
+    assert rms(errors_m(now, T_world_cam)[0]) < 0.04
+
+
+def test_a_frame_is_answered_in_full(run):
+    system, results, _ = run
+    for i, r in enumerate(results):
+        assert (r.frame, r.stamp_s) == (i, pytest.approx(i / CAMERA.fps))
+        assert r.keypoints_px.shape == (len(r.inlier_mask), 2) and r.keypoints_px.dtype == np.float32
+        assert r.inlier_mask.dtype == bool
+        if r.state is TrackingState.TRACKING:
+            assert r.reason == "" and r.T_map_cam.shape == (4, 4)
+            assert r.inliers <= r.matches
+            assert r.map_id == system.current_map_id
+        else:
+            assert r.reason and r.T_map_cam is None and r.inliers == 0 and not r.inlier_mask.any()
+    tracked = [r for r in results[system.events[0].frame + 1 :] if not r.is_keyframe]
+    assert all(r.inlier_mask.sum() == r.inliers >= system.config.tracking.min_inliers for r in tracked)
+
+
+def test_keyframes_are_declared_as_they_are_made(run):
+    system, results, _ = run
+    declared = [r.frame for r in results if r.is_keyframe]
+    # The first keyframe is the reference frame of the initialisation, declared with the second.
+    made = [system.current_map.frame_index(k) for k in range(system.current_map.n_keyframes)]
+    assert made[1:] == declared
+    assert len(declared) >= 5
+    (path,) = system.keyframe_trajectories()
+    assert set(path.frames) <= {made[0], *declared}
+
+
+def test_every_stage_is_timed(run):
+    system, results, _ = run
+    start = system.events[0].frame
+    for r in results:
+        expected = {"extract", "initialize"} if r.frame <= start else {"extract", "predict", "local_map"}
+        assert set(r.ms) == set(r.cpu_ms) == expected
+        assert all(0 <= r.cpu_ms[s] < 10_000 and r.ms[s] > 0 for s in expected)
+        assert (r.mapping_cpu_ms > 0) is (r.is_keyframe and r.frame > start)
+
+
+def test_poses_of_frames_follow_their_keyframes(run):
+    """Adjustment moves keyframes after their frames were tracked; the record is of where they are now."""
+    system, results, _ = run
+    (path,), m = system.trajectories(), system.current_map
+    at = {int(f): T for f, T in zip(path.frames, path.T_map_cam, strict=True)}
+    for k in m.keyframes():
+        np.testing.assert_allclose(at[m.frame_index(int(k))], np.linalg.inv(m.T_cam_map(int(k))), atol=1e-9)
+    moved = [np.abs(at[r.frame] - r.T_map_cam).max() for r in results if r.T_map_cam is not None]
+    assert max(moved) > 1e-4
+
+
+def test_points_given_out_are_a_copy(run):
+    system, _, _ = run
+    points = system.map_points(system.current_map_id)
+    assert points.shape == (len(system.current_map.points()), 3) and np.isfinite(points).all()
+    points[:] = 0
+    assert np.abs(system.map_points(system.current_map_id)).max() > 1
+
+
+def test_settings_and_events_can_be_written_down(run):
+    system, _, _ = run
+    assert json.loads(json.dumps(system.settings))["tracking"]["min_inliers"] == 30
+    for event in system.events:
+        record = event.record()
+        assert json.loads(json.dumps(record)) == record
+        assert all(isinstance(v, (str, int, float, bool)) for v in record.values()), "flat"
+        assert record["event"] == event.kind
+
+
+# -- repeatability -------------------------------------------------------------------------------------------
+
+
+def test_the_same_seed_gives_the_same_run_bit_by_bit(run, sequence):
+    images, stamps_s, _ = sequence
+    again = base()
+    feed(again, images, stamps_s, check=False)
+    assert fingerprint(again) == fingerprint(run[0])
+
+
+def test_another_seed_gives_another_run(sequence):
+    images, stamps_s, _ = sequence
+    digests = set()
+    for seed in (1, 2):
+        system = build_system("base", CAMERA, seed)
+        feed(system, images[:30], stamps_s[:30], check=False)
+        assert len(system.trajectories()) == 1
+        digests.add(fingerprint(system))
+    assert len(digests) == 2
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no processor affinity here")
+def test_another_process_on_one_core_gives_the_same_run():
+    """With a recovery and a fusion: neither threads nor what ran before in the process have a say."""
+    run = ("dual", 100, [(50, 56)])
+    script = (
+        "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
+        f"from slam_scenes import digest_of_run; print(digest_of_run(*{run!r}))"
+    )
+    path = os.pathsep.join([str(REPOSITORY), str(Path(__file__).parent)])
+    environment = {**os.environ, "PYTHONPATH": path}
+    command = [sys.executable, "-c", script]
+    child = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert child.returncode == 0, child.stderr
+    here = [digest_of_run(*run) for _ in range(2)]
+    assert here == [child.stdout.strip()] * 2
+
+
+@pytest.mark.parametrize("layout", ["columns", "read_only", "strided", "reused"])
+def test_the_layout_of_an_image_in_memory_does_not_matter(sequence, layout):
+    images, stamps_s, _ = sequence
+    plain, other = base(), base()
+    feed(plain, images[:15], stamps_s[:15], check=False)
+    buffer = np.empty(SHAPE, np.uint8)
+    for image, stamp_s in zip(images[:15], stamps_s[:15], strict=True):
+        given = image
+        if layout == "columns":
+            given = np.asfortranarray(image)
+        elif layout == "read_only":
+            given = image.copy()
+            given.flags.writeable = False
+        elif layout == "strided":
+            given = np.repeat(image, 2, axis=1)[:, ::2]
+        else:
+            buffer[:] = image
+            given = buffer
+        other.process(given, stamp_s)
+        buffer[:] = 0
+    assert fingerprint(other) == fingerprint(plain)
+
+
+# -- misuse --------------------------------------------------------------------------------------------------
+
+
+GREY = np.zeros(SHAPE, np.uint8)
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        GREY[:-1],
+        GREY.T,
+        GREY[:0],
+        GREY[..., None],
+        np.zeros((*SHAPE, 3), np.uint8),
+        GREY.astype(np.float32),
+        GREY.astype(np.float64),
+        GREY.astype(np.int8),
+        GREY.astype(np.uint16),
+        GREY.astype(bool),
+        GREY.tolist(),
+        None,
+        "frame.png",
+    ],
+    ids=lambda image: f"{getattr(image, 'dtype', type(image).__name__)}{getattr(image, 'shape', '')}",
+)
+def test_what_is_no_image_is_refused(image):
+    system = base()
+    with pytest.raises(ValueError, match="frame 0"):
+        system.process(image, 0.0)
+
+
+@pytest.mark.parametrize("stamp_s", [1.0, 0.5, -1.0, np.nan, np.inf, -np.inf, None, "2.0"])
+def test_a_time_that_is_no_later_is_refused(stamp_s):
+    system = base()
+    system.process(GREY, 1.0)
+    with pytest.raises(ValueError, match="frame 1"):
+        system.process(GREY, stamp_s)
+
+
+def test_a_first_time_must_be_a_time():
+    for stamp_s in (np.nan, -np.inf):
+        with pytest.raises(ValueError):
+            base().process(GREY, stamp_s)
+    assert base().process(GREY, -5.0).frame == 0
+
+
+def test_misuse_leaves_the_system_as_it_was(sequence):
+    images, stamps_s, _ = sequence
+    plain, abused = base(), base()
+    feed(plain, images[:25], stamps_s[:25], check=False)
+    for image, stamp_s in zip(images[:25], stamps_s[:25], strict=True):
+        abused.process(image, stamp_s)
+        for wrong in ((image[1:], stamp_s + 0.01), (image, stamp_s), (image, np.nan)):
+            with pytest.raises(ValueError):
+                abused.process(*wrong)
+    assert fingerprint(abused) == fingerprint(plain)
+
+
+def test_what_cannot_be_built_is_refused():
+    with pytest.raises(ValueError, match="unknown system"):
+        build_system("triple", CAMERA)
+    with pytest.raises(ValueError, match="too small"):
+        MonocularSlam(replace(CAMERA, width_px=20, height_px=20, cx=10.0, cy=10.0))
+
+
+def test_a_wide_camera_gets_more_features():
+    assert default_config(CAMERA).orb.n_features == 1000
+    assert default_config(replace(CAMERA, width_px=1241, height_px=376)).orb.n_features == 2000
+
+
+# -- content -------------------------------------------------------------------------------------------------
+
+
+def corner(_):
+    image = np.full(SHAPE, 100, np.uint8)
+    image[100:, 150:] = 200
+    return image
+
+
+def checkerboard(_):
+    """Thousands of equal corners."""
+    y, x = np.indices(SHAPE)
+    return (((x // 8 + y // 8) % 2) * 255).astype(np.uint8)
+
+
+CONTENT = {
+    "black": lambda _: np.zeros(SHAPE, np.uint8),
+    "white": lambda _: np.full(SHAPE, 255, np.uint8),
+    "constant": lambda _: np.full(SHAPE, 120, np.uint8),
+    "noise": lambda i: np.random.default_rng(i).integers(0, 256, SHAPE).astype(np.uint8),
+    "one_corner": corner,
+    "checkerboard": checkerboard,
+}
+
+
+@pytest.mark.parametrize("kind", ["base", "dual"])
+@pytest.mark.parametrize("content", CONTENT)
+def test_no_content_raises(sequence, content, kind):
+    """At the start, while initialising, while tracking and at the end: at worst the system is lost."""
+    images, stamps_s, _ = sequence
+    images = list(images[:66])
+    spots = {*range(3), *range(5, 7), *range(50, 53), *range(64, 66)}
+    for i in spots:
+        images[i] = CONTENT[content](i)
+    system = build_system(kind, CAMERA, 0)
+    results = feed(system, images, stamps_s[:66])
+    assert {r.frame for r in results if r.state is TrackingState.TRACKING}.isdisjoint(spots)
+    assert "initialized" in kinds(system) and "breakage" in kinds(system)
+    for r in results:
+        assert (r.T_map_cam is not None) is (r.state is TrackingState.TRACKING)
+        assert r.T_map_cam is None or np.isfinite(r.T_map_cam).all()
+    for path in system.trajectories():
+        assert np.isfinite(path.T_map_cam).all()
+
+
+@pytest.mark.parametrize("kind", ["base", "dual"])
+@pytest.mark.parametrize("content", CONTENT)
+def test_a_sequence_of_nothing_else_yields_no_map(content, kind):
+    system = build_system(kind, CAMERA, 0)
+    for i in range(8):
+        result = system.process(CONTENT[content](i), i / 30)
+        assert result.state is TrackingState.NOT_INITIALIZED and result.reason
+    assert system.maps() == [] and system.trajectories() == [] and system.events == []
+
+
+# -- breakage ------------------------------------------------------------------------------------------------
+
+
+def test_a_map_too_young_is_dropped_and_another_sought(sequence):
+    images, stamps_s, _ = sequence
+    system = base()
+    results = feed(system, blanked(images[:60], range(20, 22)), stamps_s[:60])
+    assert kinds(system) == ["initialized", "breakage", "map_dropped", "initialized"]
+    started, broken, dropped, again = system.events
+    assert (broken.frame, broken.map_id, broken.inliers) == (20, 0, 0) and broken.reason
+    assert (dropped.frame, dropped.map_id, dropped.reason) == (20, 0, "too_few_keyframes")
+    assert 2 <= dropped.keyframes <= SlamConfig().min_map_keyframes
+    assert again.map_id == 1 and again.frame > 21 > started.frame
+    assert system.maps() == [1]
+    (path,) = system.trajectories()
+    assert path.map_id == 1 and path.frames.min() >= 22
+    assert results[20].state is TrackingState.NOT_INITIALIZED
+    assert results[-1].state is TrackingState.TRACKING and results[-1].map_id == 1
+
+
+def test_an_older_map_is_kept_and_the_system_is_lost(sequence):
+    images, stamps_s, T_world_cam = sequence
+    system = base()
+    results = feed(system, blanked(images, range(80, 82)), stamps_s)
+    assert kinds(system) == ["initialized", "breakage"]
+    assert system.events[1].frame == 80
+    assert len(system.current_map.keyframes()) > SlamConfig().min_map_keyframes
+    for r in results[80:]:
+        assert r.state is TrackingState.LOST and r.T_map_cam is None and not r.is_keyframe
+    assert all(r.reason == "lost" for r in results[81:])
+    (path,) = system.trajectories()
+    assert path.frames.max() == 79
+    assert rms(errors_m(path, T_world_cam)[0]) < 0.03
+
+
+@pytest.mark.parametrize(("least", "kept"), [(2, True), (50, False)])
+def test_how_young_is_too_young_is_a_setting(sequence, least, kept):
+    images, stamps_s, _ = sequence
+    system = base(min_map_keyframes=least)
+    feed(system, blanked(images[:40], range(38, 40)), stamps_s[:40], check=False)
+    assert ("map_dropped" in kinds(system)) is not kept
+    assert system.maps() == ([0] if kept else [])
+    assert system.state is (TrackingState.LOST if kept else TrackingState.NOT_INITIALIZED)
