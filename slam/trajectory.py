@@ -66,8 +66,12 @@ class FramePoses:
 
 
 def keyframe_trajectory(map_: Map) -> MapTrajectory:
-    """The keyframes of a map in order of time."""
-    rows = sorted((int(k) for k in map_.keyframes()), key=map_.frame_index)
+    """The keyframes of a map in order of time.
+
+    Where maps were fused, the frame at which they met is a keyframe of both; it is given once.
+    """
+    by_frame = {map_.frame_index(int(k)): int(k) for k in map_.keyframes()}
+    rows = [by_frame[index] for index in sorted(by_frame)]
     return MapTrajectory(
         map_.map_id,
         np.array([map_.frame_index(k) for k in rows], int),

@@ -303,9 +303,13 @@ def fingerprint(system):
     return digest.hexdigest()
 
 
-def digest_of_run(kind, count, spans, step_m=0.05, seed=0):
-    """The fingerprint of a system after a toy sequence that is blank in ``spans`` [(first, end), ...]."""
-    images, stamps_s, _ = toy(count, step_m=step_m)
-    system = build_system(kind, warmup.CAMERA, seed)
+def digest_of_run(kind, count, *spans):
+    """What a system makes of a toy sequence that is blank in ``spans`` of (first, end).
+
+    Returns:
+        Its fingerprint and the kinds of its events, as one line.
+    """
+    images, stamps_s, _ = toy(count, step_m=0.05)
+    system = build_system(kind, warmup.CAMERA, 0)
     feed(system, blanked(images, *(range(*span) for span in spans)), stamps_s, check=False)
-    return fingerprint(system)
+    return " ".join([fingerprint(system), *kinds(system)])

@@ -29,6 +29,7 @@ def run(name, count, kind="base"):
     return system, results, sequence.T_world_cam
 
 
+@pytest.mark.slow
 def test_a_drive_is_tracked():
     system, results, T_world_cam = run("kitti07_160", 160)
     assert sum(r.state is TrackingState.TRACKING for r in results) >= 150
@@ -39,6 +40,7 @@ def test_a_drive_is_tracked():
     assert rms(errors) < 0.6
 
 
+@pytest.mark.slow
 def test_a_walk_through_a_kitchen_is_tracked():
     system, results, T_world_cam = run("sevenscenes_redkitchen", 400)
     assert results[-1].state is TrackingState.TRACKING

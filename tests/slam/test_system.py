@@ -141,6 +141,21 @@ def test_settings_and_events_can_be_written_down(run):
         assert record["event"] == event.kind
 
 
+def test_a_frame_that_narrowly_fails_shows_no_inliers(sequence):
+    """A window of the scene in a blank frame: enough to predict from, too little to trust."""
+    images, stamps_s, _ = sequence
+    for side in range(50, 80, 5):
+        window = np.full(SHAPE, 120, np.uint8)
+        window[100 : 100 + side, 120 : 120 + side] = images[45][100 : 100 + side, 120 : 120 + side]
+        system = base()
+        last = feed(system, [*images[:45], window], stamps_s[:46], check=False)[-1]
+        if last.reason == "too_few_local_map_inliers":
+            break
+    assert last.reason == "too_few_local_map_inliers"
+    assert 0 < last.inliers < system.config.tracking.min_inliers
+    assert last.T_map_cam is None and not last.inlier_mask.any()
+
+
 # -- repeatability -------------------------------------------------------------------------------------------
 
 
@@ -165,7 +180,7 @@ def test_another_seed_gives_another_run(sequence):
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no processor affinity here")
 def test_another_process_on_one_core_gives_the_same_run():
     """With a recovery and a fusion: neither threads nor what ran before in the process have a say."""
-    run = ("dual", 100, [(50, 56)])
+    run = ("dual", 110, (60, 66))
     script = (
         "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
         f"from slam_scenes import digest_of_run; print(digest_of_run(*{run!r}))"
@@ -177,6 +192,7 @@ def test_another_process_on_one_core_gives_the_same_run():
     assert child.returncode == 0, child.stderr
     here = [digest_of_run(*run) for _ in range(2)]
     assert here == [child.stdout.strip()] * 2
+    assert here[0].endswith("fusion")
 
 
 @pytest.mark.parametrize("layout", ["columns", "read_only", "strided", "reused"])
