@@ -319,6 +319,7 @@ def test_a_map_can_be_fused_twice(fused, world):
     seam = int(old.keyframes()[-1])
     assert old.frame_index(seam) == 60
     alignment, _, _ = align(old, third, seam, 0, rng, CONFIG)
+    assert alignment is not None
     assert alignment.scale == pytest.approx(0.25, rel=0.01)
     keyframes, _ = fuse(old, third, alignment, LocalMappingConfig())
     old.check()

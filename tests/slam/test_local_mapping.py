@@ -100,6 +100,7 @@ def test_without_baseline_parallax_or_neighbours_nothing_is_created(world, sight
 def test_a_walk_of_keyframes_keeps_the_map_sound_and_true(world, sightings):
     """Every keyframe is tracked from the points of the last one, with noise; drift stays small."""
     mapper, point_of = start(world, sightings, noise=0.0, keep=0.6)
+    good = pure = ids = np.empty(0)
     for k in range(3, len(sightings)):
         mapper.insert(next_frame(mapper, point_of, sightings[k], shake=0.01))
         mapper.map.check()

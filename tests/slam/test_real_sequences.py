@@ -21,6 +21,7 @@ def run(name, count, kind="base"):
     sequence = load_sequence(DATA / name)
     c = sequence.camera
     camera = PinholeCamera(c.width_px, c.height_px, c.fx, c.fy, c.cx, c.cy, c.fps)
+    assert sequence.T_world_cam is not None
     system = build_system(kind, camera, 0)
     images = (sequence.frames[i] for i in range(count))
     results = feed(system, images, sequence.stamps_s[:count], check=False)

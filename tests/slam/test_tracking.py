@@ -194,7 +194,7 @@ def test_too_few_points_in_the_local_map_are_told_apart(known, sightings):
     for count, success in ((config.min_inliers - 5, False), (config.min_inliers + 10, True)):
         whole, f = sightings[1], sightings[1].frame.features
         shown = np.flatnonzero((whole.ids >= 0) & (known[1][whole.ids] >= 0))
-        near = started(known, sightings[0]).last.point
+        near = known[0].observed_points(0)
         keep = shown[np.isin(known[1][whole.ids[shown]], near)][:: len(shown) // 60][:count]
         rows = np.sort(keep)
         cells = np.searchsorted(rows, f.cell_start).astype(np.int32)
@@ -251,7 +251,7 @@ def test_the_velocity_outlives_a_gap(known, sightings):
     """The step over the gap is no velocity: that of the frames before it goes on."""
     tracker = started(known, sightings[0])
     track_until(tracker, sightings, 8)
-    before = tracker.velocity.copy()
+    before = np.array(tracker.velocity)
     for i in range(8, 16):
         tracker.pass_over(nothing(i))
     assert tracker.track(sightings[16].again()).success
@@ -326,6 +326,7 @@ def test_tracking_goes_on_in_a_map_that_has_absorbed_its_own(world, known, sight
     last.reference_keyframe += keyframes
     last.point[last.point >= 0] += points
     last.T_cam_reference[:3, 3] *= 2.0
+    assert tracker.velocity is not None
     tracker.velocity[:3, 3] *= 2.0
     tracker.rebase(other, last)
     frame = sightings[23].again()

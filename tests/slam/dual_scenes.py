@@ -1,0 +1,53 @@
+"""Whole runs of Dual-SLAM on toy sequences, for the tests of it."""
+
+from dataclasses import replace
+
+from slam_scenes import blanked, feed, toy
+
+from slam.dual.supervisor import DualSlam
+from slam.optimization.sim3 import horn_sim3
+from slam.results import MapTrajectory
+from slam.system import default_config
+from slam.warmup import CAMERA
+
+STEP_M = 0.05
+# A breakage that is mended, as events.
+MENDED = ["breakage", "map_saved", "reinit_start", "initialized", "reinit_done", "recovery_start"]
+MENDED += ["recovery_end", "fusion"]
+# The sequences are short: a map of a second and a half is worth keeping.
+CONFIG = replace(default_config(CAMERA), min_map_keyframes=3)
+
+
+def dual(config=None):
+    return DualSlam(CAMERA, 0, CONFIG, config)
+
+
+def play(count, *spans):
+    """A toy sequence with blank spans: the system, its answers, the truth."""
+    images, stamps_s, T_world_cam = toy(count, 0, STEP_M)
+    system = dual()
+    return system, feed(system, blanked(images, *spans), stamps_s), T_world_cam
+
+
+def of(system, kind):
+    """A system's events of one kind."""
+    return [e for e in system.events if e.kind == kind]
+
+
+def scale_between(path: MapTrajectory, T_world_cam, first, last):
+    """Metres per map unit over a stretch of frames."""
+    here = (path.frames >= first) & (path.frames <= last)
+    assert here.sum() > 20
+    truth = T_world_cam[path.frames[here], :3, 3]
+    return horn_sim3(truth, path.T_map_cam[here, :3, 3])[0]
+
+
+def with_threads(count, spans, threads):
+    """A run over a toy sequence with blank spans, with recovery threads of the test's own."""
+    images, stamps_s, _ = toy(count, 0, STEP_M)
+    system = dual()
+    system._threads = threads
+    feed(system, blanked(images, *spans), stamps_s, check=False)
+    for map_id in system.maps():
+        system.map(map_id).check()
+    return system
