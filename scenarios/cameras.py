@@ -1,16 +1,113 @@
 """The cameras of a spec."""
 
+from typing import Any, Literal
+
 from pydantic import Field, model_validator
 
 from scenarios.strict import Strict
 
+PRESETS: dict[str, dict[str, Any]] = {
+    # Sequences 00 to 02, rectified. Source: calib.txt of the KITTI odometry benchmark.
+    "kitti": {
+        "width_px": 1241,
+        "height_px": 376,
+        "fx_px": 718.856,
+        "fy_px": 718.856,
+        "cx_px": 607.1928,
+        "cy_px": 185.2157,
+        "fps": 10.0,
+    },
+    # The lens of 98 degrees, rectified by the data set's own `crop` to 640x480.
+    # Source: camera.txt of the TUM monocular visual odometry data set.
+    "tum-mono": {
+        "width_px": 640,
+        "height_px": 480,
+        "fx_px": 277.307,
+        "fy_px": 291.357,
+        "cx_px": 312.230,
+        "cy_px": 239.770,
+        "fps": 50.0,
+    },
+    # Left camera of the VI-sensor, as taken. Source: mav0/cam0/sensor.yaml of the EuRoC data set.
+    "euroc": {
+        "width_px": 752,
+        "height_px": 480,
+        "fx_px": 458.654,
+        "fy_px": 457.296,
+        "cx_px": 367.215,
+        "cy_px": 248.375,
+        "fps": 20.0,
+        "distortion": {
+            "model": "radtan",
+            "k1": -0.28340811,
+            "k2": 0.07395907,
+            "p1": 0.00019359,
+            "p2": 1.76187114e-05,
+        },
+    },
+    # Left infrared camera of a D435i, rectified by the device.
+    # Source: the example calibration that comes with ORB-SLAM3.
+    "realsense": {
+        "width_px": 640,
+        "height_px": 480,
+        "fx_px": 382.613,
+        "fy_px": 382.613,
+        "cx_px": 320.183,
+        "cy_px": 236.455,
+        "fps": 30.0,
+    },
+    # iPhone 6s, upright video. Source: calibration of sequences 01 to 12 of the ADVIO data set.
+    "phone": {
+        "width_px": 720,
+        "height_px": 1280,
+        "fx_px": 1077.2,
+        "fy_px": 1079.3,
+        "cx_px": 362.145,
+        "cy_px": 636.3873,
+        "fps": 60.0,
+        "distortion": {"model": "radtan", "k1": 0.0478, "k2": 0.0339, "p1": -0.00033, "p2": -0.00091},
+    },
+}
+"""Published cameras: the fields that they set."""
+
+_OF_MODEL = {"none": (), "radtan": ("k1", "k2", "p1", "p2", "k3"), "equidistant": ("k1", "k2", "k3", "k4")}
+
+
+class Distortion(Strict):
+    """Lens distortion in OpenCV's coefficients: radtan k1 k2 p1 p2 k3, equidistant (fisheye) k1 k2 k3 k4."""
+
+    model: Literal["none", "radtan", "equidistant"] = "none"
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+
+    @property
+    def coefficients(self) -> tuple[float, ...]:
+        """In OpenCV's order; empty without distortion."""
+        return tuple(getattr(self, name) for name in _OF_MODEL[self.model])
+
+    @model_validator(mode="after")
+    def _of_the_model(self) -> "Distortion":
+        names = _OF_MODEL[self.model]
+        for name in ("k1", "k2", "k3", "k4", "p1", "p2"):
+            if getattr(self, name) and name not in names:
+                remedy = f"use {' '.join(names)}" if names else "set model to radtan or equidistant"
+                raise ValueError(f"the model {self.model} has no {name}, {remedy}")
+        return self
+
 
 class Camera(Strict):
-    """A pinhole camera. Integer pixel coordinates are pixel centres, as in OpenCV.
+    """A camera. Integer pixel coordinates are pixel centres, as in OpenCV.
 
     A frame's stamp is the centre of its exposure, and its true pose is the pose at that moment.
     """
 
+    preset: Literal["kitti", "tum-mono", "euroc", "realsense", "phone"] | None = Field(
+        None, description="a published camera; fields given beside it replace its own"
+    )
     width_px: int = Field(640, ge=64, le=4096)
     height_px: int = Field(480, ge=64, le=4096)
     fx_px: float = Field(500.0, gt=0)
@@ -18,10 +115,17 @@ class Camera(Strict):
     cx_px: float = 319.5
     cy_px: float = 239.5
     fps: float = Field(30.0, gt=0, le=1000)
+    distortion: Distortion = Distortion()
     exposure_s: float = Field(0.004, ge=0, description="shutter time of the clean frames; blurs them truly")
     noise_sigma: float = Field(
         1.5, ge=0, le=30, description="standard deviation of the pixel noise, grey levels"
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _start_from_preset(cls, data: Any) -> Any:
+        preset = data.get("preset") if isinstance(data, dict) else None
+        return {**PRESETS[preset], **data} if isinstance(preset, str) and preset in PRESETS else data
 
     @model_validator(mode="after")
     def _possible(self) -> "Camera":

@@ -2,9 +2,11 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from scenarios.strict import Strict
+
+Axis = Literal["yaw", "pitch", "roll"]
 
 
 class SegmentBase(Strict):
@@ -22,6 +24,21 @@ class SegmentBase(Strict):
         return self.model_dump(exclude={"kind", "start_s", "duration_s"})
 
 
+class ImageSegment(SegmentBase):
+    """A segment that acts on the images; its severity may rise and fall in straight lines at its ends."""
+
+    ramp_s: float = Field(0.0, ge=0, description="time in which the severity rises, and in which it falls")
+
+    @model_validator(mode="after")
+    def _ramps_fit(self) -> "ImageSegment":
+        if 2 * self.ramp_s > self.duration_s + 1e-9:
+            raise ValueError(
+                f"two ramps of {self.ramp_s:g} s are longer than the segment, "
+                f"use at most ramp_s = {self.duration_s / 2:g}"
+            )
+        return self
+
+
 class LowTexture(SegmentBase):
     """The surfaces that the camera passes in this time have their texture contrast multiplied."""
 
@@ -29,6 +46,14 @@ class LowTexture(SegmentBase):
     contrast: float = Field(
         ge=0, le=1, description="1 leaves the texture, 0 removes it; perceived as log contrast"
     )
+
+
+class RepeatedTexture(SegmentBase):
+    """Surfaces that the camera passes in this time are papered with one patch of the most seen of them."""
+
+    kind: Literal["repeated_texture"]
+    share: float = Field(ge=0, le=1, description="share of those surfaces, by the view they fill")
+    period_m: float = Field(0.5, ge=0.05, le=10, description="side of the patch that repeats")
 
 
 class MotionBlur(SegmentBase):
@@ -43,7 +68,125 @@ class FastRotation(SegmentBase):
 
     kind: Literal["fast_rotation"]
     rate_degps: float = Field(ge=0, le=1000, description="peak angular rate of the swing")
-    axis: Literal["yaw", "pitch", "roll"] = "yaw"
+    axis: Axis = "yaw"
 
 
-Segment = Annotated[LowTexture | MotionBlur | FastRotation, Field(discriminator="kind")]
+class PureRotation(SegmentBase):
+    """The camera stops, turns out and back on the spot, without parallax, and goes on."""
+
+    kind: Literal["pure_rotation"]
+    angle_deg: float = Field(ge=0, le=360, description="how far it turns out; 0 does not even stop")
+    axis: Axis = "yaw"
+
+
+class FrameDrops(SegmentBase):
+    """Frames are missing; those that remain keep their stamps and poses."""
+
+    kind: Literal["frame_drops"]
+    share: float = Field(ge=0, le=1, description="of the segment's frames; its last one always stays")
+
+
+class TimeJitter(SegmentBase):
+    """Stamps are wrong; the true pose stays that of the moment of the exposure."""
+
+    kind: Literal["time_jitter"]
+    sigma_s: float = Field(ge=0, le=10, description="standard deviation; stamps keep their order")
+
+
+class Fog(ImageSegment):
+    """Homogeneous fog between the camera and the surfaces."""
+
+    kind: Literal["fog"]
+    extinction_per_m: float = Field(ge=0, le=100)
+    airlight_level: float = Field(190.0, ge=0, le=255, description="grey level of endless fog")
+
+
+class MovingObjects(ImageSegment):
+    """Textured things pass in front of everything, each with a motion of its own."""
+
+    kind: Literal["moving_objects"]
+    share: float = Field(ge=0, le=0.95, description="share of the view that they fill")
+    rate_degps: float = Field(20.0, ge=0, le=1000, description="how fast they cross the view's middle")
+
+
+class RollingShutter(ImageSegment):
+    """Rows are read one after the other while the camera moves; the middle row at the frame's stamp."""
+
+    kind: Literal["rolling_shutter"]
+    readout_s: float = Field(ge=0, le=1, description="from the first row to the last")
+
+
+class Defocus(ImageSegment):
+    """The lens is out of focus: every point is a disc."""
+
+    kind: Literal["defocus"]
+    diameter_px: float = Field(ge=0, le=100, description="blur circle; up to 1 px changes nothing")
+
+
+class LensDirt(ImageSegment):
+    """Drops and specks on the lens stay where they are and show a smeared veil instead of the scene."""
+
+    kind: Literal["lens_dirt"]
+    share: float = Field(ge=0, le=0.95, description="share of the view that they cover")
+    spot_deg: float = Field(6.0, gt=0.1, le=60, description="mean width of a spot, visual angle")
+
+
+class CoveredLens(ImageSegment):
+    """Something before the lens keeps light off."""
+
+    kind: Literal["covered_lens"]
+    transmission: float = Field(ge=0, le=1, description="share of the light that passes; 0 blanks the frames")
+
+
+class LowLight(ImageSegment):
+    """Less light on the sensor: darker, and noisy by shot noise and read noise."""
+
+    kind: Literal["low_light"]
+    illumination: float = Field(gt=0, le=1, description="light, as a share of that of the clean frames")
+    gain: float = Field(1.0, ge=1, le=1000, description="amplification of signal and noise at full severity")
+    full_well_e: float = Field(10000.0, gt=0, le=1e7, description="electrons of a white pixel at gain 1")
+    read_noise_e: float = Field(5.0, ge=0, le=1e4, description="standard deviation, electrons")
+
+
+class OverExposure(ImageSegment):
+    """Too much exposure: what is bright saturates."""
+
+    kind: Literal["over_exposure"]
+    stops: float = Field(ge=0, le=12)
+
+
+class AutoExposureLag(ImageSegment):
+    """The light jumps at the start and stays; the exposure follows with a delay of first order."""
+
+    kind: Literal["auto_exposure_lag"]
+    stops: float = Field(ge=-12, le=12, description="the jump; above 0 it gets brighter")
+    time_constant_s: float = Field(0.5, gt=0, le=60)
+
+
+class Jpeg(ImageSegment):
+    """The frames have been through a JPEG encoder."""
+
+    kind: Literal["jpeg"]
+    quality: float = Field(ge=0, le=100, description="libjpeg's scale; 100 stands for no encoder at all")
+
+
+Segment = Annotated[
+    LowTexture
+    | RepeatedTexture
+    | MotionBlur
+    | FastRotation
+    | PureRotation
+    | FrameDrops
+    | TimeJitter
+    | Fog
+    | MovingObjects
+    | RollingShutter
+    | Defocus
+    | LensDirt
+    | CoveredLens
+    | LowLight
+    | OverExposure
+    | AutoExposureLag
+    | Jpeg,
+    Field(discriminator="kind"),
+]

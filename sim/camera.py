@@ -1,15 +1,25 @@
 """The camera as the simulator and its files know it."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+
+LensModel = Literal["radtan", "equidistant"]
+
+DISTORTION_KEYS: dict[str, tuple[str, ...]] = {
+    "radtan": ("k1", "k2", "p1", "p2", "k3"),
+    "equidistant": ("k1", "k2", "k3", "k4"),
+}
+"""Names of the coefficients of each lens model, in OpenCV's order."""
 
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """Pinhole intrinsics; integer pixel coordinates are pixel centres, as in OpenCV.
+    """Intrinsics in pixels; integer pixel coordinates are pixel centres, as in OpenCV.
 
-    Distortion is OpenCV's radtan (k1, k2, p1, p2, k3), dimensionless.
+    Distortion is OpenCV's, dimensionless: of the model ``radtan`` (k1, k2, p1, p2, k3), of the model
+    ``equidistant`` (OpenCV's fisheye) (k1, k2, k3, k4).
     """
 
     width_px: int
@@ -19,9 +29,15 @@ class Intrinsics:
     cx: float
     cy: float
     fps: float
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    model: LensModel = "radtan"
 
     @property
     def K(self) -> np.ndarray:
         """(3, 3) float64 camera matrix."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], float)
+
+    @property
+    def is_pinhole(self) -> bool:
+        """Whether the camera sees straight lines as straight lines."""
+        return self.model == "radtan" and not any(self.distortion)

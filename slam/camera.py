@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -9,13 +10,15 @@ import numpy as np
 # The default of five rounds leaves pixels of error at the corners of a wide-angle lens.
 _UNDISTORT_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
 _MOST_UNDISTORT_ERROR_PX = 0.5
+_COEFFICIENTS = {"radtan": 5, "equidistant": 4}
 
 
 @dataclass(frozen=True)
 class PinholeCamera:
     """Intrinsics in pixels; integer pixel coordinates are pixel centres, as in OpenCV.
 
-    ``distortion`` is OpenCV's radtan (k1, k2, p1, p2, k3).
+    ``distortion`` is OpenCV's: of the model ``radtan`` (k1, k2, p1, p2, k3), of the model ``equidistant``
+    (OpenCV's fisheye) (k1, k2, k3, k4).
 
     Raises:
         ValueError: a field is out of range (the message names it), or the distortion folds the image over
@@ -29,7 +32,8 @@ class PinholeCamera:
     cx: float
     cy: float
     fps: float
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    model: Literal["radtan", "equidistant"] = "radtan"
 
     def __post_init__(self) -> None:
         """Check every field."""
@@ -45,9 +49,12 @@ class PinholeCamera:
             value = getattr(self, name)
             if not 0 <= value <= size:
                 raise ValueError(f"camera {name} must lie in the image, in [0, {size}], is {value}")
-        if len(self.distortion) != 5 or not all(math.isfinite(k) for k in self.distortion):
-            raise ValueError(f"camera distortion must be five finite numbers, is {self.distortion}")
-        if any(self.distortion):
+        if self.model not in _COEFFICIENTS:
+            raise ValueError(f"camera model must be {' or '.join(_COEFFICIENTS)}, is {self.model!r}")
+        count = _COEFFICIENTS[self.model]
+        if len(self.distortion) != count or not all(math.isfinite(k) for k in self.distortion):
+            raise ValueError(f"camera distortion must be {count} finite numbers, is {self.distortion}")
+        if not self._is_pinhole:
             self._check_invertible()
 
     @property
@@ -64,10 +71,11 @@ class PinholeCamera:
         Returns:
             (N, 2) float32 pixels of the ideal camera ``K``; ``xy`` itself where there is no distortion.
         """
-        if not any(self.distortion) or not len(xy):
+        if self._is_pinhole or not len(xy):
             return xy
         K = self.K
-        points = cv2.undistortPoints(
+        undistort = cv2.fisheye.undistortPoints if self.model == "equidistant" else cv2.undistortPoints
+        points = undistort(
             np.ascontiguousarray(xy, np.float32)[:, None],
             K,
             np.array(self.distortion),
@@ -86,6 +94,10 @@ class PinholeCamera:
         (x_min, y_min), (x_max, y_max) = xy.min(axis=0), xy.max(axis=0)
         return float(x_min), float(y_min), float(x_max), float(y_max)
 
+    @property
+    def _is_pinhole(self) -> bool:
+        return self.model == "radtan" and not any(self.distortion)
+
     def _outline(self) -> np.ndarray:
         x = np.arange(self.width_px + 1, dtype=np.float32) - 0.5
         y = np.arange(self.height_px + 1, dtype=np.float32) - 0.5
@@ -99,7 +111,8 @@ class PinholeCamera:
         ideal = self.undistort_points(outline)
         rays = np.column_stack([(ideal - [self.cx, self.cy]) / [self.fx, self.fy], np.ones(len(ideal))])
         if np.isfinite(rays).all():
-            again, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), self.K, np.array(self.distortion))
+            project = cv2.fisheye.projectPoints if self.model == "equidistant" else cv2.projectPoints
+            again, _ = project(rays[:, None], np.zeros(3), np.zeros(3), self.K, np.array(self.distortion))
             if np.abs(again[:, 0] - outline).max() < _MOST_UNDISTORT_ERROR_PX:
                 return
         raise ValueError(f"camera distortion cannot be taken out over the whole image: {self.distortion}")

@@ -7,6 +7,8 @@ import typer
 
 from experiments.cli import bench, demo, doctor, experiment, run, view, warmup
 from experiments.cli.console import err
+from experiments.cli.degrade import degrade_command
+from experiments.cli.export import export_command
 from experiments.cli.render import render_command
 from experiments.cli.scenarios import app as scenarios_app
 from scenarios.errors import InputError
@@ -25,6 +27,8 @@ app.command("doctor")(doctor.doctor_command)
 app.command("warmup")(warmup.warmup_command)
 app.add_typer(scenarios_app, name="scenarios")
 app.command("render")(render_command)
+app.command("degrade")(degrade_command)
+app.command("export")(export_command)
 app.command("run")(run.run_command)
 app.command("view")(view.view_command)
 app.add_typer(experiment.app, name="experiment")

@@ -1,17 +1,19 @@
 """What a degradation is: parameters in physical units and a pure ``apply`` on what decides the frames.
 
-A scenario's segments act on a ``Shoot``, before a pixel is rendered: on the motion, then on the world's
-textures, then on the shutter. Each kind also measures, frame by frame, how much it truly acts, which gives
-a segment's true onset and end.
+The first family of kinds acts on a ``Shoot``, before a pixel is rendered: on the motion, then on the world's
+textures, then on the shutter, then on which frames there are and what their stamps say. The second family
+acts on the images (``sim.degradations.image``). Every kind measures, frame by frame, how much it truly acts,
+which gives a segment's true onset and end.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import ClassVar, Protocol, TypeVar
 
 import numpy as np
 
-from scenarios.spec import Segment
+from scenarios.seeds import rng_for
+from scenarios.segments import Segment, SegmentBase
 from sim.motion.base import Motion
 from sim.sequence import SegmentTruth
 
@@ -22,6 +24,22 @@ class Stage(IntEnum):
     MOTION = 0
     WORLD = 1
     SHUTTER = 2
+    TIMING = 3
+    # On the images: between the surfaces and the lens, then in the order of the light's way.
+    SCENE = 4
+    READOUT = 5
+    LENS = 6
+    SENSOR = 7
+    ENCODER = 8
+
+
+def streams_of(seed: int, segment: SegmentBase, *names: str | int) -> np.random.Generator:
+    """A random stream of one segment.
+
+    A segment is known by its start, which no other has, so that adding one changes no other's numbers.
+    """
+    kind = str(getattr(segment, "kind", ""))
+    return rng_for(seed, "degradation", kind, round(segment.start_s * 1e6), *names)
 
 
 @dataclass(frozen=True)
@@ -29,12 +47,17 @@ class Shoot:
     """Everything that decides the frames before they are rendered.
 
     Attributes:
-        stamps_s: (N,) float64 centres of the exposures.
+        stamps_s: (N,) float64 true centres of the exposures.
         motion: the camera's motion.
         exposure_s: (N,) float64 shutter time of each frame.
         contrast: (S,) float64 texture contrast of each surface of the world.
         view_share: (N, S) float32 share of the view that each surface fills in each frame; (N, 0) where no
             degradation of the world needs it.
+        seed: root seed, from which a segment draws what is random in it.
+        frame: (N,) int64 number of each frame before any was dropped; empty for 0, 1, 2 ...
+        stamp_error_s: (N,) float64 what the written stamp adds to the true one; empty for none.
+        texture_of: (S,) int64 surface of whose texture each surface shows a patch; empty for its own texture.
+        period_m: (S,) float64 side of that patch, 0 where a surface shows its own whole texture.
     """
 
     stamps_s: np.ndarray
@@ -42,8 +65,29 @@ class Shoot:
     exposure_s: np.ndarray
     contrast: np.ndarray
     view_share: np.ndarray
+    seed: int = 0
+    frame: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
+    stamp_error_s: np.ndarray = field(default_factory=lambda: np.empty(0))
+    texture_of: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
+    period_m: np.ndarray = field(default_factory=lambda: np.empty(0))
 
-    def within(self, segment: Segment) -> np.ndarray:
+    def __post_init__(self) -> None:
+        count, surfaces = len(self.stamps_s), len(self.contrast)
+        for name, default in (
+            ("frame", np.arange(count)),
+            ("stamp_error_s", np.zeros(count)),
+            ("texture_of", np.arange(surfaces)),
+            ("period_m", np.zeros(surfaces)),
+        ):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, default)
+
+    def only(self, kept: np.ndarray) -> "Shoot":
+        """The shoot with some frames alone; ``kept`` is (N,) bool."""
+        names = ("stamps_s", "exposure_s", "view_share", "frame", "stamp_error_s")
+        return replace(self, **{name: getattr(self, name)[kept] for name in names})
+
+    def within(self, segment: SegmentBase) -> np.ndarray:
         """(N,) bool: frames whose stamp lies in the segment, its end excluded."""
         return (self.stamps_s >= segment.start_s - 1e-9) & (self.stamps_s < segment.end_s - 1e-9)
 
@@ -109,15 +153,21 @@ def segment_truth(
     """The segment's truth and its (N,) measure per frame."""
     measure = degradation.measure(shoot, segment, blur_px)
     threshold = degradation.threshold(segment)
-    first, last = true_span(measure >= threshold, shoot.within(segment))
-    truth = SegmentTruth(
+    return truth_of(segment, degradation.measure_name, measure, threshold, shoot.within(segment)), measure
+
+
+def truth_of(
+    segment: Segment, measure_name: str, measure: np.ndarray, threshold: float, within: np.ndarray
+) -> SegmentTruth:
+    """The truth of a segment from its (N,) measure per frame; a measure of 0 never acts."""
+    first, last = true_span((measure >= threshold) & (measure > 0), within)
+    return SegmentTruth(
         kind=segment.kind,
         severity=segment.severity,
         start_s=segment.start_s,
         end_s=segment.end_s,
         first_frame=first,
         last_frame=last,
-        measure=degradation.measure_name,
+        measure=measure_name,
         threshold=threshold,
     )
-    return truth, measure

@@ -63,7 +63,7 @@ def expose(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _row_shifts(row, depth_row, k, T, shift_x, shift_y):
+def row_shifts(row, depth_row, k, T, shift_x, shift_y):
     """Where the points that a row's pixels see from another pose lie in the sharp frame, minus the pixels.
 
     Free of branches and calls, so that the compiler makes vector code of it.
@@ -92,8 +92,8 @@ def smear_lengths(depth_m, k, T_open, T_close):
     open_x, open_y, close_x, close_y = np.empty((4, width), np.float32)
     for i in range(lengths.shape[0]):
         row = i * GRID_PX
-        _row_shifts(row, depth_m[row], k, T_open, open_x, open_y)
-        _row_shifts(row, depth_m[row], k, T_close, close_x, close_y)
+        row_shifts(row, depth_m[row], k, T_open, open_x, open_y)
+        row_shifts(row, depth_m[row], k, T_close, close_x, close_y)
         for j in range(lengths.shape[1]):
             column = j * GRID_PX
             along_x, along_y = close_x[column] - open_x[column], close_y[column] - open_y[column]
@@ -124,8 +124,8 @@ def integrate(gray, linear, depth_m, k, T_open, T_close, encode):
     light_at, one = linear.ravel(), np.uint64(1)
     out = np.empty_like(gray)
     for row in range(height):
-        _row_shifts(row, depth_m[row], k, T_open, open_x, open_y)
-        _row_shifts(row, depth_m[row], k, T_close, close_x, close_y)
+        row_shifts(row, depth_m[row], k, T_open, open_x, open_y)
+        row_shifts(row, depth_m[row], k, T_close, close_x, close_y)
         for column in range(width):
             # The parabola through opening, centre and closing, over s from -1 to 1.
             along_x = half * (close_x[column] - open_x[column])

@@ -11,9 +11,9 @@ from sim.degradations.base import Shoot, Stage
 from sim.motion.base import Motion
 
 # The camera's x is right, y down, z forward: a yaw to the right, a pitch upward, a roll to the right.
-_AXES = {"yaw": (0.0, 1.0, 0.0), "pitch": (1.0, 0.0, 0.0), "roll": (0.0, 0.0, 1.0)}
+AXES = {"yaw": (0.0, 1.0, 0.0), "pitch": (1.0, 0.0, 0.0), "roll": (0.0, 0.0, 1.0)}
 # max of sin^3(x) cos(x), at tan(x)^2 = 3
-_PEAK = 3 * np.sqrt(3) / 16
+PEAK = 3 * np.sqrt(3) / 16
 FELT_SHARE = 0.1
 
 
@@ -55,10 +55,10 @@ class SwungMotion:
     def swing_rate_radps(self, stamp_s: float | np.ndarray) -> np.ndarray:
         """(...) signed rate of the swing alone about its axis."""
         x = self._phase(stamp_s)
-        return self.peak_radps / _PEAK * np.sin(x) ** 3 * np.cos(x)
+        return self.peak_radps / PEAK * np.sin(x) ** 3 * np.cos(x)
 
     def _swing(self, stamp_s: float | np.ndarray) -> np.ndarray:
-        amplitude = self.peak_radps * self.duration_s / (4 * np.pi * _PEAK)
+        amplitude = self.peak_radps * self.duration_s / (4 * np.pi * PEAK)
         angle = amplitude * np.sin(self._phase(stamp_s)) ** 4
         return Rotation.from_rotvec(angle[..., None] * self.axis).as_matrix()
 
@@ -76,7 +76,7 @@ class FastRotationDegradation:
 
     def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
         """Peak rate and axis."""
-        return {"rate_degps": float(rng.uniform(40, 400)), "axis": str(rng.choice(list(_AXES)))}
+        return {"rate_degps": float(rng.uniform(40, 400)), "axis": str(rng.choice(list(AXES)))}
 
     def apply(self, shoot: Shoot, segment: FastRotation) -> Shoot:
         """See ``Degradation``."""
@@ -92,5 +92,5 @@ class FastRotationDegradation:
 
 
 def _swung(base: Motion, segment: FastRotation) -> SwungMotion:
-    axis = np.array(_AXES[segment.axis])
+    axis = np.array(AXES[segment.axis])
     return SwungMotion(base, axis, segment.start_s, segment.duration_s, np.deg2rad(segment.rate_degps))

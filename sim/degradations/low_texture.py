@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from scenarios.spec import LowTexture
+from scenarios.segments import LowTexture, SegmentBase
 from sim.degradations.base import Shoot, Stage
 
 HALF_THE_VIEW = 0.5
@@ -27,19 +27,21 @@ class LowTextureDegradation:
 
     def apply(self, shoot: Shoot, segment: LowTexture) -> Shoot:
         """See ``Degradation``."""
-        contrast = np.where(_passed(shoot, segment), shoot.contrast * segment.contrast, shoot.contrast)
+        contrast = np.where(passed(shoot, segment), shoot.contrast * segment.contrast, shoot.contrast)
         return replace(shoot, contrast=contrast)
 
     def measure(self, shoot: Shoot, segment: LowTexture, blur_px: np.ndarray) -> np.ndarray:
         """(N,) share of the view that the segment's surfaces fill."""
-        return shoot.view_share[:, _passed(shoot, segment)].sum(axis=1, dtype=float)
+        if segment.contrast == 1:
+            return np.zeros(len(shoot.stamps_s))
+        return shoot.view_share[:, passed(shoot, segment)].sum(axis=1, dtype=float)
 
     def threshold(self, segment: LowTexture) -> float:
         """Half of the view."""
         return HALF_THE_VIEW
 
 
-def _passed(shoot: Shoot, segment: LowTexture) -> np.ndarray:
+def passed(shoot: Shoot, segment: SegmentBase) -> np.ndarray:
     """(S,) bool: surfaces whose moment lies in the segment."""
     moment = shoot.view_share.argmax(axis=0)
     return shoot.within(segment)[moment] & (shoot.view_share.max(axis=0) > 0)

@@ -2,63 +2,25 @@
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import yaml
+from io_sequences import COUNT, SHAPE, edit, fault, make_sequence
 from scipy.spatial.transform import Rotation
 
 from scenarios.errors import InputError
 from sim.camera import Intrinsics
 from sim.io.tum import load_sequence, write_tum
-from sim.sequence import SegmentTruth, Sequence
-
-COUNT, SHAPE = 6, (48, 64)
-
-
-class Stack(list):
-    """Frames in memory."""
-
-
-def make_sequence() -> Sequence:
-    rng = np.random.default_rng(0)
-    poses = np.tile(np.eye(4), (COUNT, 1, 1))
-    poses[:, :3, :3] = Rotation.random(COUNT, rng).as_matrix()
-    poses[:, :3, 3] = rng.normal(size=(COUNT, 3))
-    return Sequence(
-        name="trial",
-        camera=Intrinsics(64, 48, 50.0, 51.0, 30.5, 20.25, 30.0, (0.1, -0.2, 0.001, 0.002, 0.3)),
-        stamps_s=np.arange(COUNT) / 30,
-        frames=Stack(rng.integers(0, 256, (COUNT, *SHAPE), dtype=np.uint8)),
-        T_world_cam=poses,
-        depths=Stack(rng.uniform(0.5, 12, (COUNT, *SHAPE)).astype(np.float32)),
-        segments=(SegmentTruth("motion_blur", {"exposure_s": 0.1}, 0.05, 0.1, 2, 3, "blur_px", 4.0),),
-        meta={"seed": 3, "spec": {"name": "trial"}},
-        frame_truth={"blur_px": np.array([0.0, 0, 9.5, 8, 0, 0]), "exposure_s": np.full(COUNT, 0.004)},
-    )
 
 
 @pytest.fixture
 def folder(tmp_path) -> Path:
     write_tum(make_sequence(), tmp_path / "seq", depth=True)
     return tmp_path / "seq"
-
-
-def edit(path: Path, old: str, new: str) -> None:
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new, 1))
-
-
-def fault(folder: Path, *expected: str) -> None:
-    with pytest.raises(InputError) as caught:
-        load_sequence(folder)
-    line = str(caught.value)
-    assert "\n" not in line
-    for part in expected:
-        assert part in line
 
 
 def test_what_is_written_is_read_back(folder):
@@ -80,7 +42,7 @@ def test_the_files_are_the_stated_ones_in_tum_order(folder):
     expected = {"rgb", "rgb.txt", "groundtruth.txt", "camera.yaml", "segments.json", "meta.json"}
     assert names == expected | {"depth", "depth.txt", "frame_truth.csv"}
     assert list(yaml.safe_load((folder / "camera.yaml").read_text())) == (
-        ["fx", "fy", "cx", "cy", "width", "height", "fps", "k1", "k2", "p1", "p2", "k3"]
+        ["fx", "fy", "cx", "cy", "width", "height", "fps", "model", "k1", "k2", "p1", "p2", "k3"]
     )
     pose = make_sequence().T_world_cam[0]
     row = np.array((folder / "groundtruth.txt").read_text().splitlines()[1].split(), float)
@@ -120,6 +82,17 @@ def test_colour_images_are_converted_to_gray(folder):
     assert np.abs(read.astype(int) - gray).max() <= 1
 
 
+def test_an_equidistant_camera_is_read_back(tmp_path):
+    lens = Intrinsics(64, 48, 50.0, 51.0, 30.5, 20.25, 30.0, (0.1, -0.2, 0.01, 0.002), "equidistant")
+    write_tum(replace(make_sequence(), camera=lens), tmp_path / "seq")
+    assert load_sequence(tmp_path / "seq").camera == lens
+
+
+def test_a_camera_file_without_model_is_radtan(folder):
+    edit(folder / "camera.yaml", "model: radtan\n", "")
+    assert load_sequence(folder).camera == make_sequence().camera
+
+
 @pytest.mark.parametrize("old", ["rgb.txt", "camera.yaml"])
 def test_a_missing_file_is_named(folder, old):
     (folder / old).unlink()
@@ -145,6 +118,8 @@ def test_a_missing_file_is_named(folder, old):
         ("camera.yaml", "width: 64", "width: 65", ["000000.png", "64x48", "65x48"]),
         ("camera.yaml", "fps: 30.0", "fps: 0", ["camera.yaml: fps"]),
         ("camera.yaml", "k3: 0.3", "k4: 0.3", ["camera.yaml: k4", "unknown key", "k3"]),
+        ("camera.yaml", "model: radtan", "model: wide", ["camera.yaml: model", "'wide'", "equidistant"]),
+        ("camera.yaml", "model: radtan", "model: equidistant", ["camera.yaml: p1", "model equidistant"]),
         ("camera.yaml", "fx: 50.0", "fx: [", ["camera.yaml", "YAML"]),
         ("segments.json", '"first_frame": 2', '"first_frame": 99', ["segments.json: [0]", "99"]),
         ("segments.json", '"kind"', '"sort"', ["segments.json: [0]", "no segment"]),

@@ -103,3 +103,42 @@ def test_undistorted_point_agrees_with_the_undistorted_image():
     moments = cv2.moments(cv2.undistort(image, camera.K, np.array(camera.distortion)))
     centre = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
     assert np.abs(camera.undistort_points(np.array([[560, 90]], np.float32))[0] - centre).max() < 0.1
+
+
+FISHEYE = replace(CAMERA, fx=300.0, fy=302.0, distortion=(-0.01, 0.02, -0.012, 0.002), model="equidistant")
+
+
+def distort_equidistant(camera, ideal):
+    """Slow twin: the angle's polynomial, on pixels."""
+    x, y = (ideal[:, 0] - camera.cx) / camera.fx, (ideal[:, 1] - camera.cy) / camera.fy
+    radius = np.hypot(x, y)
+    theta = np.arctan(radius)
+    bent = theta * (1 + sum(k * theta ** (2 * i) for i, k in enumerate(camera.distortion, start=1)))
+    return np.stack([x * bent / radius * camera.fx + camera.cx, y * bent / radius * camera.fy + camera.cy], 1)
+
+
+@pytest.mark.parametrize("distortion", [FISHEYE.distortion, (0.0, 0.0, 0.0, 0.0)])
+def test_undistort_inverts_a_fisheye_over_the_whole_image(distortion):
+    camera = replace(FISHEYE, distortion=distortion)
+    grid = np.stack(np.meshgrid(np.linspace(0, 639, 40), np.linspace(0, 479, 30)), axis=-1)
+    xy = grid.reshape(-1, 2).astype(np.float32)
+    ideal = camera.undistort_points(xy)
+    assert ideal.dtype == np.float32 and ideal.shape == xy.shape
+    assert np.abs(ideal - xy).max() > 100
+    assert np.abs(distort_equidistant(camera, ideal.astype(float)) - xy).max() < 0.01
+    x_min, y_min, x_max, y_max = camera.undistorted_bounds()
+    assert (ideal >= (x_min, y_min)).all() and (ideal <= (x_max, y_max)).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"model": "omni"}, "camera model must be radtan or equidistant"),
+        ({"distortion": (0.0,) * 5}, "camera distortion must be 4 finite numbers"),
+        ({"distortion": (-3.0, 0.0, 0.0, 0.0)}, "cannot be taken out"),
+        ({"fx": 120.0, "fy": 120.0}, "cannot be taken out"),
+    ],
+)
+def test_bad_fisheyes_are_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        replace(FISHEYE, **change)

@@ -1,0 +1,40 @@
+"""Auto-exposure lag: the light jumps, the exposure follows late."""
+
+from typing import ClassVar
+
+import numpy as np
+
+from scenarios.segments import AutoExposureLag
+from sim.camera import Intrinsics
+from sim.degradations.base import Stage
+from sim.degradations.image import Filter, ImageDegradation, Streams, View
+from sim.degradations.tone import map_light
+
+FELT_STOPS = 0.5
+
+
+class AutoExposureLagDegradation(ImageDegradation[AutoExposureLag]):
+    """Exposes wrongly by the jump's stops at first, less by a factor of e with every time constant."""
+
+    kind: ClassVar[str] = "auto_exposure_lag"
+    stage: ClassVar[Stage] = Stage.SENSOR
+    measure_name: ClassVar[str] = "exposure_error_stops"
+
+    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
+        """A jump either way and a time constant."""
+        stops = float(rng.uniform(1, 7)) * float(rng.choice([-1, 1]))
+        return {"stops": stops, "time_constant_s": float(np.exp(rng.uniform(np.log(0.1), np.log(1.5))))}
+
+    def prepare(self, segment: AutoExposureLag, camera: Intrinsics, streams: Streams) -> Filter:
+        """See ``ImageDegradation``."""
+
+        def lag(image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
+            since_s = max(0.0, view.stamp_s - segment.start_s)
+            stops = view.strength * segment.stops * float(np.exp(-since_s / segment.time_constant_s))
+            return map_light(image, lambda light: 2**stops * light), abs(stops)
+
+        return lag
+
+    def threshold(self, segment: AutoExposureLag) -> float:
+        """Half a stop, or half of the jump, if that is less."""
+        return min(FELT_STOPS, abs(segment.stops) / 2)

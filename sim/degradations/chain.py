@@ -1,0 +1,109 @@
+"""The image-space segments of a sequence, applied to its frames in the order of the light's way."""
+
+from collections.abc import Sequence as Many
+from functools import partial
+
+import numpy as np
+
+from scenarios.segments import ImageSegment, Segment
+from sim.camera import Intrinsics
+from sim.degradations.base import Stage, streams_of, truth_of
+from sim.degradations.image import View, ramp
+from sim.degradations.registry import IMAGE_KINDS
+from sim.motion.base import Motion
+from sim.sequence import SegmentTruth
+
+
+class ImageChain:
+    """Applies image-space segments frame by frame and keeps what each did to which frame.
+
+    Segments are prepared when their first frame comes and let go after their last.
+
+    Args:
+        segments: of a scenario; those of other kinds are passed over.
+        camera: intrinsics of the frames.
+        stamps_s: (N,) float64 true times of the frames.
+        frame: (N,) int64 number of each frame before any was dropped.
+        seed: root seed.
+        ideal: intrinsics of the frames before a distorting lens, on which what lies between surfaces and
+            lens acts; None where there is no such lens.
+    """
+
+    def __init__(
+        self,
+        segments: Many[Segment],
+        camera: Intrinsics,
+        stamps_s: np.ndarray,
+        frame: np.ndarray,
+        seed: int,
+        ideal: Intrinsics | None = None,
+    ) -> None:
+        self._camera, self._ideal = camera, ideal or camera
+        self._stamps_s, self._frame, self._seed = stamps_s, frame, seed
+        self._links = [
+            _Link(segment, ramp(segment, stamps_s))
+            for segment in segments
+            if isinstance(segment, ImageSegment)
+        ]
+        self._links.sort(key=lambda link: link.kind.stage)
+
+    def apply(
+        self,
+        image: np.ndarray,
+        index: int,
+        stages: Many[Stage],
+        depth_m: np.ndarray | None = None,
+        motion: Motion | None = None,
+    ) -> np.ndarray:
+        """The (H, W) uint8 image after the given stages; the given one is left as it was.
+
+        Args:
+            image: frame ``index`` of the sequence.
+            index: place of the frame among the ``stamps_s``.
+            stages: those whose turn it is.
+            depth_m: (H, W) float32, for the kinds that need it.
+            motion: for the kinds that need it.
+        """
+        for link in self._links:
+            if link.kind.stage not in stages or link.strength[index] == 0:
+                continue
+            view = View(
+                int(self._frame[index]),
+                float(self._stamps_s[index]),
+                float(link.strength[index]),
+                depth_m,
+                motion,
+            )
+            camera = self._ideal if link.kind.stage < Stage.LENS else self._camera
+            image, link.measure[index] = link.filter(camera, self._seed)(image, view)
+            if not link.strength[index + 1 :].any():
+                link.release()
+        return image
+
+    def truths(self) -> list[tuple[SegmentTruth, np.ndarray]]:
+        """Truth and (N,) measure of every segment, by its start, when all frames have been through."""
+        found = []
+        for link in sorted(self._links, key=lambda link: link.segment.start_s):
+            threshold = link.kind.threshold(link.segment)
+            name = link.kind.measure_name
+            truth = truth_of(link.segment, name, link.measure, threshold, link.strength > 0)
+            found.append((truth, link.measure))
+        return found
+
+
+class _Link:
+    """One segment, its strength and its measure per frame."""
+
+    def __init__(self, segment: Segment, strength: np.ndarray) -> None:
+        self.segment, self.kind, self.strength = segment, IMAGE_KINDS[segment.kind], strength
+        self.measure = np.zeros(len(strength))
+        self._filter = None
+
+    def filter(self, camera: Intrinsics, seed: int):
+        if self._filter is None:
+            self._filter = self.kind.prepare(self.segment, camera, partial(streams_of, seed, self.segment))
+        return self._filter
+
+    def release(self) -> None:
+        """Lets go of sprites, masks and noise."""
+        self._filter = None

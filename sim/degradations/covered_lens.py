@@ -1,0 +1,38 @@
+"""A covered lens: something keeps light off, up to blank frames."""
+
+from typing import ClassVar
+
+import numpy as np
+
+from scenarios.segments import CoveredLens
+from sim.camera import Intrinsics
+from sim.degradations.base import Stage
+from sim.degradations.image import Filter, ImageDegradation, Streams, View
+from sim.degradations.tone import map_light
+
+HALF_THE_LIGHT = 0.5
+
+
+class CoveredLensDegradation(ImageDegradation[CoveredLens]):
+    """Multiplies the light by the cover's transmission."""
+
+    kind: ClassVar[str] = "covered_lens"
+    stage: ClassVar[Stage] = Stage.LENS
+    measure_name: ClassVar[str] = "light_withheld"
+
+    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
+        """Transmission, uniform in its logarithm."""
+        return {"transmission": float(np.exp(rng.uniform(np.log(0.0005), np.log(0.5))))}
+
+    def prepare(self, segment: CoveredLens, camera: Intrinsics, streams: Streams) -> Filter:
+        """See ``ImageDegradation``."""
+
+        def cover(image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
+            withheld = view.strength * (1 - segment.transmission)
+            return map_light(image, lambda light: (1 - withheld) * light), withheld
+
+        return cover
+
+    def threshold(self, segment: CoveredLens) -> float:
+        """Half of the light is withheld, or all that ever is, if that is less."""
+        return min(HALF_THE_LIGHT, 1 - segment.transmission)

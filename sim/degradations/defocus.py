@@ -1,0 +1,56 @@
+"""Defocus: every point is a disc of light."""
+
+from functools import lru_cache
+from typing import ClassVar
+
+import cv2
+import numpy as np
+
+from scenarios.segments import Defocus
+from sim.camera import Intrinsics
+from sim.degradations.base import Stage
+from sim.degradations.image import Filter, ImageDegradation, Streams, View
+from sim.degradations.tone import decode, encode
+
+# A pixel averages as much.
+SHARP_PX = 1.0
+FELT_PX = 4.0
+_SUBPIXELS = 8
+
+
+class DefocusDegradation(ImageDegradation[Defocus]):
+    """Spreads the light evenly over a disc."""
+
+    kind: ClassVar[str] = "defocus"
+    stage: ClassVar[Stage] = Stage.LENS
+    measure_name: ClassVar[str] = "defocus_px"
+
+    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
+        """Diameter, uniform in its logarithm."""
+        return {"diameter_px": float(np.exp(rng.uniform(np.log(2), np.log(40))))}
+
+    def prepare(self, segment: Defocus, camera: Intrinsics, streams: Streams) -> Filter:
+        """See ``ImageDegradation``."""
+
+        def defocus(image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
+            diameter_px = view.strength * segment.diameter_px
+            if diameter_px <= SHARP_PX:
+                return image, diameter_px
+            return encode(cv2.filter2D(decode(image), -1, disc(diameter_px))), diameter_px
+
+        return defocus
+
+    def threshold(self, segment: Defocus) -> float:
+        """A disc that corners do not survive unharmed, or the segment's own, if that is smaller."""
+        return min(FELT_PX, segment.diameter_px)
+
+
+@lru_cache(maxsize=8)
+def disc(diameter_px: float) -> np.ndarray:
+    """(k, k) float32 share of the disc's light that falls on each pixel, sum 1, k odd."""
+    reach = int(np.ceil(diameter_px / 2 - 0.5))
+    size = 2 * reach + 1
+    at = (np.arange(size * _SUBPIXELS) + 0.5) / _SUBPIXELS - size / 2
+    inside = (at[:, None] ** 2 + at**2 <= (diameter_px / 2) ** 2).astype(np.float32)
+    kernel = inside.reshape(size, _SUBPIXELS, size, _SUBPIXELS).mean(axis=(1, 3))
+    return kernel / kernel.sum()

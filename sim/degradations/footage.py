@@ -1,0 +1,159 @@
+"""Degradations of sequences that exist already, such as real footage."""
+
+from collections.abc import Callable
+from collections.abc import Sequence as Many
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+
+from scenarios.errors import InputError
+from scenarios.segments import Segment, SegmentBase
+from sim.degradations.base import Shoot, Stage, segment_truth
+from sim.degradations.chain import ImageChain
+from sim.degradations.registry import IMAGE_KINDS, SHOOT_KINDS
+from sim.io.raw import RawFrames, RawWriter
+from sim.sequence import FrameSource, SegmentTruth, Sequence
+
+_STAGES = (Stage.SCENE, Stage.READOUT, Stage.LENS, Stage.SENSOR, Stage.ENCODER)
+
+
+class _NoMotion:
+    """Stands where a motion belongs that nobody knows."""
+
+    def T_world_cam(self, stamp_s: float | np.ndarray) -> NoReturn:
+        raise RuntimeError("the motion is not known")
+
+    velocity_mps = rate_radps = T_world_cam
+
+
+class _Picked:
+    """Some frames of a source."""
+
+    def __init__(self, source: FrameSource, index: np.ndarray) -> None:
+        self._source, self._index = source, index
+
+    def __len__(self) -> int:
+        return len(self._index)
+
+    def __getitem__(self, index: int) -> np.ndarray:
+        return self._source[int(self._index[index])]
+
+
+def footage_kinds(depth: bool) -> list[str]:
+    """The kinds that need neither a world nor, without ``depth``, depth images."""
+    timing = [kind for kind, d in SHOOT_KINDS.items() if d.stage is Stage.TIMING]
+    images = [kind for kind, d in IMAGE_KINDS.items() if not d.needs_motion and (depth or not d.needs_depth)]
+    return timing + images
+
+
+def check_footage(sequence: Sequence, segments: Many[Segment]) -> None:
+    """See that segments can act on a sequence that exists already.
+
+    Raises:
+        InputError: a kind needs what the sequence lacks, a segment ends after it, or two overlap.
+    """
+    kinds = footage_kinds(sequence.depths is not None)
+    length_s = float(sequence.stamps_s[-1] - sequence.stamps_s[0]) + 1 / sequence.camera.fps
+    for segment in segments:
+        if segment.kind not in kinds:
+            lacking = "a folder with depth images" if segment.kind in footage_kinds(True) else "a world"
+            problem = f"{segment.kind} needs {lacking}"
+            raise InputError(sequence.name, problem, f"use one of {', '.join(kinds)}")
+        if segment.end_s > length_s + 1e-6:
+            problem = f"{_span(segment)} ends after the sequence"
+            raise InputError(sequence.name, problem, f"end it by {length_s:g} s after the first frame")
+    for first, second in pairwise(sorted(segments, key=lambda segment: segment.start_s)):
+        if second.start_s < first.end_s - 1e-9:
+            problem = f"{_span(first)} and {_span(second)} overlap"
+            raise InputError(sequence.name, problem, "start one when the other has ended")
+
+
+def degrade_sequence(
+    sequence: Sequence,
+    segments: Many[Segment],
+    seed: int,
+    scratch: Path,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> Sequence:
+    """A sequence with segments in it; times of segments count from the first frame.
+
+    What was in the sequence before stays: its poses, its depth, and the segments that it had.
+
+    Args:
+        sequence: any; its frames are read one by one.
+        segments: of the kinds of ``footage_kinds``.
+        seed: root seed of what is random in them.
+        scratch: folder for the frames, to be kept as long as the result is used.
+        progress: told of every frame.
+
+    Raises:
+        InputError: as ``check_footage``, or a frame cannot be read.
+    """
+    check_footage(sequence, segments)
+    shoot = _plan(sequence, segments, seed)
+    chain = ImageChain(segments, sequence.camera, shoot.stamps_s, shoot.frame, seed)
+    size = (sequence.camera.height_px, sequence.camera.width_px)
+    with RawWriter(scratch / "gray.npy", (len(shoot.frame), *size), np.uint8) as grays:
+        for index, frame in enumerate(shoot.frame.tolist()):
+            depth_m = sequence.depths[frame] if sequence.depths is not None else None
+            grays.append(chain.apply(sequence.frames[frame], index, _STAGES, depth_m))
+            if progress:
+                progress("degrading", index + 1, len(shoot.frame))
+    truths, columns = _truths(sequence, segments, shoot, chain)
+    kept = shoot.frame
+    return replace(
+        sequence,
+        stamps_s=sequence.stamps_s[kept] + shoot.stamp_error_s,
+        frames=RawFrames(scratch / "gray.npy"),
+        T_world_cam=None if sequence.T_world_cam is None else sequence.T_world_cam[kept],
+        depths=None if sequence.depths is None else _Picked(sequence.depths, kept),
+        segments=truths,
+        meta={
+            **sequence.meta,
+            "degraded": {"segments": [segment.model_dump(mode="json") for segment in segments], "seed": seed},
+        },
+        frame_truth=columns,
+    )
+
+
+def _plan(sequence: Sequence, segments: Many[Segment], seed: int) -> Shoot:
+    """The shoot that would have given the sequence, with what the segments do to its frames and stamps."""
+    stamps_s = sequence.stamps_s - sequence.stamps_s[0]
+    count = len(stamps_s)
+    shoot = Shoot(stamps_s, _NoMotion(), np.zeros(count), np.empty(0), np.zeros((count, 0), np.float32), seed)
+    for segment in segments:
+        if segment.kind in SHOOT_KINDS:
+            shoot = SHOOT_KINDS[segment.kind].apply(shoot, segment)
+    return shoot
+
+
+def _truths(
+    sequence: Sequence, segments: Many[Segment], shoot: Shoot, chain: ImageChain
+) -> tuple[tuple[SegmentTruth, ...], dict[str, np.ndarray]]:
+    """Truths of the segments there were and there are, and the columns of both."""
+    truths = [_renumbered(truth, shoot.frame) for truth in sequence.segments]
+    columns = {name: values[shoot.frame] for name, values in sequence.frame_truth.items()}
+    found = chain.truths()
+    no_blur = np.zeros(len(shoot.frame))
+    found += [
+        segment_truth(SHOOT_KINDS[s.kind], shoot, s, no_blur) for s in segments if s.kind in SHOOT_KINDS
+    ]
+    for truth, measure in sorted(found, key=lambda item: item[0].start_s):
+        truths.append(truth)
+        columns[truth.measure] = np.maximum(columns.get(truth.measure, 0.0), measure)
+    return tuple(truths), columns
+
+
+def _renumbered(truth: SegmentTruth, kept: np.ndarray) -> SegmentTruth:
+    """The truth among the frames that are kept."""
+    inside = np.flatnonzero((kept >= truth.first_frame) & (kept <= truth.last_frame))
+    if truth.first_frame < 0 or not len(inside):
+        return replace(truth, first_frame=-1, last_frame=-1)
+    return replace(truth, first_frame=int(inside[0]), last_frame=int(inside[-1]))
+
+
+def _span(segment: SegmentBase) -> str:
+    return f"{getattr(segment, 'kind', '')} ({segment.start_s:g}-{segment.end_s:g} s)"

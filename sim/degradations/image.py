@@ -1,0 +1,89 @@
+"""The second family of degradations: those that act on images, frame by frame."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar, Generic, Protocol, TypeVar
+
+import numpy as np
+
+from scenarios.segments import ImageSegment
+from sim.camera import Intrinsics
+from sim.degradations.base import Stage
+from sim.motion.base import Motion
+
+Streams = Callable[..., np.random.Generator]
+"""Names to the random stream of one segment and consumer."""
+
+SegmentT = TypeVar("SegmentT", bound=ImageSegment)
+
+
+@dataclass(frozen=True)
+class View:
+    """What a filter may know of a frame besides its image.
+
+    Attributes:
+        frame: its number before any frame was dropped.
+        stamp_s: true centre of its exposure.
+        strength: place on the segment's ramp, above 0 to 1; a severity is reached in proportion.
+        depth_m: (H, W) float32 depth along the optical axis, 0 for none; None where unknown.
+        motion: the camera's motion; None where unknown.
+    """
+
+    frame: int
+    stamp_s: float
+    strength: float
+    depth_m: np.ndarray | None = None
+    motion: Motion | None = None
+
+
+class Filter(Protocol):
+    """One segment made ready for a camera."""
+
+    def __call__(self, image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
+        """The degraded frame and how much the segment acts on it, in the unit of its kind's measure.
+
+        Args:
+            image: (H, W) uint8; left as it is. Where nothing changes, it may be given back itself.
+            view: of the frame.
+        """
+        ...
+
+
+class ImageDegradation(ABC, Generic[SegmentT]):
+    """One kind of segment that acts on images.
+
+    Attributes:
+        kind: as in the scenario.
+        stage: when it acts, one of the later stages.
+        measure_name: what the filter measures, with its unit.
+        needs_depth: frames need a depth image.
+        needs_motion: frames need the camera's motion.
+    """
+
+    kind: ClassVar[str]
+    stage: ClassVar[Stage]
+    measure_name: ClassVar[str]
+    needs_depth: ClassVar[bool] = False
+    needs_motion: ClassVar[bool] = False
+
+    @abstractmethod
+    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
+        """Severity parameters drawn from the range over which this kind goes from harmless to fatal."""
+
+    @abstractmethod
+    def prepare(self, segment: SegmentT, camera: Intrinsics, streams: Streams) -> Filter:
+        """The segment made ready: what does not change from frame to frame is made here, once."""
+
+    @abstractmethod
+    def threshold(self, segment: SegmentT) -> float:
+        """The measure from which on the segment is said to act."""
+
+
+def ramp(segment: ImageSegment, stamps_s: np.ndarray) -> np.ndarray:
+    """(N,) float64 strength of a segment at (N,) times: 0 outside, 1 between its two ramps."""
+    inside = (stamps_s >= segment.start_s - 1e-9) & (stamps_s < segment.end_s - 1e-9)
+    if segment.ramp_s == 0:
+        return inside.astype(float)
+    to_edge_s = np.minimum(stamps_s - segment.start_s, segment.end_s - stamps_s)
+    return np.where(inside, np.clip(to_edge_s / segment.ramp_s, 0, 1), 0.0)

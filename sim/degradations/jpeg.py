@@ -1,0 +1,41 @@
+"""JPEG artefacts."""
+
+from typing import ClassVar
+
+import cv2
+import numpy as np
+
+from scenarios.segments import Jpeg
+from sim.camera import Intrinsics
+from sim.degradations.base import Stage
+from sim.degradations.image import Filter, ImageDegradation, Streams, View
+
+FELT_LOSS = 50.0
+
+
+class JpegDegradation(ImageDegradation[Jpeg]):
+    """Encodes and decodes the frame."""
+
+    kind: ClassVar[str] = "jpeg"
+    stage: ClassVar[Stage] = Stage.ENCODER
+    measure_name: ClassVar[str] = "jpeg_loss"
+
+    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
+        """Quality, uniform in its logarithm."""
+        return {"quality": float(np.exp(rng.uniform(np.log(2), np.log(60))))}
+
+    def prepare(self, segment: Jpeg, camera: Intrinsics, streams: Streams) -> Filter:
+        """See ``ImageDegradation``; libjpeg's quality is a whole number."""
+
+        def code(image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
+            quality = round(100 - view.strength * (100 - segment.quality))
+            if quality == 100:
+                return image, 0.0
+            _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+            return np.asarray(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)), 100.0 - quality
+
+        return code
+
+    def threshold(self, segment: Jpeg) -> float:
+        """A quality of 50, or the segment's own, if that is higher."""
+        return min(FELT_LOSS, 100.0 - round(segment.quality))

@@ -1,0 +1,98 @@
+"""Low light: a darker image with the shot and read noise of a sensor that collects few electrons."""
+
+from typing import ClassVar
+
+import numpy as np
+from numba import njit
+
+from scenarios.segments import LowLight
+from sim.camera import Intrinsics
+from sim.degradations.base import Stage
+from sim.degradations.image import Filter, ImageDegradation, Streams, View
+from sim.degradations.tone import DECODE, ENCODE
+
+ONE_STOP = 1.0
+_BANK_SIZE = 1 << 22
+# Normals are kept as codes of one byte, so many to a standard deviation: up to four of them either way.
+_CODES_PER_SIGMA = 32
+
+
+class LowLightDegradation(ImageDegradation[LowLight]):
+    """Scales the light, adds the noise of its electrons, amplifies and saturates."""
+
+    kind: ClassVar[str] = "low_light"
+    stage: ClassVar[Stage] = Stage.SENSOR
+    measure_name: ClassVar[str] = "light_lost_stops"
+
+    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
+        """Illumination, uniform in its logarithm."""
+        return {"illumination": float(np.exp(rng.uniform(np.log(0.0005), np.log(0.5))))}
+
+    def prepare(self, segment: LowLight, camera: Intrinsics, streams: Streams) -> Filter:
+        """See ``ImageDegradation``."""
+        return _LowLight(segment, camera, streams)
+
+    def threshold(self, segment: LowLight) -> float:
+        """One stop, or all that is ever lost, if that is less."""
+        return min(ONE_STOP, -float(np.log2(segment.illumination)))
+
+
+class _LowLight:
+    """The noise of a pixel depends on its level and a normal number alone: a table of both does it."""
+
+    def __init__(self, segment: LowLight, camera: Intrinsics, streams: Streams) -> None:
+        self._segment, self._streams = segment, streams
+        self._pixels = camera.width_px * camera.height_px
+        size = max(_BANK_SIZE, 2 * self._pixels)
+        normals = streams("bank").standard_normal(size, np.float32)
+        self._bank = np.clip(np.rint(_CODES_PER_SIGMA * normals) + 128, 0, 255).astype(np.uint8)
+        self._strength, self._table = 0.0, np.empty((256, 256), np.uint8)
+
+    def __call__(self, image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
+        """See ``Filter``."""
+        illumination = 1 - view.strength * (1 - self._segment.illumination)
+        if illumination == 1:
+            return image, 0.0
+        if view.strength != self._strength:
+            gain = 1 + view.strength * (self._segment.gain - 1)
+            self._table = noise_table(
+                illumination, gain, self._segment.full_well_e, self._segment.read_noise_e
+            )
+            self._strength = view.strength
+        start = int(self._streams(view.frame).integers(len(self._bank) - self._pixels))
+        out = np.empty_like(image)
+        look_up(image.ravel(), self._bank[start : start + self._pixels], self._table, out.ravel())
+        return out, -float(np.log2(illumination))
+
+
+def noise_table(illumination: float, gain: float, full_well_e: float, read_noise_e: float) -> np.ndarray:
+    """(256, 256) uint8 level that a level becomes under each code of a normal number.
+
+    Shot noise is taken as normal with the variance of its mean count, which holds from about ten electrons
+    on; below, read noise rules.
+
+    Args:
+        illumination: light, as a share of that which gave the levels.
+        gain: amplification of what the sensor has counted.
+        full_well_e: electrons of light 1 at gain 1.
+        read_noise_e: standard deviation of the read noise, electrons.
+    """
+    electrons = illumination * full_well_e * DECODE.astype(float)[:, None]
+    normal = (np.arange(256) - 128) / _CODES_PER_SIGMA
+    counted = electrons + np.sqrt(electrons + read_noise_e**2) * normal
+    light = np.clip(gain * counted / full_well_e, 0, 1)
+    return ENCODE[np.rint(light * (len(ENCODE) - 1)).astype(int)]
+
+
+@njit(cache=True, nogil=True)
+def look_up(image, codes, table, out):
+    """Writes the table's entry for each pixel's level and code.
+
+    Args:
+        image: (n,) uint8 levels.
+        codes: (n,) uint8.
+        table: (256, 256) uint8.
+        out: (n,) uint8, written.
+    """
+    for at in range(len(image)):
+        out[at] = table[image[at], codes[at]]

@@ -1,0 +1,38 @@
+"""Over-exposure: what is bright saturates."""
+
+from typing import ClassVar
+
+import numpy as np
+
+from scenarios.segments import OverExposure
+from sim.camera import Intrinsics
+from sim.degradations.base import Stage
+from sim.degradations.image import Filter, ImageDegradation, Streams, View
+from sim.degradations.tone import map_light
+
+ONE_STOP = 1.0
+
+
+class OverExposureDegradation(ImageDegradation[OverExposure]):
+    """Doubles the exposure once per stop."""
+
+    kind: ClassVar[str] = "over_exposure"
+    stage: ClassVar[Stage] = Stage.SENSOR
+    measure_name: ClassVar[str] = "over_exposure_stops"
+
+    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
+        """Stops, uniform."""
+        return {"stops": float(rng.uniform(0.5, 6))}
+
+    def prepare(self, segment: OverExposure, camera: Intrinsics, streams: Streams) -> Filter:
+        """See ``ImageDegradation``."""
+
+        def expose(image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
+            stops = view.strength * segment.stops
+            return map_light(image, lambda light: 2**stops * light), stops
+
+        return expose
+
+    def threshold(self, segment: OverExposure) -> float:
+        """One stop, or all there ever is, if that is less."""
+        return min(ONE_STOP, segment.stops)

@@ -1,0 +1,114 @@
+"""Pure rotation: the camera stops and turns on the spot, so that nothing has parallax."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from scenarios.segments import PureRotation
+from sim.degradations.base import Shoot, Stage
+from sim.degradations.fast_rotation import AXES, PEAK, SwungMotion
+from sim.motion.base import Motion
+
+FELT_SHARE = 0.1
+# Of the segment: braking at its beginning, and setting off again at its end.
+BRAKING = 0.15
+
+
+@dataclass(frozen=True)
+class PausedMotion:
+    """A motion that comes to rest and goes on from there later, twice continuously differentiable.
+
+    Attributes:
+        base: the motion without the pause.
+        start_s, duration_s: braking begins and full pace is reached again.
+        braking_s: time of braking, and of setting off.
+    """
+
+    base: Motion
+    start_s: float
+    duration_s: float
+    braking_s: float
+
+    def T_world_cam(self, stamp_s: float | np.ndarray) -> np.ndarray:
+        """See ``Motion``."""
+        return self.base.T_world_cam(self._own_time_s(stamp_s))
+
+    def velocity_mps(self, stamp_s: float | np.ndarray) -> np.ndarray:
+        """See ``Motion``."""
+        return self.pace(stamp_s)[..., None] * self.base.velocity_mps(self._own_time_s(stamp_s))
+
+    def rate_radps(self, stamp_s: float | np.ndarray) -> np.ndarray:
+        """See ``Motion``."""
+        return self.pace(stamp_s)[..., None] * self.base.rate_radps(self._own_time_s(stamp_s))
+
+    def pace(self, stamp_s: float | np.ndarray) -> np.ndarray:
+        """(...) share of its own pace at which the motion runs: 1 before and after, 0 at rest."""
+        into, off = self._phases(stamp_s)
+        return 1 - _smooth(into) + _smooth(off)
+
+    def _phases(self, stamp_s: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        since_s = np.asarray(stamp_s, float) - self.start_s
+        return since_s / self.braking_s, (since_s - self.duration_s) / self.braking_s + 1
+
+    def _own_time_s(self, stamp_s: float | np.ndarray) -> np.ndarray:
+        into, off = self._phases(stamp_s)
+        return np.asarray(stamp_s, float) - self.braking_s * (_smooth_area(into) - _smooth_area(off))
+
+
+def _smooth(u: np.ndarray) -> np.ndarray:
+    """From 0 at 0 to 1 at 1, level at both ends."""
+    u = np.clip(u, 0, 1)
+    return u**3 * (10 - 15 * u + 6 * u**2)
+
+
+def _smooth_area(u: np.ndarray) -> np.ndarray:
+    """The integral of ``_smooth`` from 0."""
+    inside = np.clip(u, 0, 1)
+    return inside**4 * (2.5 - 3 * inside + inside**2) + np.maximum(u - 1, 0)
+
+
+class PureRotationDegradation:
+    """Stops the camera, turns it out and back about one of its axes, and lets it go on.
+
+    All that follows comes later by the time that the stop has cost.
+    """
+
+    kind: ClassVar[str] = "pure_rotation"
+    stage: ClassVar[Stage] = Stage.MOTION
+    measure_name: ClassVar[str] = "turn_on_spot_degps"
+
+    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
+        """Angle and axis."""
+        return {"angle_deg": float(rng.uniform(15, 120)), "axis": str(rng.choice(list(AXES)))}
+
+    def apply(self, shoot: Shoot, segment: PureRotation) -> Shoot:
+        """See ``Degradation``."""
+        if segment.angle_deg == 0:
+            return shoot
+        braking_s = BRAKING * segment.duration_s
+        paused = PausedMotion(shoot.motion, segment.start_s, segment.duration_s, braking_s)
+        return replace(shoot, motion=_turned(paused, segment))
+
+    def measure(self, shoot: Shoot, segment: PureRotation, blur_px: np.ndarray) -> np.ndarray:
+        """(N,) rate at which the resting camera turns, deg/s."""
+        return np.abs(np.rad2deg(_turned(shoot.motion, segment).swing_rate_radps(shoot.stamps_s)))
+
+    def threshold(self, segment: PureRotation) -> float:
+        """A tenth of the peak rate; at the turning point the rate passes through zero."""
+        return FELT_SHARE * float(np.rad2deg(_peak_radps(segment)))
+
+
+def _turn_s(segment: PureRotation) -> float:
+    """How long the camera rests and turns."""
+    return (1 - 2 * BRAKING) * segment.duration_s
+
+
+def _peak_radps(segment: PureRotation) -> float:
+    """The swing's peak rate, which with its duration gives the angle."""
+    return float(np.deg2rad(segment.angle_deg)) * 4 * np.pi * PEAK / _turn_s(segment)
+
+
+def _turned(base: Motion, segment: PureRotation) -> SwungMotion:
+    start_s = segment.start_s + BRAKING * segment.duration_s
+    return SwungMotion(base, np.array(AXES[segment.axis]), start_s, _turn_s(segment), _peak_radps(segment))

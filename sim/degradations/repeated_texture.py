@@ -1,0 +1,89 @@
+"""Repeated texture: the same patch again and again, so that one place is taken for another."""
+
+from dataclasses import replace
+from typing import ClassVar
+
+import cv2
+import numpy as np
+
+from scenarios.segments import RepeatedTexture
+from sim.degradations.base import Shoot, Stage
+from sim.degradations.low_texture import passed
+from sim.world.base import Surface, WorldModel
+
+HALF_THE_VIEW = 0.5
+
+
+class RepeatedTextureDegradation:
+    """Papers surfaces that the camera passes in the segment's time with a patch of the most seen one."""
+
+    kind: ClassVar[str] = "repeated_texture"
+    stage: ClassVar[Stage] = Stage.WORLD
+    measure_name: ClassVar[str] = "repeated_share"
+
+    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
+        """Share of the surfaces, uniform."""
+        return {"share": float(rng.uniform(0.3, 1))}
+
+    def apply(self, shoot: Shoot, segment: RepeatedTexture) -> Shoot:
+        """See ``Degradation``."""
+        repeated = _most_seen(shoot, segment)
+        texture_of, period_m = shoot.texture_of.copy(), shoot.period_m.copy()
+        texture_of[repeated], period_m[repeated] = repeated[:1], segment.period_m
+        return replace(shoot, texture_of=texture_of, period_m=period_m)
+
+    def measure(self, shoot: Shoot, segment: RepeatedTexture, blur_px: np.ndarray) -> np.ndarray:
+        """(N,) share of the view that the papered surfaces fill."""
+        return shoot.view_share[:, _most_seen(shoot, segment)].sum(axis=1, dtype=float)
+
+    def threshold(self, segment: RepeatedTexture) -> float:
+        """Half of the view."""
+        return HALF_THE_VIEW
+
+
+def _most_seen(shoot: Shoot, segment: RepeatedTexture) -> np.ndarray:
+    """Indices of the surfaces, most seen first, that fill the stated share of what is passed."""
+    found = np.flatnonzero(passed(shoot, segment))
+    seen = shoot.view_share[shoot.within(segment)][:, found].sum(axis=0, dtype=float)
+    order = np.argsort(-seen, kind="stable")
+    if not len(found) or segment.share == 0:
+        return found[:0]
+    reached = np.cumsum(seen[order]) / seen.sum()
+    return found[order[: int(np.searchsorted(reached, segment.share - 1e-9)) + 1]]
+
+
+def papered(world: WorldModel, texture_of: np.ndarray, period_m: np.ndarray) -> WorldModel:
+    """The world with surfaces that repeat a square patch, in its true size, over all their texture.
+
+    Args:
+        world: as built.
+        texture_of: (S,) int64 surface from the middle of whose texture each surface's patch is.
+        period_m: (S,) float64 side of the patch, 0 for a surface that stays as it is.
+    """
+    if not period_m.any():
+        return world
+    surfaces = list(world.surfaces)
+    for index in np.flatnonzero(period_m):
+        own, source = surfaces[index], world.surfaces[texture_of[index]]
+        patch = _patch(source, float(period_m[index]), px_per_m(own))
+        rows, columns = (np.arange(pixels) % len(patch) for pixels in own.texture.shape)
+        surfaces[index] = replace(own, texture=np.ascontiguousarray(patch[rows][:, columns]))
+    return replace(world, surfaces=surfaces)
+
+
+def px_per_m(surface: Surface) -> float:
+    """Pixels of a surface's texture per metre, over all edges of its triangles."""
+    ends = surface.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges_px = np.diff(surface.uv[ends], axis=1)[:, 0] * surface.texture.shape[::-1]
+    edges_m = np.diff(surface.vertices[ends], axis=1)[:, 0]
+    return float(np.linalg.norm(edges_px, axis=1).sum() / np.linalg.norm(edges_m, axis=1).sum())
+
+
+def _patch(source: Surface, period_m: float, scale: float) -> np.ndarray:
+    """(n, n) uint8 patch from the middle of a surface's texture, at a scale in pixels per metre."""
+    side = max(2, round(period_m * px_per_m(source)))
+    height, width = source.texture.shape
+    top, left = max(0, (height - side) // 2), max(0, (width - side) // 2)
+    patch = source.texture[top : top + side, left : left + side]
+    size = max(2, round(period_m * scale))
+    return cv2.resize(patch, (size, size), interpolation=cv2.INTER_AREA)

@@ -1,0 +1,249 @@
+"""From a scenario to its frames: the plan of the shoot, the sharp frames, what happens to each of them."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from scenarios.spec import Camera, Scenario, World
+from sim.camera import Intrinsics
+from sim.degradations.base import Shoot, Stage
+from sim.degradations.chain import ImageChain
+from sim.degradations.exposure import expose
+from sim.degradations.noise import SensorNoise
+from sim.degradations.registry import SHOOT_KINDS
+from sim.degradations.repeated_texture import papered
+from sim.distortion import Lens, lens_renderer
+from sim.io.raw import RawFrames, RawWriter
+from sim.motion.walker import plan_walk
+from sim.renderer import Renderer
+from sim.world.base import Route, WorldModel
+
+Progress = Callable[[str, int, int], None]
+"""Called with the name of the step, frames done and frames in all."""
+
+Survey = Callable[[Shoot], np.ndarray]
+"""(N, S) float32 share of the view that each surface of the world fills in each frame of a shoot."""
+
+_SURVEY_WIDTH_PX = 80
+
+
+@dataclass(frozen=True)
+class Studio:
+    """What renders: the worlds and the renderer behind their interfaces.
+
+    Attributes:
+        layout: route through a world, from its spec and a seed.
+        build_world: the world itself.
+        renderer: renderer of a world through a camera without distortion.
+        gl_info: names of the GL implementation.
+    """
+
+    layout: Callable[[World, int], Route]
+    build_world: Callable[[World, int], WorldModel]
+    renderer: Callable[[WorldModel, Intrinsics], Renderer]
+    gl_info: Callable[[], dict[str, str]]
+
+
+def mujoco_studio() -> Studio:
+    """The worlds of ``sim.world``, rendered by MuJoCo."""
+    from sim.gl_context import gl_info
+    from sim.mujoco_renderer import MujocoRenderer
+    from sim.world import build_world, layout
+
+    return Studio(layout, build_world, MujocoRenderer, gl_info)
+
+
+def camera_intrinsics(camera: Camera) -> Intrinsics:
+    """The intrinsics of a scenario's camera."""
+    lens = camera.distortion
+    pinhole = Intrinsics(
+        camera.width_px,
+        camera.height_px,
+        camera.fx_px,
+        camera.fy_px,
+        camera.cx_px,
+        camera.cy_px,
+        camera.fps,
+    )
+    return (
+        pinhole if lens.model == "none" else replace(pinhole, distortion=lens.coefficients, model=lens.model)
+    )
+
+
+def plan_shoot(scenario: Scenario, seed: int, studio: Studio, progress: Progress) -> tuple[Shoot, WorldModel]:
+    """Everything that decides the frames, with every segment applied, and the world as it is seen."""
+    world = studio.build_world(scenario.world, seed)
+    survey = partial(_survey, world=world, camera=scenario.camera, studio=studio, progress=progress)
+    shoot = plan_in_world(scenario, seed, studio, len(world.surfaces), survey)
+    return shoot, replace(papered(world, shoot.texture_of, shoot.period_m), contrast=shoot.contrast)
+
+
+def plan_in_world(scenario: Scenario, seed: int, studio: Studio, surfaces: int, survey: Survey) -> Shoot:
+    """The plan alone, of a world that need not be built.
+
+    Args:
+        scenario: what happens.
+        seed: root seed.
+        studio: for the route.
+        surfaces: their number, S.
+        survey: asked once if a segment acts on the world.
+    """
+    camera = scenario.camera
+    stamps_s = np.arange(scenario.frame_count) / camera.fps
+    shoot = Shoot(
+        stamps_s=stamps_s,
+        motion=plan_walk(studio.layout(scenario.world, seed), scenario.trajectory, scenario.duration_s, seed),
+        exposure_s=np.full(len(stamps_s), camera.exposure_s),
+        contrast=np.ones(surfaces),
+        view_share=np.zeros((len(stamps_s), 0), np.float32),
+        seed=seed,
+    )
+    acting = [s for s in scenario.segments if s.kind in SHOOT_KINDS]
+    for stage in Stage:
+        segments = [s for s in acting if SHOOT_KINDS[s.kind].stage is stage]
+        if stage is Stage.WORLD and segments:
+            shoot = replace(shoot, view_share=survey(shoot))
+        for segment in segments:
+            shoot = SHOOT_KINDS[segment.kind].apply(shoot, segment)
+    return shoot
+
+
+class Plates(Protocol):
+    """Sharp frames of an ideal camera, which every segment but those of motion and world leaves alone."""
+
+    def __call__(self, frame: int, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gray (H, W) uint8 and depth (H, W) float32 of a frame, known by its number and its pose."""
+        ...
+
+
+@contextmanager
+def rendered_plates(world: WorldModel, camera: Camera, studio: Studio) -> Iterator[Plates]:
+    """Plates rendered as they are asked for."""
+    renderer = studio.renderer(world, ideal_camera(camera_intrinsics(camera)))
+    try:
+        yield lambda frame, T_world_cam: renderer.render(T_world_cam)
+    finally:
+        renderer.close()
+
+
+def stored_plates(folder: Path) -> Plates:
+    """Plates that ``store_plates`` has written."""
+    grays, depths = RawFrames(folder / "gray.npy"), RawFrames(folder / "depth.npy")
+    return lambda frame, T_world_cam: (grays[frame], depths[frame])
+
+
+def store_plates(folder: Path, shoot: Shoot, plates: Plates, camera: Camera, progress: Progress) -> None:
+    """Write the plates of a shoot, and its survey, into a folder."""
+    ideal = ideal_camera(camera_intrinsics(camera))
+    shape = (len(shoot.stamps_s), ideal.height_px, ideal.width_px)
+    np.save(folder / "view_share.npy", shoot.view_share)
+    with (
+        RawWriter(folder / "gray.npy", shape, np.uint8) as grays,
+        RawWriter(folder / "depth.npy", shape, np.float32) as depths,
+    ):
+        for frame, T_world_cam in enumerate(shoot.motion.T_world_cam(shoot.stamps_s)):
+            gray, depth_m = plates(frame, T_world_cam)
+            grays.append(gray)
+            depths.append(depth_m)
+            progress("rendering", frame + 1, shape[0])
+
+
+def ideal_camera(camera: Intrinsics) -> Intrinsics:
+    """The camera without distortion through which a camera's frames are rendered."""
+    return camera if camera.is_pinhole else Lens(camera).ideal
+
+
+def film(
+    folder: Path,
+    shoot: Shoot,
+    plates: Plates,
+    camera: Camera,
+    chain: ImageChain,
+    depth: bool,
+    progress: Progress,
+) -> np.ndarray:
+    """Make and write every frame: the light's way from the surfaces to the file.
+
+    Args:
+        folder: gets ``gray.npy`` and, with ``depth``, ``depth.npy``.
+        shoot: with every segment applied.
+        plates: the sharp frames.
+        camera: of the scenario.
+        chain: the image-space segments.
+        depth: keep depth images too.
+        progress: told of every frame.
+
+    Returns:
+        (N,) float64 median length of each frame's motion blur, pixels.
+    """
+    own = camera_intrinsics(camera)
+    lens = None if own.is_pinhole else Lens(own)
+    ideal = lens.ideal if lens else own
+    count, size = len(shoot.stamps_s), (camera.height_px, camera.width_px)
+    noise = SensorNoise(size, camera.noise_sigma, shoot.seed)
+    T_world_mid, T_mid_open, T_mid_close = _shutter_poses(shoot)
+    blur_px = np.zeros(count)
+    with ExitStack() as files:
+        grays = files.enter_context(RawWriter(folder / "gray.npy", (count, *size), np.uint8))
+        depths = (
+            files.enter_context(RawWriter(folder / "depth.npy", (count, *size), np.float32))
+            if depth
+            else None
+        )
+        for index, frame in enumerate(shoot.frame.tolist()):
+            image, depth_m = plates(frame, T_world_mid[index])
+            image = chain.apply(image, index, (Stage.SCENE,), depth_m, shoot.motion)
+            image, blur_px[index] = expose(image, depth_m, ideal, T_mid_open[index], T_mid_close[index])
+            image = chain.apply(image, index, (Stage.READOUT,), depth_m, shoot.motion)
+            if lens:
+                image, depth_m = lens.distort(image), lens.distort_depth(depth_m)
+            image = chain.apply(image, index, (Stage.LENS, Stage.SENSOR))
+            grays.append(chain.apply(noise.apply(image, frame), index, (Stage.ENCODER,)))
+            if depths:
+                depths.append(depth_m)
+            progress("filming", index + 1, count)
+    return blur_px
+
+
+def _shutter_poses(shoot: Shoot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(N, 4, 4) each: camera to world mid-exposure; camera at opening, at closing to mid-exposure."""
+    half_s = shoot.exposure_s / 2
+    T_world_mid = shoot.motion.T_world_cam(shoot.stamps_s)
+    T_mid_world = np.linalg.inv(T_world_mid)
+    T_mid_open = T_mid_world @ shoot.motion.T_world_cam(shoot.stamps_s - half_s)
+    T_mid_close = T_mid_world @ shoot.motion.T_world_cam(shoot.stamps_s + half_s)
+    return T_world_mid, T_mid_open, T_mid_close
+
+
+def _survey(
+    shoot: Shoot, world: WorldModel, camera: Camera, studio: Studio, progress: Progress
+) -> np.ndarray:
+    """See ``Survey``; the frames are seen in small."""
+    scale = _SURVEY_WIDTH_PX / camera.width_px
+    small = replace(
+        camera_intrinsics(camera),
+        width_px=_SURVEY_WIDTH_PX,
+        height_px=max(1, round(camera.height_px * scale)),
+        fx=camera.fx_px * scale,
+        fy=camera.fy_px * scale,
+        cx=(camera.cx_px + 0.5) * scale - 0.5,
+        cy=(camera.cy_px + 0.5) * scale - 0.5,
+    )
+    poses = shoot.motion.T_world_cam(shoot.stamps_s)
+    shares = np.zeros((len(poses), len(world.surfaces)), np.float32)
+    renderer = lens_renderer(partial(studio.renderer, world), small)
+    try:
+        for frame, T_world_cam in enumerate(poses):
+            ids = renderer.render_surface_ids(T_world_cam)
+            # Index -1, no surface, is counted in front and dropped.
+            counts = np.bincount(ids.ravel() + 1, minlength=len(world.surfaces) + 1)[1:]
+            shares[frame] = counts / ids.size
+            progress("surveying", frame + 1, len(poses))
+    finally:
+        renderer.close()
+    return shares

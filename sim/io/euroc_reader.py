@@ -1,0 +1,197 @@
+"""Reads the EuRoC (ASL) form; see ``sim.io.euroc_layout``. Every fault names file, line, field and remedy."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from scenarios.errors import InputError
+from sim.camera import DISTORTION_KEYS, Intrinsics
+from sim.imu import ImuModel, ImuReadings
+from sim.io import euroc_layout as layout
+from sim.io.camera_file import check_camera
+from sim.io.images import GrayFolder
+from sim.io.sidecars import read_sidecars
+from sim.io.text import (
+    check_order,
+    check_present,
+    check_words,
+    read_rows,
+    read_yaml,
+    to_nanoseconds,
+    to_number,
+    to_numbers,
+)
+from sim.io.truth import check_quaternion, half_interval_s, nearest_poses, poses_of
+from sim.sequence import Sequence
+
+_SENSOR_KEYS = "T_BS, rate_hz, resolution, intrinsics, distortion_model, distortion_coefficients"
+_MOST_SKEW = 1e-2
+
+
+def load_euroc(folder: Path) -> Sequence:
+    """The left camera of a folder in EuRoC form, with the ground truth's pose nearest to each frame.
+
+    Args:
+        folder: the one that holds ``mav0``.
+
+    Raises:
+        InputError: a file is missing, empty, cut short, malformed or absurd. Reading a frame raises it too,
+            if the image is unreadable or of another size.
+    """
+    camera, T_body_cam = _read_camera(folder / layout.CAMERA_DIR / layout.SENSOR_FILE)
+    stamps, images = _read_frames(folder / layout.CAMERA_DIR / layout.TABLE_FILE)
+    origin = layout.choose_origin_ns(stamps)
+    stamps_s = layout.to_seconds(stamps, origin)
+    frames = GrayFolder(images, (camera.height_px, camera.width_px), layout.SENSOR_FILE)
+    frames[0]  # a wrong size shows in the first image already
+    sidecars = read_sidecars(folder, len(stamps))
+    if origin:
+        sidecars["meta"] = {**sidecars["meta"], layout.ORIGIN_KEY: origin}
+    tolerance_s = half_interval_s(stamps_s, camera.fps)
+    truth = folder / layout.TRUTH_DIR / layout.TABLE_FILE
+    T_world_body = _read_truth(truth, origin, stamps_s, tolerance_s)
+    return Sequence(
+        camera=camera,
+        stamps_s=stamps_s,
+        frames=frames,
+        T_world_cam=None if T_world_body is None else T_world_body @ T_body_cam,
+        depths=None,
+        **sidecars,
+    )
+
+
+def load_euroc_imu(folder: Path) -> ImuReadings | None:
+    """The inertial readings of a folder in EuRoC form, on the clock of ``load_euroc``; None without them.
+
+    Raises:
+        InputError: a file is missing, malformed or absurd.
+    """
+    table = folder / layout.IMU_DIR / layout.TABLE_FILE
+    if not table.exists():
+        return None
+    frame_stamps, _ = _read_frames(folder / layout.CAMERA_DIR / layout.TABLE_FILE)
+    _, T_body_cam = _read_camera(folder / layout.CAMERA_DIR / layout.SENSOR_FILE)
+    path = folder / layout.IMU_DIR / layout.SENSOR_FILE
+    sensor = read_yaml(path, "T_BS, rate_hz and the noise densities")
+    T_body_imu = _matrix(path, sensor)
+    keys = ["gyroscope_noise_density", "gyroscope_random_walk"]
+    keys += ["accelerometer_noise_density", "accelerometer_random_walk"]
+    values = [_value(path, sensor, key) for key in ["rate_hz", *keys]]
+    try:
+        model = ImuModel(*values, T_cam_imu=np.linalg.inv(T_body_cam) @ T_body_imu)
+    except InputError as error:
+        raise InputError(f"{path}: {error.where}", error.problem, error.remedy) from None
+    stamps: list[int] = []
+    rows: list[list[float]] = []
+    for where, words in read_rows(table, "", ","):
+        check_words(where, words, layout.IMU_COLUMNS)
+        stamp = to_nanoseconds(where, words[0])
+        check_order(where, stamps, stamp)
+        stamps.append(stamp)
+        rows.append(to_numbers(where, words[1:], layout.IMU_COLUMNS[1:]))
+    if not rows:
+        raise InputError(str(table), "holds no reading", "add readings, or delete the folder imu0")
+    readings = np.array(rows)
+    stamps_s = layout.to_seconds(stamps, layout.choose_origin_ns(frame_stamps))
+    return ImuReadings(model, stamps_s, readings[:, :3], readings[:, 3:])
+
+
+def _read_frames(path: Path) -> tuple[list[int], list[Path]]:
+    """Stamps in nanoseconds and the image paths."""
+    stamps: list[int] = []
+    images: list[Path] = []
+    for where, words in read_rows(path, "give the list of frames, `stamp,filename` per line", ","):
+        if len(words) != 2:
+            problem = f"{len(words)} words where stamp and filename belong"
+            raise InputError(where, problem, "write `stamp,filename`; the file may be cut short")
+        stamp = to_nanoseconds(where, words[0])
+        check_order(where, stamps, stamp)
+        stamps.append(stamp)
+        images.append(path.parent / "data" / words[1])
+    if not stamps:
+        raise InputError(str(path), "lists no frame", "give a folder with at least one frame")
+    check_present(images, path.name)
+    return stamps, images
+
+
+def _read_camera(path: Path) -> tuple[Intrinsics, np.ndarray]:
+    """Intrinsics, and (4, 4) camera to body."""
+    sensor = read_yaml(path, _SENSOR_KEYS)
+    if sensor.get("camera_model", "pinhole") != "pinhole":
+        given = sensor["camera_model"]
+        raise InputError(f"{path}: camera_model", f"{given!r} is not supported", "give a pinhole camera")
+    models = {name: model for model, name in layout.LENS_NAMES.items()}
+    name = sensor.get("distortion_model", layout.LENS_NAMES["radtan"])
+    if name not in models:
+        known = " or ".join(models)
+        raise InputError(f"{path}: distortion_model", f"{name!r} is no lens model", f"use {known}")
+    model = models[name]
+    width, height = _list(path, sensor, "resolution", (2,))
+    if any(not 16 <= size <= 16384 or size != int(size) for size in (width, height)):
+        problem = f"{width:g}x{height:g} is no image size"
+        raise InputError(f"{path}: resolution", problem, "give whole pixels")
+    full = len(DISTORTION_KEYS[model])
+    coefficients = _list(path, sensor, "distortion_coefficients", (4, full))
+    coefficients += [0.0] * (full - len(coefficients))
+    fx, fy, cx, cy = _list(path, sensor, "intrinsics", (4,))
+    fps = _value(path, sensor, "rate_hz")
+    camera = Intrinsics(int(width), int(height), fx, fy, cx, cy, fps, tuple(coefficients), model)
+    check_camera(path, camera)
+    return camera, _matrix(path, sensor)
+
+
+def _read_truth(path: Path, origin: int, stamps_s: np.ndarray, tolerance_s: float) -> np.ndarray | None:
+    """(N, 4, 4) body to world at the frames; None without the file."""
+    if not path.exists():
+        return None
+    stamps: list[int] = []
+    rows: list[list[float]] = []
+    for where, words in read_rows(path, "", ","):
+        # Velocity and biases may follow the pose.
+        if len(words) != 17:
+            check_words(where, words, layout.POSE_COLUMNS)
+        stamp = to_nanoseconds(where, words[0])
+        check_order(where, stamps, stamp)
+        row = to_numbers(where, words[1:8], layout.POSE_COLUMNS[1:])
+        check_quaternion(f"{where}: q_w q_x q_y q_z", row[3:])
+        stamps.append(stamp)
+        rows.append(row)
+    if not rows:
+        raise InputError(str(path), "holds no pose", "add poses, or delete it to run without ground truth")
+    table = np.array(rows)
+    poses = poses_of(table[:, :3], np.roll(table[:, 3:], -1, axis=1))
+    return nearest_poses(path, stamps_s, layout.to_seconds(stamps, origin), poses, tolerance_s)
+
+
+def _value(path: Path, sensor: dict[Any, Any], key: str) -> float:
+    if key not in sensor:
+        raise InputError(f"{path}: {key}", "is missing", "add it")
+    return to_number(f"{path}: {key}", sensor[key])
+
+
+def _list(path: Path, sensor: dict[Any, Any], key: str, lengths: tuple[int, ...]) -> list[float]:
+    """Numbers of a list whose length is one of those allowed."""
+    where = f"{path}: {key}"
+    if key not in sensor:
+        raise InputError(where, "is missing", "add it")
+    values = sensor[key]
+    if not isinstance(values, list) or len(values) not in lengths:
+        wanted = " or ".join(str(length) for length in sorted(set(lengths)))
+        raise InputError(where, f"{values!r} is no list of {wanted} numbers", "correct it")
+    return [to_number(where, value) for value in values]
+
+
+def _matrix(path: Path, sensor: dict[Any, Any]) -> np.ndarray:
+    """(4, 4) T_BS: sensor to body."""
+    mounting = sensor.get("T_BS")
+    if not isinstance(mounting, dict):
+        raise InputError(f"{path}: T_BS", "is missing", "add it with rows, cols and data")
+    T = np.reshape(_list(path, mounting, "data", (16,)), (4, 4))
+    R = T[:3, :3]
+    if list(T[3]) != [0, 0, 0, 1] or np.abs(R @ R.T - np.eye(3)).max() > _MOST_SKEW or np.linalg.det(R) < 0:
+        raise InputError(f"{path}: T_BS", "is no rigid transform", "give a rotation and a translation")
+    # Printed digits are a rotation to some places only.
+    T[:3, :3] = Rotation.from_matrix(R).as_matrix()
+    return T

@@ -1,0 +1,154 @@
+"""KITTI's odometry form, written and read: rectified images, one pose per frame.
+
+    image_0/000000.png ...   gray images
+    times.txt                stamp of each frame, seconds
+    calib.txt                P0: the 12 numbers of the left gray camera's projection matrix
+    poses/NN.txt             12 numbers per frame, the rows of the camera-to-world matrix
+
+The poses may also lie where the data set has them, in ``../../poses/NN.txt``, NN being the folder's name, or
+as ``NN.txt`` in the folder itself. Image size and frame rate are those of the images and times.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from scenarios.errors import InputError
+from sim.camera import Intrinsics
+from sim.io.camera_file import check_camera
+from sim.io.folders import Progress, whole_or_nothing, write_images
+from sim.io.images import GrayFolder, read_gray
+from sim.io.sidecars import read_sidecars, write_sidecars
+from sim.io.text import check_order, check_present, check_words, read_rows, to_numbers
+from sim.sequence import Sequence
+
+IMAGES_DIR, TIMES_FILE, CALIBRATION_FILE, POSES_DIR = "image_0", "times.txt", "calib.txt", "poses"
+_POSE_NAMES = [f"r{row}{column}" for row in range(3) for column in range(4)]
+_PROJECTION_NAMES = [f"P0[{index}]" for index in range(12)]
+_MOST_SKEW = 1e-2
+
+
+def write_kitti(sequence: Sequence, directory: Path, progress: Progress | None = None) -> None:
+    """Write a sequence in KITTI's odometry form; the poses go to ``poses/00.txt``.
+
+    The poses stay in the sequence's world; they are not moved to begin at the identity.
+
+    Raises:
+        InputError: the camera has distortion or a frame has no pose, which the form cannot hold; the folder
+            is not empty or cannot be written, the disk is full; nothing is left behind.
+    """
+    if not sequence.camera.is_pinhole:
+        raise InputError(
+            sequence.name, "has lens distortion, KITTI's form is for rectified images", "use tum or euroc"
+        )
+    poses = sequence.T_world_cam
+    if poses is not None and not np.isfinite(poses).all():
+        lacking = int(np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2)))[0])
+        raise InputError(
+            sequence.name, f"frame {lacking} has no pose, KITTI's form needs one for each", "use tum or euroc"
+        )
+    camera = sequence.camera
+    projection = np.column_stack([camera.K, np.zeros(3)])
+    with whole_or_nothing(directory) as folder:
+        (folder / IMAGES_DIR).mkdir()
+        paths = [folder / IMAGES_DIR / f"{frame:06d}.png" for frame in range(len(sequence))]
+        write_images(sequence.frames, paths, "writing", progress)
+        (folder / TIMES_FILE).write_text("".join(f"{stamp_s:.9f}\n" for stamp_s in sequence.stamps_s))
+        # Shortest decimals that give the very same numbers.
+        (folder / CALIBRATION_FILE).write_text(f"P0: {' '.join(repr(float(v)) for v in projection.flat)}\n")
+        if poses is not None:
+            (folder / POSES_DIR).mkdir()
+            rows = (" ".join(f"{v:.9e}" for v in pose[:3].flat) for pose in poses)
+            (folder / POSES_DIR / "00.txt").write_text("\n".join(rows) + "\n")
+        write_sidecars(sequence, folder)
+
+
+def load_kitti(folder: Path) -> Sequence:
+    """A sequence from a folder in KITTI's odometry form.
+
+    Raises:
+        InputError: a file is missing, empty, cut short, malformed or absurd. Reading a frame raises it too,
+            if the image is unreadable or of another size.
+    """
+    stamps_s = _read_times(folder / TIMES_FILE)
+    images = sorted((folder / IMAGES_DIR).glob("*.png"))
+    if len(images) != len(stamps_s):
+        problem = f"holds {len(images)} images, {TIMES_FILE} {len(stamps_s)} stamps"
+        raise InputError(
+            str(folder / IMAGES_DIR), problem, "copy the folder again, or cut it to the same frames"
+        )
+    check_present(images, TIMES_FILE)
+    shape = read_gray(images[0]).shape
+    # Stamps are printed to a nanosecond: further digits of the rate are its rounding.
+    fps = round(1 / float(np.median(np.diff(stamps_s))), 4) if len(stamps_s) > 1 else 10.0
+    return Sequence(
+        camera=_read_calibration(folder / CALIBRATION_FILE, (shape[0], shape[1]), fps),
+        stamps_s=stamps_s,
+        frames=GrayFolder(images, (shape[0], shape[1]), f"{IMAGES_DIR}/{images[0].name}"),
+        T_world_cam=_read_poses(folder, len(stamps_s)),
+        depths=None,
+        **read_sidecars(folder, len(stamps_s)),
+    )
+
+
+def _read_times(path: Path) -> np.ndarray:
+    stamps: list[float] = []
+    for where, words in read_rows(path, "give a folder with one stamp per line and frame"):
+        check_words(where, words, ["stamp"])
+        stamp_s = to_numbers(where, words, ["stamp"])[0]
+        check_order(where, stamps, stamp_s)
+        stamps.append(stamp_s)
+    if not stamps:
+        raise InputError(str(path), "lists no frame", "give a folder with at least one frame")
+    return np.array(stamps)
+
+
+def _read_calibration(path: Path, shape: tuple[int, int], fps: float) -> Intrinsics:
+    rows = read_rows(path, "add it with the line `P0: ` and 12 numbers")
+    found = [(where, words[1:]) for where, words in rows if words[0] == "P0:"]
+    if not found:
+        raise InputError(f"{path}: P0", "is missing", "add the line `P0: ` and 12 numbers")
+    where, words = found[0]
+    check_words(where, words, _PROJECTION_NAMES)
+    P = np.reshape(to_numbers(where, words, _PROJECTION_NAMES), (3, 4))
+    if P[0, 1] or P[1, 0] or list(P[2]) != [0, 0, 1, 0]:
+        remedy = "write fx 0 cx 0 0 fy cy 0 0 0 1 0"
+        raise InputError(f"{where}: P0", "is no projection of a rectified camera", remedy)
+    fx, fy, cx, cy = (float(value) for value in (P[0, 0], P[1, 1], P[0, 2], P[1, 2]))
+    camera = Intrinsics(shape[1], shape[0], fx, fy, cx, cy, fps)
+    check_camera(path, camera)
+    return camera
+
+
+def _poses_file(folder: Path) -> Path | None:
+    """The file of the poses, None if there is none."""
+    name = folder.resolve().name
+    official = folder.resolve().parent.parent / POSES_DIR / f"{name}.txt"
+    own = [*(folder / POSES_DIR).glob("[0-9][0-9].txt"), *folder.glob("[0-9][0-9].txt")]
+    if len(own) > 1:
+        listed = ", ".join(sorted(path.name for path in own))
+        raise InputError(str(folder), f"has several files of poses ({listed})", "keep the right one")
+    return own[0] if own else official if official.is_file() else None
+
+
+def _read_poses(folder: Path, frames: int) -> np.ndarray | None:
+    """(N, 4, 4) camera-to-world; printed matrices are rotations to their printed digits only."""
+    path = _poses_file(folder)
+    if path is None:
+        return None
+    rows = []
+    for where, words in read_rows(path, ""):
+        check_words(where, words, _POSE_NAMES)
+        pose = np.reshape(to_numbers(where, words, _POSE_NAMES), (3, 4))
+        R = pose[:, :3]
+        if np.abs(R @ R.T - np.eye(3)).max() > _MOST_SKEW or np.linalg.det(R) < 0:
+            raise InputError(where, "is no rotation and translation", "write the rows of [R t]")
+        rows.append(pose)
+    if len(rows) != frames:
+        problem = f"has {len(rows)} poses for {frames} frames"
+        raise InputError(str(path), problem, "write one per frame, or delete it to run without ground truth")
+    T = np.tile(np.eye(4), (frames, 1, 1))
+    T[:, :3] = rows
+    T[:, :3, :3] = Rotation.from_matrix(T[:, :3, :3]).as_matrix()
+    return T

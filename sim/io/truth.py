@@ -1,0 +1,106 @@
+"""Ground-truth tables: poses by stamp, given to the frames nearest in time."""
+
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from scenarios.errors import InputError
+from sim.io.text import check_order, check_words, read_rows, to_numbers
+
+_TUM_NAMES = ["stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
+
+
+def read_tum_poses(path: Path, stamps_s: np.ndarray, tolerance_s: float) -> np.ndarray | None:
+    """Poses of the frames from a file of ``stamp tx ty tz qx qy qz qw``.
+
+    A pose with nan in it, as TUM-mono marks the frames that its motion capture did not see, is none.
+
+    Args:
+        path: the file.
+        stamps_s: (N,) stamps of the frames.
+        tolerance_s: most distance in time between a frame and its pose.
+
+    Returns:
+        (N, 4, 4), NaN where no pose lies within the tolerance; None without the file.
+
+    Raises:
+        InputError: the file is malformed, holds no pose, or has another clock.
+    """
+    if not path.exists():
+        return None
+    rows: list[list[float]] = []
+    for where, words in read_rows(path, ""):
+        check_words(where, words, _TUM_NAMES)
+        if any(word.lower() == "nan" for word in words[1:]):
+            continue
+        row = to_numbers(where, words, _TUM_NAMES)
+        check_order(where, [r[0] for r in rows[-1:]], row[0])
+        check_quaternion(f"{where}: qx qy qz qw", row[4:])
+        rows.append(row)
+    if not rows:
+        raise InputError(str(path), "holds no pose", "add poses, or delete it to run without ground truth")
+    table = np.array(rows)
+    poses = poses_of(table[:, 1:4], table[:, 4:])
+    return nearest_poses(path, stamps_s, table[:, 0], poses, tolerance_s)
+
+
+def tum_poses_text(stamps_s: np.ndarray, T_world_cam: np.ndarray) -> str:
+    """Poses in TUM's order; frames without a pose are left out."""
+    known = np.isfinite(T_world_cam).all(axis=(1, 2))
+    quat_xyzw = Rotation.from_matrix(T_world_cam[known, :3, :3]).as_quat(canonical=True)
+    rows = np.column_stack([stamps_s[known], T_world_cam[known, :3, 3], quat_xyzw])
+    lines = ["# stamp_s tx ty tz qx qy qz qw, camera (x right, y down, z forward) to world, metres"]
+    lines += [" ".join(f"{value:.9f}" for value in row) for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def check_quaternion(where: str, values: list[float]) -> None:
+    """Raise InputError unless four numbers make a unit quaternion to a hundredth."""
+    norm = float(np.linalg.norm(values))
+    if not 0.99 < norm < 1.01:
+        raise InputError(where, f"has length {norm:.4g}", "give a unit quaternion")
+
+
+def poses_of(position_m: np.ndarray, quat_xyzw: np.ndarray) -> np.ndarray:
+    """(M, 4, 4) from (M, 3) positions and (M, 4) quaternions."""
+    T = np.tile(np.eye(4), (len(position_m), 1, 1))
+    T[:, :3, :3] = Rotation.from_quat(quat_xyzw).as_matrix()
+    T[:, :3, 3] = position_m
+    return T
+
+
+def half_interval_s(stamps_s: np.ndarray, fps: float) -> float:
+    """Half the median frame interval; of a single frame, by the nominal rate."""
+    return float(np.median(np.diff(stamps_s))) / 2 if len(stamps_s) > 1 else 0.5 / fps
+
+
+def nearest_poses(
+    path: Path, stamps_s: np.ndarray, table_s: np.ndarray, poses: np.ndarray, tolerance_s: float
+) -> np.ndarray:
+    """The pose nearest in time to each frame, without interpolation.
+
+    Args:
+        path: the file of the poses, for the fault.
+        stamps_s: (N,) stamps of the frames.
+        table_s: (M,) stamps of the poses, increasing.
+        poses: (M, 4, 4).
+        tolerance_s: most distance in time between a frame and its pose.
+
+    Returns:
+        (N, 4, 4), NaN where none lies within the tolerance.
+
+    Raises:
+        InputError: that is so for every frame.
+    """
+    after = np.clip(np.searchsorted(table_s, stamps_s), 1, max(1, len(table_s) - 1))
+    pairs = np.stack([after - 1, np.minimum(after, len(table_s) - 1)])
+    distance_s = np.abs(table_s[pairs] - stamps_s)
+    best = pairs[distance_s.argmin(axis=0), np.arange(len(stamps_s))]
+    near = distance_s.min(axis=0) <= tolerance_s
+    if not near.any():
+        problem = f"no stamp lies within {tolerance_s:.4g} s of a frame's"
+        raise InputError(str(path), problem, "give both files the same clock, or delete this one")
+    T = np.full((len(stamps_s), 4, 4), np.nan)
+    T[near] = poses[best[near]]
+    return T

@@ -1,0 +1,170 @@
+"""Reads the TUM-mono form: photometrically calibrated footage, corrected and rectified frame by frame.
+
+    images/*.jpg or images.zip   gray images as taken
+    times.txt                    id, stamp in seconds and, where known, exposure in milliseconds per frame
+    camera.txt                   lens and rectification, see ``sim.io.fov_camera``
+    pcalib.txt                   256 numbers: the light (any unit) behind each gray level
+    vignette.png                 8 or 16 bit, the share of the light that reaches each pixel
+    groundtruthSync.txt          stamp tx ty tz qx qy qz qw, nan where motion capture saw nothing
+
+``pcalib.txt``, ``vignette.png`` and ``groundtruthSync.txt`` may be absent. Source: Engel, Usenko and
+Cremers, "A photometrically calibrated benchmark for monocular visual odometry", 2016.
+"""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from scenarios.errors import InputError
+from sim.camera import Intrinsics
+from sim.io.camera_file import check_camera
+from sim.io.fov_camera import FovCamera, read_fov_camera
+from sim.io.images import GrayFolder, GrayZip, read_raw
+from sim.io.sidecars import read_sidecars
+from sim.io.text import check_order, check_words, read_rows, to_numbers
+from sim.io.truth import half_interval_s, read_tum_poses
+from sim.sequence import FrameSource, Sequence
+
+IMAGES_DIR, IMAGES_ZIP = "images", "images.zip"
+TIMES_FILE, CAMERA_FILE = "times.txt", "camera.txt"
+RESPONSE_FILE, VIGNETTE_FILE, TRUTH_FILE = "pcalib.txt", "vignette.png", "groundtruthSync.txt"
+_TIME_NAMES = ["id", "stamp", "exposure_ms"]
+# A darker corner than this says nothing of the light that fell there.
+_LEAST_VIGNETTE = 0.01
+
+
+def load_tum_mono(folder: Path) -> Sequence:
+    """A sequence from a folder in TUM-mono form; ``frame_truth`` holds the exposures where they are known.
+
+    Frames are gray levels proportional to the light: the response is inverted, the vignette divided out and
+    what is then brighter than 255 cut off; then they are rectified.
+
+    Raises:
+        InputError: a file is missing, empty, cut short, malformed or absurd. Reading a frame raises it too,
+            if the image is unreadable or of another size.
+    """
+    stamps_s, exposure_s = _read_times(folder / TIMES_FILE)
+    fps = 1 / float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else 30.0
+    lens, camera = read_fov_camera(folder / CAMERA_FILE, fps)
+    check_camera(folder / CAMERA_FILE, camera)
+    shape = (lens.height_px, lens.width_px)
+    raw = _open_images(folder, shape, len(stamps_s))
+    frames = RectifiedFrames(
+        raw,
+        lens,
+        camera,
+        _read_response(folder / RESPONSE_FILE),
+        _read_vignette(folder / VIGNETTE_FILE, shape),
+    )
+    frames[0]  # a wrong size shows in the first image already
+    sidecars = read_sidecars(folder, len(stamps_s))
+    if exposure_s is not None:
+        sidecars["frame_truth"] = {**sidecars["frame_truth"], "exposure_s": exposure_s}
+    tolerance_s = half_interval_s(stamps_s, fps)
+    return Sequence(
+        camera=camera,
+        stamps_s=stamps_s,
+        frames=frames,
+        T_world_cam=read_tum_poses(folder / TRUTH_FILE, stamps_s, tolerance_s),
+        depths=None,
+        **sidecars,
+    )
+
+
+class RectifiedFrames:
+    """A ``FrameSource`` that corrects and rectifies the images of another.
+
+    Args:
+        raw: images as taken.
+        lens: of those images.
+        camera: pinhole camera of the result.
+        response: (256,) float32 light behind each gray level, 0 to 255.
+        vignette: (H, W) float32 share of the light that reaches each pixel, at most 1.
+    """
+
+    def __init__(
+        self,
+        raw: FrameSource,
+        lens: FovCamera,
+        camera: Intrinsics,
+        response: np.ndarray,
+        vignette: np.ndarray,
+    ) -> None:
+        self._raw, self._response = raw, response
+        self._gain = 1 / np.maximum(vignette, np.float32(_LEAST_VIGNETTE))
+        x = (np.arange(camera.width_px) - camera.cx) / camera.fx
+        y = (np.arange(camera.height_px) - camera.cy) / camera.fy
+        at = lens.project(np.stack(np.meshgrid(x, y), axis=-1))
+        # The outermost pixels of a crop lie on the border up to rounding.
+        at = np.where(np.abs(at - np.rint(at)) < 1e-6, np.rint(at), at)
+        self._map = at.astype(np.float32)
+
+    def __len__(self) -> int:
+        return len(self._raw)
+
+    def __getitem__(self, index: int) -> np.ndarray:
+        """(H, W) uint8; black where the image as taken does not reach."""
+        light = cv2.LUT(self._raw[index], self._response) * self._gain
+        rectified = cv2.remap(light, self._map, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        return np.clip(np.rint(rectified), 0, 255).astype(np.uint8)
+
+
+def _read_times(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """(N,) stamps, and (N,) exposures in seconds if every line has one."""
+    rows: list[list[float]] = []
+    for where, words in read_rows(path, "give a folder with `id stamp exposure_ms` per frame"):
+        names = _TIME_NAMES[: max(2, min(len(words), 3))]
+        check_words(where, words, names)
+        row = to_numbers(where, words[1:], names[1:])
+        check_order(where, [r[0] for r in rows[-1:]], row[0])
+        rows.append(row)
+    if not rows:
+        raise InputError(str(path), "lists no frame", "give a folder with at least one frame")
+    stamps_s = np.array([row[0] for row in rows])
+    if any(len(row) < 2 for row in rows):
+        return stamps_s, None
+    return stamps_s, np.array([row[1] for row in rows]) / 1000
+
+
+def _open_images(folder: Path, shape: tuple[int, int], count: int) -> FrameSource:
+    directory, archive = folder / IMAGES_DIR, folder / IMAGES_ZIP
+    if directory.is_dir():
+        paths = sorted(path for path in directory.iterdir() if path.suffix in (".jpg", ".png"))
+        where, images = directory, GrayFolder(paths, shape, CAMERA_FILE)
+    else:
+        where, images = archive, GrayZip(archive, shape, CAMERA_FILE)
+    if len(images) != count:
+        problem = f"holds {len(images)} images, {TIMES_FILE} {count} stamps"
+        raise InputError(str(where), problem, "copy the folder again, or cut it to the same frames")
+    return images
+
+
+def _read_response(path: Path) -> np.ndarray:
+    """(256,) float32 light behind each level, scaled to 0 to 255; the level itself without the file."""
+    if not path.exists():
+        return np.arange(256, dtype=np.float32)
+    names = [f"level {level}" for level in range(256)]
+    rows = read_rows(path, "")
+    if len(rows) != 1 or len(rows[0][1]) != 256:
+        count = sum(len(words) for _, words in rows)
+        raise InputError(str(path), f"holds {count} numbers where 256 belong on one line", "copy it again")
+    values = np.array(to_numbers(rows[0][0], rows[0][1], names))
+    if not (np.diff(values) > 0).all():
+        level = int(np.flatnonzero(np.diff(values) <= 0)[0]) + 1
+        raise InputError(f"{rows[0][0]}: level {level}", "does not grow", "give a response that grows")
+    return (255 * (values - values[0]) / (values[-1] - values[0])).astype(np.float32)
+
+
+def _read_vignette(path: Path, shape: tuple[int, int]) -> np.ndarray:
+    """(H, W) float32, the brightest pixel 1; 1 everywhere without the file."""
+    if not path.exists():
+        return np.ones(shape, np.float32)
+    image = read_raw(path)
+    if image.shape != shape:
+        size = "x".join(str(side) for side in (*image.shape[1::-1], *image.shape[2:]))
+        problem = f"is {size}, {CAMERA_FILE} says {shape[1]}x{shape[0]} gray pixels"
+        raise InputError(str(path), problem, "give the vignette of this camera")
+    if not image.any():
+        raise InputError(str(path), "is black", "give the vignette of this camera")
+    return image.astype(np.float32) / np.float32(image.max())

@@ -1,0 +1,114 @@
+"""KITTI's odometry form: a round trip, the data set's own layout, and one line for every fault."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from io_sequences import COUNT, PINHOLE, edit, fault, make_sequence
+
+from scenarios.errors import InputError
+from sim.io.forms import Form, detect_form, load_sequence, write_sequence
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    write_sequence(replace(make_sequence(), camera=PINHOLE), tmp_path / "seq", Form.KITTI)
+    return tmp_path / "seq"
+
+
+def test_what_is_written_is_read_back(folder):
+    written, read = make_sequence(), load_sequence(folder)
+    assert detect_form(folder) is Form.KITTI
+    assert read.camera == PINHOLE
+    np.testing.assert_allclose(read.stamps_s, written.stamps_s, atol=5.1e-10, rtol=0)
+    for index in range(COUNT):
+        np.testing.assert_array_equal(read.frames[index], written.frames[index])
+    np.testing.assert_allclose(read.T_world_cam, written.T_world_cam, atol=2e-9)
+    assert read.segments == written.segments and read.name == "trial"
+    np.testing.assert_allclose(read.frame_truth["blur_px"], written.frame_truth["blur_px"])
+
+
+def test_writing_what_was_read_gives_the_same_bytes(folder, tmp_path):
+    write_sequence(load_sequence(folder), tmp_path / "again", Form.KITTI)
+    files = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+    assert len(files) == COUNT + 6
+    for file in files:
+        if file.name != "00.txt":
+            assert (tmp_path / "again" / file).read_bytes() == (folder / file).read_bytes(), file
+    poses = [np.loadtxt(root / "poses/00.txt") for root in (folder, tmp_path / "again")]
+    np.testing.assert_allclose(poses[0], poses[1], rtol=0, atol=2e-9)
+
+
+def test_the_files_are_the_benchmark_s(folder):
+    P0 = np.array((folder / "calib.txt").read_text().split()[1:], float).reshape(3, 4)
+    np.testing.assert_array_equal(P0, np.column_stack([PINHOLE.K, np.zeros(3)]))
+    row = np.loadtxt(folder / "poses/00.txt")[2]
+    np.testing.assert_allclose(row.reshape(3, 4), make_sequence().T_world_cam[2, :3], atol=1e-9)
+    np.testing.assert_allclose(np.loadtxt(folder / "times.txt"), np.arange(COUNT) / 30, atol=1e-9)
+    image = cv2.imread(str(folder / "image_0/000003.png"), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(image, make_sequence().frames[3])
+
+
+def test_poses_are_found_where_the_data_set_has_them(folder, tmp_path):
+    home = tmp_path / "dataset/sequences/07"
+    home.parent.mkdir(parents=True)
+    folder.rename(home)
+    (tmp_path / "dataset/poses").mkdir()
+    (home / "poses/00.txt").rename(tmp_path / "dataset/poses/07.txt")
+    np.testing.assert_allclose(load_sequence(home).T_world_cam, make_sequence().T_world_cam, atol=2e-9)
+    (tmp_path / "dataset/poses/07.txt").unlink()
+    assert load_sequence(home).T_world_cam is None
+
+
+def test_what_the_form_cannot_hold_is_refused(tmp_path):
+    with pytest.raises(InputError, match="rectified images; use tum or euroc"):
+        write_sequence(make_sequence(), tmp_path / "seq", Form.KITTI)
+    sequence = replace(make_sequence(), camera=PINHOLE)
+    sequence.T_world_cam[4] = np.nan
+    with pytest.raises(InputError, match="frame 4 has no pose"):
+        write_sequence(sequence, tmp_path / "seq", Form.KITTI)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "expected"),
+    [
+        ("times.txt", "0.066666667", "0.02", ["times.txt:3: stamp", "does not come after"]),
+        ("times.txt", "0.066666667", "x", ["times.txt:3: stamp", "'x'"]),
+        ("times.txt", "0.066666667", "1 2", ["times.txt:3", "2 numbers where 1"]),
+        ("times.txt", "0.066666667\n", "", ["image_0", "6 images, times.txt 5 stamps"]),
+        ("calib.txt", "P0:", "P1:", ["calib.txt: P0", "is missing"]),
+        ("calib.txt", "50.0 ", "", ["calib.txt:1", "11 numbers where 12"]),
+        ("calib.txt", "50.0", "wide", ["calib.txt:1: P0[0]", "'wide'"]),
+        ("calib.txt", "50.0", "5.0", ["calib.txt: fx", "absurd"]),
+        ("calib.txt", "50.0 0.0", "50.0 0.1", ["calib.txt:1: P0", "no projection"]),
+        ("poses/00.txt", "\n", " 1\n", ["00.txt:1", "13 numbers where 12"]),
+        ("poses/00.txt", "e-01 ", "e+03 ", ["00.txt:1", "no rotation"]),
+    ],
+)
+def test_each_fault_of_a_file_names_place_and_field(folder, file, old, new, expected):
+    edit(folder / file, old, new)
+    fault(folder, *expected)
+
+
+def test_poses_of_another_length_or_twice_are_refused(folder):
+    poses = folder / "poses/00.txt"
+    (folder / "07.txt").write_bytes(poses.read_bytes())
+    fault(folder, "several files of poses", "00.txt, 07.txt")
+    (folder / "07.txt").unlink()
+    poses.write_text("\n".join(poses.read_text().splitlines()[:-1]))
+    fault(folder, "00.txt", "5 poses for 6 frames")
+
+
+def test_missing_files_and_images_are_named(folder):
+    (folder / "image_0/000002.png").write_bytes(b"")
+    fault(folder, "000002.png", "missing or empty")
+    (folder / "image_0/000002.png").write_bytes((folder / "image_0/000001.png").read_bytes())
+    cv2.imwrite(str(folder / "image_0/000005.png"), np.zeros((50, 64), np.uint8))
+    with pytest.raises(InputError, match=r"64x50 pixels, image_0/000000\.png says 64x48"):
+        load_sequence(folder).frames[5]
+    for name in ("calib.txt", "times.txt"):
+        (folder / name).unlink()
+        fault(folder, name, "no such file")
