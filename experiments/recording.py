@@ -41,6 +41,7 @@ _MAPS = ([31, 160, 255], [255, 150, 40], [60, 200, 110], [220, 90, 200], [240, 2
 _FEATURE, _INLIER = 0, 1
 _STATES = {"tracking": 0x3CB371FF, "not_initialized": 0xE0A030FF, "lost": 0xE04040FF}
 _SEGMENTS = {"low_texture": 0xC8A040FF, "motion_blur": 0x9060D0FF, "fast_rotation": 0x3090C0FF}
+_OTHER_SEGMENT = 0xB06060FF
 
 
 @dataclass(frozen=True)
@@ -256,7 +257,9 @@ class Recorder:
             if segment.first_frame >= 0:
                 for frame in range(segment.first_frame, segment.last_frame + 1):
                     acting[frame] = segment.kind
-        self._send_lane("lanes/segment", acting, _SEGMENTS)
+        kinds = dict.fromkeys(segment.kind for segment in self._sequence.segments)
+        colors = {kind: _SEGMENTS.get(kind, _OTHER_SEGMENT) for kind in kinds}
+        self._send_lane("lanes/segment", acting, colors)
 
     def _send_lane(self, path: str, values: list[str], colors: dict[str, int]) -> None:
         labels = [v.replace("_", " ") for v in colors]

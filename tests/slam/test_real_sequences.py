@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from slam_scenes import errors_m, feed, kinds, rms
 
-from sim.io.tum_reader import load_sequence
+from sim.io.forms import load_sequence
 from slam.camera import PinholeCamera
 from slam.events import TrackingState
 from slam.system import build_system
