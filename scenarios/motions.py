@@ -1,8 +1,45 @@
 """The motions of a spec."""
 
-from pydantic import Field
+from typing import Any, Literal
+
+from pydantic import Field, model_validator
 
 from scenarios.strict import Strict
+
+KINDS: dict[str, dict[str, float]] = {
+    "walk": {},
+    "handheld": {
+        "max_speed_mps": 1.4,
+        "max_rate_degps": 60.0,
+        "sway_m": 0.035,
+        "shake_deg": 0.5,
+        "step_hz": 1.8,
+    },
+    "car": {
+        "max_speed_mps": 10.0,
+        "max_rate_degps": 35.0,
+        "eye_height_m": 1.65,
+        "sway_m": 0.015,
+        "shake_deg": 0.25,
+        "max_accel_mps2": 2.5,
+    },
+    "drone": {
+        "max_speed_mps": 4.0,
+        "max_rate_degps": 60.0,
+        "eye_height_m": 2.5,
+        "sway_m": 0.0,
+        "max_accel_mps2": 2.0,
+        "gust_mps": 2.0,
+    },
+}
+"""Kinds of carrier: the fields that they set."""
+
+_OF_KIND = {
+    "walk": (),
+    "handheld": ("shake_deg", "step_hz"),
+    "car": ("shake_deg", "max_accel_mps2"),
+    "drone": ("max_accel_mps2", "gust_mps"),
+}
 
 
 class Trajectory(Strict):
@@ -11,8 +48,36 @@ class Trajectory(Strict):
     ``gaze`` is where the camera looks relative to the direction of travel: 0 ahead, 90 to the left wall.
     """
 
+    kind: Literal["walk", "handheld", "car", "drone"] = Field(
+        "walk", description="the carrier; it sets the defaults of the other fields"
+    )
     max_speed_mps: float = Field(0.9, gt=0, le=60)
     max_rate_degps: float = Field(40.0, gt=0, le=400)
     gaze_deg: float = Field(0.0, ge=-180, le=180)
     eye_height_m: float = Field(1.5, gt=0, le=15)
-    sway_m: float = Field(0.04, ge=0, le=2, description="amplitude of the smooth sideways and vertical sway")
+    sway_m: float = Field(
+        0.04, ge=0, le=2, description="amplitude of the sway; of a car's heave, of a step's bob"
+    )
+    shake_deg: float = Field(
+        0.0, ge=0, le=5, description="amplitude of the quick turns: hands and steps, a car's springs"
+    )
+    step_hz: float = Field(0.0, ge=0, le=4, description="steps per second of who holds the camera")
+    max_accel_mps2: float = Field(0.0, ge=0, le=30, description="along the path and across it")
+    gust_mps: float = Field(0.0, ge=0, le=15, description="standard deviation of the wind about a drone")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _start_from_kind(cls, data: Any) -> Any:
+        kind = data.get("kind") if isinstance(data, dict) else None
+        return {**KINDS[kind], **data} if isinstance(kind, str) and kind in KINDS else data
+
+    @model_validator(mode="after")
+    def _of_the_kind(self) -> "Trajectory":
+        own = _OF_KIND[self.kind]
+        for name in ("shake_deg", "step_hz", "max_accel_mps2", "gust_mps"):
+            if getattr(self, name) and name not in own:
+                kinds = ", ".join(kind for kind, names in _OF_KIND.items() if name in names)
+                raise ValueError(f"a {self.kind} has no {name}, set kind to one of: {kinds}")
+        if "max_accel_mps2" in own and not self.max_accel_mps2:
+            raise ValueError(f"a {self.kind} without acceleration cannot move, set max_accel_mps2 above 0")
+        return self

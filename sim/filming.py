@@ -19,7 +19,7 @@ from sim.degradations.registry import SHOOT_KINDS
 from sim.degradations.repeated_texture import papered
 from sim.distortion import Lens, lens_renderer
 from sim.io.raw import RawFrames, RawWriter
-from sim.motion.walker import plan_walk
+from sim.motion import plan_motion
 from sim.renderer import Renderer
 from sim.world.base import Route, WorldModel
 
@@ -97,7 +97,9 @@ def plan_in_world(scenario: Scenario, seed: int, studio: Studio, surfaces: int, 
     stamps_s = np.arange(scenario.frame_count) / camera.fps
     shoot = Shoot(
         stamps_s=stamps_s,
-        motion=plan_walk(studio.layout(scenario.world, seed), scenario.trajectory, scenario.duration_s, seed),
+        motion=plan_motion(
+            studio.layout(scenario.world, seed), scenario.trajectory, scenario.duration_s, seed
+        ),
         exposure_s=np.full(len(stamps_s), camera.exposure_s),
         contrast=np.ones(surfaces),
         view_share=np.zeros((len(stamps_s), 0), np.float32),

@@ -25,6 +25,7 @@ NEAR_M = 0.05
 MOST_SURFACES = 900  # one context of MuJoCo takes fewer than 1000 materials and textures
 _ID_BASE = np.array([1, 1 << 8, 1 << 16], np.int32)
 _GL_PROJECTION_MATRIX = 0x0BA7
+_DRAWN, _HIDDEN = int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtGeom.mjGEOM_NONE)
 
 
 def faded_texture(surface: Surface, mean_level: float, contrast: float) -> np.ndarray:
@@ -154,6 +155,15 @@ class Frustum:
         )
         return any(bool((side > 0).all()) for side in sides)
 
+    def touches(self, centres: np.ndarray, radii_m: np.ndarray) -> np.ndarray:
+        """(n,) bool: False only for balls, centres (n, 3) in the camera frame, wholly outside one side."""
+        x, y, z = centres.T
+        inside = z + radii_m > self.near_m
+        # A side through the eye has the unit normal (1, -slope) / length in its plane.
+        for across, slope in ((x, self.right), (-x, -self.left), (-y, self.top), (y, -self.bottom)):
+            inside &= across - slope * z < radii_m * np.hypot(1.0, slope)
+        return inside
+
 
 class _Part:
     """As many surfaces as one MuJoCo context takes, with their own model and offscreen buffer."""
@@ -169,9 +179,19 @@ class _Part:
         low = np.min([s.vertices.min(axis=0) for s in surfaces], axis=0)
         high = np.max([s.vertices.max(axis=0) for s in surfaces], axis=0)
         self._box = np.array(list(product(*zip(low, high, strict=True))))
+        self._centres = np.array([(s.vertices.min(axis=0) + s.vertices.max(axis=0)) / 2 for s in surfaces])
+        self._radii_m = np.array(
+            [
+                np.linalg.norm(s.vertices - c, axis=1).max()
+                for s, c in zip(surfaces, self._centres, strict=True)
+            ]
+        )
+        self._frustum = frustum
+        self._shown = np.ones(len(surfaces), bool)
         model = _model(surfaces, textures, camera)
         self._viewport = mujoco.MjrRect(0, 0, camera.width_px, camera.height_px)
         self._scene = _static_scene(model, frustum)
+        self._geoms = list(self._scene.geoms)
         self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
         self._mjr.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
 
@@ -184,10 +204,19 @@ class _Part:
         for eye in self._scene.camera:
             eye.pos = T_world_cam[:3, 3]
             eye.forward, eye.up = T_world_cam[:3, 2], -T_world_cam[:3, 1]
+        self._hide_what_is_out_of_sight(T_world_cam)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = ids
         self._scene.flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = ids
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
         mujoco.mjr_render(self._viewport, self._scene, self._mjr)
+
+    def _hide_what_is_out_of_sight(self, T_world_cam: np.ndarray) -> None:
+        """MuJoCo draws every geom that has a type; the others cost nothing."""
+        centres = (self._centres - T_world_cam[:3, 3]) @ T_world_cam[:3, :3]
+        shown = self._frustum.touches(centres, self._radii_m + 1e-3)
+        for index in np.flatnonzero(shown != self._shown).tolist():
+            self._geoms[index].type = _DRAWN if shown[index] else _HIDDEN
+        self._shown = shown
 
     def read(self, rgb: np.ndarray, zbuffer: np.ndarray) -> None:
         """Read what was drawn, the lowest row first."""

@@ -13,12 +13,19 @@ _WANDER_SIGMA_M = 2.0
 _SOFTENING_M = 0.25
 
 
-def smooth_path(route: Route, rng: np.random.Generator) -> np.ndarray:
+def smooth_path(
+    route: Route,
+    rng: np.random.Generator,
+    wander_sigma_m: float = _WANDER_SIGMA_M,
+    softening_m: float = _SOFTENING_M,
+) -> np.ndarray:
     """The route with its corners rounded and a seeded, smooth sideways wander.
 
     Args:
         route: polyline and clearance, metres.
         rng: stream of this path.
+        wander_sigma_m: distance over which the wander changes.
+        softening_m: distance over which the direction changes where arcs meet straights.
 
     Returns:
         (M, 2) float64 points about ``STEP_M`` apart, within the route's clearance; of a closed route the
@@ -30,9 +37,9 @@ def smooth_path(route: Route, rng: np.random.Generator) -> np.ndarray:
     line = _round_corners(corners, CORNER_SHARE * route.clearance_m, route.closed)
     line = _resample(line, route.closed)
     # Softens the jumps of curvature where arcs meet straights; moves the line by millimetres.
-    line = _soften(line, route.closed)
+    line = _soften(line, route.closed, softening_m)
     mode = "wrap" if route.closed else "nearest"
-    wander = gaussian_filter1d(rng.standard_normal(len(line)), _WANDER_SIGMA_M / STEP_M, mode=mode)
+    wander = gaussian_filter1d(rng.standard_normal(len(line)), wander_sigma_m / STEP_M, mode=mode)
     wander *= WANDER_SHARE * route.clearance_m / max(float(np.abs(wander).max()), 1e-12)
     return _resample(line + wander[:, None] * _normals(line, route.closed), route.closed)
 
@@ -78,8 +85,8 @@ def _resample(line: np.ndarray, closed: bool) -> np.ndarray:
     return np.column_stack([np.interp(at, along, points[:, 0]), np.interp(at, along, points[:, 1])])
 
 
-def _soften(line: np.ndarray, closed: bool) -> np.ndarray:
-    sigma = _SOFTENING_M / STEP_M
+def _soften(line: np.ndarray, closed: bool, over_m: float) -> np.ndarray:
+    sigma = over_m / STEP_M
     if closed:
         return gaussian_filter1d(line, sigma, axis=0, mode="wrap")
     # Smoothed about its chord, so that the ends are hardly drawn in.

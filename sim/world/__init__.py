@@ -1,13 +1,21 @@
 """Worlds by kind. A new world is one file with ``layout`` and ``build_world`` and one line here."""
 
-from scenarios.spec import CorridorWorld, RoomWorld
-from sim.world import corridor, room
+from scenarios.worlds import World
+from sim.world import city, corridor, field, motorway, room, warehouse
 from sim.world.base import Route, WorldModel
 
-_WORLDS = {"room": room, "corridor": corridor}
+WORLDS = {
+    "room": room,
+    "corridor": corridor,
+    "city": city,
+    "motorway": motorway,
+    "field": field,
+    "warehouse": warehouse,
+}
+"""Modules by kind, each with ``layout`` and ``build_world``."""
 
 
-def layout(spec: RoomWorld | CorridorWorld, seed: int) -> Route:
+def layout(spec: World, seed: int) -> Route:
     """Where a carrier may go in the world; cheap, builds no texture.
 
     Args:
@@ -17,13 +25,13 @@ def layout(spec: RoomWorld | CorridorWorld, seed: int) -> Route:
     Raises:
         InputError: the world's sizes do not fit together.
     """
-    return _WORLDS[spec.kind].layout(spec, seed)
+    return WORLDS[spec.kind].layout(spec, seed)
 
 
-def build_world(spec: RoomWorld | CorridorWorld, seed: int) -> WorldModel:
+def build_world(spec: World, seed: int) -> WorldModel:
     """The world with its textures, contrast 1 everywhere; the same seed gives the same bytes.
 
     Raises:
         InputError: the world's sizes do not fit together.
     """
-    return _WORLDS[spec.kind].build_world(spec, seed)
+    return WORLDS[spec.kind].build_world(spec, seed)

@@ -2,11 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from sim.world import building_finishes as building
+from sim.world import car_finish
+from sim.world import facade_finishes as facade
 from sim.world import furniture_finishes as furniture
+from sim.world import store_finishes as store
+from sim.world import street_finishes as street
+from sim.world.car_shapes import SHAPES
 from sim.world.textures import fit_levels
 
 
@@ -46,6 +52,57 @@ FINISHES = {
 }
 WALL_FINISHES = ("brick", "plaster", "concrete", "tiles", "boards")
 FLOOR_FINISHES = ("parquet", "stone")
+
+
+@dataclass(frozen=True)
+class PieceFinish(Finish):
+    """A finish of a mesh, whose levels may differ from piece to piece.
+
+    Attributes:
+        scale: pixels per metre where the texture budget allows.
+        fitted: its mean and deviation are met; otherwise they are the drawing's own.
+    """
+
+    scale: float = 32.0
+    fitted: bool = True
+
+
+PIECE_FINISHES = {
+    "plaster front": PieceFinish(facade.plaster_front, 150, 48, scale=28, fitted=False),
+    "brick front": PieceFinish(facade.brick_front, 120, 46, scale=28, fitted=False),
+    "stone front": PieceFinish(facade.stone_front, 140, 44, scale=28, fitted=False),
+    "gable": PieceFinish(facade.gable, 130, 30, scale=10, fitted=False),
+    "asphalt": PieceFinish(street.asphalt, 100, 22, scale=36),
+    "crossing": PieceFinish(street.crossing, 106, 34, scale=36),
+    "paving": PieceFinish(street.paving, 132, 24, scale=36),
+    "motorway": PieceFinish(street.motorway_lanes, 104, 18, scale=24),
+    "meadow": PieceFinish(street.meadow, 74, 24, scale=30),
+    "verge": PieceFinish(street.verge, 100, 20, scale=16),
+    "metal": PieceFinish(street.metal, 128, 38, scale=60),
+    "rail": PieceFinish(street.metal, 124, 46, scale=50),
+    "sign": PieceFinish(street.sign, 140, 60, scale=60),
+    "tree": PieceFinish(street.tree, 78, 40, scale=48),
+    "woods": PieceFinish(street.woods, 84, 30, scale=6),
+    "clouds": PieceFinish(street.clouds, 214, 20, luminous=True, scale=20, fitted=False),
+    "rack": PieceFinish(store.rack, 118, 44, scale=120),
+    "store floor": PieceFinish(store.floor, 128, 26, scale=90),
+    "cladding": PieceFinish(store.cladding, 134, 32, scale=90),
+    "store roof": PieceFinish(store.roof, 128, 40, scale=24),
+    **{
+        name: PieceFinish(partial(car_finish.car, shape), 110, 60, scale=64, fitted=False)
+        for name, shape in SHAPES.items()
+    },
+}
+
+
+def draw(
+    finish: PieceFinish, size_m: tuple[float, float], scale: float, rng: np.random.Generator
+) -> np.ndarray:
+    """A new texture of a mesh before light and shade, (h, w) uint8; arguments as in ``paint``."""
+    width, height = (max(8, round(side * scale)) for side in size_m)
+    image = np.full((height, width), 128, np.uint8)
+    finish.draw(image, scale, rng)
+    return fit_levels(image, finish.mean_level, finish.deviation) if finish.fitted else image
 
 
 def paint(finish: str, size_m: tuple[float, float], scale: float, rng: np.random.Generator) -> np.ndarray:

@@ -113,6 +113,53 @@ def dead_leaves(
 _SIDES = (0, 4, 3)
 
 
+def blotches(image: np.ndarray, rng: np.random.Generator, size_px: float, levels: tuple[int, int]) -> None:
+    """Fill the image with ragged patches of about ``size_px``, each of one tone between ``levels``."""
+    height, width = image.shape
+    tones = rng.integers(
+        levels[0], levels[1] + 1, (int(height / size_px) + 4, int(width / size_px) + 4), dtype=np.uint8
+    )
+    columns, rows = (
+        np.arange(side, dtype=np.float32) / np.float32(size_px) + 1.5 for side in (width, height)
+    )
+    shift = [0.6 * np.clip(fractal_noise((height, width), rng, 0.95), -2, 2) for _ in range(2)]
+    image[:] = cv2.remap(
+        tones,
+        columns[None] + shift[0],
+        rows[:, None] + shift[1],
+        cv2.INTER_NEAREST,
+        borderMode=cv2.BORDER_WRAP,
+    )
+
+
+def masonry(
+    image: np.ndarray, scale: float, rng: np.random.Generator, unit_m: tuple[float, float], spread: float
+) -> None:
+    """Fill the image with bricks, flags or tiles in a running bond, each of its own tone, with dark joints.
+
+    Args:
+        image: (h, w) uint8, overwritten.
+        scale: pixels per metre.
+        rng: the random stream.
+        unit_m: width and height of a unit, joint included.
+        spread: standard deviation of the tones, gray levels.
+    """
+    height, width = image.shape
+    wide, high = max(3.0, unit_m[0] * scale), max(3.0, unit_m[1] * scale)
+    rows, columns = int(height / high) + 1, int(width / wide) + 3
+    tones = np.clip(rng.normal(140, spread, (rows, columns)), 50, 235).astype(np.uint8)
+    row, in_row = np.divmod(np.arange(height), high)
+    across = np.arange(width) + rng.random() * wide
+    joint = 95
+    for odd in (0, 1):
+        column, in_column = np.divmod(across + 0.5 * odd * wide, wide)
+        mine = row.astype(int) % 2 == odd
+        lines = tones[row[mine].astype(int)][:, column.astype(int)]
+        lines[:, in_column < 1] = joint
+        image[mine] = lines
+    image[in_row < 1] = joint
+
+
 def text_block(image: np.ndarray, rng: np.random.Generator, glyph_px: float, ink: int) -> None:
     """Lines of word-like random glyphs over the whole image, in place."""
     height, width = image.shape

@@ -1,0 +1,115 @@
+"""Triangle meshes put together from simple shapes, and the pieces of an outdoor world that carry them."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+_QUAD = np.array([[0, 3, 2], [0, 2, 1]], np.int32)
+
+
+@dataclass
+class Mesh:
+    """Vertices, triangles and texture coordinates that grow part by part.
+
+    Texture coordinates are given in metres on the texture's sheet, v downward.
+    """
+
+    vertices: list[np.ndarray] = field(default_factory=list)
+    triangles: list[np.ndarray] = field(default_factory=list)
+    sheet_m: list[np.ndarray] = field(default_factory=list)
+    _count: int = 0
+
+    def add(self, vertices: np.ndarray, triangles: np.ndarray, sheet_m: np.ndarray) -> None:
+        """Append a part: (V, 3) metres, (T, 3) counter-clockwise from outside, (V, 2) on the sheet."""
+        self.vertices.append(np.asarray(vertices, float))
+        self.triangles.append(np.asarray(triangles, np.int32) + self._count)
+        self.sheet_m.append(np.asarray(sheet_m, float))
+        self._count += len(vertices)
+
+    def quad(self, corners: np.ndarray, low_m: tuple[float, float], size_m: tuple[float, float]) -> None:
+        """A quadrangle (4, 3), clockwise from the upper left as seen, that shows a part of the sheet."""
+        u, v = np.array([0.0, 1.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0, 1.0])
+        sheet = np.column_stack([low_m[0] + u * size_m[0], low_m[1] + v * size_m[1]])
+        self.add(corners, _QUAD, sheet)
+
+    def tube(
+        self,
+        ends: np.ndarray,
+        radii_m: tuple[float, float],
+        sides: int,
+        low_m: tuple[float, float],
+        size_m: tuple[float, float],
+    ) -> None:
+        """An upright or leaning tube without caps between two points (2, 3), lower end first."""
+        axis = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+        across = np.cross(axis, [0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [1.0, 0.0, 0.0])
+        across /= np.linalg.norm(across)
+        turn = np.linspace(0, 2 * np.pi, sides + 1)[:, None]
+        rim = np.cos(turn) * across + np.sin(turn) * np.cross(axis, across)
+        vertices = np.vstack([ends[1] + radii_m[1] * rim, ends[0] + radii_m[0] * rim])
+        u = np.linspace(0, 1, sides + 1)
+        sheet = np.vstack([np.column_stack([low_m[0] + u * size_m[0], 0 * u + v]) for v in (0.0, 1.0)])
+        sheet[:, 1] = low_m[1] + sheet[:, 1] * size_m[1]
+        self.add(vertices, grid_triangles(2, sides + 1), sheet)
+
+
+def rise(z_m: float) -> np.ndarray:
+    """(3,) a step straight up, metres."""
+    return np.array([0.0, 0.0, z_m])
+
+
+def grid_triangles(rows: int, columns: int) -> np.ndarray:
+    """(T, 3) triangles over a grid of vertices in row order, whose rows run downward as seen."""
+    index = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    faces = np.stack([a, d, c, a, c, b], axis=-1)
+    return faces.reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A mesh that waits for its texture.
+
+    Attributes:
+        vertices: (V, 3) float64, metres, world frame.
+        triangles: (T, 3) int32, counter-clockwise from the visible side.
+        uv: (V, 2) texture coordinates in [0, 1], v downward.
+        size_m: width and height of the texture's sheet, metres.
+        finish: name of the finish that paints it.
+        label: human name, unique in the world.
+        gain: (rows, columns) factors of light and shade, stretched over the sheet.
+        detail: pixels per metre relative to the finish's own.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    uv: np.ndarray
+    size_m: tuple[float, float]
+    finish: str
+    label: str
+    gain: np.ndarray = field(default_factory=lambda: np.ones((2, 2), np.float32))
+    detail: float = 1.0
+
+    @classmethod
+    def of(
+        cls,
+        mesh: Mesh,
+        size_m: tuple[float, float],
+        finish: str,
+        label: str,
+        gain: np.ndarray | None = None,
+        detail: float = 1.0,
+    ) -> "Piece":
+        """A piece of a finished mesh, its sheet coordinates divided by the sheet's size."""
+        lit = np.ones((2, 2), np.float32) if gain is None else gain
+        uv = np.concatenate(mesh.sheet_m) / size_m
+        return cls(
+            np.concatenate(mesh.vertices),
+            np.concatenate(mesh.triangles),
+            np.clip(uv, 0.0, 1.0),
+            size_m,
+            finish,
+            label,
+            lit,
+            detail,
+        )

@@ -1,0 +1,49 @@
+"""Worlds and motions as scenario files name them."""
+
+from typing import get_args
+
+import pytest
+
+from scenarios.errors import InputError
+from scenarios.loading import dump_yaml, load_scenario
+from scenarios.worlds import CityWorld, World
+
+KINDS = [model.model_fields["kind"].default for model in get_args(get_args(World)[0])]
+CARRIERS = ("walk", "handheld", "car", "drone")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("carrier", CARRIERS)
+def test_every_world_with_every_carrier_survives_being_written_and_read(kind, carrier, tmp_path):
+    path = tmp_path / "trial.yaml"
+    path.write_text(f"name: trial\nworld: {{kind: {kind}}}\ntrajectory: {{kind: {carrier}}}\n")
+    scenario = load_scenario(path)
+    assert scenario.world.kind == kind and scenario.trajectory.kind == carrier
+    path.write_text(dump_yaml(scenario))
+    assert load_scenario(path) == scenario
+
+
+def test_the_clean_city_is_driven_with_the_camera_of_kitti():
+    scenario = load_scenario("clean-city")
+    assert isinstance(scenario.world, CityWorld) and scenario.trajectory.kind == "car"
+    assert (scenario.camera.width_px, scenario.camera.height_px, scenario.camera.fps) == (1241, 376, 10)
+    assert scenario.trajectory.max_speed_mps == 10 and not scenario.segments
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("world: {kind: city, length_m: 200, loop: true}", ["world", "leaves no block", "280"]),
+        ("world: {kind: room}\ntrajectory: {kind: walk, gust_mps: 2}", ["trajectory", "gust_mps", "drone"]),
+        ("world: {kind: room}\ntrajectory: {kind: bus}", ["trajectory.kind", "bus", "car"]),
+    ],
+)
+def test_faults_are_one_line_with_a_remedy(line, expected, tmp_path):
+    path = tmp_path / "trial.yaml"
+    path.write_text(f"name: trial\n{line}\n")
+    with pytest.raises(InputError) as caught:
+        load_scenario(path)
+    text = str(caught.value)
+    assert "\n" not in text
+    for part in expected:
+        assert part in text
