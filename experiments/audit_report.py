@@ -1,4 +1,4 @@
-"""The audit of a whole run: every exposure and breakage for true loss, every fusion for truth."""
+"""The audit of a whole run: every exposure and breakage for true loss, every healed one for truth."""
 
 from dataclasses import asdict, dataclass
 
@@ -39,7 +39,7 @@ class LossFinding:
 
 @dataclass(frozen=True)
 class FusionFinding:
-    """One accepted fusion, with the breakage that it mends."""
+    """One accepted fusion or relocalization, with the breakage that it mends."""
 
     breakage_frame: int
     old_map_id: int
@@ -76,30 +76,48 @@ def fusion_findings(
     record: RunRecord, outcomes: list[BreakageOutcome], bounds: AuditBounds | None = None
 ) -> list[FusionFinding]:
     """Every accepted fusion, judged on the finished map that holds it."""
-    sequence = record.sequence
+    return [
+        _seam_finding(record, outcomes, o, {o.breakage.map_id, o.fusion.map_id}, bounds)
+        for o in outcomes
+        if o.recovered and o.fusion is not None
+    ]
+
+
+def relocalization_findings(
+    record: RunRecord, outcomes: list[BreakageOutcome], bounds: AuditBounds | None = None
+) -> list[FusionFinding]:
+    """Every relocalization, judged as a fusion is: the finished map before the breakage and after it."""
+    return [
+        _seam_finding(record, outcomes, o, {o.breakage.map_id}, bounds)
+        for o in outcomes
+        if o.relocalized is not None and not o.recovered
+    ]
+
+
+def _seam_finding(
+    record: RunRecord,
+    outcomes: list[BreakageOutcome],
+    outcome: BreakageOutcome,
+    map_ids: set[int],
+    bounds: AuditBounds | None,
+) -> FusionFinding:
+    sequence, frame = record.sequence, outcome.breakage.frame
     assert sequence.T_world_cam is not None
-    findings = []
-    for outcome in outcomes:
-        if not outcome.recovered:
-            continue
-        frame, map_id = outcome.breakage.frame, outcome.breakage.map_id
-        assert outcome.fusion is not None
-        fused = next((t for t in record.trajectories if t.map_id in (map_id, outcome.fusion.map_id)), None)
-        if fused is None:
-            audit = FusionAudit(None, None, None, None, None, "the fused map no longer exists")
-        else:
-            earlier = [o.breakage.frame for o in outcomes if o.breakage.frame < frame]
-            audit = audit_fusion(
-                fused,
-                sequence.stamps_s,
-                sequence.T_world_cam,
-                frame,
-                from_frame=max(earlier, default=-1) + 1,
-                until_frame=outcome.until_frame,
-                bounds=bounds,
-            )
-        findings.append(FusionFinding(frame, map_id, audit))
-    return findings
+    healed = next((t for t in record.trajectories if t.map_id in map_ids), None)
+    if healed is None:
+        audit = FusionAudit(None, None, None, None, None, "the fused map no longer exists")
+    else:
+        earlier = [o.breakage.frame for o in outcomes if o.breakage.frame < frame]
+        audit = audit_fusion(
+            healed,
+            sequence.stamps_s,
+            sequence.T_world_cam,
+            frame,
+            from_frame=max(earlier, default=-1) + 1,
+            until_frame=outcome.until_frame,
+            bounds=bounds,
+        )
+    return FusionFinding(frame, outcome.breakage.map_id, audit)
 
 
 def audit_record(record: RunRecord, outcomes: list[BreakageOutcome]) -> dict | None:
@@ -113,6 +131,10 @@ def audit_record(record: RunRecord, outcomes: list[BreakageOutcome]) -> dict | N
         "fusions": [
             {"breakage_frame": f.breakage_frame, "old_map_id": f.old_map_id, **asdict(f.audit)}
             for f in fusion_findings(record, outcomes, bounds)
+        ],
+        "relocalizations": [
+            {"breakage_frame": f.breakage_frame, "map_id": f.old_map_id, **asdict(f.audit)}
+            for f in relocalization_findings(record, outcomes, bounds)
         ],
     }
 

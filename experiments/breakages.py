@@ -4,7 +4,16 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from sim.sequence import SegmentTruth
-from slam.events import Breakage, Event, Fusion, Initialized, MapDropped, RecoveryEnd, ReinitDone
+from slam.events import (
+    Breakage,
+    Event,
+    Fusion,
+    Initialized,
+    MapDropped,
+    RecoveryEnd,
+    ReinitDone,
+    Relocalized,
+)
 
 EXPOSURE_GRACE_S = 0.5
 """A breakage this long after a segment's last frame still counts as the segment's: declaring takes time."""
@@ -21,6 +30,7 @@ class BreakageOutcome:
         reinit_frame: frame at which a new map stood, None if none did.
         recoveries: the ends of the recovery threads, in order.
         fusion: the last decision on fusing with the broken map, None if it never came to one.
+        relocalized: tracking going on in the broken map, None if it never did.
         dropped: why the broken map was thrown away at once, empty where it was kept.
     """
 
@@ -30,17 +40,23 @@ class BreakageOutcome:
     reinit_frame: int | None
     recoveries: tuple[RecoveryEnd, ...]
     fusion: Fusion | None
+    relocalized: Relocalized | None
     dropped: str
 
     @property
     def recovered(self) -> bool:
-        """By the system's own word."""
+        """A recovery thread brought the maps together, by the system's own word."""
         return self.fusion is not None and self.fusion.accepted
 
     @property
+    def healed(self) -> bool:
+        """The broken map is in use again, by recovery or by relocalization."""
+        return self.recovered or self.relocalized is not None
+
+    @property
     def failure_reason(self) -> str:
-        """Why it was not recovered, empty if it was."""
-        if self.recovered:
+        """Why it was not healed, empty if it was."""
+        if self.healed:
             return ""
         if self.dropped:
             return f"map dropped: {self.dropped}"
@@ -71,9 +87,9 @@ def segment_of_frame(
 def breakage_outcomes(
     events: Iterable[Event], segments: Sequence[SegmentTruth], stamps_s: Sequence[float]
 ) -> list[BreakageOutcome]:
-    """Every breakage in order, with its recovery.
+    """Every breakage in order, with what mended it.
 
-    A fusion or recovery belongs to the last breakage of its old map before it.
+    A fusion, recovery or relocalization belongs to the last breakage of its old map before it.
     """
     events = list(events)
     breakages = [e for e in events if isinstance(e, Breakage)]
@@ -97,6 +113,7 @@ def _outcome(
         if isinstance(e, MapDropped) and (e.frame, e.map_id) == (breakage.frame, breakage.map_id)
     ]
     fusions = [e for e in after if isinstance(e, Fusion) and e.old_map_id == breakage.map_id]
+    found = [e for e in after if isinstance(e, Relocalized) and e.map_id == breakage.map_id]
     return BreakageOutcome(
         breakage=breakage,
         segment=segment_of_frame(breakage.frame, breakage.stamp_s, segments, stamps_s),
@@ -104,5 +121,6 @@ def _outcome(
         reinit_frame=reinit[0] if reinit else None,
         recoveries=tuple(e for e in after if isinstance(e, RecoveryEnd) and e.old_map_id == breakage.map_id),
         fusion=fusions[-1] if fusions else None,
+        relocalized=found[0] if found else None,
         dropped=dropped[0] if dropped else "",
     )

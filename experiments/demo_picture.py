@@ -97,8 +97,12 @@ def _draw_paths(
         axes.text(0.01, 0.01, note, transform=axes.transAxes, fontsize=8, color="#c00020")
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.06)
+    recovered, relocalized = (
+        sum(o.recovered for o in outcomes),
+        sum(o.relocalized is not None for o in outcomes),
+    )
     axes.set_title(
-        f"{kind}: {len(outcomes)} breakage(s), {sum(o.recovered for o in outcomes)} recovered", fontsize=11
+        f"{kind}: {len(outcomes)} breakage(s), {recovered} recovered, {relocalized} relocalized", fontsize=11
     )
     axes.set_xlabel("m", fontsize=8)
     axes.tick_params(labelsize=8)
@@ -113,6 +117,9 @@ def _mark(axes: Axes, positions: np.ndarray, outcomes: list[BreakageOutcome]) ->
     mended = positions[[o.fusion.frame for o in outcomes if o.fusion is not None and o.recovered]]
     if len(mended):
         axes.plot(*mended.T, "o", color="#208040", markersize=8, zorder=5, label="recovered and fused")
+    found = positions[[o.relocalized.frame for o in outcomes if o.relocalized is not None]]
+    if len(found):
+        axes.plot(*found.T, "D", color="#208040", markersize=6, zorder=5, label="relocalized")
 
 
 def _draw_inliers(axes: Axes, sequence: Sequence, records: dict[SystemKind, RunRecord]) -> None:

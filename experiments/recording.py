@@ -39,7 +39,9 @@ _NO_SPACE_BYTES = 1 << 20
 _TRUE, _CAMERA = [150, 150, 150], [255, 255, 255]
 _MAPS = ([31, 160, 255], [255, 150, 40], [60, 200, 110], [220, 90, 200], [240, 220, 60], [120, 220, 220])
 _FEATURE, _INLIER = 0, 1
-_STATES = {"tracking": 0x3CB371FF, "not_initialized": 0xE0A030FF, "lost": 0xE04040FF}
+_STATES = {
+    "tracking": 0x3CB371FF, "not_initialized": 0xE0A030FF, "lost": 0xE04040FF, "relocalizing": 0xD07070FF,
+}  # fmt: skip
 _SEGMENTS = {"low_texture": 0xC8A040FF, "motion_blur": 0x9060D0FF, "fast_rotation": 0x3090C0FF}
 _OTHER_SEGMENT = 0xB06060FF
 

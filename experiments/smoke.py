@@ -44,6 +44,7 @@ class SmokeResult:
         pr_given_b: recovery fails, of the units that broke: conditional on breakage.
         predicted: the product of the two; by the chain rule the same as ``measured``, so no test of Eq. 1.
         measured: base breaks and recovery fails, of all healthy units.
+        relocalized: the base relocalizes later, of the units that broke; it is a breakage all the same.
         base_failure: the base is not tracking at the end, of all healthy units.
         silent: an exposed segment corrupted the base's map and nothing was declared, of all healthy units.
         no_reinit, false_recovery: of the units that broke; of the fusions accepted and judged.
@@ -56,6 +57,7 @@ class SmokeResult:
     pr_given_b: Proportion
     predicted: float | None
     measured: Proportion
+    relocalized: Proportion
     base_failure: Proportion
     silent: Proportion
     no_reinit: Proportion
@@ -120,6 +122,7 @@ def count(rows: Iterable[dict[str, Any]]) -> SmokeResult:
         pr_given_b=pr,
         predicted=predicted,
         measured=_share(done, "dual_failure"),
+        relocalized=_share(broken, "relocalized"),
         base_failure=_share(done, "base_failure"),
         silent=_share(done, "silent_failure"),
         no_reinit=_share(broken, "no_reinit"),

@@ -53,7 +53,7 @@ def is_tracked(result: TrackingResult) -> bool:
 
 
 def segment_rows(record: RunRecord, outcomes: list[BreakageOutcome]) -> list[dict]:
-    """Per injected segment: frames, frames tracked, breakages, recoveries, ATE with its completeness.
+    """Per injected segment: frames, tracked frames, breakages, what healed them, ATE with its completeness.
 
     The ATE of a segment is that of the main map, aligned as a whole, over the segment's frames.
     """
@@ -76,6 +76,7 @@ def segment_rows(record: RunRecord, outcomes: list[BreakageOutcome]) -> list[dic
                 "tracked": sum(is_tracked(record.results[f]) for f in inside),
                 "breakages": len(own),
                 "recoveries": sum(o.recovered for o in own),
+                "relocalizations": sum(o.relocalized is not None for o in own),
                 "ate_m": metrics.rms(np.array(posed)) if posed else None,
                 "ate_frames": len(posed),
             }
@@ -120,6 +121,7 @@ def _counts(record: RunRecord, outcomes: list[BreakageOutcome]) -> dict:
         "map_points": sum(record.map_points.values()),
         "breakages": len(outcomes),
         "recoveries": sum(o.recovered for o in outcomes),
+        "relocalizations": sum(o.relocalized is not None for o in outcomes),
     }
 
 
@@ -176,6 +178,8 @@ def _breakage(outcome: BreakageOutcome, record: RunRecord) -> dict:
         "reinit_frame": outcome.reinit_frame,
         "recovered": outcome.recovered,
         "fusion_frame": outcome.fusion.frame if outcome.fusion else None,
+        "relocalized_frame": outcome.relocalized.frame if outcome.relocalized else None,
+        "lost_s": outcome.relocalized.lost_s if outcome.relocalized else None,
         "failure_reason": outcome.failure_reason,
     }
 

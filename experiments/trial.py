@@ -119,7 +119,7 @@ def judge(base: RunRecord, dual: RunRecord) -> dict[str, Any]:
         "breakage_segment": segment.kind,
         "breakage_reason": base_first.breakage.reason,
         "declaration_delay_s": delays[0] if delays else None,
-        "relocalized": any(is_tracked(r) for r in base.results[base_first.breakage.frame + 1 :]),
+        "relocalized": base_first.relocalized is not None,
     }
     return row | _recovery(dual_first, dual_summary["audit"]["fusions"])
 

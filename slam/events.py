@@ -4,6 +4,8 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import ClassVar
 
+from slam.snapshot import Unchanging
+
 
 class TrackingState(StrEnum):
     """State of the tracker after a frame."""
@@ -11,10 +13,11 @@ class TrackingState(StrEnum):
     NOT_INITIALIZED = "not_initialized"
     TRACKING = "tracking"
     LOST = "lost"
+    RELOCALIZING = "relocalizing"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Event:
+class Event(Unchanging):
     """Something the system declared, at one frame.
 
     Attributes:
@@ -49,6 +52,50 @@ class Breakage(Event):
     kind: ClassVar[str] = "breakage"
     reason: str
     inliers: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relocalized(Event):
+    """Tracking goes on in a map that was lost; ``keyframe`` is the frame of the keyframe that was recognised.
+
+    Attributes:
+        frames_lost, lost_s: frames and time since the breakage.
+    """
+
+    kind: ClassVar[str] = "relocalized"
+    keyframe: int
+    inliers: int
+    frames_lost: int
+    lost_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopClosed(Event):
+    """A place was seen again and the drift since taken out.
+
+    Attributes:
+        keyframe, loop_keyframe: frames of the two keyframes.
+        scale: factor by which lengths about the keyframe were corrected.
+        matches: points that both ends then shared.
+        cpu_ms: of detection and correction.
+    """
+
+    kind: ClassVar[str] = "loop_closed"
+    keyframe: int
+    loop_keyframe: int
+    scale: float
+    matches: int
+    cpu_ms: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapAdjusted(Event):
+    """Global bundle adjustment after a loop has been applied."""
+
+    kind: ClassVar[str] = "map_adjusted"
+    keyframes: int
+    points: int
+    cpu_ms: float
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,10 +8,11 @@ from slam._frame_kernels import sort_into_cells
 from slam.camera import PinholeCamera
 from slam.geometry import ViewGeometry
 from slam.orb import Features
+from slam.snapshot import Unchanging
 
 
 @dataclass(frozen=True)
-class FrameFeatures:
+class FrameFeatures(Unchanging):
     """The features of one image, ordered by grid cell; never changed after construction.
 
     Attributes:
@@ -82,3 +83,11 @@ class Frame:
 
     def __post_init__(self) -> None:
         self.point = np.full(len(self.features), -1, np.int32)
+
+    def copy(self) -> "Frame":
+        """An independent copy; the features, which never change, are shared."""
+        twin = Frame(
+            self.features, self.T_cam_map.copy(), self.reference_keyframe, self.T_cam_reference.copy()
+        )
+        twin.point[:] = self.point
+        return twin

@@ -1,5 +1,6 @@
 """Local mapping: what happens to the map when it is given a keyframe."""
 
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,11 +41,21 @@ class LocalMappingConfig:
 
 
 class LocalMapper:
-    """Grows and refines one map, keyframe by keyframe."""
+    """Grows and refines one map, keyframe by keyframe.
 
-    def __init__(self, map_: Map, config: LocalMappingConfig) -> None:
+    Args:
+        map_: the map.
+        config: settings.
+        lock: held while the map is read or written, step by step and never while a problem is solved, so
+            that who tracks in the map at the same time waits for a few milliseconds at the most.
+    """
+
+    def __init__(
+        self, map_: Map, config: LocalMappingConfig, lock: AbstractContextManager | None = None
+    ) -> None:
         self.map = map_
         self.config = config
+        self.lock = lock or nullcontext()
         self._young = np.empty(0, np.int64)
 
     def insert(self, frame: Frame) -> int:
@@ -53,12 +64,15 @@ class LocalMapper:
         Returns:
             Its row in the map.
         """
-        keyframe = self.map.add_keyframe(frame, frame.reference_keyframe)
-        self._cull_young_points(keyframe)
+        with self.lock:
+            kernels.resolve_points(self.map.arrays, frame.point)
+            keyframe = self.map.add_keyframe(frame, self.map.live(frame.reference_keyframe))
+            self._cull_young_points(keyframe)
         self._create_points(keyframe)
         self._fuse_neighbours(keyframe)
         self.adjust(keyframe)
-        self._cull_keyframes(keyframe)
+        with self.lock:
+            self._cull_keyframes(keyframe)
         return keyframe
 
     def adjust(self, keyframe: int) -> None:
@@ -74,25 +88,27 @@ class LocalMapper:
 
         Where nothing else holds the gauge, the oldest of them is held.
         """
-        m, a = self.map, self.map.arrays
-        cameras, points, obs_camera, obs_point, obs_keypoint = kernels.local_problem(
-            a, m.n_keyframes, m.n_points, free, self.config.fixed
-        )
+        m, a, view = self.map, self.map.arrays, self.map.view
+        with self.lock:
+            cameras, points, obs_camera, obs_point, obs_keypoint = kernels.local_problem(
+                a, m.n_keyframes, m.n_points, free, self.config.fixed
+            )
+            T_cam_map, xyz = a.kf_T_cam_map[cameras], a.pt_xyz[points]
         fixed = ~free[cameras]
         if not fixed.any():
             fixed[0] = True
         if fixed.all() or not len(points):
             return
-        view = m.view
         result, good = local_bundle_adjust(
-            a.kf_T_cam_map[cameras], fixed, a.pt_xyz[points], obs_camera, obs_point,
+            T_cam_map, fixed, xyz, obs_camera, obs_point,
             a.kp_xy[obs_keypoint], view.inv_sigma2[a.kp_octave[obs_keypoint]],
             view.fx, view.fy, view.cx, view.cy,
         )  # fmt: skip
-        a.kf_T_cam_map[cameras[~fixed]] = result.T_cam_map[~fixed]
-        a.pt_xyz[points] = result.points
-        kernels.erase_observations(a, obs_keypoint[~good], MIN_OBSERVATIONS)
-        kernels.refresh_geometries(a, points, view.scale)
+        with self.lock:
+            a.kf_T_cam_map[cameras[~fixed]] = result.T_cam_map[~fixed]
+            a.pt_xyz[points] = result.points
+            kernels.erase_observations(a, obs_keypoint[~good], MIN_OBSERVATIONS)
+            kernels.refresh_geometries(a, points, view.scale)
 
     def rebase(self, map_: Map, point_offset: int) -> None:
         """Go on in a map that has absorbed this mapper's."""
@@ -113,23 +129,27 @@ class LocalMapper:
 
     def _create_points(self, keyframe: int) -> None:
         """Triangulate matches with covisible keyframes."""
-        m, config = self.map, self.config
-        cosine = float(np.cos(np.deg2rad(config.min_parallax_deg)))
-        nearest = config.min_depth * kernels.median_depth(m.arrays, keyframe)
+        nearest = self.config.min_depth * kernels.median_depth(self.map.arrays, keyframe)
         created = []
-        for neighbour in m.neighbours(keyframe, config.neighbours):
-            a = m.arrays
-            baseline = np.linalg.norm(_centre(a.kf_T_cam_map[neighbour]) - _centre(a.kf_T_cam_map[keyframe]))
-            depth = kernels.median_depth(a, int(neighbour))
-            if depth <= 0 or baseline < config.min_baseline * depth:
-                continue
-            own, theirs, xyz = new_points(
-                a, m.view, keyframe, int(neighbour), nearest, cosine, config.descriptor_ratio
-            )
-            first = m.reserve_points(len(own))
-            kernels.create_points(m.arrays, first, xyz, own, theirs, m.view.scale)
-            created.append(np.arange(first, first + len(own)))
+        for neighbour in self.map.neighbours(keyframe, self.config.neighbours):
+            with self.lock:
+                created.append(self._triangulate(keyframe, int(neighbour), nearest))
         self._young = np.concatenate([self._young, *created])
+
+    def _triangulate(self, keyframe: int, neighbour: int, nearest: float) -> np.ndarray:
+        """Rows of the points found between two keyframes."""
+        m, a, config = self.map, self.map.arrays, self.config
+        baseline = np.linalg.norm(_centre(a.kf_T_cam_map[neighbour]) - _centre(a.kf_T_cam_map[keyframe]))
+        depth = kernels.median_depth(a, neighbour)
+        if depth <= 0 or baseline < config.min_baseline * depth:
+            return np.empty(0, np.int64)
+        cosine = float(np.cos(np.deg2rad(config.min_parallax_deg)))
+        own, theirs, xyz = new_points(
+            a, m.view, keyframe, neighbour, nearest, cosine, config.descriptor_ratio
+        )
+        first = m.reserve_points(len(own))
+        kernels.create_points(m.arrays, first, xyz, own, theirs, m.view.scale)
+        return np.arange(first, first + len(own))
 
     def _fuse_neighbours(self, keyframe: int) -> None:
         """Join duplicates between the keyframe and its neighbours, first and second."""
@@ -139,13 +159,15 @@ class LocalMapper:
         targets = [int(k) for k in dict.fromkeys([*first, *second]) if k != keyframe]
         own = m.observed_points(keyframe)
         for target in targets:
-            fuse_into_keyframe(a, m.view, target, own[own >= 0], 3.0)
-        theirs = [m.observed_points(target) for target in targets]
-        if theirs:
-            candidates = np.unique(np.concatenate(theirs))
-            fuse_into_keyframe(a, m.view, keyframe, candidates[candidates >= 0], 3.0)
-        own = m.observed_points(keyframe)
-        kernels.refresh_points(a, own[own >= 0], m.view.scale)
+            with self.lock:
+                fuse_into_keyframe(a, m.view, target, own[own >= 0], 3.0)
+        with self.lock:
+            theirs = [m.observed_points(target) for target in targets]
+            if theirs:
+                candidates = np.unique(np.concatenate(theirs))
+                fuse_into_keyframe(a, m.view, keyframe, candidates[candidates >= 0], 3.0)
+            own = m.observed_points(keyframe)
+            kernels.refresh_points(a, own[own >= 0], m.view.scale)
 
     def _cull_keyframes(self, keyframe: int) -> None:
         """Drop neighbours whose points are nearly all seen as well by three others."""

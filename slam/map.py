@@ -6,6 +6,7 @@ from slam import _map_kernels as kernels
 from slam._map_kernels import MapArrays
 from slam.frame import Frame, FrameFeatures
 from slam.geometry import ViewGeometry
+from slam.optimization.sim3 import sim3_decompose
 
 MIN_OBSERVATIONS = 3  # a point with fewer, once it has lost an observation, is dropped
 
@@ -16,6 +17,9 @@ class Map:
     Rows are never moved: a culled keyframe or dropped point keeps its row and is marked bad. A culled
     keyframe's pose is kept relative to its parent in the spanning tree, so that frames which refer to it
     go on following the map.
+
+    Attributes:
+        loop_edges: pairs of keyframes that a closed loop has connected.
     """
 
     def __init__(self, map_id: int, view: ViewGeometry) -> None:
@@ -26,6 +30,7 @@ class Map:
         self._features: list[FrameFeatures] = []
         self._parent: list[int] = []
         self._T_cam_parent: dict[int, np.ndarray] = {}
+        self.loop_edges: list[tuple[int, int]] = []
         self.arrays = _allocate(16, 16_384, 8_192, view.cols * view.rows + 1)
 
     # -- keyframes ---------------------------------------------------------------------------------------
@@ -166,6 +171,25 @@ class Map:
         for T in self._T_cam_parent.values():
             T[:3, 3] *= scale
 
+    def move_keyframes(self, S_cam_map: np.ndarray) -> np.ndarray:
+        """Give every keyframe that is not culled a new pose by a similarity; lengths near it follow.
+
+        Args:
+            S_cam_map: (n_keyframes, 4, 4) similarities; rows of culled keyframes are not read.
+
+        Returns:
+            (n_keyframes,) factor on lengths measured from each keyframe, culled ones as their parents.
+        """
+        factor = np.ones(self.n_keyframes)
+        for k in self.keyframes():
+            s, R, t = sim3_decompose(S_cam_map[k])
+            self.arrays.kf_T_cam_map[k, :3, :3], self.arrays.kf_T_cam_map[k, :3, 3] = R, t / s
+            factor[k] = 1.0 / s
+        for k, T in self._T_cam_parent.items():
+            factor[k] = factor[self.live(k)]
+            T[:3, 3] *= factor[k]
+        return factor
+
     def copy(self, map_id: int | None = None) -> "Map":
         """An independent copy; features are shared, since they never change."""
         twin = Map.__new__(Map)
@@ -174,9 +198,17 @@ class Map:
         twin.n_keyframes, twin.n_points = self.n_keyframes, self.n_points
         twin._features = list(self._features)
         twin._parent = list(self._parent)
+        twin.loop_edges = list(self.loop_edges)
         twin._T_cam_parent = {k: T.copy() for k, T in self._T_cam_parent.items()}
         twin.arrays = MapArrays(*(array.copy() for array in self.arrays))
         return twin
+
+    def adopt(self, twin: "Map") -> None:
+        """Become what a copy of this map has been made into; the copy is not to be used any more."""
+        self.n_keyframes, self.n_points = twin.n_keyframes, twin.n_points
+        self._features, self._parent = twin._features, twin._parent
+        self._T_cam_parent, self.loop_edges = twin._T_cam_parent, twin.loop_edges
+        self.arrays = twin.arrays
 
     def absorb(self, other: "Map") -> tuple[int, int]:
         """Append every keyframe and point of another map, already in this map's frame.
@@ -203,6 +235,7 @@ class Map:
         a.covisibility[K : K + k, K : K + k] = b.covisibility[:k, :k]
         self._features += other._features
         self._parent += [q + K if q >= 0 else -1 for q in other._parent]
+        self.loop_edges += [(i + K, j + K) for i, j in other.loop_edges]
         self._T_cam_parent |= {q + K: T.copy() for q, T in other._T_cam_parent.items()}
         self.n_keyframes += k
         self.n_points += p

@@ -113,6 +113,10 @@ class OrbExtractor:
         self._levels = [self._allocate(scale) for scale in self.config.scales]
         self._contrast = np.zeros(height_px * width_px, np.uint8)
 
+    def __deepcopy__(self, memo: dict) -> "OrbExtractor":
+        """Another extractor of the same settings: buffers hold nothing between two images."""
+        return OrbExtractor(self._shape[1], self._shape[0], self.config)
+
     def _allocate(self, scale: float) -> _Level:
         height, width = (max(round(size / scale), 1) for size in self._shape)
         # Of each 2x2 block at most one pixel is a local maximum.

@@ -26,6 +26,7 @@ class TrackingResult:
         cpu_ms: CPU milliseconds of this thread per tracking stage.
         ms: wall milliseconds per tracking stage.
         mapping_cpu_ms: CPU milliseconds of local mapping run for this frame (0 without a keyframe).
+        loop_cpu_ms: CPU milliseconds of loop closing run for this frame (0 without a keyframe).
     """
 
     frame: int
@@ -42,6 +43,7 @@ class TrackingResult:
     cpu_ms: dict[str, float] = field(default_factory=dict)
     ms: dict[str, float] = field(default_factory=dict)
     mapping_cpu_ms: float = 0.0
+    loop_cpu_ms: float = 0.0
 
 
 @dataclass(frozen=True)

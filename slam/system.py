@@ -2,20 +2,27 @@
 
 from dataclasses import asdict, dataclass, field, replace
 from numbers import Real
+from typing import Self
 
 import numpy as np
 
 from slam import events as ev
+from slam.backend import Backend, Change, Corrected, ExecutionMode, KeyframeTask, Mapped, Searched
 from slam.camera import PinholeCamera
 from slam.events import TrackingState
 from slam.frame import Frame, FrameFeatures
 from slam.geometry import view_geometry
+from slam.global_adjustment import apply_adjustment
 from slam.initialization import InitializationConfig, Initializer, InitialMap
 from slam.local_mapping import LocalMapper, LocalMappingConfig
+from slam.loop_closing import LoopClosingConfig, LoopDetector
 from slam.map import Map
 from slam.orb import OrbConfig, OrbExtractor
+from slam.place_recognition import KeyframeDatabase
+from slam.relocalization import RelocalizationConfig, Relocalizer
 from slam.results import MapTrajectory, TrackingResult
 from slam.seeds import rng_for
+from slam.snapshot import Snapshot
 from slam.timing import StageTimer
 from slam.tracking import Tracker, TrackingConfig, TrackingOutcome
 from slam.trajectory import FramePoses, keyframe_trajectory
@@ -33,22 +40,40 @@ class SlamConfig:
     initialization: InitializationConfig = field(default_factory=InitializationConfig)
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     mapping: LocalMappingConfig = field(default_factory=LocalMappingConfig)
+    loops: LoopClosingConfig = field(default_factory=LoopClosingConfig)
+    relocalization: RelocalizationConfig = field(default_factory=RelocalizationConfig)
     min_map_keyframes: int = 5
 
 
+@dataclass(frozen=True)
+class Places:
+    """What recognises places in one map."""
+
+    loops: LoopDetector
+    relocalizer: Relocalizer
+
+
 class MonocularSlam:
-    """ORB-SLAM's monocular method in lockstep: tracking and mapping alternate at frame boundaries.
+    """ORB-SLAM's monocular method: tracking, local mapping, relocalization, loop closing.
 
     Args:
         camera: intrinsics of the images to come.
         seed: root of every random stream.
         config: settings.
+        mode: ``lockstep``, the same input giving the same bits whatever the load; or ``threaded``, in which
+            mapping and loop closing run beside tracking. A threaded system must be ended by :meth:`finish`.
 
     Attributes:
         events: everything that happened so far.
     """
 
-    def __init__(self, camera: PinholeCamera, seed: int = 0, config: SlamConfig | None = None) -> None:
+    def __init__(
+        self,
+        camera: PinholeCamera,
+        seed: int = 0,
+        config: SlamConfig | None = None,
+        mode: ExecutionMode = ExecutionMode.LOCKSTEP,
+    ) -> None:
         self.camera = camera
         self.seed = seed
         self.config = config or SlamConfig()
@@ -61,6 +86,10 @@ class MonocularSlam:
         self._tracker: Tracker | None = None
         self._mapper: LocalMapper | None = None
         self._maps: dict[int, Map] = {}
+        self._known_places: dict[int, Places] = {}
+        self._broken_at: FrameFeatures | None = None
+        self._backend = Backend(self._apply, mode)
+        self._mapping_cpu_ms = self._loop_cpu_ms = 0.0
         self._poses = FramePoses()
         self._map_id = 0
         self._frames = 0
@@ -84,26 +113,27 @@ class MonocularSlam:
         """
         self._check_input(image, stamp_s)
         frame = self._extract_features(image, stamp_s)
-        mapping_cpu_ms = 0.0
+        self._backend.collect()
         is_keyframe = False
         if self.state is TrackingState.NOT_INITIALIZED:
             outcome = self._initialize(frame)
             is_keyframe = outcome.success
         elif self.state is TrackingState.TRACKING:
-            outcome = self._track(frame)
-            if not outcome.success:
+            outcome, is_keyframe = self._track(frame)
+            if is_keyframe:
+                self._map(frame)
+            elif not outcome.success:
+                self._backend.drain()
                 self._break(frame, outcome)
-            elif self.tracker.wants_keyframe(frame, outcome.inliers):
-                is_keyframe = True
-                mapping_cpu_ms = self._map(frame)
         else:
-            outcome = TrackingOutcome(False, 0, 0, "lost")
+            outcome = self._relocalize(frame)
         self._record(frame, outcome)
         self._after_frame(frame, outcome)
-        return self._result(frame, outcome, is_keyframe, mapping_cpu_ms)
+        return self._result(frame, outcome, is_keyframe)
 
     def finish(self) -> None:
-        """End of input: nothing is pending in lockstep."""
+        """End of input: what is pending is done, and the threads of threaded mode end."""
+        self._backend.close()
 
     def _extract_features(self, image: np.ndarray, stamp_s: float) -> Frame:
         with self.timer("extract"):
@@ -126,29 +156,99 @@ class MonocularSlam:
 
     def _start_map(self, initial: InitialMap) -> None:
         self._maps[self._map_id] = initial.map
-        self._mapper = LocalMapper(initial.map, self.config.mapping)
+        self._mapper = LocalMapper(initial.map, self.config.mapping, self._backend.lock)
         self._tracker = Tracker(initial.map, self.config.tracking, self.timer)
         self._tracker.start(initial.second, 1)
         self._poses.add(self._map_id, initial.first)
         self.state = TrackingState.TRACKING
         self._emit(initial.second, ev.Initialized, points=initial.points, model=initial.model)
 
-    def _track(self, frame: Frame) -> TrackingOutcome:
-        return self.tracker.track(frame)
+    def _track(self, frame: Frame) -> tuple[TrackingOutcome, bool]:
+        """Track the frame; the outcome, and whether to make a keyframe of it."""
+        with self._backend.lock:
+            outcome = self.tracker.track(frame)
+            wanted = outcome.success and self.tracker.wants_keyframe(frame, outcome.inliers)
+        return outcome, wanted and self._backend.idle
 
-    def _map(self, frame: Frame) -> float:
-        """Local mapping on a new keyframe; CPU milliseconds spent."""
-        mapping = StageTimer()
-        with mapping("mapping"):
-            keyframe = self.mapper.insert(frame)
-            self.tracker.keyframe_made(frame, keyframe)
-        return mapping.cpu_ms["mapping"]
+    def _map(self, frame: Frame) -> None:
+        """Local mapping on a new keyframe, then loop closing."""
+        self.tracker.keyframe_requested(frame)
+        self._backend.submit(
+            KeyframeTask(
+                frame, self.mapper, self._places(self._map_id).loops,
+                rng_for(self.seed, "loop", frame.features.index),
+            )
+        )  # fmt: skip
+
+    def _apply(self, change: Change) -> None:
+        """Take in what mapping or loop closing has brought about."""
+        if isinstance(change, Mapped):
+            self._mapping_cpu_ms += change.cpu_ms
+            if self.tracker.last is change.frame:
+                self.tracker.keyframe_made(change.frame, change.keyframe)
+        elif isinstance(change, Searched):
+            self._loop_cpu_ms += change.cpu_ms
+        elif isinstance(change, Corrected):
+            self._take_correction(change)
+        else:
+            self._loop_cpu_ms += change.cpu_ms
+            m = change.task.mapper.map
+            apply_adjustment(m, change.adjustment)
+            self._emit_at(
+                change.task.frame,
+                ev.MapAdjusted,
+                m.map_id,
+                keyframes=len(change.adjustment.keyframes),
+                points=len(change.adjustment.points),
+                cpu_ms=change.cpu_ms,
+            )
+
+    def _take_correction(self, change: Corrected) -> None:
+        """A loop is closed: the map, the frames that refer to it and the tracker follow."""
+        m, loop, frame = change.task.mapper.map, change.loop, change.task.frame
+        self._loop_cpu_ms += change.cpu_ms
+        m.adopt(change.twin)
+        self._poses.rescale(m.map_id, change.factor)
+        self.tracker.corrected(change.factor)
+        self._emit_at(
+            frame,
+            ev.LoopClosed,
+            m.map_id,
+            keyframe=m.frame_index(loop.keyframe),
+            loop_keyframe=m.frame_index(loop.loop_keyframe),
+            scale=float(change.factor[loop.keyframe]),
+            matches=len(loop.points),
+            cpu_ms=change.cpu_ms,
+        )
+
+    def _relocalize(self, frame: Frame) -> TrackingOutcome:
+        """Look for this frame in the map that was lost."""
+        self.state = TrackingState.RELOCALIZING
+        rng = rng_for(self.seed, "relocalization", frame.features.index)
+        with self.timer("relocalize"), self._backend.lock:
+            found = self._places(self._map_id).relocalizer.relocalize(frame, rng)
+        if not found.success:
+            return TrackingOutcome(False, found.inliers, found.matches, found.reason)
+        self.tracker.resume(frame)
+        self.state = TrackingState.TRACKING
+        # A frame without features is falsy: most are broken at just such a one.
+        broken = frame.features if self._broken_at is None else self._broken_at
+        self._emit(
+            frame,
+            ev.Relocalized,
+            keyframe=self.current_map.frame_index(found.keyframe),
+            inliers=found.inliers,
+            frames_lost=frame.features.index - broken.index,
+            lost_s=frame.features.stamp_s - broken.stamp_s,
+        )
+        return TrackingOutcome(True, found.inliers, found.matches)
 
     def _break(self, frame: Frame, outcome: TrackingOutcome) -> None:
-        """Tracking is lost: a map too young is dropped and another sought, any other is kept as it is."""
+        """Tracking is lost: a map too young is dropped and another sought, else one's place in it is."""
         self._emit(frame, ev.Breakage, reason=outcome.reason, inliers=outcome.inliers)
         if self._drop_if_young(frame):
             return
+        self._broken_at = frame.features
         self.state = TrackingState.LOST
 
     def _drop_if_young(self, frame: Frame) -> bool:
@@ -161,8 +261,23 @@ class MonocularSlam:
         """Discard the current map and seek another."""
         self._emit(frame, ev.MapDropped, reason=reason, keyframes=len(self.current_map.keyframes()))
         self._poses.drop(self._map_id)
-        del self._maps[self._map_id]
+        self._forget(self._map_id)
         self._seek_new_map()
+
+    def _forget(self, map_id: int) -> None:
+        """Let go of a map, dropped or absorbed."""
+        del self._maps[map_id]
+        self._known_places.pop(map_id, None)
+
+    def _places(self, map_id: int) -> Places:
+        """Place recognition in a map, and what builds on it."""
+        if map_id not in self._known_places:
+            database = KeyframeDatabase(self._maps[map_id])
+            self._known_places[map_id] = Places(
+                LoopDetector(self._maps[map_id], database, self.config.loops),
+                Relocalizer(self._maps[map_id], database, self.config.relocalization),
+            )
+        return self._known_places[map_id]
 
     def _seek_new_map(self) -> None:
         self._map_id += 1
@@ -171,6 +286,16 @@ class MonocularSlam:
 
     def _after_frame(self, frame: Frame, outcome: TrackingOutcome) -> None:
         """Hook of systems built on this one."""
+
+    def snapshot(self) -> Snapshot[Self]:
+        """The whole state between two frames, in memory, to branch from any number of times.
+
+        Raises:
+            RuntimeError: the system is threaded, and its threads cannot be copied.
+        """
+        if self._backend.mode is not ExecutionMode.LOCKSTEP:
+            raise RuntimeError("a snapshot needs lockstep mode")
+        return Snapshot.of(self)
 
     # -- what the outside sees ---------------------------------------------------------------------------
 
@@ -197,6 +322,11 @@ class MonocularSlam:
     def current_map(self) -> Map:
         """The map that tracking works in."""
         return self._maps[self._map_id]
+
+    @property
+    def frames(self) -> int:
+        """Frames given so far."""
+        return self._frames
 
     @property
     def current_map_id(self) -> int:
@@ -242,9 +372,9 @@ class MonocularSlam:
         if outcome.success:
             self._poses.add(self._map_id, frame)
 
-    def _result(
-        self, frame: Frame, outcome: TrackingOutcome, is_keyframe: bool, mapping_cpu_ms: float
-    ) -> TrackingResult:
+    def _result(self, frame: Frame, outcome: TrackingOutcome, is_keyframe: bool) -> TrackingResult:
+        mapping_cpu_ms, loop_cpu_ms = self._mapping_cpu_ms, self._loop_cpu_ms
+        self._mapping_cpu_ms = self._loop_cpu_ms = 0.0
         ms, cpu_ms = self.timer.read()
         T_map_cam = np.linalg.inv(frame.T_cam_map) if outcome.success else None
         return TrackingResult(
@@ -262,17 +392,23 @@ class MonocularSlam:
             cpu_ms=cpu_ms,
             ms=ms,
             mapping_cpu_ms=mapping_cpu_ms,
+            loop_cpu_ms=loop_cpu_ms,
         )
 
     def _emit(self, frame: Frame, kind: type[ev.Event], **fields) -> None:
-        event = kind(
-            frame=frame.features.index, stamp_s=frame.features.stamp_s, map_id=self._map_id, **fields
-        )
-        self.events.append(event)
+        self._emit_at(frame, kind, self._map_id, **fields)
+
+    def _emit_at(self, frame: Frame, kind: type[ev.Event], map_id: int, **fields) -> None:
+        features = frame.features
+        self.events.append(kind(frame=features.index, stamp_s=features.stamp_s, map_id=map_id, **fields))
 
 
 def build_system(
-    kind: str, camera: PinholeCamera, seed: int = 0, config: SlamConfig | None = None
+    kind: str,
+    camera: PinholeCamera,
+    seed: int = 0,
+    config: SlamConfig | None = None,
+    mode: ExecutionMode = ExecutionMode.LOCKSTEP,
 ) -> MonocularSlam:
     """A system by name.
 
@@ -281,6 +417,7 @@ def build_system(
         camera: intrinsics of the images to come.
         seed: root of every random stream.
         config: settings; the published defaults, scaled to the image size, where None.
+        mode: how tracking, mapping and loop closing share time.
 
     Raises:
         ValueError: on an unknown kind.
@@ -290,7 +427,7 @@ def build_system(
     systems = {"base": MonocularSlam, "dual": DualSlam}
     if kind not in systems:
         raise ValueError(f"unknown system {kind!r}: one of {', '.join(systems)}")
-    return systems[kind](camera, seed, config or default_config(camera))
+    return systems[kind](camera, seed, config or default_config(camera), mode=mode)
 
 
 def default_config(camera: PinholeCamera) -> SlamConfig:

@@ -24,6 +24,7 @@ class TrackingConfig:
         min_motion_matches, min_motion_inliers: below, the motion model gives way to the reference keyframe.
         min_reference_matches: below, the reference keyframe is given up too.
         min_inliers: map matches that survive pose optimisation, below which tracking is lost.
+        cautious_inliers, cautious_s: the same, for so long after a relocalization.
         local_map_keyframes: cap on the local map.
         keyframe_share: a keyframe is made when inliers fall below this share of the reference's points.
         keyframe_interval_s: least time between keyframes.
@@ -35,6 +36,8 @@ class TrackingConfig:
     min_motion_inliers: int = 10
     min_reference_matches: int = 15
     min_inliers: int = 30
+    cautious_inliers: int = 50
+    cautious_s: float = 1.0
     local_map_keyframes: int = 80
     keyframe_share: float = 0.9
     keyframe_interval_s: float = 0.1
@@ -67,12 +70,36 @@ class Tracker:
         self._local_points = np.empty(0, np.int32)
         self._last_keyframe_stamp_s = -np.inf
         self._passed_over = 0
+        self._cautious_until_s = -np.inf
 
     def start(self, frame: Frame, keyframe: int, velocity: np.ndarray | None = None) -> None:
         """Begin from a frame whose pose and matches are known."""
         self.last = frame
         self.velocity = velocity
         self.keyframe_made(frame, keyframe)
+
+    def keyframe_requested(self, frame: Frame) -> None:
+        """Take note that ``frame`` is to become a keyframe: the next one has to wait its time."""
+        self._last_keyframe_stamp_s = frame.features.stamp_s
+
+    def resume(self, frame: Frame) -> None:
+        """Go on from a frame that was found without this tracker's help, as if at rest."""
+        self.last, self.velocity = frame, np.eye(4)
+        self._passed_over = 0
+        self._last_keyframe_stamp_s = frame.features.stamp_s
+        self._cautious_until_s = frame.features.stamp_s + self.config.cautious_s
+
+    def corrected(self, factor: np.ndarray) -> None:
+        """Follow a map whose lengths have changed by ``factor`` (n_keyframes,) about each keyframe."""
+        if self.last is None:
+            return
+        own = factor[self.last.reference_keyframe]
+        self.last.T_cam_reference = self.last.T_cam_reference.copy()
+        self.last.T_cam_reference[:3, 3] *= own
+        if self.velocity is not None:
+            self.velocity = self.velocity.copy()
+            self.velocity[:3, 3] *= own
+        self._refreshed_last()
 
     def keyframe_made(self, frame: Frame, keyframe: int) -> None:
         """Take note that ``frame`` has become ``keyframe``: it owns the points that mapping found in it."""
@@ -106,7 +133,8 @@ class Tracker:
             return TrackingOutcome(False, 0, int((frame.point >= 0).sum()), "too_few_matches_with_last_frame")
         with self.timer("local_map"):
             inliers, matches = self._track_local_map(frame)
-        if inliers < self.config.min_inliers:
+        cautious = frame.features.stamp_s < self._cautious_until_s
+        if inliers < (self.config.cautious_inliers if cautious else self.config.min_inliers):
             return TrackingOutcome(False, inliers, matches, "too_few_local_map_inliers")
         self._accept(frame, last)
         return TrackingOutcome(True, inliers, matches)
@@ -154,7 +182,7 @@ class Tracker:
         if count < self.config.min_motion_matches:
             return False
         frame.T_cam_map = predicted
-        return self._optimise(frame) >= self.config.min_motion_inliers
+        return optimize_frame(frame, self.map) >= self.config.min_motion_inliers
 
     def _track_across_gap(self, frame: Frame, last: Frame) -> bool:
         """Look for the local map about the pose carried on, ever wider as its error grows with the gap."""
@@ -174,7 +202,7 @@ class Tracker:
             frame.T_cam_map = predicted
             if (
                 count >= self.config.min_motion_matches
-                and self._optimise(frame) >= self.config.min_motion_matches
+                and optimize_frame(frame, self.map) >= self.config.min_motion_matches
             ):
                 return True
         return False
@@ -203,7 +231,7 @@ class Tracker:
             return False
         frame.point[pairs[:, 1]] = points[pairs[:, 0]]
         frame.T_cam_map = last.T_cam_map.copy()
-        return self._optimise(frame) >= self.config.min_motion_inliers
+        return optimize_frame(frame, self.map) >= self.config.min_motion_inliers
 
     def _track_local_map(self, frame: Frame) -> tuple[int, int]:
         """Match the frame with its local map; (inliers, matches)."""
@@ -218,24 +246,9 @@ class Tracker:
             f.xy, f.octave, f.descriptors, f.cell_start, frame.point, 1.0, 0.8, True,
         )  # fmt: skip
         matches = int((frame.point >= 0).sum())
-        inliers = self._optimise(frame)
+        inliers = optimize_frame(frame, self.map)
         frame.reference_keyframe = int(keyframes[0])
         return inliers, matches
-
-    def _optimise(self, frame: Frame) -> int:
-        rows = np.flatnonzero(frame.point >= 0)
-        f, a = frame.features, self.map.arrays
-        view = self.map.view
-        pose, inlier = optimize_pose(
-            frame.T_cam_map,
-            a.pt_xyz[frame.point[rows]],
-            f.xy[rows],
-            view.inv_sigma2[f.octave[rows]],
-            view.fx, view.fy, view.cx, view.cy,
-        )  # fmt: skip
-        frame.T_cam_map = pose
-        frame.point[rows[~inlier]] = -1
-        return int(inlier.sum())
 
     def _accept(self, frame: Frame, last: Frame) -> None:
         a = self.map.arrays
@@ -245,3 +258,19 @@ class Tracker:
             self.velocity = frame.T_cam_map @ np.linalg.inv(last.T_cam_map)
         self._passed_over = 0
         self.last = frame
+
+
+def optimize_frame(frame: Frame, map_: Map) -> int:
+    """Refine a frame's pose on the map points matched to it, and let go of those that do not fit; inliers."""
+    rows = np.flatnonzero(frame.point >= 0)
+    f, view = frame.features, map_.view
+    pose, inlier = optimize_pose(
+        frame.T_cam_map,
+        map_.arrays.pt_xyz[frame.point[rows]],
+        f.xy[rows],
+        view.inv_sigma2[f.octave[rows]],
+        view.fx, view.fy, view.cx, view.cy,
+    )  # fmt: skip
+    frame.T_cam_map = pose
+    frame.point[rows[~inlier]] = -1
+    return int(inlier.sum())

@@ -7,10 +7,11 @@ import numpy as np
 from slam.frame import Frame
 from slam.map import Map
 from slam.results import MapTrajectory
+from slam.snapshot import Unchanging
 
 
 @dataclass(frozen=True)
-class _Pose:
+class _Pose(Unchanging):
     stamp_s: float
     keyframe: int
     T_cam_keyframe: np.ndarray
@@ -37,6 +38,15 @@ class FramePoses:
     def count(self, map_id: int) -> int:
         """Tracked frames of a map."""
         return len(self._poses.get(map_id, {}))
+
+    def rescale(self, map_id: int, factor: np.ndarray) -> None:
+        """Follow a map whose lengths have changed by ``factor`` (n_keyframes,) about each keyframe."""
+        poses = self._poses.get(map_id, {})
+        for index, pose in poses.items():
+            if factor[pose.keyframe] != 1.0:
+                T = pose.T_cam_keyframe.copy()
+                T[:3, 3] *= factor[pose.keyframe]
+                poses[index] = _Pose(pose.stamp_s, pose.keyframe, T)
 
     def join(self, map_id: int, other_id: int, keyframe_offset: int, scale: float) -> None:
         """Hand the frames of another map, now absorbed, to this one; frames it has itself stay as they are.

@@ -80,12 +80,15 @@ def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
     """
     from slam.system import build_system
 
-    # Long enough for a map worth saving, a breakage, a recovery and a fusion.
-    count, blank = 180, range(90, 96)
-    system = build_system("dual", CAMERA, seed=0)
-    for i, (image, stamp_s, _) in enumerate(toy_frames(count, blank)):
-        if progress:
-            progress("compiling kernels (kept for later runs)", i, count)
-        system.process(image, stamp_s)
+    # Long enough for a map worth saving, a breakage, a recovery and a fusion; for the base, a relocalization.
+    blank, counts = range(90, 96), {"dual": 180, "base": 105}
+    done, total = 0, sum(counts.values())
+    for kind, count in counts.items():
+        system = build_system(kind, CAMERA, seed=0)
+        for image, stamp_s, _ in toy_frames(count, blank):
+            if progress:
+                progress("compiling kernels (kept for later runs)", done, total)
+            system.process(image, stamp_s)
+            done += 1
     if progress:
-        progress("kernels ready", count, count)
+        progress("kernels ready", total, total)

@@ -5,7 +5,7 @@ import sys
 
 import typer
 
-from experiments.cli import bench, demo, doctor, experiment, run, view, warmup
+from experiments.cli import bench, demo, doctor, experiment, run, view, vocabulary, warmup
 from experiments.cli.console import err
 from experiments.cli.degrade import degrade_command
 from experiments.cli.export import export_command
@@ -33,6 +33,7 @@ app.command("run")(run.run_command)
 app.command("view")(view.view_command)
 app.add_typer(experiment.app, name="experiment")
 app.command("bench")(bench.bench_command)
+app.add_typer(vocabulary.app, name="vocabulary")
 
 
 def main() -> None:

@@ -73,6 +73,7 @@ def _table(result, scenario: str) -> Table:
         "p0: base breaks in an exposed segment (B)": result.p0,
         "pr|B: recovery fails, given B (R_1|B)": result.pr_given_b,
         "measured failure: B and R_1 (D_1)": result.measured,
+        "base relocalizes later, given B": result.relocalized,
         "base not tracking at the end": result.base_failure,
         "silent: map corrupted, nothing declared": result.silent,
         "no re-initialisation, given B": result.no_reinit,

@@ -78,7 +78,8 @@ def summary_table(summary: dict) -> Table:
         "frames tracked": f"{summary['tracked']} of {summary['frames']} ({share(summary['share_tracked'])})",
         "first tracked frame": str(summary["first_tracked_frame"]),
         "maps / keyframes / points": f"{summary['maps']} / {summary['keyframes']} / {summary['map_points']}",
-        "breakages / recoveries": f"{summary['breakages']} / {summary['recoveries']}",
+        "breakages / recovered / relocalized": f"{summary['breakages']} / {summary['recoveries']} / "
+        f"{summary['relocalizations']}",
         "ATE (RMSE, Sim(3))": _ate(summary),
         "path covered": f"{number(summary['path_m'], 2, ' m')} ({share(summary['path_share'])})",
         "tracking CPU, median / p95": f"{number(summary['cpu_ms_median'], 1)} / "

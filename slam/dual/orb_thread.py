@@ -1,10 +1,11 @@
 """Recovery thread 1: ORB tracking with a motion model, backward. Source: paper, Algorithm 1, lines 3-13."""
 
-from slam.dual.fusion import Alignment, agree, align
+from slam.dual.fusion import agree
 from slam.dual.recovery import RecoveryConfig, RecoveryResult, RecoveryTask
 from slam.frame import Frame
 from slam.local_mapping import LocalMapper
 from slam.map import Map
+from slam.map_alignment import Alignment, align
 from slam.timing import StageTimer
 from slam.tracking import Tracker
 

@@ -9,10 +9,11 @@ from typing import Protocol
 
 import numpy as np
 
-from slam.dual.fusion import Alignment, FusionConfig
+from slam.dual.fusion import FusionConfig
 from slam.frame import Frame, FrameFeatures
 from slam.local_mapping import LocalMappingConfig
 from slam.map import Map
+from slam.map_alignment import Alignment
 from slam.tracking import TrackingConfig
 
 

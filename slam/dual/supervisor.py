@@ -10,13 +10,16 @@ from scipy.spatial.transform import Rotation
 
 from slam import events as ev
 from slam._map_kernels import resolve_points
+from slam.backend import ExecutionMode
+from slam.camera import PinholeCamera
 from slam.dual.buffer import FeatureBuffer
-from slam.dual.fusion import Alignment, fuse
+from slam.dual.fusion import fuse
 from slam.dual.orb_thread import OrbRecovery
 from slam.dual.recovery import RecoveryConfig, RecoveryResult, RecoveryTask, RecoveryThread
 from slam.frame import Frame
 from slam.initialization import InitialMap
 from slam.map import Map
+from slam.map_alignment import Alignment
 from slam.seeds import rng_for
 from slam.system import MonocularSlam, SlamConfig
 from slam.timing import StageTimer
@@ -44,9 +47,14 @@ class DualSlam(MonocularSlam):
     """The base system with the paper's handling of tracking failure."""
 
     def __init__(
-        self, camera, seed: int = 0, config: SlamConfig | None = None, dual: DualConfig | None = None
-    ):
-        super().__init__(camera, seed, config)
+        self,
+        camera: PinholeCamera,
+        seed: int = 0,
+        config: SlamConfig | None = None,
+        dual: DualConfig | None = None,
+        mode: ExecutionMode = ExecutionMode.LOCKSTEP,
+    ) -> None:
+        super().__init__(camera, seed, config, mode)
         self.dual = dual or DualConfig()
         self._buffer = FeatureBuffer(self.dual.buffer_s, self.dual.buffer_cap_s)
         self._threads: list[RecoveryThread] = [OrbRecovery(self.dual.recovery)]
@@ -106,6 +114,7 @@ class DualSlam(MonocularSlam):
 
     def _recover(self, frame: Frame) -> None:
         """Run the recovery threads in order until one succeeds, and fuse; the breakage is then settled."""
+        self._backend.drain()
         old_ids = self._reachable()
         for number, thread in enumerate(self._threads, start=1):
             if not old_ids:
@@ -181,7 +190,7 @@ class DualSlam(MonocularSlam):
             if tracked.features.index > seam_frame:
                 _shift(tracked, keyframes, points, alignment.scale)
                 self._poses.add(old_id, tracked)
-        del self._maps[new_id]
+        self._forget(new_id)
         self._saved.remove(old_id)
         self._map_id = old_id
         self._continue_in(old, frame, keyframes, points, alignment.scale)

@@ -58,6 +58,7 @@ class FakeSystem:
         T_world_cam: (N, 4, 4) the truth to replay.
         breaks_at: frame of the breakage, None for none.
         recovers: the maps are fused in the end.
+        relocalizes_after: frames from the breakage to the relocalization of the base, None for never.
         drift_from: frame from which the pose drifts off without being declared, None for never.
         new_map_scale: length error of the part after the breakage, as fused.
     """
@@ -68,6 +69,7 @@ class FakeSystem:
     breaks_at: int | None = None
     reinit_after: int = 20
     recovers: bool = True
+    relocalizes_after: int | None = None
     drift_from: int | None = None
     noise_m: float = 0.0
     scale: float = 0.4
@@ -149,8 +151,21 @@ class FakeSystem:
         if f == self.breaks_at:
             self.events.append(ev.Breakage(**common, map_id=0, reason="few_inliers", inliers=7))
         if self.kind == "base":
-            return TrackingState.LOST, 0, "lost"
+            return self._relocalization(f, common)
         return self._recovery(f, common)
+
+    def _relocalization(self, f: int, common: dict) -> tuple[TrackingState, int, str]:
+        lost = f - self.breaks_at
+        if self.relocalizes_after is None or lost < self.relocalizes_after:
+            state = TrackingState.RELOCALIZING if lost else TrackingState.LOST
+            return state, 0, "no_candidates"
+        if lost == self.relocalizes_after:
+            self.events.append(
+                ev.Relocalized(
+                    **common, map_id=0, keyframe=30, inliers=60, frames_lost=lost, lost_s=lost / CAMERA.fps
+                )
+            )
+        return TrackingState.TRACKING, 0, ""
 
     def _recovery(self, f: int, common: dict) -> tuple[TrackingState, int, str]:
         if f < self.breaks_at + self.reinit_after:

@@ -105,6 +105,21 @@ def test_the_audit_of_a_run_finds_a_silent_loss():
     assert loss["silent"] is True and loss["declared_frame"] is None
 
 
+@pytest.mark.parametrize(("scale", "false"), [(1.0, False), (1.5, True)])
+def test_the_audit_of_a_run_judges_a_relocalization(scale, false):
+    sequence = make_sequence()
+    build = fake_factory(sequence, breaks_at=160, relocalizes_after=40, new_map_scale=scale)
+    summary = summarise(execute(sequence, "base", 0, build=build))
+    (found,) = summary["audit"]["relocalizations"]
+    assert (found["breakage_frame"], found["map_id"], found["false"]) == (160, 0, false)
+    assert summary["audit"]["fusions"] == []
+    assert (summary["relocalizations"], summary["recoveries"]) == (1, 0)
+    (breakage,) = summary["breakage_list"]
+    assert breakage["relocalized_frame"] == 200 and breakage["lost_s"] == pytest.approx(40 / 30)
+    (segment,) = summary["segments"]
+    assert segment["relocalizations"] == 1
+
+
 def test_a_breakage_outside_the_segments_is_audited_too():
     sequence = make_sequence()
     record = execute(sequence, "base", 0, build=fake_factory(sequence, breaks_at=250))

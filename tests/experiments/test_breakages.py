@@ -53,6 +53,24 @@ def test_a_fusion_of_another_map_mends_nothing():
     assert not one.recovered
 
 
+def found(frame: int, map_id: int = 0) -> ev.Relocalized:
+    return ev.Relocalized(**at(frame), map_id=map_id, keyframe=10, inliers=60, frames_lost=40, lost_s=1.3)
+
+
+def test_a_relocalization_heals_the_breakage_of_its_map_and_is_no_recovery():
+    (one,) = outcomes(broke(160), found(200))
+    assert one.healed and not one.recovered and one.failure_reason == ""
+    assert one.relocalized.frame == 200
+    (other,) = outcomes(broke(160), found(200, map_id=1))
+    assert not other.healed and other.relocalized is None
+
+
+def test_a_relocalization_belongs_to_the_last_breakage_before_it():
+    first, second = outcomes(broke(160), found(200), broke(220))
+    assert first.healed and first.until_frame == 220
+    assert not second.healed and second.failure_reason == "no_reinit"
+
+
 def test_a_refused_fusion_is_a_failure_with_its_reason():
     done = ev.ReinitDone(**at(200), map_id=1, frames_taken=40)
     (one,) = outcomes(broke(160), done, fused(220, accepted=False))

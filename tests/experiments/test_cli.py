@@ -13,6 +13,7 @@ from scenarios.errors import InputError
 
 COMMANDS = [
     ["demo"], ["doctor"], ["warmup"], ["render"], ["run"], ["view"], ["bench"], ["experiment", "run"],
+    ["vocabulary", "train"],
 ]  # fmt: skip
 
 

@@ -30,14 +30,16 @@ def sequence():
     )
 
 
-def test_base_breaks_in_the_blank_frames_and_dual_mends_it(sequence, tmp_path):
+def test_base_breaks_in_the_blank_frames_and_finds_its_place_and_dual_mends_it(sequence, tmp_path):
     base, dual = (
         run_sequence(sequence, kind, 0, tmp_path / kind, recording=True) for kind in ("base", "dual")
     )
     assert base["breakage_list"][0]["segment"] == dual["breakage_list"][0]["segment"] == "low_texture"
-    # Alike up to the breakage, sounder after it.
     assert base["breakage_list"][0]["frame"] == dual["breakage_list"][0]["frame"]
-    assert dual["tracked"] > base["tracked"]
+    # What was before the camera is still in view after six frames: the base relocalizes.
+    assert base["relocalizations"] == 1 and base["recoveries"] == 0
+    assert base["audit"]["relocalizations"][0]["false"] is False
+    assert dual["relocalizations"] == 0
     assert dual["recoveries"] == 1 and dual["maps"] == 1
     assert base["ate_share_of_path"] < 0.02 and dual["ate_share_of_path"] < 0.02
     (loss,) = base["audit"]["losses"]

@@ -36,6 +36,16 @@ def test_a_recovered_breakage():
     assert row["declaration_delay_s"] == 0.0
 
 
+def test_a_relocalized_breakage_is_a_breakage_all_the_same():
+    row = trial(breaks_at=160, relocalizes_after=40)
+    assert (row["breakage"], row["relocalized"], row["base_failure"]) == (True, True, False)
+    assert row["breakage_frame"] == 160 and row["recovery_failure"] is False
+    counted = count([row, trial(breaks_at=160), trial()])
+    assert (counted.p0.events, counted.p0.units) == (2, 3)
+    assert (counted.relocalized.events, counted.relocalized.units) == (1, 2)
+    assert (counted.base_failure.events, counted.base_failure.units) == (1, 3)
+
+
 def test_a_recovery_that_fails_is_a_dual_failure_with_its_reason():
     row = trial(breaks_at=160, recovers=False)
     assert (row["recovery_failure"], row["dual_failure"], row["recovered_declared"]) == (True, True, False)

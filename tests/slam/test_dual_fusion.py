@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from slam_scenes import NO_POINT, VIEW, PointWorld, pose_error, rigid, rms, walk, world_ids
 
-from slam.dual.fusion import FusionConfig, agree, align, fuse
+from slam.dual.fusion import FusionConfig, agree, fuse
 from slam.local_mapping import LocalMappingConfig
+from slam.map_alignment import align
 from slam.optimization.sim3 import horn_sim3, sim3_decompose, sim3_inverse, sim3_matrix
 
 CONFIG = FusionConfig()

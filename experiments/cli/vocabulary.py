@@ -1,0 +1,60 @@
+"""``dslab vocabulary``."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from experiments.cli.console import err, out, progress_bars, single_threaded_opencv
+
+app = typer.Typer(help="The vocabulary of place recognition.", no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    """The vocabulary of place recognition."""
+
+
+@app.command("train")
+def train_command(
+    file: Annotated[Path, typer.Option("--out", help="The .npz file to write.", show_default=False)],
+    seeds: Annotated[int, typer.Option(min=1, help="Seeds of each training scenario.")] = 3,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the clustering.")] = 0,
+    cache: Annotated[
+        Path | None,
+        typer.Option(help="Keep the rendered frames here; default: keep none.", show_default=False),
+    ] = None,
+) -> None:
+    """Render the training frames and train the vocabulary that the SLAM ships with.
+
+    For example: `dslab vocabulary train --out slam/data/vocabulary.npz`
+    """
+    from experiments.vocabulary import train, training_scenarios
+    from scenarios.errors import InputError
+
+    if file.suffix != ".npz" or not file.parent.is_dir():
+        raise InputError(f"--out {file}", "not an .npz file in an existing folder", "name one")
+    single_threaded_opencv()
+    with progress_bars() as show:
+        vocabulary = train(training_scenarios(), seeds, seed, cache_dir=cache, progress=show)
+    vocabulary.save(file)
+    facts = vocabulary.provenance
+    err.print(f"trained on {facts['descriptors']} descriptors of {facts['frames']} frames")
+    out.print(f"{vocabulary.n_words} words, {file.stat().st_size / 1e6:.2f} MB in {file}")
+
+
+@app.command("show")
+def show_command(
+    file: Annotated[Path | None, typer.Argument(help="An .npz file; the one shipped by default.")] = None,
+) -> None:
+    """Print what a vocabulary was trained on, as JSON."""
+    from experiments.cli.console import print_json_line
+    from scenarios.errors import InputError
+    from slam.place_recognition import VOCABULARY_FILE, Vocabulary
+
+    path = file or VOCABULARY_FILE
+    try:
+        vocabulary = Vocabulary.load(path)
+    except (OSError, ValueError) as error:
+        raise InputError(str(path), "not a vocabulary", "make one: dslab vocabulary train") from error
+    print_json_line({"words": vocabulary.n_words, **vocabulary.provenance})

@@ -1,0 +1,106 @@
+"""The vocabulary for place recognition, trained on frames that this project renders and nothing else."""
+
+import tempfile
+from collections.abc import Callable, Iterable
+from contextlib import nullcontext
+from pathlib import Path
+
+import numpy as np
+
+from experiments.execution import slam_camera
+from scenarios.spec import Scenario
+from sim.render import render_sequence
+from sim.sequence import Sequence
+from slam.orb import OrbExtractor
+from slam.place_recognition import Vocabulary
+from slam.system import default_config
+from slam.vocabulary_training import train_vocabulary
+
+BRANCHING, LEVELS = 10, 4
+FIRST_SEED = 1000
+"""Seeds from here on are for training; experiments and tests keep to seeds below."""
+_DURATION_S = 36
+
+Progress = Callable[[str, int, int], None]
+
+
+def training_scenarios() -> list[Scenario]:
+    """Every world, with several carriers and cameras, at one frame per second: no two frames alike."""
+    indoor = {"fx_px": 500, "fy_px": 500, "fps": 1}
+    wide = {"fx_px": 420, "fy_px": 420, "fps": 1}
+    shoots = [
+        ("room", {}, {"kind": "walk"}, indoor),
+        ("room", {"length_m": 8, "width_m": 6}, {"kind": "handheld"}, {"preset": "realsense", "fps": 1}),
+        ("corridor", {}, {"kind": "walk"}, wide),
+        ("corridor", {"turns": 3}, {"kind": "handheld", "gaze_deg": 90}, indoor),
+        ("city", {}, {"kind": "car"}, {"preset": "kitti", "fps": 1}),
+        ("city", {"loop": True}, {"kind": "car", "gaze_deg": 30}, {"preset": "euroc", "fps": 1}),
+        ("motorway", {}, {"kind": "car"}, {"preset": "kitti", "fps": 1}),
+        ("field", {}, {"kind": "handheld"}, wide),
+        ("field", {}, {"kind": "drone"}, {"preset": "euroc", "fps": 1}),
+        ("warehouse", {}, {"kind": "drone"}, indoor),
+        ("warehouse", {}, {"kind": "handheld"}, wide),
+    ]
+    return [
+        Scenario(
+            name=f"vocabulary/{kind}-{number}",
+            duration_s=_DURATION_S,
+            world={"kind": kind, **world},
+            trajectory=trajectory,
+            camera=camera,
+        )
+        for number, (kind, world, trajectory, camera) in enumerate(shoots)
+    ]
+
+
+def describe(sequence: Sequence) -> list[np.ndarray]:
+    """(n, 4) uint64 ORB descriptors of every frame of a sequence, as the SLAM would extract them."""
+    camera = slam_camera(sequence.camera)
+    extractor = OrbExtractor(camera.width_px, camera.height_px, default_config(camera).orb)
+    frames = (extractor.extract(sequence.frames[i]) for i in range(len(sequence)))
+    return [features.descriptors for features in frames if len(features)]
+
+
+def train(
+    scenarios: Iterable[Scenario],
+    seeds_each: int,
+    seed: int = 0,
+    branching: int = BRANCHING,
+    levels: int = LEVELS,
+    cache_dir: Path | None = None,
+    progress: Progress | None = None,
+) -> Vocabulary:
+    """Render the training set and train a vocabulary on it.
+
+    Args:
+        scenarios: what to render.
+        seeds_each: seeds of each scenario, ``FIRST_SEED`` and on.
+        seed: of the clustering.
+        branching, levels: of the tree.
+        cache_dir: where rendered frames are kept; None keeps none.
+        progress: called with (step, done, total).
+
+    Raises:
+        InputError: the frames cannot be rendered.
+    """
+    show = progress or (lambda step, done, total: None)
+    scenarios = list(scenarios)
+    jobs = [(scenario, FIRST_SEED + n) for scenario in scenarios for n in range(seeds_each)]
+    images: list[np.ndarray] = []
+    for done, (scenario, world_seed) in enumerate(jobs):
+        show("training images", done, len(jobs))
+        scratch = tempfile.TemporaryDirectory() if cache_dir is None else nullcontext(cache_dir)
+        with scratch as folder:
+            images += describe(render_sequence(scenario, world_seed, cache_dir=Path(folder)))
+    show("training images", len(jobs), len(jobs))
+    provenance = {
+        "images": "rendered by this project",
+        "scenarios": [s.model_dump(mode="json") for s in scenarios],
+        "seeds": [FIRST_SEED, FIRST_SEED + seeds_each - 1],
+        "frames": len(images),
+        "descriptors": sum(len(d) for d in images),
+        "branching": branching,
+        "levels": levels,
+        "seed": seed,
+    }
+    return train_vocabulary(images, branching, levels, seed, provenance)

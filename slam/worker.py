@@ -1,0 +1,74 @@
+"""A thread that works off jobs in order, and never swallows what goes wrong."""
+
+import threading
+from collections import deque
+from collections.abc import Callable
+
+
+class Worker:
+    """One background thread with a queue.
+
+    An exception in a job stops the thread; it is raised again in whoever next hands it a job or waits for
+    it. An instance belongs to one owner, who must call :meth:`close`.
+
+    Args:
+        name: of the thread, as debuggers show it.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._jobs: deque[Callable[[], None]] = deque()
+        self._changed = threading.Condition()
+        self._busy = False
+        self._closing = False
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    @property
+    def pending(self) -> int:
+        """Jobs that wait or run."""
+        with self._changed:
+            return len(self._jobs) + self._busy
+
+    def submit(self, job: Callable[[], None]) -> None:
+        """Queue a job. Raises what an earlier one has raised."""
+        with self._changed:
+            self._raise()
+            self._jobs.append(job)
+            self._changed.notify_all()
+
+    def drain(self) -> None:
+        """Wait until nothing is left to do. Raises what a job has raised."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._error or not (self._jobs or self._busy))
+            self._raise()
+
+    def close(self) -> None:
+        """End the thread after the job that runs; jobs that wait are dropped."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        self._thread.join()
+
+    def _raise(self) -> None:
+        if self._error is not None:
+            raise self._error
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._closing or self._jobs)
+                if self._closing:
+                    return
+                job, self._busy = self._jobs.popleft(), True
+            try:
+                job()
+            except BaseException as error:
+                with self._changed:
+                    self._error, self._busy = error, False
+                    self._jobs.clear()
+                    self._changed.notify_all()
+                return
+            with self._changed:
+                self._busy = False
+                self._changed.notify_all()

@@ -1,0 +1,68 @@
+"""The vocabulary is trained on frames of this project, the same every time, and says on which."""
+
+import json
+
+import pytest
+
+from experiments import vocabulary
+from experiments.cli.vocabulary import show_command, train_command
+from experiments.vocabulary import FIRST_SEED, train, training_scenarios
+from scenarios.errors import InputError
+from scenarios.spec import Scenario
+from slam.place_recognition import Vocabulary
+
+
+def little_room() -> Scenario:
+    camera = {"width_px": 160, "height_px": 120, "fx_px": 120, "fy_px": 120, "cx_px": 79.5, "cy_px": 59.5}
+    world = {"kind": "room", "length_m": 5, "width_m": 5}
+    return Scenario(name="little-room", duration_s=4, world=world, camera={**camera, "fps": 1})
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    cache = tmp_path_factory.mktemp("cache")
+    return cache, train([little_room()], seeds_each=2, branching=4, levels=2, cache_dir=cache)
+
+
+def test_training_is_the_same_every_time(trained, tmp_path):
+    cache, first = trained
+    again = train([little_room()], seeds_each=2, branching=4, levels=2, cache_dir=cache)
+    for name, made in (("a", first), ("b", again)):
+        made.save(tmp_path / f"{name}.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_the_vocabulary_says_what_it_was_trained_on(trained):
+    facts = trained[1].provenance
+    assert facts["frames"] == 8 and facts["seeds"] == [FIRST_SEED, FIRST_SEED + 1]
+    assert facts["descriptors"] > 8 * 50
+    assert Scenario(**facts["scenarios"][0]) == little_room()
+    assert trained[1].n_words == 16
+
+
+def test_the_training_set_has_every_world_and_no_two_frames_alike():
+    scenarios = training_scenarios()
+    kinds = {s.world.kind for s in scenarios}
+    assert {"room", "corridor", "city", "motorway", "field", "warehouse"} <= kinds
+    assert len({s.name for s in scenarios}) == len(scenarios)
+    assert all(s.camera.fps == 1 and s.frame_count >= 30 for s in scenarios)
+
+
+def test_the_commands_write_and_show_it(trained, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(vocabulary, "training_scenarios", lambda: [little_room()])
+    train_command(tmp_path / "words.npz", seeds=1, seed=3, cache=trained[0])
+    assert Vocabulary.load(tmp_path / "words.npz").provenance["seed"] == 3
+    capsys.readouterr()
+    show_command(tmp_path / "words.npz")
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["words"] > 100 and shown["frames"] == 4
+
+
+def test_what_is_no_place_for_a_vocabulary_or_none_is_bad_input(tmp_path):
+    with pytest.raises(InputError):
+        train_command(tmp_path / "absent" / "words.npz")
+    with pytest.raises(InputError):
+        train_command(tmp_path / "words.txt")
+    (tmp_path / "other.npz").write_bytes(b"not a zip")
+    with pytest.raises(InputError):
+        show_command(tmp_path / "other.npz")

@@ -1,0 +1,71 @@
+"""Global bundle adjustment: the same cost as ours, whose weights pycolmap's cameras cannot have."""
+
+import numpy as np
+import pytest
+from test_bundle_adjustment import DELTA, INTRINSICS, scene
+
+from slam.optimization.bundle_adjustment import bundle_adjust
+from slam.optimization.global_bundle_adjustment import global_bundle_adjust
+from slam.optimization.pose import CHI2_2DOF
+
+SIGMA = 1.2 ** np.arange(8)
+
+
+def octave_of(problem):
+    return np.rint(-np.log(problem.inv_sigma2) / (2 * np.log(1.2))).astype(int)
+
+
+def adjusted(problem, iterations=100, apart=False):
+    return global_bundle_adjust(
+        problem.T, problem.points, problem.camera, problem.point, problem.pixels, octave_of(problem), SIGMA,
+        *INTRINSICS, iterations, apart,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("outliers", [False, True])
+def test_the_cost_is_that_of_our_own_with_octave_weights(outliers):
+    _, start = scene(n_fixed=1, cameras=6, n_points=60, spread=0.02)
+    if outliers:
+        start.pixels[::9] += 12.0
+    theirs = adjusted(start)
+    ours = bundle_adjust(*start.arguments(), 200, DELTA)
+    assert theirs.cost_final == pytest.approx(ours.cost_final, rel=1e-6)
+    assert theirs.cost_initial == pytest.approx(ours.cost_initial, rel=1e-9)
+    chi2 = (start.whitened(theirs.T_cam_map, theirs.points) ** 2).sum(axis=1)
+    np.testing.assert_allclose(theirs.chi2, chi2, rtol=1e-9)
+
+
+def test_the_first_camera_holds_and_the_rest_find_the_truth():
+    truth, start = scene(n_fixed=1, noise=0.0)
+    result = adjusted(start)
+    np.testing.assert_array_equal(result.T_cam_map[0], start.T[0])
+    scale = np.linalg.norm(result.T_cam_map[-1, :3, 3]) / np.linalg.norm(truth.T[-1, :3, 3])
+    origin = np.linalg.inv(truth.T[0])[:3, 3]
+    np.testing.assert_allclose(result.points - origin, scale * (truth.points - origin), atol=1e-4)
+    assert (result.chi2 < CHI2_2DOF).all()
+
+
+def test_unseen_points_stay_and_repeats_are_equal():
+    _, start = scene(n_fixed=1)
+    keep = start.point != 3
+    start.camera, start.point = start.camera[keep], start.point[keep]
+    start.pixels, start.inv_sigma2 = start.pixels[keep], start.inv_sigma2[keep]
+    one, two = adjusted(start), adjusted(start)
+    np.testing.assert_array_equal(one.points[3], start.points[3])
+    assert one.T_cam_map.tobytes() == two.T_cam_map.tobytes()
+    assert one.points.tobytes() == two.points.tobytes()
+
+
+def test_misuse_is_refused():
+    _, start = scene()
+    start.T = start.T[:1]
+    with pytest.raises(ValueError, match="two cameras"):
+        adjusted(start)
+
+
+def test_apart_it_gives_the_same_bits_and_leaves_the_terminal_alone(capfd):
+    _, start = scene(n_fixed=1)
+    here, apart = adjusted(start), adjusted(start, apart=True)
+    assert here.T_cam_map.tobytes() == apart.T_cam_map.tobytes()
+    assert here.points.tobytes() == apart.points.tobytes()
+    assert capfd.readouterr() == ("", "")
