@@ -19,7 +19,7 @@ def open_sequence(source: str, seed: int | None = None, progress: Progress | Non
     Args:
         source: a folder in TUM, KITTI, EuRoC or TUM-mono form, the name of a scenario, or the path of its
             YAML file.
-        seed: root seed of a scenario, its own where None; a folder has none.
+        seed: root seed of a scenario, with which it is drawn too; its own where None; a folder has none.
         progress: called with (step, frames done, frames in all) while rendering.
 
     Raises:
@@ -30,14 +30,16 @@ def open_sequence(source: str, seed: int | None = None, progress: Progress | Non
         from sim.io.forms import load_sequence
 
         return load_sequence(path)
-    if not path.exists() and len(path.parts) > 1 and path.suffix not in (".yaml", ".yml"):
+    from scenarios.families import is_scenario_name
+    from scenarios.loading import load_scenario
+
+    if not path.exists() and len(path.parts) > 1 and not is_scenario_name(source):
         raise InputError(
             source, "no such folder", "check the path, or name a scenario (dslab scenarios list)"
         )
-    from scenarios.loading import load_scenario
     from sim.render import render_sequence
 
-    return render_sequence(load_scenario(source), seed, progress=progress)
+    return render_sequence(load_scenario(source, seed), progress=progress)
 
 
 def record_scenario_imu(
@@ -62,7 +64,7 @@ def record_scenario_imu(
     from sim.imu import record_imu
     from sim.render import mujoco_studio, plan_shoot
 
-    scenario = load_scenario(source)
-    seed = scenario.seed if seed is None else seed
-    shoot, _ = plan_shoot(scenario, seed, mujoco_studio(), progress or (lambda step, done, total: None))
-    return record_imu(shoot.motion, stamps_s, seed)
+    scenario = load_scenario(source, seed)
+    told = progress or (lambda step, done, total: None)
+    shoot, _ = plan_shoot(scenario, scenario.seed, mujoco_studio(), told)
+    return record_imu(shoot.motion, stamps_s, scenario.seed)

@@ -34,20 +34,22 @@ def render_command(
 
     dslab render stressed --seed 3 --depth --out out/stressed-3
 
+    dslab render kitti-like/07 --seed 1 --out out/kitti-like-07
+
     dslab render mine.yaml --no-cache --out out/mine
     """
     from scenarios.loading import load_scenario
     from sim.io.tum import claim_output_dir
     from sim.render import render_sequence
 
-    what = load_scenario(scenario)
+    what = load_scenario(scenario, seed)
     claim_output_dir(out)
     started_s = time.monotonic()
     # Beside the result, where there is room for it.
     scratch = tempfile.TemporaryDirectory(prefix=".dslab-", dir=out.parent) if no_cache else nullcontext()
     with scratch as folder, progress_bar() as told:
         cache_dir = Path(folder) if folder else None
-        sequence = render_sequence(what, seed, out_dir=out, cache_dir=cache_dir, depth=depth, progress=told)
+        sequence = render_sequence(what, out_dir=out, cache_dir=cache_dir, depth=depth, progress=told)
     for segment in sequence.segments:
         span = f"frames {segment.first_frame} to {segment.last_frame}"
         typer.echo(f"  {segment.kind}: {span if segment.first_frame >= 0 else 'acts on no frame'}")
