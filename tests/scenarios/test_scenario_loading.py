@@ -81,9 +81,9 @@ def test_the_three_named_scenarios_are_30_s_of_vga_video():
         ("contrast: 0.1", "contrast: 1.5", [":5: segments[0].contrast", "less than or equal to 1"]),
         ("contrast: 0.1", "contrast: low", [":5: segments[0].contrast", "'low'", "number"]),
         (
-            "start_s: 8",
-            "start_s: 5",
-            ["segments[0] (low_texture, 4-6 s)", "segments[1] (motion_blur, 5-6 s)"],
+            "motion_blur, start_s: 8, duration_s: 1, exposure_s: 0.05",
+            "low_texture, start_s: 5, duration_s: 1, contrast: 0.5",
+            ["segments[0] (low_texture, 4-6 s)", "segments[1] (low_texture, 5-6 s)", "one kind"],
         ),
         ("start_s: 8", "start_s: 19.5", ["segments[1]", "ends after the sequence", "duration_s = 20"]),
         ("{kind: room}", "{kind: room}\ncamera: {cx_px: 640}", [":4: camera", "cx_px = 640", "0 to 639"]),
@@ -120,9 +120,24 @@ def test_segments_that_touch_do_not_overlap(tmp_path):
 
 def test_overlap_is_found_whatever_the_order_in_the_file():
     late = MotionBlur(kind="motion_blur", start_s=5, duration_s=2, exposure_s=0.1)
-    early = FastRotation(kind="fast_rotation", start_s=1, duration_s=5, rate_degps=90)
+    early = MotionBlur(kind="motion_blur", start_s=1, duration_s=5, exposure_s=0.2)
     with pytest.raises(ValueError, match=r"segments\[1\].*segments\[0\].*overlap"):
         Scenario(name="x", world=RoomWorld(), segments=(late, early))
+
+
+def test_segments_of_different_kinds_may_lie_over_one_another():
+    swing = FastRotation(kind="fast_rotation", start_s=5, duration_s=2, rate_degps=90)
+    blur = MotionBlur(kind="motion_blur", start_s=5, duration_s=2, exposure_s=0.1)
+    assert Scenario(name="x", world=RoomWorld(), segments=(swing, blur)).segments == (swing, blur)
+
+
+def test_the_sensor_starts_from_its_preset(tmp_path):
+    assert load_scenario(write(tmp_path, VALID)).imu is None
+    scenario = load_scenario(write(tmp_path, VALID + "imu: {preset: realsense, rate_hz: 400}\n"))
+    assert scenario.imu is not None
+    assert (scenario.imu.rate_hz, scenario.imu.gyro_noise) == (400, 1e-3)
+    assert load_scenario(write(tmp_path, dump_yaml(scenario))) == scenario
+    assert "imu.gyro_nois" in fault(tmp_path, VALID + "imu: {gyro_nois: 1}\n")
 
 
 def test_an_unknown_name_lists_the_names():

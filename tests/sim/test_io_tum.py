@@ -216,3 +216,21 @@ def test_a_full_disk_is_an_input_error_and_leaves_nothing(tmp_path, monkeypatch)
     with pytest.raises(InputError, match="No space left"):
         write_tum(make_sequence(), tmp_path / "seq")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_depth_images_are_given_to_the_frames_nearest_in_time(tmp_path):
+    sequence = make_sequence()
+    write_tum(sequence, tmp_path / "seq", depth=True)
+    written = load_sequence(tmp_path / "seq")
+    rows = (tmp_path / "seq/depth.txt").read_text().splitlines()[1:]
+    # Another clock's jitter, one image lost, one more between the frames: as a depth camera of its own gives.
+    late = [f"{float(row.split()[0]) + 0.004:.6f} {row.split()[1]}" for row in rows if "000002" not in row]
+    late.insert(1, f"{0.5 / 30:.6f} depth/000005.png")
+    (tmp_path / "seq/depth.txt").write_text("\n".join(late) + "\n")
+    read = load_sequence(tmp_path / "seq")
+    assert len(read.depths) == len(read) == COUNT
+    for index in set(range(COUNT)) - {2}:
+        np.testing.assert_array_equal(read.depths[index], written.depths[index])
+    assert (read.depths[2] == 0).all()
+    (tmp_path / "seq/depth.txt").write_text("99.0 depth/000000.png\n")
+    fault(tmp_path / "seq", "depth.txt", "clock")
