@@ -102,34 +102,19 @@ def _sheets(samples: list[Scenario], frames: int, folder: Path, workers: int) ->
         return
     # Spawned, not forked: a process that holds a GL context must not fork.
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        futures = [pool.submit(_sheet_or_fault, sample, frames, folder) for sample in samples]
+        futures = [pool.submit(_sheet_of_one_thread, sample, frames, folder) for sample in samples]
         try:
             for future in as_completed(futures):
-                result = future.result()
-                if isinstance(result, _Fault):
-                    raise InputError(result.where, result.problem, result.remedy)
-                yield result
+                yield future.result()
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-@dataclass(frozen=True)
-class _Fault:
-    """An ``InputError`` on its way from a worker: exceptions with several arguments do not travel."""
-
-    where: str
-    problem: str
-    remedy: str
-
-
-def _sheet_or_fault(sample: Scenario, frames: int, folder: Path) -> Sheet | _Fault:
+def _sheet_of_one_thread(sample: Scenario, frames: int, folder: Path) -> Sheet:
     import cv2
 
     cv2.setNumThreads(1)
-    try:
-        return make_sheet(sample, frames, folder)
-    except InputError as error:
-        return _Fault(error.where, error.problem, error.remedy)
+    return make_sheet(sample, frames, folder)
 
 
 def _made_by() -> str:

@@ -42,7 +42,7 @@ def test_the_files_are_the_stated_ones_in_tum_order(folder):
     expected = {"rgb", "rgb.txt", "groundtruth.txt", "camera.yaml", "segments.json", "meta.json"}
     assert names == expected | {"depth", "depth.txt", "frame_truth.csv"}
     assert list(yaml.safe_load((folder / "camera.yaml").read_text())) == (
-        ["fx", "fy", "cx", "cy", "width", "height", "fps", "model", "k1", "k2", "p1", "p2", "k3"]
+        ["fx", "fy", "cx", "cy", "width", "height", "fps", "k1", "k2", "p1", "p2", "k3"]
     )
     pose = make_sequence().T_world_cam[0]
     row = np.array((folder / "groundtruth.txt").read_text().splitlines()[1].split(), float)
@@ -88,8 +88,8 @@ def test_an_equidistant_camera_is_read_back(tmp_path):
     assert load_sequence(tmp_path / "seq").camera == lens
 
 
-def test_a_camera_file_without_model_is_radtan(folder):
-    edit(folder / "camera.yaml", "model: radtan\n", "")
+def test_a_camera_file_may_name_the_model_radtan(folder):
+    edit(folder / "camera.yaml", "fps: 30.0\n", "fps: 30.0\nmodel: radtan\n")
     assert load_sequence(folder).camera == make_sequence().camera
 
 
@@ -118,8 +118,18 @@ def test_a_missing_file_is_named(folder, old):
         ("camera.yaml", "width: 64", "width: 65", ["000000.png", "64x48", "65x48"]),
         ("camera.yaml", "fps: 30.0", "fps: 0", ["camera.yaml: fps"]),
         ("camera.yaml", "k3: 0.3", "k4: 0.3", ["camera.yaml: k4", "unknown key", "k3"]),
-        ("camera.yaml", "model: radtan", "model: wide", ["camera.yaml: model", "'wide'", "equidistant"]),
-        ("camera.yaml", "model: radtan", "model: equidistant", ["camera.yaml: p1", "model equidistant"]),
+        (
+            "camera.yaml",
+            "fps: 30.0",
+            "model: wide",
+            ["camera.yaml: model", "'wide'", "equidistant"],
+        ),
+        (
+            "camera.yaml",
+            "fps: 30.0",
+            "model: equidistant",
+            ["camera.yaml: p1", "model equidistant"],
+        ),
         ("camera.yaml", "fx: 50.0", "fx: [", ["camera.yaml", "YAML"]),
         ("segments.json", '"first_frame": 2', '"first_frame": 99', ["segments.json: [0]", "99"]),
         ("segments.json", '"kind"', '"sort"', ["segments.json: [0]", "no segment"]),
