@@ -56,7 +56,13 @@ class Preview:
         part, camera, seed = self.shoot.only(kept), self.scenario.camera, self.scenario.seed
         own = camera_intrinsics(camera)
         chain = ImageChain(
-            self.scenario.segments, own, part.stamps_s, part.frame, seed, ideal=ideal_camera(own)
+            self.scenario.segments,
+            own,
+            part.stamps_s,
+            part.frame,
+            seed,
+            part.exposure_s,
+            ideal_camera(own),
         )
         with (
             tempfile.TemporaryDirectory(prefix="dslab-") as folder,
