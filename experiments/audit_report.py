@@ -56,7 +56,7 @@ def loss_findings(
     for index, segment in enumerate(record.sequence.segments):
         if segment.first_frame < 0:
             continue
-        declared = next((o.breakage for o in outcomes if o.segment == index), None)
+        declared = next((o.breakage for o in outcomes if index in o.segments), None)
         last = np.searchsorted(stamps_s, stamps_s[segment.last_frame] + EXPOSURE_GRACE_S, side="right") - 1
         if declared is not None:
             seen.add(declared.frame)

@@ -25,7 +25,9 @@ class BreakageOutcome:
 
     Attributes:
         breakage: the declaration.
-        segment: index of the injected segment in which it fell, None outside.
+        segment: index of the injected segment in which it fell, None outside; of several that lie over one
+            another, the one that began last.
+        segments: indices of all of those, in order.
         until_frame: first frame of the next breakage of the same map, None where none came.
         reinit_frame: frame at which a new map stood, None if none did.
         recoveries: the ends of the recovery threads, in order.
@@ -36,6 +38,7 @@ class BreakageOutcome:
 
     breakage: Breakage
     segment: int | None
+    segments: tuple[int, ...]
     until_frame: int | None
     reinit_frame: int | None
     recoveries: tuple[RecoveryEnd, ...]
@@ -73,15 +76,36 @@ class BreakageOutcome:
 def segment_of_frame(
     frame: int, stamp_s: float, segments: Sequence[SegmentTruth], stamps_s: Sequence[float]
 ) -> int | None:
-    """The last segment that acts on a frame or ended at most EXPOSURE_GRACE_S before it, by its index."""
-    found = None
-    for index, segment in enumerate(segments):
-        if segment.first_frame < 0 or frame < segment.first_frame:
-            continue
-        exposed = stamp_s <= stamps_s[segment.last_frame] + EXPOSURE_GRACE_S
-        if exposed and (found is None or segment.first_frame > segments[found].first_frame):
-            found = index
-    return found
+    """The last segment that acts on a frame or ended at most EXPOSURE_GRACE_S before it, by its index.
+
+    Of several that began on one frame it is the first listed.
+    """
+    exposed = [
+        index
+        for index, segment in enumerate(segments)
+        if 0 <= segment.first_frame <= frame and stamp_s <= stamps_s[segment.last_frame] + EXPOSURE_GRACE_S
+    ]
+    return max(exposed, key=lambda index: (segments[index].first_frame, -index), default=None)
+
+
+def segments_of_frame(
+    frame: int, stamp_s: float, segments: Sequence[SegmentTruth], stamps_s: Sequence[float]
+) -> tuple[int, ...]:
+    """The segment of a frame and those that lay over it, by their indices.
+
+    A segment that had ended when that one began has no part in it.
+    """
+    latest = segment_of_frame(frame, stamp_s, segments, stamps_s)
+    if latest is None:
+        return ()
+    onset = segments[latest].first_frame
+    return tuple(
+        index
+        for index, segment in enumerate(segments)
+        if 0 <= segment.first_frame <= frame
+        and segment.last_frame >= onset
+        and stamp_s <= stamps_s[segment.last_frame] + EXPOSURE_GRACE_S
+    )
 
 
 def breakage_outcomes(
@@ -117,6 +141,7 @@ def _outcome(
     return BreakageOutcome(
         breakage=breakage,
         segment=segment_of_frame(breakage.frame, breakage.stamp_s, segments, stamps_s),
+        segments=segments_of_frame(breakage.frame, breakage.stamp_s, segments, stamps_s),
         until_frame=until,
         reinit_frame=reinit[0] if reinit else None,
         recoveries=tuple(e for e in after if isinstance(e, RecoveryEnd) and e.old_map_id == breakage.map_id),

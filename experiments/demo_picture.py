@@ -51,15 +51,13 @@ def _sample_frames(sequence: Sequence) -> list[int]:
 
 def _draw_frame(axes: Axes, sequence: Sequence, frame: int) -> None:
     axes.imshow(sequence.frames[frame], cmap="gray", vmin=0, vmax=255)
-    kind = next((s.kind for s in sequence.segments if s.first_frame <= frame <= s.last_frame), None)
-    axes.set_title(
-        f"{sequence.stamps_s[frame]:.1f} s{', ' + kind.replace('_', ' ') if kind else ''}", fontsize=9
-    )
+    kinds = sequence.kinds_at(frame)
+    axes.set_title(", ".join([f"{sequence.stamps_s[frame]:.1f} s", *kinds]).replace("_", " "), fontsize=9)
     axes.set_xticks([])
     axes.set_yticks([])
-    if kind:
+    if kinds:
         for spine in axes.spines.values():
-            spine.set(color=_SEGMENT_COLORS.get(kind, "0.6"), linewidth=3)
+            spine.set(color=_SEGMENT_COLORS.get(kinds[-1], "0.6"), linewidth=3)
 
 
 def _draw_paths(
@@ -123,13 +121,17 @@ def _mark(axes: Axes, positions: np.ndarray, outcomes: list[BreakageOutcome]) ->
 
 
 def _draw_inliers(axes: Axes, sequence: Sequence, records: dict[SystemKind, RunRecord]) -> None:
-    for segment in sequence.segments:
+    for index, segment in enumerate(sequence.segments):
         if segment.first_frame >= 0:
+            # Names of segments over one another stand one below the other.
+            over = sum(
+                s.first_frame <= segment.first_frame <= s.last_frame for s in sequence.segments[:index]
+            )
             span = sequence.stamps_s[[segment.first_frame, segment.last_frame]]
             axes.axvspan(*span, color=_SEGMENT_COLORS.get(segment.kind, "0.8"), alpha=0.6, zorder=0)
             axes.text(
                 span.mean(),
-                0.97,
+                0.97 - 0.08 * over,
                 segment.kind.replace("_", " "),
                 transform=axes.get_xaxis_transform(),
                 ha="center",

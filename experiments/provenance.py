@@ -8,7 +8,16 @@ from importlib import metadata
 from pathlib import Path
 
 DISTRIBUTION = "dual-slam-lab"
-_REPORTED = ("numpy", "numba", "opencv-contrib-python-headless", "scipy", "mujoco", "rerun-sdk")
+_REPORTED = (
+    "numpy",
+    "numba",
+    "opencv-contrib-python-headless",
+    "scipy",
+    "mujoco",
+    "pyrender",
+    "pyopengl",
+    "rerun-sdk",
+)
 
 
 @cache

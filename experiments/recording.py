@@ -254,14 +254,10 @@ class Recorder:
         maps = [f"map {r.map_id}" if is_tracked(r) else "" for r in record.results]
         palette = {m: _rgba(_MAPS[int(m.split()[1]) % len(_MAPS)]) for m in maps if m}
         self._send_lane("lanes/map", maps, palette)
-        acting = [""] * len(states)
-        for segment in self._sequence.segments:
-            if segment.first_frame >= 0:
-                for frame in range(segment.first_frame, segment.last_frame + 1):
-                    acting[frame] = segment.kind
-        kinds = dict.fromkeys(segment.kind for segment in self._sequence.segments)
-        colors = {kind: _SEGMENTS.get(kind, _OTHER_SEGMENT) for kind in kinds}
-        self._send_lane("lanes/segment", acting, colors)
+        kinds = [self._sequence.kinds_at(frame) for frame in range(len(states))]
+        # Segments over one another are one state, in the colour of the last that began.
+        colors = {" + ".join(k): _SEGMENTS.get(k[-1], _OTHER_SEGMENT) for k in kinds if k}
+        self._send_lane("lanes/segment", [" + ".join(k) for k in kinds], colors)
 
     def _send_lane(self, path: str, values: list[str], colors: dict[str, int]) -> None:
         labels = [v.replace("_", " ") for v in colors]

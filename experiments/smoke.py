@@ -1,6 +1,6 @@
 """The smoke experiment: seeds of one scenario through base and Dual-SLAM, counted against Eq. 1, free arm."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -65,18 +65,16 @@ class SmokeResult:
 
 
 def run_smoke(
-    scenario: Scenario,
-    units: int,
+    scenarios: Sequence[Scenario],
     out_dir: Path,
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
     trial: Trial | None = None,
 ) -> tuple[SmokeResult, list[dict[str, Any]]]:
-    """Run seeds ``scenario.seed .. scenario.seed + units - 1`` and write one row per unit.
+    """Run one unit per scenario, with its own seed, and write one row for each.
 
     Args:
-        scenario: what happens.
-        units: number of units.
+        scenarios: what happens, all of one family.
         out_dir: result folder, absent or empty; gets units.parquet.
         workers: processes; rows do not depend on it.
         progress: called with (units done, units in all).
@@ -85,13 +83,12 @@ def run_smoke(
     Raises:
         InputError: the folder is taken or not writable, or the disk is full.
     """
-    seeds = range(scenario.seed, scenario.seed + units)
     rows: list[dict[str, Any]] = []
     with new_directory(out_dir) as folder:
-        for row in _run(scenario, seeds, workers, trial or rendered_trial):
+        for row in _run(scenarios, workers, trial or rendered_trial):
             rows.append(row)
             if progress is not None:
-                progress(len(rows), units)
+                progress(len(rows), len(scenarios))
         rows.sort(key=lambda r: r["seed"])
         write_table(folder / TABLE_FILE, rows)
     return count(rows), rows
@@ -137,19 +134,20 @@ def write_table(path: Path, rows: list[dict[str, Any]]) -> None:
     pq.write_table(pa.Table.from_pylist(rows, schema=schema), path)
 
 
-def _run(scenario: Scenario, seeds: range, workers: int, trial: Trial) -> Iterator[dict[str, Any]]:
+def _run(scenarios: Sequence[Scenario], workers: int, trial: Trial) -> Iterator[dict[str, Any]]:
     if workers == 1:
-        yield from (trial(scenario, seed) for seed in seeds)
+        yield from (trial(scenario, scenario.seed) for scenario in scenarios)
         return
     # Spawned, not forked: a process that holds a GL context must not fork.
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        futures = {pool.submit(trial, scenario, seed): seed for seed in seeds}
+        futures = {pool.submit(trial, scenario, scenario.seed): scenario for scenario in scenarios}
         for future in as_completed(futures):
             try:
                 yield future.result()
             except BrokenProcessPool as error:
                 # A worker was killed, by the system for want of memory as a rule.
-                yield empty_row(scenario, futures[future]) | {"message": f"worker died: {error}"}
+                scenario = futures[future]
+                yield empty_row(scenario, scenario.seed) | {"message": f"worker died: {error}"}
 
 
 def _render(scenario: Scenario, seed: int):

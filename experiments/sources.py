@@ -13,56 +13,86 @@ Progress = Callable[[str, int, int], None]
 """Called with the name of the step, frames done and frames in all."""
 
 
-def open_sequence(source: str, seed: int | None = None, progress: Progress | None = None) -> Sequence:
+def open_sequence(
+    source: str,
+    seed: int | None = None,
+    progress: Progress | None = None,
+    depth: bool = False,
+    renderer: str | None = None,
+) -> Sequence:
     """Load a sequence folder, or render a scenario (or take it from the cache).
 
     Args:
         source: a folder in TUM, KITTI, EuRoC or TUM-mono form, the name of a scenario, or the path of its
             YAML file.
-        seed: root seed of a scenario, its own where None; a folder has none.
+        seed: root seed of a scenario, with which it is drawn too; its own where None; a folder has none.
         progress: called with (step, frames done, frames in all) while rendering.
+        depth: render a scenario with depth images; a folder has them or not.
+        renderer: what renders a scenario, one of ``sim.renderers``; None for the default one.
 
     Raises:
-        InputError: there is no such thing, or it is not valid.
+        InputError: there is no such thing, it is not valid, or a renderer is named for a folder.
     """
     path = Path(source)
     if path.is_dir():
+        if renderer is not None:
+            problem = "the folder's frames are already rendered"
+            raise InputError(f"--renderer: {source}", problem, "name a scenario, or leave out --renderer")
         from sim.io.forms import load_sequence
 
         return load_sequence(path)
-    if not path.exists() and len(path.parts) > 1 and path.suffix not in (".yaml", ".yml"):
+    from scenarios.families import is_scenario_name
+    from scenarios.loading import load_scenario
+
+    if not path.exists() and len(path.parts) > 1 and not is_scenario_name(source):
         raise InputError(
             source, "no such folder", "check the path, or name a scenario (dslab scenarios list)"
         )
-    from scenarios.loading import load_scenario
-    from sim.render import render_sequence
+    from sim.render import render_sequence, studio_with
 
-    return render_sequence(load_scenario(source), seed, progress=progress)
+    studio = studio_with(renderer) if renderer is not None else None
+    return render_sequence(load_scenario(source, seed), depth=depth, progress=progress, studio=studio)
 
 
-def record_scenario_imu(
-    source: str, stamps_s: np.ndarray, seed: int | None = None, progress: Progress | None = None
-) -> tuple[ImuReadings, ImuTruth]:
-    """Inertial readings along a scenario's motion, and the truth at its frames.
+def open_imu(
+    source: str, stamps_s: np.ndarray, seed: int | None = None, wanted: bool | None = None
+) -> tuple[ImuReadings, ImuTruth | None] | None:
+    """Inertial readings of a sequence: those in its folder, or those along a scenario's motion.
 
     Args:
-        source: the name of a scenario, or the path of its YAML file.
+        source: as for ``open_sequence``.
         stamps_s: (N,) stamps of its frames.
-        seed: root seed, the scenario's own where None.
-        progress: called with (step, frames done, frames in all).
+        seed: root seed of a scenario, its own where None.
+        wanted: False for none, True for EuRoC's sensor where a scenario names none, None for what there is.
+
+    Returns:
+        The readings and, of a scenario, the truth at its frames; None where there are none.
 
     Raises:
-        InputError: it is a folder, which has no continuous motion, or no valid scenario.
+        InputError: they are wanted of a folder that has none, or the source is not valid.
     """
+    if wanted is False:
+        return None
     if Path(source).is_dir():
-        raise InputError(
-            f"--imu: {source}", "a folder has no continuous motion", "name a scenario, or leave out --imu"
-        )
+        readings = _folder_imu(Path(source))
+        if wanted and readings is None:
+            problem = "the folder has no inertial readings, and no continuous motion to make them from"
+            raise InputError(f"--imu: {source}", problem, "name a scenario, or leave out --imu")
+        return None if readings is None else (readings, None)
     from scenarios.loading import load_scenario
-    from sim.imu import record_imu
-    from sim.render import mujoco_studio, plan_shoot
+    from sim.filming import mujoco_studio, plan_path
+    from sim.imu import ImuModel, record_imu
 
-    scenario = load_scenario(source)
-    seed = scenario.seed if seed is None else seed
-    shoot, _ = plan_shoot(scenario, seed, mujoco_studio(), progress or (lambda step, done, total: None))
-    return record_imu(shoot.motion, stamps_s, seed)
+    scenario = load_scenario(source, seed)
+    if scenario.imu is None and not wanted:
+        return None
+    model = ImuModel.of_spec(scenario.imu) if scenario.imu else None
+    return record_imu(plan_path(scenario, scenario.seed, mujoco_studio()), stamps_s, scenario.seed, model)
+
+
+def _folder_imu(folder: Path) -> ImuReadings | None:
+    from sim.io.euroc_reader import load_euroc_imu
+    from sim.io.forms import Form, detect_form, sequence_folder
+
+    folder = sequence_folder(folder)
+    return load_euroc_imu(folder) if detect_form(folder) is Form.EUROC else None

@@ -55,13 +55,14 @@ def is_tracked(result: TrackingResult) -> bool:
 def segment_rows(record: RunRecord, outcomes: list[BreakageOutcome]) -> list[dict]:
     """Per injected segment: frames, tracked frames, breakages, what healed them, ATE with its completeness.
 
-    The ATE of a segment is that of the main map, aligned as a whole, over the segment's frames.
+    The ATE of a segment is that of the main map, aligned as a whole, over the segment's frames. A breakage
+    counts for every one of the segments that lay over one another when it fell.
     """
     errors = _main_map_errors(record)
     rows = []
     for index, segment in enumerate(record.sequence.segments):
         inside = range(segment.first_frame, segment.last_frame + 1) if segment.first_frame >= 0 else range(0)
-        own = [o for o in outcomes if o.segment == index]
+        own = [o for o in outcomes if index in o.segments]
         posed = [errors[f] for f in inside if f in errors]
         rows.append(
             {

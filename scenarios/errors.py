@@ -13,3 +13,7 @@ class InputError(Exception):
     def __init__(self, where: str, problem: str, remedy: str) -> None:
         self.where, self.problem, self.remedy = where, problem, remedy
         super().__init__(f"{where}: {problem}; {remedy}")
+
+    def __reduce__(self) -> tuple[type["InputError"], tuple[str, str, str]]:
+        """An exception is remade from its message alone; this one needs its parts to cross to a process."""
+        return type(self), (self.where, self.problem, self.remedy)

@@ -1,5 +1,10 @@
-"""The segments of a spec, one model per kind of degradation."""
+"""The segments of a spec, one model per kind of degradation.
 
+Segments of different kinds may lie over one another in time; those of one kind follow one another.
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
@@ -17,6 +22,11 @@ class SegmentBase(Strict):
     def end_s(self) -> float:
         """End of the segment, sequence time."""
         return self.start_s + self.duration_s
+
+    @property
+    def label(self) -> str:
+        """Kind and times, for a line of text."""
+        return f"{getattr(self, 'kind', '')}, {self.start_s:g}-{self.end_s:g} s"
 
     @property
     def severity(self) -> dict[str, float | str]:
@@ -131,6 +141,16 @@ class LensDirt(ImageSegment):
     spot_deg: float = Field(6.0, gt=0.1, le=60, description="mean width of a spot, visual angle")
 
 
+class Rain(ImageSegment):
+    """Rain falls before the camera, and drops land on the glass before its lens."""
+
+    kind: Literal["rain"]
+    rate_mmph: float = Field(ge=0, le=300, description="mm per hour: 2 is light, 10 heavy, 50 a cloudburst")
+    wind_mps: float = Field(3.0, ge=0, le=40, description="slants the drops and blows them against the glass")
+    glass_mm: float = Field(30.0, ge=0, le=100, description="from glass to lens; 0 for one under a roof")
+    wet_s: float = Field(20.0, ge=0, le=3600, description="how long it has rained on the glass at the start")
+
+
 class CoveredLens(ImageSegment):
     """Something before the lens keeps light off."""
 
@@ -183,6 +203,7 @@ Segment = Annotated[
     | RollingShutter
     | Defocus
     | LensDirt
+    | Rain
     | CoveredLens
     | LowLight
     | OverExposure
@@ -190,3 +211,15 @@ Segment = Annotated[
     | Jpeg,
     Field(discriminator="kind"),
 ]
+
+
+def self_overlap(segments: Sequence[SegmentBase]) -> tuple[int, int] | None:
+    """Places of two segments of one kind that overlap, the earlier first; None if there are none."""
+    by_kind = sorted(
+        range(len(segments)), key=lambda i: (getattr(segments[i], "kind", ""), segments[i].start_s)
+    )
+    for i, j in pairwise(by_kind):
+        same = type(segments[i]) is type(segments[j])
+        if same and segments[j].start_s < segments[i].end_s - 1e-9:
+            return i, j
+    return None

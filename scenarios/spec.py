@@ -1,13 +1,13 @@
 """The scenario: what happens, as typed and validated data. Nothing is executed here."""
 
-from itertools import pairwise
 from typing import Literal
 
 from pydantic import Field, model_validator
 
 from scenarios.cameras import Camera
+from scenarios.imu import Imu
 from scenarios.motions import Trajectory
-from scenarios.segments import FastRotation, LowTexture, MotionBlur, Segment, SegmentBase
+from scenarios.segments import FastRotation, LowTexture, MotionBlur, Segment, self_overlap
 from scenarios.strict import Strict
 from scenarios.worlds import CorridorWorld, RoomWorld, World
 
@@ -16,6 +16,7 @@ __all__ = [
     "Camera",
     "CorridorWorld",
     "FastRotation",
+    "Imu",
     "LowTexture",
     "MotionBlur",
     "RoomWorld",
@@ -39,6 +40,7 @@ class Scenario(Strict):
     world: World
     trajectory: Trajectory = Trajectory()
     camera: Camera = Camera()
+    imu: Imu | None = Field(None, description="inertial readings, for the forms that have a place for them")
     segments: tuple[Segment, ...] = ()
     seed: int = Field(0, ge=0, lt=2**63)
 
@@ -52,18 +54,13 @@ class Scenario(Strict):
         for index, segment in enumerate(self.segments):
             if segment.end_s > self.duration_s + 1e-9:
                 raise ValueError(
-                    f"segments[{index}] ({segment.kind}, {_span(segment)}) ends after the sequence, "
+                    f"segments[{index}] ({segment.label}) ends after the sequence, "
                     f"end it by duration_s = {self.duration_s:g}"
                 )
-        in_time = sorted(enumerate(self.segments), key=lambda item: item[1].start_s)
-        for (i, first), (j, second) in pairwise(in_time):
-            if second.start_s < first.end_s - 1e-9:
-                raise ValueError(
-                    f"segments[{i}] ({first.kind}, {_span(first)}) and segments[{j}] ({second.kind}, "
-                    f"{_span(second)}) overlap, start one when the other has ended"
-                )
+        clash = self_overlap(self.segments)
+        if clash:
+            first, second = (f"segments[{i}] ({self.segments[i].label})" for i in clash)
+            raise ValueError(
+                f"{first} and {second} are of one kind and overlap, start one when the other has ended"
+            )
         return self
-
-
-def _span(segment: SegmentBase) -> str:
-    return f"{segment.start_s:g}-{segment.end_s:g} s"

@@ -15,12 +15,14 @@ from sim.degradations.base import Shoot, Stage
 from sim.degradations.chain import ImageChain
 from sim.degradations.exposure import expose
 from sim.degradations.noise import SensorNoise
-from sim.degradations.registry import SHOOT_KINDS
+from sim.degradations.registry import SHOOT_KINDS, in_order_of_action
 from sim.degradations.repeated_texture import papered
 from sim.distortion import Lens, lens_renderer
 from sim.io.raw import RawFrames, RawWriter
 from sim.motion import plan_motion
+from sim.motion.base import Motion
 from sim.renderer import Renderer
+from sim.renderers import DEFAULT_RENDERER, load_renderer
 from sim.world.base import Route, WorldModel
 
 Progress = Callable[[str, int, int], None]
@@ -41,21 +43,31 @@ class Studio:
         build_world: the world itself.
         renderer: renderer of a world through a camera without distortion.
         gl_info: names of the GL implementation.
+        renderer_name: under which the renderer is recorded.
     """
 
     layout: Callable[[World, int], Route]
     build_world: Callable[[World, int], WorldModel]
     renderer: Callable[[WorldModel, Intrinsics], Renderer]
     gl_info: Callable[[], dict[str, str]]
+    renderer_name: str = DEFAULT_RENDERER
+
+
+def studio_with(renderer: str) -> Studio:
+    """The worlds of ``sim.world``, rendered by one of ``sim.renderers``.
+
+    Raises:
+        InputError: no such renderer, or it is not usable here.
+    """
+    from sim.gl_context import gl_info
+    from sim.world import build_world, layout
+
+    return Studio(layout, build_world, load_renderer(renderer), gl_info, renderer)
 
 
 def mujoco_studio() -> Studio:
     """The worlds of ``sim.world``, rendered by MuJoCo."""
-    from sim.gl_context import gl_info
-    from sim.mujoco_renderer import MujocoRenderer
-    from sim.world import build_world, layout
-
-    return Studio(layout, build_world, MujocoRenderer, gl_info)
+    return studio_with("mujoco")
 
 
 def camera_intrinsics(camera: Camera) -> Intrinsics:
@@ -105,7 +117,7 @@ def plan_in_world(scenario: Scenario, seed: int, studio: Studio, surfaces: int, 
         view_share=np.zeros((len(stamps_s), 0), np.float32),
         seed=seed,
     )
-    acting = [s for s in scenario.segments if s.kind in SHOOT_KINDS]
+    acting = in_order_of_action(s for s in scenario.segments if s.kind in SHOOT_KINDS)
     for stage in Stage:
         segments = [s for s in acting if SHOOT_KINDS[s.kind].stage is stage]
         if stage is Stage.WORLD and segments:
@@ -113,6 +125,14 @@ def plan_in_world(scenario: Scenario, seed: int, studio: Studio, surfaces: int, 
         for segment in segments:
             shoot = SHOOT_KINDS[segment.kind].apply(shoot, segment)
     return shoot
+
+
+def plan_path(scenario: Scenario, seed: int, studio: Studio) -> Motion:
+    """The camera's motion alone, with the segments that act on it; nothing is built or rendered."""
+    acting = (s for s in scenario.segments if s.kind in SHOOT_KINDS)
+    turning = tuple(s for s in acting if SHOOT_KINDS[s.kind].stage is Stage.MOTION)
+    moved = scenario.model_copy(update={"segments": turning})
+    return plan_in_world(moved, seed, studio, 0, lambda shoot: shoot.view_share).motion
 
 
 class Plates(Protocol):

@@ -4,7 +4,8 @@ MuJoCo's own context classes need PyOpenGL and a choice by environment variable,
 close; here MuJoCo finds a context that is already current and asks for none. Import this module before
 ``mujoco``.
 
-``DSLAB_GL`` = ``egl`` or ``osmesa`` forces a backend, ``DSLAB_OSMESA_LIBRARY`` names the OSMesa library.
+``DSLAB_GL`` = ``egl`` or ``osmesa`` forces a backend, ``software`` is EGL without a GPU;
+``DSLAB_OSMESA_LIBRARY`` names the OSMesa library.
 """
 
 import ctypes
@@ -24,6 +25,7 @@ REMEDY = (
     "install EGL (Debian, Ubuntu: apt-get install libegl1 libgl1-mesa-dri) or, without root, the OSMesa"
     " library (pip install --no-deps lavavu-osmesa==1.9.10)"
 )
+MUJOCO, PYRENDER = "mujoco", "pyrender"  # users of contexts
 _GL_VENDOR, _GL_RENDERER, _GL_VERSION, _GL_RGBA, _GL_UNSIGNED_BYTE = 0x1F00, 0x1F01, 0x1F02, 0x1908, 0x1401
 
 
@@ -52,14 +54,18 @@ def _function(library: ctypes.CDLL, name: str, result: type | None, *arguments: 
 
 
 class EglContext:
-    """EGL without a surface: on Mesa's surfaceless platform, else on the first device that works."""
+    """EGL without a surface: on the first GPU that works, else on Mesa's surfaceless platform.
+
+    Args:
+        gpu: False to leave GPUs alone; Mesa's software renderer gives the same frames on every machine.
+    """
 
     backend = "egl"
 
-    _SURFACELESS_MESA, _DEVICE_EXT = 0x31DD, 0x313F
+    _SURFACELESS_MESA, _DEVICE_EXT, _EXTENSIONS = 0x31DD, 0x313F, 0x3055
     _OPENGL_API, _OPENGL_BIT, _RENDERABLE_TYPE, _SURFACE_TYPE, _NONE = 0x30A2, 0x0008, 0x3040, 0x3033, 0x3038
 
-    def __init__(self) -> None:
+    def __init__(self, gpu: bool = True) -> None:
         try:
             egl = ctypes.CDLL("libEGL.so.1")
         except OSError as error:
@@ -70,22 +76,24 @@ class EglContext:
         self._choose = _function(egl, "eglChooseConfig", c_int, c_void_p, c_void_p, c_void_p, c_int, c_void_p)
         self._create = _function(egl, "eglCreateContext", c_void_p, c_void_p, c_void_p, c_void_p, c_void_p)
         self._make_current = _function(egl, "eglMakeCurrent", c_int, c_void_p, c_void_p, c_void_p, c_void_p)
-        for display in self._displays():
+        for display in self._displays(gpu):
             context = self._context_on(display)
             if context:
                 self._display, self._context = display, context
                 return
         raise GlUnavailableError("EGL: no display of it offers desktop OpenGL")
 
-    def _displays(self):
+    def _displays(self, gpu: bool):
         """Initialised displays, the preferred first."""
         address = self._address(b"eglGetPlatformDisplayEXT")
         if not address:
             return
         display_of = ctypes.CFUNCTYPE(c_void_p, c_int, c_void_p, c_void_p)(address)
-        # Mesa first: its software renderer gives the same frames on every machine.
-        candidates = [(self._SURFACELESS_MESA, None)]
-        candidates += [(self._DEVICE_EXT, device) for device in self._devices()]
+        devices = self._devices()
+        gpus = [device for device in devices if not self._is_software(device)]
+        candidates = [(self._DEVICE_EXT, device) for device in gpus] if gpu else []
+        candidates += [(self._SURFACELESS_MESA, None)]
+        candidates += [(self._DEVICE_EXT, device) for device in devices if device not in gpus]
         for platform, native in candidates:
             display = display_of(platform, native, None)
             if display and self._initialize(display, None, None):
@@ -100,6 +108,15 @@ class EglContext:
         if not query(16, devices, ctypes.byref(count)):
             return []
         return [d for d in devices[: count.value] if d]
+
+    def _is_software(self, device: int) -> bool:
+        address = self._address(b"eglQueryDeviceStringEXT")
+        text = (
+            ctypes.CFUNCTYPE(c_char_p, c_void_p, c_int)(address)(device, self._EXTENSIONS)
+            if address
+            else None
+        )
+        return b"EGL_MESA_device_software" in (text or b"")
 
     def _context_on(self, display: int) -> int | None:
         """A context on the display that can be made current without a surface, or None."""
@@ -194,14 +211,22 @@ def _load_neighbours(library: Path) -> None:
         waiting = left
 
 
-_BACKENDS = {"egl": EglContext, "osmesa": OsMesaContext}
+_BACKENDS = {
+    "egl": EglContext,
+    "osmesa": OsMesaContext,
+    "software": functools.partial(EglContext, gpu=False),
+}
+_UNASKED = ("egl", "osmesa")
 
 
 @functools.cache
-def shared_context() -> GlContext:
-    """The process's one context, made at the first call and current on return of that call.
+def shared_context(user: str = MUJOCO) -> GlContext:
+    """The process's one context of a user, made at the first call and current on return of that call.
 
     It can be current in one thread at a time. A process that has made it must not fork.
+
+    Args:
+        user: whose state the context holds; libraries that set GL state must not share one.
 
     Raises:
         InputError: no backend works, or ``DSLAB_GL`` names none.
@@ -210,7 +235,7 @@ def shared_context() -> GlContext:
     if forced and forced not in _BACKENDS:
         raise InputError("DSLAB_GL", f"unknown GL backend {forced!r}", f"use one of {', '.join(_BACKENDS)}")
     problems = []
-    for name in [forced] if forced else _BACKENDS:
+    for name in [forced] if forced else _UNASKED:
         try:
             return _BACKENDS[name]()
         except GlUnavailableError as error:

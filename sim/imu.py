@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scenarios.errors import InputError
+from scenarios.imu import Imu
 from scenarios.seeds import rng_for
 from sim.motion.base import Motion
 
@@ -69,6 +70,11 @@ class ImuModel:
         T = np.asarray(self.T_cam_imu)
         if T.shape != (4, 4) or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-6):
             raise InputError("imu: T_cam_imu", "is no rigid transform", "give a rotation and a translation")
+
+    @classmethod
+    def of_spec(cls, imu: Imu) -> "ImuModel":
+        """The sensor of a scenario."""
+        return cls(imu.rate_hz, imu.gyro_noise, imu.gyro_walk, imu.accel_noise, imu.accel_walk)
 
     def without_noise(self) -> "ImuModel":
         """The same sensor if it were perfect."""

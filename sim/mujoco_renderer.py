@@ -7,7 +7,6 @@ and shade are part of the textures and fade with their contrast.
 import ctypes
 from collections.abc import Iterator
 from ctypes import c_uint, c_void_p
-from dataclasses import dataclass
 from itertools import product
 
 import cv2
@@ -15,23 +14,18 @@ import numpy as np
 
 from scenarios.errors import InputError
 from sim.camera import Intrinsics
+from sim.compositing import metric_depth, put_nearer
+from sim.frustum import Frustum, bounding_balls, far_plane
 from sim.gl_context import gl_info, shared_context
-from sim.world.base import Surface, WorldModel
+from sim.world.base import Surface, WorldModel, faded_texture
 
 # MuJoCo's import must come after sim.gl_context's, which tells it to load no GL library.
 import mujoco  # isort: skip
 
-NEAR_M = 0.05
 MOST_SURFACES = 900  # one context of MuJoCo takes fewer than 1000 materials and textures
 _ID_BASE = np.array([1, 1 << 8, 1 << 16], np.int32)
 _GL_PROJECTION_MATRIX = 0x0BA7
 _DRAWN, _HIDDEN = int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtGeom.mjGEOM_NONE)
-
-
-def faded_texture(surface: Surface, mean_level: float, contrast: float) -> np.ndarray:
-    """(h, w) uint8: the surface's texture with its contrast about ``mean_level`` multiplied."""
-    levels = mean_level + contrast * (np.arange(256) - mean_level)
-    return cv2.LUT(surface.texture, np.clip(np.rint(levels), 0, 255).astype(np.uint8))
 
 
 class MujocoRenderer:
@@ -49,7 +43,7 @@ class MujocoRenderer:
         if any(camera.distortion):
             raise InputError("camera: distortion", "the renderer has no lens distortion", "set it to zero")
         self._shape = (camera.height_px, camera.width_px)
-        self._frustum = Frustum.of(camera, _far_plane(world))
+        self._frustum = Frustum.of(camera, far_plane(world))
         self._context = shared_context()
         self._gl_renderer = gl_info()["renderer"]
         starts = range(0, len(world.surfaces), MOST_SURFACES)
@@ -66,19 +60,15 @@ class MujocoRenderer:
     def render(self, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """One sharp frame: gray (H, W) uint8 and depth (H, W) float32 metres along the axis, 0 for none."""
         gray, zbuffer = np.zeros(self._shape, np.uint8), np.zeros(self._shape, np.float32)
-        for _, rgb, part_zbuffer in self._draw_parts(T_world_cam, ids=False):
-            nearer = part_zbuffer > zbuffer
-            np.copyto(gray, rgb[..., 0], where=nearer)
-            np.copyto(zbuffer, part_zbuffer, where=nearer)
-        # The reversed depth buffer is 1 on the near plane and 0 where there is nothing.
-        depth = self._offset_m / (zbuffer + self._bias)
-        depth[zbuffer == 0] = 0
-        return gray, depth
+        for _ in self._draw_parts(T_world_cam, ids=False):
+            put_nearer(self._rgb, self._zbuffer, gray, zbuffer)
+        return gray, metric_depth(zbuffer, self._bias, self._offset_m)
 
     def render_surface_ids(self, T_world_cam: np.ndarray) -> np.ndarray:
         """(H, W) int32: index into ``WorldModel.surfaces`` per pixel, -1 for none."""
         surfaces, zbuffer = np.full(self._shape, -1, np.int32), np.zeros(self._shape, np.float32)
-        for part, rgb, part_zbuffer in self._draw_parts(T_world_cam, ids=True):
+        for part in self._draw_parts(T_world_cam, ids=True):
+            rgb, part_zbuffer = self._rgb[::-1], self._zbuffer[::-1]
             nearer = part_zbuffer > zbuffer
             levels = rgb.astype(np.int32)
             np.copyto(surfaces, part.start + levels @ _ID_BASE - 1, where=nearer)
@@ -91,16 +81,14 @@ class MujocoRenderer:
         for part in self._parts:
             part.free()
 
-    def _draw_parts(
-        self, T_world_cam: np.ndarray, ids: bool
-    ) -> Iterator[tuple["_Part", np.ndarray, np.ndarray]]:
-        """Each part in sight with its colours and depth buffer, which hold until the next part is drawn."""
+    def _draw_parts(self, T_world_cam: np.ndarray, ids: bool) -> Iterator["_Part"]:
+        """Each part in sight; its colours and depth buffer are read until the next part is drawn."""
         self._context.make_current()
         for part in self._parts:
             if part.in_sight(T_world_cam, self._frustum):
                 part.draw(T_world_cam, ids)
                 part.read(self._rgb, self._zbuffer)
-                yield part, self._rgb[::-1], self._zbuffer[::-1]
+                yield part
 
     def _projection_row(self) -> tuple[np.float32, np.float32]:
         """The two entries of the projection that make depth: zbuffer = offset_m / Z - bias.
@@ -120,51 +108,6 @@ class MujocoRenderer:
         return bias, offset_m
 
 
-@dataclass(frozen=True)
-class Frustum:
-    """What a pinhole camera sees: slopes of its sides per metre of depth, and its depth range."""
-
-    left: float
-    right: float
-    top: float
-    bottom: float
-    near_m: float
-    far_m: float
-
-    @classmethod
-    def of(cls, c: Intrinsics, far_m: float) -> "Frustum":
-        """GL's window edges are half a pixel outside the outermost pixel centres; top is positive."""
-        return cls(
-            left=(-0.5 - c.cx) / c.fx,
-            right=(c.width_px - 0.5 - c.cx) / c.fx,
-            top=(0.5 + c.cy) / c.fy,
-            bottom=(0.5 + c.cy - c.height_px) / c.fy,
-            near_m=NEAR_M,
-            far_m=far_m,
-        )
-
-    def misses(self, corners: np.ndarray) -> bool:
-        """Whether a convex body (n, 3), camera frame, lies wholly outside one side."""
-        x, y, z = corners.T
-        sides = (
-            x - self.right * z,
-            self.left * z - x,
-            -y - self.top * z,
-            self.bottom * z + y,
-            self.near_m - z,
-        )
-        return any(bool((side > 0).all()) for side in sides)
-
-    def touches(self, centres: np.ndarray, radii_m: np.ndarray) -> np.ndarray:
-        """(n,) bool: False only for balls, centres (n, 3) in the camera frame, wholly outside one side."""
-        x, y, z = centres.T
-        inside = z + radii_m > self.near_m
-        # A side through the eye has the unit normal (1, -slope) / length in its plane.
-        for across, slope in ((x, self.right), (-x, -self.left), (-y, self.top), (y, -self.bottom)):
-            inside &= across - slope * z < radii_m * np.hypot(1.0, slope)
-        return inside
-
-
 class _Part:
     """As many surfaces as one MuJoCo context takes, with their own model and offscreen buffer."""
 
@@ -179,13 +122,7 @@ class _Part:
         low = np.min([s.vertices.min(axis=0) for s in surfaces], axis=0)
         high = np.max([s.vertices.max(axis=0) for s in surfaces], axis=0)
         self._box = np.array(list(product(*zip(low, high, strict=True))))
-        self._centres = np.array([(s.vertices.min(axis=0) + s.vertices.max(axis=0)) / 2 for s in surfaces])
-        self._radii_m = np.array(
-            [
-                np.linalg.norm(s.vertices - c, axis=1).max()
-                for s, c in zip(surfaces, self._centres, strict=True)
-            ]
-        )
+        self._centres, self._radii_m = bounding_balls(surfaces)
         self._frustum = frustum
         self._shown = np.ones(len(surfaces), bool)
         model = _model(surfaces, textures, camera)
@@ -224,13 +161,6 @@ class _Part:
 
     def free(self) -> None:
         self._mjr.free()
-
-
-def _far_plane(world: WorldModel) -> float:
-    """A distance beyond anything visible from inside the world, metres."""
-    low = np.min([s.vertices.min(axis=0) for s in world.surfaces], axis=0)
-    high = np.max([s.vertices.max(axis=0) for s in world.surfaces], axis=0)
-    return float(np.linalg.norm(high - low) + 10.0)
 
 
 def _model(surfaces: list[Surface], textures: list[np.ndarray], camera: Intrinsics) -> mujoco.MjModel:

@@ -17,9 +17,10 @@ import sim
 from scenarios.segments import ImageSegment
 from scenarios.spec import Scenario
 from sim.cache import FolderCache, content_key
-from sim.degradations.base import Shoot, Stage, segment_truth
+from sim.degradations.base import Shoot, Stage
 from sim.degradations.chain import ImageChain
-from sim.degradations.registry import DEGRADATIONS, SHOOT_KINDS
+from sim.degradations.registry import DEGRADATIONS, in_order_of_action
+from sim.degradations.truths import truths_of
 from sim.filming import (
     Progress,
     Studio,
@@ -32,14 +33,32 @@ from sim.filming import (
     rendered_plates,
     store_plates,
     stored_plates,
+    studio_with,
 )
 from sim.io.raw import RawFrames
 from sim.io.tum import claim_output_dir, write_tum
 from sim.sequence import SegmentTruth, Sequence
 
-__all__ = ["Progress", "Studio", "camera_intrinsics", "mujoco_studio", "plan_shoot", "render_sequence"]
+__all__ = [
+    "Progress",
+    "Studio",
+    "camera_intrinsics",
+    "mujoco_studio",
+    "plan_shoot",
+    "render_sequence",
+    "studio_with",
+]
 
-_PACKAGES = ("dual-slam-lab", "mujoco", "numba", "numpy", "opencv-contrib-python-headless", "scipy")
+_PACKAGES = (
+    "dual-slam-lab",
+    "mujoco",
+    "numba",
+    "numpy",
+    "opencv-contrib-python-headless",
+    "pyopengl",
+    "pyrender",
+    "scipy",
+)
 
 
 def render_sequence(
@@ -77,7 +96,9 @@ def render_sequence(
         claim_output_dir(out_dir)
     meta = _provenance(scenario, seed, studio)
     store = FolderCache(cache_dir)
-    key = content_key({"depth": depth, "sources": _source_hash(), **meta})
+    # Inertial readings change no frame.
+    filmed = _provenance(scenario.model_copy(update={"imu": None}), seed, studio)
+    key = content_key({"depth": depth, "sources": _source_hash(), **filmed})
     entry = store.find(key)
     if entry is None:
         with store.create(key) as folder:
@@ -109,7 +130,15 @@ def _render_into(
         shoot, world = plan_shoot(scenario, seed, studio, progress)
         plates = rendered_plates(world, camera, studio)
     own = camera_intrinsics(camera)
-    chain = ImageChain(scenario.segments, own, shoot.stamps_s, shoot.frame, seed, ideal=ideal_camera(own))
+    chain = ImageChain(
+        scenario.segments,
+        own,
+        shoot.stamps_s,
+        shoot.frame,
+        seed,
+        exposure_s=shoot.exposure_s,
+        ideal=ideal_camera(own),
+    )
     with plates as source:
         blur_px = film(folder, shoot, source, camera, chain, depth, progress)
     _write_truth(folder, scenario, shoot, chain, blur_px)
@@ -122,7 +151,8 @@ def _plates(scenario: Scenario, seed: int, studio: Studio, store: FolderCache, p
         update={
             "name": "plates",
             "description": "",
-            "segments": tuple(kept),
+            "imu": None,
+            "segments": tuple(in_order_of_action(kept)),
             "camera": scenario.camera.model_copy(update={"exposure_s": 0.0, "noise_sigma": 0.0}),
         }
     )
@@ -142,16 +172,10 @@ def _plates(scenario: Scenario, seed: int, studio: Studio, store: FolderCache, p
 def _write_truth(
     folder: Path, scenario: Scenario, shoot: Shoot, chain: ImageChain, blur_px: np.ndarray
 ) -> None:
-    columns = {"exposure_s": shoot.exposure_s, "blur_px": blur_px}
-    of_images = {truth.start_s: (truth, measure) for truth, measure in chain.truths()}
-    truths = []
-    for segment in scenario.segments:
-        truth, measure = of_images.get(segment.start_s) or segment_truth(
-            SHOOT_KINDS[segment.kind], shoot, segment, blur_px
-        )
-        truths.append(asdict(truth))
-        columns[truth.measure] = np.maximum(columns.get(truth.measure, 0.0), measure)
-    (folder / "segments.json").write_text(json.dumps(truths))
+    truths, measured = truths_of(scenario.segments, shoot, chain, blur_px)
+    # Every frame is exposed and blurred a little, segment or not.
+    columns = {**measured, "exposure_s": shoot.exposure_s, "blur_px": blur_px}
+    (folder / "segments.json").write_text(json.dumps([asdict(truth) for truth in truths]))
     np.save(folder / "stamps_s.npy", shoot.stamps_s + shoot.stamp_error_s)
     np.save(folder / "T_world_cam.npy", shoot.motion.T_world_cam(shoot.stamps_s))
     np.savez(folder / "frame_truth.npz", **columns)
@@ -170,7 +194,7 @@ def _open(entry: Path, scenario: Scenario, meta: dict[str, Any]) -> Sequence:
         frames=RawFrames(entry / "gray.npy"),
         T_world_cam=np.load(entry / "T_world_cam.npy"),
         depths=RawFrames(depth_file) if depth_file.exists() else None,
-        segments=tuple(SegmentTruth(**segment) for segment in segments),
+        segments=tuple(SegmentTruth.from_record(segment) for segment in segments),
         meta=meta,
         frame_truth=columns,
     )
@@ -182,6 +206,7 @@ def _provenance(scenario: Scenario, seed: int, studio: Studio) -> dict[str, Any]
         "spec": scenario.model_copy(update={"seed": seed}).model_dump(mode="json"),
         "seed": seed,
         "versions": {"python": platform.python_version(), **_versions()},
+        "renderer": studio.renderer_name,
         "gl": studio.gl_info(),
         "stamps": "centre of the exposure",
         "poses": "camera (x right, y down, z forward) to world (z up), metres, at the stamp",

@@ -4,7 +4,7 @@ A frame's stamp is the centre of its exposure, and its true pose is the camera's
 """
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -22,6 +22,8 @@ class SegmentTruth:
         first_frame, last_frame: first and last frame (inclusive) on which it truly acts, -1 if on none.
         measure: the column of ``Sequence.frame_truth`` that says how much it acts on each frame.
         threshold: the measure from which on it is said to act.
+        runs: first and last frame (inclusive) of every unbroken run on which it acts, from ``first_frame``
+            to ``last_frame``; empty where only those two are known.
     """
 
     kind: str
@@ -32,6 +34,21 @@ class SegmentTruth:
     last_frame: int
     measure: str = ""
     threshold: float = 0.0
+    runs: tuple[tuple[int, int], ...] = ()
+
+    @classmethod
+    def from_record(cls, record: dict[str, Any]) -> "SegmentTruth":
+        """The truth from its fields as JSON holds them. Raises TypeError or ValueError if they are others."""
+        runs = tuple((int(first), int(last)) for first, last in record.get("runs", ()))
+        return cls(**{**record, "runs": runs})
+
+    def mask(self, frames: int) -> np.ndarray:
+        """(frames,) bool: the frames of a sequence of so many on which it truly acts."""
+        acts = np.zeros(frames, bool)
+        whole = ((self.first_frame, self.last_frame),) if self.first_frame >= 0 else ()
+        for first, last in self.runs or whole:
+            acts[first : last + 1] = True
+        return acts
 
 
 class FrameSource(Protocol):
@@ -73,3 +90,8 @@ class Sequence:
 
     def __len__(self) -> int:
         return len(self.stamps_s)
+
+    def kinds_at(self, frame: int) -> tuple[str, ...]:
+        """Kinds of the segments between whose first and last frame a frame lies, by their onset."""
+        inside = [s for s in self.segments if 0 <= s.first_frame <= frame <= s.last_frame]
+        return tuple(s.kind for s in sorted(inside, key=lambda s: s.first_frame))

@@ -32,7 +32,7 @@ app.command("export")(export_command)
 app.command("run")(run.run_command)
 app.command("view")(view.view_command)
 app.add_typer(experiment.app, name="experiment")
-app.command("bench")(bench.bench_command)
+app.add_typer(bench.app, name="bench")
 app.add_typer(vocabulary.app, name="vocabulary")
 
 

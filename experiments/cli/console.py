@@ -3,6 +3,8 @@
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from enum import StrEnum
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -11,6 +13,19 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)
 
+
+class FormatChoice(StrEnum):
+    """The forms of sequence folders that can be written."""
+
+    TUM = "tum"
+    KITTI = "kitti"
+    EUROC = "euroc"
+
+
+RendererOption = Annotated[
+    str | None,
+    typer.Option("--renderer", help="What renders a scenario: mujoco (the default) or pyrender."),
+]
 SeedOption = typer.Option(None, "--seed", min=0, help="Root seed; the scenario's own by default.")
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli.console import out, progress_bars, single_threaded_opencv
+from experiments.cli.console import FormatChoice, out, progress_bars, single_threaded_opencv
 
 
 def degrade_command(
@@ -18,26 +18,42 @@ def degrade_command(
         ),
     ],
     out_dir: Annotated[Path, typer.Option("--out", help="Folder to make; absent or empty.")],
+    form: Annotated[
+        FormatChoice | None,
+        typer.Option(
+            "--format", help="The form to write; default: the folder's, TUM for TUM-mono.", show_default=False
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Root seed of what is random in the segments.")] = 0,
 ) -> None:
-    """Degrade a sequence folder and write it in TUM form, with segments.json and frame_truth.csv.
+    """Degrade a folder in TUM, KITTI, EuRoC or TUM-mono form.
 
-    Kinds that act on images, stamps or the choice of frames work on any folder; fog needs depth images.
+    Written are the frames with ground truth, calibration and what there is of depth images (TUM form) and
+    inertial readings (EuRoC form), and segments.json and frame_truth.csv, which say when each segment truly
+    acts and how much. Segments of different kinds may lie over one another. Kinds that act on images, stamps
+    or the choice of frames work on any folder; fog needs depth images.
 
     For example:
 
     `dslab degrade office --segment "low_light:start_s=2,duration_s=1,illumination=0.1" --out out/dark`
 
     `dslab degrade office --segment "covered_lens:start_s=5,duration_s=1,transmission=0"
-    --segment "jpeg:start_s=9,duration_s=2,quality=8" --out out/office-hard`
+    --segment "jpeg:start_s=4.5,duration_s=2,quality=8" --out out/office-hard`
+
+    `dslab degrade MH_01 --segment "rain:start_s=10,duration_s=20,rate_mmph=40,ramp_s=2" --out out/rainy`
     """
+    from experiments.sources import open_imu
     from scenarios.segment_text import parse_segment
     from sim.degradations.footage import check_footage, degrade_sequence
-    from sim.io.tum import claim_output_dir, load_sequence, write_tum
+    from sim.io.folders import claim_output_dir
+    from sim.io.forms import Form, detect_form, load_sequence, sequence_folder, write_sequence
 
     segments = [parse_segment(text) for text in segment]
     sequence = load_sequence(source)
     check_footage(sequence, segments)
+    found = detect_form(sequence_folder(source))
+    target = Form(form.value) if form else Form.TUM if found is Form.TUM_MONO else found
+    readings = open_imu(str(source), sequence.stamps_s) if target is Form.EUROC else None
     claim_output_dir(out_dir)
     single_threaded_opencv()
     # Beside the result, where there is room for it.
@@ -46,8 +62,9 @@ def degrade_command(
         progress_bars() as show,
     ):
         degraded = degrade_sequence(sequence, segments, seed, Path(scratch), show)
-        write_tum(degraded, out_dir, depth=degraded.depths is not None, progress=show)
+        with_depth = target is Form.TUM and degraded.depths is not None
+        write_sequence(degraded, out_dir, target, readings, with_depth, show)
     for truth in degraded.segments:
         span = f"frames {truth.first_frame} to {truth.last_frame}"
         typer.echo(f"  {truth.kind}: {span if truth.first_frame >= 0 else 'acts on no frame'}")
-    out.print(f"{out_dir}: {len(degraded)} frames")
+    out.print(f"{out_dir}: {len(degraded)} frames in {target} form" + (", with imu0" if readings else ""))

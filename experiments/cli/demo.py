@@ -30,12 +30,11 @@ def demo_command(
 
     check_free(out_dir, MARKER_FILE)
     single_threaded_opencv()
-    spec = load_scenario(scenario)
-    root_seed = spec.seed if seed is None else seed
+    spec = load_scenario(scenario, seed)
     with progress_bars() as show:
-        sequence = render_sequence(spec, root_seed, progress=show)
-        summaries = run_demo(sequence, root_seed, out_dir, show)
-    out.print(demo_table(summaries, f"{spec.name}, seed {root_seed}, {spec.duration_s:g} s"))
+        sequence = render_sequence(spec, progress=show)
+        summaries = run_demo(sequence, spec.seed, out_dir, show)
+    out.print(demo_table(summaries, f"{spec.name}, seed {spec.seed}, {spec.duration_s:g} s"))
     out.print(f"picture    {out_dir / PICTURE_FILE}")
     for kind in summaries:
         out.print(f"{kind:10s} {out_dir / kind}  (look at it: dslab view {out_dir / kind})")

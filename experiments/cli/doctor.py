@@ -21,6 +21,7 @@ def doctor_command() -> None:
     table = Table(show_header=False, box=None)
     gl, gl_error = _gl()
     table.add_row("GL renderer", gl)
+    table.add_row("renderers", "none" if gl_error else _renderers())
     for name, version in versions().items():
         table.add_row(name, version)
     table.add_row("commit", commit() or "not a git work tree")
@@ -43,6 +44,19 @@ def _gl() -> tuple[str, InputError | None]:
     except InputError as error:
         return "none", error
     return f"{info['renderer']} ({info['version']}, through {info['backend']})", None
+
+
+def _renderers() -> str:
+    from sim.renderers import RENDERERS, load_renderer
+
+    def state(name: str) -> str:
+        try:
+            load_renderer(name)
+        except InputError as error:
+            return f"{name} (not usable: {error.problem})"
+        return name
+
+    return ", ".join(map(state, RENDERERS))
 
 
 def _memory() -> str:

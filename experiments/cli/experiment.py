@@ -27,7 +27,7 @@ def run_command(
 ) -> None:
     """Run seeds of a scenario through base and Dual-SLAM on the same images; count failures against Eq. 1.
 
-    Writes units.parquet, one row per unit. For example:
+    Of a family every seed is another scenario. Writes units.parquet, one row per unit. For example:
 
     `dslab experiment run smoke --out out/smoke --units 10`
     """
@@ -36,20 +36,21 @@ def run_command(
     from experiments.files import plain
     from experiments.output import check_free
     from experiments.smoke import run_smoke
-    from scenarios.loading import load_scenario
+    from scenarios.families import load_family
 
     check_free(out_dir)
     single_threaded_opencv()
-    spec = load_scenario(scenario)
+    family = load_family(scenario)
+    drawn = [family.sample(seed) for seed in range(family.seed, family.seed + units)]
     with progress_bars() as show:
         show(f"experiment {name}", 0, units)
         result, rows = run_smoke(
-            spec, units, out_dir, workers, lambda done, total: show(f"experiment {name}", done, total)
+            drawn, out_dir, workers, lambda done, total: show(f"experiment {name}", done, total)
         )
     if as_json:
         print_json_line(plain(asdict(result)))
         return
-    out.print(_table(result, spec.name))
+    out.print(_table(result, family.name))
     out.print(
         "pr|B is conditional on breakage in the free arm, where recovery only ever runs after one. By the "
         "chain rule p0 · pr|B equals the measured share, so this table cannot refute Eq. 1: that takes the "

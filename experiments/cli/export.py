@@ -1,20 +1,11 @@
 """``dslab export``: a sequence or a scenario as a folder in another form."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from experiments.cli.console import out, progress_bars
-
-
-class FormatChoice(StrEnum):
-    """The forms that can be written."""
-
-    TUM = "tum"
-    KITTI = "kitti"
-    EUROC = "euroc"
+from experiments.cli.console import FormatChoice, out, progress_bars
 
 
 def export_command(
@@ -24,9 +15,22 @@ def export_command(
     seed: Annotated[
         int | None, typer.Option(min=0, help="Root seed; default: the scenario's own.", show_default=False)
     ] = None,
+    depth: Annotated[
+        bool | None,
+        typer.Option(
+            "--depth/--no-depth",
+            help="Depth images (TUM form); default: if a folder has them.",
+            show_default=False,
+        ),
+    ] = None,
     imu: Annotated[
-        bool, typer.Option("--imu", help="Also write gyro and accelerometer (EuRoC form, scenarios only).")
-    ] = False,
+        bool | None,
+        typer.Option(
+            "--imu/--no-imu",
+            help="Gyro and accelerometer (EuRoC form); default: if the scenario or folder has them.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Write a sequence or a scenario in TUM, KITTI or EuRoC form, with its ground truth.
 
@@ -36,18 +40,30 @@ def export_command(
 
     `dslab export stressed --seed 3 --format euroc --imu --out out/stressed-euroc`
 
+    `dslab export clean-room --depth --format tum --out out/room-rgbd`
+
     `dslab export path/to/mav --format tum --out out/mav`
     """
-    from experiments.sources import open_sequence, record_scenario_imu
+    from experiments.sources import open_imu, open_sequence
     from scenarios.errors import InputError
     from sim.io.folders import claim_output_dir
     from sim.io.forms import Form, write_sequence
 
     if imu and form is not FormatChoice.EUROC:
         raise InputError("--imu", f"the form {form} has no inertial readings", "use --format euroc")
+    if depth and form is not FormatChoice.TUM:
+        raise InputError("--depth", f"the form {form} has no depth images", "use --format tum")
     claim_output_dir(out_dir)
     with progress_bars() as show:
-        sequence = open_sequence(source, seed, show)
-        readings = record_scenario_imu(source, sequence.stamps_s, seed, show) if imu else None
-        write_sequence(sequence, out_dir, Form(form.value), readings, show)
-    out.print(f"{out_dir}: {len(sequence)} frames in {form} form" + (", with imu0" if readings else ""))
+        sequence = open_sequence(source, seed, show, depth=bool(depth))
+        readings = None
+        if form is FormatChoice.EUROC:
+            readings = open_imu(source, sequence.stamps_s, seed, imu)
+        with_depth = form is FormatChoice.TUM and depth is not False and sequence.depths is not None
+        if depth and not with_depth:
+            raise InputError(f"--depth: {source}", "the folder has no depth images", "leave out --depth")
+        write_sequence(sequence, out_dir, Form(form.value), readings, with_depth, show)
+    extras = [name for name, there in (("depth", with_depth), ("imu0", readings)) if there]
+    out.print(f"{out_dir}: " + ", ".join([f"{len(sequence)} frames in {form} form", *extras]))
+    if sequence.depths is not None and not with_depth:
+        out.print("  depth images are left out")

@@ -8,6 +8,7 @@ import typer
 from rich.table import Table
 
 from experiments.cli.console import (
+    RendererOption,
     number,
     out,
     print_json_line,
@@ -32,6 +33,7 @@ def run_command(
         int | None,
         typer.Option(min=0, help="Root seed of the scenario and of the SLAM; the scenario's own, or 0."),
     ] = None,
+    renderer: RendererOption = None,
     rerun: Annotated[bool, typer.Option("--rerun", help="Write recording.rrd too.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one line of JSON.")] = False,
 ) -> None:
@@ -52,7 +54,7 @@ def run_command(
     check_free(out_dir)
     single_threaded_opencv()
     with progress_bars() as show:
-        sequence = open_sequence(source, seed, show)
+        sequence = open_sequence(source, seed, show, renderer=renderer)
         slam_seed = seed if seed is not None else int(sequence.meta.get("seed", 0))
         summary = run_sequence(
             sequence,

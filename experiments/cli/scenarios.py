@@ -1,4 +1,4 @@
-"""``dslab scenarios``: see, check and export scenarios."""
+"""``dslab scenarios``: see, check and export scenarios and families of them."""
 
 import json
 from pathlib import Path
@@ -9,6 +9,10 @@ from rich.console import Console
 from rich.syntax import Syntax
 from rich.table import Table
 
+from experiments.cli.gallery import gallery_command
+
+CHECKED_SEEDS = 20
+
 app = typer.Typer(
     no_args_is_help=True,
     help="See, check and export scenarios: what happens, as YAML.",
@@ -18,29 +22,41 @@ app = typer.Typer(
 
 @app.command("list")
 def list_scenarios() -> None:
-    """The scenarios that come with dslab."""
-    from scenarios.loading import load_scenario, named_scenarios
+    """The scenarios and families that come with dslab.
 
-    table = Table("scenario", "world", "duration", "segments", show_lines=True)
-    for name in named_scenarios():
-        scenario = load_scenario(name)
-        segments = "\n".join(f"{s.kind}, {s.start_s:g}-{s.end_s:g} s" for s in scenario.segments)
-        what = f"[bold]{name}[/bold]\n{scenario.description}"
-        table.add_row(what, scenario.world.kind, f"{scenario.duration_s:g} s", segments or "-")
+    A family's members are named FAMILY/MEMBER; the bare name leaves the member to the seed.
+    """
+    from scenarios.families import library_names, load_family
+    from scenarios.wording import members_in_words, parameters_in_words
+
+    table = Table("family", "members", "drawn by the seed", show_lines=True)
+    for name in library_names():
+        family = load_family(name)
+        what = f"[bold]{name}[/bold]\n{family.description}"
+        drawn = [f"{field}: {words}" for field, words in parameters_in_words(family).items()]
+        table.add_row(what, members_in_words(family) or "-", "\n".join(drawn) or "-")
     Console().print(table)
 
 
 @app.command()
 def show(
     scenario: Annotated[str, typer.Argument(help="Name or .yaml file.", metavar="NAME")],
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, help="Draw with this seed, and write every default out.", show_default=False),
+    ] = None,
 ) -> None:
-    """A scenario with every default written out, as YAML to start your own from.
+    """A scenario or family as it is written; with a seed the one scenario that is drawn.
 
-    Example: [bold]dslab scenarios show stressed > mine.yaml[/bold]
+    Either is YAML to start your own from.
+
+    Example: [bold]dslab scenarios show kitti-like/07 --seed 3 > mine.yaml[/bold]
     """
-    from scenarios.loading import dump_yaml, load_scenario
+    from scenarios.families import load_family
+    from scenarios.loading import dump_yaml
 
-    text = dump_yaml(load_scenario(scenario))
+    family = load_family(scenario)
+    text = family.as_yaml() if seed is None else dump_yaml(family.sample(seed))
     console = Console()
     if console.is_terminal:
         console.print(Syntax(text, "yaml", background_color="default"))
@@ -52,10 +68,23 @@ def show(
 def validate(
     file: Annotated[Path, typer.Argument(help="A .yaml file.", metavar="FILE")],
 ) -> None:
-    """Check a scenario file; exit code 2 and one line if it is not valid."""
-    from scenarios.loading import load_scenario_file
+    """Check a scenario file; exit code 2 and one line if it is not valid.
 
-    scenario = load_scenario_file(file)
+    From a family, each member of it, 20 scenarios are drawn.
+    """
+    from scenarios.families import load_family_file
+
+    family = load_family_file(file)
+    everyone = [family.member(member) for member in family.members] or [family]
+    for one in everyone:
+        seeds = range(one.seed, one.seed + CHECKED_SEEDS) if one.parameters else [one.seed]
+        for seed in seeds:
+            one.sample(seed)
+    if family.members or family.parameters:
+        members = f"{len(family.members)} members, " if family.members else ""
+        typer.echo(f"{file}: valid, {family.name}, a family, {members}drawn with {CHECKED_SEEDS} seeds each")
+        return
+    scenario = family.sample(family.seed)
     segments = f"{len(scenario.segments)} segment{'' if len(scenario.segments) == 1 else 's'}"
     typer.echo(f"{file}: valid, {scenario.name}, {scenario.duration_s:g} s, {segments}")
 
@@ -63,6 +92,9 @@ def validate(
 @app.command()
 def schema() -> None:
     """The JSON Schema of a scenario file, for editors and other tools."""
-    from scenarios.loading import json_schema
+    from scenarios.schema import json_schema
 
     typer.echo(json.dumps(json_schema(), indent=2))
+
+
+app.command("gallery")(gallery_command)

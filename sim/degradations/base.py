@@ -25,7 +25,8 @@ class Stage(IntEnum):
     WORLD = 1
     SHUTTER = 2
     TIMING = 3
-    # On the images: between the surfaces and the lens, then in the order of the light's way.
+    # On the images, in the order of the light's way: between the surfaces and the open shutter; what has an
+    # exposure of its own; then the lens.
     SCENE = 4
     READOUT = 5
     LENS = 6
@@ -36,7 +37,8 @@ class Stage(IntEnum):
 def streams_of(seed: int, segment: SegmentBase, *names: str | int) -> np.random.Generator:
     """A random stream of one segment.
 
-    A segment is known by its start, which no other has, so that adding one changes no other's numbers.
+    A segment is known by its kind and start together, which no other has, so that adding one changes no
+    other's numbers.
     """
     kind = str(getattr(segment, "kind", ""))
     return rng_for(seed, "degradation", kind, round(segment.start_s * 1e6), *names)
@@ -58,6 +60,8 @@ class Shoot:
         stamp_error_s: (N,) float64 what the written stamp adds to the true one; empty for none.
         texture_of: (S,) int64 surface of whose texture each surface shows a patch; empty for its own texture.
         period_m: (S,) float64 side of that patch, 0 where a surface shows its own whole texture.
+        moment_s: (S,) float64 true time at which each surface fills most of the view, NaN for one that is
+            never seen; empty where ``view_share`` is. It stays what it was when frames are dropped.
     """
 
     stamps_s: np.ndarray
@@ -70,6 +74,7 @@ class Shoot:
     stamp_error_s: np.ndarray = field(default_factory=lambda: np.empty(0))
     texture_of: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
     period_m: np.ndarray = field(default_factory=lambda: np.empty(0))
+    moment_s: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         count, surfaces = len(self.stamps_s), len(self.contrast)
@@ -81,6 +86,10 @@ class Shoot:
         ):
             if not len(getattr(self, name)):
                 object.__setattr__(self, name, default)
+        if self.view_share.size and not len(self.moment_s):
+            moment_s = self.stamps_s[self.view_share.argmax(axis=0)]
+            seen = self.view_share.max(axis=0) > 0
+            object.__setattr__(self, "moment_s", np.where(seen, moment_s, np.nan))
 
     def only(self, kept: np.ndarray) -> "Shoot":
         """The shoot with some frames alone; ``kept`` is (N,) bool."""
@@ -89,7 +98,12 @@ class Shoot:
 
     def within(self, segment: SegmentBase) -> np.ndarray:
         """(N,) bool: frames whose stamp lies in the segment, its end excluded."""
-        return (self.stamps_s >= segment.start_s - 1e-9) & (self.stamps_s < segment.end_s - 1e-9)
+        return during(segment, self.stamps_s)
+
+
+def during(segment: SegmentBase, stamps_s: np.ndarray) -> np.ndarray:
+    """(N,) bool: which of (N,) times lie in the segment, its end excluded."""
+    return (stamps_s >= segment.start_s - 1e-9) & (stamps_s < segment.end_s - 1e-9)
 
 
 SegmentT_contra = TypeVar("SegmentT_contra", contravariant=True)
@@ -131,20 +145,20 @@ class Degradation(Protocol[SegmentT_contra]):
         ...
 
 
-def true_span(acts: np.ndarray, within: np.ndarray) -> tuple[int, int]:
-    """First and last frame of the runs of ``acts`` that touch the segment's own time.
+def true_runs(acts: np.ndarray, within: np.ndarray) -> tuple[tuple[int, int], ...]:
+    """The runs of ``acts`` that touch the segment's own time.
 
     Args:
         acts: (N,) bool, frames on which the measure reaches its threshold.
         within: (N,) bool, frames of the segment as asked for.
 
     Returns:
-        Frame indices, inclusive; (-1, -1) if no run touches it. A run elsewhere, such as a second visit to
-        faded walls, is not the segment's.
+        First and last frame of each, inclusive, in order. A run elsewhere, such as a second visit to faded
+        walls, is not the segment's.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], acts, [False]]).astype(np.int8)))
-    runs = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if within[a:b].any()]
-    return (int(runs[0][0]), int(runs[-1][1] - 1)) if runs else (-1, -1)
+    runs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    return tuple((first, end - 1) for first, end in runs if within[first:end].any())
 
 
 def segment_truth(
@@ -160,14 +174,15 @@ def truth_of(
     segment: Segment, measure_name: str, measure: np.ndarray, threshold: float, within: np.ndarray
 ) -> SegmentTruth:
     """The truth of a segment from its (N,) measure per frame; a measure of 0 never acts."""
-    first, last = true_span((measure >= threshold) & (measure > 0), within)
+    runs = true_runs((measure >= threshold) & (measure > 0), within)
     return SegmentTruth(
         kind=segment.kind,
         severity=segment.severity,
         start_s=segment.start_s,
         end_s=segment.end_s,
-        first_frame=first,
-        last_frame=last,
+        first_frame=runs[0][0] if runs else -1,
+        last_frame=runs[-1][1] if runs else -1,
         measure=measure_name,
         threshold=threshold,
+        runs=runs,
     )

@@ -8,8 +8,8 @@ import numpy as np
 from scenarios.segments import ImageSegment, Segment
 from sim.camera import Intrinsics
 from sim.degradations.base import Stage, streams_of, truth_of
-from sim.degradations.image import View, ramp
-from sim.degradations.registry import IMAGE_KINDS
+from sim.degradations.image import USUAL_EXPOSURE_S, View, ramp
+from sim.degradations.registry import IMAGE_KINDS, in_order_of_action
 from sim.motion.base import Motion
 from sim.sequence import SegmentTruth
 
@@ -25,6 +25,7 @@ class ImageChain:
         stamps_s: (N,) float64 true times of the frames.
         frame: (N,) int64 number of each frame before any was dropped.
         seed: root seed.
+        exposure_s: (N,) float64 shutter times; None where unknown.
         ideal: intrinsics of the frames before a distorting lens, on which what lies between surfaces and
             lens acts; None where there is no such lens.
     """
@@ -36,16 +37,17 @@ class ImageChain:
         stamps_s: np.ndarray,
         frame: np.ndarray,
         seed: int,
+        exposure_s: np.ndarray | None = None,
         ideal: Intrinsics | None = None,
     ) -> None:
         self._camera, self._ideal = camera, ideal or camera
         self._stamps_s, self._frame, self._seed = stamps_s, frame, seed
+        self._exposure_s = np.full(len(stamps_s), USUAL_EXPOSURE_S) if exposure_s is None else exposure_s
         self._links = [
             _Link(segment, ramp(segment, stamps_s))
-            for segment in segments
+            for segment in in_order_of_action(segments)
             if isinstance(segment, ImageSegment)
         ]
-        self._links.sort(key=lambda link: link.kind.stage)
 
     def apply(
         self,
@@ -73,6 +75,7 @@ class ImageChain:
                 float(link.strength[index]),
                 depth_m,
                 motion,
+                float(self._exposure_s[index]),
             )
             camera = self._ideal if link.kind.stage < Stage.LENS else self._camera
             image, link.measure[index] = link.filter(camera, self._seed)(image, view)
@@ -80,14 +83,13 @@ class ImageChain:
                 link.release()
         return image
 
-    def truths(self) -> list[tuple[SegmentTruth, np.ndarray]]:
-        """Truth and (N,) measure of every segment, by its start, when all frames have been through."""
-        found = []
-        for link in sorted(self._links, key=lambda link: link.segment.start_s):
-            threshold = link.kind.threshold(link.segment)
-            name = link.kind.measure_name
+    def truths(self) -> dict[Segment, tuple[SegmentTruth, np.ndarray]]:
+        """Truth and (N,) measure of every segment that acts on images, when all frames have been through."""
+        found = {}
+        for link in self._links:
+            threshold, name = link.kind.threshold(link.segment), link.kind.measure_name
             truth = truth_of(link.segment, name, link.measure, threshold, link.strength > 0)
-            found.append((truth, link.measure))
+            found[link.segment] = (truth, link.measure)
         return found
 
 

@@ -3,17 +3,17 @@
 from collections.abc import Callable
 from collections.abc import Sequence as Many
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 
 from scenarios.errors import InputError
-from scenarios.segments import Segment, SegmentBase
-from sim.degradations.base import Shoot, Stage, segment_truth
+from scenarios.segments import Segment, self_overlap
+from sim.degradations.base import Shoot, Stage, true_runs
 from sim.degradations.chain import ImageChain
-from sim.degradations.registry import IMAGE_KINDS, SHOOT_KINDS
+from sim.degradations.registry import IMAGE_KINDS, SHOOT_KINDS, in_order_of_action
+from sim.degradations.truths import truths_of
 from sim.io.raw import RawFrames, RawWriter
 from sim.sequence import FrameSource, SegmentTruth, Sequence
 
@@ -63,12 +63,15 @@ def check_footage(sequence: Sequence, segments: Many[Segment]) -> None:
             problem = f"{segment.kind} needs {lacking}"
             raise InputError(sequence.name, problem, f"use one of {', '.join(kinds)}")
         if segment.end_s > length_s + 1e-6:
-            problem = f"{_span(segment)} ends after the sequence"
+            problem = f"{segment.label}, ends after the sequence"
             raise InputError(sequence.name, problem, f"end it by {length_s:g} s after the first frame")
-    for first, second in pairwise(sorted(segments, key=lambda segment: segment.start_s)):
-        if second.start_s < first.end_s - 1e-9:
-            problem = f"{_span(first)} and {_span(second)} overlap"
-            raise InputError(sequence.name, problem, "start one when the other has ended")
+    clash = self_overlap(segments)
+    if clash:
+        first, second = (
+            f"{segments[i].kind} ({segments[i].start_s:g}-{segments[i].end_s:g} s)" for i in clash
+        )
+        problem = f"{first} and {second} are of one kind and overlap"
+        raise InputError(sequence.name, problem, "start one when the other has ended")
 
 
 def degrade_sequence(
@@ -94,7 +97,9 @@ def degrade_sequence(
     """
     check_footage(sequence, segments)
     shoot = _plan(sequence, segments, seed)
-    chain = ImageChain(segments, sequence.camera, shoot.stamps_s, shoot.frame, seed)
+    known_s = sequence.frame_truth.get("exposure_s")
+    exposure_s = None if known_s is None else known_s[shoot.frame]
+    chain = ImageChain(segments, sequence.camera, shoot.stamps_s, shoot.frame, seed, exposure_s=exposure_s)
     size = (sequence.camera.height_px, sequence.camera.width_px)
     with RawWriter(scratch / "gray.npy", (len(shoot.frame), *size), np.uint8) as grays:
         for index, frame in enumerate(shoot.frame.tolist()):
@@ -124,7 +129,7 @@ def _plan(sequence: Sequence, segments: Many[Segment], seed: int) -> Shoot:
     stamps_s = sequence.stamps_s - sequence.stamps_s[0]
     count = len(stamps_s)
     shoot = Shoot(stamps_s, _NoMotion(), np.zeros(count), np.empty(0), np.zeros((count, 0), np.float32), seed)
-    for segment in segments:
+    for segment in in_order_of_action(segments):
         if segment.kind in SHOOT_KINDS:
             shoot = SHOOT_KINDS[segment.kind].apply(shoot, segment)
     return shoot
@@ -136,24 +141,15 @@ def _truths(
     """Truths of the segments there were and there are, and the columns of both."""
     truths = [_renumbered(truth, shoot.frame) for truth in sequence.segments]
     columns = {name: values[shoot.frame] for name, values in sequence.frame_truth.items()}
-    found = chain.truths()
-    no_blur = np.zeros(len(shoot.frame))
-    found += [
-        segment_truth(SHOOT_KINDS[s.kind], shoot, s, no_blur) for s in segments if s.kind in SHOOT_KINDS
-    ]
-    for truth, measure in sorted(found, key=lambda item: item[0].start_s):
-        truths.append(truth)
-        columns[truth.measure] = np.maximum(columns.get(truth.measure, 0.0), measure)
-    return tuple(truths), columns
+    added, measured = truths_of(segments, shoot, chain, np.zeros(len(shoot.frame)))
+    for name, measure in measured.items():
+        columns[name] = np.maximum(columns.get(name, 0.0), measure)
+    return (*truths, *added), columns
 
 
 def _renumbered(truth: SegmentTruth, kept: np.ndarray) -> SegmentTruth:
     """The truth among the frames that are kept."""
-    inside = np.flatnonzero((kept >= truth.first_frame) & (kept <= truth.last_frame))
-    if truth.first_frame < 0 or not len(inside):
-        return replace(truth, first_frame=-1, last_frame=-1)
-    return replace(truth, first_frame=int(inside[0]), last_frame=int(inside[-1]))
-
-
-def _span(segment: SegmentBase) -> str:
-    return f"{getattr(segment, 'kind', '')} ({segment.start_s:g}-{segment.end_s:g} s)"
+    acts = truth.mask(int(kept[-1]) + 1)[kept]
+    runs = true_runs(acts, acts)
+    first, last = (runs[0][0], runs[-1][1]) if runs else (-1, -1)
+    return replace(truth, first_frame=first, last_frame=last, runs=runs)

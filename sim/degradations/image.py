@@ -15,6 +15,8 @@ from sim.motion.base import Motion
 Streams = Callable[..., np.random.Generator]
 """Names to the random stream of one segment and consumer."""
 
+USUAL_EXPOSURE_S = 0.01
+
 SegmentT = TypeVar("SegmentT", bound=ImageSegment)
 
 
@@ -28,6 +30,7 @@ class View:
         strength: place on the segment's ramp, above 0 to 1; a severity is reached in proportion.
         depth_m: (H, W) float32 depth along the optical axis, 0 for none; None where unknown.
         motion: the camera's motion; None where unknown.
+        exposure_s: shutter time; a common one where unknown.
     """
 
     frame: int
@@ -35,6 +38,7 @@ class View:
     strength: float
     depth_m: np.ndarray | None = None
     motion: Motion | None = None
+    exposure_s: float = USUAL_EXPOSURE_S
 
 
 class Filter(Protocol):

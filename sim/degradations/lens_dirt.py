@@ -9,13 +9,15 @@ from scenarios.segments import LensDirt
 from sim.camera import Intrinsics
 from sim.degradations.base import Stage
 from sim.degradations.image import Filter, ImageDegradation, Streams, View
+from sim.degradations.sprites import fill_share, filled, smooth_outline
 from sim.degradations.tone import decode, encode
 
 FELT_SHARE = 0.1
 # Spots are laid out and light is smeared on grids this much coarser than the image.
 _COARSE, _SMEAR = 4, 32
-# A spot's rim fades over this share of its radius: dirt lies far out of focus.
-_RIM = 0.35
+# A spot's rim is blurred by this share of its radius: dirt lies far out of focus.
+_RIM = 0.15
+_CORNERS, _MOST_SPOTS = 9, 4000
 _PASSING = 0.75  # of the light, through the middle of a spot
 _WIDTHS = (0.5, 1.6)  # of a spot, about the mean
 
@@ -59,18 +61,23 @@ def dirt_cover(segment: LensDirt, camera: Intrinsics, rng: np.random.Generator) 
     The same stream gives the same spots, so that a larger share has those of a smaller one and more.
     """
     size = (camera.height_px, camera.width_px)
-    if segment.share == 0:
-        return np.zeros(size, np.float32)
     height, width = (max(8, pixels // _COARSE) for pixels in size)
-    spot = np.deg2rad(segment.spot_deg) * camera.fx * width / camera.width_px
-    y, x = np.mgrid[:height, :width].astype(np.float32)
+    spot = float(np.deg2rad(segment.spot_deg) * camera.fx * width / camera.width_px)
     cover = np.zeros((height, width), np.float32)
-    while (cover > 0.5).mean() < segment.share:
+
+    def draw_next() -> float:
         radius = max(0.8, float(spot / 2 * np.exp(rng.uniform(*np.log(_WIDTHS)))))
-        centre_x, centre_y, squash, tilt = rng.uniform([0, 0, 0.7, 0], [width, height, 1, np.pi])
-        across, along = x - centre_x, y - centre_y
-        first = np.cos(tilt) * across + np.sin(tilt) * along
-        second = (np.cos(tilt) * along - np.sin(tilt) * across) / squash
-        inward = (1 - np.sqrt(first**2 + second**2) / radius) / _RIM + 0.5
-        np.maximum(cover, np.clip(inward, 0, 1), out=cover)
-    return cv2.resize(cover.astype(np.float32), (camera.width_px, camera.height_px))
+        centre = rng.uniform(0, [width, height])
+        spot_cover = filled(cover.shape, centre + radius * _outline(rng))
+        np.maximum(cover, cv2.GaussianBlur(spot_cover, (0, 0), _RIM * radius), out=cover)
+        return float((cover > 0.5).mean())
+
+    fill_share(segment.share, draw_next, _MOST_SPOTS)
+    return cv2.resize(cover, (camera.width_px, camera.height_px))
+
+
+def _outline(rng: np.random.Generator) -> np.ndarray:
+    """(N, 2) outline of a spot of radius 1, uneven."""
+    angle = np.linspace(0, 2 * np.pi, _CORNERS, endpoint=False)
+    radius = rng.uniform(0.75, 1.25, _CORNERS)
+    return smooth_outline(radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))

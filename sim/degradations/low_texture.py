@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from scenarios.segments import LowTexture, SegmentBase
-from sim.degradations.base import Shoot, Stage
+from sim.degradations.base import Shoot, Stage, during
 
 HALF_THE_VIEW = 0.5
 
@@ -43,5 +43,4 @@ class LowTextureDegradation:
 
 def passed(shoot: Shoot, segment: SegmentBase) -> np.ndarray:
     """(S,) bool: surfaces whose moment lies in the segment."""
-    moment = shoot.view_share.argmax(axis=0)
-    return shoot.within(segment)[moment] & (shoot.view_share.max(axis=0) > 0)
+    return during(segment, shoot.moment_s)

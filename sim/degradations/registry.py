@@ -1,7 +1,14 @@
-"""Every kind of degradation: a new one is one file and one line here."""
+"""Every kind of degradation: a new one is one file and one line here.
 
-from typing import Any
+Segments that lie over one another act in a fixed order, in whichever they are declared: by ``Stage`` (motion,
+world, shutter, timing; then on the light's way from the surfaces to the file), within a stage by the order of
+the list below, and segments of one kind by their start.
+"""
 
+from collections.abc import Iterable
+from typing import Any, TypeVar
+
+from scenarios.segments import SegmentBase
 from sim.degradations.auto_exposure_lag import AutoExposureLagDegradation
 from sim.degradations.base import Degradation
 from sim.degradations.covered_lens import CoveredLensDegradation
@@ -18,13 +25,15 @@ from sim.degradations.motion_blur import MotionBlurDegradation
 from sim.degradations.moving_objects import MovingObjectsDegradation
 from sim.degradations.over_exposure import OverExposureDegradation
 from sim.degradations.pure_rotation import PureRotationDegradation
+from sim.degradations.rain import RainDegradation
 from sim.degradations.repeated_texture import RepeatedTextureDegradation
 from sim.degradations.rolling_shutter import RollingShutterDegradation
 from sim.degradations.time_jitter import TimeJitterDegradation
 
 _ALL: tuple[Degradation[Any] | ImageDegradation[Any], ...] = (
-    FastRotationDegradation(),
+    # A stop delays what follows on the path; a swing keeps its own time.
     PureRotationDegradation(),
+    FastRotationDegradation(),
     LowTextureDegradation(),
     RepeatedTextureDegradation(),
     MotionBlurDegradation(),
@@ -33,6 +42,7 @@ _ALL: tuple[Degradation[Any] | ImageDegradation[Any], ...] = (
     FogDegradation(),
     MovingObjectsDegradation(),
     RollingShutterDegradation(),
+    RainDegradation(),
     DefocusDegradation(),
     LensDirtDegradation(),
     CoveredLensDegradation(),
@@ -50,3 +60,16 @@ SHOOT_KINDS: dict[str, Degradation[Any]] = {d.kind: d for d in _ALL if not isins
 
 DEGRADATIONS: dict[str, Degradation[Any] | ImageDegradation[Any]] = {d.kind: d for d in _ALL}
 """Every kind."""
+
+_RANK = {kind: rank for rank, kind in enumerate(DEGRADATIONS)}
+_SegmentT = TypeVar("_SegmentT", bound=SegmentBase)
+
+
+def in_order_of_action(segments: Iterable[_SegmentT]) -> list[_SegmentT]:
+    """The segments in the order in which they act."""
+
+    def place(segment: _SegmentT) -> tuple[int, int, float]:
+        kind = str(getattr(segment, "kind", ""))
+        return DEGRADATIONS[kind].stage, _RANK[kind], segment.start_s
+
+    return sorted(segments, key=place)

@@ -34,7 +34,7 @@ class RepeatedTextureDegradation:
 
     def measure(self, shoot: Shoot, segment: RepeatedTexture, blur_px: np.ndarray) -> np.ndarray:
         """(N,) share of the view that the papered surfaces fill."""
-        return shoot.view_share[:, _most_seen(shoot, segment)].sum(axis=1, dtype=float)
+        return shoot.view_share[:, passed(shoot, segment) & (shoot.period_m > 0)].sum(axis=1, dtype=float)
 
     def threshold(self, segment: RepeatedTexture) -> float:
         """Half of the view."""

@@ -65,10 +65,11 @@ def check_camera(path: Path, camera: Intrinsics) -> None:
 
 
 def write_camera(camera: Intrinsics, path: Path) -> None:
-    """Write a camera.yaml that ``read_camera`` reads back exactly."""
+    """Write a camera.yaml that ``read_camera`` reads back exactly; other readers expect numbers only."""
     record: dict[str, Any] = {name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy")}
     record |= {"width": camera.width_px, "height": camera.height_px, "fps": camera.fps}
-    record |= {"model": camera.model}
+    if camera.model != "radtan":
+        record["model"] = camera.model
     record |= dict(zip(DISTORTION_KEYS[camera.model], camera.distortion, strict=True))
     path.write_text(yaml.safe_dump(record, sort_keys=False))
 

@@ -18,7 +18,7 @@ from sim.sequence import Sequence
 def write_euroc(
     sequence: Sequence,
     directory: Path,
-    imu: tuple[ImuReadings, ImuTruth] | None = None,
+    imu: tuple[ImuReadings, ImuTruth | None] | None = None,
     progress: Progress | None = None,
 ) -> None:
     """Write a sequence in the EuRoC form.
@@ -26,7 +26,8 @@ def write_euroc(
     Args:
         sequence: what to write.
         directory: new or empty folder; it will hold ``mav0``.
-        imu: readings, and the truth at the frames, of ``sim.imu.record_imu``; None for none.
+        imu: readings and, where it is known, the truth at the frames, of ``sim.imu.record_imu``; None for
+            none.
         progress: called with step, frames done and frames in all.
 
     Raises:

@@ -56,6 +56,11 @@ def detect_form(folder: Path) -> Form:
     raise InputError(str(folder), "holds no sequence of a known form", f"give a folder with {known}")
 
 
+def sequence_folder(path: Path) -> Path:
+    """The folder of a sequence; of the EuRoC form also its ``mav0`` may be given."""
+    return path.parent if path.name == "mav0" and (path / "cam0").is_dir() else path
+
+
 def load_sequence(path: str | Path) -> Sequence:
     """A sequence from a folder of any form.
 
@@ -67,9 +72,7 @@ def load_sequence(path: str | Path) -> Sequence:
             short, malformed or absurd. Reading a frame raises it too, if the image is unreadable or of
             another size.
     """
-    folder = Path(path)
-    if folder.name == "mav0" and (folder / "cam0").is_dir():
-        folder = folder.parent
+    folder = sequence_folder(Path(path))
     return _LOADERS[detect_form(folder)](folder)
 
 
@@ -77,7 +80,8 @@ def write_sequence(
     sequence: Sequence,
     directory: Path,
     form: Form,
-    imu: tuple[ImuReadings, ImuTruth] | None = None,
+    imu: tuple[ImuReadings, ImuTruth | None] | None = None,
+    depth: bool = False,
     progress: Progress | None = None,
 ) -> None:
     """Write a sequence as a folder of a form.
@@ -87,6 +91,7 @@ def write_sequence(
         directory: new or empty folder.
         form: any but TUM-mono.
         imu: inertial readings, for the EuRoC form.
+        depth: write depth images too, in the TUM form; the sequence must have them.
         progress: called with step, frames done and frames in all.
 
     Raises:
@@ -95,8 +100,10 @@ def write_sequence(
     """
     if imu is not None and form is not Form.EUROC:
         raise InputError("--imu", f"the form {form} has no inertial readings", "use --format euroc")
+    if depth and form is not Form.TUM:
+        raise InputError("--depth", f"the form {form} has no depth images", "use --format tum")
     if form is Form.TUM:
-        write_tum(sequence, directory, progress=progress)
+        write_tum(sequence, directory, depth, progress)
     elif form is Form.KITTI:
         kitti.write_kitti(sequence, directory, progress)
     elif form is Form.EUROC:

@@ -67,11 +67,11 @@ class DepthFolder:
     """A ``FrameSource`` of depth images, stored as 16-bit codes.
 
     Args:
-        paths: the images.
+        paths: the images, None for a frame without one.
         shape: (H, W) that every one must have.
     """
 
-    def __init__(self, paths: list[Path], shape: tuple[int, int]) -> None:
+    def __init__(self, paths: list[Path | None], shape: tuple[int, int]) -> None:
         self._paths, self._shape = paths, shape
 
     def __len__(self) -> int:
@@ -80,6 +80,8 @@ class DepthFolder:
     def __getitem__(self, index: int) -> np.ndarray:
         """(H, W) float32 metres, 0 for none. Raises InputError as ``GrayFolder`` does."""
         path = self._paths[index]
+        if path is None:
+            return np.zeros(self._shape, np.float32)
         code = _checked(read_raw(path), str(path), self._shape, "camera.yaml")
         if code.dtype != np.uint16:
             raise InputError(str(path), "is no 16-bit depth image", "write 16-bit gray PNG")

@@ -53,9 +53,9 @@ def _read_segments(path: Path, frames: int) -> tuple[SegmentTruth, ...]:
     for index, record in enumerate(records):
         where = f"{path}: [{index}]"
         try:
-            segment = SegmentTruth(**record)
+            segment = SegmentTruth.from_record(record)
             inside = -1 <= segment.first_frame <= segment.last_frame < frames
-        except TypeError as error:
+        except (AttributeError, TypeError, ValueError) as error:
             raise InputError(where, f"is no segment ({error})", "write the folder again") from None
         if not inside:
             span = f"{segment.first_frame} to {segment.last_frame}"

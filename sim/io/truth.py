@@ -93,14 +93,20 @@ def nearest_poses(
     Raises:
         InputError: that is so for every frame.
     """
-    after = np.clip(np.searchsorted(table_s, stamps_s), 1, max(1, len(table_s) - 1))
-    pairs = np.stack([after - 1, np.minimum(after, len(table_s) - 1)])
-    distance_s = np.abs(table_s[pairs] - stamps_s)
-    best = pairs[distance_s.argmin(axis=0), np.arange(len(stamps_s))]
-    near = distance_s.min(axis=0) <= tolerance_s
+    best = nearest(table_s, stamps_s, tolerance_s)
+    near = best >= 0
     if not near.any():
         problem = f"no stamp lies within {tolerance_s:.4g} s of a frame's"
         raise InputError(str(path), problem, "give both files the same clock, or delete this one")
     T = np.full((len(stamps_s), 4, 4), np.nan)
     T[near] = poses[best[near]]
     return T
+
+
+def nearest(table_s: np.ndarray, stamps_s: np.ndarray, tolerance_s: float) -> np.ndarray:
+    """(N,) place of the nearest of (M,) increasing times to each of (N,) others, -1 where none is near."""
+    after = np.clip(np.searchsorted(table_s, stamps_s), 1, max(1, len(table_s) - 1))
+    pairs = np.stack([after - 1, np.minimum(after, len(table_s) - 1)])
+    distance_s = np.abs(table_s[pairs] - stamps_s)
+    best = pairs[distance_s.argmin(axis=0), np.arange(len(stamps_s))]
+    return np.where(distance_s.min(axis=0) <= tolerance_s, best, -1)

@@ -11,15 +11,16 @@ from sim.io.camera_file import read_camera
 from sim.io.images import DepthFolder, GrayFolder
 from sim.io.sidecars import read_sidecars
 from sim.io.text import check_order, check_present, read_rows, to_numbers
-from sim.io.truth import half_interval_s, read_tum_poses
+from sim.io.truth import half_interval_s, nearest, read_tum_poses
 from sim.sequence import Sequence
 
 
 def load_tum(folder: Path) -> Sequence:
     """A sequence from a TUM-form folder; see ``sim.io.layout``.
 
-    Existence of every image is checked now, its content when the frame is read. Ground truth is given to
-    the frames within half a frame interval of it, without interpolation.
+    Existence of every image is checked now, its content when the frame is read. Ground truth and depth images
+    are given to the frames within half a frame interval of them, without interpolation; a frame without a
+    depth image has depth 0, unknown, everywhere.
 
     Raises:
         InputError: a file is missing, empty, cut short, malformed or absurd. Reading a frame raises it too,
@@ -35,7 +36,7 @@ def load_tum(folder: Path) -> Sequence:
         stamps_s=stamps_s,
         frames=frames,
         T_world_cam=read_tum_poses(folder / layout.TRUTH_FILE, stamps_s, tolerance_s),
-        depths=_read_depths(folder / layout.DEPTH_FILE, camera, len(stamps_s)),
+        depths=_read_depths(folder / layout.DEPTH_FILE, camera, stamps_s, tolerance_s),
         **read_sidecars(folder, len(stamps_s)),
     )
 
@@ -58,10 +59,16 @@ def _read_list(path: Path) -> tuple[np.ndarray, list[Path]]:
     return np.array(stamps), images
 
 
-def _read_depths(path: Path, camera: Intrinsics, frames: int) -> DepthFolder | None:
+def _read_depths(
+    path: Path, camera: Intrinsics, stamps_s: np.ndarray, tolerance_s: float
+) -> DepthFolder | None:
+    """The depth image nearest in time to each frame; None without the file."""
     if not path.exists():
         return None
-    _, images = _read_list(path)
-    if len(images) != frames:
-        raise InputError(str(path), f"lists {len(images)} images for {frames} frames", "list one per frame")
-    return DepthFolder(images, (camera.height_px, camera.width_px))
+    depth_s, images = _read_list(path)
+    best = nearest(depth_s, stamps_s, tolerance_s)
+    if (best < 0).all():
+        problem = f"no stamp lies within {tolerance_s:.4g} s of a frame's"
+        raise InputError(str(path), problem, "give both files the same clock, or delete this one")
+    chosen = [images[index] if index >= 0 else None for index in best]
+    return DepthFolder(chosen, (camera.height_px, camera.width_px))

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 
 
@@ -52,3 +53,9 @@ class WorldModel:
     surfaces: list[Surface]
     mean_level: float
     contrast: np.ndarray = field(default_factory=lambda: np.empty(0))
+
+
+def faded_texture(surface: Surface, mean_level: float, contrast: float) -> np.ndarray:
+    """(h, w) uint8: the surface's texture with its contrast about ``mean_level`` multiplied."""
+    levels = mean_level + contrast * (np.arange(256) - mean_level)
+    return cv2.LUT(surface.texture, np.clip(np.rint(levels), 0, 255).astype(np.uint8))

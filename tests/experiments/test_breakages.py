@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from slam_fakes import make_sequence
 
-from experiments.breakages import breakage_outcomes, segment_of_frame
+from experiments.breakages import breakage_outcomes, segment_of_frame, segments_of_frame
 from slam import events as ev
 
 SEQUENCE = make_sequence()
@@ -95,3 +95,26 @@ def test_a_breakage_without_a_new_map_is_no_reinit():
 def test_overlapping_grace_goes_to_the_later_segment():
     later = make_sequence(segment=(185, 190)).segments[0]
     assert segment_of_frame(187, 187 / 30, [*SEQUENCE.segments, later], np.arange(300) / 30) == 1
+
+
+def test_a_breakage_is_of_all_segments_over_one_another_and_named_after_the_last_that_began():
+    fog, blur, early = (
+        make_sequence(segment=span).segments[0] for span in ((100, 200), (150, 170), (20, 90))
+    )
+    segments, stamps = [early, fog, blur], np.arange(300) / 30
+    at_s = {frame: (frame, frame / 30, segments, stamps) for frame in (95, 103, 120, 160, 180, 190, 210)}
+    found = {frame: (segment_of_frame(*of), segments_of_frame(*of)) for frame, of in at_s.items()}
+    assert found[120] == (1, (1,))
+    assert found[160] == (2, (1, 2))
+    # The blur is over, but for the time that declaring takes.
+    assert found[180] == (2, (1, 2)) and found[190] == (1, (1,)) and found[210] == (1, (1,))
+    # A segment that had ended before has no part.
+    assert found[95] == (0, (0,)) and found[103] == (1, (1,))
+    (one,) = breakage_outcomes([broke(160)], segments, stamps)
+    assert one.segment == 2 and one.segments == (1, 2)
+
+
+def test_segments_that_begin_on_one_frame_both_have_the_breakage():
+    twins = [make_sequence(segment=span).segments[0] for span in ((150, 170), (150, 160))]
+    assert segments_of_frame(155, 155 / 30, twins, np.arange(300) / 30) == (0, 1)
+    assert segment_of_frame(155, 155 / 30, twins, np.arange(300) / 30) == 0

@@ -12,8 +12,8 @@ from experiments import cli, execution, sources
 from scenarios.errors import InputError
 
 COMMANDS = [
-    ["demo"], ["doctor"], ["warmup"], ["render"], ["run"], ["view"], ["bench"], ["experiment", "run"],
-    ["vocabulary", "train"],
+    ["demo"], ["doctor"], ["warmup"], ["render"], ["run"], ["view"], ["bench"], ["bench", "sim"],
+    ["bench", "slam"], ["experiment", "run"], ["vocabulary", "train"],
 ]  # fmt: skip
 
 
@@ -31,7 +31,7 @@ def dslab(monkeypatch, capsys, *arguments: str) -> tuple[int, str, str]:
 def made_up(monkeypatch):
     """`dslab run anything` runs the fake over the made-up sequence."""
     sequence = make_sequence()
-    monkeypatch.setattr(sources, "open_sequence", lambda source, seed, show: sequence)
+    monkeypatch.setattr(sources, "open_sequence", lambda source, seed, show, **options: sequence)
     monkeypatch.setattr(execution, "_default_factory", lambda: fake_factory(sequence, breaks_at=160))
     return sequence
 
@@ -84,7 +84,7 @@ def test_an_unknown_source_is_one_line_and_exit_2(monkeypatch, capsys, tmp_path,
 
 
 def test_an_interruption_is_one_line_and_exit_130(monkeypatch, capsys, made_up, tmp_path):
-    def interrupted(*_):
+    def interrupted(*_, **options):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(sources, "open_sequence", interrupted)
@@ -121,3 +121,11 @@ def test_bench_pools_the_runs(monkeypatch, capsys, made_up):
     assert code == 0
     assert figures["stages"]["extract"]["frames"] == 600
     assert figures["mapping_cpu_ms_median"] == 20.0
+
+
+@pytest.mark.parametrize("arguments", [["x"], ["slam", "x"], ["--seed", "3", "x"]], ids=" ".join)
+def test_bench_without_a_command_is_that_of_the_tracker(monkeypatch, capsys, made_up, arguments):
+    monkeypatch.setattr("slam.warmup.warm_up", lambda progress: None)
+    code, out, _ = dslab(monkeypatch, capsys, "bench", *arguments, "--json")
+    assert code == 0
+    assert json.loads(out.splitlines()[-1])["system"] == "base"

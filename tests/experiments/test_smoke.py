@@ -116,15 +116,16 @@ SCRIPTS = [
 ]  # fmt: skip
 
 
+UNITS = [SCENARIO.model_copy(update={"seed": seed}) for seed in range(len(SCRIPTS))]
+
+
 def scripted(scenario: Scenario, seed: int) -> dict:
     return trial(seed, **SCRIPTS[seed])
 
 
 def test_the_counts_of_a_known_set_of_units(tmp_path):
     told = []
-    result, rows = run_smoke(
-        SCENARIO, len(SCRIPTS), tmp_path / "out", progress=lambda *p: told.append(p), trial=scripted
-    )
+    result, rows = run_smoke(UNITS, tmp_path / "out", progress=lambda *p: told.append(p), trial=scripted)
     assert (result.units, result.void, result.errors) == (8, 1, 1)
     assert (result.p0.events, result.p0.units) == (3, 6)
     assert (result.pr_given_b.events, result.pr_given_b.units) == (2, 3)
@@ -137,7 +138,7 @@ def test_the_counts_of_a_known_set_of_units(tmp_path):
 
 def test_the_table_keeps_types_whatever_the_rows_hold(tmp_path):
     for name, seeds in (("few", 1), ("all", len(SCRIPTS))):
-        run_smoke(SCENARIO, seeds, tmp_path / name, trial=scripted)
+        run_smoke(UNITS[:seeds], tmp_path / name, trial=scripted)
     few = pq.read_table(tmp_path / "few" / "units.parquet")
     whole = pq.read_table(tmp_path / "all" / "units.parquet")
     assert few.schema.equals(whole.schema)

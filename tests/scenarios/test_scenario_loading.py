@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from scenarios.errors import InputError
-from scenarios.loading import dump_yaml, json_schema, load_scenario, named_scenarios
+from scenarios.families import family_names
+from scenarios.loading import dump_yaml, load_scenario
 from scenarios.spec import Camera, FastRotation, LowTexture, MotionBlur, RoomWorld, Scenario
 
 VALID = """\
@@ -43,7 +44,7 @@ def test_a_valid_file_gives_its_values_and_the_defaults(tmp_path):
     assert scenario.frame_count == 600
 
 
-@pytest.mark.parametrize("name", named_scenarios())
+@pytest.mark.parametrize("name", family_names())
 def test_every_named_scenario_survives_being_written_out_and_read_back(name, tmp_path):
     scenario = load_scenario(name)
     assert scenario.name == name
@@ -51,7 +52,7 @@ def test_every_named_scenario_survives_being_written_out_and_read_back(name, tmp
 
 
 def test_the_three_named_scenarios_are_30_s_of_vga_video():
-    assert {"clean-room", "clean-corridor", "stressed"} <= set(named_scenarios())
+    assert {"clean-room", "clean-corridor", "stressed"} <= set(family_names())
     for name in ("clean-room", "clean-corridor", "stressed"):
         scenario = load_scenario(name)
         assert (scenario.duration_s, scenario.camera.fps) == (30, 30)
@@ -80,9 +81,9 @@ def test_the_three_named_scenarios_are_30_s_of_vga_video():
         ("contrast: 0.1", "contrast: 1.5", [":5: segments[0].contrast", "less than or equal to 1"]),
         ("contrast: 0.1", "contrast: low", [":5: segments[0].contrast", "'low'", "number"]),
         (
-            "start_s: 8",
-            "start_s: 5",
-            ["segments[0] (low_texture, 4-6 s)", "segments[1] (motion_blur, 5-6 s)"],
+            "motion_blur, start_s: 8, duration_s: 1, exposure_s: 0.05",
+            "low_texture, start_s: 5, duration_s: 1, contrast: 0.5",
+            ["segments[0] (low_texture, 4-6 s)", "segments[1] (low_texture, 5-6 s)", "one kind"],
         ),
         ("start_s: 8", "start_s: 19.5", ["segments[1]", "ends after the sequence", "duration_s = 20"]),
         ("{kind: room}", "{kind: room}\ncamera: {cx_px: 640}", [":4: camera", "cx_px = 640", "0 to 639"]),
@@ -119,9 +120,24 @@ def test_segments_that_touch_do_not_overlap(tmp_path):
 
 def test_overlap_is_found_whatever_the_order_in_the_file():
     late = MotionBlur(kind="motion_blur", start_s=5, duration_s=2, exposure_s=0.1)
-    early = FastRotation(kind="fast_rotation", start_s=1, duration_s=5, rate_degps=90)
+    early = MotionBlur(kind="motion_blur", start_s=1, duration_s=5, exposure_s=0.2)
     with pytest.raises(ValueError, match=r"segments\[1\].*segments\[0\].*overlap"):
         Scenario(name="x", world=RoomWorld(), segments=(late, early))
+
+
+def test_segments_of_different_kinds_may_lie_over_one_another():
+    swing = FastRotation(kind="fast_rotation", start_s=5, duration_s=2, rate_degps=90)
+    blur = MotionBlur(kind="motion_blur", start_s=5, duration_s=2, exposure_s=0.1)
+    assert Scenario(name="x", world=RoomWorld(), segments=(swing, blur)).segments == (swing, blur)
+
+
+def test_the_sensor_starts_from_its_preset(tmp_path):
+    assert load_scenario(write(tmp_path, VALID)).imu is None
+    scenario = load_scenario(write(tmp_path, VALID + "imu: {preset: realsense, rate_hz: 400}\n"))
+    assert scenario.imu is not None
+    assert (scenario.imu.rate_hz, scenario.imu.gyro_noise) == (400, 1e-3)
+    assert load_scenario(write(tmp_path, dump_yaml(scenario))) == scenario
+    assert "imu.gyro_nois" in fault(tmp_path, VALID + "imu: {gyro_nois: 1}\n")
 
 
 def test_an_unknown_name_lists_the_names():
@@ -141,10 +157,3 @@ def test_binary_content_is_refused(tmp_path):
     path.write_bytes(np.arange(128, 256, dtype=np.uint8).tobytes())
     with pytest.raises(InputError, match="UTF-8"):
         load_scenario(path)
-
-
-def test_the_schema_knows_every_part_and_forbids_unknown_keys():
-    schema = json_schema()
-    assert set(schema["properties"]) == set(Scenario.model_fields)
-    assert schema["additionalProperties"] is False
-    assert schema["$defs"]["LowTexture"]["properties"]["contrast"]["maximum"] == 1

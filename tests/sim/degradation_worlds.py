@@ -15,10 +15,12 @@ START_S, DURATION_S = 0.2, 0.4
 WORLDS = {
     "room": {"kind": "room", "length_m": 6, "width_m": 5},
     "corridor": {"kind": "corridor", "length_m": 12, "turns": 0},
+    "warehouse": {"kind": "warehouse", "length_m": 12, "aisles": 2, "height_m": 4},
 }
 SEVERITIES = {
     "low_texture": [{"contrast": c} for c in (1, 0.2, 0.08, 0.03, 0)],
-    "repeated_texture": [{"share": s, "period_m": 0.2} for s in (0, 0.25, 0.5, 0.75, 1)],
+    # So small a patch that features find their double within the search; at twice the period many do not.
+    "repeated_texture": [{"share": s, "period_m": 0.1} for s in (0, 0.25, 0.5, 0.75, 1)],
     "motion_blur": [{"exposure_s": e} for e in (0.004, 0.03, 0.08, 0.2, 0.5)],
     "fast_rotation": [{"rate_degps": r} for r in (0, 80, 160, 300, 600)],
     "pure_rotation": [{"angle_deg": a} for a in (0, 20, 45, 90, 180)],
@@ -28,6 +30,7 @@ SEVERITIES = {
     "moving_objects": [{"share": s} for s in (0, 0.2, 0.4, 0.6, 0.9)],
     "rolling_shutter": [{"readout_s": r} for r in (0, 0.05, 0.1, 0.2, 0.4)],
     "defocus": [{"diameter_px": d} for d in (0, 3, 6, 12, 24)],
+    "rain": [{"rate_mmph": r} for r in (0, 5, 20, 80, 300)],
     "lens_dirt": [{"share": s} for s in (0, 0.2, 0.4, 0.6, 0.9)],
     "covered_lens": [{"transmission": t} for t in (1, 0.1, 0.02, 0.005, 0)],
     "low_light": [{"illumination": i} for i in (1, 0.1, 0.02, 0.005, 0.0005)],

@@ -25,7 +25,7 @@ from sim.render import render_sequence
 
 SEED = 4
 # Kinds in which something is drawn.
-RANDOM = {"low_light", "moving_objects", "lens_dirt", "frame_drops", "time_jitter"}
+RANDOM = {"low_light", "moving_objects", "lens_dirt", "rain", "frame_drops", "time_jitter"}
 
 
 @pytest.fixture(scope="module")
@@ -58,12 +58,8 @@ def test_no_severity_is_no_change_and_matches_get_fewer_with_severity(render, wo
     # Two frames that are bent alike match each other: a rolling shutter shows against straight ones.
     known = clean if kind == "rolling_shutter" else None
     inliers = np.array([mean_inliers(sequence, known) for sequence in sequences])
-    # Its steps are whole surfaces, too coarse in any one world.
-    for seed in (SEED + 1, SEED + 2) if kind == "repeated_texture" else ():
-        inliers += [mean_inliers(render(world, segment(kind, **s), seed=seed)) for s in SEVERITIES[kind]]
     assert spearmanr(range(5), inliers).statistic <= -0.8, inliers
-    # Frames so near to each other are told apart a little even on repeated patches.
-    assert inliers[-1] < (0.9 if kind == "repeated_texture" else 0.7) * inliers[0], inliers
+    assert inliers[-1] < 0.7 * inliers[0], inliers
 
 
 @pytest.mark.parametrize("kind", DEGRADATIONS)

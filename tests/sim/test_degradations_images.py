@@ -161,7 +161,7 @@ def test_moving_objects_fill_their_share_and_move_at_their_rate(share):
     shares = [passing(flat, at(stamp_s))[1] for stamp_s in np.linspace(1, 3, 9)]
     assert np.mean(shares) == pytest.approx(share, abs=0.12)
     out, measured = passing(flat, at(1.3))
-    assert ((out != 7).mean()) == pytest.approx(measured, abs=0.02)
+    assert ((out != 7).mean()) == pytest.approx(measured, abs=0.05)
 
 
 def test_one_moving_object_moves_by_its_angle():

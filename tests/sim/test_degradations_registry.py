@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from scenarios import spec
 from scenarios.seeds import rng_for
-from sim.degradations.base import Shoot, segment_truth, true_span
+from sim.degradations.base import Shoot, segment_truth, true_runs
 from sim.degradations.noise import SensorNoise
 from sim.degradations.registry import DEGRADATIONS, SHOOT_KINDS
 from sim.motion.walker import plan_walk
@@ -83,7 +83,8 @@ def test_low_texture_fades_the_surfaces_that_are_passed_in_its_time():
 def test_a_surface_that_is_never_seen_is_not_faded():
     shoot = make_shoot()
     segment = spec.LowTexture(kind="low_texture", start_s=0, duration_s=0.4, contrast=0.1)
-    unseen = replace(shoot, view_share=shoot.view_share * (np.arange(10) != 7))
+    share = shoot.view_share * (np.arange(10) != 7)
+    unseen = replace(shoot, view_share=share, moment_s=np.empty(0))
     assert DEGRADATIONS["low_texture"].apply(unseen, segment).contrast[7] == 1
 
 
@@ -130,16 +131,16 @@ def test_the_swung_rate_is_the_derivative_of_the_swung_pose():
 @pytest.mark.parametrize(
     ("acts", "expected"),
     [
-        ("0000000000", (-1, -1)),
-        ("0011110000", (2, 5)),
-        ("0011101000", (2, 6)),
-        ("1100100011", (4, 4)),
-        ("1111111111", (0, 9)),
+        ("0000000000", ()),
+        ("0011110000", ((2, 5),)),
+        ("0011101000", ((2, 4), (6, 6))),
+        ("1100100011", ((4, 4),)),
+        ("1111111111", ((0, 9),)),
     ],
 )
-def test_true_span_takes_the_runs_that_touch_the_segment(acts, expected):
+def test_true_runs_are_the_runs_that_touch_the_segment(acts, expected):
     within = np.arange(10)
-    assert true_span(np.array([c == "1" for c in acts]), (within >= 4) & (within < 7)) == expected
+    assert true_runs(np.array([c == "1" for c in acts]), (within >= 4) & (within < 7)) == expected
 
 
 def test_noise_has_its_sigma_no_bias_and_differs_between_frames():

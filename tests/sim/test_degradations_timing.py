@@ -133,7 +133,7 @@ def test_the_most_seen_surfaces_are_papered_until_they_fill_the_share(shoot):
     seen[10, 3] = 0.9
     for share, expected in ((0, []), (0.5, [1]), (0.8, [1, 2]), (1, [0, 1, 2])):
         segment = RepeatedTexture(kind="repeated_texture", share=share, period_m=0.3, **TIMES)
-        papered_shoot = apply(replace(shoot, view_share=seen), segment)
+        papered_shoot = apply(replace(shoot, view_share=seen, moment_s=np.empty(0)), segment)
         np.testing.assert_array_equal(np.flatnonzero(papered_shoot.period_m), expected)
         assert (papered_shoot.texture_of[expected] == 1).all()
         measure = DEGRADATIONS["repeated_texture"].measure(papered_shoot, segment, np.empty(0))

@@ -42,7 +42,7 @@ def test_the_files_are_the_stated_ones_in_tum_order(folder):
     expected = {"rgb", "rgb.txt", "groundtruth.txt", "camera.yaml", "segments.json", "meta.json"}
     assert names == expected | {"depth", "depth.txt", "frame_truth.csv"}
     assert list(yaml.safe_load((folder / "camera.yaml").read_text())) == (
-        ["fx", "fy", "cx", "cy", "width", "height", "fps", "model", "k1", "k2", "p1", "p2", "k3"]
+        ["fx", "fy", "cx", "cy", "width", "height", "fps", "k1", "k2", "p1", "p2", "k3"]
     )
     pose = make_sequence().T_world_cam[0]
     row = np.array((folder / "groundtruth.txt").read_text().splitlines()[1].split(), float)
@@ -88,8 +88,8 @@ def test_an_equidistant_camera_is_read_back(tmp_path):
     assert load_sequence(tmp_path / "seq").camera == lens
 
 
-def test_a_camera_file_without_model_is_radtan(folder):
-    edit(folder / "camera.yaml", "model: radtan\n", "")
+def test_a_camera_file_may_name_the_model_radtan(folder):
+    edit(folder / "camera.yaml", "fps: 30.0\n", "fps: 30.0\nmodel: radtan\n")
     assert load_sequence(folder).camera == make_sequence().camera
 
 
@@ -118,8 +118,18 @@ def test_a_missing_file_is_named(folder, old):
         ("camera.yaml", "width: 64", "width: 65", ["000000.png", "64x48", "65x48"]),
         ("camera.yaml", "fps: 30.0", "fps: 0", ["camera.yaml: fps"]),
         ("camera.yaml", "k3: 0.3", "k4: 0.3", ["camera.yaml: k4", "unknown key", "k3"]),
-        ("camera.yaml", "model: radtan", "model: wide", ["camera.yaml: model", "'wide'", "equidistant"]),
-        ("camera.yaml", "model: radtan", "model: equidistant", ["camera.yaml: p1", "model equidistant"]),
+        (
+            "camera.yaml",
+            "fps: 30.0",
+            "model: wide",
+            ["camera.yaml: model", "'wide'", "equidistant"],
+        ),
+        (
+            "camera.yaml",
+            "fps: 30.0",
+            "model: equidistant",
+            ["camera.yaml: p1", "model equidistant"],
+        ),
         ("camera.yaml", "fx: 50.0", "fx: [", ["camera.yaml", "YAML"]),
         ("segments.json", '"first_frame": 2', '"first_frame": 99', ["segments.json: [0]", "99"]),
         ("segments.json", '"kind"', '"sort"', ["segments.json: [0]", "no segment"]),
@@ -216,3 +226,21 @@ def test_a_full_disk_is_an_input_error_and_leaves_nothing(tmp_path, monkeypatch)
     with pytest.raises(InputError, match="No space left"):
         write_tum(make_sequence(), tmp_path / "seq")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_depth_images_are_given_to_the_frames_nearest_in_time(tmp_path):
+    sequence = make_sequence()
+    write_tum(sequence, tmp_path / "seq", depth=True)
+    written = load_sequence(tmp_path / "seq")
+    rows = (tmp_path / "seq/depth.txt").read_text().splitlines()[1:]
+    # Another clock's jitter, one image lost, one more between the frames: as a depth camera of its own gives.
+    late = [f"{float(row.split()[0]) + 0.004:.6f} {row.split()[1]}" for row in rows if "000002" not in row]
+    late.insert(1, f"{0.5 / 30:.6f} depth/000005.png")
+    (tmp_path / "seq/depth.txt").write_text("\n".join(late) + "\n")
+    read = load_sequence(tmp_path / "seq")
+    assert len(read.depths) == len(read) == COUNT
+    for index in set(range(COUNT)) - {2}:
+        np.testing.assert_array_equal(read.depths[index], written.depths[index])
+    assert (read.depths[2] == 0).all()
+    (tmp_path / "seq/depth.txt").write_text("99.0 depth/000000.png\n")
+    fault(tmp_path / "seq", "depth.txt", "clock")

@@ -9,6 +9,7 @@ from scenarios.errors import InputError
 from sim import mujoco_renderer
 from sim.camera import Intrinsics
 from sim.mujoco_renderer import MujocoRenderer
+from sim.renderers import RENDERERS, load_renderer
 from sim.world.base import Surface, WorldModel
 
 MEAN = 118.0
@@ -45,8 +46,14 @@ POSES = [
 ]
 
 
+@pytest.fixture(scope="module", params=RENDERERS)
+def kind(request):
+    """The class of every renderer there is."""
+    return load_renderer(request.param)
+
+
 @pytest.fixture(scope="module")
-def dots():
+def dots(kind):
     """A wall 8 m square at z = 5 with a grid of square dots, as world, dot centres and renderer."""
     texture = np.full((1024, 1024), BACKGROUND, np.uint8)
     starts = np.arange(64, 1024, 128)
@@ -58,7 +65,7 @@ def dots():
     centres = np.stack(
         [-4 + (columns + 4) / 128, -4 + (rows + 4) / 128, np.full(rows.shape, 5.0)], -1
     ).reshape(-1, 3)
-    renderer = MujocoRenderer(WorldModel([wall], MEAN, np.ones(1)), CAMERA)
+    renderer = kind(WorldModel([wall], MEAN, np.ones(1)), CAMERA)
     yield centres, renderer
     renderer.close()
 
@@ -103,10 +110,10 @@ def test_depth_is_metric_along_the_optical_axis(dots, T_world_cam):
     assert np.abs(depth - expected)[hit].max() < 1e-3
 
 
-def test_depth_stays_exact_along_a_kilometre():
+def test_depth_stays_exact_along_a_kilometre(kind):
     far_wall = quad((-400, -400, 1000), (800, 0, 0), (0, 800, 0), np.full((8, 8), 90, np.uint8))
     near_wall = quad((-1, 0.2, 0.5), (2, 0, 0), (0, 2, 0), np.full((8, 8), 90, np.uint8))
-    renderer = MujocoRenderer(WorldModel([far_wall, near_wall], MEAN, np.ones(2)), CAMERA)
+    renderer = kind(WorldModel([far_wall, near_wall], MEAN, np.ones(2)), CAMERA)
     _, depth = renderer.render(pose())
     renderer.close()
     assert abs(depth[100, 320] - 1000) < 0.005
@@ -120,14 +127,14 @@ def test_nothing_in_sight_has_depth_zero_and_no_surface(dots):
     assert (renderer.render_surface_ids(away) == -1).all()
 
 
-def test_texture_rows_run_downward_and_surfaces_are_told_apart():
+def test_texture_rows_run_downward_and_surfaces_are_told_apart(kind):
     left = quad(
         (-2, -1, 4), (2, 0, 0), (0, 2, 0), np.repeat([30, 220], 32)[:, None].repeat(64, 1).astype(np.uint8)
     )
     right = quad(
         (0, -1, 4), (2, 0, 0), (0, 2, 0), np.tile(np.repeat([60, 180], 32), (64, 1)).astype(np.uint8)
     )
-    renderer = MujocoRenderer(WorldModel([left, right], MEAN, np.ones(2)), CAMERA)
+    renderer = kind(WorldModel([left, right], MEAN, np.ones(2)), CAMERA)
     gray, _ = renderer.render(pose())
     ids = renderer.render_surface_ids(pose())
     again, _ = renderer.render(pose())
@@ -142,13 +149,13 @@ def test_texture_rows_run_downward_and_surfaces_are_told_apart():
 
 
 @pytest.mark.parametrize("contrast", [1.0, 0.5, 0.05, 0.0])
-def test_contrast_fades_levels_about_the_mean(contrast):
+def test_contrast_fades_levels_about_the_mean(kind, contrast):
     levels = (20, 100, 240)
     surfaces = [
         quad((k - 1.5, -1, 3), (1, 0, 0), (0, 2, 0), np.full((8, 8), g, np.uint8))
         for k, g in enumerate(levels)
     ]
-    renderer = MujocoRenderer(WorldModel(surfaces, MEAN, np.full(3, contrast)), CAMERA)
+    renderer = kind(WorldModel(surfaces, MEAN, np.full(3, contrast)), CAMERA)
     gray, _ = renderer.render(pose())
     renderer.close()
     centres = np.array([[k - 1.0, 0, 3] for k in range(3)])
@@ -173,11 +180,11 @@ def test_repeated_frames_are_equal_and_independent(dots):
     np.testing.assert_array_equal(first_depth, again_depth)
 
 
-def test_two_renderers_of_different_sizes_alternate(dots):
+def test_two_renderers_of_different_sizes_alternate(kind, dots):
     _, renderer = dots
     before, _ = renderer.render(POSES[0])
     wall = quad((-4, -4, 5), (8, 0, 0), (0, 8, 0), np.full((8, 8), 77, np.uint8))
-    other = MujocoRenderer(WorldModel([wall], MEAN), Intrinsics(320, 200, 300.0, 300.0, 159.5, 99.5, 30.0))
+    other = kind(WorldModel([wall], MEAN), Intrinsics(320, 200, 300.0, 300.0, 159.5, 99.5, 30.0))
     gray, depth = other.render(pose())
     assert gray.shape == depth.shape == (200, 320) and (gray == 77).all()
     np.testing.assert_array_equal(renderer.render(POSES[0])[0], before)
@@ -210,35 +217,35 @@ def test_a_world_of_more_surfaces_than_one_context_takes_looks_the_same(monkeypa
             np.testing.assert_array_equal(one, other)
 
 
-def test_distortion_is_refused():
+def test_distortion_is_refused(kind):
     distorted = Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5, 30.0, (0.1, 0.0, 0.0, 0.0, 0.0))
     with pytest.raises(InputError, match="distortion"):
-        MujocoRenderer(WorldModel([], MEAN), distorted)
+        kind(WorldModel([], MEAN), distorted)
 
 
 _FRAME = """
 import hashlib, numpy as np
-from sim import mujoco_renderer
 from sim.camera import Intrinsics
-from sim.mujoco_renderer import MujocoRenderer
+from sim.renderers import load_renderer
 from sim.world.base import Surface, WorldModel
 texture = np.random.default_rng(3).integers(0, 256, (512, 512), dtype=np.uint8)
 vertices = np.array([[-4.0, -4, 5], [4, -4, 5], [4, 4, 6], [-4, 4, 6]])
 uv = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
 surface = Surface(vertices, np.array([[0, 3, 2], [0, 2, 1]], np.int32), uv, texture, "wall")
 camera = Intrinsics(640, 480, 520.0, 430.0, 290.3, 262.7, 30.0)
-renderer = MujocoRenderer(WorldModel([surface], 118.0), camera)
+renderer = load_renderer(name)(WorldModel([surface], 118.0), camera)
 gray, depth = renderer.render(np.eye(4))
 digest = hashlib.sha256(gray.tobytes() + depth.tobytes()).hexdigest()
 """
 
 
-def test_another_process_renders_the_same_bytes():
-    here: dict = {}
+@pytest.mark.parametrize("name", RENDERERS)
+def test_another_process_renders_the_same_bytes(name):
+    here: dict = {"name": name}
     exec(_FRAME, here)
     here["renderer"].close()
     assert here["gray"].std() > 20
-    code = _FRAME + "print(digest)"
+    code = f"name = {name!r}\n" + _FRAME + "print(digest)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == here["digest"]
     assert len(here["digest"]) == 2 * hashlib.sha256().digest_size

@@ -1,0 +1,121 @@
+"""From names of scenarios to a folder with a page that shows them."""
+
+from collections.abc import Callable, Generator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import closing
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+from experiments.gallery.page import Entry, gallery_html
+from experiments.gallery.sheet import Sheet, make_sheet
+from experiments.output import new_directory
+from experiments.provenance import DISTRIBUTION, commit, versions
+from scenarios.errors import InputError
+from scenarios.families import Family, family_names, load_family
+from scenarios.spec import Scenario
+
+PAGE_FILE = "index.html"
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Gallery:
+    """What has been made.
+
+    Attributes:
+        page: the file to open.
+        scenarios: families without members and members.
+        sheets: scenarios times seeds.
+        size_bytes: of the whole folder.
+    """
+
+    page: Path
+    scenarios: int
+    sheets: int
+    size_bytes: int
+
+
+def make_gallery(
+    names: list[str],
+    out_dir: Path,
+    seeds: int = 3,
+    frames: int = 8,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> Gallery:
+    """Make a folder with a page of thumbnails, maps and segments of every scenario.
+
+    Args:
+        names: families, members or YAML files; a family stands for all of its members. Empty for all that
+            come with the package.
+        out_dir: absent or empty.
+        seeds: how many of each, from the family's own on.
+        frames: how many of each sequence; more where there are more segments.
+        workers: processes; what is made does not depend on it.
+        progress: called with (sequences done, sequences in all).
+
+    Raises:
+        InputError: a name or a file is no scenario, two scenarios share a name, no GL, the folder is taken
+            or not writable, or the disk is full.
+    """
+    found = _families(names)
+    samples = [family.sample(family.seed + k) for family, _ in found for k in range(seeds)]
+    with new_directory(out_dir) as folder:
+        sheets: dict[tuple[str, int], Sheet] = {}
+        # Closed before the folder goes away, so that no worker writes into it any more.
+        with closing(_sheets(samples, frames, folder, workers)) as made:
+            for sheet in made:
+                sheets[sheet.scenario.name, sheet.scenario.seed] = sheet
+                if progress is not None:
+                    progress(len(sheets), len(samples))
+        in_order = iter([sheets[sample.name, sample.seed] for sample in samples])
+        entries = [
+            Entry(family, group, tuple(next(in_order) for _ in range(seeds))) for family, group in found
+        ]
+        (folder / PAGE_FILE).write_text(gallery_html(entries, _made_by()), encoding="utf-8")
+        size_bytes = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    return Gallery(out_dir / PAGE_FILE, len(entries), len(samples), size_bytes)
+
+
+def _families(names: list[str]) -> list[tuple[Family, Family]]:
+    """Every family that is sampled, with the one whose member it is; each once, members side by side."""
+    found: dict[str, Family] = {}
+    groups: dict[Path, Family] = {}
+    for name in names or family_names():
+        family = load_family(name)
+        for one in [family.member(member) for member in family.members] or [family]:
+            earlier = found.setdefault(one.name, one)
+            if earlier.file.path != one.file.path:
+                problem = f"is also the name of a scenario in {earlier.file.path}"
+                raise InputError(
+                    f"{one.file.path}: name {one.name}", problem, "give one of them another name"
+                )
+            if one.file.path not in groups:
+                groups[one.file.path] = load_family(one.file.path) if one.member_id else one
+    return [(one, group) for path, group in groups.items() for one in found.values() if one.file.path == path]
+
+
+def _sheets(samples: list[Scenario], frames: int, folder: Path, workers: int) -> Generator[Sheet, None, None]:
+    if workers == 1:
+        yield from (make_sheet(sample, frames, folder) for sample in samples)
+        return
+    # Spawned, not forked: a process that holds a GL context must not fork.
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        futures = [pool.submit(_sheet_of_one_thread, sample, frames, folder) for sample in samples]
+        try:
+            for future in as_completed(futures):
+                yield future.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _sheet_of_one_thread(sample: Scenario, frames: int, folder: Path) -> Sheet:
+    import cv2
+
+    cv2.setNumThreads(1)
+    return make_sheet(sample, frames, folder)
+
+
+def _made_by() -> str:
+    return " ".join(filter(None, [DISTRIBUTION, versions()[DISTRIBUTION], commit()]))

@@ -1,0 +1,195 @@
+"""What a gallery shows of one scenario with one seed, as plain data and picture files."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from experiments.gallery.outline import MapFrame, draw_outline, frame_of
+from scenarios.segments import SegmentBase
+from scenarios.spec import Scenario
+from sim.degradations.base import Shoot
+from sim.motion.base import Motion
+from sim.preview import Preview, preview
+from sim.render import Studio
+
+THUMB_PIXELS = 60_000
+"""Size of a thumbnail, whatever the shape of the frames."""
+
+_QUALITY = 80
+_MEASURE_STEP_S = 0.01
+_TRACK_POINTS, _SEGMENT_POINTS = 1000, 24
+
+
+@dataclass(frozen=True)
+class Thumb:
+    """One frame.
+
+    Attributes:
+        file: of the thumbnail, relative to the gallery.
+        width_px, height_px: of the thumbnail.
+        frame: place in the sequence.
+        stamp_s: true time of the frame.
+        segment: index of the scenario's segment in whose time it lies, None for a clean frame.
+        blur_px: median length of its motion blur.
+        position_m: (3,) of the camera.
+        gaze: (2,) optical axis from above, shorter than 1 where the camera looks up or down.
+    """
+
+    file: str
+    width_px: int
+    height_px: int
+    frame: int
+    stamp_s: float
+    segment: int | None
+    blur_px: float
+    position_m: np.ndarray
+    gaze: np.ndarray
+
+
+@dataclass(frozen=True)
+class Track:
+    """The camera's true motion, segments that move it included, thinned for drawing.
+
+    Attributes:
+        stamps_s: (T,) rising, the whole sequence.
+        position_m: (T, 3).
+        speed_mps, rate_degps: (T,) highest of the time up to the next stamp.
+        length_m: of the path.
+        climb_m: from its lowest to its highest point.
+        segments_m: (n, 3) path of each segment of the scenario.
+    """
+
+    stamps_s: np.ndarray
+    position_m: np.ndarray
+    speed_mps: np.ndarray
+    rate_degps: np.ndarray
+    length_m: float
+    climb_m: float
+    segments_m: tuple[np.ndarray, ...]
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """One scenario with one seed.
+
+    Attributes:
+        scenario: as sampled.
+        frames: of the whole sequence.
+        thumbs: in time order.
+        track: the motion.
+        map_frame: what the map from above shows.
+        outline_file: picture of what stands about the path, relative to the gallery.
+    """
+
+    scenario: Scenario
+    frames: int
+    thumbs: tuple[Thumb, ...]
+    track: Track
+    map_frame: MapFrame
+    outline_file: str
+
+
+def make_sheet(scenario: Scenario, frames: int, folder: Path, studio: Studio | None = None) -> Sheet:
+    """Plan a sequence, film some of its frames, write their thumbnails and the outline of its world.
+
+    Args:
+        scenario: what happens, with its own seed.
+        frames: how many frames; more where there are more segments.
+        folder: of the gallery; the pictures go into one of its folders.
+        studio: what renders; None for MuJoCo.
+
+    Raises:
+        InputError: no GL, or the world's sizes do not fit.
+    """
+    look = preview(scenario, studio)
+    pictures = f"pictures/{scenario.name.replace('/', '.')}/seed-{scenario.seed}"
+    (folder / pictures).mkdir(parents=True)
+    thumbs = _thumbs(look, frames, folder, pictures)
+    track = _track(look.shoot.motion, scenario)
+    map_frame = frame_of(track.position_m[:, :2])
+    outline_file = f"{pictures}/outline.png"
+    _write(folder / outline_file, draw_outline(look.world, track.position_m[:, 2], map_frame))
+    return Sheet(scenario, len(look.shoot.stamps_s), thumbs, track, map_frame, outline_file)
+
+
+def chosen_frames(shoot: Shoot, segments: tuple[SegmentBase, ...], count: int) -> list[int]:
+    """Frames spread over a sequence, one in the middle of every segment among them; rising, no two alike.
+
+    Args:
+        shoot: the plan.
+        segments: of the scenario; one between two frames has no frame.
+        count: how many frames; there are more if there are more segments.
+    """
+    middles = set()
+    for segment in segments:
+        inside = np.flatnonzero(shoot.within(segment))
+        if len(inside):
+            from_middle_s = np.abs(shoot.stamps_s[inside] - (segment.start_s + segment.end_s) / 2)
+            middles.add(int(inside[np.argmin(from_middle_s)]))
+    spread = np.unique(np.linspace(0, len(shoot.stamps_s) - 1, count).round().astype(int)).tolist()
+    # Each middle takes the place of the nearest frame of the even spread.
+    for middle in sorted(middles):
+        if spread:
+            spread.remove(min(spread, key=lambda frame: abs(frame - middle)))
+    return sorted(middles.union(spread))
+
+
+def _thumbs(look: Preview, count: int, folder: Path, pictures: str) -> tuple[Thumb, ...]:
+    segments, shoot = look.scenario.segments, look.shoot
+    chosen = chosen_frames(shoot, segments, count)
+    images, blur_px = look.film(chosen)
+    thumbs = []
+    for place, (frame, image) in enumerate(zip(chosen, images, strict=True)):
+        small = _thumbnail(image)
+        file = f"{pictures}/frame-{place + 1:02}.jpg"
+        _write(folder / file, small)
+        T_world_cam = shoot.motion.T_world_cam(float(shoot.stamps_s[frame]))
+        thumbs.append(
+            Thumb(
+                file=file,
+                width_px=small.shape[1],
+                height_px=small.shape[0],
+                frame=frame,
+                stamp_s=float(shoot.stamps_s[frame]),
+                segment=next((k for k, s in enumerate(segments) if shoot.within(s)[frame]), None),
+                blur_px=float(blur_px[place]),
+                position_m=T_world_cam[:3, 3],
+                gaze=T_world_cam[:2, 2],
+            )
+        )
+    return tuple(thumbs)
+
+
+def _thumbnail(image: np.ndarray) -> np.ndarray:
+    scale = min(1.0, np.sqrt(THUMB_PIXELS / image.size))
+    size = (max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale)))
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+
+
+def _track(motion: Motion, scenario: Scenario) -> Track:
+    count = max(2, round(scenario.duration_s / _MEASURE_STEP_S))
+    steps = -(-count // _TRACK_POINTS)
+    stamps_s = np.linspace(0, scenario.duration_s, steps * -(-count // steps))
+    position_m = motion.T_world_cam(stamps_s)[:, :3, 3]
+    speed_mps = np.linalg.norm(motion.velocity_mps(stamps_s), axis=1)
+    rate_degps = np.rad2deg(np.linalg.norm(motion.rate_radps(stamps_s), axis=1))
+    spans = [np.linspace(s.start_s, s.end_s, _SEGMENT_POINTS) for s in scenario.segments]
+    return Track(
+        stamps_s=stamps_s[::steps],
+        position_m=position_m[::steps],
+        speed_mps=speed_mps.reshape(-1, steps).max(axis=1),
+        rate_degps=rate_degps.reshape(-1, steps).max(axis=1),
+        length_m=float(np.linalg.norm(np.diff(position_m, axis=0), axis=1).sum()),
+        climb_m=float(np.ptp(position_m[:, 2])),
+        segments_m=tuple(motion.T_world_cam(span_s)[:, :3, 3] for span_s in spans),
+    )
+
+
+def _write(path: Path, image: np.ndarray) -> None:
+    """Encoded here and written by Python, which raises where OpenCV only says no."""
+    options = (
+        [cv2.IMWRITE_JPEG_QUALITY, _QUALITY] if path.suffix == ".jpg" else [cv2.IMWRITE_PNG_COMPRESSION, 9]
+    )
+    path.write_bytes(cv2.imencode(path.suffix, image, options)[1].tobytes())

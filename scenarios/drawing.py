@@ -1,0 +1,52 @@
+"""One draw of all distributions of a family."""
+
+from functools import reduce
+from typing import Any
+
+from scenarios.distributions import Choice, is_distribution, parse_distribution
+from scenarios.faults import field_annotation
+from scenarios.seeds import rng_for
+from scenarios.yaml_file import Location, field_path
+
+
+class Draw:
+    """One draw of all distributions, which remembers where each part of the outcome was written."""
+
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
+        self._written: dict[Location, Location] = {}
+        self._numbers: list[Location] = []
+
+    def __call__(self, node: Any, at: Location, written: Location) -> Any:
+        """The outcome of a node, which shares no mapping or list with it.
+
+        Args:
+            node: as written.
+            at: its location in the scenario.
+            written: its location in the family.
+        """
+        self._written[at] = written
+        if is_distribution(node):
+            found = parse_distribution(node)
+            drawn = found.draw(rng_for(self._seed, "family", field_path(written)))
+            if isinstance(found, Choice):
+                return self(found.options[int(drawn)], at, (*written, "choice", int(drawn)))
+            self._numbers.append(at)
+            return drawn
+        if isinstance(node, dict):
+            return {key: self(value, (*at, key), (*written, key)) for key, value in node.items()}
+        if isinstance(node, list):
+            return [self(value, (*at, k), (*written, k)) for k, value in enumerate(node)]
+        return node
+
+    def round_whole_numbers(self, data: dict[str, Any]) -> None:
+        """Round what was drawn for fields that are whole numbers."""
+        for at in self._numbers:
+            if field_annotation(at, data) is int:
+                holder: Any = reduce(lambda part, key: part[key], at[:-1], data)
+                holder[at[-1]] = round(holder[at[-1]])
+
+    def written_at(self, at: Location) -> Location:
+        """Where a part of the outcome was written; of one that is missing, where it would have been."""
+        known = next(n for n in range(len(at), -1, -1) if at[:n] in self._written or n == 0)
+        return (*self._written.get(at[:known], ()), *at[known:])

@@ -1,0 +1,117 @@
+"""What pydantic finds wrong with a scenario, as one line: where, what, and what to do about it."""
+
+from collections.abc import Callable, Iterator
+from difflib import get_close_matches
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from scenarios.errors import InputError
+from scenarios.spec import Scenario
+from scenarios.yaml_file import Location
+
+
+def guess(given: str, allowed: list[str]) -> str:
+    """The allowed word that was probably meant, as the beginning of a remedy; empty if none is near."""
+    close = get_close_matches(given, allowed, n=1, cutoff=0.5)
+    return f"{close[0]} (did you mean that?), or " if close else ""
+
+
+def first_fault(
+    error: ValidationError, where: Callable[[Location], str], of_sample: str, extra_keys: tuple[str, ...]
+) -> InputError:
+    """The most telling fault, with the number of further ones.
+
+    Args:
+        error: from validating a scenario.
+        where: file, line and field of a location in the scenario.
+        of_sample: what was drawn with which seed, in words; empty if nothing was drawn.
+        extra_keys: keys that are allowed at the top beside the scenario's own.
+    """
+    # A misspelt key also shows as a missing one: name the misspelling.
+    first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
+    more = error.error_count() - 1
+    rest = f" ({more} more in this file)" if more else ""
+    location, problem, remedy = _told(first, extra_keys)
+    return InputError(where(location), problem + of_sample, remedy + rest)
+
+
+def field_annotation(location: Location, data: Any) -> Any:
+    """The type of the field at a location of a scenario's data; None if there is no such field.
+
+    Args:
+        location: of the field.
+        data: the scenario as plain data, by whose kinds the models are told apart.
+    """
+    annotation: Any = Scenario
+    for part in location:
+        if not isinstance(part, int):
+            model = _model_of(data, annotation)
+            field = model.model_fields.get(part) if model else None
+            if field is None:
+                return None
+            annotation = field.annotation
+        data = data[part]
+    return annotation
+
+
+def _told(fault: Any, extra_keys: tuple[str, ...]) -> tuple[Location, str, str]:
+    """Location, problem and remedy of one of pydantic's faults."""
+    model, location = _resolve(fault["loc"])
+    context = fault.get("ctx", {})
+    if fault["type"] == "extra_forbidden":
+        allowed = [name for name in model.model_fields if name != "spec_version"]
+        allowed += extra_keys if model is Scenario else ()
+        return location, "unknown key", f"use {guess(str(location[-1]), allowed)}one of {', '.join(allowed)}"
+    if fault["type"] == "missing":
+        return location, "is missing", "add it"
+    if fault["type"] in ("union_tag_invalid", "union_tag_not_found"):
+        tags = str(context.get("expected_tags") or ", ".join(_kinds(location))).replace("'", "")
+        given = str(context.get("tag", ""))
+        problem = f"unknown kind {given!r}" if given else "is missing"
+        return (*location, "kind"), problem, f"use {guess(given, tags.split(', '))}one of {tags}"
+    if fault["type"] == "value_error":
+        problem, _, remedy = str(context["error"]).rpartition(", ")
+        return location, problem, remedy
+    return location, f"{fault['input']!r} is not valid", fault["msg"][0].lower() + fault["msg"][1:]
+
+
+def _resolve(loc: Location) -> tuple[type[BaseModel], Location]:
+    """The model that holds the field of a pydantic location, and the location without union tags."""
+    model: type[BaseModel] = Scenario
+    plain: list[str | int] = []
+    candidates: list[type[BaseModel]] = []
+    for part in loc:
+        tagged = [c for c in candidates if part in get_args(c.model_fields["kind"].annotation)]
+        if tagged:
+            model, candidates = tagged[0], []
+            continue
+        plain.append(part)
+        if isinstance(part, str) and part in model.model_fields:
+            models = list(_models_in(model.model_fields[part].annotation))
+            candidates = models if len(models) > 1 else []
+            model = models[0] if len(models) == 1 else model
+    return model, tuple(plain)
+
+
+def _model_of(data: Any, annotation: Any) -> type[BaseModel] | None:
+    """The model of a mapping, by its kind where there are several."""
+    models = list(_models_in(annotation))
+    if not isinstance(data, dict) or not models:
+        return None
+    if len(models) == 1:
+        return models[0]
+    kind = data.get("kind")
+    return next((m for m in models if kind in get_args(m.model_fields["kind"].annotation)), None)
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for argument in get_args(annotation):
+        yield from _models_in(argument)
+
+
+def _kinds(location: Location) -> list[str]:
+    field = Scenario.model_fields[str(location[0])].annotation
+    return [str(kind) for m in _models_in(field) for kind in get_args(m.model_fields["kind"].annotation)]

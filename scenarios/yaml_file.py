@@ -1,0 +1,133 @@
+"""A YAML file and the lines of its parts, so that every fault can name its place."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from scenarios.errors import InputError
+
+Location = tuple[str | int, ...]
+"""Keys and indices from the root to a part."""
+
+_MERGE = "<<"
+
+
+@dataclass(frozen=True, eq=False)
+class YamlFile:
+    """A file that holds one mapping.
+
+    Attributes:
+        path: of the file.
+        text: its content.
+        data: the mapping.
+        root: its nodes, which know their lines.
+    """
+
+    path: Path
+    text: str
+    data: dict[Any, Any]
+    root: yaml.Node
+
+    def where(self, location: Location, field: Location | None = None) -> str:
+        """``file:line: field.path``, the line being that of the innermost part that is in the file.
+
+        Args:
+            location: of the part in the file.
+            field: what to call it, if not by its place in the file.
+        """
+        line = _reach(self.root, location)[0].start_mark.line + 1
+        name = field_path(location if field is None else field)
+        return f"{self.path}:{line}: {name}" if name else str(self.path)
+
+    def depth(self, location: Location) -> int:
+        """How many leading parts of the location are in the file."""
+        return _reach(self.root, location)[1]
+
+
+def field_path(location: Location) -> str:
+    """A location as it is written: ``segments[0].contrast``."""
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
+
+
+def read_yaml(path: Path) -> YamlFile:
+    """Read one file.
+
+    Raises:
+        InputError: there is no such file, or it is no YAML, holds no mapping, or a key twice.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InputError(str(path), "no such file", "check the path, or see `dslab scenarios list`") from None
+    except UnicodeDecodeError:
+        raise InputError(str(path), "is not UTF-8 text", "give a YAML file") from None
+    except OSError as error:
+        raise InputError(str(path), error.strerror or "cannot be read", "give a readable YAML file") from None
+    try:
+        root = yaml.compose(text, Loader=yaml.SafeLoader)
+        data = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise _not_yaml(path, error) from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(str(path), f"is not valid YAML ({error})", "correct the value") from None
+    if not isinstance(data, dict) or root is None:
+        raise InputError(str(path), "holds no scenario", "start from `dslab scenarios show clean-room`")
+    for location, key in _duplicate_keys(root):
+        where = f"{path}:{key.start_mark.line + 1}: {field_path(location)}"
+        raise InputError(where, "key appears twice", "keep one of them")
+    return YamlFile(path, text, data, root)
+
+
+def _not_yaml(path: Path, error: yaml.YAMLError) -> InputError:
+    mark = getattr(error, "problem_mark", None)
+    where = f"{path}:{mark.line + 1}" if mark else str(path)
+    problem = getattr(error, "problem", None) or "cannot be parsed"
+    return InputError(where, f"is not valid YAML ({problem})", "correct the syntax")
+
+
+def _reach(root: yaml.Node, location: Location) -> tuple[yaml.Node, int]:
+    """The innermost node on the way that is there (of a mapping's entry the key), and the parts gone."""
+    at = value = root
+    for gone, part in enumerate(location):
+        if isinstance(value, yaml.MappingNode):
+            found = _entry(value, part)
+        elif isinstance(value, yaml.SequenceNode) and isinstance(part, int) and part < len(value.value):
+            found = (value.value[part], value.value[part])
+        else:
+            found = None
+        if found is None:
+            return at, gone
+        at, value = found
+    return at, len(location)
+
+
+def _entry(mapping: yaml.MappingNode, key: str | int) -> tuple[yaml.Node, yaml.Node] | None:
+    """The key and the value of an entry, its own or one that ``<<`` brings in."""
+    own = next(((k, v) for k, v in mapping.value if k.value == str(key)), None)
+    if own is not None:
+        return own
+    for k, v in mapping.value:
+        if k.value == _MERGE:
+            for merged in v.value if isinstance(v, yaml.SequenceNode) else [v]:
+                found = _entry(merged, key) if isinstance(merged, yaml.MappingNode) else None
+                if found is not None:
+                    return found
+    return None
+
+
+def _duplicate_keys(node: yaml.Node, location: Location = ()) -> Iterator[tuple[Location, yaml.Node]]:
+    """Keys that YAML would silently let win over an earlier one of the same name."""
+    if isinstance(node, yaml.MappingNode):
+        seen: set[str] = set()
+        for key, value in node.value:
+            name = str(key.value)
+            if name in seen:
+                yield (*location, name), key
+            seen.add(name)
+            yield from _duplicate_keys(value, (*location, name))
+    elif isinstance(node, yaml.SequenceNode):
+        for index, value in enumerate(node.value):
+            yield from _duplicate_keys(value, (*location, index))

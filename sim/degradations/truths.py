@@ -1,0 +1,37 @@
+"""What the segments of a sequence truly did, told in one order whichever they were declared in."""
+
+from collections.abc import Sequence as Many
+
+import numpy as np
+
+from scenarios.segments import Segment
+from sim.degradations.base import Shoot, segment_truth
+from sim.degradations.chain import ImageChain
+from sim.degradations.registry import SHOOT_KINDS, in_order_of_action
+from sim.sequence import SegmentTruth
+
+
+def truths_of(
+    segments: Many[Segment], shoot: Shoot, chain: ImageChain, blur_px: np.ndarray
+) -> tuple[list[SegmentTruth], dict[str, np.ndarray]]:
+    """Truths by start, those of one start in the order in which they act, and the columns of their measures.
+
+    Segments with one measure share its column; as those of one kind do not overlap, it holds the larger of
+    their values. Which of them acts on a frame is told by each truth's own runs.
+
+    Args:
+        segments: all of the sequence.
+        shoot: with every segment applied.
+        chain: the image-space ones, when all frames have been through.
+        blur_px: (N,) median length of each frame's motion blur, pixels.
+    """
+    of_images = chain.truths()
+    truths: list[SegmentTruth] = []
+    columns: dict[str, np.ndarray] = {}
+    for segment in sorted(in_order_of_action(segments), key=lambda segment: segment.start_s):
+        truth, measure = of_images.get(segment) or segment_truth(
+            SHOOT_KINDS[segment.kind], shoot, segment, blur_px
+        )
+        truths.append(truth)
+        columns[truth.measure] = np.maximum(columns.get(truth.measure, 0.0), measure)
+    return truths, columns

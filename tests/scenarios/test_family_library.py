@@ -1,0 +1,131 @@
+"""The families that come with the package."""
+
+from itertools import pairwise
+
+import pytest
+
+from scenarios.families import LIBRARY_DIR, family_names, library_names, load_family
+from scenarios.loading import dump_yaml, load_scenario
+from scenarios.spec import Scenario
+from scenarios.wording import members_in_words, parameters_in_words
+from sim.world import layout
+
+SEEDS = range(50)
+WANTED = {
+    "clean", "kitti-like", "tum-mono-like", "low-texture", "blur", "fast-rotation", "mixed", "slow-start",
+    "loop",
+}  # fmt: skip
+
+
+def test_every_family_is_there_and_named_like_its_file():
+    assert set(library_names()) >= WANTED | {"clean-room", "clean-corridor", "clean-city", "stressed"}
+    assert all(load_family(name).name == name for name in (*library_names(), *family_names()))
+    assert len(list(LIBRARY_DIR.iterdir())) == len(library_names())
+    assert len(load_family("kitti-like").members) == 11
+    assert load_family("tum-mono-like").members == tuple(f"{k:02d}" for k in range(1, 51))
+
+
+@pytest.mark.parametrize("name", family_names())
+def test_fifty_seeds_are_valid_and_different(name):
+    family = load_family(name)
+    drawn = [family.sample(seed) for seed in SEEDS]
+    different = {s.model_dump_json(exclude={"seed"}) for s in drawn}
+    assert len(different) == (len(drawn) if family.parameters else 1)
+    assert family.description
+    for scenario in drawn[:12]:
+        layout(scenario.world, scenario.seed)  # raises where the world's sizes do not fit one another
+
+
+@pytest.mark.parametrize("name", library_names())
+def test_a_sample_survives_being_written_and_read(name, tmp_path):
+    path = tmp_path / "sample.yaml"
+    for seed in (0, 7):
+        path.write_text(dump_yaml(load_scenario(name, seed)))
+        assert load_scenario(path) == load_scenario(name, seed)
+
+
+PLAIN = {
+    "clean-room": {
+        "duration_s": 30,
+        "world": {"kind": "room"},
+        "trajectory": {"max_speed_mps": 0.9, "max_rate_degps": 40},
+        "camera": {"fx_px": 500, "fy_px": 500},
+    },
+    "clean-corridor": {
+        "duration_s": 30,
+        "world": {"kind": "corridor", "length_m": 40},
+        "trajectory": {"max_speed_mps": 1.0, "max_rate_degps": 40},
+        "camera": {"fx_px": 420, "fy_px": 420},
+    },
+    "clean-city": {
+        "duration_s": 40,
+        "world": {"kind": "city", "length_m": 400, "turns": 1},
+        "trajectory": {"kind": "car"},
+        "camera": {"preset": "kitti"},
+    },
+    "stressed": {
+        "duration_s": 30,
+        "world": {"kind": "corridor", "length_m": 40, "turns": 2},
+        "trajectory": {"max_speed_mps": 1.0, "max_rate_degps": 40, "gaze_deg": 90},
+        "camera": {"fx_px": 500, "fy_px": 500},
+        "segments": [
+            {"kind": "low_texture", "start_s": 6, "duration_s": 2, "contrast": 0.08},
+            {"kind": "motion_blur", "start_s": 17, "duration_s": 0.7, "exposure_s": 0.25},
+            {"kind": "fast_rotation", "start_s": 22, "duration_s": 1, "rate_degps": 120, "axis": "yaw"},
+        ],
+    },
+}
+
+
+@pytest.mark.parametrize("name", PLAIN)
+@pytest.mark.parametrize("seed", [None, 3])
+def test_the_plain_scenarios_are_what_they_have_always_been(name, seed):
+    scenario = load_scenario(name, seed)
+    always = {**PLAIN[name], "name": name, "description": scenario.description, "seed": seed or 0}
+    assert scenario == Scenario.model_validate(always)
+
+
+@pytest.mark.parametrize("family", ["low-texture", "blur", "fast-rotation", "mixed"])
+def test_there_is_clean_time_before_between_and_after_the_segments(family):
+    kinds = set()
+    for member in load_family(family).members:
+        for seed in SEEDS:
+            scenario = load_scenario(f"{family}/{member}", seed)
+            segments = scenario.segments
+            assert segments[0].start_s >= 8 and scenario.duration_s - segments[-1].end_s >= 10
+            assert all(b.start_s - a.end_s >= 6 for a, b in pairwise(segments))
+            assert len({s.kind for s in segments}) == len(segments)
+            kinds.add(tuple(s.kind for s in segments))
+    assert len(kinds) == (15 if family == "mixed" else 1)
+
+
+def test_the_drives_are_those_of_kitti():
+    frames = {m: load_scenario(f"kitti-like/{m}").frame_count for m in load_family("kitti-like").members}
+    assert {m: n for m, n in frames.items() if m not in ("01", "08")} == {
+        "00": 4541, "02": 4661, "03": 801, "04": 271, "05": 2761, "06": 1101, "07": 1101, "09": 1591,
+        "10": 1201,
+    }  # fmt: skip
+    for member in frames:
+        scenario = load_scenario(f"kitti-like/{member}")
+        assert scenario.camera.fps == 10 and scenario.camera.preset == "kitti"
+        assert scenario.trajectory.kind == "car"
+
+
+def test_the_walks_have_the_camera_of_tum_mono_at_20_to_50_frames():
+    drawn = [load_scenario("tum-mono-like", seed) for seed in range(100)]
+    assert {s.camera.preset for s in drawn} == {"tum-mono"}
+    assert {s.camera.fps for s in drawn} == {20, 25, 30, 40, 50}
+    assert {s.world.kind for s in drawn} == {"room", "corridor", "warehouse", "field", "city"}
+    assert {s.trajectory.kind for s in drawn} == {"handheld"}
+
+
+def test_families_are_told_in_words():
+    words = parameters_in_words(load_family("mixed"))
+    assert words["segments"] == "low_texture, motion_blur or fast_rotation"
+    assert words["segments.contrast"] == "0.05 to 0.5 (log)"
+    assert words["world.turns"] == "1, 2 or 3"
+    assert members_in_words(load_family("kitti-like")) == "11: 00 to 10"
+    assert members_in_words(load_family("loop")) == "4: room, warehouse, city, field"
+    assert (
+        members_in_words(load_family("stressed")) == "" and parameters_in_words(load_family("stressed")) == {}
+    )

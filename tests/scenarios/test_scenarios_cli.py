@@ -1,0 +1,112 @@
+"""``dslab scenarios``, and that every command draws with its seed."""
+
+import json
+import sys
+
+import pytest
+from test_families import FAMILY, MEMBERS, write
+
+from experiments import cli
+from scenarios.families import library_names
+from scenarios.loading import load_scenario
+from scenarios.spec import Scenario
+
+
+def dslab(monkeypatch, capsys, *arguments: str) -> tuple[int, str, str]:
+    """Run the command in this process; (exit code, stdout, stderr)."""
+    monkeypatch.setattr(sys, "argv", ["dslab", *arguments])
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    captured = capsys.readouterr()
+    code = caught.value.code
+    return (0 if code is None else int(code)), captured.out, captured.err
+
+
+def test_the_list_has_every_family_its_members_and_what_is_drawn(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "160")
+    code, out, _ = dslab(monkeypatch, capsys, "scenarios", "list")
+    assert code == 0
+    for part in (*library_names(), "11: 00 to 10", "50: 01 to 50", "segments.contrast: 0.05 to 0.5 (log)"):
+        assert part in out
+
+
+def test_show_gives_the_family_and_with_a_seed_the_sample(monkeypatch, capsys, tmp_path):
+    _, family, _ = dslab(monkeypatch, capsys, "scenarios", "show", "low-texture/room")
+    assert "log_uniform" in family and "&" not in family
+    assert load_scenario(write(tmp_path, family), 3) == load_scenario("low-texture/room", 3)
+    _, sample, _ = dslab(monkeypatch, capsys, "scenarios", "show", "low-texture/room", "--seed", "3")
+    assert "uniform" not in sample
+    assert load_scenario(write(tmp_path, sample)) == load_scenario("low-texture/room", 3)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("name: plain\nworld: {kind: room}\n", "valid, plain, 30 s, 0 segments"),
+        (FAMILY, "valid, trial, a family, drawn with 20 seeds"),
+        (MEMBERS, "valid, trial, a family, 3 members, drawn with 20 seeds each"),
+    ],
+)
+def test_validate_says_what_was_checked(monkeypatch, capsys, tmp_path, text, told):
+    code, out, _ = dslab(monkeypatch, capsys, "scenarios", "validate", str(write(tmp_path, text)))
+    assert code == 0 and told in out
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (FAMILY.replace("[20, 40]", "[40, 20]"), ":3: duration_s: uniform from 40 to 20"),
+        (FAMILY.replace("[20, 40]", "[5, 40]"), "ends after the sequence, in trial as drawn with seed"),
+        (MEMBERS.replace("[0.5, 1]", "[0, 0.5]").replace("0.02", "3"), "in trial/07 as drawn with seed 0"),
+    ],
+)
+def test_validate_finds_what_only_some_seeds_and_members_have(monkeypatch, capsys, tmp_path, text, told):
+    code, _, err = dslab(monkeypatch, capsys, "scenarios", "validate", str(write(tmp_path, text)))
+    assert code == 2 and told in err and err.count("\n") == 1
+
+
+def test_the_schema_is_json(monkeypatch, capsys):
+    _, out, _ = dslab(monkeypatch, capsys, "scenarios", "schema")
+    assert "members" in json.loads(out)["properties"]
+
+
+class _RenderedEnoughError(Exception):
+    pass
+
+
+@pytest.mark.parametrize(
+    "command",
+    [["render"], ["run"], ["demo", "--scenario"], ["bench"], ["export", "--format", "tum"]],
+    ids=lambda command: command[0],
+)
+@pytest.mark.parametrize("seed", [None, 3])
+def test_commands_draw_with_their_seed(monkeypatch, capsys, tmp_path, command, seed):
+    rendered: list[Scenario] = []
+
+    def render_sequence(scenario, *_, **__):
+        rendered.append(scenario)
+        raise _RenderedEnoughError
+
+    monkeypatch.setattr("sim.render.render_sequence", render_sequence)
+    words = [*command, "kitti-like/07", *(["--seed", str(seed)] if seed is not None else [])]
+    words += [] if command == ["bench"] else ["--out", str(tmp_path / "out")]
+    monkeypatch.setattr(sys, "argv", ["dslab", *words])
+    with pytest.raises(_RenderedEnoughError):
+        cli.main()
+    assert rendered == [load_scenario("kitti-like/07", seed)]
+    assert rendered[0].seed == (7 if seed is None else 3)
+
+
+def test_an_experiment_draws_every_unit_anew(monkeypatch, capsys, tmp_path):
+    units: list[Scenario] = []
+
+    def run_smoke(scenarios, *_):
+        units.extend(scenarios)
+        raise _RenderedEnoughError
+
+    monkeypatch.setattr("experiments.smoke.run_smoke", run_smoke)
+    words = ["experiment", "run", "smoke", "--out", str(tmp_path / "out"), "--units", "4"]
+    monkeypatch.setattr(sys, "argv", ["dslab", *words, "--scenario", "low-texture/room"])
+    with pytest.raises(_RenderedEnoughError):
+        cli.main()
+    assert units == [load_scenario("low-texture/room", seed) for seed in range(4)]
