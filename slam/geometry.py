@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from slam.camera import PinholeCamera
 
@@ -58,3 +59,11 @@ def view_geometry(camera: PinholeCamera, n_levels: int, scale_factor: float) -> 
         scale,
         1.0 / scale**2,
     )
+
+
+def share_of_motion(T: np.ndarray, share: float) -> np.ndarray:
+    """(4, 4) share, from 0 to 1, of a small rigid motion (4, 4)."""
+    part = np.eye(4)
+    part[:3, :3] = Rotation.from_rotvec(share * Rotation.from_matrix(T[:3, :3]).as_rotvec()).as_matrix()
+    part[:3, 3] = share * T[:3, 3]
+    return part

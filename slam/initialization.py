@@ -1,5 +1,6 @@
 """Initialisation: the first map, from two views with enough parallax."""
 
+from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,6 +26,7 @@ class InitializationConfig:
         max_octave: coarsest pyramid level matched.
         ratio: best over second best descriptor distance at the most.
         min_points: map points that the first bundle adjustment must leave.
+        max_between: frames between the two views that are kept, to be placed once the map stands.
         two_view: settings of the geometry.
     """
 
@@ -34,16 +36,26 @@ class InitializationConfig:
     max_octave: int = 2
     ratio: float = 0.9
     min_points: int = 50
+    max_between: int = 100
     two_view: TwoViewConfig = field(default_factory=TwoViewConfig)
 
 
 @dataclass(frozen=True)
 class InitialMap:
-    """A fresh two-view map: the map, its two frames (tracked, with poses), and the model used."""
+    """A fresh two-view map.
+
+    Attributes:
+        map: of two keyframes.
+        first, second: their frames, tracked.
+        between: the last frames between them, features only, oldest first.
+        model: what explained the two views.
+        points: map points.
+    """
 
     map: Map
     first: Frame
     second: Frame
+    between: tuple[Frame, ...]
     model: str
     points: int
 
@@ -61,6 +73,7 @@ class Initializer:
         self.config = config
         self.reference: Frame | None = None
         self._around = np.empty((0, 2))
+        self._between: deque[Frame] = deque(maxlen=config.max_between)
 
     def reset(self) -> None:
         """Forget the reference frame."""
@@ -98,6 +111,7 @@ class Initializer:
             pixels_1, pixels_2, self.camera.K, rng, self.config.two_view, noise
         )
         if not geometry.success:
+            self._between.append(frame)
             return None, geometry.reason, count
         keep = geometry.triangulated
         built = _build_map(
@@ -117,10 +131,11 @@ class Initializer:
         first = _tracked(built, self.reference, 0)
         second = _tracked(built, frame, 1)
         self.reset()
-        return InitialMap(built, first, second, geometry.model, points), "", count
+        return InitialMap(built, first, second, tuple(self._between), geometry.model, points), "", count
 
     def _take_reference(self, frame: Frame) -> None:
         self.reference = frame
+        self._between.clear()
         self._around = frame.features.xy.copy()
 
     def _match(self, frame: Frame) -> tuple[np.ndarray, int]:

@@ -11,7 +11,7 @@ from slam.backend import Backend, Change, Corrected, ExecutionMode, KeyframeTask
 from slam.camera import PinholeCamera
 from slam.events import TrackingState
 from slam.frame import Frame, FrameFeatures
-from slam.geometry import view_geometry
+from slam.geometry import share_of_motion, view_geometry
 from slam.global_adjustment import apply_adjustment
 from slam.initialization import InitializationConfig, Initializer, InitialMap
 from slam.local_mapping import LocalMapper, LocalMappingConfig
@@ -160,8 +160,24 @@ class MonocularSlam:
         self._tracker = Tracker(initial.map, self.config.tracking, self.timer)
         self._tracker.start(initial.second, 1)
         self._poses.add(self._map_id, initial.first)
+        self._place_frames_between(initial)
         self.state = TrackingState.TRACKING
         self._emit(initial.second, ev.Initialized, points=initial.points, model=initial.model)
+
+    def _place_frames_between(self, initial: InitialMap) -> None:
+        """Track back from the second view to the first, as far as it goes: those frames have a place too.
+
+        It is done in a copy of the map, so that the map is as if they had never been.
+        """
+        map_, first, second = initial.map.copy(), initial.first, initial.second
+        steps = second.features.index - first.features.index
+        motion = map_.T_cam_map(0) @ np.linalg.inv(map_.T_cam_map(1))
+        tracker = Tracker(map_, self.config.tracking, StageTimer())
+        tracker.start(second.copy(), 1, share_of_motion(motion, 1.0 / steps))
+        for frame in reversed(initial.between):
+            if not tracker.track(frame).success:
+                return
+            self._poses.add(self._map_id, frame)
 
     def _track(self, frame: Frame) -> tuple[TrackingOutcome, bool]:
         """Track the frame; the outcome, and whether to make a keyframe of it."""

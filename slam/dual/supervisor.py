@@ -6,7 +6,6 @@ Source: paper, Sec. II and III, Fig. 3.
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from slam import events as ev
 from slam._map_kernels import resolve_points
@@ -17,6 +16,7 @@ from slam.dual.fusion import fuse
 from slam.dual.orb_thread import OrbRecovery
 from slam.dual.recovery import RecoveryConfig, RecoveryResult, RecoveryTask, RecoveryThread
 from slam.frame import Frame
+from slam.geometry import share_of_motion
 from slam.initialization import InitialMap
 from slam.map import Map
 from slam.map_alignment import Alignment
@@ -173,7 +173,7 @@ class DualSlam(MonocularSlam):
             start,
             self._buffer.backward_from(first.features.index),
             [self._maps[k] for k in old_ids],
-            _fraction(motion, 1.0 / steps),
+            share_of_motion(motion, 1.0 / steps),
             rng_for(self.seed, "recovery", number, self._broke_at),
         )
 
@@ -224,11 +224,3 @@ def _shift(frame: Frame, keyframes: int, points: int, scale: float) -> None:
     frame.point[frame.point >= 0] += points
     frame.T_cam_reference = frame.T_cam_reference.copy()
     frame.T_cam_reference[:3, 3] *= scale
-
-
-def _fraction(T: np.ndarray, share: float) -> np.ndarray:
-    """A share of a small rigid motion."""
-    part = np.eye(4)
-    part[:3, :3] = Rotation.from_rotvec(share * Rotation.from_matrix(T[:3, :3]).as_rotvec()).as_matrix()
-    part[:3, 3] = share * T[:3, 3]
-    return part
