@@ -64,12 +64,15 @@ class WorldModel:
         mean_level: the gray level about which a contrast fades every texture.
         contrast: (len(surfaces),) float64 in [0, 1], the texture contrast of each surface.
         haze: of the air; None where it is clear.
+        samples: per pixel of a frame, where the world is full of things thinner than a pixel; 1 elsewhere,
+            which is faster. Depth and surface ids have one in any case.
     """
 
     surfaces: list[Surface]
     mean_level: float
     contrast: np.ndarray = field(default_factory=lambda: np.empty(0))
     haze: Haze | None = None
+    samples: int = 1
 
 
 def faded_texture(surface: Surface, mean_level: float, contrast: float) -> np.ndarray:

@@ -1,5 +1,7 @@
 """A motorway: lanes, guard rails, few signs, bridges and walls, verges, woods and hills under a wide sky."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from scenarios.seeds import rng_for
@@ -68,7 +70,8 @@ def build_world(spec: MotorwayWorld, seed: int) -> WorldModel:
     pieces += _woods(line, left, rng)
     middle, reach = line.mean(axis=0), float(np.linalg.norm(np.ptp(line, axis=0)))
     sky = Sky(middle, reach + _SKY_BEYOND_M, "verge", spec)
-    return assemble([*pieces, *sky.pieces(), sky.ridge(rng)], seed)
+    # Rails, posts and far markings are thinner than a pixel; with one sample each they would flicker.
+    return replace(assemble([*pieces, *sky.pieces(), sky.ridge(rng)], seed), samples=4)
 
 
 def _stations(spec: MotorwayWorld) -> np.ndarray:
