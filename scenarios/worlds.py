@@ -7,7 +7,28 @@ from pydantic import Field, model_validator
 from scenarios.strict import Strict
 
 
-class RoomWorld(Strict):
+class Lamps(Strict):
+    """Light under a roof. The camera's exposure stays what it was: where it is dim, its frames are dark."""
+
+    lamp_level: float = Field(1.0, ge=0.05, le=1.6, description="light of all lamps, relative to the usual")
+
+
+class Outdoors(Strict):
+    """Light and air under the sky."""
+
+    sky: Literal["clear", "overcast"] = Field("clear", description="overcast: no sun and no cast shadows")
+    sun_elevation_deg: float | None = Field(
+        None, ge=8, le=85, description="above the horizon; none: drawn from the seed, 40 to 58"
+    )
+    sun_azimuth_deg: float | None = Field(
+        None, ge=-360, le=360, description="from +x towards +y; none: drawn from the seed"
+    )
+    haze_m: float | None = Field(
+        None, ge=20, le=100_000, description="visibility, where 2 % of the contrast is left; none: clear air"
+    )
+
+
+class RoomWorld(Lamps):
     """A furnished rectangular room, origin at the centre of its floor, z up."""
 
     kind: Literal["room"] = "room"
@@ -16,7 +37,7 @@ class RoomWorld(Strict):
     height_m: float = Field(3.2, ge=2.2, le=20)
 
 
-class CorridorWorld(Strict):
+class CorridorWorld(Lamps):
     """A corridor with right-angled turns; its floor is at z = 0 and it starts at the origin along +x."""
 
     kind: Literal["corridor"] = "corridor"
@@ -26,7 +47,7 @@ class CorridorWorld(Strict):
     turns: int = Field(2, ge=0, le=50)
 
 
-class CityWorld(Strict):
+class CityWorld(Outdoors):
     """Streets between houses; the route keeps to the right-hand lane. The first street leads along +x."""
 
     kind: Literal["city"] = "city"
@@ -41,21 +62,21 @@ class CityWorld(Strict):
         return self
 
 
-class MotorwayWorld(Strict):
-    """A motorway with gentle bends and little to see; the route keeps to a right-hand lane."""
+class MotorwayWorld(Outdoors):
+    """A motorway with gentle bends, few things beside it; the route keeps to a right-hand lane."""
 
     kind: Literal["motorway"] = "motorway"
     length_m: float = Field(800.0, ge=200, le=2000)
 
 
-class FieldWorld(Strict):
-    """Open grassland with bushes, single trees and a fence; the route is a ring about the origin."""
+class FieldWorld(Outdoors):
+    """Hilly pasture with trees, hedges, bales and barns; the route is a level ring about the origin."""
 
     kind: Literal["field"] = "field"
     size_m: float = Field(80.0, ge=40, le=300, description="side of the square that the ring keeps to")
 
 
-class WarehouseWorld(Strict):
+class WarehouseWorld(Lamps):
     """Tall racks in rows; the route goes up and down the aisles and back, round and round."""
 
     kind: Literal["warehouse"] = "warehouse"
@@ -64,7 +85,20 @@ class WarehouseWorld(Strict):
     height_m: float = Field(7.0, ge=4, le=15)
 
 
+class BuildingWorld(Lamps):
+    """Floors with a ring of corridors, side corridors and open rooms; stairs at both ends of the ring."""
+
+    kind: Literal["building"] = "building"
+    floors: int = Field(3, ge=2, le=6)
+    length_m: float = Field(24.0, ge=18, le=80, description="of the ring of corridors")
+    width_m: float = Field(2.2, ge=1.8, le=4, description="of the corridors")
+    storey_m: float = Field(3.2, ge=2.8, le=4.5, description="from floor to floor")
+    loop: bool = Field(
+        False, description="up one staircase to the top, along, down the other and back, again and again"
+    )
+
+
 World = Annotated[
-    RoomWorld | CorridorWorld | CityWorld | MotorwayWorld | FieldWorld | WarehouseWorld,
+    RoomWorld | CorridorWorld | BuildingWorld | CityWorld | MotorwayWorld | FieldWorld | WarehouseWorld,
     Field(discriminator="kind"),
 ]

@@ -17,6 +17,7 @@ from sim.degradations.exposure import expose
 from sim.degradations.noise import SensorNoise
 from sim.degradations.registry import SHOOT_KINDS, in_order_of_action
 from sim.degradations.repeated_texture import papered
+from sim.degradations.veil import Veil
 from sim.distortion import Lens, lens_renderer
 from sim.io.raw import RawFrames, RawWriter
 from sim.motion import plan_motion
@@ -145,10 +146,20 @@ class Plates(Protocol):
 
 @contextmanager
 def rendered_plates(world: WorldModel, camera: Camera, studio: Studio) -> Iterator[Plates]:
-    """Plates rendered as they are asked for."""
-    renderer = studio.renderer(world, ideal_camera(camera_intrinsics(camera)))
+    """Plates rendered as they are asked for, through the world's air."""
+    ideal = ideal_camera(camera_intrinsics(camera))
+    renderer = studio.renderer(world, ideal)
+    haze = world.haze
+    veil = Veil(ideal, haze.airlight_level) if haze else None
+
+    def plate(frame: int, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        gray, depth_m = renderer.render(T_world_cam)
+        if veil and haze:
+            gray, _ = veil.drawn(gray, depth_m, haze.extinction_per_m)
+        return gray, depth_m
+
     try:
-        yield lambda frame, T_world_cam: renderer.render(T_world_cam)
+        yield plate
     finally:
         renderer.close()
 

@@ -48,6 +48,9 @@ class MujocoRenderer:
         self._gl_renderer = gl_info()["renderer"]
         starts = range(0, len(world.surfaces), MOST_SURFACES)
         self._parts = [_Part(world, start, camera, self._frustum) for start in starts]
+        # The depth of several samples is worth nothing, and parts would show seams: one more of the whole.
+        smooth = world.samples > 1 and len(self._parts) == 1
+        self._smooth = [_Part(world, 0, camera, self._frustum, world.samples)] if smooth else []
         self._rgb = np.empty((*self._shape, 3), np.uint8)
         self._zbuffer = np.empty(self._shape, np.float32)
         self._bias, self._offset_m = self._projection_row()
@@ -60,14 +63,16 @@ class MujocoRenderer:
     def render(self, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """One sharp frame: gray (H, W) uint8 and depth (H, W) float32 metres along the axis, 0 for none."""
         gray, zbuffer = np.zeros(self._shape, np.uint8), np.zeros(self._shape, np.float32)
-        for _ in self._draw_parts(T_world_cam, ids=False):
+        for _ in self._draw_parts(self._parts, T_world_cam, ids=False):
             put_nearer(self._rgb, self._zbuffer, gray, zbuffer)
+        for _ in self._draw_parts(self._smooth, T_world_cam, ids=False):
+            gray = self._rgb[::-1, :, 0].copy()
         return gray, metric_depth(zbuffer, self._bias, self._offset_m)
 
     def render_surface_ids(self, T_world_cam: np.ndarray) -> np.ndarray:
         """(H, W) int32: index into ``WorldModel.surfaces`` per pixel, -1 for none."""
         surfaces, zbuffer = np.full(self._shape, -1, np.int32), np.zeros(self._shape, np.float32)
-        for part in self._draw_parts(T_world_cam, ids=True):
+        for part in self._draw_parts(self._parts, T_world_cam, ids=True):
             rgb, part_zbuffer = self._rgb[::-1], self._zbuffer[::-1]
             nearer = part_zbuffer > zbuffer
             levels = rgb.astype(np.int32)
@@ -78,13 +83,13 @@ class MujocoRenderer:
     def close(self) -> None:
         """Free the GL resources; the renderer is unusable afterwards."""
         self._context.make_current()
-        for part in self._parts:
+        for part in (*self._parts, *self._smooth):
             part.free()
 
-    def _draw_parts(self, T_world_cam: np.ndarray, ids: bool) -> Iterator["_Part"]:
+    def _draw_parts(self, parts: list["_Part"], T_world_cam: np.ndarray, ids: bool) -> Iterator["_Part"]:
         """Each part in sight; its colours and depth buffer are read until the next part is drawn."""
         self._context.make_current()
-        for part in self._parts:
+        for part in parts:
             if part.in_sight(T_world_cam, self._frustum):
                 part.draw(T_world_cam, ids)
                 part.read(self._rgb, self._zbuffer)
@@ -111,7 +116,9 @@ class MujocoRenderer:
 class _Part:
     """As many surfaces as one MuJoCo context takes, with their own model and offscreen buffer."""
 
-    def __init__(self, world: WorldModel, start: int, camera: Intrinsics, frustum: Frustum) -> None:
+    def __init__(
+        self, world: WorldModel, start: int, camera: Intrinsics, frustum: Frustum, samples: int = 1
+    ) -> None:
         self.start = start
         surfaces = world.surfaces[start : start + MOST_SURFACES]
         contrast = world.contrast if len(world.contrast) else np.ones(len(world.surfaces))
@@ -125,7 +132,7 @@ class _Part:
         self._centres, self._radii_m = bounding_balls(surfaces)
         self._frustum = frustum
         self._shown = np.ones(len(surfaces), bool)
-        model = _model(surfaces, textures, camera)
+        model = _model(surfaces, textures, camera, samples)
         self._viewport = mujoco.MjrRect(0, 0, camera.width_px, camera.height_px)
         self._scene = _static_scene(model, frustum)
         self._geoms = list(self._scene.geoms)
@@ -163,10 +170,12 @@ class _Part:
         self._mjr.free()
 
 
-def _model(surfaces: list[Surface], textures: list[np.ndarray], camera: Intrinsics) -> mujoco.MjModel:
+def _model(
+    surfaces: list[Surface], textures: list[np.ndarray], camera: Intrinsics, samples: int
+) -> mujoco.MjModel:
     """One static geom per surface, in their order."""
     spec = mujoco.MjSpec()
-    spec.visual.quality.offsamples = 0
+    spec.visual.quality.offsamples = samples if samples > 1 else 0
     spec.visual.quality.shadowsize = 0
     spec.visual.global_.offwidth, spec.visual.global_.offheight = camera.width_px, camera.height_px
     spec.visual.headlight.active = 0

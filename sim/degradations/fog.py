@@ -2,25 +2,19 @@
 
 from typing import ClassVar
 
-import cv2
 import numpy as np
 
 from scenarios.segments import Fog
 from sim.camera import Intrinsics
 from sim.degradations.base import Stage
-from sim.degradations.exposure import srgb_to_linear
 from sim.degradations.image import Filter, ImageDegradation, Streams, View
-from sim.degradations.tone import decode, encode
+from sim.degradations.veil import Veil
 
 HALF_THE_LIGHT = 0.5
-_VERY_FAR_M = 1e4
 
 
 class FogDegradation(ImageDegradation[Fog]):
-    """Light ``J`` at distance ``d`` becomes ``J t + A (1 - t)`` with ``t = exp(-extinction d)``.
-
-    Pixels without depth are taken as very far. Source: Koschmieder's law.
-    """
+    """A veil that comes and goes; see ``Veil``."""
 
     kind: ClassVar[str] = "fog"
     stage: ClassVar[Stage] = Stage.SCENE
@@ -33,8 +27,7 @@ class FogDegradation(ImageDegradation[Fog]):
 
     def prepare(self, segment: Fog, camera: Intrinsics, streams: Streams) -> Filter:
         """See ``ImageDegradation``."""
-        airlight = float(srgb_to_linear(np.array(segment.airlight_level / 255)))
-        stretch = _ray_lengths(camera)
+        veil = Veil(camera, segment.airlight_level)
 
         def fog(image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
             extinction = view.strength * segment.extinction_per_m
@@ -42,20 +35,10 @@ class FogDegradation(ImageDegradation[Fog]):
                 return image, 0.0
             if view.depth_m is None:
                 raise ValueError("fog needs depth")
-            distance_m = np.where(view.depth_m > 0, view.depth_m, np.float32(_VERY_FAR_M)) * stretch
-            passing = cv2.exp(np.float32(-extinction) * distance_m)
-            light = (decode(image) - np.float32(airlight)) * passing + np.float32(airlight)
-            return encode(light), 1 - float(cv2.mean(passing)[0])
+            return veil.drawn(image, view.depth_m, extinction)
 
         return fog
 
     def threshold(self, segment: Fog) -> float:
         """Half of what is seen is fog."""
         return HALF_THE_LIGHT
-
-
-def _ray_lengths(camera: Intrinsics) -> np.ndarray:
-    """(H, W) float32 distance from the camera per depth along the optical axis."""
-    x = (np.arange(camera.width_px) - camera.cx) / camera.fx
-    y = (np.arange(camera.height_px) - camera.cy) / camera.fy
-    return np.sqrt(1 + x**2 + y[:, None] ** 2).astype(np.float32)

@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from scenarios.motions import Trajectory
 from scenarios.seeds import rng_for
-from sim.motion.path import STEP_M, arc_length, smooth_path
+from sim.motion.path import STEP_M, arc_length, ground, smooth_path
 from sim.motion.planning import knot_times, limited_pace, long_enough, progress, sway, within_limits
 from sim.motion.spline import PoseSpline
 from sim.world.base import Route
@@ -44,7 +44,7 @@ def plan_car(route: Route, trajectory: Trajectory, duration_s: float, seed: int)
     pace = _pace(along_m, curvature, trajectory, rng_for(seed, "motion", "pace"))
     at_m = progress(along_m, pace, knots_s)
 
-    path = CubicSpline(along_m, np.column_stack([line, heading]))(at_m)
+    path = CubicSpline(along_m, np.column_stack([line[:, :2], *ground(line), heading]))(at_m)
     speed = np.gradient(at_m, knots_s)
     accel = gaussian_filter1d(np.gradient(speed, knots_s), 0.2 / _KNOT_S)
     across = gaussian_filter1d(speed**2 * np.interp(at_m, along_m, curvature), 0.2 / _KNOT_S)
@@ -55,8 +55,9 @@ def plan_car(route: Route, trajectory: Trajectory, duration_s: float, seed: int)
     pitch = math.radians(_DIVE_DEG_PER_MPS2) * accel + shake * nod
     # Positive roll is to the right: the body leans outward.
     lean = math.radians(_LEAN_DEG_PER_MPS2) * across + shake * roll
-    position = np.column_stack([path[:, :2], trajectory.eye_height_m + trajectory.sway_m * heave])
-    turns = np.column_stack([path[:, 2] + math.radians(trajectory.gaze_deg), pitch, lean])
+    eye = trajectory.eye_height_m + trajectory.sway_m * heave
+    position = np.column_stack([path[:, :2], eye + path[:, 2]])
+    turns = np.column_stack([path[:, 4] + math.radians(trajectory.gaze_deg), pitch + path[:, 3], lean])
     return within_limits(knots_s, position, turns, trajectory, duration_s)
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from scenarios.motions import Trajectory
 from scenarios.seeds import rng_for
 from sim import gl_context  # noqa: F401  must come first: it tells MuJoCo to load no GL library
-from sim.motion.path import STEP_M, arc_length, smooth_path
+from sim.motion.path import STEP_M, arc_length, ground, smooth_path
 from sim.motion.planning import knot_times, limited_pace, long_enough, progress, within_limits
 from sim.motion.spline import PoseSpline
 from sim.world.base import Route
@@ -77,8 +77,8 @@ def _wanted(
     cruise = np.full(len(line), _SPEED_SHARE * trajectory.max_speed_mps)
     pace = limited_pace(np.minimum.reduce([cruise, np.sqrt(accel / bend), turning]), along_m, accel)
     at_m = progress(along_m, gaussian_filter1d(pace, 0.5 / STEP_M, mode="nearest"), knots_s)
-    path = CubicSpline(along_m, np.column_stack([line, heading]))(at_m)
-    return np.column_stack([path[:, :2], np.full(len(at_m), trajectory.eye_height_m), path[:, 2]])
+    path = CubicSpline(along_m, np.column_stack([line[:, :2], ground(line)[0], heading]))(at_m)
+    return path + np.array([0.0, 0.0, trajectory.eye_height_m, 0.0])
 
 
 def _wind(count: int, gust_mps: float, rng: np.random.Generator) -> np.ndarray:

@@ -11,6 +11,7 @@ CORNER_SHARE = 0.6
 WANDER_SHARE = 0.25
 _WANDER_SIGMA_M = 2.0
 _SOFTENING_M = 0.25
+_SLOPE_M = 0.3  # distance over which the ground's slope is taken
 
 
 def smooth_path(
@@ -28,10 +29,13 @@ def smooth_path(
         softening_m: distance over which the direction changes where arcs meet straights.
 
     Returns:
-        (M, 2) float64 points about ``STEP_M`` apart, within the route's clearance; of a closed route the
-        first is not repeated.
+        (M, 2) float64 points about ``STEP_M`` apart in plan, within the route's clearance; (M, 3) with the
+        height of the ground if the route has one, its slopes softened as the corners are. Of a closed route
+        the first point is not repeated.
     """
     corners = np.asarray(route.centre_m, float)
+    if route.height_m is not None:
+        corners = np.column_stack([corners, route.height_m])
     if route.closed and np.allclose(corners[0], corners[-1]):
         corners = corners[:-1]
     line = _round_corners(corners, CORNER_SHARE * route.clearance_m, route.closed)
@@ -41,11 +45,24 @@ def smooth_path(
     mode = "wrap" if route.closed else "nearest"
     wander = gaussian_filter1d(rng.standard_normal(len(line)), wander_sigma_m / STEP_M, mode=mode)
     wander *= WANDER_SHARE * route.clearance_m / max(float(np.abs(wander).max()), 1e-12)
-    return _resample(line + wander[:, None] * _normals(line, route.closed), route.closed)
+    line[:, :2] += wander[:, None] * _normals(line[:, :2], route.closed)
+    return _resample(line, route.closed)
+
+
+def ground(line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Height of the ground along a line of ``smooth_path``, and its slope.
+
+    Returns:
+        (M,) metres and (M,) radians, positive upward in the direction of travel; zeros without height.
+    """
+    if line.shape[1] == 2:
+        return np.zeros(len(line)), np.zeros(len(line))
+    grade = np.gradient(line[:, 2], arc_length(line[:, :2]))
+    return line[:, 2], gaussian_filter1d(np.arctan(grade), _SLOPE_M / STEP_M, mode="nearest")
 
 
 def arc_length(line: np.ndarray) -> np.ndarray:
-    """(M,) cumulative length along a line of (M, 2) points, from 0."""
+    """(M,) cumulative length along a line of (M, 2) or (M, 3) points, from 0."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
 
 
@@ -59,8 +76,8 @@ def _round_corners(corners: np.ndarray, budget_m: float, closed: bool) -> np.nda
 
 
 def _arc(before: np.ndarray, at: np.ndarray, after: np.ndarray, budget_m: float) -> np.ndarray:
-    """(n, 2) points of the arc that replaces the corner ``at``."""
-    into, out = at - before, after - at
+    """(n, 2) points of the arc that replaces the corner ``at``; (n, 3) with heights, linear along it."""
+    into, out = (at - before)[:2], (after - at)[:2]
     into_m, out_m = np.linalg.norm(into), np.linalg.norm(out)
     into, out = into / into_m, out / out_m
     turn = np.arccos(np.clip(into @ out, -1, 1))
@@ -70,19 +87,24 @@ def _arc(before: np.ndarray, at: np.ndarray, after: np.ndarray, budget_m: float)
     half = turn / 2
     radius = min(budget_m / (1 / np.cos(half) - 1), 0.5 * min(into_m, out_m) / np.tan(half))
     side = np.sign(into[0] * out[1] - into[1] * out[0])
-    begin = at - radius * np.tan(half) * into
+    begin = at[:2] - radius * np.tan(half) * into
     centre = begin + side * radius * np.array([-into[1], into[0]])
     first = np.arctan2(*(begin - centre)[::-1])
     angles = first + side * np.linspace(0, turn, max(4, int(radius * turn / STEP_M)))
-    return centre + radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    plan = centre + radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    if len(at) == 2:
+        return plan
+    share = radius * np.tan(half) / np.array([into_m, out_m])
+    ends = at[2] + share * [before[2] - at[2], after[2] - at[2]]
+    return np.column_stack([plan, np.linspace(ends[0], ends[1], len(plan))])
 
 
 def _resample(line: np.ndarray, closed: bool) -> np.ndarray:
     points = np.vstack([line, line[:1]]) if closed else line
-    along = arc_length(points)
+    along = arc_length(points[:, :2])
     count = max(8, round(along[-1] / STEP_M))
     at = np.linspace(0, along[-1], count, endpoint=not closed)
-    return np.column_stack([np.interp(at, along, points[:, 0]), np.interp(at, along, points[:, 1])])
+    return np.column_stack([np.interp(at, along, column) for column in points.T])
 
 
 def _soften(line: np.ndarray, closed: bool, over_m: float) -> np.ndarray:

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from scenarios.seeds import rng_for
 from scenarios.spec import Trajectory
-from sim.motion.path import STEP_M, arc_length, smooth_path
+from sim.motion.path import STEP_M, arc_length, ground, smooth_path
 from sim.motion.planning import PAD_S, knot_times, long_enough, progress, sway, within_limits
 from sim.motion.spline import PoseSpline
 from sim.world.base import Route
@@ -26,6 +26,8 @@ _SWAY_DEG = (1.5, 1.2, 0.8)  # yaw, pitch, roll
 _LOOK_AHEAD_S = 0.5  # the gaze smooths the direction of travel over this time, standard deviation
 _TREMBLE_HZ = (3.0, 8.0)
 _TREMBLE_SHARE = 0.4
+_STAIR_PACE = 0.6  # share of the pace lost per sine of the slope: two thirds remain on a stair of 33 degrees
+_STAIR_GAZE = 0.35  # share of the slope by which the gaze follows it up or down
 
 
 def plan_walk(route: Route, trajectory: Trajectory, duration_s: float, seed: int) -> PoseSpline:
@@ -78,17 +80,22 @@ def _walked(
     )
     along_m = arc_length(line)
     heading = _gaze_heading(line, trajectory.max_speed_mps)
-    at_m = progress(along_m, _pace(along_m, heading, trajectory), knots_s)
+    height, slope = ground(line)
+    pace = _pace(along_m, heading, trajectory) * (1 - _STAIR_PACE * np.abs(np.sin(slope)))
+    at_m = progress(along_m, pace, knots_s)
 
     rng = rng_for(seed, "motion", "sway")
     sideways, upward = (sway(knots_s, rng) for _ in range(2))
     turns = np.deg2rad(_SWAY_DEG) * np.column_stack([sway(knots_s, rng) for _ in range(3)])
-    yaw = CubicSpline(along_m, heading)(at_m)
+    path = CubicSpline(along_m, np.column_stack([line[:, :2], height, slope, heading]))(at_m)
+    yaw = path[:, 4]
     amplitude_m = min(trajectory.sway_m, _SWAY_CLEARANCE_SHARE * route.clearance_m)
     normal = np.column_stack([-np.sin(yaw), np.cos(yaw)])
-    ground = CubicSpline(along_m, line)(at_m) + amplitude_m * sideways[:, None] * normal
-    position = np.column_stack([ground, trajectory.eye_height_m + trajectory.sway_m * upward])
+    plan = path[:, :2] + amplitude_m * sideways[:, None] * normal
+    eye = trajectory.eye_height_m + trajectory.sway_m * upward
+    position = np.column_stack([plan, eye + path[:, 2]])
     turns[:, 0] += yaw + math.radians(trajectory.gaze_deg)
+    turns[:, 1] += _STAIR_GAZE * math.cos(math.radians(trajectory.gaze_deg)) * path[:, 3]
     return position, turns
 
 

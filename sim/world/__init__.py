@@ -1,12 +1,14 @@
 """Worlds by kind. A new world is one file with ``layout`` and ``build_world`` and one line here."""
 
-from scenarios.worlds import World
-from sim.world import city, corridor, field, motorway, room, warehouse
+from scenarios.worlds import Lamps, Outdoors, World
+from sim.world import building, city, corridor, field, motorway, room, warehouse
+from sim.world.ambience import dimmed, hazed
 from sim.world.base import Route, WorldModel
 
 WORLDS = {
     "room": room,
     "corridor": corridor,
+    "building": building,
     "city": city,
     "motorway": motorway,
     "field": field,
@@ -34,4 +36,9 @@ def build_world(spec: World, seed: int) -> WorldModel:
     Raises:
         InputError: the world's sizes do not fit together.
     """
-    return WORLDS[spec.kind].build_world(spec, seed)
+    world = WORLDS[spec.kind].build_world(spec, seed)
+    if isinstance(spec, Lamps):
+        world = dimmed(world, spec.lamp_level)
+    if isinstance(spec, Outdoors):
+        world = hazed(world, spec)
+    return world

@@ -14,11 +14,13 @@ class Route:
         centre_m: (M, 2) float64 polyline in x, y, passable on both sides within ``clearance_m``.
         clearance_m: half width of the free space about the polyline.
         closed: the polyline returns to its start.
+        height_m: (M,) float64 height of the ground under every point, linear in between; none means 0.
     """
 
     centre_m: np.ndarray
     clearance_m: float
     closed: bool
+    height_m: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,19 @@ class Surface:
 
 
 @dataclass(frozen=True)
+class Haze:
+    """Air that is not quite clear.
+
+    Attributes:
+        extinction_per_m: share of the light lost per metre.
+        airlight_level: gray level of the air far away.
+    """
+
+    extinction_per_m: float
+    airlight_level: float
+
+
+@dataclass(frozen=True)
 class WorldModel:
     """A built world.
 
@@ -48,11 +63,16 @@ class WorldModel:
         surfaces: every textured surface.
         mean_level: the gray level about which a contrast fades every texture.
         contrast: (len(surfaces),) float64 in [0, 1], the texture contrast of each surface.
+        haze: of the air; None where it is clear.
+        samples: per pixel of a frame, where the world is full of things thinner than a pixel; 1 elsewhere,
+            which is faster. Depth and surface ids have one in any case.
     """
 
     surfaces: list[Surface]
     mean_level: float
     contrast: np.ndarray = field(default_factory=lambda: np.empty(0))
+    haze: Haze | None = None
+    samples: int = 1
 
 
 def faded_texture(surface: Surface, mean_level: float, contrast: float) -> np.ndarray:

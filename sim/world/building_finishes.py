@@ -4,41 +4,10 @@ import cv2
 import numpy as np
 
 from sim.world import motifs
-from sim.world.textures import add_noise, dead_leaves, grain
+from sim.world.textures import add_noise, courses, dead_leaves, grain
 
 _SKIRTING_M, _CORNICE_M = 0.09, 0.05
-
-
-def courses(
-    image: np.ndarray,
-    scale: float,
-    rng: np.random.Generator,
-    unit_m: tuple[float, float],
-    bond: float,
-    spread: float,
-) -> None:
-    """Bricks, tiles or boards in rows from the top, each of its own tone, with dark joints.
-
-    Args:
-        image: (h, w) uint8, overwritten.
-        scale: pixels per metre.
-        rng: the random stream.
-        unit_m: width and height of a unit, joint included.
-        bond: shift of every other row, in units.
-        spread: standard deviation of the tones, gray levels.
-    """
-    height, width = image.shape
-    wide, high = max(4.0, unit_m[0] * scale), max(4.0, unit_m[1] * scale)
-    joint = max(1, round(0.006 * scale))
-    phase = rng.random() * wide
-    image[:] = int(rng.integers(60, 95))
-    for row in range(int(np.ceil(height / high))):
-        y0, y1 = round(row * high), round((row + 1) * high) - joint
-        shift = phase + bond * wide * (row % 2)
-        for column in range(int(np.ceil(width / wide)) + 2):
-            x0 = round(column * wide - shift)
-            tone = int(np.clip(rng.normal(140, spread), 50, 235))
-            cv2.rectangle(image, (x0, y0), (round(x0 + wide) - joint, y1), tone, -1)
+_RESOLVED_PX = 0.6
 
 
 def brick(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
@@ -94,7 +63,7 @@ def parquet(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
 def stone(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     """Terrazzo slabs: chips of all sizes."""
     courses(image, scale, rng, (0.5, 0.5), 0.0, 12)
-    dead_leaves(image, scale, rng, 220, (0.008, 0.06))
+    dead_leaves(image, scale, rng, 220, (0.008, 0.06), smallest_px=_RESOLVED_PX)
     add_noise(image, rng, 14, 0.8)
     motifs.cracks(image, scale, rng, 3)
 
@@ -103,7 +72,7 @@ def ceiling(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     """Acoustic tiles with pinholes, vents and damp patches."""
     courses(image, scale, rng, (0.6, 0.6), 0.0, 9)
     motifs.stains(image, scale, rng, 1.2)
-    dead_leaves(image, scale, rng, 150, (0.006, 0.035), (20, 130))
+    dead_leaves(image, scale, rng, 150, (0.006, 0.035), (20, 130), _RESOLVED_PX)
     add_noise(image, rng, 13, 0.8)
     width, height = image.shape[1] / scale, image.shape[0] / scale
     for _ in range(int(rng.integers(0, 3))):
@@ -135,7 +104,7 @@ def _wall_details(image: np.ndarray, scale: float, rng: np.random.Generator) -> 
 
 def _weather(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     """What every surface has: chips, specks and noise at all scales."""
-    dead_leaves(image, scale, rng, 45, (0.004, 0.05))
+    dead_leaves(image, scale, rng, 45, (0.004, 0.05), smallest_px=_RESOLVED_PX)
     add_noise(image, rng, 17, 0.8)
 
 

@@ -38,7 +38,7 @@ def build_world(spec: CityWorld, seed: int) -> WorldModel:
     rng = rng_for(seed, "world", "city")
     boxes = [street.box(20.0) for street in plan.streets]
     low, high = np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0)
-    light = Daylight(low, high, rng)
+    light = Daylight(low, high, rng, spec)
     houses = []
     for street in plan.streets:
         houses += houses_along(plan, street, rng) + houses_at_end(street, rng)
@@ -53,7 +53,7 @@ def build_world(spec: CityWorld, seed: int) -> WorldModel:
     for house in houses:
         pieces += house.pieces(light)
     reach = float(np.linalg.norm(high - low)) / 2
-    pieces += Sky((low + high) / 2, reach + _SKY_BEYOND_M, "meadow").pieces()
+    pieces += Sky((low + high) / 2, reach + _SKY_BEYOND_M, "meadow", spec).pieces()
     return assemble(pieces, seed)
 
 

@@ -6,9 +6,10 @@ import cv2
 import numpy as np
 
 from sim.world import motifs
-from sim.world.textures import add_noise, dead_leaves, masonry
+from sim.world.textures import add_noise, courses, dead_leaves
 
 _GROUND_FLOOR_M, _STOREY_M = 3.9, 3.1
+_SMALLEST_LEAF_PX = 10
 
 
 @dataclass(frozen=True)
@@ -34,14 +35,14 @@ def plaster_front(image: np.ndarray, scale: float, rng: np.random.Generator) -> 
 def brick_front(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     """A brick front."""
     base = int(rng.integers(-25, 25))
-    masonry(image, scale, rng, (0.25, 0.12), 12)
+    courses(image, scale, rng, (0.25, 0.12), 0.5, 12)
     cv2.add(image, np.full(image.shape, float(base)), dst=image, dtype=cv2.CV_8U)
     _front(image, scale, rng)
 
 
 def stone_front(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     """Dressed stone in large courses."""
-    masonry(image, scale, rng, (0.9, 0.4), 9)
+    courses(image, scale, rng, (0.9, 0.4), 0.5, 9)
     add_noise(image, rng, 6, 0.7)
     _front(image, scale, rng)
 
@@ -57,7 +58,7 @@ def gable(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
         x, y = rng.uniform(0.1, 0.9) * width / scale, rng.uniform(0.35, 0.8) * height / scale
         _window(image, scale, rng, (x, y), style)
     roof = image[: max(2, height // 4)]
-    masonry(roof, scale, rng, (0.25, 0.3), 13)
+    courses(roof, scale, rng, (0.25, 0.3), 0.5, 13)
     cv2.multiply(roof, np.full(roof.shape, 0.62), dst=roof, dtype=cv2.CV_8U)
     add_noise(image, rng, 5, 0.9)
 
@@ -203,10 +204,11 @@ def _ground_floor(image: np.ndarray, scale: float, rng: np.random.Generator, sty
             _shop(image, scale, rng, (at, top + 0.25), wide)
         elif kind < 0.7:
             wide = rng.uniform(1.0, 1.4)
-            _door(image, scale, rng, (at, height - 2.6), (wide, 2.6))
+            _door(_cut(image, scale, (at, height - 2.6), (wide, 2.6)), scale, rng)
+            _cut(image, scale, (at + wide + 0.1, height - 1.7), (0.2, 0.3))[:] = int(rng.integers(190, 240))
         elif kind < 0.8 and width - at > 3.2:
             wide = 2.7
-            _gate(image, scale, rng, (at, height - 2.7), (wide, 2.7))
+            _gate(_cut(image, scale, (at, height - 2.7), (wide, 2.7)), scale, rng)
         else:
             wide = style.window_m[0]
             _window(image, scale, rng, (at, height - 2.9), style)
@@ -243,15 +245,8 @@ def _shop(
         _shade(_cut(image, scale, (x, y + 1.3), (wide_m, 0.5)), 0.5)
 
 
-def _door(
-    image: np.ndarray,
-    scale: float,
-    rng: np.random.Generator,
-    corner_m: tuple[float, float],
-    size_m: tuple[float, float],
-) -> None:
-    leaf = _cut(image, scale, corner_m, size_m)
-    if min(leaf.shape) < 10:
+def _door(leaf: np.ndarray, scale: float, rng: np.random.Generator) -> None:
+    if min(leaf.shape) < _SMALLEST_LEAF_PX:
         return
     leaf[:] = int(rng.integers(30, 140))
     height, width = leaf.shape
@@ -261,20 +256,11 @@ def _door(
         panel = leaf[int(top * height) : int((top + 0.28) * height), width // 6 : -(width // 6) or None]
         motifs.frame(panel, 0.02 * scale, int(rng.integers(15, 60)))
     motifs.frame(leaf, 0.05 * scale, int(rng.integers(140, 230)))
-    plate = _cut(image, scale, (corner_m[0] + size_m[0] + 0.1, corner_m[1] + 0.9), (0.2, 0.3))
-    plate[:] = int(rng.integers(190, 240))
 
 
-def _gate(
-    image: np.ndarray,
-    scale: float,
-    rng: np.random.Generator,
-    corner_m: tuple[float, float],
-    size_m: tuple[float, float],
-) -> None:
+def _gate(leaf: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     """A roller door, maybe with graffiti."""
-    leaf = _cut(image, scale, corner_m, size_m)
-    if min(leaf.shape) < 10:
+    if min(leaf.shape) < _SMALLEST_LEAF_PX:
         return
     leaf[:] = int(rng.integers(90, 190))
     leaf[:: max(2, round(0.14 * scale))] = 70

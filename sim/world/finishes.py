@@ -7,9 +7,11 @@ from functools import partial
 import numpy as np
 
 from sim.world import building_finishes as building
-from sim.world import car_finish
+from sim.world import car_finish, motifs
+from sim.world import country_finishes as country
 from sim.world import facade_finishes as facade
 from sim.world import furniture_finishes as furniture
+from sim.world import stair_finishes as stair
 from sim.world import store_finishes as store
 from sim.world import street_finishes as street
 from sim.world.car_shapes import SHAPES
@@ -49,6 +51,15 @@ FINISHES = {
     "machine": Finish(furniture.machine, 116, 46),
     "door": Finish(furniture.door, 122, 40),
     "pipe": Finish(furniture.pipe, 140, 40),
+    "bare plaster": Finish(stair.bare_plaster, 138, 24),
+    "bare brick": Finish(stair.bare_brick, 112, 36),
+    "bare concrete": Finish(stair.bare_concrete, 120, 28),
+    "frame": Finish(stair.frame, 126, 30),
+    "radiator": Finish(stair.radiator, 150, 44),
+    "poster": Finish(motifs.poster, 150, 64),
+    "picture": Finish(motifs.picture, 122, 48),
+    "notice board": Finish(motifs.notice_board, 128, 52),
+    "window": Finish(motifs.window, 172, 54, luminous=True),
 }
 WALL_FINISHES = ("brick", "plaster", "concrete", "tiles", "boards")
 FLOOR_FINISHES = ("parquet", "stone")
@@ -61,10 +72,13 @@ class PieceFinish(Finish):
     Attributes:
         scale: pixels per metre where the texture budget allows.
         fitted: its mean and deviation are met; otherwise they are the drawing's own.
+        refine: adds what is too fine for a drawing shared by several pieces to a part of it that is seen
+            from near; arguments as of ``draw``.
     """
 
     scale: float = 32.0
     fitted: bool = True
+    refine: Callable[[np.ndarray, float, np.random.Generator], None] | None = None
 
 
 PIECE_FINISHES = {
@@ -75,18 +89,31 @@ PIECE_FINISHES = {
     "asphalt": PieceFinish(street.asphalt, 100, 22, scale=36),
     "crossing": PieceFinish(street.crossing, 106, 34, scale=36),
     "paving": PieceFinish(street.paving, 132, 24, scale=36),
-    "motorway": PieceFinish(street.motorway_lanes, 104, 18, scale=24),
+    "motorway": PieceFinish(street.motorway_lanes, 72, 16, scale=24),
     "meadow": PieceFinish(street.meadow, 74, 24, scale=30),
-    "verge": PieceFinish(street.verge, 100, 20, scale=16),
+    "verge": PieceFinish(street.verge, 68, 14, scale=16),
     "metal": PieceFinish(street.metal, 128, 38, scale=60),
-    "rail": PieceFinish(street.metal, 124, 46, scale=50),
+    "rail": PieceFinish(street.rail, 78, 38, scale=64),
+    "noise wall": PieceFinish(street.noise_wall, 118, 28, scale=32),
+    "bridge": PieceFinish(street.bridge, 132, 24, scale=24),
     "sign": PieceFinish(street.sign, 140, 60, scale=60),
     "tree": PieceFinish(street.tree, 78, 40, scale=48),
-    "woods": PieceFinish(street.woods, 84, 30, scale=6),
+    "woods": PieceFinish(country.woods, 80, 24, scale=12),
+    "field wall": PieceFinish(country.field_wall, 100, 36, scale=64),
+    "pasture": PieceFinish(country.pasture, 76, 26, scale=18, refine=country.pasture_close),
+    "rock": PieceFinish(country.rock, 122, 34, scale=64),
+    "straw": PieceFinish(country.straw, 128, 34, scale=64),
+    "timber": PieceFinish(country.timber, 118, 34, scale=64),
+    "barn": PieceFinish(country.barn, 104, 36, scale=28),
+    "far hills": PieceFinish(country.far_hills, 152, 4, scale=24),
     "clouds": PieceFinish(street.clouds, 214, 20, luminous=True, scale=20, fitted=False),
+    "overcast": PieceFinish(country.overcast, 214, 10, luminous=True, scale=20, fitted=False),
     "rack": PieceFinish(store.rack, 118, 44, scale=120),
     "store floor": PieceFinish(store.floor, 128, 26, scale=90),
     "cladding": PieceFinish(store.cladding, 134, 32, scale=90),
+    "steps": PieceFinish(stair.steps, 110, 34, scale=200),
+    "soffit": PieceFinish(stair.bare_plaster, 140, 28, scale=110),
+    "banister": PieceFinish(stair.banister, 74, 32, scale=130),
     "store roof": PieceFinish(store.roof, 128, 40, scale=24),
     **{
         name: PieceFinish(partial(car_finish.car, shape), 110, 60, scale=64, fitted=False)

@@ -111,5 +111,5 @@ def pipe(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
 
 def _wear(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     """Chips, specks and noise at all scales."""
-    dead_leaves(image, scale, rng, 45, (0.004, 0.04))
+    dead_leaves(image, scale, rng, 45, (0.004, 0.04), smallest_px=0.6)
     add_noise(image, rng, 13, 0.8)

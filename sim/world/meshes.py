@@ -53,6 +53,35 @@ class Mesh:
         self.add(vertices, grid_triangles(2, sides + 1), sheet)
 
 
+def block(
+    mesh: Mesh,
+    middle: np.ndarray,
+    along: np.ndarray,
+    size_m: tuple[float, float, float],
+    low_m: tuple[float, float],
+    per_m: float = 1.0,
+) -> None:
+    """A level box, all six faces.
+
+    Args:
+        mesh: grows by it.
+        middle: (3,) of its lower face, metres.
+        along: (2,) unit vector of its length.
+        size_m: length, width and height.
+        low_m: upper left corner, on the sheet, of the part that each face shows.
+        per_m: metres of the sheet per metre of the box.
+    """
+    length, wide, high = size_m
+    x, y = np.append(along, 0.0) * length / 2, np.array([-along[1], along[0], 0.0]) * wide / 2
+    up = rise(high)
+    for out, across, side in ((-y, x, length), (x, y, wide), (y, -x, length), (-x, -y, wide)):
+        left, right = middle + out - across, middle + out + across
+        mesh.quad(np.array([left + up, right + up, right, left]), low_m, (per_m * side, per_m * high))
+    lid = np.array([-x + y, x + y, x - y, -x - y])
+    mesh.quad(middle + up + lid, low_m, (per_m * length, per_m * wide))
+    mesh.quad(middle + lid[[3, 2, 1, 0]], low_m, (per_m * length, per_m * wide))
+
+
 def rise(z_m: float) -> np.ndarray:
     """(3,) a step straight up, metres."""
     return np.array([0.0, 0.0, z_m])
@@ -64,6 +93,21 @@ def grid_triangles(rows: int, columns: int) -> np.ndarray:
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
     faces = np.stack([a, d, c, a, c, b], axis=-1)
     return faces.reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A large drawing of which several pieces show a part each, so that no seam is seen where they meet.
+
+    Attributes:
+        name: of the drawing; its pieces have the same finish.
+        corner_m: (2,) upper left corner of the piece's part on it.
+        size_m: width and height of the whole.
+    """
+
+    name: str
+    corner_m: tuple[float, float]
+    size_m: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -79,6 +123,7 @@ class Piece:
         label: human name, unique in the world.
         gain: (rows, columns) factors of light and shade, stretched over the sheet.
         detail: pixels per metre relative to the finish's own.
+        part_of: the drawing that its texture is cut from; None for one of its own.
     """
 
     vertices: np.ndarray
@@ -89,6 +134,7 @@ class Piece:
     label: str
     gain: np.ndarray = field(default_factory=lambda: np.ones((2, 2), np.float32))
     detail: float = 1.0
+    part_of: Sheet | None = None
 
     @classmethod
     def of(
@@ -99,6 +145,7 @@ class Piece:
         label: str,
         gain: np.ndarray | None = None,
         detail: float = 1.0,
+        part_of: Sheet | None = None,
     ) -> "Piece":
         """A piece of a finished mesh, its sheet coordinates divided by the sheet's size."""
         lit = np.ones((2, 2), np.float32) if gain is None else gain
@@ -112,4 +159,5 @@ class Piece:
             label,
             lit,
             detail,
+            part_of,
         )

@@ -1,4 +1,4 @@
-"""Trees: a trunk, dark blobs of foliage, and a coat of small ragged faces that breaks up their outline."""
+"""Trees, bushes, hedges, woods: dark blobs of foliage in a coat of small faces that makes them ragged."""
 
 import numpy as np
 
@@ -9,6 +9,8 @@ _BARK_M = (5.25, 0.75)  # where the bark begins on the sheet, and how wide it is
 _BLOBS, _FACES_PER_BLOB = 5, 60
 _FACE_CORNERS = 5
 _RINGS, _SIDES = 5, 8
+_WHORLS = 8
+_WOODS_STEP_M, _THINNING_M = 0.8, 7.0
 _SQUASHED = np.array([1.0, 1.0, 0.85])
 
 
@@ -44,21 +46,78 @@ def bush(spot: np.ndarray, height_m: float, label: str, rng: np.random.Generator
     return Piece.of(mesh, _SHEET_M, "tree", label, detail=0.6)
 
 
-def ragged_woods(ends: np.ndarray, high: float, label: str, rng: np.random.Generator) -> Piece:
-    """The edge of a wood far away: an upright sheet between two plan points (2, 2), left to right as seen."""
-    count = 15
-    share = np.linspace(0, 1, count)
-    tops = high * rng.uniform(0.72, 1.0, count)
-    plan = ends[0] + share[:, None] * (ends[1] - ends[0])
-    wide = float(np.linalg.norm(ends[1] - ends[0]))
+def conifer(spot: np.ndarray, height_m: float, label: str, rng: np.random.Generator) -> Piece:
+    """A spruce: whorls that narrow to a tip; arguments as for ``tree``."""
     mesh = Mesh()
-    for k in range(count - 1):
-        top = [np.append(plan[k], tops[k]), np.append(plan[k + 1], tops[k + 1])]
-        foot = [np.append(plan[k + 1], -0.4), np.append(plan[k], -0.4)]
-        u = np.array([share[k], share[k + 1], share[k + 1], share[k]]) * wide
-        v = high - np.array([tops[k], tops[k + 1], 0.0, 0.0])
-        mesh.add(np.array(top + foot), np.array([[0, 3, 2], [0, 2, 1]]), np.column_stack([u, v]))
-    return Piece.of(mesh, (wide, high), "woods", label)
+    trunk = np.array([spot, spot + rise(0.5 * height_m)])
+    mesh.tube(trunk, (0.02 * height_m, 0.012 * height_m), 7, (_BARK_M[0], 0.0), (_BARK_M[1], _SHEET_M[1]))
+    for share in 1 - np.geomspace(0.8, 0.06, _WHORLS):
+        radius = height_m * (0.03 + 0.19 * (1 - share)) * rng.uniform(0.9, 1.15)
+        _blob(mesh, spot + rise(share * height_m), radius, rng)
+    return Piece.of(mesh, _SHEET_M, "tree", label)
+
+
+def hedge(feet: np.ndarray, height_m: float, label: str, rng: np.random.Generator) -> Piece:
+    """A hedge of uneven height along feet (n, 3), about ``height_m`` apart."""
+    mesh = Mesh()
+    for foot in feet:
+        high = height_m * rng.uniform(0.75, 1.15)
+        aside = rng.uniform([-0.15, -0.15, 0.4], [0.15, 0.15, 0.5]) * high
+        _blob(mesh, foot + aside, high * rng.uniform(0.55, 0.65), rng)
+    return Piece.of(mesh, _SHEET_M, "tree", label, detail=0.6)
+
+
+def ragged_woods(
+    ends: np.ndarray,
+    high: float,
+    label: str,
+    rng: np.random.Generator,
+    closed: tuple[bool, bool] = (True, True),
+) -> Piece:
+    """The edge of a wood far away: two rows of crowns, the farther one higher, undergrowth before them.
+
+    Args:
+        ends: (2, 2) plan points, left to right as seen.
+        high: of the highest crowns, metres.
+        label: human name, unique in the world.
+        rng: stream of its shape.
+        closed: the wood goes on beyond either end; where it does not, it thins out.
+    """
+    wide = float(np.linalg.norm(ends[1] - ends[0]))
+    along = (ends[1] - ends[0]) / wide
+    back = np.array([-along[1], along[0]])
+    sheet = (wide, 2 * high)
+    mesh = Mesh()
+    for depth, share, low in ((3.5, 1.0, 0.0), (0.0, 0.8, 0.6 * high), (-1.5, 0.25, 1.6 * high)):
+        row = np.array([ends[0] + depth * back, ends[1] + depth * back])
+        _crowns(mesh, row, share * high, (0.0, low), rng, closed)
+    return Piece.of(mesh, sheet, "woods", label)
+
+
+def _crowns(
+    mesh: Mesh,
+    ends: np.ndarray,
+    high: float,
+    low_m: tuple[float, float],
+    rng: np.random.Generator,
+    closed: tuple[bool, bool],
+) -> None:
+    """An upright face whose top is a row of crowns with ragged rims."""
+    wide = float(np.linalg.norm(ends[1] - ends[0]))
+    at = np.linspace(0, wide, max(8, round(wide / _WOODS_STEP_M)) + 1)
+    centres = np.arange(-1.0, wide + 2.0, 0.32 * high) + rng.uniform(-0.06, 0.06) * high
+    tops, reach = high * rng.uniform(0.75, 1.0, len(centres)), high * rng.uniform(0.2, 0.32, len(centres))
+    domes = tops - 0.3 * high * ((at[:, None] - centres) / reach) ** 2
+    top = np.maximum(domes.max(axis=1), 0.55 * high) + high * rng.uniform(-0.02, 0.02, len(at))
+    top = np.minimum(top, high)
+    for shut, away in zip(closed, (at, wide - at), strict=True):
+        if not shut:
+            top *= np.clip(away / _THINNING_M, 0.04, 1) ** 0.6
+    plan = ends[0] + (at / wide)[:, None] * (ends[1] - ends[0])
+    rows = [np.column_stack([plan, top]), np.column_stack([plan, np.full(len(at), -0.4)])]
+    v = [low_m[1] + high - top, np.full(len(at), low_m[1] + high)]
+    sheet = [np.column_stack([low_m[0] + at, level]) for level in v]
+    mesh.add(np.vstack(rows), grid_triangles(2, len(at)), np.vstack(sheet))
 
 
 def _blob(mesh: Mesh, centre: np.ndarray, radius_m: float, rng: np.random.Generator) -> None:
@@ -92,7 +151,7 @@ def _coat(mesh: Mesh, centre: np.ndarray, radius_m: float, rng: np.random.Genera
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     upward = np.cross(normal, across)
     turn = 2 * np.pi * np.arange(corners) / corners
-    reach = radius_m * rng.uniform(0.07, 0.28, (count, corners))
+    reach = radius_m * rng.uniform(0.12, 0.3, (count, corners))
     plane = np.stack([reach * np.cos(turn), reach * np.sin(turn)], axis=-1)
     points = middle[:, None] + plane[..., :1] * across[:, None] + plane[..., 1:] * upward[:, None]
     sheet = rng.uniform([0.7, 0.7], [4.5, 4.3], (count, 2))[:, None] + plane

@@ -20,12 +20,12 @@ def rounded(corners: np.ndarray, radius_m: float, closed: bool) -> np.ndarray:
     points = [] if closed else [corners[:1]]
     for k in range(count) if closed else range(1, count - 1):
         before, corner, after = corners[k - 1], corners[k], corners[(k + 1) % count]
-        points.append(_arc(before, corner, after, radius_m))
+        points.append(arc(before, corner, after, radius_m))
     points.append(points[0][:1] if closed else corners[-1:])
     return np.concatenate(points)
 
 
-def _arc(before: np.ndarray, corner: np.ndarray, after: np.ndarray, radius_m: float) -> np.ndarray:
+def arc(before: np.ndarray, corner: np.ndarray, after: np.ndarray, radius_m: float) -> np.ndarray:
     """(K, 2) points of the arc that rounds one corner, both tangent points included."""
     incoming, outgoing = (corner - before, after - corner)
     incoming, outgoing = incoming / np.linalg.norm(incoming), outgoing / np.linalg.norm(outgoing)

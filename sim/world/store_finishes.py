@@ -1,5 +1,6 @@
 """A warehouse: goods on racks, a floor with markings, cladding and a roof with trusses and skylights."""
 
+import cv2
 import numpy as np
 
 from sim.world import motifs
@@ -34,7 +35,7 @@ def floor(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     """Polished concrete: joints, tyre marks, chips, a painted lane line, a number now and then."""
     add_noise(image, rng, 8, 0.7)
     motifs.stains(image, scale, rng, 0.25)
-    dead_leaves(image, scale, rng, 9, (0.015, 0.1), (60, 205))
+    dead_leaves(image, scale, rng, 7, (0.012, 0.07), (75, 185))
     motifs.cracks(image, scale, rng, 5)
     joint = max(1, round(0.015 * scale))
     image[:joint] = image[:, :joint] = 60
@@ -45,24 +46,32 @@ def floor(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
         place = motifs.crop(image, scale, rng.uniform(0, 1.5), rng.uniform(0, 1.5), (1.0, 0.6))
         if place.size:
             motifs.lettering(place, rng, 3, 210)
+            # A floor's sheet is seen from its back.
+            place[:] = place[::-1].copy()
     add_noise(image, rng, 5, 0.95)
 
 
 def cladding(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """Ribbed metal sheets with posters, boxes, pipes and dents."""
+    """Ribbed metal sheets in rows of screws, scuffed and streaked, with posters, boxes and pipes."""
     image[:] = 150
     rib = max(3, round(0.2 * scale))
     for start in range(0, image.shape[1], rib):
         image[:, start : start + rib // 8 + 1] = 132
         image[:, start + rib // 8 + 1 : start + rib // 4 + 1] = 160
-    add_noise(image, rng, 11, 0.85)
+    height, width = image.shape
+    for y in np.arange(rng.uniform(0.1, 0.5), height / scale, 0.9):
+        image[int(y * scale) : int(y * scale) + 2, rib // 16 :: rib] = 62
+    streaks = rng.uniform(0.8, 1.06, (3, max(2, width // 9))).astype(np.float32)
+    cv2.multiply(image, cv2.resize(streaks, (width, height)), dst=image, dtype=cv2.CV_8U)
+    add_noise(image, rng, 12, 0.85)
     motifs.stains(image, scale, rng, 0.5)
-    dead_leaves(image, scale, rng, 26, (0.015, 0.12), (40, 230))
+    dead_leaves(image, scale, rng, 9, (0.012, 0.07), (85, 190))
+    scuffed = image[int(0.7 * height) :]
+    dead_leaves(scuffed, scale, rng, 22, (0.015, 0.1), (70, 200))
     motifs.cables(image, scale, rng)
     for _ in range(int(rng.integers(2, 6))):
         size = (rng.uniform(0.5, 1.4), rng.uniform(0.4, 1.2))
-        height, width = image.shape[0] / scale, image.shape[1] / scale
-        x, y = rng.uniform(0, max(0.1, width - 1)), rng.uniform(0.3, 0.85) * height
+        x, y = rng.uniform(0, max(0.1, width / scale - 1)), rng.uniform(0.3, 0.85) * height / scale
         place = motifs.crop(image, scale, x, y, size)
         if min(place.shape) >= 16:
             (motifs.poster if rng.random() < 0.6 else motifs.vent)(place, scale, rng)

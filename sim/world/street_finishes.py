@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 
 from sim.world import motifs
-from sim.world.textures import add_noise, blotches, dead_leaves, fractal_noise, grain, masonry
+from sim.world.textures import add_noise, blotches, courses, dead_leaves, fractal_noise, grain
 
+_CLOUD_EDGE_PX = 4.0
 KERB_SHARE = 0.06
 """Share of a pavement's sheet, at its lower end, that shows the upright face of the kerb."""
 
@@ -49,8 +50,8 @@ def motorway_lanes(image: np.ndarray, scale: float, rng: np.random.Generator) ->
     """Two lanes and a hard shoulder, left to right, of fresh asphalt: long seams and few marks."""
     height, width = image.shape
     image[:] = 92
-    add_noise(image, rng, 6, 0.85)
-    dead_leaves(image, scale, rng, 0.8, (0.03, 0.2), (70, 120))
+    add_noise(image, rng, 6, 0.65)
+    dead_leaves(image, scale, rng, 0.5, (0.1, 0.6), (72, 116))
     image[int(0.56 * height) : int(0.56 * height) + 1] = 60
     line = max(1, round(0.08 * scale))
     for share, dash in ((0.06, 0.0), (0.42, 6.0), (0.77, 0.0)):
@@ -59,13 +60,13 @@ def motorway_lanes(image: np.ndarray, scale: float, rng: np.random.Generator) ->
             end = x + (dash or width / scale)
             image[max(0, y - line) : y + line, int(x * scale) : int(end * scale)] = 205
     motifs.cracks(image, scale, rng, 2)
-    add_noise(image, rng, 5, 0.95)
+    add_noise(image, rng, 3, 0.7)
 
 
 def paving(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     """Flags with gum, covers and leaves; the kerb and its face along the lower edge."""
     height = image.shape[0]
-    masonry(image, scale, rng, (rng.uniform(0.4, 0.8), rng.uniform(0.4, 0.6)), 8)
+    courses(image, scale, rng, (rng.uniform(0.4, 0.8), rng.uniform(0.4, 0.6)), 0.5, 8)
     add_noise(image, rng, 7, 0.75)
     dead_leaves(image, scale, rng, 7, (0.02, 0.09), (70, 190))
     motifs.stains(image, scale, rng, 0.15)
@@ -88,10 +89,10 @@ def meadow(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
 
 
 def verge(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """Mown grass beside a road: even, with few marks."""
-    add_noise(image, rng, 9, 0.92)
-    dead_leaves(image, scale, rng, 1.2, (0.05, 0.5), (85, 155))
-    add_noise(image, rng, 6, 0.97)
+    """Mown grass beside a road: even, with few marks, none so small that it aliases at a low angle."""
+    add_noise(image, rng, 9, 0.6)
+    dead_leaves(image, scale, rng, 0.5, (0.2, 1.1), (85, 155))
+    image[:] = cv2.GaussianBlur(image, (0, 0), 1.0)
 
 
 def metal(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
@@ -100,6 +101,57 @@ def metal(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     add_noise(image, rng, 10, 0.75)
     motifs.stains(image, scale, rng, 1.5)
     dead_leaves(image, scale, rng, 30, (0.015, 0.12), (30, 220))
+
+
+def rail(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
+    """A guard rail's beam, lighter where it looks up, with joints, bolts, scrapes; its posts below."""
+    height, width = image.shape
+    beam = round(height * 0.62)
+    rows = np.linspace(0, 2 * np.pi * 2, beam)
+    image[:beam] = np.clip(140 + 16 * np.cos(rows), 0, 255).astype(np.uint8)[:, None]
+    image[beam:] = 88
+    for x in np.arange(rng.uniform(0, 2), width / scale, 4.0):
+        at = int(x * scale)
+        image[:beam, at : at + max(1, round(0.03 * scale))] = 60
+        for y in (0.25, 0.75):
+            for aside in (-0.08, 0.1):
+                cv2.circle(
+                    image, (at + round(aside * scale), round(y * beam)), max(1, round(0.03 * scale)), 52, -1
+                )
+    # Nothing finer than a hand: it would be gone, or alias, a few posts farther on.
+    dead_leaves(image, scale, rng, 9, (0.12, 0.4), (55, 215))
+    motifs.stains(image, scale, rng, 1.2)
+    add_noise(image, rng, 7, 0.6)
+
+
+def noise_wall(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
+    """Grooved panels one above the other, damp, with creepers and a word sprayed on now and then."""
+    height, width = image.shape
+    courses(image, scale, rng, (4.0, 0.9), 0.0, 12)
+    groove = max(3, round(0.15 * scale))
+    image[::groove] = (0.8 * image[::groove]).astype(np.uint8)
+    add_noise(image, rng, 9, 0.75)
+    for _ in range(rng.poisson(1.0)):
+        place = motifs.crop(image, scale, rng.uniform(0, 16), rng.uniform(1.2, 2.0), (3.5, 1.3))
+        if min(place.shape) >= 12:
+            motifs.lettering(place, rng, int(rng.integers(3, 6)), int(rng.choice([30, 215])))
+    for _ in range(rng.poisson(2.0)):
+        x = int(rng.uniform(0, 0.85) * width)
+        dead_leaves(image[height // 3 :, x : x + width // 8], scale, rng, 25, (0.06, 0.3), (35, 110))
+    motifs.stains(image, scale, rng, 0.5)
+
+
+def bridge(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
+    """Concrete with the marks of its boards, streaks below the joints, patches."""
+    courses(image, scale, rng, (2.4, 0.5), 0.4, 10)
+    height, width = image.shape
+    streaks = cv2.resize(
+        rng.uniform(0.75, 1.08, (2, max(2, width // 10))).astype(np.float32), (width, height)
+    )
+    cv2.multiply(image, streaks, dst=image, dtype=cv2.CV_8U)
+    add_noise(image, rng, 10, 0.75)
+    motifs.stains(image, scale, rng, 0.4)
+    dead_leaves(image, scale, rng, 1.5, (0.05, 0.25), (90, 190))
 
 
 def sign(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
@@ -126,16 +178,6 @@ def tree(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     add_noise(image, rng, 7, 0.95)
 
 
-def woods(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """The edge of a wood far away: crowns before crowns, darker towards the ground."""
-    height, width = image.shape
-    image[:] = 80
-    dead_leaves(image, scale, rng, 0.35, (0.5, 2.6), (45, 115))
-    add_noise(image, rng, 13, 0.8)
-    shade = np.linspace(1.2, 0.55, height, dtype=np.float32)[:, None].repeat(width, axis=1)
-    cv2.multiply(image, shade, dst=image, dtype=cv2.CV_8U)
-
-
 def clouds(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     """Sky from the horizon (below) to the zenith (above), bright towards the horizon, with clouds."""
     del scale
@@ -146,9 +188,11 @@ def clouds(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     weight = np.linspace(0.0, 1.0, join, dtype=np.float32)
     noise[:, -join:] = (1 - weight) * noise[:, -join:] + weight * noise[:, join - 1 :: -1]
     cover = 1 / (1 + np.exp(-3.0 * (noise - 0.1)))
-    blue = np.linspace(135, 190, height, dtype=np.float32)[:, None]
-    lit = 208 + 8 * np.clip(noise, -2, 2)
-    image[:] = np.clip(blue + cover * (lit - blue), 0, 250).astype(np.uint8)
+    blue = np.linspace(145, 176, height, dtype=np.float32)[:, None]
+    lit = 192 + 5 * np.clip(noise, -2, 2)
+    # Exposed for the ground, a sky is pale: soft enough that no corner is found on it.
+    soft = cv2.GaussianBlur(blue + cover * (lit - blue), (0, 0), _CLOUD_EDGE_PX)
+    image[:] = np.clip(np.rint(soft), 0, 250).astype(np.uint8)
 
 
 def _tar(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:

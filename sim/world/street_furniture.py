@@ -41,16 +41,28 @@ def sign_post(spot: np.ndarray, facing: np.ndarray, size_m: tuple[float, float],
         base = spot + aside * right
         ends = np.array([base, base + rise(foot + high)])
         mesh.tube(ends, (0.045, 0.045), 6, (0.0, high), (0.4, high))
-    up = np.array([0.0, 0.0, 1.0])
-    centre = spot + 0.06 * front + (foot + high / 2) * up
-    for side, low, size in ((1.0, (0.0, 0.0), (wide, high)), (-1.0, (0.0, high), (wide, high))):
+    _plate(mesh, spot + 0.06 * front + rise(foot + high / 2), facing, size_m)
+    return Piece.of(mesh, (wide, 2 * high), "sign", label)
+
+
+def hung_sign(centre: np.ndarray, facing: np.ndarray, size_m: tuple[float, float], label: str) -> Piece:
+    """A plate with letters that hangs from something; arguments as for ``sign_post``, but its middle."""
+    mesh = Mesh()
+    _plate(mesh, centre, facing, size_m)
+    return Piece.of(mesh, (size_m[0], 2 * size_m[1]), "sign", label)
+
+
+def _plate(mesh: Mesh, centre: np.ndarray, facing: np.ndarray, size_m: tuple[float, float]) -> None:
+    """Front and back of a plate; the sheet has the letters above and bare metal below."""
+    wide, high = size_m
+    front, right = np.append(facing, 0.0), np.array([-facing[1], facing[0], 0.0])
+    for side, low in ((1.0, (0.0, 0.0)), (-1.0, (0.0, high))):
         near = centre - (0.02 * front if side < 0 else 0.0)
         corners = [
-            near + (u * side * wide / 2) * right + (v * high / 2) * up
+            near + (u * side * wide / 2) * right + rise(v * high / 2)
             for u, v in ((-1, 1), (1, 1), (1, -1), (-1, -1))
         ]
-        mesh.quad(np.array(corners), low, size)
-    return Piece.of(mesh, (wide, 2 * high), "sign", label)
+        mesh.quad(np.array(corners), low, (wide, high))
 
 
 def bollards(start: np.ndarray, end: np.ndarray, spacing_m: float, label: str) -> Piece:

@@ -101,8 +101,8 @@ class Plan:
         return parts
 
     def crossings(self, street: Street) -> list[float]:
-        """Distances along a street at which others meet it."""
-        found = []
+        """Distances along a street at which others meet it, each once."""
+        found = set()
         for other in self.streets:
             if abs(float(other.way @ street.way)) < 0.5:
                 at = float((other.start - street.start) @ street.way)
@@ -110,8 +110,8 @@ class Plan:
                     float(p @ street.left) for p in (other.start - street.start, other.end - street.start)
                 )
                 if -FRONT_M < at < street.length_m + FRONT_M and reach[0] < FRONT_M and reach[1] > -FRONT_M:
-                    found.append(at)
-        return found
+                    found.add(at)
+        return sorted(found)
 
 
 def plan_streets(spec: CityWorld, seed: int) -> Plan:

@@ -78,8 +78,11 @@ def dead_leaves(
     per_m2: float,
     size_m: tuple[float, float],
     levels: tuple[int, int] = (20, 235),
+    smallest_px: float = 0.0,
 ) -> None:
     """Occluding ellipses, rectangles and triangles with power-law sizes, drawn in place.
+
+    Of those with a radius below ``smallest_px`` none is drawn: in a coarse texture they cannot be resolved.
 
     Source: Lee, Mumford, Huang, "Occlusion models for natural images", IJCV 2001 (sizes ~ r^-3).
     """
@@ -91,6 +94,9 @@ def dead_leaves(
     centres = rng.random((count, 2)) * (width, height)
     tones = rng.integers(levels[0], levels[1] + 1, count)
     kinds, angles, flattening = rng.integers(0, 3, count), rng.random(count), rng.uniform(0.3, 1.0, count)
+    drawn = radii >= smallest_px
+    centres, tones, kinds = centres[drawn], tones[drawn], kinds[drawn]
+    radii, angles, flattening = radii[drawn], angles[drawn], flattening[drawn]
     for radius, centre, tone, kind, turn, flat in zip(
         radii, centres, tones.tolist(), kinds.tolist(), angles, flattening, strict=True
     ):
@@ -132,32 +138,40 @@ def blotches(image: np.ndarray, rng: np.random.Generator, size_px: float, levels
     )
 
 
-def masonry(
-    image: np.ndarray, scale: float, rng: np.random.Generator, unit_m: tuple[float, float], spread: float
+def courses(
+    image: np.ndarray,
+    scale: float,
+    rng: np.random.Generator,
+    unit_m: tuple[float, float],
+    bond: float,
+    spread: float,
 ) -> None:
-    """Fill the image with bricks, flags or tiles in a running bond, each of its own tone, with dark joints.
+    """Bricks, flags, tiles or boards in rows from the top, each of its own tone, with dark joints.
 
     Args:
         image: (h, w) uint8, overwritten.
         scale: pixels per metre.
         rng: the random stream.
         unit_m: width and height of a unit, joint included.
+        bond: shift of every other row, in units.
         spread: standard deviation of the tones, gray levels.
     """
     height, width = image.shape
-    wide, high = max(3.0, unit_m[0] * scale), max(3.0, unit_m[1] * scale)
-    rows, columns = int(height / high) + 1, int(width / wide) + 3
+    wide, high = max(4.0, unit_m[0] * scale), max(4.0, unit_m[1] * scale)
+    joint = max(1, round(0.006 * scale))
+    phase = rng.random() * wide
+    image[:] = dark = int(rng.integers(60, 95))
+    rows, columns = int(np.ceil(height / high)), int(np.ceil(width / wide)) + 2
     tones = np.clip(rng.normal(140, spread, (rows, columns)), 50, 235).astype(np.uint8)
-    row, in_row = np.divmod(np.arange(height), high)
-    across = np.arange(width) + rng.random() * wide
-    joint = 95
+    across = np.arange(width)
     for odd in (0, 1):
-        column, in_column = np.divmod(across + 0.5 * odd * wide, wide)
-        mine = row.astype(int) % 2 == odd
-        lines = tones[row[mine].astype(int)][:, column.astype(int)]
-        lines[:, in_column < 1] = joint
-        image[mine] = lines
-    image[in_row < 1] = joint
+        left = np.rint(np.arange(columns) * wide - (phase + bond * wide * odd))
+        unit = np.searchsorted(left, across, side="right") - 1
+        in_joint = across > np.rint(left + wide)[unit] - joint
+        for row in range(odd, rows, 2):
+            line = tones[row, unit]
+            line[in_joint] = dark
+            image[round(row * high) : round((row + 1) * high) - joint + 1] = line
 
 
 def text_block(image: np.ndarray, rng: np.random.Generator, glyph_px: float, ink: int) -> None:

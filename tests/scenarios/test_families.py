@@ -172,7 +172,7 @@ def test_a_member_is_its_family_but_for_what_it_says(tmp_path):
     assert straight.sample(3).world.length_m == same.sample(3).world.length_m != 60
     # ... those of another kind replaced, and a distribution replaces a value and a value a distribution.
     assert room.sample(3).world.model_dump() == {
-        "kind": "room", "length_m": 14, "width_m": 10, "height_m": 3.2,
+        "kind": "room", "length_m": 14, "width_m": 10, "height_m": 3.2, "lamp_level": 1.0,
     }  # fmt: skip
     assert room.sample(3).trajectory.sway_m == 0.02
     assert 0.5 <= room.sample(3).trajectory.max_speed_mps <= 1

@@ -115,7 +115,7 @@ def test_the_walks_have_the_camera_of_tum_mono_at_20_to_50_frames():
     drawn = [load_scenario("tum-mono-like", seed) for seed in range(100)]
     assert {s.camera.preset for s in drawn} == {"tum-mono"}
     assert {s.camera.fps for s in drawn} == {20, 25, 30, 40, 50}
-    assert {s.world.kind for s in drawn} == {"room", "corridor", "warehouse", "field", "city"}
+    assert {s.world.kind for s in drawn} == {"room", "corridor", "building", "warehouse", "field", "city"}
     assert {s.trajectory.kind for s in drawn} == {"handheld"}
 
 
@@ -125,7 +125,7 @@ def test_families_are_told_in_words():
     assert words["segments.contrast"] == "0.05 to 0.5 (log)"
     assert words["world.turns"] == "1, 2 or 3"
     assert members_in_words(load_family("kitti-like")) == "11: 00 to 10"
-    assert members_in_words(load_family("loop")) == "4: room, warehouse, city, field"
+    assert members_in_words(load_family("loop")) == "5: room, warehouse, building, city, field"
     assert (
         members_in_words(load_family("stressed")) == "" and parameters_in_words(load_family("stressed")) == {}
     )
