@@ -4,13 +4,14 @@ UV := .tools/bin/uv
 BIN := .venv/bin
 OUT ?= out/demo
 
-.PHONY: demo test test-all lint format bench setup clean
+.PHONY: demo test test-all lint format bench vocabulary setup clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo    render a stressed scenario, run base and Dual-SLAM on it, show the result (OUT=$(OUT))"
 	@echo "make test    the test suite without the slow tests    make test-all   all of it"
 	@echo "make lint    formatting, lint, types, layers            make bench      speed of the tracker"
+	@echo "make vocabulary   train anew what recognises places (minutes)"
 	@echo "make clean   remove the virtual environment, tools, outputs and compiled kernels"
 
 setup: .venv/.ready
@@ -47,6 +48,9 @@ format: setup
 
 bench: setup
 	@$(BIN)/dslab bench
+
+vocabulary: setup
+	@$(BIN)/dslab vocabulary train --out slam/data/vocabulary.npz
 
 clean:
 	rm -rf .venv .tools .pytest_cache .ruff_cache .import_linter_cache out

@@ -8,13 +8,17 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from experiments.memory import peak_rss_mb, reset_peak
+from experiments.pacing import RealTime
 from sim.camera import Intrinsics
 from sim.sequence import Sequence
 from slam.camera import PinholeCamera
 from slam.events import Event, TrackingState
+from slam.map import Map
 from slam.results import MapTrajectory, TrackingResult
 
 SystemKind = Literal["base", "dual"]
+Mode = Literal["lockstep", "threaded"]
+"""How tracking, mapping and loop closing share time: ``slam.backend.ExecutionMode`` by name."""
 Progress = Callable[[int, int], None]
 
 
@@ -29,11 +33,14 @@ class SlamSystem(Protocol):
     def keyframe_trajectories(self) -> list[MapTrajectory]: ...
     def map_points(self, map_id: int) -> np.ndarray: ...
     def maps(self) -> list[int]: ...
+    def map(self, map_id: int) -> Map: ...
     @property
     def config(self) -> Any: ...
 
 
 SystemFactory = Callable[[SystemKind, PinholeCamera, int], SlamSystem]
+AtEnd = Callable[[SlamSystem, Sequence], None]
+"""Called with the finished system and the frames it was fed."""
 
 
 class Observer(Protocol):
@@ -49,7 +56,7 @@ class RunRecord:
     """One run, complete.
 
     Attributes:
-        sequence: what was fed.
+        sequence: what was fed; without the frames that were dropped.
         system_kind, seed, config: what it was fed to.
         results: one per frame, in order, without keypoints.
         events: everything the system declared.
@@ -59,6 +66,7 @@ class RunRecord:
         map_points: number of points per map.
         wall_s: time spent in the system.
         peak_rss_mb: largest resident memory of the process during the run.
+        dropped_frames: frames that came too late to be fed.
     """
 
     sequence: Sequence
@@ -73,6 +81,7 @@ class RunRecord:
     map_points: dict[int, int]
     wall_s: float
     peak_rss_mb: float
+    dropped_frames: int = 0
 
 
 def slam_camera(camera: Intrinsics) -> PinholeCamera:
@@ -87,8 +96,13 @@ def execute(
     observer: Observer | None = None,
     progress: Progress | None = None,
     build: SystemFactory | None = None,
+    pace: RealTime | None = None,
+    at_end: AtEnd | None = None,
 ) -> RunRecord:
     """Run a system over a sequence: image, time and intrinsics in, nothing else.
+
+    A system numbers the frames that it is fed. Where some are dropped, the record is that of a sequence
+    without them.
 
     Args:
         sequence: frames, times, camera; its truth is not passed on.
@@ -97,16 +111,24 @@ def execute(
         observer: told of every frame.
         progress: called with (frames done, frames in all).
         build: makes the system; ``slam.system.build_system`` by default.
+        pace: feeds in real time; None for as fast as the frames are taken.
+        at_end: called when all is done, for what is wanted of the system itself.
 
     Raises:
         InputError: a frame cannot be read.
     """
-    system = (build or _default_factory())(system_kind, slam_camera(sequence.camera), seed)
+    system = (build or system_factory())(system_kind, slam_camera(sequence.camera), seed)
     reset_peak()
     results: list[TrackingResult] = []
+    fed: list[int] = []
     wall_s = 0.0
     for index, stamp_s in enumerate(sequence.stamps_s):
+        if pace is not None and pace.is_late(index):
+            continue
         image = sequence.frames[index]
+        if pace is not None:
+            pace.wait_for(index)
+        fed.append(index)
         started = time.perf_counter()
         result = system.process(image, float(stamp_s))
         wall_s += time.perf_counter() - started
@@ -118,6 +140,11 @@ def execute(
     started = time.perf_counter()
     system.finish()
     wall_s += time.perf_counter() - started
+    dropped = len(sequence) - len(fed)
+    if dropped:
+        sequence = sequence.only(np.array(fed, int))
+    if at_end is not None:
+        at_end(system, sequence)
     return RunRecord(
         sequence=sequence,
         system_kind=system_kind,
@@ -131,13 +158,17 @@ def execute(
         map_points={map_id: len(system.map_points(map_id)) for map_id in system.maps()},
         wall_s=wall_s,
         peak_rss_mb=peak_rss_mb(),
+        dropped_frames=dropped,
     )
 
 
-def _default_factory() -> SystemFactory:
+def system_factory(mode: Mode = "lockstep") -> SystemFactory:
+    """What makes the systems of this project, for one way of running them."""
+    from slam.backend import ExecutionMode
     from slam.system import build_system
 
-    return build_system
+    execution_mode = ExecutionMode(mode)
+    return lambda kind, camera, seed: build_system(kind, camera, seed, mode=execution_mode)
 
 
 def live_trajectories(results: Iterable[TrackingResult]) -> dict[int, MapTrajectory]:

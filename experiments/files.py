@@ -35,7 +35,7 @@ def write_frames_csv(path: Path, results: Iterable[TrackingResult]) -> None:
     results = list(results)
     stages = list(dict.fromkeys(stage for r in results for stage in (*r.ms, *r.cpu_ms)))
     header = ["frame", "stamp_s", "state", "map_id", "inliers", "matches", "keyframe", "reason"]
-    header += ["ms", "cpu_ms", "mapping_cpu_ms"]
+    header += ["ms", "cpu_ms", "mapping_cpu_ms", "loop_cpu_ms"]
     header += [f"ms_{s}" for s in stages] + [f"cpu_ms_{s}" for s in stages]
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -43,7 +43,7 @@ def write_frames_csv(path: Path, results: Iterable[TrackingResult]) -> None:
         for r in results:
             fixed = [r.frame, f"{r.stamp_s:.9f}", str(r.state), r.map_id, r.inliers, r.matches]
             fixed += [int(r.is_keyframe), r.reason]
-            times = [sum(r.ms.values()), sum(r.cpu_ms.values()), r.mapping_cpu_ms]
+            times = [sum(r.ms.values()), sum(r.cpu_ms.values()), r.mapping_cpu_ms, r.loop_cpu_ms]
             times += [r.ms.get(s) for s in stages] + [r.cpu_ms.get(s) for s in stages]
             writer.writerow(fixed + ["" if t is None else f"{t:.3f}" for t in times])
 

@@ -3,14 +3,16 @@
 from contextlib import ExitStack
 from pathlib import Path
 
-from experiments.execution import Progress, RunRecord, SystemFactory, SystemKind, execute
+from experiments.execution import AtEnd, Progress, RunRecord, SystemFactory, SystemKind, execute
 from experiments.files import to_json, write_events, write_frames_csv, write_tum
 from experiments.output import new_directory
+from experiments.pacing import RealTime
 from experiments.summary import summarise
 from sim.sequence import Sequence
 
 SUMMARY_FILE = "summary.json"
 RECORDING_FILE = "recording.rrd"
+MAP_DIR = "map"
 
 
 def run_sequence(
@@ -21,11 +23,14 @@ def run_sequence(
     recording: bool = False,
     progress: Progress | None = None,
     build: SystemFactory | None = None,
+    pace: RealTime | None = None,
+    maps: bool = False,
 ) -> dict:
     """Run a system and write its result folder, whole or not at all.
 
     The folder holds trajectory.txt (the map with most frames), trajectory_map<k>.txt (every other map),
-    keyframes.txt (of the first), frames.csv, events.jsonl, summary.json and, if asked for, recording.rrd.
+    keyframes.txt (of the first), frames.csv, events.jsonl, summary.json and, if asked for, recording.rrd and
+    the maps as COLMAP models in map.
 
     Args:
         sequence: what to feed.
@@ -35,16 +40,26 @@ def run_sequence(
         recording: write recording.rrd as well.
         progress: called with (frames done, frames in all).
         build: makes the system; ``slam.system.build_system`` by default.
+        pace: feeds in real time; None for as fast as the frames are taken.
+        maps: write the maps as well.
 
     Returns:
         The summary, as in summary.json.
 
     Raises:
+        ValueError: a recording is asked for in real time, of which it would take its share.
         InputError: the folder is taken or not writable, the disk is full, a frame cannot be read.
     """
     with new_directory(Path(out_dir)) as folder:
         record = execute_recorded(
-            sequence, system_kind, seed, folder / RECORDING_FILE if recording else None, progress, build
+            sequence,
+            system_kind,
+            seed,
+            folder / RECORDING_FILE if recording else None,
+            progress,
+            build,
+            pace,
+            _map_writer(folder / MAP_DIR) if maps else None,
         )
         summary = summarise(record)
         write_run(folder, record, summary)
@@ -58,15 +73,19 @@ def execute_recorded(
     recording_path: Path | None = None,
     progress: Progress | None = None,
     build: SystemFactory | None = None,
+    pace: RealTime | None = None,
+    at_end: AtEnd | None = None,
 ) -> RunRecord:
-    """Run a system and, given a path, write the recording of it there."""
+    """Run a system and, given a path, write the recording of it there; arguments as :func:`execute`."""
     if recording_path is None:
-        return execute(sequence, system_kind, seed, None, progress, build)
+        return execute(sequence, system_kind, seed, None, progress, build, pace, at_end)
+    if pace is not None:
+        raise ValueError("a recording takes time that belongs to the frames")
     from experiments.recording import Recorder
 
     with ExitStack() as stack:
         recorder = stack.enter_context(Recorder(recording_path, sequence, system_kind))
-        record = execute(sequence, system_kind, seed, recorder, progress, build)
+        record = execute(sequence, system_kind, seed, recorder, progress, build, None, at_end)
         recorder.finish(record)
     return record
 
@@ -81,3 +100,9 @@ def write_run(folder: Path, record: RunRecord, summary: dict) -> None:
     write_frames_csv(folder / "frames.csv", record.results)
     write_events(folder / "events.jsonl", record.events)
     (folder / SUMMARY_FILE).write_text(to_json(summary, indent=2) + "\n", encoding="utf-8")
+
+
+def _map_writer(folder: Path) -> AtEnd:
+    from experiments.map_files import write_maps
+
+    return lambda system, sequence: write_maps(folder, system, sequence)

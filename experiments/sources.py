@@ -1,6 +1,7 @@
 """A sequence from what a user names: a folder, a scenario, or a scenario file."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +41,9 @@ def open_sequence(
             raise InputError(f"--renderer: {source}", problem, "name a scenario, or leave out --renderer")
         from sim.io.forms import load_sequence
 
-        return load_sequence(path)
+        sequence = load_sequence(path)
+        names = _image_names(path)
+        return replace(sequence, image_names=names) if len(names) == len(sequence) else sequence
     from scenarios.families import is_scenario_name
     from scenarios.loading import load_scenario
 
@@ -88,6 +91,25 @@ def open_imu(
         return None
     model = ImuModel.of_spec(scenario.imu) if scenario.imu else None
     return record_imu(plan_path(scenario, scenario.seed, mujoco_studio()), stamps_s, scenario.seed, model)
+
+
+def _image_names(folder: Path) -> tuple[str, ...]:
+    """File names of the images in a folder's order, relative to it; none of the TUM-mono form's."""
+    from sim.io import euroc_layout, kitti, layout
+    from sim.io.forms import Form, detect_form, sequence_folder
+    from sim.io.text import read_rows
+
+    folder = sequence_folder(folder)
+    form = detect_form(folder)
+    if form is Form.TUM:
+        return tuple(words[1] for _, words in read_rows(folder / layout.FRAMES_FILE, ""))
+    if form is Form.EUROC:
+        camera = folder / euroc_layout.CAMERA_DIR
+        rows = read_rows(camera / "data.csv", "", ",")
+        return tuple(f"{euroc_layout.CAMERA_DIR}/data/{words[1]}" for _, words in rows)
+    if form is Form.KITTI:
+        return tuple(f"{kitti.IMAGES_DIR}/{p.name}" for p in sorted((folder / kitti.IMAGES_DIR).glob("*.png")))
+    return ()
 
 
 def _folder_imu(folder: Path) -> ImuReadings | None:

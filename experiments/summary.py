@@ -24,7 +24,8 @@ def summarise(record: RunRecord) -> dict:
     ``ate_m`` is the RMSE after Sim(3) alignment of the map with most frames, over ``ate_poses`` frames; raw
     accuracy rewards a system that got lost early, so read it beside ``share_tracked`` and ``path_share``.
     ``cpu_ms_*`` is the CPU time of the tracking stages per frame, ``mapping_cpu_ms_*`` that of local mapping
-    per keyframe.
+    per keyframe, ``loop_cpu_ms_*`` that of loop closing. ``dropped_frames`` came too late to be fed; they are
+    not among the ``frames``.
     """
     outcomes = breakage_outcomes(record.events, record.sequence.segments, list(record.sequence.stamps_s))
     summary = {
@@ -111,6 +112,7 @@ def _counts(record: RunRecord, outcomes: list[BreakageOutcome]) -> dict:
     stamps_s = record.sequence.stamps_s
     return {
         "frames": frames,
+        "dropped_frames": record.dropped_frames,
         "tracked": len(tracked),
         "share_tracked": len(tracked) / frames if frames else None,
         "share_tracked_after_init": None if first is None else len(tracked) / (frames - first),
@@ -156,15 +158,18 @@ def _accuracy(record: RunRecord) -> dict:
 
 
 def time_figures(results: Sequence[TrackingResult]) -> dict[str, float | None]:
-    """Median and 95th percentile: tracking per frame, wall and CPU; local mapping per keyframe, CPU."""
+    """Median and 95th percentile: tracking per frame, wall and CPU; mapping and loops per keyframe, CPU."""
     cpu = [sum(r.cpu_ms.values()) for r in results]
     mapping = [r.mapping_cpu_ms for r in results if r.mapping_cpu_ms > 0]
+    loops = [r.loop_cpu_ms for r in results if r.loop_cpu_ms > 0]
     return {
         "ms_median": _median([sum(r.ms.values()) for r in results]),
         "cpu_ms_median": _median(cpu),
         "cpu_ms_p95": _p95(cpu),
         "mapping_cpu_ms_median": _median(mapping),
         "mapping_cpu_ms_p95": _p95(mapping),
+        "loop_cpu_ms_median": _median(loops),
+        "loop_cpu_ms_p95": _p95(loops),
     }
 
 

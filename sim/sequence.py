@@ -3,7 +3,7 @@
 A frame's stamp is the centre of its exposure, and its true pose is the camera's pose at that moment.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -50,6 +50,21 @@ class SegmentTruth:
             acts[first : last + 1] = True
         return acts
 
+    def among(self, kept: np.ndarray) -> "SegmentTruth":
+        """The truth of a sequence of which only these frames, (n,) increasing indices, are kept."""
+        whole = ((self.first_frame, self.last_frame),) if self.first_frame >= 0 else ()
+        ends = [_among(kept, first, last) for first, last in whole]
+        first_frame, last_frame = ends[0] if ends and ends[0][0] <= ends[0][1] else (-1, -1)
+        runs: list[tuple[int, int]] = []
+        for first, last in (_among(kept, *run) for run in self.runs):
+            if first > last:
+                continue
+            if runs and runs[-1][1] + 1 == first:
+                # What lay between two runs is gone.
+                first = runs.pop()[0]
+            runs.append((first, last))
+        return replace(self, first_frame=first_frame, last_frame=last_frame, runs=tuple(runs))
+
 
 class FrameSource(Protocol):
     """Random access to gray frames."""
@@ -76,6 +91,7 @@ class Sequence:
         meta: spec, seed, versions, GL renderer.
         frame_truth: what the segments do to each frame, (N,) float64 each: ``blur_px``, ``exposure_s``,
             ``faded_share``, ``swing_degps``; empty for real footage.
+        image_names: N file names relative to the folder the frames are from; empty where there is none.
     """
 
     name: str
@@ -87,11 +103,44 @@ class Sequence:
     segments: tuple[SegmentTruth, ...]
     meta: dict
     frame_truth: dict[str, np.ndarray] = field(default_factory=dict)
+    image_names: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.stamps_s)
+
+    def only(self, kept: np.ndarray) -> "Sequence":
+        """The sequence of which only these frames, (n,) increasing int indices, were ever taken."""
+        kept = np.asarray(kept, int)
+        return replace(
+            self,
+            stamps_s=self.stamps_s[kept],
+            frames=_Chosen(self.frames, kept),
+            T_world_cam=None if self.T_world_cam is None else self.T_world_cam[kept],
+            depths=None if self.depths is None else _Chosen(self.depths, kept),
+            segments=tuple(segment.among(kept) for segment in self.segments),
+            frame_truth={name: column[kept] for name, column in self.frame_truth.items()},
+            image_names=tuple(self.image_names[i] for i in kept) if self.image_names else (),
+        )
 
     def kinds_at(self, frame: int) -> tuple[str, ...]:
         """Kinds of the segments between whose first and last frame a frame lies, by their onset."""
         inside = [s for s in self.segments if 0 <= s.first_frame <= frame <= s.last_frame]
         return tuple(s.kind for s in sorted(inside, key=lambda s: s.first_frame))
+
+
+class _Chosen:
+    """Some of the frames of another source."""
+
+    def __init__(self, source: FrameSource, kept: np.ndarray) -> None:
+        self._source, self._kept = source, kept
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def __getitem__(self, index: int) -> np.ndarray:
+        return self._source[int(self._kept[index])]
+
+
+def _among(kept: np.ndarray, first: int, last: int) -> tuple[int, int]:
+    """First and last place in ``kept`` of the frames from ``first`` to ``last``; crossed over if none is."""
+    return int(np.searchsorted(kept, first, "left")), int(np.searchsorted(kept, last, "right")) - 1

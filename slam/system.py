@@ -318,7 +318,7 @@ class MonocularSlam:
     @property
     def settings(self) -> dict:
         """Every setting in force, nested by component, to be saved with the results."""
-        return asdict(self.config)
+        return {"mode": str(self._backend.mode), **asdict(self.config)}
 
     @property
     def tracker(self) -> Tracker:
