@@ -4,7 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from experiments.execution import Mode, RunRecord, SystemFactory, SystemKind, execute, system_factory
+from experiments import execution
+from experiments.execution import Mode, RunRecord, SystemFactory, SystemKind, execute
 from experiments.pacing import RealTime
 from experiments.peer import Peer, PeerRun
 from experiments.summary import is_tracked, stage_times, time_figures
@@ -47,7 +48,7 @@ def bench(
         from slam.warmup import warm_up
 
         warm_up(show)
-        build = system_factory(mode)
+        build = execution.system_factory(mode)
     records: list[RunRecord] = []
     peer_runs: list[PeerRun] = []
     for run in range(runs):

@@ -13,7 +13,7 @@ from experiments.summary import is_tracked
 from sim.sequence import Sequence
 from slam.results import MapTrajectory
 
-FIGURES = ("cpu_ms_median", "ate_m", "share_tracked", "first_tracked_frame", "peak_rss_mb")
+FIGURES = ("cpu_ms_median", "ate_m", "share_tracked", "first_tracked_frame")
 
 
 def compare(sequence: Sequence, ours: Many[RunRecord], peers: Many[PeerRun]) -> dict[str, Any]:
@@ -51,7 +51,6 @@ def _our_row(record: RunRecord, all_frames: Sequence) -> dict[str, Any]:
         "ate_reason": reason,
         "share_tracked": len(tracked) / len(all_frames),
         "first_tracked_frame": first,
-        "peak_rss_mb": record.peak_rss_mb,
         "dropped_frames": record.dropped_frames,
     }
 
@@ -64,7 +63,6 @@ def _peer_row(run: PeerRun, all_frames: Sequence) -> dict[str, Any]:
         "ate_reason": reason,
         "share_tracked": run.tracked / len(all_frames),
         "first_tracked_frame": run.first_tracked_frame,
-        "peak_rss_mb": run.peak_rss_mb,
         "dropped_frames": None,
     }
 

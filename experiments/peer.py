@@ -2,7 +2,8 @@
 
 The program is any command line that takes a TUM-form folder and a result folder and leaves there
 ``trajectory.txt`` (TUM form) and ``summary.json`` with at least ``cpu_ms_median`` (tracking, per frame),
-``tracked`` and ``frames``; ``first_tracked_frame`` and ``peak_rss_mb`` are taken where they are there.
+``tracked`` and ``frames``; ``first_tracked_frame`` is taken where it is there. Memory is not compared: what
+a program started from here calls its peak may be ours at the start.
 """
 
 import shlex
@@ -34,14 +35,12 @@ class PeerRun:
         cpu_ms_median: CPU milliseconds of tracking, median over the frames.
         tracked: number of frames with a pose.
         first_tracked_frame: None where it does not say.
-        peak_rss_mb: None where it does not say.
         trajectory: its path; None where it tracked nothing.
     """
 
     cpu_ms_median: float
     tracked: int
     first_tracked_frame: int | None
-    peak_rss_mb: float | None
     trajectory: MapTrajectory | None
 
 
@@ -96,13 +95,26 @@ def open_peer(
     Raises:
         InputError: the command is empty or there is no such program; the disk is full.
     """
-    words = _words(command)
+    words = check_command(command)
     with tempfile.TemporaryDirectory(prefix="dslab-peer-") as name:
         scratch, folder = Path(name), Path(source)
         if not (folder.is_dir() and detect_form(folder) is Form.TUM):
             folder = scratch / "sequence"
             write_sequence(sequence, folder, Form.TUM, progress=progress)
         yield Peer(words, sequence, folder.resolve(), scratch)
+
+
+def check_command(command: str) -> list[str]:
+    """The words of a command line. Raises InputError if it is none or there is no such program."""
+    try:
+        words = shlex.split(command)
+    except ValueError as error:
+        raise InputError(f"--peer: {command}", f"is no command line ({error})", "check its quotes") from None
+    if not words:
+        raise InputError("--peer", "is empty", "give the command that runs the other system")
+    if shutil.which(words[0]) is None:
+        raise InputError(f"--peer: {words[0]}", "no such command", "check its path, or install it")
+    return words
 
 
 def read_peer_run(out_dir: Path, sequence: Sequence) -> PeerRun:
@@ -125,21 +137,8 @@ def read_peer_run(out_dir: Path, sequence: Sequence) -> PeerRun:
         cpu_ms_median=_number(path, summary, "cpu_ms_median"),
         tracked=tracked,
         first_tracked_frame=_count(path, summary, "first_tracked_frame", frames - 1) if has_first else None,
-        peak_rss_mb=_number(path, summary, "peak_rss_mb") if "peak_rss_mb" in summary else None,
         trajectory=_read_trajectory(out_dir / "trajectory.txt", sequence, tracked),
     )
-
-
-def _words(command: str) -> list[str]:
-    try:
-        words = shlex.split(command)
-    except ValueError as error:
-        raise InputError(f"--peer: {command}", f"is no command line ({error})", "check its quotes") from None
-    if not words:
-        raise InputError("--peer", "is empty", "give the command that runs the other system")
-    if shutil.which(words[0]) is None:
-        raise InputError(f"--peer: {words[0]}", "no such command", "check its path, or install it")
-    return words
 
 
 def _read_trajectory(path: Path, sequence: Sequence, tracked: int) -> MapTrajectory | None:

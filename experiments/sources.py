@@ -105,10 +105,12 @@ def _image_names(folder: Path) -> tuple[str, ...]:
         return tuple(words[1] for _, words in read_rows(folder / layout.FRAMES_FILE, ""))
     if form is Form.EUROC:
         camera = folder / euroc_layout.CAMERA_DIR
-        rows = read_rows(camera / "data.csv", "", ",")
+        rows = read_rows(camera / euroc_layout.TABLE_FILE, "", ",")
         return tuple(f"{euroc_layout.CAMERA_DIR}/data/{words[1]}" for _, words in rows)
     if form is Form.KITTI:
-        return tuple(f"{kitti.IMAGES_DIR}/{p.name}" for p in sorted((folder / kitti.IMAGES_DIR).glob("*.png")))
+        return tuple(
+            f"{kitti.IMAGES_DIR}/{p.name}" for p in sorted((folder / kitti.IMAGES_DIR).glob("*.png"))
+        )
     return ()
 
 

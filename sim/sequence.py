@@ -53,17 +53,16 @@ class SegmentTruth:
     def among(self, kept: np.ndarray) -> "SegmentTruth":
         """The truth of a sequence of which only these frames, (n,) increasing indices, are kept."""
         whole = ((self.first_frame, self.last_frame),) if self.first_frame >= 0 else ()
-        ends = [_among(kept, first, last) for first, last in whole]
-        first_frame, last_frame = ends[0] if ends and ends[0][0] <= ends[0][1] else (-1, -1)
-        runs: list[tuple[int, int]] = []
-        for first, last in (_among(kept, *run) for run in self.runs):
+        left: list[tuple[int, int]] = []
+        for first, last in (_among(kept, *run) for run in self.runs or whole):
             if first > last:
                 continue
-            if runs and runs[-1][1] + 1 == first:
-                # What lay between two runs is gone.
-                first = runs.pop()[0]
-            runs.append((first, last))
-        return replace(self, first_frame=first_frame, last_frame=last_frame, runs=tuple(runs))
+            # What lay between two runs may be gone.
+            joined = bool(left) and left[-1][1] + 1 == first
+            left.append((left.pop()[0] if joined else first, last))
+        first_frame, last_frame = (left[0][0], left[-1][1]) if left else (-1, -1)
+        runs = tuple(left) if self.runs else ()
+        return replace(self, first_frame=first_frame, last_frame=last_frame, runs=runs)
 
 
 class FrameSource(Protocol):

@@ -1,5 +1,6 @@
 """``dslab bench``."""
 
+from contextlib import nullcontext
 from typing import Annotated, Any
 
 import typer
@@ -7,11 +8,16 @@ from rich.table import Table
 from typer.core import TyperGroup
 
 from experiments.cli.console import (
+    ModeChoice,
+    ModeOption,
+    RealTimeOption,
     RendererOption,
+    check_real_time,
     number,
     out,
     print_json_line,
     progress_bars,
+    share,
     single_threaded_opencv,
 )
 from experiments.cli.run import SystemChoice
@@ -24,8 +30,11 @@ _HELP = """Measure the speed of the tracker, or with `sim` that of the simulator
 
 `dslab bench path/to/sequence --runs 3`
 
+`dslab bench path/to/sequence --peer "orbslam3.py --features 2000"`
+
 `dslab bench sim`
 """
+_RUNS, _RUNS_WITH_PEER = 1, 5
 
 
 class _SlamByDefault(TyperGroup):
@@ -45,49 +54,109 @@ def slam_command(
     source: Annotated[
         str, typer.Argument(help="A sequence folder, a scenario's name or its YAML file.")
     ] = "clean-room",
-    runs: Annotated[int, typer.Option(min=1, help="How often to run it.")] = 1,
+    runs: Annotated[
+        int | None,
+        typer.Option(min=1, help="How often to run it; 1, with a peer 5.", show_default=False),
+    ] = None,
     system: Annotated[SystemChoice, typer.Option(help="The SLAM system.")] = SystemChoice.BASE,
     seed: Annotated[int | None, typer.Option(min=0, help="Root seed.")] = None,
     renderer: RendererOption = None,
+    mode: ModeOption = ModeChoice.LOCKSTEP,
+    real_time: RealTimeOption = False,
+    peer: Annotated[
+        str | None,
+        typer.Option(
+            help="Command of another system, run in turn with ours: given a TUM-form folder and a result "
+            "folder, it must leave trajectory.txt and summary.json with cpu_ms_median, tracked and frames.",
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as one line of JSON.")] = False,
 ) -> None:
     """Measure the speed of the tracker: CPU milliseconds per stage, frames per second, memory, map size.
 
-    Kernels are compiled before anything is measured. For example:
+    Kernels are compiled before anything is measured. With `--peer`, both systems are compared on the same
+    frames: tracking CPU per frame, ATE, share of frames tracked. For example:
 
     `dslab bench slam path/to/sequence --runs 3`
+
+    `dslab bench slam clean-room --seed 1 --peer "path/to/orbslam3.py --features 1000"`
     """
     from experiments.bench import bench
+    from experiments.files import plain
+    from experiments.peer import check_command, open_peer
     from experiments.sources import open_sequence
 
+    check_real_time(real_time, mode)
+    if peer is not None:
+        check_command(peer)
+    runs = runs or (_RUNS if peer is None else _RUNS_WITH_PEER)
     single_threaded_opencv()
     with progress_bars() as show:
         sequence = open_sequence(source, seed, show, renderer=renderer)
-        figures = bench(sequence, system.value, runs, seed or 0, show)
+        with open_peer(peer, source, sequence, show) if peer is not None else nullcontext() as opened:
+            figures = bench(
+                sequence,
+                system.value,
+                runs,
+                seed or 0,
+                show,
+                mode=mode.value,
+                real_time=real_time,
+                peer=opened,
+            )
     if as_json:
-        print_json_line(figures)
+        print_json_line(plain(figures))
         return
-    table = Table(title=f"{figures['sequence']}, {system}, {runs} run(s), {figures['frames']} frames each")
-    for column in ("stage", "median CPU ms", "p95 CPU ms"):
-        table.add_column(column, justify="left" if column == "stage" else "right")
-    for stage, row in figures["stages"].items():
-        table.add_row(stage, number(row["cpu_ms_median"], 2), number(row["cpu_ms_p95"], 2))
-    table.add_section()
-    table.add_row(
-        "tracking, whole frame", number(figures["cpu_ms_median"], 2), number(figures["cpu_ms_p95"], 2)
-    )
-    table.add_row(
-        "mapping, per keyframe",
-        number(figures["mapping_cpu_ms_median"], 2),
-        number(figures["mapping_cpu_ms_p95"], 2),
-    )
-    out.print(table)
+    out.print(_stages_table(figures))
     out.print(
         f"{number(figures['frames_per_s'], 1)} frames per second in all, "
         f"peak memory {number(figures['peak_rss_mb'], 0)} MiB, "
         f"{figures['keyframes']} keyframes, {figures['map_points']} map points, "
         f"{figures['tracked']} of {figures['frames']} frames tracked"
     )
+    if real_time:
+        out.print(f"frames dropped, run by run: {', '.join(map(str, figures['dropped_frames']))}")
+    if "comparison" in figures:
+        out.print(_comparison_table(figures["comparison"], figures["runs"]))
+        for reason in figures["comparison"]["ate_reasons"]:
+            out.print(f"a run without ATE: {reason}")
+
+
+def _stages_table(figures: dict[str, Any]) -> Table:
+    table = Table(
+        title=f"{figures['sequence']}, {figures['system']}, {figures['mode']}, "
+        f"{figures['runs']} run(s), {figures['frames']} frames each"
+    )
+    for column in ("stage", "median CPU ms", "p95 CPU ms"):
+        table.add_column(column, justify="left" if column == "stage" else "right")
+    for stage, row in figures["stages"].items():
+        table.add_row(stage, number(row["cpu_ms_median"], 2), number(row["cpu_ms_p95"], 2))
+    table.add_section()
+    for name, prefix in (
+        ("tracking, whole frame", ""),
+        ("mapping, per keyframe", "mapping_"),
+        ("loop closing, per keyframe", "loop_"),
+    ):
+        median, p95 = figures[f"{prefix}cpu_ms_median"], figures[f"{prefix}cpu_ms_p95"]
+        table.add_row(name, number(median, 2), number(p95, 2))
+    return table
+
+
+def _comparison_table(comparison: dict[str, Any], runs: int) -> Table:
+    table = Table(title=f"against the peer, medians over {runs} run(s) each, in turn")
+    table.add_column("")
+    for column in ("ours", "peer", "ratio"):
+        table.add_column(column, justify="right")
+    rows = (
+        ("tracking CPU ms per frame", "cpu_ms_median", lambda value: number(value, 2)),
+        ("ATE m (RMSE, Sim(3))", "ate_m", lambda value: number(value, 4)),
+        ("frames tracked", "share_tracked", share),
+        ("first tracked frame", "first_tracked_frame", lambda value: number(value, 0)),
+    )
+    for name, figure, shown in rows:
+        ratio = number(comparison["ratio"][figure], 3)
+        table.add_row(name, shown(comparison["ours"][figure]), shown(comparison["peer"][figure]), ratio)
+    return table
 
 
 @app.command("sim")

@@ -22,11 +22,38 @@ class FormatChoice(StrEnum):
     EUROC = "euroc"
 
 
+class ModeChoice(StrEnum):
+    """How tracking, mapping and loop closing share time."""
+
+    LOCKSTEP = "lockstep"
+    THREADED = "threaded"
+
+
+ModeOption = Annotated[
+    ModeChoice,
+    typer.Option(
+        "--mode",
+        help="lockstep: the same seed gives the same bits; threaded: mapping and loop closing run beside "
+        "tracking.",
+    ),
+]
+RealTimeOption = Annotated[
+    bool,
+    typer.Option("--real-time", help="Feed frames at the pace of their stamps, drop and count late ones."),
+]
 RendererOption = Annotated[
     str | None,
     typer.Option("--renderer", help="What renders a scenario: mujoco (the default) or pyrender."),
 ]
 SeedOption = typer.Option(None, "--seed", min=0, help="Root seed; the scenario's own by default.")
+
+
+def check_real_time(real_time: bool, mode: ModeChoice) -> None:
+    """Raise InputError for a pace that a mode is not made for."""
+    from scenarios.errors import InputError
+
+    if real_time and mode is not ModeChoice.THREADED:
+        raise InputError("--real-time", f"the mode is {mode}", "add --mode threaded")
 
 
 def single_threaded_opencv() -> None:

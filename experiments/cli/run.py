@@ -8,7 +8,11 @@ import typer
 from rich.table import Table
 
 from experiments.cli.console import (
+    ModeChoice,
+    ModeOption,
+    RealTimeOption,
     RendererOption,
+    check_real_time,
     number,
     out,
     print_json_line,
@@ -34,6 +38,11 @@ def run_command(
         typer.Option(min=0, help="Root seed of the scenario and of the SLAM; the scenario's own, or 0."),
     ] = None,
     renderer: RendererOption = None,
+    mode: ModeOption = ModeChoice.LOCKSTEP,
+    real_time: RealTimeOption = False,
+    maps: Annotated[
+        bool, typer.Option("--map", help="Write the map too, as a COLMAP model with points.ply.")
+    ] = False,
     rerun: Annotated[bool, typer.Option("--rerun", help="Write recording.rrd too.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one line of JSON.")] = False,
 ) -> None:
@@ -46,15 +55,27 @@ def run_command(
     `dslab run stressed --system dual --seed 3 --out out/stressed-3 --rerun`
 
     `dslab run path/to/sequence --out out/sequence --json`
+
+    `dslab run clean-room --mode threaded --real-time --map --out out/room`
     """
+    from experiments.execution import system_factory
     from experiments.output import check_free
+    from experiments.pacing import RealTime
     from experiments.run import run_sequence
     from experiments.sources import open_sequence
+    from scenarios.errors import InputError
+    from slam.warmup import warm_up
 
+    check_real_time(real_time, mode)
+    if real_time and rerun:
+        raise InputError("--rerun", "a recording takes time from the frames", "leave out --real-time")
     check_free(out_dir)
     single_threaded_opencv()
     with progress_bars() as show:
         sequence = open_sequence(source, seed, show, renderer=renderer)
+        if real_time:
+            # Compiling and loading kernels would be taken for slowness.
+            warm_up(show)
         slam_seed = seed if seed is not None else int(sequence.meta.get("seed", 0))
         summary = run_sequence(
             sequence,
@@ -63,6 +84,9 @@ def run_command(
             out_dir,
             recording=rerun,
             progress=lambda done, total: show(f"SLAM ({system})", done, total),
+            build=system_factory(mode.value),
+            pace=RealTime(sequence) if real_time else None,
+            maps=maps,
         )
     if as_json:
         print_json_line(summary)
@@ -76,7 +100,11 @@ def summary_table(summary: dict) -> Table:
     table = Table(
         title=f"{summary['sequence']}, {summary['system']}, seed {summary['seed']}", show_header=False
     )
-    rows = {
+    if summary["dropped_frames"]:
+        dropped = {"frames dropped, too late": str(summary["dropped_frames"])}
+    else:
+        dropped = {}
+    rows = dropped | {
         "frames tracked": f"{summary['tracked']} of {summary['frames']} ({share(summary['share_tracked'])})",
         "first tracked frame": str(summary["first_tracked_frame"]),
         "maps / keyframes / points": f"{summary['maps']} / {summary['keyframes']} / {summary['map_points']}",

@@ -32,7 +32,9 @@ def made_up(monkeypatch):
     """`dslab run anything` runs the fake over the made-up sequence."""
     sequence = make_sequence()
     monkeypatch.setattr(sources, "open_sequence", lambda source, seed, show, **options: sequence)
-    monkeypatch.setattr(execution, "_default_factory", lambda: fake_factory(sequence, breaks_at=160))
+    monkeypatch.setattr(
+        execution, "system_factory", lambda mode="lockstep": fake_factory(sequence, breaks_at=160)
+    )
     return sequence
 
 
