@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from sim.world.meshes import Mesh, Piece, Sheet, grid_triangles
 from sim.world.outdoor import Daylight
@@ -42,13 +43,8 @@ class Relief:
 
     def height(self, points: np.ndarray) -> np.ndarray:
         """(...) float64 height at plan positions (..., 2), metres."""
-        at = ((np.asarray(points) - self._low) / _CELL_M).astype(np.float32)
-        flat = at.reshape(-1, 1, 2)
-        found = [
-            cv2.remap(self._heights, part, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            for part in np.array_split(flat, len(flat) // 30000 + 1)
-        ]
-        return np.concatenate(found).reshape(at.shape[:-1]).astype(float)
+        column, row = np.moveaxis((np.asarray(points) - self._low) / _CELL_M, -1, 0)
+        return map_coordinates(self._heights, [row, column], float, order=1, mode="nearest")
 
     def normal(self, points: np.ndarray) -> np.ndarray:
         """(..., 3) float64 upward unit normals at plan positions (..., 2)."""
@@ -134,7 +130,8 @@ def _distance(shape: tuple[int, int], line: np.ndarray) -> np.ndarray:
     """(rows, columns) distance from a polyline given in cells."""
     free = np.full(shape, 255, np.uint8)
     cv2.polylines(free, [np.rint(line).astype(np.int32)], False, 0, 1)
-    return cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    # Not cv2.distanceTransform, whose last bits depend on how many threads there are.
+    return np.asarray(distance_transform_edt(free))
 
 
 def _waves(plan: np.ndarray, lengths_m: tuple[float, float], rng: np.random.Generator) -> np.ndarray:
