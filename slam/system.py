@@ -146,9 +146,10 @@ class MonocularSlam:
         rng = rng_for(self.seed, "initialization", frame.features.index)
         with self.timer("initialize"):
             initial, reason, matches = self._initializer.offer(frame, self._map_id, rng, self.config.mapping)
+            if initial is not None:
+                self._start_map(initial)
         if initial is None:
             return TrackingOutcome(False, 0, matches, reason)
-        self._start_map(initial)
         frame.point = initial.second.point
         frame.T_cam_map = initial.second.T_cam_map
         frame.reference_keyframe, frame.T_cam_reference = 1, np.eye(4)
