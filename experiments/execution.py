@@ -165,7 +165,7 @@ def execute(
 def system_factory(mode: Mode = "lockstep") -> SystemFactory:
     """What makes the systems of this project, for one way of running them."""
     from slam.backend import ExecutionMode
-    from slam.system import build_system
+    from slam.factory import build_system
 
     execution_mode = ExecutionMode(mode)
     return lambda kind, camera, seed: build_system(kind, camera, seed, mode=execution_mode)

@@ -11,9 +11,9 @@ from experiments.execution import slam_camera
 from scenarios.spec import Scenario
 from sim.render import render_sequence
 from sim.sequence import Sequence
+from slam.config import default_config
 from slam.orb import OrbExtractor
 from slam.place_recognition import Vocabulary
-from slam.system import default_config
 from slam.vocabulary_training import train_vocabulary
 
 BRANCHING, LEVELS = 10, 4

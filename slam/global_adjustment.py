@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam import _map_kernels as kernels
+from slam._local_problem import local_problem
 from slam.map import MIN_OBSERVATIONS, Map
 from slam.optimization.global_bundle_adjustment import global_bundle_adjust
 from slam.optimization.pose import CHI2_2DOF
@@ -48,7 +49,7 @@ def adjust_globally(map_: Map, iterations: int = 10, apart: bool = False) -> Glo
     """
     a, view = map_.arrays, map_.view
     free = ~a.kf_bad[: map_.n_keyframes]
-    cameras, points, obs_camera, obs_point, obs_keypoint = kernels.local_problem(
+    cameras, points, obs_camera, obs_point, obs_keypoint = local_problem(
         a, map_.n_keyframes, map_.n_points, free, 0
     )
     if len(cameras) < 2 or not len(points):

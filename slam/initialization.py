@@ -8,10 +8,12 @@ import numpy as np
 from slam import _map_kernels as kernels
 from slam.camera import PinholeCamera
 from slam.frame import Frame
-from slam.geometry import ViewGeometry
+from slam.geometry import ViewGeometry, share_of_motion
 from slam.local_mapping import LocalMapper, LocalMappingConfig
 from slam.map import Map
 from slam.matching import match_for_initialization
+from slam.timing import StageTimer
+from slam.tracking import Tracker, TrackingConfig
 from slam.two_view import TwoViewConfig, two_view_reconstruction
 
 
@@ -149,6 +151,31 @@ class Initializer:
         found = matched >= 0
         self._around[found] = b.xy[matched[found]]
         return matched, count
+
+
+def frames_between(initial: InitialMap, config: TrackingConfig) -> list[Frame]:
+    """The frames between the two views that track back from the second to the first, as far as it goes.
+
+    It is done in a copy of the map, so that the map is as if they had never been.
+
+    Args:
+        initial: as :meth:`Initializer.offer` gives it.
+        config: settings of the tracker.
+
+    Returns:
+        Tracked frames, newest first.
+    """
+    map_, first, second = initial.map.copy(), initial.first, initial.second
+    steps = second.features.index - first.features.index
+    motion = map_.T_cam_map(0) @ np.linalg.inv(map_.T_cam_map(1))
+    tracker = Tracker(map_, config, StageTimer())
+    tracker.start(second.copy(), 1, share_of_motion(motion, 1.0 / steps))
+    placed = []
+    for frame in reversed(initial.between):
+        if not tracker.track(frame).success:
+            break
+        placed.append(frame)
+    return placed
 
 
 def _build_map(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam import _map_kernels as kernels
+from slam._local_problem import local_problem
 from slam._triangulation_search import new_points
 from slam.frame import Frame
 from slam.map import MIN_OBSERVATIONS, Map
@@ -90,7 +91,7 @@ class LocalMapper:
         """
         m, a, view = self.map, self.map.arrays, self.map.view
         with self.lock:
-            cameras, points, obs_camera, obs_point, obs_keypoint = kernels.local_problem(
+            cameras, points, obs_camera, obs_point, obs_keypoint = local_problem(
                 a, m.n_keyframes, m.n_points, free, self.config.fixed
             )
             T_cam_map, xyz = a.kf_T_cam_map[cameras], a.pt_xyz[points]

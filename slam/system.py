@@ -1,6 +1,6 @@
 """The monocular SLAM system: reads as the steps of the method."""
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict
 from numbers import Real
 from typing import Self
 
@@ -9,48 +9,22 @@ import numpy as np
 from slam import events as ev
 from slam.backend import Backend, Change, Corrected, ExecutionMode, KeyframeTask, Mapped, Searched
 from slam.camera import PinholeCamera
+from slam.config import SlamConfig
 from slam.events import TrackingState
 from slam.frame import Frame, FrameFeatures
-from slam.geometry import share_of_motion, view_geometry
+from slam.geometry import view_geometry
 from slam.global_adjustment import apply_adjustment
-from slam.initialization import InitializationConfig, Initializer, InitialMap
-from slam.local_mapping import LocalMapper, LocalMappingConfig
-from slam.loop_closing import LoopClosingConfig, LoopDetector
+from slam.initialization import Initializer, InitialMap, frames_between
+from slam.local_mapping import LocalMapper
 from slam.map import Map
-from slam.orb import OrbConfig, OrbExtractor
-from slam.place_recognition import KeyframeDatabase
-from slam.relocalization import RelocalizationConfig, Relocalizer
+from slam.orb import OrbExtractor
+from slam.places import Places
 from slam.results import MapTrajectory, TrackingResult
 from slam.seeds import rng_for
 from slam.snapshot import Snapshot
 from slam.timing import StageTimer
-from slam.tracking import Tracker, TrackingConfig, TrackingOutcome
+from slam.tracking import Tracker, TrackingOutcome
 from slam.trajectory import FramePoses, keyframe_trajectory
-
-
-@dataclass(frozen=True)
-class SlamConfig:
-    """Settings of the base system, one group per component.
-
-    Attributes:
-        min_map_keyframes: a map that breaks with no more keyframes is dropped instead of kept.
-    """
-
-    orb: OrbConfig = field(default_factory=OrbConfig)
-    initialization: InitializationConfig = field(default_factory=InitializationConfig)
-    tracking: TrackingConfig = field(default_factory=TrackingConfig)
-    mapping: LocalMappingConfig = field(default_factory=LocalMappingConfig)
-    loops: LoopClosingConfig = field(default_factory=LoopClosingConfig)
-    relocalization: RelocalizationConfig = field(default_factory=RelocalizationConfig)
-    min_map_keyframes: int = 5
-
-
-@dataclass(frozen=True)
-class Places:
-    """What recognises places in one map."""
-
-    loops: LoopDetector
-    relocalizer: Relocalizer
 
 
 class MonocularSlam:
@@ -161,24 +135,10 @@ class MonocularSlam:
         self._tracker = Tracker(initial.map, self.config.tracking, self.timer)
         self._tracker.start(initial.second, 1)
         self._poses.add(self._map_id, initial.first)
-        self._place_frames_between(initial)
+        for frame in frames_between(initial, self.config.tracking):
+            self._poses.add(self._map_id, frame)
         self.state = TrackingState.TRACKING
         self._emit(initial.second, ev.Initialized, points=initial.points, model=initial.model)
-
-    def _place_frames_between(self, initial: InitialMap) -> None:
-        """Track back from the second view to the first, as far as it goes: those frames have a place too.
-
-        It is done in a copy of the map, so that the map is as if they had never been.
-        """
-        map_, first, second = initial.map.copy(), initial.first, initial.second
-        steps = second.features.index - first.features.index
-        motion = map_.T_cam_map(0) @ np.linalg.inv(map_.T_cam_map(1))
-        tracker = Tracker(map_, self.config.tracking, StageTimer())
-        tracker.start(second.copy(), 1, share_of_motion(motion, 1.0 / steps))
-        for frame in reversed(initial.between):
-            if not tracker.track(frame).success:
-                return
-            self._poses.add(self._map_id, frame)
 
     def _track(self, frame: Frame) -> tuple[TrackingOutcome, bool]:
         """Track the frame; the outcome, and whether to make a keyframe of it."""
@@ -289,11 +249,7 @@ class MonocularSlam:
     def _places(self, map_id: int) -> Places:
         """Place recognition in a map, and what builds on it."""
         if map_id not in self._known_places:
-            database = KeyframeDatabase(self._maps[map_id])
-            self._known_places[map_id] = Places(
-                LoopDetector(self._maps[map_id], database, self.config.loops),
-                Relocalizer(self._maps[map_id], database, self.config.relocalization),
-            )
+            self._known_places[map_id] = Places.of(self._maps[map_id], self.config)
         return self._known_places[map_id]
 
     def _seek_new_map(self) -> None:
@@ -418,36 +374,3 @@ class MonocularSlam:
     def _emit_at(self, frame: Frame, kind: type[ev.Event], map_id: int, **fields) -> None:
         features = frame.features
         self.events.append(kind(frame=features.index, stamp_s=features.stamp_s, map_id=map_id, **fields))
-
-
-def build_system(
-    kind: str,
-    camera: PinholeCamera,
-    seed: int = 0,
-    config: SlamConfig | None = None,
-    mode: ExecutionMode = ExecutionMode.LOCKSTEP,
-) -> MonocularSlam:
-    """A system by name.
-
-    Args:
-        kind: ``base`` or ``dual``.
-        camera: intrinsics of the images to come.
-        seed: root of every random stream.
-        config: settings; the published defaults, scaled to the image size, where None.
-        mode: how tracking, mapping and loop closing share time.
-
-    Raises:
-        ValueError: on an unknown kind.
-    """
-    from slam.dual.supervisor import DualSlam
-
-    systems = {"base": MonocularSlam, "dual": DualSlam}
-    if kind not in systems:
-        raise ValueError(f"unknown system {kind!r}: one of {', '.join(systems)}")
-    return systems[kind](camera, seed, config or default_config(camera), mode=mode)
-
-
-def default_config(camera: PinholeCamera) -> SlamConfig:
-    """Published settings: 1,000 features up to 640x480, 2,000 for wider images such as KITTI's."""
-    wide = camera.width_px * camera.height_px > 1.2 * 640 * 480
-    return replace(SlamConfig(), orb=OrbConfig(n_features=2000 if wide else 1000))

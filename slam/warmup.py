@@ -78,7 +78,7 @@ def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
     Args:
         progress: called with a message, the frames done and the frames in all.
     """
-    from slam.system import build_system
+    from slam.factory import build_system
 
     # Long enough for a map worth saving, a breakage, a recovery and a fusion; for the base, a relocalization.
     blank, counts = range(90, 96), {"dual": 180, "base": 105}

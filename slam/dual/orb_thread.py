@@ -1,7 +1,7 @@
 """Recovery thread 1: ORB tracking with a motion model, backward. Source: paper, Algorithm 1, lines 3-13."""
 
 from slam.dual.fusion import agree
-from slam.dual.recovery import RecoveryConfig, RecoveryResult, RecoveryTask
+from slam.dual.recovery import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
 from slam.frame import Frame
 from slam.local_mapping import LocalMapper
 from slam.map import Map
@@ -14,6 +14,8 @@ class OrbRecovery:
     """The base system's tracking and mapping, run against time."""
 
     name = "orb"
+    needs_images = False
+    cost = RecoveryCost(frame_ms=4.0, keyframe_ms=30.0, alignment_ms=4.0)
 
     def __init__(self, config: RecoveryConfig) -> None:
         self.config = config
@@ -44,8 +46,11 @@ class OrbRecovery:
             result.frames.append(frame)
             if meeting.possible(frame) or tracker.wants_keyframe(frame, outcome.inliers):
                 keyframe = mapper.insert(frame)
+                result.keyframes_made += 1
                 tracker.keyframe_made(frame, keyframe)
-                if meeting.attempt(frame, keyframe):
+                met = meeting.attempt(frame, keyframe)
+                result.alignments_tried = meeting.tried
+                if met:
                     result.success = True
                     result.alignment = meeting.accepted
                     result.inliers = meeting.accepted.inliers
@@ -65,6 +70,7 @@ class _Meeting:
         ]
         self._found: list[Alignment] = []
         self._failures: list[str] = []
+        self.tried = 0
 
     @property
     def accepted(self) -> Alignment:
@@ -86,6 +92,7 @@ class _Meeting:
 
     def _align(self, old: Map, old_keyframe: int, keyframe: int) -> bool:
         task = self._task
+        self.tried += 1
         alignment, reason, _ = align(old, task.new_map, old_keyframe, keyframe, task.rng, self._config)
         if alignment is None:
             self._failures.append(reason)

@@ -3,7 +3,7 @@
 Source: paper, Sec. III-B and Algorithm 1.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -28,14 +28,17 @@ class RecoveryTask:
         old_maps: the saved maps that the buffer reaches, newest first, not to be changed.
         step: T_cam_last of one frame backward, as far as the new map's first motion tells.
         rng: stream of this thread.
+        image_of: the (H, W) uint8 image of a frame by its index; the first frame's and the buffered ones'
+            are there for a thread that has said that it needs images.
     """
 
     new_map: Map
     first: Frame
-    backward: Iterable[FrameFeatures]
+    backward: Sequence[FrameFeatures]
     old_maps: Sequence[Map]
     step: np.ndarray
     rng: np.random.Generator
+    image_of: Callable[[int], np.ndarray]
 
 
 @dataclass
@@ -48,6 +51,8 @@ class RecoveryResult:
         reason: why.
         frames_covered: buffered frames gone back over.
         frames_passed_over: those of them that could not be tracked.
+        keyframes_made: keyframes that the new map has gained.
+        alignments_tried: pairs of keyframes at which the maps were compared.
         inliers: of the last tracked frame, or of the alignment on success.
         alignment: the accepted similarity, None on failure.
         map: the new map as extended.
@@ -60,15 +65,48 @@ class RecoveryResult:
     reason: str = ""
     frames_covered: int = 0
     frames_passed_over: int = 0
+    keyframes_made: int = 0
+    alignments_tried: int = 0
     inliers: int = 0
     alignment: Alignment | None = None
     frames: list[Frame] = field(default_factory=list)
 
 
+@dataclass(frozen=True)
+class RecoveryCost:
+    """What a thread's steps take on one core, measured; lockstep mode reckons the time of a recovery by it.
+
+    Attributes:
+        frame_ms: per buffered frame gone over.
+        keyframe_ms: per keyframe made.
+        alignment_ms: per pair of keyframes compared.
+    """
+
+    frame_ms: float
+    keyframe_ms: float
+    alignment_ms: float
+
+    def seconds(self, result: RecoveryResult) -> float:
+        """The time that a recovery with this result takes."""
+        return 1e-3 * (
+            self.frame_ms * result.frames_covered
+            + self.keyframe_ms * result.keyframes_made
+            + self.alignment_ms * result.alignments_tried
+        )
+
+
 class RecoveryThread(Protocol):
-    """One way of going back."""
+    """One way of going back. It keeps nothing from one run to the next.
+
+    Attributes:
+        name: of its kind.
+        needs_images: whether frames must be held as images and not only as features.
+        cost: the time that its steps take.
+    """
 
     name: str
+    needs_images: bool
+    cost: RecoveryCost
 
     def run(self, task: RecoveryTask) -> RecoveryResult:
         """Go back over the buffer until the maps meet or the way is lost."""

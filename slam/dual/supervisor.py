@@ -11,6 +11,7 @@ from slam import events as ev
 from slam._map_kernels import resolve_points
 from slam.backend import ExecutionMode
 from slam.camera import PinholeCamera
+from slam.config import SlamConfig
 from slam.dual.buffer import FeatureBuffer
 from slam.dual.fusion import fuse
 from slam.dual.orb_thread import OrbRecovery
@@ -21,7 +22,7 @@ from slam.initialization import InitialMap
 from slam.map import Map
 from slam.map_alignment import Alignment
 from slam.seeds import rng_for
-from slam.system import MonocularSlam, SlamConfig
+from slam.system import MonocularSlam
 from slam.timing import StageTimer
 from slam.tracking import TrackingOutcome
 
@@ -171,10 +172,11 @@ class DualSlam(MonocularSlam):
         return RecoveryTask(
             new_map,
             start,
-            self._buffer.backward_from(first.features.index),
+            tuple(self._buffer.backward_from(first.features.index)),
             [self._maps[k] for k in old_ids],
             share_of_motion(motion, 1.0 / steps),
             rng_for(self.seed, "recovery", number, self._broke_at),
+            _no_image,
         )
 
     # -- fusion ------------------------------------------------------------------------------------------
@@ -212,6 +214,10 @@ class DualSlam(MonocularSlam):
             tracker.velocity[:3, 3] *= scale
         tracker.rebase(old, frame)
         mapper.rebase(old, points)
+
+
+def _no_image(index: int) -> np.ndarray:
+    raise KeyError(f"frame {index} is not held as an image")
 
 
 def _newest_frame(map_: Map) -> int:

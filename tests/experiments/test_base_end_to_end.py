@@ -10,7 +10,8 @@ from experiments.execution import execute
 from scenarios.loading import load_scenario
 from sim.render import render_sequence
 from slam.camera import PinholeCamera
-from slam.system import build_system, default_config
+from slam.config import default_config
+from slam.factory import build_system
 
 
 def without_loops(kind, camera: PinholeCamera, seed):

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 from slam_scenes import blanked, feed, toy
 
+from slam.config import default_config
 from slam.dual.supervisor import DualSlam
 from slam.optimization.sim3 import horn_sim3
 from slam.results import MapTrajectory
-from slam.system import default_config
 from slam.warmup import CAMERA
 
 STEP_M = 0.05

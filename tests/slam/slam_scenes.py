@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 from slam import _map_kernels as kernels
 from slam import warmup
 from slam.camera import PinholeCamera
+from slam.factory import build_system
 from slam.frame import Frame, FrameFeatures
 from slam.geometry import view_geometry
 from slam.map import Map
 from slam.optimization.sim3 import horn_sim3
 from slam.orb import Features
 from slam.results import MapTrajectory
-from slam.system import build_system
 
 CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
 VIEW = view_geometry(CAMERA, 8, 1.2)

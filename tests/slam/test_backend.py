@@ -9,9 +9,9 @@ from slam_scenes import blanked, errors_m, feed, kinds, rms, toy
 
 from slam.backend import ExecutionMode
 from slam.events import TrackingState
+from slam.factory import build_system
 from slam.global_adjustment import GlobalAdjustment
 from slam.loop_correction import Loop
-from slam.system import build_system
 from slam.warmup import CAMERA
 
 COUNT, STEP_M = 90, 0.05

@@ -52,6 +52,11 @@ def in_new_map(T_cam_world):
     return T
 
 
+def no_image(index):
+    """No frame is held as an image."""
+    raise KeyError(index)
+
+
 def task(begun, sightings, old_maps, backward, seed=0):
     built, point_of = begun
     own = built.copy()
@@ -59,7 +64,7 @@ def task(begun, sightings, old_maps, backward, seed=0):
     step = in_new_map(sightings[FIRST].T_cam_world) @ np.linalg.inv(
         in_new_map(sightings[FIRST + 1].T_cam_world)
     )
-    return RecoveryTask(own, first, backward, old_maps, step, np.random.default_rng(seed))
+    return RecoveryTask(own, first, tuple(backward), old_maps, step, np.random.default_rng(seed), no_image)
 
 
 def buffered(sightings, oldest=0, blind=BLIND):

@@ -11,7 +11,7 @@ from slam_scenes import blanked, errors_m, feed, kinds, rms, toy
 from slam.dual.orb_thread import OrbRecovery
 from slam.dual.supervisor import DualConfig, DualSlam
 from slam.events import TrackingState
-from slam.system import build_system
+from slam.factory import build_system
 from slam.warmup import CAMERA
 
 # -- one breakage --------------------------------------------------------------------------------------------

@@ -7,8 +7,8 @@ import pycolmap
 import pytest
 from slam_scenes import CAMERA, feed, toy
 
+from slam.factory import build_system
 from slam.map_export import colmap_model, write_colmap
-from slam.system import build_system
 from slam.warmup import CAMERA as TOY_CAMERA
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 from slam_scenes import VIEW, make_frame, random_map, scene, seen_from
 
-from slam import _map_kernels as kernels
 from slam import matching
+from slam._local_problem import local_problem
 from slam.frame import Frame
 
 
@@ -138,9 +138,7 @@ def test_a_local_problem_lists_every_observation_of_the_free_keyframes_points():
     m = random_map(np.random.default_rng(6), keyframes=7, points=100)
     free = np.zeros(7, bool)
     free[[1, 3]] = True
-    cameras, points, obs_camera, obs_point, obs_keypoint = kernels.local_problem(
-        m.arrays, 7, m.n_points, free, 10
-    )
+    cameras, points, obs_camera, obs_point, obs_keypoint = local_problem(m.arrays, 7, m.n_points, free, 10)
     owned = np.concatenate([m.observed_points(1), m.observed_points(3)])
     assert set(points.tolist()) == set(owned[owned >= 0].tolist())
     assert set(cameras[:2].tolist()) == {1, 3}

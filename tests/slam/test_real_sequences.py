@@ -9,7 +9,7 @@ from slam_scenes import errors_m, feed, kinds, rms
 from sim.io.forms import load_sequence
 from slam.camera import PinholeCamera
 from slam.events import TrackingState
-from slam.system import build_system
+from slam.factory import build_system
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 

@@ -19,11 +19,12 @@ from slam_scenes import (
     walk,
 )
 
+from slam.config import default_config
 from slam.events import Breakage, Relocalized, TrackingState
+from slam.factory import build_system
 from slam.map import Map
 from slam.place_recognition import KeyframeDatabase
 from slam.relocalization import RelocalizationConfig, Relocalizer
-from slam.system import build_system, default_config
 from slam.vocabulary_training import train_vocabulary
 from slam.warmup import CAMERA
 

@@ -5,7 +5,7 @@ import pytest
 from dual_scenes import CONFIG, STEP_M
 from slam_scenes import blanked, feed, fingerprint, toy
 
-from slam.system import build_system
+from slam.factory import build_system
 from slam.warmup import CAMERA
 
 # Cuts: seeking a map, tracking, just broken, seeking the second map, after the fusion.

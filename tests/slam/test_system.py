@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 from slam_scenes import blanked, digest_of_run, errors_m, feed, fingerprint, kinds, rms, toy
 
+from slam.config import SlamConfig, default_config
 from slam.events import TrackingState
-from slam.system import MonocularSlam, SlamConfig, build_system, default_config
+from slam.factory import build_system
+from slam.system import MonocularSlam
 from slam.warmup import CAMERA
 
 COUNT, STEP_M = 100, 0.05

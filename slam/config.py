@@ -1,0 +1,34 @@
+"""Settings of the base system."""
+
+from dataclasses import dataclass, field, replace
+
+from slam.camera import PinholeCamera
+from slam.initialization import InitializationConfig
+from slam.local_mapping import LocalMappingConfig
+from slam.loop_closing import LoopClosingConfig
+from slam.orb import OrbConfig
+from slam.relocalization import RelocalizationConfig
+from slam.tracking import TrackingConfig
+
+
+@dataclass(frozen=True)
+class SlamConfig:
+    """Settings of the base system, one group per component.
+
+    Attributes:
+        min_map_keyframes: a map that breaks with no more keyframes is dropped instead of kept.
+    """
+
+    orb: OrbConfig = field(default_factory=OrbConfig)
+    initialization: InitializationConfig = field(default_factory=InitializationConfig)
+    tracking: TrackingConfig = field(default_factory=TrackingConfig)
+    mapping: LocalMappingConfig = field(default_factory=LocalMappingConfig)
+    loops: LoopClosingConfig = field(default_factory=LoopClosingConfig)
+    relocalization: RelocalizationConfig = field(default_factory=RelocalizationConfig)
+    min_map_keyframes: int = 5
+
+
+def default_config(camera: PinholeCamera) -> SlamConfig:
+    """Published settings: 1,000 features up to 640x480, 2,000 for wider images such as KITTI's."""
+    wide = camera.width_px * camera.height_px > 1.2 * 640 * 480
+    return replace(SlamConfig(), orb=OrbConfig(n_features=2000 if wide else 1000))

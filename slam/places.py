@@ -1,0 +1,27 @@
+"""What recognises places in one map."""
+
+from dataclasses import dataclass
+from typing import Self
+
+from slam.config import SlamConfig
+from slam.loop_closing import LoopDetector
+from slam.map import Map
+from slam.place_recognition import KeyframeDatabase
+from slam.relocalization import Relocalizer
+
+
+@dataclass(frozen=True)
+class Places:
+    """A map's keyframes by what they show, and what builds on it."""
+
+    loops: LoopDetector
+    relocalizer: Relocalizer
+
+    @classmethod
+    def of(cls, map_: Map, config: SlamConfig) -> Self:
+        """Place recognition in a map."""
+        database = KeyframeDatabase(map_)
+        return cls(
+            LoopDetector(map_, database, config.loops),
+            Relocalizer(map_, database, config.relocalization),
+        )
