@@ -160,11 +160,28 @@ class RecoveryEnd(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
+class MapCut(Event):
+    """Laboratory: a healthy map was saved as if tracking had been lost."""
+
+    kind: ClassVar[str] = "map_cut"
+
+
+@dataclass(frozen=True, kw_only=True)
 class Fusion(Event):
-    """Two maps were or were not fused; ``scale`` takes the new map's lengths to the old map's."""
+    """Two maps were or were not fused; ``map_id`` is the map that is left.
+
+    Attributes:
+        old_map_id, new_map_id: the map that took the other in, and the other.
+        by: ``recovery``, or ``place`` where a saved map was met again without one.
+        scale: takes the new map's lengths to the old map's.
+        inliers: points that were found to be the same.
+        reason: why it was refused.
+    """
 
     kind: ClassVar[str] = "fusion"
     old_map_id: int
+    new_map_id: int
+    by: str
     accepted: bool
     scale: float
     inliers: int

@@ -1,10 +1,15 @@
 """Systems by name."""
 
+from dataclasses import replace
+
 from slam.backend import ExecutionMode
 from slam.camera import PinholeCamera
 from slam.config import SlamConfig, default_config
+from slam.dual.config import DualConfig
 from slam.dual.supervisor import DualSlam
 from slam.system import MonocularSlam
+
+SYSTEMS = ("base", "dual", "dual+")
 
 
 def build_system(
@@ -13,20 +18,26 @@ def build_system(
     seed: int = 0,
     config: SlamConfig | None = None,
     mode: ExecutionMode = ExecutionMode.LOCKSTEP,
+    dual: DualConfig | None = None,
 ) -> MonocularSlam:
     """A system by name.
 
     Args:
-        kind: ``base`` or ``dual``.
+        kind: ``base``, ``dual``, or ``dual+``, which is Dual-SLAM with initialisation by GMS.
         camera: intrinsics of the images to come.
         seed: root of every random stream.
         config: settings; the published defaults, scaled to the image size, where None.
         mode: how tracking, mapping and loop closing share time.
+        dual: settings of Dual-SLAM, of no use to ``base``.
 
     Raises:
         ValueError: on an unknown kind.
     """
-    systems = {"base": MonocularSlam, "dual": DualSlam}
-    if kind not in systems:
-        raise ValueError(f"unknown system {kind!r}: one of {', '.join(systems)}")
-    return systems[kind](camera, seed, config or default_config(camera), mode=mode)
+    if kind not in SYSTEMS:
+        raise ValueError(f"unknown system {kind!r}: one of {', '.join(SYSTEMS)}")
+    config = config or default_config(camera)
+    if kind == "base":
+        return MonocularSlam(camera, seed, config, mode)
+    if kind == "dual+":
+        config = replace(config, initialization=replace(config.initialization))
+    return DualSlam(camera, seed, config, dual, mode)

@@ -111,10 +111,10 @@ class LocalMapper:
             kernels.erase_observations(a, obs_keypoint[~good], MIN_OBSERVATIONS)
             kernels.refresh_geometries(a, points, view.scale)
 
-    def rebase(self, map_: Map, point_offset: int) -> None:
-        """Go on in a map that has absorbed this mapper's."""
+    def rebase(self, map_: Map) -> None:
+        """Go on in a map that has absorbed this mapper's; young points are let be, their ages are lost."""
         self.map = map_
-        self._young = self._young + point_offset
+        self._young = np.empty(0, np.int64)
 
     # -- steps -------------------------------------------------------------------------------------------
 

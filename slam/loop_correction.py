@@ -59,7 +59,7 @@ def correct_loop(map_: Map, loop: Loop, loop_points: np.ndarray) -> np.ndarray:
     edges = _new_edges(map_, group, before, loop)
     a.kf_T_cam_map[:n] = T_before
     S = optimize_essential_graph(map_, S_start, edges, loop.loop_keyframe)
-    _move_points(map_, S_start, S, moved)
+    move_points(map_, S_start, S, moved)
     factor = map_.move_keyframes(S)
     map_.loop_edges += [(int(i), int(j)) for i, j in edges]
     kernels.refresh_geometries(a, map_.points(), map_.view.scale)
@@ -120,13 +120,20 @@ def _new_edges(map_: Map, group: np.ndarray, before: np.ndarray, loop: Loop) -> 
     return np.array(sorted(set(pairs)), np.int32)
 
 
-def _move_points(map_: Map, S_start: np.ndarray, S: np.ndarray, moved: np.ndarray) -> None:
-    """Points follow the keyframe that they refer to."""
+def move_points(map_: Map, S_start: np.ndarray, S: np.ndarray, moved: np.ndarray | None = None) -> None:
+    """Points follow the keyframe that they refer to.
+
+    Args:
+        map_: points are changed in place.
+        S_start, S: (n_keyframes, 4, 4) similarities of the keyframes before and after.
+        moved: (n_points,) keyframe that a point follows instead, -1 for none.
+    """
     a = map_.arrays
     points = map_.points()
-    with_group = moved[points] >= 0
     reference = np.array([map_.live(int(k)) for k in a.pt_reference[points]], int)
-    reference[with_group] = moved[points[with_group]]
+    if moved is not None:
+        instead = moved[points] >= 0
+        reference[instead] = moved[points[instead]]
     by_reference = invert_sim3(S[map_.keyframes()]) @ S_start[map_.keyframes()]
     slot = np.full(map_.n_keyframes, -1)
     slot[map_.keyframes()] = np.arange(len(by_reference))

@@ -14,6 +14,7 @@ from slam.relocalization import Relocalizer
 class Places:
     """A map's keyframes by what they show, and what builds on it."""
 
+    database: KeyframeDatabase
     loops: LoopDetector
     relocalizer: Relocalizer
 
@@ -22,6 +23,7 @@ class Places:
         """Place recognition in a map."""
         database = KeyframeDatabase(map_)
         return cls(
+            database,
             LoopDetector(map_, database, config.loops),
             Relocalizer(map_, database, config.relocalization),
         )

@@ -61,11 +61,11 @@ class MonocularSlam:
         self._mapper: LocalMapper | None = None
         self._maps: dict[int, Map] = {}
         self._known_places: dict[int, Places] = {}
-        self._broken_at: FrameFeatures | None = None
+        self._broken_at: dict[int, FrameFeatures] = {}
         self._backend = Backend(self._apply, mode)
         self._mapping_cpu_ms = self._loop_cpu_ms = 0.0
         self._poses = FramePoses()
-        self._map_id = 0
+        self._map_id = self._newest_map_id = 0
         self._frames = 0
         self._last_stamp_s = -np.inf
 
@@ -90,8 +90,7 @@ class MonocularSlam:
         self._backend.collect()
         is_keyframe = False
         if self.state is TrackingState.NOT_INITIALIZED:
-            outcome = self._initialize(frame)
-            is_keyframe = outcome.success
+            outcome, is_keyframe = self._initialize(frame)
         elif self.state is TrackingState.TRACKING:
             outcome, is_keyframe = self._track(frame)
             if is_keyframe:
@@ -102,7 +101,7 @@ class MonocularSlam:
         else:
             outcome = self._relocalize(frame)
         self._record(frame, outcome)
-        self._after_frame(frame, outcome)
+        self._after_frame(frame, outcome, image)
         return self._result(frame, outcome, is_keyframe)
 
     def finish(self) -> None:
@@ -116,29 +115,35 @@ class MonocularSlam:
         self._frames += 1
         return frame
 
-    def _initialize(self, frame: Frame) -> TrackingOutcome:
+    def _initialize(self, frame: Frame) -> tuple[TrackingOutcome, bool]:
+        """Seek a map to start; the outcome, and whether the frame is a keyframe."""
         rng = rng_for(self.seed, "initialization", frame.features.index)
         with self.timer("initialize"):
             initial, reason, matches = self._initializer.offer(frame, self._map_id, rng, self.config.mapping)
             if initial is not None:
                 self._start_map(initial)
         if initial is None:
-            return TrackingOutcome(False, 0, matches, reason)
+            return TrackingOutcome(False, 0, matches, reason), False
         frame.point = initial.second.point
         frame.T_cam_map = initial.second.T_cam_map
         frame.reference_keyframe, frame.T_cam_reference = 1, np.eye(4)
-        return TrackingOutcome(True, initial.points, matches)
+        return TrackingOutcome(True, initial.points, matches), True
 
     def _start_map(self, initial: InitialMap) -> None:
         self._maps[self._map_id] = initial.map
-        self._mapper = LocalMapper(initial.map, self.config.mapping, self._backend.lock)
-        self._tracker = Tracker(initial.map, self.config.tracking, self.timer)
-        self._tracker.start(initial.second, 1)
+        self._enter(self._map_id)
+        self.tracker.start(initial.second, 1)
         self._poses.add(self._map_id, initial.first)
         for frame in frames_between(initial, self.config.tracking):
             self._poses.add(self._map_id, frame)
         self.state = TrackingState.TRACKING
         self._emit(initial.second, ev.Initialized, points=initial.points, model=initial.model)
+
+    def _enter(self, map_id: int) -> None:
+        """Make a map the one that is tracked in and that grows."""
+        self._map_id = map_id
+        self._mapper = LocalMapper(self._maps[map_id], self.config.mapping, self._backend.lock)
+        self._tracker = Tracker(self._maps[map_id], self.config.tracking, self.timer)
 
     def _track(self, frame: Frame) -> tuple[TrackingOutcome, bool]:
         """Track the frame; the outcome, and whether to make a keyframe of it."""
@@ -201,15 +206,20 @@ class MonocularSlam:
     def _relocalize(self, frame: Frame) -> TrackingOutcome:
         """Look for this frame in the map that was lost."""
         self.state = TrackingState.RELOCALIZING
+        return self._relocalize_in(self._map_id, frame)
+
+    def _relocalize_in(self, map_id: int, frame: Frame) -> TrackingOutcome:
+        """Look for this frame in a map, and go on there where it is found."""
         rng = rng_for(self.seed, "relocalization", frame.features.index)
         with self.timer("relocalize"), self._backend.lock:
-            found = self._places(self._map_id).relocalizer.relocalize(frame, rng)
+            found = self._places(map_id).relocalizer.relocalize(frame, rng)
         if not found.success:
             return TrackingOutcome(False, found.inliers, found.matches, found.reason)
+        if map_id != self._map_id:
+            self._enter(map_id)
         self.tracker.resume(frame)
         self.state = TrackingState.TRACKING
-        # A frame without features is falsy: most are broken at just such a one.
-        broken = frame.features if self._broken_at is None else self._broken_at
+        broken = self._broken_at[map_id]
         self._emit(
             frame,
             ev.Relocalized,
@@ -225,7 +235,7 @@ class MonocularSlam:
         self._emit(frame, ev.Breakage, reason=outcome.reason, inliers=outcome.inliers)
         if self._drop_if_young(frame):
             return
-        self._broken_at = frame.features
+        self._broken_at[self._map_id] = frame.features
         self.state = TrackingState.LOST
 
     def _drop_if_young(self, frame: Frame) -> bool:
@@ -245,6 +255,7 @@ class MonocularSlam:
         """Let go of a map, dropped or absorbed."""
         del self._maps[map_id]
         self._known_places.pop(map_id, None)
+        self._broken_at.pop(map_id, None)
 
     def _places(self, map_id: int) -> Places:
         """Place recognition in a map, and what builds on it."""
@@ -253,11 +264,12 @@ class MonocularSlam:
         return self._known_places[map_id]
 
     def _seek_new_map(self) -> None:
-        self._map_id += 1
+        self._newest_map_id += 1
+        self._map_id = self._newest_map_id
         self._initializer.reset()
         self.state = TrackingState.NOT_INITIALIZED
 
-    def _after_frame(self, frame: Frame, outcome: TrackingOutcome) -> None:
+    def _after_frame(self, frame: Frame, outcome: TrackingOutcome, image: np.ndarray) -> None:
         """Hook of systems built on this one."""
 
     def snapshot(self) -> Snapshot[Self]:

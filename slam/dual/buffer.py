@@ -1,9 +1,15 @@
-"""The buffer of ORB features over which a recovery runs backward. Source: paper, Sec. III-A and Fig. 4."""
+"""The buffer over which a recovery runs backward. Source: paper, Sec. III-A and Fig. 4."""
 
 from collections import deque
 from collections.abc import Iterator
 
+import cv2
+import numpy as np
+
 from slam.frame import FrameFeatures
+
+# Of 100: at this quality SIFT finds what it finds in the image itself, at a fifth of its size.
+JPEG_QUALITY = 95
 
 
 class FeatureBuffer:
@@ -12,25 +18,35 @@ class FeatureBuffer:
     Args:
         span_s: k of the paper, as time: what the ring holds.
         cap_s: the most it grows to while frozen; beyond it the oldest frames go, as in the ring.
+        images: whether the frames' images are held too, as JPEG.
     """
 
-    def __init__(self, span_s: float, cap_s: float) -> None:
+    def __init__(self, span_s: float, cap_s: float, images: bool = False) -> None:
         if not 0 < span_s <= cap_s:
             raise ValueError(f"need 0 < span_s <= cap_s, got {span_s} and {cap_s}")
         self.span_s = span_s
         self.cap_s = cap_s
         self.frozen = False
+        self._with_images = images
         self._frames: deque[FrameFeatures] = deque()
+        self._images: dict[int, bytes] = {}
 
     def __len__(self) -> int:
         return len(self._frames)
 
-    def append(self, features: FrameFeatures) -> None:
-        """Take the newest frame; frames older than the span (frozen: the cap) leave."""
+    def append(self, features: FrameFeatures, image: np.ndarray | None = None) -> None:
+        """Take the newest frame; frames older than the span (frozen: the cap) leave.
+
+        Args:
+            features: what was found in it.
+            image: (H, W) uint8; held where images are.
+        """
         self._frames.append(features)
+        if self._with_images and image is not None:
+            self._images[features.index] = _compressed(image)
         limit = self.cap_s if self.frozen else self.span_s
         while features.stamp_s - self._frames[0].stamp_s > limit:
-            self._frames.popleft()
+            self._images.pop(self._frames.popleft().index, None)
 
     def backward_from(self, index: int) -> Iterator[FrameFeatures]:
         """Frames before frame ``index``, newest first."""
@@ -40,7 +56,38 @@ class FeatureBuffer:
         """Whether frame ``index`` or an older one is still held."""
         return bool(self._frames) and self._frames[0].index <= index
 
+    def images(self) -> "BufferedImages":
+        """The images as held now; frames that leave the buffer later stay in what was given."""
+        return BufferedImages(dict(self._images))
+
     @property
     def nbytes(self) -> int:
-        """Memory of the buffered features."""
-        return sum(f.nbytes for f in self._frames)
+        """Memory of the buffered features and images."""
+        return sum(f.nbytes for f in self._frames) + sum(map(len, self._images.values()))
+
+
+class BufferedImages:
+    """Images by the number of their frame, unpacked when asked for."""
+
+    def __init__(self, packed: dict[int, bytes]) -> None:
+        self._packed = packed
+
+    def __call__(self, index: int) -> np.ndarray:
+        """The (H, W) uint8 image of a frame.
+
+        Raises:
+            KeyError: it is not held.
+        """
+        if index not in self._packed:
+            raise KeyError(f"frame {index} is not held as an image")
+        image = cv2.imdecode(np.frombuffer(self._packed[index], np.uint8), cv2.IMREAD_GRAYSCALE)
+        if image is None:
+            raise ValueError(f"the image of frame {index} cannot be unpacked")
+        return image
+
+
+def _compressed(image: np.ndarray) -> bytes:
+    packed, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    if not packed:
+        raise ValueError("an image cannot be packed")
+    return data.tobytes()

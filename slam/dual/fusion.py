@@ -1,15 +1,20 @@
 """Map fusion: one map out of two that a similarity relates. Source: paper, Sec. III-C, Eq. 2."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from slam import _map_kernels as kernels
+from slam.essential_graph import essential_edges
 from slam.local_mapping import LocalMapper, LocalMappingConfig
+from slam.loop_correction import move_points
 from slam.map import Map
 from slam.map_alignment import Alignment, AlignmentConfig
 from slam.matching import fuse_into_keyframe
+from slam.optimization.pose_graph import optimize_pose_graph
 from slam.optimization.sim3 import sim3_decompose, sim3_inverse
+from slam.optimization.sim3_algebra import invert_sim3
 
 
 @dataclass(frozen=True)
@@ -47,36 +52,102 @@ def agree(old: Map, first: Alignment, second: Alignment, config: FusionConfig) -
     return bool(np.linalg.norm(moved - where[:3]) <= config.max_shift * depth)
 
 
-def fuse(old: Map, new: Map, alignment: Alignment, mapping: LocalMappingConfig) -> tuple[int, int]:
+@dataclass(frozen=True)
+class Fused:
+    """What became of the new map's rows.
+
+    Attributes:
+        keyframes, points: offsets of its rows in the old map.
+        factor: (n_keyframes,) on lengths about each keyframe of the fused map, from the seam's optimisation.
+    """
+
+    keyframes: int
+    points: int
+    factor: np.ndarray
+
+
+def fuse(
+    old: Map,
+    new: Map,
+    alignments: Sequence[Alignment],
+    mapping: LocalMappingConfig,
+    renewed: bool = True,
+) -> Fused:
     """Take the new map into the old one, whose frame is kept.
 
-    Old keyframes younger than the seam are by-passed: the recovery has covered their frames anew, and they
-    are the ones that the breakage may have corrupted.
+    The new map is placed by the last alignment; where more are given, the essential graph over the seam is
+    optimised with all of them, the old keyframes held.
 
     Args:
         old: changed in place.
         new: moved into the old map's frame in place, then copied.
-        alignment: the accepted similarity.
+        alignments: those that agree; the accepted one last.
         mapping: settings of the seam's fusion and bundle adjustment.
-
-    Returns:
-        Offsets of the new map's keyframe and point rows in the old map.
+        renewed: old keyframes younger than the seam are by-passed: a recovery has covered their frames anew,
+            and they are the ones that the breakage may have corrupted.
     """
-    seam_frame = old.frame_index(alignment.old_keyframe)
-    for k in old.keyframes():
-        if old.frame_index(int(k)) > seam_frame and old.parent(int(k)) >= 0:
-            old.cull_keyframe(int(k))
-    new.transform(*sim3_decompose(alignment.S_old_new))
+    accepted = alignments[-1]
+    if renewed:
+        _bypass_younger(old, seam_frame(old, alignments))
+    new.transform(*sim3_decompose(accepted.S_old_new))
     keyframes, points = old.absorb(new)
     for k in range(keyframes, old.n_keyframes):
         if old.parent(k) < 0:
-            old.set_parent(k, alignment.old_keyframe)
+            old.set_parent(k, accepted.old_keyframe)
     scale = old.view.scale
-    for mine, theirs in zip(alignment.old_points, alignment.new_points, strict=True):
-        kernels.replace_point(old.arrays, theirs + points, mine, scale)
-    _fuse_seam(old, alignment.old_keyframe, alignment.new_keyframe + keyframes)
-    LocalMapper(old, mapping).adjust(alignment.new_keyframe + keyframes)
-    return keyframes, points
+    for alignment in reversed(alignments):
+        for mine, theirs in zip(alignment.old_points, alignment.new_points, strict=True):
+            kernels.replace_point(old.arrays, theirs + points, mine, scale)
+    factor = _settle(old, alignments, keyframes)
+    _fuse_seam(old, accepted.old_keyframe, accepted.new_keyframe + keyframes)
+    LocalMapper(old, mapping).adjust(accepted.new_keyframe + keyframes)
+    return Fused(keyframes, points, factor)
+
+
+def seam_frame(old: Map, alignments: Sequence[Alignment]) -> int:
+    """The youngest frame at which the new map has been found to fit the old one."""
+    return max(old.frame_index(a.old_keyframe) for a in alignments)
+
+
+def _bypass_younger(old: Map, frame: int) -> None:
+    for k in old.keyframes():
+        if old.frame_index(int(k)) > frame and old.parent(int(k)) >= 0:
+            old.cull_keyframe(int(k))
+
+
+def _settle(fused: Map, alignments: Sequence[Alignment], first_new: int) -> np.ndarray:
+    """Optimise the essential graph of the new side over the seam; (n_keyframes,) factor on lengths."""
+    rows = fused.keyframes()
+    seam = [
+        (a.new_keyframe + first_new, a.old_keyframe)
+        for a in alignments
+        if not fused.arrays.kf_bad[[a.new_keyframe + first_new, a.old_keyframe]].any()
+    ]
+    if len(seam) < 2:
+        return np.ones(fused.n_keyframes)
+    T = fused.arrays.kf_T_cam_map
+    inner = essential_edges(fused)
+    inner = inner[inner.min(axis=1) >= first_new]
+    to_placed = alignments[-1].S_old_new
+    measured = [
+        # Both ends by this alignment: the new keyframe stands where the last one has put it.
+        T[i] @ to_placed @ sim3_inverse(a.S_old_new) @ np.linalg.inv(T[j])
+        for (i, j), a in zip(seam, alignments, strict=False)
+    ]
+    slot = np.full(fused.n_keyframes, -1)
+    slot[rows] = np.arange(len(rows))
+    result = optimize_pose_graph(
+        T[rows],
+        slot[np.concatenate([inner, np.array(seam)])],
+        np.concatenate([T[inner[:, 0]] @ invert_sim3(T[inner[:, 1]]), measured]),
+        rows < first_new,
+    )
+    S = T[: fused.n_keyframes].copy()
+    S[rows] = result.S_cam_map
+    move_points(fused, T[: fused.n_keyframes].copy(), S)
+    factor = fused.move_keyframes(S)
+    kernels.refresh_geometries(fused.arrays, fused.points(), fused.view.scale)
+    return factor
 
 
 def _fuse_seam(fused: Map, old_keyframe: int, new_keyframe: int) -> None:

@@ -53,6 +53,7 @@ class OrbRecovery:
                 if met:
                     result.success = True
                     result.alignment = meeting.accepted
+                    result.confirming = meeting.confirming
                     result.inliers = meeting.accepted.inliers
                     return result
         result.stage, result.reason = meeting.verdict()
@@ -71,6 +72,7 @@ class _Meeting:
         self._found: list[Alignment] = []
         self._failures: list[str] = []
         self.tried = 0
+        self.confirming: tuple[Alignment, ...] = ()
 
     @property
     def accepted(self) -> Alignment:
@@ -97,9 +99,9 @@ class _Meeting:
         if alignment is None:
             self._failures.append(reason)
             return False
-        agreeing = sum(agree(old, earlier, alignment, self._config) for earlier in self._found)
+        self.confirming = tuple(e for e in self._found if agree(old, e, alignment, self._config))
         self._found.append(alignment)
-        return agreeing + 1 >= self._config.confirmations
+        return len(self.confirming) + 1 >= self._config.confirmations
 
     def verdict(self) -> tuple[str, str]:
         """(stage, reason) of a failure to meet."""

@@ -55,6 +55,7 @@ class RecoveryResult:
         alignments_tried: pairs of keyframes at which the maps were compared.
         inliers: of the last tracked frame, or of the alignment on success.
         alignment: the accepted similarity, None on failure.
+        confirming: the earlier ones that agree with it.
         map: the new map as extended.
         frames: the frames tracked backward.
     """
@@ -69,6 +70,7 @@ class RecoveryResult:
     alignments_tried: int = 0
     inliers: int = 0
     alignment: Alignment | None = None
+    confirming: tuple[Alignment, ...] = ()
     frames: list[Frame] = field(default_factory=list)
 
 

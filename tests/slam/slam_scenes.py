@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 from slam import _map_kernels as kernels
 from slam import warmup
 from slam.camera import PinholeCamera
+from slam.dual.config import DualConfig
+from slam.dual.registry import ThreadSpec
 from slam.factory import build_system
 from slam.frame import Frame, FrameFeatures
 from slam.geometry import view_geometry
@@ -310,6 +312,7 @@ def digest_of_run(kind, count, *spans):
         Its fingerprint and the kinds of its events, as one line.
     """
     images, stamps_s, _ = toy(count, step_m=0.05)
-    system = build_system(kind, warmup.CAMERA, 0)
+    dual = DualConfig(threads=(ThreadSpec("orb"),), relocalization=False)
+    system = build_system(kind, warmup.CAMERA, 0, dual=dual)
     feed(system, blanked(images, *(range(*span) for span in spans)), stamps_s, check=False)
     return " ".join([fingerprint(system), *kinds(system)])

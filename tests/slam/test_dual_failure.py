@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dual_scenes import MENDED, STEP_M, dual, of, with_threads
+from dual_scenes import MENDED, RECOVERY_ONLY, STEP_M, dual, of, with_threads
 from slam_scenes import blanked, errors_m, feed, kinds, rms, toy
 
 from slam.dual.orb_thread import OrbRecovery
-from slam.dual.recovery import RecoveryResult
-from slam.dual.supervisor import DualConfig
+from slam.dual.recovery import RecoveryConfig, RecoveryCost, RecoveryResult
+from slam.dual.registry import ThreadSpec
 from slam.events import TrackingState
 
 
@@ -60,8 +60,7 @@ def test_both_maps_are_then_kept_whole(elsewhere):
 def test_the_way_back_has_a_limit():
     """A run of unusable frames longer than may be passed over ends the recovery."""
     images, stamps_s, _ = toy(110, 0, STEP_M)
-    config = DualConfig()
-    system = dual(replace(config, recovery=replace(config.recovery, max_unusable_s=0.1)))
+    system = dual(replace(RECOVERY_ONLY, threads=(ThreadSpec("orb", 0, RecoveryConfig(max_unusable_s=0.1)),)))
     feed(system, blanked(images, range(50, 56)), stamps_s)
     end = of(system, "recovery_end")[0]
     assert (end.success, end.stage) == (False, "propagation")
@@ -72,11 +71,13 @@ def test_the_way_back_has_a_limit():
 def test_a_map_out_of_reach_of_the_buffer_is_not_sought():
     """While the system waits for a new map the buffer grows, but no farther than its cap."""
     images, stamps_s, _ = toy(150, 0, STEP_M)
-    system = dual(DualConfig(buffer_s=0.5, buffer_cap_s=0.5))
+    system = dual(replace(RECOVERY_ONLY, buffer_s=0.5, buffer_cap_s=0.5))
     feed(system, blanked(images, range(50, 80)), stamps_s, check=False)
-    assert "recovery_start" not in kinds(system) and "fusion" not in kinds(system)
+    (end,) = of(system, "recovery_end")
+    assert (end.success, end.stage, end.reason) == (False, "overlap", "buffer_exceeded")
+    assert "fusion" not in kinds(system)
     assert sorted(system.maps()) == [0, 1]
-    grown = dual(DualConfig(buffer_s=1.0, buffer_cap_s=10.0))
+    grown = dual(replace(RECOVERY_ONLY, buffer_s=1.0, buffer_cap_s=10.0))
     feed(grown, blanked(images, range(50, 80)), stamps_s, check=False)
     assert of(grown, "recovery_start")[0].buffered_frames > 30
 
@@ -102,6 +103,8 @@ class Failing:
     """A recovery thread that spoils all that it is given to extend, and fails."""
 
     name = "failing"
+    needs_images = False
+    cost = RecoveryCost(0.0, 0.0, 0.0)
 
     def __init__(self, spoil):
         self.spoil = spoil
@@ -123,9 +126,7 @@ def test_a_failed_thread_leaves_no_trace():
 
 
 def test_threads_run_in_order_until_one_succeeds():
-    system = with_threads(
-        100, [range(50, 56)], [Failing(True), OrbRecovery(DualConfig().recovery), Failing(True)]
-    )
+    system = with_threads(100, [range(50, 56)], [Failing(True), OrbRecovery(RecoveryConfig()), Failing(True)])
     ends = [(e.thread, e.method, e.success, e.reason) for e in of(system, "recovery_end")]
     assert ends == [(1, "failing", False, "made_up"), (2, "orb", True, "")]
     assert [e.thread for e in of(system, "recovery_start")] == [1, 2]

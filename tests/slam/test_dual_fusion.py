@@ -224,7 +224,8 @@ def fused(maps):
         "old_points": old.n_points,
     }
     alignment = aligned(maps, 25, 25)[0]
-    keyframes, points = fuse(old, new, alignment, LocalMappingConfig())
+    fused = fuse(old, new, [alignment], LocalMappingConfig())
+    keyframes, points = fused.keyframes, fused.points
     return old, keyframes, points, alignment, before
 
 
@@ -298,7 +299,7 @@ def test_the_seam_is_adjusted(maps):
     where = old.arrays.pt_xyz[alignment.old_points].mean(0)
     off = rigid(where) @ sim3_matrix(1.01, rigid(rotvec_deg=(0, 0.3, 0))[:3, :3], np.zeros(3)) @ rigid(-where)
     alignment = replace(alignment, S_old_new=off @ alignment.S_old_new)
-    keyframes, _ = fuse(old, new, alignment, LocalMappingConfig())
+    keyframes = fuse(old, new, [alignment], LocalMappingConfig()).keyframes
     for k in (at(OLD, 25), keyframes + at(NEW, 25)):
         rows = np.flatnonzero(old.observed_points(k) >= 0) + old.keypoints(k).start
         T = old.T_cam_map(k)
@@ -322,7 +323,7 @@ def test_a_map_can_be_fused_twice(fused, world):
     alignment, _, _ = align(old, third, seam, 0, rng, CONFIG)
     assert alignment is not None
     assert alignment.scale == pytest.approx(0.25, rel=0.01)
-    keyframes, _ = fuse(old, third, alignment, LocalMappingConfig())
+    keyframes = fuse(old, third, [alignment], LocalMappingConfig()).keyframes
     old.check()
     for k, sighting in enumerate(third_sightings):
         distance, _ = pose_error(old.T_cam_map(keyframes + k), sighting.T_cam_world)

@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dual_scenes import CONFIG, MENDED, STEP_M, of, play, scale_between, with_threads
+from dual_scenes import CONFIG, MENDED, RECOVERY_ONLY, STEP_M, of, play, scale_between, with_threads
 from slam_scenes import blanked, errors_m, feed, kinds, rms, toy
 
 from slam.dual.orb_thread import OrbRecovery
-from slam.dual.supervisor import DualConfig, DualSlam
+from slam.dual.recovery import RecoveryConfig
+from slam.dual.supervisor import DualSlam
 from slam.events import TrackingState
 from slam.factory import build_system
 from slam.warmup import CAMERA
@@ -119,7 +120,7 @@ def test_old_keyframes_younger_than_the_seam_are_gone(mended):
 def test_settings_in_force_include_those_of_recovery(mended):
     settings = json.loads(json.dumps(mended[0].settings))
     assert settings["dual"]["buffer_s"] == 10.0
-    assert settings["dual"]["recovery"]["fusion"]["confirmations"] == 2
+    assert settings["dual"]["threads"][0]["kind"] == "orb"
     assert (
         settings["tracking"]
         == json.loads(json.dumps(build_system("base", CAMERA, 0, CONFIG).settings))["tracking"]
@@ -139,10 +140,10 @@ def test_maps_of_different_scale_become_one_scale():
     """All that is carried over is rescaled: map, frames tracked forward and backward, motion model."""
     images, stamps_s, T_world_cam = toy(130, 0, STEP_M)
     images = blanked(images, range(50, 56), range(58, 60))
-    system = Rescaled(CAMERA, 0, CONFIG)
+    system = Rescaled(CAMERA, 0, CONFIG, RECOVERY_ONLY)
     results, fused, step = [], -1, np.nan
     for image, stamp_s in zip(images, stamps_s, strict=True):
-        results += feed(system, [image], [stamp_s])
+        results.append(system.process(image, stamp_s))
         if fused < 0 and of(system, "fusion"):
             fused = len(results) - 1
             velocity = system.tracker.velocity
@@ -168,7 +169,7 @@ class Recording(OrbRecovery):
     """The recovery thread, which keeps what it was given."""
 
     def __init__(self):
-        super().__init__(DualConfig().recovery)
+        super().__init__(RecoveryConfig())
         self.tasks = []
 
     def run(self, task):
@@ -187,8 +188,7 @@ def test_two_breakages_in_a_row_are_both_mended():
     assert rms(errors_m(path, T_world_cam)[0]) < 0.05
     scales = [scale_between(path, T_world_cam, *part) for part in ((0, 49), (56, 119), (126, 184))]
     assert max(scales) / min(scales) < 1.05
-    # A map's number is free again once it is fused, but never two maps have it.
-    assert [e.map_id for e in of(system, "reinit_done")] == [1, 1]
+    assert [e.map_id for e in of(system, "reinit_done")] == [1, 2]
     assert [[m.map_id for m in task.old_maps] for task, _ in thread.tasks] == [[0], [0]]
     for (task, seen), metres in zip(thread.tasks, scales[1:], strict=True):
         # From the new map's first frame backward, by the motion of a single frame, which is to the left.
@@ -233,6 +233,6 @@ def test_a_new_map_that_breaks_before_its_recovery_is_dropped_and_the_first_one_
 
 def test_a_first_map_too_young_is_dropped_as_in_the_base():
     system, _, _ = play(45, range(12, 14))
-    assert kinds(system) == ["initialized", "breakage", "map_dropped", "reinit_start", "initialized"]
+    assert kinds(system) == ["initialized", "breakage", "map_dropped", "reinit_start", *MENDED[3:5]]
     assert of(system, "map_dropped")[0].reason == "too_few_keyframes"
     assert system.maps() == [1]

@@ -20,6 +20,7 @@ from slam_scenes import (
 )
 
 from slam.config import default_config
+from slam.dual.config import DualConfig
 from slam.events import Breakage, Relocalized, TrackingState
 from slam.factory import build_system
 from slam.map import Map
@@ -219,9 +220,14 @@ def test_for_a_time_after_relocalization_tracking_asks_for_more(there_and_back, 
         assert results[found.frame + 1].state is TrackingState.LOST
 
 
-def test_dual_slam_is_left_as_it_was(there_and_back):
+def test_dual_slam_looks_in_its_saved_map_while_it_seeks_another(there_and_back):
     images, stamps_s, _ = there_and_back
     system = build_system("dual", CAMERA, 0)
     results = feed(system, images, stamps_s, check=False)
-    assert "relocalized" not in kinds(system)
-    assert not any(r.state is TrackingState.RELOCALIZING for r in results)
+    (found,) = [e for e in system.events if isinstance(e, Relocalized)]
+    assert kinds(system) == ["initialized", "breakage", "map_saved", "reinit_start", "relocalized"]
+    assert (found.map_id, system.maps(), system.current_map_id) == (0, [0], 0)
+    assert all(r.map_id == 0 and r.state is TrackingState.TRACKING for r in results[found.frame :])
+    without = build_system("dual", CAMERA, 0, dual=DualConfig(relocalization=False))
+    feed(without, images, stamps_s, check=False)
+    assert "relocalized" not in kinds(without)

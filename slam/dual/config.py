@@ -1,0 +1,32 @@
+"""Settings of Dual-SLAM."""
+
+from dataclasses import dataclass, field
+
+from slam.dual.fusion import FusionConfig
+from slam.dual.registry import ThreadSpec
+
+
+@dataclass(frozen=True)
+class DualConfig:
+    """Settings of Dual-SLAM.
+
+    Attributes:
+        buffer_s: span of the feature buffer; the paper finds 10 s to work well.
+        buffer_cap_s: the most that it grows to before recovery starts. Beyond it the oldest frames leave;
+            once the last saved map's newest keyframe has left, recovery has nothing to reach and says so.
+        start_keyframes: keyframes of the new map when recovery starts: enough for a sound first geometry.
+        threads: the recovery threads, in the order in which they are tried; n of Eq. 1 is their number.
+        exhaustive: every thread is run to its end, also after one has succeeded; the first success counts.
+        relocalization: while a new map is sought, frames are looked for in the saved maps too.
+        relocalization_maps: how many of them, the last saved first.
+        joining: acceptance of a saved map that is met again after its recovery has failed; None for never.
+    """
+
+    buffer_s: float = 10.0
+    buffer_cap_s: float = 60.0
+    start_keyframes: int = 5
+    threads: tuple[ThreadSpec, ...] = (ThreadSpec("orb"),)
+    exhaustive: bool = False
+    relocalization: bool = True
+    relocalization_maps: int = 2
+    joining: FusionConfig | None = field(default_factory=FusionConfig)
