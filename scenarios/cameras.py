@@ -4,7 +4,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from scenarios.strict import Strict
+from scenarios.strict import Strict, with_defaults_of
 
 PRESETS: dict[str, dict[str, Any]] = {
     # Sequences 00 to 02, rectified. Source: calib.txt of the KITTI odometry benchmark.
@@ -124,8 +124,7 @@ class Camera(Strict):
     @model_validator(mode="before")
     @classmethod
     def _start_from_preset(cls, data: Any) -> Any:
-        preset = data.get("preset") if isinstance(data, dict) else None
-        return {**PRESETS[preset], **data} if isinstance(preset, str) and preset in PRESETS else data
+        return with_defaults_of(data, "preset", PRESETS)
 
     @model_validator(mode="after")
     def _possible(self) -> "Camera":

@@ -17,6 +17,16 @@ def guess(given: str, allowed: list[str]) -> str:
     return f"{close[0]} (did you mean that?), or " if close else ""
 
 
+def problem_and_remedy(fault: Any) -> tuple[str, str]:
+    """What one of pydantic's faults says of a value that is not valid or missing, and what to do about it."""
+    if fault["type"] == "missing":
+        return "is missing", "add it"
+    if fault["type"] == "value_error":
+        problem, _, remedy = str(fault["ctx"]["error"]).rpartition(", ")
+        return problem, remedy
+    return f"{fault['input']!r} is not valid", fault["msg"][0].lower() + fault["msg"][1:]
+
+
 def first_fault(
     error: ValidationError, where: Callable[[Location], str], of_sample: str, extra_keys: tuple[str, ...]
 ) -> InputError:
@@ -63,17 +73,12 @@ def _told(fault: Any, extra_keys: tuple[str, ...]) -> tuple[Location, str, str]:
         allowed = [name for name in model.model_fields if name != "spec_version"]
         allowed += extra_keys if model is Scenario else ()
         return location, "unknown key", f"use {guess(str(location[-1]), allowed)}one of {', '.join(allowed)}"
-    if fault["type"] == "missing":
-        return location, "is missing", "add it"
     if fault["type"] in ("union_tag_invalid", "union_tag_not_found"):
         tags = str(context.get("expected_tags") or ", ".join(_kinds(location))).replace("'", "")
         given = str(context.get("tag", ""))
         problem = f"unknown kind {given!r}" if given else "is missing"
         return (*location, "kind"), problem, f"use {guess(given, tags.split(', '))}one of {tags}"
-    if fault["type"] == "value_error":
-        problem, _, remedy = str(context["error"]).rpartition(", ")
-        return location, problem, remedy
-    return location, f"{fault['input']!r} is not valid", fault["msg"][0].lower() + fault["msg"][1:]
+    return location, *problem_and_remedy(fault)
 
 
 def _resolve(loc: Location) -> tuple[type[BaseModel], Location]:

@@ -4,7 +4,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from scenarios.strict import Strict
+from scenarios.strict import Strict, with_defaults_of
 
 PRESETS: dict[str, dict[str, float]] = {
     # ADIS16448 of the VI-sensor. Source: mav0/imu0/sensor.yaml of the EuRoC data set.
@@ -57,5 +57,4 @@ class Imu(Strict):
     @model_validator(mode="before")
     @classmethod
     def _start_from_preset(cls, data: Any) -> Any:
-        preset = data.get("preset") if isinstance(data, dict) else None
-        return {**PRESETS[preset], **data} if isinstance(preset, str) and preset in PRESETS else data
+        return with_defaults_of(data, "preset", PRESETS)

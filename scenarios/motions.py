@@ -4,7 +4,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from scenarios.strict import Strict
+from scenarios.strict import Strict, with_defaults_of
 
 KINDS: dict[str, dict[str, float]] = {
     "walk": {},
@@ -68,8 +68,7 @@ class Trajectory(Strict):
     @model_validator(mode="before")
     @classmethod
     def _start_from_kind(cls, data: Any) -> Any:
-        kind = data.get("kind") if isinstance(data, dict) else None
-        return {**KINDS[kind], **data} if isinstance(kind, str) and kind in KINDS else data
+        return with_defaults_of(data, "kind", KINDS)
 
     @model_validator(mode="after")
     def _of_the_kind(self) -> "Trajectory":

@@ -1,11 +1,11 @@
 """A segment as one word of a command line: ``low_light:start_s=2,duration_s=1,illumination=0.1``."""
 
-from difflib import get_close_matches
 from typing import Any, get_args
 
 from pydantic import ValidationError
 
 from scenarios.errors import InputError
+from scenarios.faults import guess, problem_and_remedy
 from scenarios.segments import Segment, SegmentBase
 
 SEGMENT_MODELS: dict[str, type[SegmentBase]] = {
@@ -27,7 +27,7 @@ def parse_segment(text: str) -> SegmentBase:
         raise InputError(
             f"segment {text!r}",
             f"unknown kind {kind!r}",
-            f"use {_guess(kind, kinds)}one of {', '.join(kinds)}",
+            f"use {guess(kind, kinds)}one of {', '.join(kinds)}",
         )
     model = SEGMENT_MODELS[kind]
     values: dict[str, Any] = {"kind": kind}
@@ -51,15 +51,5 @@ def _invalid(text: str, model: type[SegmentBase], error: ValidationError) -> Inp
     where = f"segment {text!r}" + (f": {key}" if key else "")
     if first["type"] == "extra_forbidden":
         allowed = [name for name in model.model_fields if name != "kind"]
-        return InputError(where, "unknown key", f"use {_guess(key, allowed)}one of {', '.join(allowed)}")
-    if first["type"] == "missing":
-        return InputError(where, "is missing", "add it")
-    if first["type"] == "value_error":
-        problem, _, remedy = str(first.get("ctx", {})["error"]).rpartition(", ")
-        return InputError(where, problem, remedy)
-    return InputError(where, f"{first['input']!r} is not valid", first["msg"][0].lower() + first["msg"][1:])
-
-
-def _guess(given: str, allowed: list[str]) -> str:
-    close = get_close_matches(given, allowed, n=1, cutoff=0.5)
-    return f"{close[0]} (did you mean that?), or " if close else ""
+        return InputError(where, "unknown key", f"use {guess(key, allowed)}one of {', '.join(allowed)}")
+    return InputError(where, *problem_and_remedy(first))

@@ -1,5 +1,8 @@
 """The base of every part of a spec."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from pydantic import BaseModel, ConfigDict
 
 
@@ -7,3 +10,15 @@ class Strict(BaseModel):
     """Base of every part of a spec: frozen, unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def with_defaults_of(data: Any, key: str, defaults: Mapping[str, Mapping[str, Any]]) -> Any:
+    """What a part of a spec is validated from, its own fields over the defaults of what its ``key`` names.
+
+    Args:
+        data: of any type; without a known name under ``key`` it is given back as it is.
+        key: the field that holds the name.
+        defaults: fields by name.
+    """
+    name = data.get(key) if isinstance(data, dict) else None
+    return {**defaults[name], **data} if isinstance(name, str) and name in defaults else data

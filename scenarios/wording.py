@@ -1,71 +1,99 @@
-"""Families in words, for lists and pages."""
+"""Scenarios in words: fields with their units, segments with their severity, world, motion and camera."""
 
-from collections.abc import Iterator
 from typing import Any
 
-from scenarios.distributions import Choice, Distribution, LogUniform, is_distribution, parse_distribution
-from scenarios.families import Family
+from scenarios.segments import SegmentBase
+from scenarios.spec import Scenario
+
+# Longest endings first: `max_accel_mps2` is no number of seconds.
+_UNITS = {
+    "_per_m": " /m",
+    "_degps": " °/s",
+    "_mps2": " m/s²",
+    "_mps": " m/s",
+    "_deg": "°",
+    "_px": " px",
+    "_hz": " Hz",
+    "_e": " e⁻",
+    "_m": " m",
+    "_s": " s",
+}
+# Names that are units themselves.
+_BARE_UNITS = {"stops": " stops", "fps": " frames/s"}
 
 
-def members_in_words(family: Family) -> str:
-    """How many members there are and which, a row of numbers by its ends; empty if there are none."""
-    members = family.members
-    if not members:
-        return ""
-    if all(member.isdigit() for member in members):
-        return f"{len(members)}: {members[0]} to {members[-1]}"
-    return f"{len(members)}: {', '.join(members)}"
+def field_words(name: str, value: Any) -> str:
+    """A field of a scenario: ``exposure 0.25 s`` of ``exposure_s`` and 0.25."""
+    label, unit = label_and_unit(name)
+    return f"{plain(value)}{unit}" if name in _BARE_UNITS else f"{label} {plain(value)}{unit}"
 
 
-def parameters_in_words(family: Family) -> dict[str, str]:
-    """What is drawn, by field, over all members: the whole range of numbers and everything to choose from.
-
-    Fields are named without indices: ``segments.contrast``.
-    """
-    everyone = [family.member(member) for member in family.members] or [family]
-    fields: dict[str, list[Distribution]] = {}
-    for one in everyone:
-        for place, drawn in one.parameters.items():
-            fields.setdefault(_field(place), []).append(drawn)
-    return {name: _words(drawn) for name, drawn in fields.items()}
+def kind_words(kind: str) -> str:
+    """A kind of segment, world or carrier as one reads it."""
+    return kind.replace("_", " ")
 
 
-def _field(place: str) -> str:
-    parts = [part.split("[")[0] for part in place.split(".")]
-    return ".".join(part for part in parts if part != "choice")
+def plain(value: Any) -> str:
+    """A value in four digits."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int | float):
+        return f"{value:.0f}" if abs(value) >= 1e4 else f"{value:.4g}"
+    return str(value).replace("_", " ")
 
 
-def _words(distributions: list[Distribution]) -> str:
-    """One field's distributions together."""
-    said: dict[str, None] = {}
-    numbers = [drawn for drawn in distributions if not isinstance(drawn, Choice)]
-    if numbers:
-        log = " (log)" if all(isinstance(drawn, LogUniform) for drawn in numbers) else ""
-        said[f"{min(d.low for d in numbers):g} to {max(d.high for d in numbers):g}{log}"] = None
-    choices = [drawn for drawn in distributions if isinstance(drawn, Choice)]
-    options = [option for choice in choices for option in choice.options]
-    if all(isinstance(option, int | float) for option in options):
-        options.sort()
-    said.update(dict.fromkeys(name for option in options for name in _names(option)))
-    words = list(said) or [f"one of {max(len(choice.options) for choice in choices)}"]
-    return " or ".join([", ".join(words[:-1]), words[-1]] if words[1:] else words)
+def measured(value: float) -> str:
+    """What has been measured, in three digits."""
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
-def _names(option: Any) -> Iterator[str]:
-    """What an option of a choice is called: a mapping by its kind or preset, a list by its parts.
+def severity_words(segment: SegmentBase) -> str:
+    """How bad a segment is, in physical units."""
+    return ", ".join(
+        field_words(name, value)
+        for name, value in segment.severity.items()
+        if not (name == "ramp_s" and not value)
+    )
 
-    Numbers that are drawn in it are told as parameters of their own.
-    """
-    if is_distribution(option):
-        drawn = parse_distribution(option)
-        for inner in drawn.options if isinstance(drawn, Choice) else ():
-            yield from _names(inner)
-    elif isinstance(option, dict):
-        named = option.get("kind", option.get("preset"))
-        if isinstance(named, str):
-            yield named
-    elif isinstance(option, list):
-        for part in option:
-            yield from _names(part)
-    else:
-        yield f"{option:g}" if isinstance(option, float) else str(option)
+
+def span_words(segment: SegmentBase) -> str:
+    """When a segment is."""
+    return f"{segment.start_s:.4g} to {segment.end_s:.4g} s"
+
+
+def world_words(scenario: Scenario) -> str:
+    """The world and its sizes."""
+    return _with_fields(scenario.world.kind, scenario.world.model_dump(exclude={"kind"}))
+
+
+def motion_words(scenario: Scenario) -> str:
+    """The carrier and its limits; what is 0 is left out."""
+    fields = scenario.trajectory.model_dump(exclude={"kind"})
+    return _with_fields(scenario.trajectory.kind, {name: value for name, value in fields.items() if value})
+
+
+def camera_words(scenario: Scenario) -> str:
+    """The camera."""
+    camera = scenario.camera
+    parts = [
+        f"{camera.width_px} × {camera.height_px} px",
+        f"{camera.fps:g} frames/s",
+        f"focal length {camera.fx_px:.4g} × {camera.fy_px:.4g} px",
+        f"exposure {1000 * camera.exposure_s:.3g} ms",
+        f"noise {camera.noise_sigma:.3g} grey levels",
+    ]
+    if camera.distortion.model != "none":
+        parts.append(f"{camera.distortion.model} distortion")
+    return f"{camera.preset}: {', '.join(parts)}" if camera.preset else ", ".join(parts)
+
+
+def label_and_unit(name: str) -> tuple[str, str]:
+    """A field's name as one reads it, and its unit: ``exposure`` and `` s`` of ``exposure_s``."""
+    for ending, unit in _UNITS.items():
+        if name.endswith(ending):
+            return name.removesuffix(ending).replace("_", " "), unit
+    return name.replace("_", " "), _BARE_UNITS.get(name, "")
+
+
+def _with_fields(kind: str, fields: dict[str, Any]) -> str:
+    return ", ".join([kind_words(kind), *(field_words(name, value) for name, value in fields.items())])

@@ -113,9 +113,9 @@ class Sequence:
         return replace(
             self,
             stamps_s=self.stamps_s[kept],
-            frames=_Chosen(self.frames, kept),
+            frames=ChosenFrames(self.frames, kept),
             T_world_cam=None if self.T_world_cam is None else self.T_world_cam[kept],
-            depths=None if self.depths is None else _Chosen(self.depths, kept),
+            depths=None if self.depths is None else ChosenFrames(self.depths, kept),
             segments=tuple(segment.among(kept) for segment in self.segments),
             frame_truth={name: column[kept] for name, column in self.frame_truth.items()},
             image_names=tuple(self.image_names[i] for i in kept) if self.image_names else (),
@@ -127,8 +127,8 @@ class Sequence:
         return tuple(s.kind for s in sorted(inside, key=lambda s: s.first_frame))
 
 
-class _Chosen:
-    """Some of the frames of another source."""
+class ChosenFrames:
+    """Some of the frames of another source, by their increasing int indices (n,)."""
 
     def __init__(self, source: FrameSource, kept: np.ndarray) -> None:
         self._source, self._kept = source, kept

@@ -27,7 +27,7 @@ def list_scenarios() -> None:
     A family's members are named FAMILY/MEMBER; the bare name leaves the member to the seed.
     """
     from scenarios.families import library_names, load_family
-    from scenarios.wording import members_in_words, parameters_in_words
+    from scenarios.family_wording import members_in_words, parameters_in_words
 
     table = Table("family", "members", "drawn by the seed", show_lines=True)
     for name in library_names():

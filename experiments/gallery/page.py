@@ -9,18 +9,10 @@ from experiments.gallery.markup import Element, document, el
 from experiments.gallery.plan_map import LEVEL_M, height_colour, plan_map
 from experiments.gallery.sheet import Sheet, Thumb
 from experiments.gallery.timeline import segment_table, timeline
-from experiments.gallery.words import (
-    camera_words,
-    drawn_words,
-    kind_words,
-    measured,
-    motion_words,
-    parameter_label,
-    parameter_words,
-    world_words,
-)
 from scenarios.families import Family
+from scenarios.family_wording import drawn_words, parameter_label, parameter_words
 from scenarios.segment_text import SEGMENT_MODELS
+from scenarios.wording import camera_words, kind_words, measured, motion_words, world_words
 
 _STYLE = Path(__file__).with_name("style.css")
 _SHOWN_BLUR_PX = 2.0

@@ -8,7 +8,8 @@ import numpy as np
 
 from experiments.gallery.markup import Element, el, points
 from experiments.gallery.sheet import Sheet
-from experiments.gallery.words import kind_words, measured
+from scenarios.wording import kind_words, measured
+from sim.world.route import arc_length
 
 LEVEL_M = 1.0
 """Below this climb a path counts as level."""
@@ -97,7 +98,7 @@ def _segments(sheet: Sheet) -> list[Element]:
 
 def _arrows(path: np.ndarray) -> list[Element]:
     """Heads along the path, evenly by its length on the map."""
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    along = arc_length(path)
     heads = []
     for reached in along[-1] * (np.arange(_ARROWS) + 0.5) / _ARROWS:
         at = min(int(np.searchsorted(along, reached)), len(path) - 2)

@@ -7,7 +7,7 @@ import numpy as np
 from experiments.gallery.markup import Element, el, points
 from experiments.gallery.plan_map import LEVEL_M
 from experiments.gallery.sheet import Sheet
-from experiments.gallery.words import kind_words, measured, severity_words, span_words
+from scenarios.wording import kind_words, measured, severity_words, span_words
 
 _WIDTH, _HEIGHT = 1000.0, 36.0
 _MOST_TICKS = 8

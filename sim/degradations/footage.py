@@ -15,7 +15,7 @@ from sim.degradations.chain import ImageChain
 from sim.degradations.registry import IMAGE_KINDS, SHOOT_KINDS, in_order_of_action
 from sim.degradations.truths import truths_of
 from sim.io.raw import RawFrames, RawWriter
-from sim.sequence import FrameSource, SegmentTruth, Sequence
+from sim.sequence import ChosenFrames, SegmentTruth, Sequence
 
 _STAGES = (Stage.SCENE, Stage.READOUT, Stage.LENS, Stage.SENSOR, Stage.ENCODER)
 
@@ -27,19 +27,6 @@ class _NoMotion:
         raise RuntimeError("the motion is not known")
 
     velocity_mps = rate_radps = T_world_cam
-
-
-class _Picked:
-    """Some frames of a source."""
-
-    def __init__(self, source: FrameSource, index: np.ndarray) -> None:
-        self._source, self._index = source, index
-
-    def __len__(self) -> int:
-        return len(self._index)
-
-    def __getitem__(self, index: int) -> np.ndarray:
-        return self._source[int(self._index[index])]
 
 
 def footage_kinds(depth: bool) -> list[str]:
@@ -114,7 +101,7 @@ def degrade_sequence(
         stamps_s=sequence.stamps_s[kept] + shoot.stamp_error_s,
         frames=RawFrames(scratch / "gray.npy"),
         T_world_cam=None if sequence.T_world_cam is None else sequence.T_world_cam[kept],
-        depths=None if sequence.depths is None else _Picked(sequence.depths, kept),
+        depths=None if sequence.depths is None else ChosenFrames(sequence.depths, kept),
         segments=truths,
         meta={
             **sequence.meta,

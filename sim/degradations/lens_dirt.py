@@ -9,10 +9,9 @@ from scenarios.segments import LensDirt
 from sim.camera import Intrinsics
 from sim.degradations.base import Stage
 from sim.degradations.image import Filter, ImageDegradation, Streams, View
-from sim.degradations.sprites import fill_share, filled, smooth_outline
+from sim.degradations.sprites import felt_share, fill_share, filled, smooth_outline
 from sim.degradations.tone import decode, encode
 
-FELT_SHARE = 0.1
 # Spots are laid out and light is smeared on grids this much coarser than the image.
 _COARSE, _SMEAR = 4, 32
 # A spot's rim is blurred by this share of its radius: dirt lies far out of focus.
@@ -52,7 +51,7 @@ class LensDirtDegradation(ImageDegradation[LensDirt]):
 
     def threshold(self, segment: LensDirt) -> float:
         """A tenth of the view, or half of the share asked for, if that is less."""
-        return min(FELT_SHARE, segment.share / 2)
+        return felt_share(segment.share)
 
 
 def dirt_cover(segment: LensDirt, camera: Intrinsics, rng: np.random.Generator) -> np.ndarray:

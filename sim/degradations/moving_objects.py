@@ -10,9 +10,8 @@ from sim.camera import Intrinsics
 from sim.degradations.base import Stage
 from sim.degradations.image import Filter, ImageDegradation, Streams, View
 from sim.degradations.passers_by import CAR_M, PERSON_M, POSES, VAN_M, person, vehicle
-from sim.degradations.sprites import Sprite, draw_behind, fill_share
+from sim.degradations.sprites import Sprite, draw_behind, felt_share, fill_share
 
-FELT_SHARE = 0.1
 _SPEEDS = (0.6, 1.4)  # of the stated rate
 _MOST = 400
 _PEOPLE, _CARS = 0.7, 0.9  # people, and then cars, of all that pass
@@ -82,7 +81,7 @@ class MovingObjectsDegradation(ImageDegradation[MovingObjects]):
 
     def threshold(self, segment: MovingObjects) -> float:
         """A tenth of the view, or half of the share asked for, if that is less."""
-        return min(FELT_SHARE, segment.share / 2)
+        return felt_share(segment.share)
 
 
 def _crowd(

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 _CUTS = 3
+_FELT_SHARE = 0.1  # of the view
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,11 @@ def fill_share(share: float, draw_next: Callable[[], float], most: int) -> np.nd
     while shares[-1] < share and len(shares) <= most:
         shares.append(draw_next())
     return np.array(shares)
+
+
+def felt_share(share: float) -> float:
+    """What fills a share of the view is felt from a tenth on, or from half of that share, if that is less."""
+    return min(_FELT_SHARE, share / 2)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

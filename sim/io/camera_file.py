@@ -8,7 +8,7 @@ import yaml
 from scenarios.errors import InputError
 from sim.camera import DISTORTION_KEYS, Intrinsics
 from sim.io.layout import CAMERA_KEYS
-from sim.io.text import read_yaml, to_number
+from sim.io.text import number_at, read_yaml
 
 _LEAST_FOCAL_SHARE, _MOST_FOCAL_SHARE = 0.1, 20
 
@@ -30,7 +30,7 @@ def read_camera(path: Path) -> Intrinsics:
         raise InputError(
             f"{path}: {unknown[0]}", f"unknown key of the model {model}", f"use {', '.join(keys)}"
         )
-    numbers = {key: _number(path, values, key) for key in CAMERA_KEYS}
+    numbers = {key: number_at(path, values, key) for key in CAMERA_KEYS}
     for key in ("width", "height"):
         if not 16 <= numbers[key] <= 16384 or numbers[key] != int(numbers[key]):
             raise InputError(f"{path}: {key}", f"{numbers[key]:g} is no image size", "give whole pixels")
@@ -42,7 +42,7 @@ def read_camera(path: Path) -> Intrinsics:
         cx=numbers["cx"],
         cy=numbers["cy"],
         fps=numbers["fps"],
-        distortion=tuple(_number(path, {key: 0.0, **values}, key) for key in DISTORTION_KEYS[model]),
+        distortion=tuple(number_at(path, {key: 0.0, **values}, key) for key in DISTORTION_KEYS[model]),
         model=model,
     )
     check_camera(path, camera)
@@ -72,9 +72,3 @@ def write_camera(camera: Intrinsics, path: Path) -> None:
         record["model"] = camera.model
     record |= dict(zip(DISTORTION_KEYS[camera.model], camera.distortion, strict=True))
     path.write_text(yaml.safe_dump(record, sort_keys=False))
-
-
-def _number(path: Path, values: dict[Any, Any], key: str) -> float:
-    if key not in values:
-        raise InputError(f"{path}: {key}", "is missing", "add it")
-    return to_number(f"{path}: {key}", values[key])

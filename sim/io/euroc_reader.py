@@ -17,6 +17,7 @@ from sim.io.text import (
     check_order,
     check_present,
     check_words,
+    number_at,
     read_rows,
     read_yaml,
     to_nanoseconds,
@@ -78,7 +79,7 @@ def load_euroc_imu(folder: Path) -> ImuReadings | None:
     T_body_imu = _matrix(path, sensor)
     keys = ["gyroscope_noise_density", "gyroscope_random_walk"]
     keys += ["accelerometer_noise_density", "accelerometer_random_walk"]
-    values = [_value(path, sensor, key) for key in ["rate_hz", *keys]]
+    values = [number_at(path, sensor, key) for key in ["rate_hz", *keys]]
     try:
         model = ImuModel(*values, T_cam_imu=np.linalg.inv(T_body_cam) @ T_body_imu)
     except InputError as error:
@@ -136,7 +137,7 @@ def _read_camera(path: Path) -> tuple[Intrinsics, np.ndarray]:
     coefficients = _list(path, sensor, "distortion_coefficients", (4, full))
     coefficients += [0.0] * (full - len(coefficients))
     fx, fy, cx, cy = _list(path, sensor, "intrinsics", (4,))
-    fps = _value(path, sensor, "rate_hz")
+    fps = number_at(path, sensor, "rate_hz")
     camera = Intrinsics(int(width), int(height), fx, fy, cx, cy, fps, tuple(coefficients), model)
     check_camera(path, camera)
     return camera, _matrix(path, sensor)
@@ -163,12 +164,6 @@ def _read_truth(path: Path, origin: int, stamps_s: np.ndarray, tolerance_s: floa
     table = np.array(rows)
     poses = poses_of(table[:, :3], np.roll(table[:, 3:], -1, axis=1))
     return nearest_poses(path, stamps_s, layout.to_seconds(stamps, origin), poses, tolerance_s)
-
-
-def _value(path: Path, sensor: dict[Any, Any], key: str) -> float:
-    if key not in sensor:
-        raise InputError(f"{path}: {key}", "is missing", "add it")
-    return to_number(f"{path}: {key}", sensor[key])
 
 
 def _list(path: Path, sensor: dict[Any, Any], key: str, lengths: tuple[int, ...]) -> list[float]:

@@ -124,3 +124,10 @@ def to_number(where: str, value: Any) -> float:
     if not np.isfinite(number):
         raise InputError(where, f"{value!r} is not a finite number", "correct it")
     return float(number)
+
+
+def number_at(path: Path, values: dict[Any, Any], key: str) -> float:
+    """The finite number under a key of a YAML file. Raises InputError if it is missing or anything else."""
+    if key not in values:
+        raise InputError(f"{path}: {key}", "is missing", "add it")
+    return to_number(f"{path}: {key}", values[key])

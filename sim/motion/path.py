@@ -4,6 +4,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from sim.world.base import Route
+from sim.world.route import arc_length
 
 STEP_M = 0.05
 # Shares of the clearance: cutting corners, and wandering sideways. The rest is left to the carrier's sway.
@@ -59,11 +60,6 @@ def ground(line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros(len(line)), np.zeros(len(line))
     grade = np.gradient(line[:, 2], arc_length(line[:, :2]))
     return line[:, 2], gaussian_filter1d(np.arctan(grade), _SLOPE_M / STEP_M, mode="nearest")
-
-
-def arc_length(line: np.ndarray) -> np.ndarray:
-    """(M,) cumulative length along a line of (M, 2) or (M, 3) points, from 0."""
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
 
 
 def _round_corners(corners: np.ndarray, budget_m: float, closed: bool) -> np.ndarray:

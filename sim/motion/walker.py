@@ -11,10 +11,11 @@ from scipy.ndimage import gaussian_filter1d
 
 from scenarios.seeds import rng_for
 from scenarios.spec import Trajectory
-from sim.motion.path import STEP_M, arc_length, ground, smooth_path
+from sim.motion.path import STEP_M, ground, smooth_path
 from sim.motion.planning import PAD_S, knot_times, long_enough, progress, sway, within_limits
 from sim.motion.spline import PoseSpline
 from sim.world.base import Route
+from sim.world.route import arc_length
 
 __all__ = ["PAD_S", "plan_handheld", "plan_walk"]
 

@@ -14,6 +14,7 @@ from sim.world.building_light import Lamplight, stair_light
 from sim.world.building_plan import Plan, clearance_m, route_nodes, walked_floors
 from sim.world.interior import storey_panels
 from sim.world.panels import Panel
+from sim.world.route import arc_length
 from sim.world.stairs import stair_panels, stair_pieces
 from sim.world.storey import plan_storey
 
@@ -103,7 +104,7 @@ def _who_see(
 def _eyes(spec: BuildingWorld) -> np.ndarray:
     """(E, 3) places along the route that eyes pass, half a metre apart in plan."""
     centre, height = route_nodes(spec)
-    arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(centre, axis=0), axis=1)))
+    arc = arc_length(centre)
     at = np.arange(0.0, arc[-1], 0.5)
     line = np.column_stack([centre, height + _EYE_M])
     return np.column_stack([np.interp(at, arc, column) for column in line.T])

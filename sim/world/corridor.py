@@ -12,7 +12,7 @@ from sim.world.base import Route, WorldModel
 from sim.world.build import build
 from sim.world.finishes import FLOOR_FINISHES, WALL_FINISHES
 from sim.world.light import Light, lamp_boxes
-from sim.world.panels import Box, Panel, slab, wall
+from sim.world.panels import Box, Fitting, Panel, slab, wall
 from sim.world.route import rounded
 
 _PANEL_M, _SLAB_M = 1.8, 2.6
@@ -21,25 +21,14 @@ _LAMP_SPACING_M = 3.2
 _SIDE_TOWARDS = {(1, 0): "east", (-1, 0): "west", (0, 1): "north", (0, -1): "south"}
 
 
-@dataclass(frozen=True)
-class _Fitting:
-    """What stands or hangs at a wall: its size, how far it reaches out (share of the limit), its foot."""
-
-    finish: str
-    width_m: float
-    height_m: float
-    reach: float
-    foot_m: float = 0.0
-
-
 _FITTINGS = (
-    _Fitting("door", 0.95, 2.05, 0.15),
-    _Fitting("door", 0.95, 2.05, 0.15),
-    _Fitting("concrete", 0.3, 99.0, 0.6),
-    _Fitting("cabinet", 0.9, 1.8, 1.0),
-    _Fitting("machine", 0.6, 0.9, 0.5, 1.1),
-    _Fitting("bookshelf", 0.8, 1.2, 0.8),
-    _Fitting("crate", 0.5, 0.5, 1.0),
+    Fitting("door", 0.95, 2.05, 0.15),
+    Fitting("door", 0.95, 2.05, 0.15),
+    Fitting("concrete", 0.3, 99.0, 0.6),
+    Fitting("cabinet", 0.9, 1.8, 1.0),
+    Fitting("machine", 0.6, 0.9, 0.5, 1.1),
+    Fitting("bookshelf", 0.8, 1.2, 0.8),
+    Fitting("crate", 0.5, 0.5, 1.0),
 )
 
 
@@ -185,7 +174,7 @@ def _fittings(spec: CorridorWorld, leg: _Leg, rng: np.random.Generator) -> list[
                 break
             reach = kind.reach * _longest_reach(spec)
             low, high = leg.plan_box(side, (at, at + kind.width_m), reach)
-            top = min(spec.height_m, kind.foot_m + kind.height_m)
+            top = kind.top_m(spec.height_m)
             hidden = (leg.back(side), "top") if top == spec.height_m else (leg.back(side),)
             label = f"{kind.finish} {side} {leg.index},{len(found)}"
             found.append(Box(np.append(low, kind.foot_m), np.append(high, top), kind.finish, label, hidden))

@@ -6,6 +6,7 @@ import numpy as np
 
 from sim.world.meshes import Mesh, Piece, grid_triangles, rise
 from sim.world.outdoor import Daylight
+from sim.world.route import arc_length
 
 _STONE_RINGS, _STONE_SIDES = 7, 10
 _BALE_SIDES, _BALE_M = 20, (1.25, 0.65)  # width and radius
@@ -132,7 +133,7 @@ def field_wall(feet: np.ndarray, label: str, light: Daylight, rng: np.random.Gen
         light: daylight; it casts its shadow there.
         rng: stream of its heights.
     """
-    arc = np.append(0, np.cumsum(np.linalg.norm(np.diff(feet, axis=0), axis=1)))
+    arc = arc_length(feet)
     way = np.gradient(feet[:, :2], axis=0)
     left = np.column_stack([-way[:, 1], way[:, 0]]) / np.linalg.norm(way, axis=1, keepdims=True)
     aside = np.column_stack([_WALL_M[0] / 2 * left, np.zeros(len(feet))])

@@ -12,7 +12,7 @@ from sim.world.farm import bale, barn, fence, fence_feet, field_wall, stone
 from sim.world.meshes import Piece
 from sim.world.outdoor import Daylight, Sky
 from sim.world.plants import bush, conifer, hedge, ragged_woods, tree
-from sim.world.route import rounded
+from sim.world.route import arc_length, rounded
 from sim.world.terrain import Relief, Tiling
 
 _CLEARANCE_M = 1.5
@@ -149,7 +149,7 @@ class _Farm:
 
     def _stations(self, every_m: float) -> list[tuple[np.ndarray, np.ndarray]]:
         """Points of the route at even distances, each with the unit vector to its left."""
-        arc = np.append(0, np.cumsum(np.linalg.norm(np.diff(self._line, axis=0), axis=1)))
+        arc = arc_length(self._line)
         at = np.arange(0, arc[-1], every_m)
         here, ahead = (
             np.column_stack([np.interp(s % arc[-1], arc, c) for c in self._line.T]) for s in (at, at + 0.5)

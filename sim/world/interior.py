@@ -9,7 +9,7 @@ from sim.world.building_light import Lamplight
 from sim.world.building_plan import WALL_M
 from sim.world.finishes import FLOOR_FINISHES, WALL_FINISHES
 from sim.world.light import Light, lamp_boxes
-from sim.world.panels import Box, Panel, slab, wall
+from sim.world.panels import Box, Fitting, Panel, slab, wall
 from sim.world.storey import OPPOSITE, Door, Side, Space, Storey
 
 _DOOR_HEIGHT_M, _RECESS_M, _LEAF_M = 2.08, 0.1, 0.04
@@ -19,26 +19,15 @@ _LAMP_SPACING_M, _LAMP_DROP_M = 3.2, 0.15
 _OVER_EYES_M = 1.75
 
 
-@dataclass(frozen=True)
-class _Fitting:
-    """What stands or hangs at a wall: its size, how far it reaches out (share of the limit), its foot."""
-
-    finish: str
-    width_m: float
-    height_m: float
-    reach: float
-    foot_m: float = 0.0
-
-
 _FITTINGS = (
-    _Fitting("cabinet", 0.9, 1.8, 1.0),
-    _Fitting("concrete", 0.35, 99.0, 0.6),
-    _Fitting("radiator", 1.1, 0.6, 0.35, 0.14),
-    _Fitting("radiator", 0.8, 0.6, 0.35, 0.14),
-    _Fitting("machine", 0.6, 0.9, 0.4, 1.1),
-    _Fitting("bookshelf", 0.8, 1.3, 0.9),
-    _Fitting("crate", 0.45, 0.4, 1.0),
-    _Fitting("cabinet", 1.2, 0.8, 1.0),
+    Fitting("cabinet", 0.9, 1.8, 1.0),
+    Fitting("concrete", 0.35, 99.0, 0.6),
+    Fitting("radiator", 1.1, 0.6, 0.35, 0.14),
+    Fitting("radiator", 0.8, 0.6, 0.35, 0.14),
+    Fitting("machine", 0.6, 0.9, 0.4, 1.1),
+    Fitting("bookshelf", 0.8, 1.3, 0.9),
+    Fitting("crate", 0.45, 0.4, 1.0),
+    Fitting("cabinet", 1.2, 0.8, 1.0),
 )
 _FURNITURE = (("bookshelf", 2.0), ("cabinet", 1.9), ("cabinet", 0.75), ("crate", 0.6), ("bookshelf", 1.2))
 
@@ -175,7 +164,7 @@ def _fittings(space: Space, style: _Style, rng: np.random.Generator) -> list[Box
                     break
                 span = (at, at + kind.width_m)
                 plan = side.box(span, (-kind.reach * style.reach_m, 0.0))
-                top = min(style.clear_m, kind.foot_m + kind.height_m)
+                top = kind.top_m(style.clear_m)
                 hidden = (side.compass, "bottom", *(("top",) if top > _OVER_EYES_M else ()))
                 label = f"{space.name} {kind.finish} {len(found)}"
                 corners = (np.append(plan[0], kind.foot_m), np.append(plan[1], top))

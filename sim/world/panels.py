@@ -149,3 +149,26 @@ class Box:
         if "bottom" not in self.hidden and z[0] > 0:
             faces += slab(*plan, z[0], False, self.finish, f"{self.label} bottom", (np.inf, np.inf))
         return faces
+
+
+@dataclass(frozen=True)
+class Fitting:
+    """A kind of thing that stands or hangs along walls.
+
+    Attributes:
+        finish: as in Box.
+        width_m: along the wall.
+        height_m: from its foot up; it ends at the ceiling at the latest.
+        reach: out from the wall, a share of how far things may reach there.
+        foot_m: height of its foot above the floor.
+    """
+
+    finish: str
+    width_m: float
+    height_m: float
+    reach: float
+    foot_m: float = 0.0
+
+    def top_m(self, ceiling_m: float) -> float:
+        """Height of its upper end under a ceiling."""
+        return min(ceiling_m, self.foot_m + self.height_m)

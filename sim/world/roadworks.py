@@ -4,6 +4,7 @@ import numpy as np
 
 from sim.world.meshes import Mesh, Piece, block, grid_triangles
 from sim.world.outdoor import Daylight
+from sim.world.route import arc_length
 from sim.world.street_furniture import hung_sign
 
 # A beam in the shape of a W: distance from the posts and height, from the top down.
@@ -23,7 +24,7 @@ def guard_rail(ends: np.ndarray, label: str, gain: np.ndarray) -> Piece:
     along = (ends[1] - ends[0]) / length
     aside = np.array([-along[1], along[0]])
     mesh = Mesh()
-    deep = np.append(0, np.cumsum(np.linalg.norm(np.diff(_BEAM_M, axis=0), axis=1)))
+    deep = arc_length(_BEAM_M)
     for side, (a, b) in ((1.0, ends[::-1]), (-1.0, ends)):
         rows = [
             [np.append(foot + side * out * aside, high) for foot in (a, b)] for out, high in _BEAM_M.tolist()

@@ -1,8 +1,13 @@
-"""Polylines with rounded corners."""
+"""Polylines: their length, and rounded corners."""
 
 import numpy as np
 
 _ARC_STEP_RAD = np.pi / 12
+
+
+def arc_length(line: np.ndarray) -> np.ndarray:
+    """(M,) cumulative length along a line of (M, 2) or (M, 3) points, from 0."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
 
 
 def rounded(corners: np.ndarray, radius_m: float, closed: bool) -> np.ndarray:

@@ -8,7 +8,6 @@ from html.parser import HTMLParser
 
 import cv2
 import pytest
-from test_cli import dslab
 
 from experiments.gallery.build import make_gallery
 from scenarios.errors import InputError
@@ -207,16 +206,16 @@ def test_two_scenarios_of_one_name_are_refused(scenario_files, tmp_path):
         make_gallery([str(scenario_files / "lone.yaml"), str(tmp_path / "other.yaml")], tmp_path / "out")
 
 
-def test_the_command_has_help_with_an_example(monkeypatch, capsys):
-    code, said, _ = dslab(monkeypatch, capsys, "scenarios", "gallery", "--help")
+def test_the_command_has_help_with_an_example(dslab):
+    code, said, _ = dslab("scenarios", "gallery", "--help")
     assert code == 0
     assert "dslab scenarios gallery kitti-like stressed" in " ".join(said.split())
 
 
-def test_the_command_says_what_it_made(monkeypatch, capsys, scenario_files, tmp_path):
+def test_the_command_says_what_it_made(dslab, scenario_files, tmp_path):
     out = tmp_path / "out"
     code, said, _ = dslab(
-        monkeypatch, capsys, "scenarios", "gallery", str(scenario_files / "lone.yaml"),
+        "scenarios", "gallery", str(scenario_files / "lone.yaml"),
         "--out", str(out), "--seeds", "1", "--frames", "2",
     )  # fmt: skip
     assert code == 0

@@ -11,9 +11,6 @@ from experiments.gallery.outline import draw_outline, frame_of, level_cut
 from experiments.gallery.plan_map import plan_map
 from experiments.gallery.sheet import Sheet, Thumb, Track, chosen_frames
 from experiments.gallery.timeline import timeline
-from experiments.gallery.words import drawn_words, parameter_label, parameter_words, severity_words
-from scenarios.distributions import LogUniform, Uniform, parse_distribution
-from scenarios.families import load_family
 from scenarios.segment_text import parse_segment
 from scenarios.spec import Scenario
 from sim.degradations.base import Shoot
@@ -141,55 +138,6 @@ def test_the_map_marks_segments_frames_and_its_scale(tmp_path: Path):
         float(str(bar.get("d")).split("H")[1].split("V")[0]),
     )
     assert end - start == pytest.approx(10 * sheet_that_climbs(0.0).map_frame.px_per_m, abs=0.1)
-
-
-def test_severities_have_their_units():
-    assert severity_words(parse_segment("fog:start_s=1,duration_s=2,extinction_per_m=0.5,ramp_s=0.5")) == (
-        "ramp 0.5 s, extinction 0.5 /m, airlight level 190"
-    )
-    assert severity_words(parse_segment("over_exposure:start_s=1,duration_s=2,stops=3")) == "3 stops"
-
-
-@pytest.mark.parametrize(
-    ("place", "node", "words"),
-    [
-        ("trajectory.max_speed_mps", {"uniform": [1, 2.5]}, "uniform from 1 to 2.5 m/s"),
-        ("camera.exposure_s", {"log_uniform": [0.001, 0.1]}, "log-uniform from 0.001 to 0.1 s"),
-        ("camera.fps", {"choice": [10, 20]}, "one of: 10 frames/s; 20 frames/s"),
-        ("world", {"choice": [{"kind": "room"}, "x"], "weights": [1, 3]}, "one of: room (25 %); x (75 %)"),
-        ("segments", {"choice": [[], [{"kind": "fog"}, {"kind": "jpeg"}]]}, "one of: none; fog then jpeg"),
-    ],
-)  # fmt: skip
-def test_distributions_in_words(place, node, words):
-    assert parameter_words(place, parse_distribution(node)) == words
-
-
-def test_what_was_drawn_is_told_only_of_the_option_it_was_drawn_in(tmp_path):
-    (tmp_path / "either.yaml").write_text(
-        """
-name: either
-world: {kind: room}
-segments:
-  choice:
-    - [{kind: jpeg, start_s: 1, duration_s: {uniform: [1, 2]}, quality: {uniform: [5, 9]}}]
-    - [{kind: fog, start_s: 1, duration_s: {uniform: [3, 4]}, extinction_per_m: {log_uniform: [0.1, 1]}}]
-"""
-    )
-    family = load_family(tmp_path / "either.yaml")
-    kinds = set()
-    for seed in range(8):
-        scenario = family.sample(seed)
-        (segment,) = scenario.segments
-        told = {
-            parameter_label(place, family.written): drawn_words(place, drawn, family.written, scenario)
-            for place, drawn in family.parameters.items()
-            if isinstance(drawn, Uniform | LogUniform)
-        }
-        own, other = ("jpeg", "fog") if segment.kind == "jpeg" else ("fog", "jpeg")
-        assert told[f"segment 1, {own}: duration"] == f"{segment.duration_s:.4g} s"
-        assert told[f"segment 1, {other}: duration"] == ""
-        kinds.add(segment.kind)
-    assert kinds == {"jpeg", "fog"}
 
 
 def test_markup_escapes_what_is_not_its_own():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from slam_fakes import FakeSystem, fake_factory, make_sequence
 
-from experiments import cli, execution, sources
+from experiments import execution, sources
 from experiments.bench import bench
 from experiments.peer import open_peer
 from scenarios.errors import InputError
@@ -151,14 +151,6 @@ def test_a_peer_s_faults_are_bad_input(sequence, folder, tmp_path, old, new, say
 # -- the command line ----------------------------------------------------------------------------------------
 
 
-def dslab(monkeypatch, capsys, *arguments: str) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["dslab", *arguments])
-    with pytest.raises(SystemExit) as caught:
-        cli.main()
-    captured = capsys.readouterr()
-    return int(caught.value.code or 0), captured.out, captured.err
-
-
 @pytest.fixture
 def faked(monkeypatch, sequence):
     modes = []
@@ -173,18 +165,16 @@ def faked(monkeypatch, sequence):
     return modes
 
 
-def test_five_runs_by_default_and_every_one_in_the_json(monkeypatch, capsys, faked, folder, tmp_path):
+def test_five_runs_by_default_and_every_one_in_the_json(dslab, faked, folder, tmp_path):
     peer = command(tmp_path, PEER, "--first=0", tmp_path / "log")
-    code, out, _ = dslab(monkeypatch, capsys, "bench", str(folder), "--peer", peer, "--json")
+    code, out, _ = dslab("bench", str(folder), "--peer", peer, "--json")
     assert code == 0
     assert len(json.loads(out.splitlines()[-1])["comparison"]["runs"]) == 10
 
 
-def test_the_table_shows_ours_the_peer_s_and_the_ratio(monkeypatch, capsys, faked, folder, tmp_path):
+def test_the_table_shows_ours_the_peer_s_and_the_ratio(dslab, faked, folder, tmp_path):
     peer = command(tmp_path, PEER, "--first=0", tmp_path / "log")
-    code, out, _ = dslab(
-        monkeypatch, capsys, "bench", str(folder), "--peer", peer, "--runs", "1", "--mode", "threaded"
-    )
+    code, out, _ = dslab("bench", str(folder), "--peer", peer, "--runs", "1", "--mode", "threaded")
     assert (code, faked) == (0, ["threaded"])
     (row,) = [line for line in out.splitlines() if "tracking CPU" in line]
     ours = 8 + 0.01 * (FRAMES - 1) / 2
@@ -205,7 +195,7 @@ def test_the_table_shows_ours_the_peer_s_and_the_ratio(monkeypatch, capsys, fake
         (["--real-time"], "error: --real-time: the mode is lockstep; add --mode threaded"),
     ],
 )
-def test_a_wrong_command_is_one_line_and_exit_2(monkeypatch, capsys, faked, arguments, starts):
-    code, out, err = dslab(monkeypatch, capsys, "bench", "x", *arguments)
+def test_a_wrong_command_is_one_line_and_exit_2(dslab, faked, arguments, starts):
+    code, out, err = dslab("bench", "x", *arguments)
     assert (code, out) == (2, "")
     assert err.startswith(starts) and err.count("\n") == 1

@@ -1,7 +1,6 @@
 """The SLAM itself run threaded, and its map written for other tools."""
 
 import json
-import sys
 from dataclasses import asdict, replace
 
 import cv2
@@ -10,7 +9,7 @@ import pycolmap
 import pytest
 from slam_fakes import fake_factory, make_sequence
 
-from experiments import cli, execution, sources
+from experiments import execution, sources
 from experiments.execution import system_factory
 from experiments.map_files import write_maps
 from experiments.pacing import RealTime
@@ -113,21 +112,13 @@ def test_images_are_named_as_in_the_folder(tmp_path, form, first):
 
 
 @pytest.fixture
-def dslab(monkeypatch, capsys):
+def dslab(dslab, monkeypatch):
     """Runs the command on a few frames of the made-up sequence, through the fake."""
     few = make_sequence(12, segment=None)
     monkeypatch.setattr("slam.warmup.warm_up", lambda progress: None)
     monkeypatch.setattr(sources, "open_sequence", lambda source, seed, show, **options: few)
     monkeypatch.setattr(execution, "system_factory", lambda mode="lockstep": fake_factory(few))
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["dslab", *map(str, arguments)])
-        with pytest.raises(SystemExit) as caught:
-            cli.main()
-        captured = capsys.readouterr()
-        return int(caught.value.code or 0), captured.out, captured.err
-
-    return run
+    return dslab
 
 
 def test_bench_in_real_time_counts_what_was_dropped(dslab):

@@ -5,9 +5,9 @@ from itertools import pairwise
 import pytest
 
 from scenarios.families import LIBRARY_DIR, family_names, library_names, load_family
+from scenarios.family_wording import members_in_words, parameters_in_words
 from scenarios.loading import dump_yaml, load_scenario
 from scenarios.spec import Scenario
-from scenarios.wording import members_in_words, parameters_in_words
 from sim.world import layout
 
 SEEDS = range(50)

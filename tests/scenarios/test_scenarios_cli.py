@@ -12,29 +12,19 @@ from scenarios.loading import load_scenario
 from scenarios.spec import Scenario
 
 
-def dslab(monkeypatch, capsys, *arguments: str) -> tuple[int, str, str]:
-    """Run the command in this process; (exit code, stdout, stderr)."""
-    monkeypatch.setattr(sys, "argv", ["dslab", *arguments])
-    with pytest.raises(SystemExit) as caught:
-        cli.main()
-    captured = capsys.readouterr()
-    code = caught.value.code
-    return (0 if code is None else int(code)), captured.out, captured.err
-
-
-def test_the_list_has_every_family_its_members_and_what_is_drawn(monkeypatch, capsys):
+def test_the_list_has_every_family_its_members_and_what_is_drawn(dslab, monkeypatch):
     monkeypatch.setenv("COLUMNS", "160")
-    code, out, _ = dslab(monkeypatch, capsys, "scenarios", "list")
+    code, out, _ = dslab("scenarios", "list")
     assert code == 0
     for part in (*library_names(), "11: 00 to 10", "50: 01 to 50", "segments.contrast: 0.05 to 0.5 (log)"):
         assert part in out
 
 
-def test_show_gives_the_family_and_with_a_seed_the_sample(monkeypatch, capsys, tmp_path):
-    _, family, _ = dslab(monkeypatch, capsys, "scenarios", "show", "low-texture/room")
+def test_show_gives_the_family_and_with_a_seed_the_sample(dslab, tmp_path):
+    _, family, _ = dslab("scenarios", "show", "low-texture/room")
     assert "log_uniform" in family and "&" not in family
     assert load_scenario(write(tmp_path, family), 3) == load_scenario("low-texture/room", 3)
-    _, sample, _ = dslab(monkeypatch, capsys, "scenarios", "show", "low-texture/room", "--seed", "3")
+    _, sample, _ = dslab("scenarios", "show", "low-texture/room", "--seed", "3")
     assert "uniform" not in sample
     assert load_scenario(write(tmp_path, sample)) == load_scenario("low-texture/room", 3)
 
@@ -47,8 +37,8 @@ def test_show_gives_the_family_and_with_a_seed_the_sample(monkeypatch, capsys, t
         (MEMBERS, "valid, trial, a family, 3 members, drawn with 20 seeds each"),
     ],
 )
-def test_validate_says_what_was_checked(monkeypatch, capsys, tmp_path, text, told):
-    code, out, _ = dslab(monkeypatch, capsys, "scenarios", "validate", str(write(tmp_path, text)))
+def test_validate_says_what_was_checked(dslab, tmp_path, text, told):
+    code, out, _ = dslab("scenarios", "validate", str(write(tmp_path, text)))
     assert code == 0 and told in out
 
 
@@ -60,13 +50,13 @@ def test_validate_says_what_was_checked(monkeypatch, capsys, tmp_path, text, tol
         (MEMBERS.replace("[0.5, 1]", "[0, 0.5]").replace("0.02", "3"), "in trial/07 as drawn with seed 0"),
     ],
 )
-def test_validate_finds_what_only_some_seeds_and_members_have(monkeypatch, capsys, tmp_path, text, told):
-    code, _, err = dslab(monkeypatch, capsys, "scenarios", "validate", str(write(tmp_path, text)))
+def test_validate_finds_what_only_some_seeds_and_members_have(dslab, tmp_path, text, told):
+    code, _, err = dslab("scenarios", "validate", str(write(tmp_path, text)))
     assert code == 2 and told in err and err.count("\n") == 1
 
 
-def test_the_schema_is_json(monkeypatch, capsys):
-    _, out, _ = dslab(monkeypatch, capsys, "scenarios", "schema")
+def test_the_schema_is_json(dslab):
+    _, out, _ = dslab("scenarios", "schema")
     assert "members" in json.loads(out)["properties"]
 
 

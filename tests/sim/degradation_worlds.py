@@ -1,5 +1,6 @@
 """Small worlds, rendered for real, and how well features of their frames can be matched."""
 
+import hashlib
 from dataclasses import replace
 
 import cv2
@@ -95,6 +96,13 @@ def small_studio() -> Studio:
             pass
 
     return Studio(real.layout, build_world, Kept, real.gl_info)
+
+
+def digest(sequence: Sequence) -> str:
+    """Of frames, stamps and poses."""
+    assert sequence.T_world_cam is not None
+    frames = b"".join(frame.tobytes() for frame in sequence.frames)
+    return hashlib.sha256(frames + sequence.stamps_s.tobytes() + sequence.T_world_cam.tobytes()).hexdigest()
 
 
 def mean_inliers(

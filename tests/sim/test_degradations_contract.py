@@ -1,6 +1,5 @@
 """What every kind of degradation promises, proved on rendered worlds."""
 
-import hashlib
 from functools import partial
 
 import numpy as np
@@ -10,6 +9,7 @@ from degradation_worlds import (
     SEVERITIES,
     START_S,
     WORLDS,
+    digest,
     mean_inliers,
     segment,
     small_scenario,
@@ -37,11 +37,6 @@ def render(tmp_path_factory):
         return render_sequence(scenario, seed, cache_dir=cache_dir or cache, depth=True, studio=studio)
 
     return render
-
-
-def digest(sequence) -> str:
-    frames = b"".join(frame.tobytes() for frame in sequence.frames)
-    return hashlib.sha256(frames + sequence.stamps_s.tobytes() + sequence.T_world_cam.tobytes()).hexdigest()
 
 
 def test_every_kind_has_severities_to_be_tested_with():

@@ -2,13 +2,11 @@
 
 import hashlib
 import json
-import sys
 
 import cv2
 import numpy as np
 import pytest
 
-from experiments import cli
 from sim.io.tum import load_sequence
 
 COUNT, FPS = 40, 20.0
@@ -32,17 +30,6 @@ def footage(tmp_path):
     return folder
 
 
-@pytest.fixture
-def dslab(monkeypatch, capsys):
-    def dslab(*arguments) -> tuple[int, str]:
-        monkeypatch.setattr(sys, "argv", ["dslab", *map(str, arguments)])
-        with pytest.raises(SystemExit) as caught:
-            cli.main()
-        return int(caught.value.code or 0), capsys.readouterr().err
-
-    return dslab
-
-
 def add_depth(folder) -> None:
     (folder / "depth").mkdir()
     lines = []
@@ -63,7 +50,7 @@ DROPS = "frame_drops:start_s=1.2,duration_s=0.4,share=0.5"
 
 def test_segments_act_on_their_frames_alone_and_are_written(dslab, footage, tmp_path):
     out = tmp_path / "out"
-    code, _ = dslab("degrade", footage, "--segment", DARK, "--segment", DROPS, "--seed", 3, "--out", out)
+    code, *_ = dslab("degrade", footage, "--segment", DARK, "--segment", DROPS, "--seed", 3, "--out", out)
     assert code == 0
     clean, degraded = load_sequence(footage), load_sequence(out)
     assert len(degraded) == COUNT - 4  # half of 8 frames, the last of which stays: round(3.5)
@@ -137,7 +124,7 @@ def test_fog_works_where_there_is_depth(dslab, footage, tmp_path):
 )  # fmt: skip
 def test_what_cannot_be_is_one_line_and_leaves_nothing(dslab, footage, tmp_path, segments, says):
     options = [word for text in segments for word in ("--segment", text)]
-    code, err = dslab("degrade", footage, *options, "--out", tmp_path / "out")
+    code, _, err = dslab("degrade", footage, *options, "--out", tmp_path / "out")
     assert code == 2
     assert err.startswith("error: ") and err.count("\n") == 1
     assert all(word in err for word in says), err
@@ -146,6 +133,6 @@ def test_what_cannot_be_is_one_line_and_leaves_nothing(dslab, footage, tmp_path,
 
 def test_a_broken_image_leaves_nothing_behind(dslab, footage, tmp_path):
     (footage / "rgb/30.png").write_bytes(b"no image")
-    code, err = dslab("degrade", footage, "--segment", DARK, "--out", tmp_path / "out")
+    code, _, err = dslab("degrade", footage, "--segment", DARK, "--out", tmp_path / "out")
     assert code == 2 and "30.png" in err
     assert [path.name for path in tmp_path.iterdir()] == ["office"]

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from world_views import distance_to_route
 
 from scenarios.motions import KINDS, Trajectory
 from scenarios.worlds import CityWorld
@@ -16,14 +17,6 @@ LOOP = layout(CityWorld(length_m=400, loop=True), 1)
 STREETS = layout(CityWorld(length_m=400, turns=2), 1)
 CORNERS = Route(np.array([[0.0, 0], [14, 0], [14, 12], [28, 12]]), 0.7, False)
 CASES = [("walk", CORNERS), ("handheld", CORNERS), ("car", LOOP), ("car", STREETS), ("drone", STREETS)]
-
-
-def distance_to_route(points: np.ndarray, route: Route) -> np.ndarray:
-    starts, ends = route.centre_m[:-1], route.centre_m[1:]
-    way = ends - starts
-    share = np.einsum("nsk,sk->ns", points[:, None] - starts, way) / (way**2).sum(axis=1)
-    nearest = starts + np.clip(share, 0, 1)[..., None] * way
-    return np.linalg.norm(points[:, None] - nearest, axis=2).min(axis=1)
 
 
 @pytest.mark.parametrize(("kind", "route"), CASES)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from world_views import distance_to_route
 
 from scenarios.spec import Trajectory
 from sim.motion.path import smooth_path
@@ -15,17 +16,6 @@ CORNERS = Route(np.array([[0.0, 0], [14, 0], [14, 12], [28, 12]]), 0.7, False)
 SHORT = Route(np.array([[0.0, 0], [5, 0]]), 0.5, False)
 TIGHT = Route(np.array([[0.0, 0], [3, 0], [3, 2], [6, 2], [6, 6]]), 0.15, False)
 ROUTES = {"ring": RING, "corners": CORNERS, "short": SHORT, "tight": TIGHT}
-
-
-def distance_to_route(points: np.ndarray, route: Route) -> np.ndarray:
-    starts, ends = route.centre_m[:-1], route.centre_m[1:]
-    if route.closed:
-        starts, ends = np.vstack([starts, route.centre_m[-1:]]), np.vstack([ends, route.centre_m[:1]])
-    distances = []
-    for a, b in zip(starts, ends, strict=True):
-        share = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
-        distances.append(np.linalg.norm(points - a - share[:, None] * (b - a), axis=1))
-    return np.min(distances, axis=0)
 
 
 @pytest.mark.parametrize("route", ROUTES.values(), ids=ROUTES)

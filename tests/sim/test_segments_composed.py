@@ -1,12 +1,11 @@
 """Segments over one another: whichever order they are declared in, and what the truth says of each."""
 
-import hashlib
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from degradation_worlds import SEVERITIES, small_scenario, small_studio
+from degradation_worlds import SEVERITIES, digest, small_scenario, small_studio
 from io_sequences import Stack, make_sequence
 
 from scenarios.segment_text import SEGMENT_MODELS
@@ -53,11 +52,6 @@ def render(tmp_path_factory):
         return render_sequence(small_scenario("corridor", *segments), 3, cache_dir=cache, studio=studio)
 
     return render
-
-
-def digest(sequence) -> str:
-    frames = b"".join(frame.tobytes() for frame in sequence.frames)
-    return hashlib.sha256(frames + sequence.stamps_s.tobytes() + sequence.T_world_cam.tobytes()).hexdigest()
 
 
 def test_the_order_of_declaration_changes_nothing(render):

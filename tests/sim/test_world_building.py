@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from world_views import check_flow, every, flow_errors
 
 from scenarios.motions import Trajectory
 from scenarios.seeds import rng_for
@@ -13,7 +14,7 @@ from sim.motion import plan_motion
 from sim.mujoco_renderer import MOST_SURFACES, MujocoRenderer
 from sim.world import build, build_world, layout
 from sim.world.atlas import gathered
-from sim.world.base import Route, Surface, WorldModel
+from sim.world.base import Surface, WorldModel
 from sim.world.building_light import Lamplight
 from sim.world.building_plan import Plan, walked_floors
 from sim.world.panels import wall
@@ -29,13 +30,6 @@ SHAPES = {
     "tall": BuildingWorld(floors=6, length_m=18, width_m=1.8, storey_m=2.8),
     "wide": BuildingWorld(floors=2, length_m=50, width_m=4.0, storey_m=4.5),
 }
-
-
-def fine(route: Route, step_m: float) -> np.ndarray:
-    """(K, 3) points of the ground along a route."""
-    arc = np.append(0, np.cumsum(np.linalg.norm(np.diff(route.centre_m, axis=0), axis=1)))
-    line = np.column_stack([route.centre_m, route.height_m])
-    return np.column_stack([np.interp(np.arange(0, arc[-1], step_m), arc, c) for c in line.T])
 
 
 def sampled(surface: Surface) -> np.ndarray:
@@ -75,7 +69,7 @@ class TestEveryShape:
         spec, world, route = shape
         renderer = MujocoRenderer(world, DOWN)
         riser_m = Plan.of(spec).stairs[0].riser_m
-        for x, y, z in fine(route, 0.71):
+        for x, y, z in every(route, 0.71):
             eye = np.array([x, y, z + 1.5])
             below, above = (renderer.render(looking(eye, 0.0, p))[1][32, 32] for p in (-1.57079, 1.57079))
             # Steps are smoothed to a slope through their middles.
@@ -86,7 +80,7 @@ class TestEveryShape:
     def test_no_gap_opens_and_nothing_comes_near_anywhere_along_the_route(self, shape):
         _, world, route = shape
         renderer = MujocoRenderer(world, SMALL_CAMERA)
-        for k, (x, y, z) in enumerate(fine(route, 1.7)):
+        for k, (x, y, z) in enumerate(every(route, 1.7)):
             for side in (0, 1):
                 # Looks are spread over all directions from point to point.
                 yaw, pitch = 0.7 * k + side * np.pi, 0.5 * np.sin(1.3 * k)
@@ -100,7 +94,7 @@ class TestEveryShape:
         _, world, route = shape
         samples = np.concatenate([sampled(surface) for surface in world.surfaces])
         near = cKDTree(samples[:, :2])
-        points = fine(route, 0.2)
+        points = every(route, 0.2)
         for point, found in zip(points, near.query_ball_point(points[:, :2], 0.49), strict=True):
             above = samples[found, 2] - point[2]
             # The steps ahead reach 0.3 m, on the way to them; what hangs over the eye is no obstacle.
@@ -109,7 +103,7 @@ class TestEveryShape:
     def test_the_route_leads_where_the_specification_says(self, shape):
         spec, _, route = shape
         assert route.closed == spec.loop
-        points = fine(route, 0.1)
+        points = every(route, 0.1)
         top = (spec.floors - 1) * spec.storey_m
         assert points[0, 2] == 0 and points[:, 2].max() == pytest.approx(top)
         for level in walked_floors(spec):
@@ -152,17 +146,8 @@ class TestBuilt:
         errors = []
         for stamp_s in np.linspace(1, 38, 12):
             first, second = motion.T_world_cam(np.array([stamp_s, stamp_s + 0.04]))
-            (gray_a, depth), (gray_b, _) = renderer.render(first), renderer.render(second)
-            start = cv2.goodFeaturesToTrack(gray_a, 300, 0.01, 10)
-            end, found, _ = cv2.calcOpticalFlowPyrLK(
-                gray_a, gray_b, start, None, winSize=(15, 15), criteria=(3, 50, 1e-3)
-            )
-            good = found[:, 0] == 1
-            errors.append(end[good, 0] - reprojected(start[good, 0], depth, first, second))
-        difference = np.concatenate(errors)
-        assert len(difference) > 2500
-        assert np.median(np.linalg.norm(difference, axis=1)) < 0.1
-        assert np.abs(np.median(difference, axis=0)).max() < 0.02
+            errors.append(flow_errors(renderer, first, second, CAMERA))
+        check_flow(errors, at_least=2500)
 
     def test_every_frame_is_rich_in_spread_features_also_on_the_stairs(self, built):
         _, renderer, seed = built
@@ -179,7 +164,7 @@ class TestBuilt:
 
     def test_walls_beside_the_route_show_detail(self, built):
         world, _, seed = built
-        points = fine(layout(SPEC, seed), 0.2)
+        points = every(layout(SPEC, seed), 0.2)
         seen = 0
         for surface in world.surfaces:
             wide = np.linalg.norm(surface.vertices[1] - surface.vertices[0])
@@ -190,18 +175,6 @@ class TestBuilt:
                     seen += 1
                     assert surface.texture.shape[1] / wide > 140
         assert seen > 8
-
-
-def reprojected(
-    points_px: np.ndarray, depth: np.ndarray, first: np.ndarray, second: np.ndarray
-) -> np.ndarray:
-    """Pixels of the first frame in the second one, by the depth at the nearest pixel."""
-    column, row = np.rint(points_px).astype(int).T
-    focal, centre = np.array([CAMERA.fx, CAMERA.fy]), np.array([CAMERA.cx, CAMERA.cy])
-    rays = np.column_stack([(points_px - centre) / focal, np.ones(len(points_px))])
-    world = (rays * depth[row, column, None]) @ first[:3, :3].T + first[:3, 3]
-    p_cam = (world - second[:3, 3]) @ second[:3, :3]
-    return p_cam[:, :2] / p_cam[:, 2:] * focal + centre
 
 
 def storeys(seed: int, count: int = 3) -> list:

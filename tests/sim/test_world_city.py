@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from world_views import every, length
 
 from scenarios.errors import InputError
 from scenarios.seeds import rng_for
 from scenarios.worlds import CityWorld
 from sim.world import layout
-from sim.world.base import Route
 from sim.world.car_shapes import FLANK_M, SHAPES, WHEEL_M
 from sim.world.houses import houses_along, houses_at_end
 from sim.world.outdoor import Daylight
@@ -22,13 +22,6 @@ SPECS = {
 }
 
 
-def fine(route: Route) -> np.ndarray:
-    """(K, 2) points along a route, half a metre apart."""
-    arc = np.append(0, np.cumsum(np.linalg.norm(np.diff(route.centre_m, axis=0), axis=1)))
-    at = np.arange(0, arc[-1], 0.5)
-    return np.column_stack([np.interp(at, arc, column) for column in route.centre_m.T])
-
-
 def all_houses(plan: Plan) -> list:
     rng = rng_for(0, "houses")
     return [h for s in plan.streets for h in houses_along(plan, s, rng) + houses_at_end(s, rng)]
@@ -38,14 +31,14 @@ def all_houses(plan: Plan) -> list:
 class TestEveryPlan:
     def test_the_route_has_the_length_asked_for_and_closes_if_it_is_a_loop(self, spec):
         route = layout(spec, 3)
-        walked = np.linalg.norm(np.diff(route.centre_m, axis=0), axis=1).sum()
+        walked = length(route)
         assert walked == pytest.approx(spec.length_m, rel=0.06)
         assert route.closed == spec.loop
         assert np.allclose(route.centre_m[0], route.centre_m[-1]) == spec.loop
 
     def test_the_route_keeps_to_the_right_hand_lane(self, spec):
         plan, route = plan_streets(spec, 3), layout(spec, 3)
-        points = fine(route)
+        points = every(route, 0.5)[:, :2]
         ways = np.gradient(points, axis=0)
         shares = []
         for street in plan.streets[: len(plan.corners)]:
@@ -87,7 +80,7 @@ class TestEveryPlan:
 
     def test_everything_beside_the_road_leaves_the_route_its_clearance(self, spec):
         plan, route = plan_streets(spec, 3), layout(spec, 3)
-        points = fine(route)
+        points = every(route, 0.5)[:, :2]
         light = Daylight(points.min(axis=0) - 60, points.max(axis=0) + 60, rng_for(0, "sun"))
         for street in plan.streets[:6]:
             for piece in roadside(plan, street, light, rng_for(0, "things")):

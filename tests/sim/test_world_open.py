@@ -3,9 +3,9 @@
 import cv2
 import numpy as np
 import pytest
+from world_views import SMALL, every
 
 from scenarios.seeds import rng_for
-from scenarios.worlds import FieldWorld, MotorwayWorld
 from sim.world import build_world, layout
 from sim.world.base import Surface
 from sim.world.farm import bale, field_wall, stone
@@ -13,7 +13,7 @@ from sim.world.meshes import Piece
 from sim.world.outdoor import Daylight
 from sim.world.roadworks import guard_rail
 
-SPECS = {"field": FieldWorld(size_m=40), "motorway": MotorwayWorld(length_m=200)}
+SPECS = {name: SMALL[name] for name in ("field", "motorway")}
 HEAD_M = 2.2
 
 
@@ -32,9 +32,7 @@ def outward(piece: Piece, middle: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", SPECS)
 def test_nothing_but_ground_is_in_the_routes_way(surfaces, name):
     route = layout(SPECS[name], 1)
-    steps = np.append(0, np.cumsum(np.linalg.norm(np.diff(route.centre_m, axis=0), axis=1)))
-    at = np.arange(0, steps[-1], 0.5)
-    line = np.column_stack([np.interp(at, steps, column) for column in route.centre_m.T])
+    line = every(route, 0.5)[:, :2]
     for label, surface in surfaces[name].items():
         if label.startswith(("ground", "far", "sky", "lanes")):
             continue

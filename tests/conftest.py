@@ -1,0 +1,21 @@
+"""What tests of several packages use."""
+
+import sys
+from collections.abc import Callable
+
+import pytest
+
+
+@pytest.fixture
+def dslab(monkeypatch, capsys) -> Callable[..., tuple[int, str, str]]:
+    """Runs the command with its arguments in this process; (exit code, stdout, stderr)."""
+    from experiments import cli
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["dslab", *map(str, arguments)])
+        with pytest.raises(SystemExit) as caught:
+            cli.main()
+        captured = capsys.readouterr()
+        return int(caught.value.code or 0), captured.out, captured.err
+
+    return run

@@ -1,0 +1,124 @@
+"""Small worlds of every kind, poses along their routes, and how truly depth and pose carry pixels."""
+
+from itertools import pairwise
+
+import cv2
+import numpy as np
+
+from scenarios.worlds import (
+    BuildingWorld,
+    CityWorld,
+    CorridorWorld,
+    FieldWorld,
+    MotorwayWorld,
+    RoomWorld,
+    WarehouseWorld,
+)
+from sim.camera import Intrinsics
+from sim.renderer import Renderer
+from sim.world.base import Route
+from sim.world.route import arc_length
+
+CAMERA = Intrinsics(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
+SMALL = {
+    "room": RoomWorld(length_m=8, width_m=6, height_m=3),
+    "corridor": CorridorWorld(length_m=22, turns=1),
+    "building": BuildingWorld(floors=2, length_m=18),
+    "city": CityWorld(length_m=160, turns=1),
+    "motorway": MotorwayWorld(length_m=200),
+    "field": FieldWorld(size_m=40),
+    "warehouse": WarehouseWorld(length_m=14, aisles=2, height_m=5),
+}
+
+
+def length(route: Route) -> float:
+    """Metres in plan."""
+    return float(arc_length(route.centre_m)[-1])
+
+
+def on_ground(route: Route, s_m: float | np.ndarray) -> np.ndarray:
+    """(..., 3) points of the ground at lengths along a route in plan."""
+    arc = arc_length(route.centre_m)
+    ground_m = np.zeros(len(arc)) if route.height_m is None else route.height_m
+    line = np.column_stack([route.centre_m, ground_m])
+    return np.stack([np.interp(s_m, arc, column) for column in line.T], axis=-1)
+
+
+def every(route: Route, step_m: float) -> np.ndarray:
+    """(K, 3) points of the ground along a route, a step apart."""
+    return on_ground(route, np.arange(0, length(route), step_m))
+
+
+def distance_to_route(points: np.ndarray, route: Route) -> np.ndarray:
+    """(N,) distances in plan of (N, 2) points."""
+    corners = np.vstack([route.centre_m, route.centre_m[:1]]) if route.closed else route.centre_m
+    distances = []
+    for a, b in pairwise(corners):
+        # A closed line may already end where it starts.
+        share = np.clip((points - a) @ (b - a) / max((b - a) @ (b - a), 1e-12), 0, 1)
+        distances.append(np.linalg.norm(points - a - share[:, None] * (b - a), axis=1))
+    return np.min(distances, axis=0)
+
+
+def along(route: Route, s_m: float, gaze_deg: float = 0.0, height_m: float = 1.5) -> np.ndarray:
+    """(4, 4) pose of a level camera at an arc length of the route, looking ahead or aside to the left."""
+    here, ahead = on_ground(route, np.array([s_m, s_m + 0.05]))
+    heading = np.arctan2(*(ahead - here)[1::-1]) + np.deg2rad(gaze_deg)
+    forward, down = np.array([np.cos(heading), np.sin(heading), 0]), np.array([0.0, 0, -1])
+    T = np.eye(4)
+    T[:3, :3] = np.column_stack([np.cross(down, forward), down, forward])
+    T[:3, 3] = here + np.array([0, 0, height_m])
+    return T
+
+
+def moved(T_world_cam: np.ndarray, ahead_m: float, turn_deg: float) -> np.ndarray:
+    """(4, 4) the pose after a step ahead and a turn to the left, small ones as from frame to frame."""
+    T = T_world_cam.copy()
+    T[:3, 3] += ahead_m * T[:3, 2]
+    cos, sin = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
+    T[:3, :3] = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ T[:3, :3]
+    return T
+
+
+def poses(route: Route, count: int) -> list[np.ndarray]:
+    """(4, 4) each, of level cameras from the start of a route to its end."""
+    return [along(route, s) for s in np.linspace(0.2, length(route) - 0.3, count)]
+
+
+def reproject(
+    points_px: np.ndarray,
+    depth: np.ndarray,
+    first: np.ndarray,
+    second: np.ndarray,
+    camera: Intrinsics = CAMERA,
+) -> np.ndarray:
+    """Pixels of the first frame in the second one, by the depth at the nearest pixel."""
+    column, row = np.rint(points_px).astype(int).T
+    centre, focal = (camera.cx, camera.cy), (camera.fx, camera.fy)
+    rays = np.column_stack([(points_px - centre) / focal, np.ones(len(points_px))])
+    world = (rays * depth[row, column, None]) @ first[:3, :3].T + first[:3, 3]
+    p_cam = (world - second[:3, 3]) @ second[:3, :3]
+    return p_cam[:, :2] / p_cam[:, 2:] * focal + centre
+
+
+def flow_errors(
+    renderer: Renderer, first: np.ndarray, second: np.ndarray, camera: Intrinsics = CAMERA
+) -> np.ndarray:
+    """(n, 2) pixels from where depth and poses put the first frame's corners to where they are tracked to."""
+    (gray_a, depth), (gray_b, _) = renderer.render(first), renderer.render(second)
+    start = cv2.goodFeaturesToTrack(gray_a, 400, 0.01, 10)
+    end, found, _ = cv2.calcOpticalFlowPyrLK(
+        gray_a, gray_b, start, np.empty_like(start), winSize=(15, 15), criteria=(3, 50, 1e-3)
+    )
+    good = found[:, 0] == 1
+    # A corner on an outline belongs to what stands in front, not to what is seen at its pixel.
+    front = cv2.erode(depth, np.ones((3, 3), np.uint8))
+    return end[good, 0] - reproject(start[good, 0], front, first, second, camera)
+
+
+def check_flow(errors_px: list[np.ndarray], at_least: int) -> None:
+    """Assert that (n, 2) ``flow_errors`` of several frames, so many in all, are small and have no bias."""
+    errors = np.concatenate(errors_px)
+    assert len(errors) > at_least
+    assert np.median(np.linalg.norm(errors, axis=1)) < 0.1
+    assert np.abs(np.median(errors, axis=0)).max() < 0.02
