@@ -2,8 +2,8 @@
 
 For every pixel the light is summed over the exposure along the path that its point took through the sharp
 frame, in linear light. The path follows from the depth and the camera's poses at the shutter's opening,
-centre and closing. Depth is taken as constant along a pixel's path, which is wrong at the outlines of near
-things only.
+centre and closing. Depth is taken as constant along a pixel's path. That is wrong at the outlines of near
+things, where ``sim.degradations.outlines`` follows the rays instead.
 """
 
 import cv2
@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from sim.camera import Intrinsics
+from sim.degradations.outlines import TILE_PX, integrate_outlines, inverse_depths, outline_tiles
 
 # A shorter smear than this cannot be seen.
 SHARP_PX = np.float32(0.3)
@@ -59,7 +60,11 @@ def expose(
     if lengths.max() < 0.8 * SHARP_PX:
         return gray.copy(), median_px
     linear = cv2.LUT(gray, _DECODE)
-    return integrate(gray, linear, depth_m, intrinsics, opening, closing, _ENCODE), median_px
+    inverse_depth = inverse_depths(depth_m)
+    near, far = outline_tiles(inverse_depth, intrinsics, opening, closing)
+    image = integrate(gray, linear, depth_m, intrinsics, opening, closing, _ENCODE, near)
+    integrate_outlines(image, linear, inverse_depth, intrinsics, opening, closing, _ENCODE, near, far)
+    return image, median_px
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -102,7 +107,7 @@ def smear_lengths(depth_m, k, T_open, T_close):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def integrate(gray, linear, depth_m, k, T_open, T_close, encode):
+def integrate(gray, linear, depth_m, k, T_open, T_close, encode, near):
     """Sums light along every pixel's path.
 
     Args:
@@ -113,6 +118,7 @@ def integrate(gray, linear, depth_m, k, T_open, T_close, encode):
         T_open: (3, 4) float32, camera at the shutter's opening to the sharp frame's camera.
         T_close: (3, 4) float32, the same at its closing.
         encode: uint8 table from light to level.
+        near: (h, w) float32 from ``outline_tiles``; its tiles with outlines are left sharp.
 
     Returns:
         (H, W) uint8.
@@ -131,7 +137,7 @@ def integrate(gray, linear, depth_m, k, T_open, T_close, encode):
             along_x = half * (close_x[column] - open_x[column])
             along_y = half * (close_y[column] - open_y[column])
             length = np.float32(2) * np.sqrt(along_x * along_x + along_y * along_y)
-            if length < SHARP_PX:
+            if length < SHARP_PX or near[row // TILE_PX, column // TILE_PX] >= zero:
                 out[row, column] = gray[row, column]
                 continue
             bend_x = half * (close_x[column] + open_x[column])

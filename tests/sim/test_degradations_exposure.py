@@ -113,7 +113,8 @@ def test_the_kernel_agrees_with_numpy(px):
     T_open = moved((-px / 50, 0.2 * px / 50, 0.01), (0, 0, -px / 30))[:3].astype(np.float32)
     T_close = moved((px / 50, 0.0, 0.02), (0.1, 0, px / 20))[:3].astype(np.float32)
     linear = exposure._DECODE[gray]
-    out = exposure.integrate(gray, linear, depth_m, k, T_open, T_close, exposure._ENCODE)
+    no_outlines = np.full((6, 8), -1, np.float32)
+    out = exposure.integrate(gray, linear, depth_m, k, T_open, T_close, exposure._ENCODE, no_outlines)
     expected, length = integrate_in_numpy(gray, linear, depth_m, k, T_open, T_close)
     # Where a length lies on the edge between two sample counts, single precision may take the other.
     steps = length / exposure.PX_PER_SAMPLE
