@@ -12,11 +12,12 @@ from experiments.pacing import RealTime
 from sim.camera import Intrinsics
 from sim.sequence import Sequence
 from slam.camera import PinholeCamera
+from slam.dual.config import DualConfig
 from slam.events import Event, TrackingState
 from slam.map import Map
 from slam.results import MapTrajectory, TrackingResult
 
-SystemKind = Literal["base", "dual"]
+SystemKind = Literal["base", "dual", "dual+"]
 Mode = Literal["lockstep", "threaded"]
 """How tracking, mapping and loop closing share time: ``slam.backend.ExecutionMode`` by name."""
 Progress = Callable[[int, int], None]
@@ -106,11 +107,11 @@ def execute(
 
     Args:
         sequence: frames, times, camera; its truth is not passed on.
-        system_kind: ``base`` or ``dual``.
+        system_kind: ``base``, ``dual`` or ``dual+``.
         seed: root of every random stream of the system.
         observer: told of every frame.
         progress: called with (frames done, frames in all).
-        build: makes the system; ``slam.system.build_system`` by default.
+        build: makes the system; ``slam.factory.build_system`` by default.
         pace: feeds in real time; None for as fast as the frames are taken.
         at_end: called when all is done, for what is wanted of the system itself.
 
@@ -162,13 +163,18 @@ def execute(
     )
 
 
-def system_factory(mode: Mode = "lockstep") -> SystemFactory:
-    """What makes the systems of this project, for one way of running them."""
+def system_factory(mode: Mode = "lockstep", dual: DualConfig | None = None) -> SystemFactory:
+    """What makes the systems of this project, for one way of running them.
+
+    Args:
+        mode: how tracking, mapping and loop closing share time.
+        dual: settings of Dual-SLAM, its defaults where None.
+    """
     from slam.backend import ExecutionMode
     from slam.factory import build_system
 
     execution_mode = ExecutionMode(mode)
-    return lambda kind, camera, seed: build_system(kind, camera, seed, mode=execution_mode)
+    return lambda kind, camera, seed: build_system(kind, camera, seed, mode=execution_mode, dual=dual)
 
 
 def live_trajectories(results: Iterable[TrackingResult]) -> dict[int, MapTrajectory]:

@@ -34,12 +34,12 @@ def run_sequence(
 
     Args:
         sequence: what to feed.
-        system_kind: ``base`` or ``dual``.
+        system_kind: ``base``, ``dual`` or ``dual+``.
         seed: root of every random stream of the system.
         out_dir: the result folder, absent or empty.
         recording: write recording.rrd as well.
         progress: called with (frames done, frames in all).
-        build: makes the system; ``slam.system.build_system`` by default.
+        build: makes the system; ``slam.factory.build_system`` by default.
         pace: feeds in real time; None for as fast as the frames are taken.
         maps: write the maps as well.
 

@@ -1,8 +1,9 @@
 """``dslab run``."""
 
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
@@ -21,18 +22,39 @@ from experiments.cli.console import (
     single_threaded_opencv,
 )
 
+if TYPE_CHECKING:
+    from slam.dual.config import DualConfig
+
 
 class SystemChoice(StrEnum):
     """The systems to choose from."""
 
     BASE = "base"
     DUAL = "dual"
+    DUAL_PLUS = "dual+"
 
 
 def run_command(
     source: Annotated[str, typer.Argument(help="A sequence folder, a scenario's name or its YAML file.")],
     out_dir: Annotated[Path, typer.Option("--out", help="Result folder; absent or empty.")],
-    system: Annotated[SystemChoice, typer.Option(help="The SLAM system.")] = SystemChoice.BASE,
+    system: Annotated[
+        SystemChoice,
+        typer.Option(help="ORB-SLAM's method; Dual-SLAM; Dual-SLAM with initialisation by GMS."),
+    ] = SystemChoice.BASE,
+    recovery: Annotated[
+        str | None,
+        typer.Option(
+            help="Recovery threads of Dual-SLAM in the order in which they are tried, such as orb,sift.",
+            show_default=False,
+        ),
+    ] = None,
+    exhaustive: Annotated[
+        bool, typer.Option("--exhaustive", help="Run every recovery thread to its end, whatever succeeds.")
+    ] = False,
+    relocalization: Annotated[
+        bool,
+        typer.Option(help="Whether Dual-SLAM looks for frames in its saved maps while it seeks a new one."),
+    ] = True,
     seed: Annotated[
         int | None,
         typer.Option(min=0, help="Root seed of the scenario and of the SLAM; the scenario's own, or 0."),
@@ -54,6 +76,8 @@ def run_command(
 
     `dslab run stressed --system dual --seed 3 --out out/stressed-3 --rerun`
 
+    `dslab run stressed --system dual+ --recovery orb,sift --exhaustive --no-relocalization --out out/lab`
+
     `dslab run path/to/sequence --out out/sequence --json`
 
     `dslab run clean-room --mode threaded --real-time --map --out out/room`
@@ -67,6 +91,7 @@ def run_command(
     from slam.warmup import warm_up
 
     check_real_time(real_time, mode)
+    dual = _dual_config(system, recovery, exhaustive, relocalization)
     if real_time and rerun:
         raise InputError("--rerun", "a recording takes time from the frames", "leave out --real-time")
     check_free(out_dir)
@@ -84,7 +109,7 @@ def run_command(
             out_dir,
             recording=rerun,
             progress=lambda done, total: show(f"SLAM ({system})", done, total),
-            build=system_factory(mode.value),
+            build=system_factory(mode.value, dual),
             pace=RealTime(sequence) if real_time else None,
             maps=maps,
         )
@@ -93,6 +118,29 @@ def run_command(
         return
     out.print(summary_table(summary))
     out.print(f"files in {out_dir}" + (f"; look at it: dslab view {out_dir}" if rerun else ""))
+
+
+def _dual_config(
+    system: SystemChoice, recovery: str | None, exhaustive: bool, relocalization: bool
+) -> "DualConfig | None":
+    """The settings of Dual-SLAM that the options name, None for its defaults."""
+    from scenarios.errors import InputError
+    from slam.dual.config import DualConfig
+    from slam.dual.registry import parse_threads
+
+    if recovery is None and not exhaustive and relocalization:
+        return None
+    if system is SystemChoice.BASE:
+        raise InputError("--system", "base has no recovery", "add --system dual or dual+")
+    config = DualConfig(exhaustive=exhaustive, relocalization=relocalization)
+    if recovery is None:
+        return config
+    try:
+        return replace(config, threads=parse_threads(recovery))
+    except ValueError as error:
+        raise InputError(
+            "--recovery", str(error), "give kinds with commas between, such as orb,sift"
+        ) from None
 
 
 def summary_table(summary: dict) -> Table:
