@@ -65,7 +65,7 @@ class MonocularSlam:
         self._backend = Backend(self._apply, mode)
         self._mapping_cpu_ms = self._loop_cpu_ms = 0.0
         self._poses = FramePoses()
-        self._map_id = 0
+        self._map_id = self._newest_map_id = 0
         self._frames = 0
         self._last_stamp_s = -np.inf
 
@@ -253,7 +253,8 @@ class MonocularSlam:
         return self._known_places[map_id]
 
     def _seek_new_map(self) -> None:
-        self._map_id += 1
+        self._newest_map_id += 1
+        self._map_id = self._newest_map_id
         self._initializer.reset()
         self.state = TrackingState.NOT_INITIALIZED
 
