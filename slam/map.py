@@ -6,6 +6,7 @@ from slam import _map_kernels as kernels
 from slam._map_kernels import MapArrays
 from slam.frame import Frame, FrameFeatures
 from slam.geometry import ViewGeometry
+from slam.map_invariants import check_map
 from slam.optimization.sim3 import sim3_decompose
 
 MIN_OBSERVATIONS = 3  # a point with fewer, once it has lost an observation, is dropped
@@ -249,37 +250,9 @@ class Map:
         """Prove the invariants of the map.
 
         Raises:
-            AssertionError: naming the first that does not hold.
+            InvariantError: naming the first that does not hold.
         """
-        a, K, P = self.arrays, self.n_keyframes, self.n_points
-        N = int(a.kf_start[K])
-        good = ~a.pt_bad[:P]
-        assert np.isfinite(a.pt_xyz[:P][good]).all(), "a map point is not finite"
-        assert np.isfinite(a.kf_T_cam_map[:K]).all(), "a keyframe pose is not finite"
-        owned = a.kp_point[:N]
-        assert (owned < P).all(), "an observation of a point that does not exist"
-        assert good[owned[owned >= 0]].all(), "an observation of a dropped point"
-        counts = np.bincount(owned[owned >= 0], minlength=P)
-        assert (counts == np.where(good, a.pt_observations[:P], 0)).all(), "observation counts disagree"
-        pairs = np.unique(np.stack([a.kp_keyframe[:N][owned >= 0], owned[owned >= 0]]), axis=1)
-        assert pairs.shape[1] == (owned >= 0).sum(), "a keyframe observes a point twice"
-        observes = np.zeros((K, P), np.int32)
-        observes[pairs[0], pairs[1]] = 1
-        shared = observes @ observes.T
-        np.fill_diagonal(shared, 0)
-        assert (shared == a.covisibility[:K, :K]).all(), "covisibility disagrees with the observations"
-        for p in np.flatnonzero(good):
-            e, seen = int(a.pt_head[p]), 0
-            while e >= 0:
-                assert owned[e] == p, "an observer list runs into another point"
-                e, seen = int(a.kp_next[e]), seen + 1
-            assert seen == counts[p], "an observer list is incomplete"
-        for k in range(K):
-            steps, q = 0, k
-            while q >= 0 and steps <= K:
-                q, steps = self._parent[q], steps + 1
-            assert steps <= K, "the spanning tree has a cycle"
-            assert not a.kf_bad[k] or not (owned[self.keypoints(k)] >= 0).any(), "a culled keyframe observes"
+        check_map(self)
 
     def _reserve(self, keyframes: int = 0, keypoints: int = 0, points: int = 0) -> None:
         a = self.arrays

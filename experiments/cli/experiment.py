@@ -7,8 +7,10 @@ import typer
 from rich.table import Table
 
 from experiments.cli.console import out, print_json_line, progress_bars, single_threaded_opencv
+from experiments.cli.fuzz import fuzz_command
 
 app = typer.Typer(help="Many units through base and Dual-SLAM, counted.", no_args_is_help=True)
+app.command("fuzz")(fuzz_command)
 
 
 @app.callback()

@@ -13,7 +13,8 @@ from scenarios.errors import InputError
 
 COMMANDS = [
     ["demo"], ["doctor"], ["warmup"], ["render"], ["run"], ["view"], ["bench"], ["bench", "sim"],
-    ["bench", "slam"], ["experiment", "run"], ["vocabulary", "train"],
+    ["bench", "slam"], ["experiment", "run"], ["experiment", "fuzz"],
+    ["vocabulary", "train"],
 ]  # fmt: skip
 
 

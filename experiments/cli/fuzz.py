@@ -1,0 +1,95 @@
+"""``dslab experiment fuzz``."""
+
+from collections import Counter
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from experiments.cli.console import ModeChoice, ModeOption, out, progress_bars
+
+
+def fuzz_command(
+    out_dir: Annotated[Path, typer.Option("--out", help="Result folder; absent or empty.")],
+    units: Annotated[int, typer.Option(min=1, help="Number of scenarios, one seed each.")] = 20,
+    start: Annotated[int, typer.Option(min=0, help="The first seed.")] = 0,
+    systems: Annotated[str, typer.Option("--system", help="Systems, with commas.")] = "base,dual",
+    mode: ModeOption = ModeChoice.LOCKSTEP,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    timeout_s: Annotated[float, typer.Option(min=1, help="Longest that one run may take.")] = 600.0,
+) -> None:
+    """Run random scenarios and prove after each that nothing raised, hung or left an inconsistent map behind.
+
+    Writes units.jsonl, one row per run, the same for any number of processes. The exit code is 1 where any
+    run failed. For example:
+
+    `dslab experiment fuzz --units 20 --system base,dual --out out/fuzz`
+    """
+    from experiments.fuzz import FuzzUnit, failed, run_fuzz
+    from experiments.output import check_free
+
+    check_free(out_dir)
+    kinds = _kinds(systems)
+    chosen = [FuzzUnit(seed, kinds, mode.value) for seed in range(start, start + units)]
+    with progress_bars() as show:
+        show("experiment fuzz", 0, units * len(kinds))
+
+        def told(row: dict, done: int, total: int) -> None:
+            show("experiment fuzz", done, total)
+            _print_failure(row)
+
+        rows = run_fuzz(chosen, out_dir, workers, timeout_s, told)
+    out.print(_table(rows, kinds))
+    out.print(f"one row per run in {out_dir / 'units.jsonl'}")
+    if failed(rows):
+        raise typer.Exit(1)
+
+
+def _print_failure(row: dict) -> None:
+    """What went wrong in a run, with its traceback and how to run it again; nothing where nothing did."""
+    from experiments.fuzz import failed, replay_command
+
+    for bad in failed([row]):
+        at = f" at {bad['stage']}" if bad["stage"] else ""
+        out.print(
+            f"seed {bad['seed']}, {bad['system']}: {bad['outcome']}{at}: {bad['message']}", markup=False
+        )
+        out.print(bad["traceback"].rstrip(), markup=False, soft_wrap=True)
+        out.print(f"again: {replay_command(bad)}", markup=False, soft_wrap=True)
+
+
+def _kinds(text: str) -> tuple:
+    from typing import get_args
+
+    from experiments.execution import SystemKind
+    from scenarios.errors import InputError
+
+    kinds = tuple(text.split(","))
+    known = get_args(SystemKind)
+    wrong = [kind for kind in kinds if kind not in known]
+    if wrong or len(set(kinds)) < len(kinds):
+        raise InputError(
+            "--system", f"{text!r} is no list of systems", f"use one or more of {','.join(known)}"
+        )
+    return kinds
+
+
+def _table(rows: list[dict], kinds: tuple[str, ...]) -> Table:
+    table = Table(title=f"{len(rows)} runs")
+    table.add_column("")
+    for kind in kinds:
+        table.add_column(kind, justify="right")
+    of = {kind: [row for row in rows if row["system"] == kind] for kind in kinds}
+    for outcome in sorted({row["outcome"] for row in rows} | {"ok"}, key=lambda o: (o != "ok", o)):
+        counts = [Counter(row["outcome"] for row in of[kind])[outcome] for kind in kinds]
+        table.add_row(outcome.replace("_", " "), *map(str, counts))
+    for name in ("frames", "tracked", "breakages", "relocalizations", "loops", "dropped_maps",
+                 "recoveries_begun", "recovered", "fusions"):  # fmt: skip
+        table.add_row(
+            name.replace("_", " "), *(str(sum(row[name] or 0 for row in of[kind])) for kind in kinds)
+        )
+    for name, label in (("render_cpu_s", "rendering, CPU s each"), ("slam_cpu_s", "run, CPU s each")):
+        known = [[row[name] for row in of[kind] if row[name] is not None] for kind in kinds]
+        table.add_row(label, *(f"{sum(k) / len(k):.1f}" if k else "-" for k in known))
+    return table

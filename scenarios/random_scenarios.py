@@ -1,0 +1,111 @@
+"""Scenarios at random: a small world and any number of degradations of every kind, one upon the other.
+
+They are there to break programs, not to be fair to them: from harmless to fatal, back to back, over one
+another, from the first frame on. The worlds are those of the family ``small``; how many segments there are
+and where they lie no family's notation can say, so they are drawn here, from streams of their own.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from scenarios.distributions import Choice, is_distribution, parse_distribution
+from scenarios.families import load_family
+from scenarios.seeds import rng_for
+from scenarios.spec import Scenario
+
+FAMILY = "small"
+
+# The motorway and the building take several times as long to build and to film as the rest.
+_WEIGHTS = {"building": 0.4, "motorway": 0.25}
+_MIN_SEGMENT_S = 0.1
+_AXIS = {"choice": ["yaw", "pitch", "roll"]}
+_RAMP_SHARE = {"choice": [0.0, 0.2, 0.5]}
+
+_IMAGE_SEVERITIES: dict[str, dict[str, Any]] = {
+    "fog": {"extinction_per_m": {"log_uniform": [0.01, 5]}, "airlight_level": {"uniform": [100, 240]}},
+    "moving_objects": {"share": {"uniform": [0.05, 0.95]}, "rate_degps": {"log_uniform": [2, 300]}},
+    "rolling_shutter": {"readout_s": {"log_uniform": [0.002, 0.06]}},
+    "defocus": {"diameter_px": {"log_uniform": [1, 30]}},
+    "lens_dirt": {"share": {"uniform": [0.05, 0.95]}, "spot_deg": {"log_uniform": [2, 30]}},
+    "rain": {"rate_mmph": {"log_uniform": [1, 200]}, "wet_s": {"uniform": [0, 60]}},
+    "covered_lens": {"transmission": {"choice": [0.0, {"log_uniform": [0.01, 0.9]}]}},
+    "low_light": {"illumination": {"log_uniform": [0.002, 1]}, "gain": {"log_uniform": [1, 50]}},
+    "over_exposure": {"stops": {"uniform": [0, 8]}},
+    "auto_exposure_lag": {"stops": {"uniform": [-6, 6]}, "time_constant_s": {"log_uniform": [0.05, 3]}},
+    "jpeg": {"quality": {"uniform": [0, 60]}},
+}
+_SHOOT_SEVERITIES: dict[str, dict[str, Any]] = {
+    "low_texture": {"contrast": {"choice": [0.0, {"log_uniform": [0.02, 0.8]}]}},
+    "repeated_texture": {"share": {"uniform": [0.1, 1]}, "period_m": {"log_uniform": [0.1, 2]}},
+    "motion_blur": {"exposure_s": {"log_uniform": [0.01, 0.25]}},
+    "fast_rotation": {"rate_degps": {"log_uniform": [20, 600]}, "axis": _AXIS},
+    "pure_rotation": {"angle_deg": {"log_uniform": [1, 180]}, "axis": _AXIS},
+    "frame_drops": {"share": {"choice": [1.0, {"uniform": [0.1, 0.9]}]}},
+    "time_jitter": {"sigma_s": {"log_uniform": [0.001, 0.2]}},
+}
+SEVERITIES = _SHOOT_SEVERITIES | _IMAGE_SEVERITIES
+"""Every kind of degradation, with what its severity is drawn from."""
+
+
+def random_scenario(seed: int) -> Scenario:
+    """The scenario of a seed.
+
+    Raises:
+        InputError: the seed is negative.
+    """
+    family = load_family(FAMILY)
+    rng = rng_for(seed, "random", "member")
+    weights = [_WEIGHTS.get(member, 1.0) for member in family.members]
+    member = family.members[Choice(family.members, tuple(weights)).draw(rng)]
+    scenario = family.member(member).sample(seed)
+    segments = random_segments(seed, scenario.duration_s)
+    data = scenario.model_dump() | {"name": f"random-{member}", "segments": segments}
+    return Scenario.model_validate(data)
+
+
+def random_segments(seed: int, duration_s: float) -> list[dict[str, Any]]:
+    """Segments of a sequence, in one to three lanes, each of which has one segment after the other.
+
+    Where a kind that is drawn would lie over another segment of its kind, its place stays free.
+    """
+    rng = rng_for(seed, "random", "lanes")
+    lanes = int(rng.integers(1, 4))
+    # From one after the other without a break to few and far between.
+    gap_share, gap_s = rng.random(), 4.0 * rng.random()
+    segments: list[dict[str, Any]] = []
+    for lane in range(lanes):
+        rng = rng_for(seed, "random", "lane", lane)
+        at_s = 0.0 if rng.random() < 0.5 else gap_s * rng.random()
+        while duration_s - at_s >= _MIN_SEGMENT_S:
+            length_s = min(_MIN_SEGMENT_S * 30.0 ** rng.random(), duration_s - at_s)
+            segment = _segment(rng, at_s, length_s)
+            if not any(_clash(segment, other) for other in segments):
+                segments.append(segment)
+            at_s = segment["start_s"] + segment["duration_s"]
+            if rng.random() < gap_share:
+                at_s += gap_s * rng.random()
+    return segments
+
+
+def _segment(rng: np.random.Generator, start_s: float, length_s: float) -> dict[str, Any]:
+    kind = list(SEVERITIES)[int(rng.integers(len(SEVERITIES)))]
+    segment = {"kind": kind, "start_s": start_s, "duration_s": length_s}
+    segment |= {name: _drawn(node, rng) for name, node in SEVERITIES[kind].items()}
+    if kind in _IMAGE_SEVERITIES:
+        segment["ramp_s"] = length_s * _drawn(_RAMP_SHARE, rng)
+    return segment
+
+
+def _drawn(node: Any, rng: np.random.Generator) -> Any:
+    if not is_distribution(node):
+        return node
+    found = parse_distribution(node)
+    drawn = found.draw(rng)
+    return _drawn(found.options[int(drawn)], rng) if isinstance(found, Choice) else drawn
+
+
+def _clash(one: dict[str, Any], other: dict[str, Any]) -> bool:
+    before = one["start_s"] + one["duration_s"] <= other["start_s"]
+    after = other["start_s"] + other["duration_s"] <= one["start_s"]
+    return one["kind"] == other["kind"] and not before and not after

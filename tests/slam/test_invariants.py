@@ -1,0 +1,308 @@
+"""Every invariant of a whole system is noticed where it is broken; so is a story that cannot be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from dual_scenes import CONFIG, STEP_M
+from slam_scenes import blanked, feed, kinds, toy
+
+from slam import events as ev
+from slam.events import TrackingState
+from slam.factory import build_system
+from slam.invariants import InvariantError, check_events, check_result, check_system
+from slam.warmup import CAMERA
+
+
+@pytest.fixture(scope="module")
+def mended():
+    """A Dual-SLAM that has been through a breakage and a fusion, and its answers."""
+    images, stamps_s, _ = toy(100, 0, STEP_M)
+    system = build_system("dual", CAMERA, 0, CONFIG)
+    results = feed(system, blanked(images, range(50, 56)), stamps_s, check=False)
+    assert "fusion" in kinds(system)
+    return system, results
+
+
+@pytest.fixture
+def system(mended):
+    """A system of its own for each test."""
+    return mended[0].snapshot().restore()
+
+
+@pytest.mark.parametrize(("kind", "frames"), [("base", 60), ("dual", 100)])
+def test_a_system_is_sound_at_any_time_and_checking_changes_nothing(mended, kind, frames):
+    images, stamps_s, _ = toy(100, 0, STEP_M)
+    system = build_system(kind, CAMERA, 0, CONFIG)
+    check_system(system)
+    for image, stamp_s in list(zip(blanked(images, range(50, 56)), stamps_s, strict=True))[:frames]:
+        check_result(system.process(image, float(stamp_s)))
+        check_system(system)
+    if kind == "dual":
+        for checked, plain in zip(system.trajectories(), mended[0].trajectories(), strict=True):
+            assert checked.T_map_cam.tobytes() == plain.T_map_cam.tobytes()
+
+
+def poses(system):
+    return system._poses._poses[system.current_map_id]
+
+
+def map_broken(system):
+    system.current_map.arrays.pt_observations[:] += 1
+
+
+def two_roots(system):
+    system.current_map.set_parent(1, -1)
+
+
+def keyframe_of_a_future_frame(system):
+    m = system.current_map
+    m._features[0] = replace(m._features[0], index=system.frames)
+
+
+def no_poses(system):
+    poses(system).clear()
+
+
+def pose_of_a_future_frame(system):
+    poses(system)[system.frames] = poses(system)[10]
+
+
+def pose_on_an_unknown_keyframe(system):
+    poses(system)[10] = replace(poses(system)[10], keyframe=system.current_map.n_keyframes)
+
+
+def pose_not_finite(system):
+    poses(system)[10] = replace(poses(system)[10], T_cam_keyframe=np.full((4, 4), np.nan))
+
+
+def poses_out_of_order(system):
+    poses(system)[10] = replace(poses(system)[10], stamp_s=poses(system)[20].stamp_s)
+
+
+def sought_under_a_taken_number(system):
+    system.state = TrackingState.NOT_INITIALIZED
+
+
+def current_map_gone(system):
+    system._map_id = 7
+
+
+def tracker_elsewhere(system):
+    system.tracker.map = system.current_map.copy()
+
+
+def mapper_elsewhere(system):
+    system.mapper.map = system.current_map.copy()
+
+
+def young_point_unknown(system):
+    system.mapper._young = np.array([system.current_map.n_points])
+
+
+def velocity_not_finite(system):
+    system.tracker.velocity = np.full((4, 4), np.nan)
+
+
+def no_last_frame(system):
+    system.tracker.last = None
+
+
+def last_on_no_keyframe(system):
+    system.tracker.last.reference_keyframe = system.current_map.n_keyframes
+
+
+def last_matches_no_point(system):
+    system.tracker.last.point[0] = system.current_map.n_points
+
+
+def map_misnumbered(system):
+    system.current_map.map_id = 9
+
+
+def poses_of_no_map(system):
+    system._poses._poses[9] = dict(poses(system))
+
+
+def places_of_no_map(system):
+    system._known_places[9] = system._places(system.current_map_id)
+
+
+def places_of_another_map(system):
+    system._places(system.current_map_id).relocalizer.map = system.current_map.copy()
+
+
+def saved_twice(system):
+    system._saved = [system.current_map_id] * 2
+
+
+def saved_map_gone(system):
+    system._saved = [9]
+
+
+def current_map_saved(system):
+    system._saved = [system.current_map_id]
+
+
+def buffer_out_of_order(system):
+    frames = system._buffer._frames
+    frames[0], frames[1] = frames[1], frames[0]
+
+
+def buffer_against_time(system):
+    frames = system._buffer._frames
+    frames[0] = replace(frames[0], stamp_s=frames[1].stamp_s)
+
+
+def buffer_behind(system):
+    system._buffer._frames.pop()
+
+
+def buffer_too_long(system):
+    frames = system._buffer._frames
+    frames[0] = replace(frames[0], stamp_s=-1000.0)
+
+
+def event_of_a_future_frame(system):
+    system.events[-1] = replace(system.events[-1], frame=system.frames, stamp_s=1000.0)
+
+
+def map_without_beginning(system):
+    m = system.current_map.copy(9)
+    system._maps[9] = m
+    system._poses._poses[9] = dict(poses(system))
+
+
+BROKEN = {
+    map_broken: "map 0: observation counts disagree",
+    two_roots: "map 0: the spanning tree has 2 roots",
+    keyframe_of_a_future_frame: "a keyframe of a frame that has not been",
+    no_poses: "no frame has a pose",
+    pose_of_a_future_frame: "a pose of a frame that has not been",
+    pose_on_an_unknown_keyframe: "a pose on a keyframe that does not exist",
+    pose_not_finite: "the pose of a frame is not finite",
+    poses_out_of_order: "poses run against time",
+    sought_under_a_taken_number: "a new map is sought under the number of one that exists",
+    current_map_gone: "the current map does not exist",
+    tracker_elsewhere: "the tracker works in another map",
+    mapper_elsewhere: "the mapper works in another map",
+    young_point_unknown: "the mapper watches a point that does not exist",
+    velocity_not_finite: "velocity is not finite",
+    no_last_frame: "no last frame",
+    last_on_no_keyframe: "the last frame hangs on no keyframe",
+    last_matches_no_point: "the last frame matches no point",
+    map_misnumbered: "map 0 has another number",
+    poses_of_no_map: "poses of a map that does not exist",
+    places_of_no_map: "places of map 9, which does not exist",
+    places_of_another_map: "places of map 0 are those of another one",
+    saved_twice: "a map is saved twice",
+    saved_map_gone: "a saved map does not exist",
+    current_map_saved: "the current map is a saved one",
+    buffer_out_of_order: "the buffer is out of order",
+    buffer_against_time: "the buffer runs against time",
+    buffer_behind: "the buffer lacks the newest frame",
+    buffer_too_long: "the buffer has outgrown its cap",
+    event_of_a_future_frame: "an event of a frame that has not been",
+    map_without_beginning: "2 maps begun, 0 dropped, 1 fused: 2 left",
+}
+
+
+@pytest.mark.parametrize("corrupt", BROKEN, ids=lambda corrupt: corrupt.__name__)
+def test_a_broken_invariant_is_named(system, corrupt):
+    corrupt(system)
+    with pytest.raises(InvariantError, match=BROKEN[corrupt]):
+        check_system(system)
+
+
+def test_an_answer_holds_together(mended):
+    _, results = mended
+    tracked, lost = results[-1], next(r for r in results if r.frame == 50)
+    for wrong, why in (
+        (replace(tracked, T_map_cam=None), "a pose or none"),
+        (replace(lost, T_map_cam=np.eye(4)), "a pose or none"),
+        (replace(tracked, T_map_cam=np.full((4, 4), np.nan)), "not finite"),
+        (replace(tracked, T_map_cam=2 * np.eye(4)), "no rotation"),
+        (replace(tracked, reason="bored"), "a reason why not"),
+        (replace(tracked, inlier_mask=tracked.inlier_mask[1:]), "keypoints and marks disagree"),
+    ):
+        with pytest.raises(InvariantError, match=why):
+            check_result(wrong)
+
+
+# -- stories ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def story(mended):
+    """The events of the mended breakage by kind: each there once, but for the beginning of the two maps."""
+    events = list(mended[0].events)
+    check_events(events)
+    return events
+
+
+def place(story, kind):
+    return next(i for i, e in enumerate(story) if e.kind == kind)
+
+
+def test_a_recovery_ends_once_and_only_where_it_has_begun(story):
+    start, end = place(story, "recovery_start"), place(story, "recovery_end")
+    with pytest.raises(InvariantError, match=r"recovery_end at frame .*: the recovery does not"):
+        check_events(story[:start] + story[start + 1 :])
+    with pytest.raises(InvariantError, match="the recovery does not"):
+        check_events([*story[: end + 1], story[end]])
+    with pytest.raises(InvariantError, match="the recovery runs"):
+        check_events([*story[: start + 1], story[start]])
+
+
+@pytest.mark.parametrize("kind", ["breakage", "map_saved", "recovery_start", "reinit_done"])
+def test_an_event_is_of_a_map_that_exists(story, kind):
+    at = place(story, kind)
+    with pytest.raises(InvariantError, match=f"{kind} at frame"):
+        check_events([*story[:at], replace(story[at], map_id=9)])
+
+
+@pytest.mark.parametrize("kind", ["recovery_start", "recovery_end", "fusion"])
+def test_recovery_and_fusion_name_an_old_map_that_exists(story, kind):
+    at = place(story, kind)
+    with pytest.raises(InvariantError, match=f"{kind} at frame .*: there is no old map 9"):
+        check_events([*story[:at], replace(story[at], old_map_id=9)])
+
+
+def test_a_map_begins_once(story):
+    with pytest.raises(InvariantError, match="there is a map 0 already"):
+        check_events([story[0], story[0]])
+
+
+def test_a_dropped_map_is_no_more(story):
+    at = place(story, "breakage")
+    breakage = story[at]
+    dropped = ev.MapDropped(
+        frame=breakage.frame, stamp_s=breakage.stamp_s, map_id=0, reason="made_up", keyframes=3
+    )
+    with pytest.raises(InvariantError, match=r"map_dropped at frame .*: there is no map 0"):
+        check_events([*story[: at + 1], dropped, dropped])
+
+
+def test_a_new_map_stands_where_one_was_sought(story):
+    at = place(story, "reinit_done")
+    with pytest.raises(InvariantError, match="no map was sought"):
+        check_events([*story[: at + 1], story[at]])
+
+
+def test_events_follow_time(story):
+    later = replace(story[-1], frame=story[-1].frame + 1)
+    breakage = story[place(story, "breakage")]
+    with pytest.raises(InvariantError, match="events run against time"):
+        check_events([*story, replace(later, stamp_s=0.0)])
+    with pytest.raises(InvariantError, match="has another time"):
+        check_events([*story, replace(story[-1], stamp_s=0.0)])
+    with pytest.raises(InvariantError, match="comes after one of frame"):
+        check_events([story[0], replace(breakage, frame=60, stamp_s=2.0), breakage])
+    with pytest.raises(InvariantError, match="is at no frame"):
+        check_events([replace(story[0], frame=-1)])
+
+
+def test_the_scale_of_a_fusion_is_positive(story):
+    at = place(story, "fusion")
+    with pytest.raises(InvariantError, match="scale -1"):
+        check_events([*story[:at], replace(story[at], scale=-1.0)])
