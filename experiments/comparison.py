@@ -13,7 +13,7 @@ from experiments.summary import is_tracked
 from sim.sequence import Sequence
 from slam.results import MapTrajectory
 
-FIGURES = ("cpu_ms_median", "ate_m", "share_tracked", "first_tracked_frame")
+FIGURES = ("cpu_ms_median", "ate_m", "share_tracked", "share_with_pose", "first_tracked_frame")
 
 
 def compare(sequence: Sequence, ours: Many[RunRecord], peers: Many[PeerRun]) -> dict[str, Any]:
@@ -26,6 +26,9 @@ def compare(sequence: Sequence, ours: Many[RunRecord], peers: Many[PeerRun]) -> 
     Returns:
         ``ours``, ``peer`` and ``ratio`` (ours over the peer's), each with ``FIGURES``, null where the data do
         not determine one; ``ate_reasons``, why a run has no ATE; ``runs``, one row each, in turn.
+        ``share_tracked`` counts the frames that had a pose when they were taken, ``share_with_pose`` those
+        that have one in the final trajectory of the main map: frames before the map may be placed
+        afterwards, frames of other maps are missing.
     """
     rows = [
         {"run": number, "system": name, **row}
@@ -44,12 +47,14 @@ def compare(sequence: Sequence, ours: Many[RunRecord], peers: Many[PeerRun]) -> 
 def _our_row(record: RunRecord, all_frames: Sequence) -> dict[str, Any]:
     tracked = [r.stamp_s for r in record.results if is_tracked(r)]
     first = int(np.searchsorted(all_frames.stamps_s, tracked[0])) if tracked else None
-    ate_m, reason = _ate(record.trajectories[0] if record.trajectories else None, record.sequence)
+    path = record.trajectories[0] if record.trajectories else None
+    ate_m, reason = _ate(path, record.sequence)
     return {
         "cpu_ms_median": _median([sum(r.cpu_ms.values()) for r in record.results]),
         "ate_m": ate_m,
         "ate_reason": reason,
         "share_tracked": len(tracked) / len(all_frames),
+        "share_with_pose": _share_with_pose(path, all_frames),
         "first_tracked_frame": first,
         "dropped_frames": record.dropped_frames,
     }
@@ -62,9 +67,14 @@ def _peer_row(run: PeerRun, all_frames: Sequence) -> dict[str, Any]:
         "ate_m": ate_m,
         "ate_reason": reason,
         "share_tracked": run.tracked / len(all_frames),
+        "share_with_pose": _share_with_pose(run.trajectory, all_frames),
         "first_tracked_frame": run.first_tracked_frame,
         "dropped_frames": None,
     }
+
+
+def _share_with_pose(trajectory: MapTrajectory | None, all_frames: Sequence) -> float:
+    return len(trajectory.frames) / len(all_frames) if trajectory is not None else 0.0
 
 
 def _ate(trajectory: MapTrajectory | None, sequence: Sequence) -> tuple[float | None, str]:

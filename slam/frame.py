@@ -44,6 +44,19 @@ class FrameFeatures(Unchanging):
         arrays = (self.xy_image, self.xy, self.octave, self.angle_deg, self.descriptors, self.cell_start)
         return sum(a.nbytes for a in arrays)
 
+    def emptied(self) -> "FrameFeatures":
+        """The number and the time stamp of the frame, without its features."""
+        return FrameFeatures(
+            self.index,
+            self.stamp_s,
+            self.xy_image[:0].copy(),
+            self.xy[:0].copy(),
+            self.octave[:0].copy(),
+            self.angle_deg[:0].copy(),
+            self.descriptors[:0].copy(),
+            self.cell_start[:0].copy(),
+        )
+
     @staticmethod
     def build(
         index: int, stamp_s: float, features: Features, camera: PinholeCamera, view: ViewGeometry

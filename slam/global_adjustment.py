@@ -10,6 +10,7 @@ import numpy as np
 
 from slam import _map_kernels as kernels
 from slam._local_problem import local_problem
+from slam._map_kernels import MapArrays
 from slam.map import MIN_OBSERVATIONS, Map
 from slam.optimization.global_bundle_adjustment import global_bundle_adjust
 from slam.optimization.pose import CHI2_2DOF
@@ -24,7 +25,7 @@ class GlobalAdjustment:
         T_cam_map: (C, 4, 4) their poses.
         points: (P,) rows.
         xyz: (P, 3) the points.
-        outliers: (n,) keypoint rows whose observations do not agree.
+        outliers: (n, 2) keyframe, and index of its keypoint from 0, of the observations that do not agree.
         of_points: (n,) int32 the points that they were taken for.
     """
 
@@ -59,9 +60,11 @@ def adjust_globally(map_: Map, iterations: int = 10, apart: bool = False) -> Glo
         a.kp_octave[obs_keypoint], 1.0 / np.sqrt(view.inv_sigma2),
         view.fx, view.fy, view.cx, view.cy, iterations, apart,
     )  # fmt: skip
-    outliers = obs_keypoint[~(result.chi2 <= CHI2_2DOF)]
+    rows = obs_keypoint[~(result.chi2 <= CHI2_2DOF)]
+    observers = a.kp_keyframe[rows]
+    outliers = np.stack([observers, rows - a.kf_start[observers]], axis=1)
     return GlobalAdjustment(
-        cameras, result.T_cam_map, points, result.points, outliers, a.kp_point[outliers].copy()
+        cameras, result.T_cam_map, points, result.points, outliers, a.kp_point[rows].copy()
     )
 
 
@@ -88,9 +91,16 @@ def apply_adjustment(map_: Map, adjustment: GlobalAdjustment) -> None:
     a.pt_xyz[adjustment.points[still]] = adjustment.xyz[still]
     for k, T in after.items():
         a.kf_T_cam_map[k] = T
-    same = a.kp_point[adjustment.outliers] == adjustment.of_points
-    kernels.erase_observations(a, adjustment.outliers[same], MIN_OBSERVATIONS)
+    kernels.erase_observations(a, _still_observed(a, adjustment), MIN_OBSERVATIONS)
     kernels.refresh_geometries(a, map_.points(), map_.view.scale)
+
+
+def _still_observed(a: MapArrays, adjustment: GlobalAdjustment) -> np.ndarray:
+    """(n,) int32 keypoint rows of the outliers that are observations to this day."""
+    keyframe, index = adjustment.outliers.T
+    live = ~a.kf_bad[keyframe]
+    rows = a.kf_start[keyframe[live]] + index[live]
+    return rows[a.kp_point[rows] == adjustment.of_points[live]].astype(np.int32)
 
 
 def _place(

@@ -116,7 +116,7 @@ class LoopDetector:
     def _extended(
         self, keyframe: int, alignment: Alignment, S_cam_map: np.ndarray, around: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Keypoint rows and the points of the surroundings that they show, by guided search."""
+        """Keypoints (by index in the keyframe) and the points of the surroundings that they show."""
         m = self.map
         own = m.observed_points(keyframe)
         row_of = {int(p): i for i, p in enumerate(own) if p >= 0}
@@ -129,8 +129,7 @@ class LoopDetector:
             m.arrays, candidates, S_cam_map, scale, m.arrays, m.view, keyframe, taken, self.config.radius_px
         )
         hit = matched >= 0
-        start = m.keypoints(keyframe).start
         return (
-            start + np.concatenate([rows, matched[hit]]),
+            np.concatenate([rows, matched[hit]]),
             np.concatenate([alignment.old_points, candidates[hit]]).astype(np.int32),
         )

@@ -25,7 +25,7 @@ class Loop:
         keyframe, loop_keyframe: rows.
         S_cam_map: (4, 4) similarity that takes points about the loop keyframe to the keyframe's camera, in
             the lengths of the keyframe's own surroundings.
-        rows: (n,) keypoint rows of the keyframe that show points of the loop's side.
+        rows: (n,) keypoints of the keyframe, from 0, that show points of the loop's side.
         points: (n,) int32 those points.
     """
 
@@ -97,7 +97,8 @@ def _move_group(map_: Map, group: np.ndarray, loop: Loop) -> np.ndarray:
 def _join(map_: Map, group: np.ndarray, loop: Loop, loop_points: np.ndarray) -> None:
     """The points matched across the loop become one, then all of the loop's are looked for in the group."""
     a, scale = map_.arrays, map_.view.scale
-    for row, point in zip(loop.rows, loop.points, strict=True):
+    rows = map_.keypoints(loop.keyframe).start + loop.rows
+    for row, point in zip(rows, loop.points, strict=True):
         own = a.kp_point[row]
         if own >= 0:
             kernels.replace_point(a, own, point, scale)

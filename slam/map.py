@@ -6,9 +6,11 @@ from slam import _map_kernels as kernels
 from slam._map_kernels import MapArrays
 from slam.frame import Frame, FrameFeatures
 from slam.geometry import ViewGeometry
+from slam.map_compaction import culled_keypoints, drop_culled_keypoints
 from slam.map_invariants import check_map
 from slam.optimization.sim3 import sim3_decompose
 
+_WORTH_TAKING_OUT = 0.25  # share of the keypoints in use
 MIN_OBSERVATIONS = 3  # a point with fewer, once it has lost an observation, is dropped
 
 
@@ -49,6 +51,7 @@ class Map:
         if not np.isfinite(frame.T_cam_map).all():
             raise ValueError("a keyframe needs a pose")
         k, features = self.n_keyframes, frame.features
+        self._make_room(len(features))
         start = int(self.arrays.kf_start[k])
         end = start + len(features)
         self._reserve(keyframes=k + 1, keypoints=end)
@@ -71,7 +74,7 @@ class Map:
         return k
 
     def features(self, keyframe: int) -> FrameFeatures:
-        """The features of the frame that became this keyframe."""
+        """The features of the frame that became this keyframe; none once it is culled."""
         return self._features[keyframe]
 
     def frame_index(self, keyframe: int) -> int:
@@ -110,6 +113,7 @@ class Map:
             if self._parent[child] == keyframe:
                 self._parent[child] = parent
         kernels.detach_keyframe(self.arrays, keyframe, MIN_OBSERVATIONS)
+        self._features[keyframe] = self._features[keyframe].emptied()
 
     def neighbours(self, keyframe: int, limit: int, min_shared: int = 15) -> np.ndarray:
         """Covisible keyframes, most shared points first.
@@ -253,6 +257,13 @@ class Map:
             InvariantError: naming the first that does not hold.
         """
         check_map(self)
+
+    def _make_room(self, keypoints: int) -> None:
+        """Take out the keypoints of culled keyframes before the arrays would have to grow for new ones."""
+        a, used = self.arrays, int(self.arrays.kf_start[self.n_keyframes])
+        short = used + keypoints > len(a.kp_octave)
+        if short and culled_keypoints(a, self.n_keyframes) > _WORTH_TAKING_OUT * used:
+            drop_culled_keypoints(a, self.n_keyframes, self.n_points)
 
     def _reserve(self, keyframes: int = 0, keypoints: int = 0, points: int = 0) -> None:
         a = self.arrays

@@ -47,11 +47,18 @@ def _check_keyframes(m: "Map") -> None:
     require(len(m._features) == len(m._parent) == K, "keyframes without features or place in the tree")
     require_rigid(a.kf_T_cam_map[:K], "a keyframe pose")
     require(a.kf_bad[K:].all(), "a keyframe beyond the last")
-    lengths = [len(f) for f in m._features]
-    require((np.diff(a.kf_start[: K + 1]) == lengths).all(), "keypoint slices and features disagree")
+    lengths = np.diff(a.kf_start[: K + 1])
+    live = m.keyframes()
+    require((lengths >= 0).all(), "a keypoint slice ends before it begins")
+    same = (lengths[live] == [len(m._features[k]) for k in live]).all()
+    require(same, "keypoint slices and features disagree")
+    require(
+        not any(len(m._features[k]) for k in np.flatnonzero(a.kf_bad[:K])), "a culled keyframe has features"
+    )
     owners = np.repeat(np.arange(K), lengths)
     require((a.kp_keyframe[: len(owners)] == owners).all(), "a keypoint of another keyframe's slice")
-    for k, features in enumerate(m._features):
+    for k in live:
+        features = m._features[k]
         same = (a.kp_descriptor[m.keypoints(k)] == features.descriptors).all()
         require(same and (a.kf_cells[k] == features.cell_start).all(), "a keyframe's features have changed")
     for i, j in m.loop_edges:

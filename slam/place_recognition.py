@@ -47,6 +47,9 @@ class BowVector(Unchanging):
         return float(np.minimum(self.weights[mine], other.weights[theirs]).sum())
 
 
+_EMPTY_BAG = BowVector(np.empty(0, np.int32), np.empty(0), np.empty(0, np.int32))
+
+
 class Vocabulary(Unchanging):
     """A tree of ORB descriptors whose leaves are words.
 
@@ -131,7 +134,7 @@ class KeyframeDatabase:
         return sum(self._filed)
 
     def bow(self, keyframe: int) -> BowVector:
-        """The bag of words of a keyframe that was once added."""
+        """The bag of words of a keyframe that is on file."""
         return self._bows[keyframe]
 
     def add(self) -> None:
@@ -144,10 +147,11 @@ class KeyframeDatabase:
         self._filed.append(True)
 
     def erase(self, keyframe: int) -> None:
-        """Take a keyframe off file; its bag of words is kept, and nothing is done where it is off already."""
+        """Take a keyframe off file; nothing is done where it is off already."""
         if self._filed[keyframe]:
             kernels.remove_words(self._file, keyframe, self._bows[keyframe].words)
             self._filed[keyframe] = False
+            self._bows[keyframe] = _EMPTY_BAG
 
     def update(self) -> None:
         """File the keyframes that the map has gained, erase those it has culled."""

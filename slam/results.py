@@ -23,8 +23,9 @@ class TrackingResult:
         is_keyframe: a keyframe was made from it.
         keypoints_px: (n, 2) float32 detected features, image pixels.
         inlier_mask: (n,) bool, features that are inliers of the map.
-        cpu_ms: CPU milliseconds of this thread per tracking stage.
-        ms: wall milliseconds per tracking stage.
+        cpu_ms: CPU milliseconds of this thread per tracking stage; with ``other`` they sum up to the whole
+            call, less mapping, loop closing and recovery where these run inside it.
+        ms: wall milliseconds per tracking stage, likewise.
         mapping_cpu_ms: CPU milliseconds of local mapping run for this frame (0 without a keyframe).
         loop_cpu_ms: CPU milliseconds of loop closing run for this frame (0 without a keyframe).
     """

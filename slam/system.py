@@ -85,6 +85,7 @@ class MonocularSlam:
             ValueError: on misuse: wrong size or type of image, time not increasing. The content of an
                 image never raises.
         """
+        self.timer.begin()
         self._check_input(image, stamp_s)
         frame = self._extract_features(image, stamp_s)
         self._backend.collect()
@@ -155,12 +156,10 @@ class MonocularSlam:
     def _map(self, frame: Frame) -> None:
         """Local mapping on a new keyframe, then loop closing."""
         self.tracker.keyframe_requested(frame)
-        self._backend.submit(
-            KeyframeTask(
-                frame, self.mapper, self._places(self._map_id).loops,
-                rng_for(self.seed, "loop", frame.features.index),
-            )
-        )  # fmt: skip
+        loops = self._places(self._map_id).loops
+        rng = rng_for(self.seed, "loop", frame.features.index)
+        with self.timer.apart():
+            self._backend.submit(KeyframeTask(frame, self.mapper, loops, rng))
 
     def _apply(self, change: Change) -> None:
         """Take in what mapping or loop closing has brought about."""
@@ -360,8 +359,9 @@ class MonocularSlam:
     def _result(self, frame: Frame, outcome: TrackingOutcome, is_keyframe: bool) -> TrackingResult:
         mapping_cpu_ms, loop_cpu_ms = self._mapping_cpu_ms, self._loop_cpu_ms
         self._mapping_cpu_ms = self._loop_cpu_ms = 0.0
-        ms, cpu_ms = self.timer.read()
         T_map_cam = np.linalg.inv(frame.T_cam_map) if outcome.success else None
+        inlier_mask = (frame.point >= 0) & outcome.success
+        ms, cpu_ms = self.timer.read()
         return TrackingResult(
             frame=frame.features.index,
             stamp_s=frame.features.stamp_s,
@@ -373,7 +373,7 @@ class MonocularSlam:
             reason=outcome.reason,
             is_keyframe=is_keyframe,
             keypoints_px=frame.features.xy_image,
-            inlier_mask=(frame.point >= 0) & outcome.success,
+            inlier_mask=inlier_mask,
             cpu_ms=cpu_ms,
             ms=ms,
             mapping_cpu_ms=mapping_cpu_ms,

@@ -7,10 +7,10 @@ import numpy as np
 
 from slam import matching
 from slam._map_kernels import count_observed, resolve_points
-from slam.brute_force import match_brute_force, rotation_consistent
 from slam.frame import Frame
 from slam.map import Map
 from slam.optimization.pose import optimize_pose
+from slam.place_recognition import match_by_bow, shipped_vocabulary
 from slam.timing import StageTimer
 
 
@@ -22,6 +22,7 @@ class TrackingConfig:
         search_radius_px: window about a point predicted from the last frame, level 0; doubled once.
         gap_radius_px: the same once frames have been passed over, for all of the local map; doubled twice.
         min_motion_matches, min_motion_inliers: below, the motion model gives way to the reference keyframe.
+        reference_ratio: best over second best descriptor distance of a match with the reference keyframe.
         min_reference_matches: below, the reference keyframe is given up too.
         min_inliers: map matches that survive pose optimisation, below which tracking is lost.
         cautious_inliers, cautious_s: the same, for so long after a relocalization.
@@ -34,6 +35,7 @@ class TrackingConfig:
     gap_radius_px: float = 20.0
     min_motion_matches: int = 20
     min_motion_inliers: int = 10
+    reference_ratio: float = 0.8
     min_reference_matches: int = 15
     min_inliers: int = 30
     cautious_inliers: int = 50
@@ -216,6 +218,7 @@ class Tracker:
         return count
 
     def _track_reference_keyframe(self, frame: Frame, last: Frame) -> bool:
+        """Match with the points of the reference keyframe by their words, wherever they are in the image."""
         f = frame.features
         k = self.map.live(last.reference_keyframe)
         reference = self.map.features(k)
@@ -224,9 +227,11 @@ class Tracker:
         frame.point[:] = -1
         if not len(rows) or not len(f):
             return False
-        pairs = match_brute_force(reference.descriptors[rows], f.descriptors, matching.NEAR, 0.7)
-        pairs = np.stack([rows[pairs[:, 0]], pairs[:, 1]], axis=1).astype(np.int32)
-        pairs = pairs[rotation_consistent(reference.angle_deg, f.angle_deg, pairs)]
+        vocabulary = shipped_vocabulary()
+        pairs = match_by_bow(
+            reference, vocabulary.transform(reference.descriptors), rows,
+            f, vocabulary.transform(f.descriptors), matching.NEAR, self.config.reference_ratio,
+        )  # fmt: skip
         if len(pairs) < self.config.min_reference_matches:
             return False
         frame.point[pairs[:, 1]] = points[pairs[:, 0]]

@@ -150,7 +150,8 @@ def _comparison_table(comparison: dict[str, Any], runs: int) -> Table:
     rows = (
         ("tracking CPU ms per frame", "cpu_ms_median", lambda value: number(value, 2)),
         ("ATE m (RMSE, Sim(3))", "ate_m", lambda value: number(value, 4)),
-        ("frames tracked", "share_tracked", share),
+        ("frames tracked live", "share_tracked", share),
+        ("frames with a pose in the end", "share_with_pose", share),
         ("first tracked frame", "first_tracked_frame", lambda value: number(value, 0)),
     )
     for name, figure, shown in rows:

@@ -190,7 +190,9 @@ class DualSlam(MonocularSlam):
             threads = [thread for thread, _ in self._threads]
             tasks = [self._task(number, seed) for number, (_, seed) in enumerate(self._threads, start=1)]
             self._announce(frame, 1, len(tasks[0].backward))
-            self._recoveries.start(threads, tasks, frame.features.stamp_s)
+            # What runs beside tracking is not tracking's time, in lockstep neither.
+            with self.timer.apart():
+                self._recoveries.start(threads, tasks, frame.features.stamp_s)
             for ended in self._recoveries.ended(frame.features.stamp_s):
                 self._conclude(frame, ended)
         else:

@@ -82,6 +82,28 @@ def test_both_take_turns_and_are_judged_alike(sequence, folder, tmp_path):
     assert found["ratio"]["ate_m"] == pytest.approx(found["ours"]["ate_m"] / found["peer"]["ate_m"])
 
 
+def test_frames_placed_afterwards_count_as_posed_not_as_tracked(sequence, folder, tmp_path):
+    """Ours: live from frame 5 on, in the end from 3. The peer: live 20 frames, in the end 48."""
+
+    class Placing(FakeSystem):
+        def trajectories(self):
+            (path,) = super().trajectories()
+            T = np.concatenate([sequence.T_world_cam[3:5], path.T_map_cam])
+            frames = np.arange(3, 3 + len(T))
+            return [replace(path, frames=frames, stamps_s=sequence.stamps_s[frames], T_map_cam=T)]
+
+    script = PEER.replace("tracked=len(table)", "tracked=20")
+    peer_command = command(tmp_path, script, "--first=12", tmp_path / "log")
+    found = compared(
+        sequence, folder, peer_command, runs=1, build=lambda *_: Placing(sequence.T_world_cam, noise_m=0.01)
+    )
+    assert found["ours"]["share_tracked"] == pytest.approx((FRAMES - 5) / FRAMES)
+    assert found["ours"]["share_with_pose"] == pytest.approx((FRAMES - 3) / FRAMES)
+    assert found["peer"]["share_tracked"] == pytest.approx(20 / FRAMES)
+    assert found["peer"]["share_with_pose"] == pytest.approx(48 / FRAMES)
+    assert found["ratio"]["share_with_pose"] == pytest.approx(57 / 48)
+
+
 def test_the_median_over_the_runs_counts(sequence, folder, tmp_path):
     """A peer whose cost differs from run to run: 10, 30, 20 ms."""
     script = PEER.replace(
@@ -116,7 +138,8 @@ def test_a_peer_that_tracks_nothing_may_leave_no_trajectory(sequence, folder, tm
     script = script.replace('np.savetxt(out / "trajectory.txt", table, fmt="%.6f")', "")
     found = compared(sequence, folder, command(tmp_path, script, "--first=0", tmp_path / "log"), runs=1)
     assert found["peer"] == {
-        "cpu_ms_median": 16.0, "ate_m": None, "share_tracked": 0.0, "first_tracked_frame": None,
+        "cpu_ms_median": 16.0, "ate_m": None, "share_tracked": 0.0, "share_with_pose": 0.0,
+        "first_tracked_frame": None,
     }  # fmt: skip
     assert found["ratio"]["share_tracked"] is None and found["ate_reasons"] == ["no map"]
 

@@ -66,7 +66,7 @@ def ring(keyframes=60, overlap=6, points=3000, drift=(0.0, 0.0, 0.002, 0.01, 0.0
         k,
         q,
         S_k,
-        again + built.keypoints(k).start,
+        again,
         np.array([early[int(i)] for i in all_ids[k][again]], np.int32),
     )
     return Ring(built, T_cam_world, xyz, all_ids, loop, np.array(sorted(early.values()), np.int32))

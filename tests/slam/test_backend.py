@@ -155,5 +155,10 @@ def _as_it_is(map_):
     rows, points = map_.keyframes(), map_.points()
     nothing = np.empty(0, np.int32)
     return GlobalAdjustment(
-        rows, map_.arrays.kf_T_cam_map[rows], points, map_.arrays.pt_xyz[points], nothing, nothing
+        rows,
+        map_.arrays.kf_T_cam_map[rows],
+        points,
+        map_.arrays.pt_xyz[points],
+        np.empty((0, 2), int),
+        nothing,
     )

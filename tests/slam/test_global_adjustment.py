@@ -7,6 +7,7 @@ from slam_scenes import make_frame
 
 from slam.global_adjustment import adjust_globally, apply_adjustment
 from slam.loop_correction import correct_loop
+from slam.map_compaction import drop_culled_keypoints
 
 
 @pytest.fixture
@@ -26,7 +27,9 @@ def test_the_map_is_left_alone_until_it_is_applied(closed):
     np.testing.assert_array_equal(closed.arrays.kf_T_cam_map[adjustment.keyframes], adjustment.T_cam_map)
     still = ~closed.arrays.pt_bad[adjustment.points]
     np.testing.assert_array_equal(closed.arrays.pt_xyz[adjustment.points[still]], adjustment.xyz[still])
-    assert not (closed.arrays.kp_point[adjustment.outliers] == adjustment.of_points).any()
+    keyframe, index = adjustment.outliers.T
+    rows = closed.arrays.kf_start[keyframe] + index
+    assert not (closed.arrays.kp_point[rows] == adjustment.of_points).any()
 
 
 def test_what_has_come_since_follows_its_parent(closed):
@@ -56,6 +59,25 @@ def test_what_has_gone_since_stays_gone(closed):
     apply_adjustment(closed, adjustment)
     closed.check()
     assert closed.arrays.kf_bad[12] and closed.arrays.pt_bad[lost]
+
+
+def test_it_matters_not_whether_culled_keyframes_keep_their_keypoints(closed):
+    """Outliers are told by keyframe and keypoint, of one culled since and of those whose rows have moved."""
+    a = closed.arrays
+    for k in (5, 20):
+        a.kp_xy[closed.keypoints(k).start + np.flatnonzero(closed.observed_points(k) >= 0)[:3]] += 100.0
+    adjustment = adjust_globally(closed)
+    assert {5, 20} <= set(adjustment.outliers[:, 0].tolist())
+    closed.cull_keyframe(5)
+    packed = closed.copy()
+    drop_culled_keypoints(packed.arrays, packed.n_keyframes, packed.n_points)
+    for m in (closed, packed):
+        apply_adjustment(m, adjustment)
+        m.check()
+    np.testing.assert_array_equal(packed.points(), closed.points())
+    np.testing.assert_array_equal(packed.arrays.pt_xyz, closed.arrays.pt_xyz)
+    np.testing.assert_array_equal(packed.observed_points(20), closed.observed_points(20))
+    assert (closed.observed_points(20) >= 0).any()
 
 
 def test_a_map_of_one_keyframe_has_nothing_to_adjust():

@@ -7,6 +7,7 @@ from loop_scenes import ring
 from slam.essential_graph import essential_edges, optimize_essential_graph
 from slam.global_adjustment import adjust_globally, apply_adjustment
 from slam.loop_correction import correct_loop
+from slam.map_compaction import drop_culled_keypoints
 from slam.optimization.sim3 import horn_sim3
 
 
@@ -32,6 +33,18 @@ def test_the_drift_is_a_third_at_the_most_and_less_after_adjustment(drifted):
     apply_adjustment(drifted.map, adjust_globally(drifted.map, 20))
     drifted.map.check()
     assert error_m(drifted) < after / 3
+
+
+def test_a_loop_found_before_keypoints_moved_is_closed_alike(drifted):
+    m = drifted.map
+    m.cull_keyframe(30)
+    packed = m.copy()
+    drop_culled_keypoints(packed.arrays, packed.n_keyframes, packed.n_points)
+    factors = [correct_loop(each, drifted.loop, drifted.loop_points) for each in (m, packed)]
+    np.testing.assert_array_equal(*factors)
+    np.testing.assert_array_equal(packed.arrays.kf_T_cam_map, m.arrays.kf_T_cam_map)
+    np.testing.assert_array_equal(packed.arrays.pt_xyz, m.arrays.pt_xyz)
+    packed.check()
 
 
 def test_both_sides_share_their_points_afterwards(drifted):

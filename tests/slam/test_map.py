@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from slam_scenes import VIEW, random_map
+from slam_scenes import FPS, VIEW, random_map
 
 from slam import _map_kernels as kernels
 from slam.map import MIN_OBSERVATIONS
@@ -65,6 +65,17 @@ def test_a_culled_keyframe_follows_its_parent():
     assert m.parent(4) == 2
     m.arrays.kf_T_cam_map[2, :3, 3] += (1.0, 2.0, 3.0)
     np.testing.assert_allclose(m.T_cam_map(3), before @ m.T_cam_map(2), atol=1e-12)
+
+
+def test_a_culled_keyframe_lets_go_of_its_features():
+    m = random_map(np.random.default_rng(5))
+    kept, others = m.features(3), [m.features(k) for k in (2, 4)]
+    m.cull_keyframe(3)
+    gone = m.features(3)
+    assert (gone.index, gone.stamp_s) == (kept.index, kept.stamp_s) == (m.frame_index(3), 3 / FPS)
+    assert len(gone) == 0 and gone.nbytes == 0 and len(kept) > 0
+    assert all(array.base is None for array in (gone.xy, gone.xy_image, gone.descriptors, gone.cell_start))
+    assert [m.features(k) for k in (2, 4)] == others
 
 
 def test_transform_moves_points_and_cameras_together():

@@ -131,6 +131,7 @@ def unobserved(m):
 def culled_observes(m):
     k = int(m.arrays.kp_keyframe[observation(m)])
     m.arrays.kf_bad[k] = True
+    m._features[k] = m._features[k].emptied()
 
 
 def observed_twice(m):

@@ -62,6 +62,7 @@ def test_the_database_follows_its_map(places, database):
     common, score = database.query(bow)
     gone = np.isin(np.arange(KEYFRAMES), (5, 6, 12))
     assert not common[gone].any() and not score[gone].any()
+    assert [len(database.bow(k).words) > 0 for k in range(KEYFRAMES)] == (~gone).tolist()
     assert (common[~gone] == before[0][~gone]).all() and (score[~gone] == before[1][~gone]).all()
     frame = places[3][5].again()
     frame.T_cam_map = places[3][5].T_cam_world
@@ -71,6 +72,16 @@ def test_the_database_follows_its_map(places, database):
     common, score = database.query(bow)
     assert score[added] == pytest.approx(1) and common[added] == len(bow.words)
     assert (score[:KEYFRAMES][~gone] == before[1][~gone]).all()
+
+
+def test_a_keyframe_culled_before_it_was_filed_is_never_found(places):
+    built, *_, vocabulary = places
+    database = KeyframeDatabase(built.copy(), vocabulary)
+    database.map.cull_keyframe(7)
+    database.update()
+    assert len(database) == KEYFRAMES - 1
+    common, score = database.query(bow_of(places, places[3][7]))
+    assert common[7] == 0 and score[7] == 0 and common[6] > 0
 
 
 def test_what_is_erased_leaves_room(places, database):
