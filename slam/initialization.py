@@ -2,6 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass, field
+from typing import get_args
 
 import numpy as np
 
@@ -9,9 +10,10 @@ from slam import _map_kernels as kernels
 from slam.camera import PinholeCamera
 from slam.frame import Frame
 from slam.geometry import ViewGeometry, share_of_motion
+from slam.gms_matching import GmsConfig
+from slam.initial_matching import GmsMatcher, InitialMatcher, MatcherKind, WindowedMatcher
 from slam.local_mapping import LocalMapper, LocalMappingConfig
 from slam.map import Map
-from slam.matching import match_for_initialization
 from slam.timing import StageTimer
 from slam.tracking import Tracker, TrackingConfig
 from slam.two_view import TwoViewConfig, two_view_reconstruction
@@ -24,9 +26,12 @@ class InitializationConfig:
     Attributes:
         min_keypoints: a frame with fewer is no reference.
         min_matches: fewer matches with the reference frame make the present one the new reference.
-        radius_px: half side of the search window about a keypoint's last known place.
-        max_octave: coarsest pyramid level matched.
-        ratio: best over second best descriptor distance at the most.
+        matcher: how frames are matched: ``windowed`` near each keypoint's last known place, or ``gms`` also
+            anywhere else, where its neighbours move along.
+        radius_px: half side of the search window.
+        max_octave: coarsest pyramid level matched by ``windowed``; by ``gms`` it is that of its settings.
+        ratio: best over second best descriptor distance within the window at the most.
+        gms: settings of ``gms``.
         min_points: map points that the first bundle adjustment must leave.
         max_between: frames between the two views that are kept, to be placed once the map stands.
         two_view: settings of the geometry.
@@ -34,12 +39,19 @@ class InitializationConfig:
 
     min_keypoints: int = 100
     min_matches: int = 100
+    matcher: MatcherKind = "windowed"
     radius_px: float = 100.0
     max_octave: int = 2
     ratio: float = 0.9
+    gms: GmsConfig = field(default_factory=GmsConfig)
     min_points: int = 50
     max_between: int = 100
     two_view: TwoViewConfig = field(default_factory=TwoViewConfig)
+
+    def __post_init__(self) -> None:
+        known = get_args(MatcherKind)
+        if self.matcher not in known:
+            raise ValueError(f"unknown matcher {self.matcher!r}: one of {', '.join(known)}")
 
 
 @dataclass(frozen=True)
@@ -74,7 +86,7 @@ class Initializer:
         self.view = view
         self.config = config
         self.reference: Frame | None = None
-        self._around = np.empty((0, 2))
+        self._matcher = _matcher(camera, view, config)
         self._between: deque[Frame] = deque(maxlen=config.max_between)
 
     def reset(self) -> None:
@@ -101,14 +113,14 @@ class Initializer:
         if self.reference is None:
             self._take_reference(frame)
             return None, "reference_frame", 0
-        matched, count = self._match(frame)
+        rows_1, rows_2 = self._matcher.match(frame.features).T
+        count = len(rows_1)
         if count < self.config.min_matches:
             self._take_reference(frame)
             return None, "too_few_matches", count
-        rows = np.flatnonzero(matched >= 0)
-        pixels_1 = np.ascontiguousarray(self.reference.features.xy[rows])
-        pixels_2 = np.ascontiguousarray(frame.features.xy[matched[rows]])
-        noise = self.view.scale[self.reference.features.octave[rows]]
+        pixels_1 = np.ascontiguousarray(self.reference.features.xy[rows_1])
+        pixels_2 = np.ascontiguousarray(frame.features.xy[rows_2])
+        noise = self.view.scale[self.reference.features.octave[rows_1]]
         geometry = two_view_reconstruction(
             pixels_1, pixels_2, self.camera.K, rng, self.config.two_view, noise
         )
@@ -123,8 +135,8 @@ class Initializer:
             frame,
             geometry.T_2_1,
             geometry.points[keep],
-            rows[keep],
-            matched[rows[keep]],
+            rows_1[keep],
+            rows_2[keep],
         )
         points = _refine(built, mapping)
         if points < self.config.min_points:
@@ -138,19 +150,7 @@ class Initializer:
     def _take_reference(self, frame: Frame) -> None:
         self.reference = frame
         self._between.clear()
-        self._around = frame.features.xy.copy()
-
-    def _match(self, frame: Frame) -> tuple[np.ndarray, int]:
-        if self.reference is None:
-            raise RuntimeError("no reference frame")
-        a, b, c = self.reference.features, frame.features, self.config
-        matched, count = match_for_initialization(
-            a.xy, a.octave, a.angle_deg, a.descriptors, self._around, self.view,
-            b.xy, b.octave, b.angle_deg, b.descriptors, b.cell_start, c.radius_px, c.max_octave, c.ratio,
-        )  # fmt: skip
-        found = matched >= 0
-        self._around[found] = b.xy[matched[found]]
-        return matched, count
+        self._matcher.start(frame.features)
 
 
 def frames_between(initial: InitialMap, config: TrackingConfig) -> list[Frame]:
@@ -176,6 +176,12 @@ def frames_between(initial: InitialMap, config: TrackingConfig) -> list[Frame]:
             break
         placed.append(frame)
     return placed
+
+
+def _matcher(camera: PinholeCamera, view: ViewGeometry, config: InitializationConfig) -> InitialMatcher:
+    if config.matcher == "gms":
+        return GmsMatcher(camera, view, config.radius_px, config.ratio, config.gms)
+    return WindowedMatcher(view, config.radius_px, config.max_octave, config.ratio)
 
 
 def _build_map(

@@ -11,6 +11,7 @@ from slam.local_mapping import LocalMappingConfig
 from slam.optimization.sim3 import horn_sim3
 from slam.two_view import TwoViewConfig
 
+MATCHERS = ("windowed", "gms")
 WORLD = PointWorld(seed=3, points=6000, reach=(-6.0, 6.0))
 STEP = np.array([0.12, 0.02, -0.03])
 
@@ -42,9 +43,10 @@ def first_map(seed=0, **settings):
     raise AssertionError(f"no map: {reasons}")
 
 
-def test_a_few_frames_of_motion_make_a_map_that_is_the_scene_up_to_scale():
+@pytest.mark.parametrize("matcher", MATCHERS)
+def test_a_few_frames_of_motion_make_a_map_that_is_the_scene_up_to_scale(matcher):
     for seed in range(3):
-        initial, (one, two), reasons, _ = first_map(seed)
+        initial, (one, two), reasons, _ = first_map(seed, matcher=matcher)
         assert reasons[0] == "reference_frame" and len(reasons) <= 8
         built = initial.map
         built.check()
@@ -83,17 +85,19 @@ def test_both_frames_are_handed_over_as_tracked():
     assert seeker.reference is None
 
 
-def test_the_same_frames_and_seed_give_the_same_bits():
-    one, *_ = first_map()
-    two, *_ = first_map()
+@pytest.mark.parametrize("matcher", MATCHERS)
+def test_the_same_frames_and_seed_give_the_same_bits(matcher):
+    one, *_ = first_map(matcher=matcher)
+    two, *_ = first_map(matcher=matcher)
     np.testing.assert_array_equal(one.map.arrays.pt_xyz, two.map.arrays.pt_xyz)
     np.testing.assert_array_equal(one.map.T_cam_map(1), two.map.T_cam_map(1))
 
 
-def test_nothing_is_made_of_a_camera_that_stands_or_turns():
+@pytest.mark.parametrize("matcher", MATCHERS)
+def test_nothing_is_made_of_a_camera_that_stands_or_turns(matcher):
     for turn_deg in (0.0, 0.3):
         rng = np.random.default_rng(1)
-        seeker = initializer()
+        seeker = initializer(matcher=matcher)
         for i in range(8):
             T_cam_world = rigid(rotvec_deg=(0, turn_deg * i, 0))
             initial, reason, _ = offer(seeker, WORLD.see(i, T_cam_world, rng, noise_px=0.4).frame)
@@ -135,6 +139,41 @@ def test_matches_are_followed_beyond_the_search_window():
     assert reasons[1:] == ["low_parallax"] * 6
     offer(at_once, frames[0])
     assert offer(at_once, frames[-1])[1] == "too_few_matches"
+
+
+def test_gms_starts_a_map_where_each_frame_is_beyond_the_window_of_the_one_before():
+    """Turning by 120 px a frame, moving on: the windowed search starts over with every frame."""
+    rng = np.random.default_rng(9)
+
+    def leap(i):
+        T_world_cam = rigid(i * np.array([0.5, 0.05, -0.1]), (0, 14.0 * i, 0))
+        return WORLD.see(i, np.linalg.inv(T_world_cam), rng, noise_px=0.4, bits=10)
+
+    sightings = [leap(i) for i in range(3)]
+    outcomes = {}
+    for matcher in MATCHERS:
+        seeker = initializer(matcher=matcher)
+        outcomes[matcher] = [offer(seeker, sighting.frame) for sighting in sightings[:2]]
+    assert outcomes["windowed"][1][1] == "too_few_matches"
+    initial = outcomes["gms"][1][0]
+    assert initial is not None
+    estimate = initial.map.T_cam_map(1)
+    truth = sightings[1].T_cam_world @ np.linalg.inv(sightings[0].T_cam_world)
+    metric = estimate.copy()
+    metric[:3, 3] *= np.linalg.norm(truth[:3, 3]) / np.linalg.norm(estimate[:3, 3])
+    distance, turn_deg = pose_error(metric, truth)
+    assert distance < 0.1 * np.linalg.norm(truth[:3, 3]) and turn_deg < 0.4
+
+
+def test_gms_starts_no_later():
+    for seed in range(3):
+        taken = {matcher: len(first_map(seed, matcher=matcher)[2]) for matcher in MATCHERS}
+        assert taken["gms"] <= taken["windowed"]
+
+
+def test_an_unknown_matcher_is_refused():
+    with pytest.raises(ValueError, match="unknown matcher 'psychic': one of windowed, gms"):
+        InitializationConfig(matcher="psychic")  # pyright: ignore[reportArgumentType]
 
 
 def test_the_reason_of_the_geometry_is_passed_on():
