@@ -1,13 +1,14 @@
-"""The demonstration: one stressed scenario through base and Dual-SLAM, with pictures and recordings."""
+"""The demonstration: one scenario through several systems, with a picture and one recording of all."""
 
 from collections.abc import Callable
+from collections.abc import Sequence as Many
 from pathlib import Path
 
 from experiments.demo_picture import draw_demo
-from experiments.execution import RunRecord, SystemFactory, SystemKind
+from experiments.execution import RunRecord, SystemFactory, SystemKind, execute
 from experiments.files import to_json
 from experiments.output import new_directory
-from experiments.run import RECORDING_FILE, execute_recorded, write_run
+from experiments.run import RECORDING_FILE, write_run
 from experiments.summary import summarise
 from sim.sequence import Sequence
 
@@ -22,15 +23,17 @@ def run_demo(
     out_dir: Path,
     progress: Callable[[str, int, int], None] | None = None,
     build: SystemFactory | None = None,
+    systems: Many[SystemKind] = SYSTEMS,
 ) -> dict[SystemKind, dict]:
-    """Run both systems and write a folder each, with recording, and demo.png beside them.
+    """Run the systems and write a folder for each, and recording.rrd and demo.png of all beside them.
 
     Args:
         sequence: the rendered scenario.
-        seed: root seed of both systems.
+        seed: root seed of the systems.
         out_dir: absent, empty, or an earlier demonstration, which is replaced.
         progress: called with (step, done, total).
-        build: makes the systems; ``slam.system.build_system`` by default.
+        build: makes the systems; ``slam.factory.build_system`` by default.
+        systems: which, in the order in which they are shown.
 
     Returns:
         The summary of each system.
@@ -38,23 +41,28 @@ def run_demo(
     Raises:
         InputError: the folder is taken or not writable, or the disk is full.
     """
+    from experiments.recording import Recording
+
     show = progress or (lambda step, done, total: None)
     records: dict[SystemKind, RunRecord] = {}
     summaries: dict[SystemKind, dict] = {}
     with new_directory(out_dir, replaces_marker=MARKER_FILE) as folder:
-        for kind in SYSTEMS:
+        with Recording(folder / RECORDING_FILE, sequence, systems) as recording:
+            for kind in systems:
+                records[kind] = execute(
+                    sequence,
+                    kind,
+                    seed,
+                    recording.watch(kind),
+                    lambda done, total, kind=kind: show(f"SLAM ({kind})", done, total),
+                    build,
+                )
+            recording.finish(list(records.values()))
+        for kind, record in records.items():
             own = folder / kind
             own.mkdir()
-            records[kind] = execute_recorded(
-                sequence,
-                kind,
-                seed,
-                own / RECORDING_FILE,
-                lambda done, total, kind=kind: show(f"SLAM ({kind})", done, total),
-                build,
-            )
-            summaries[kind] = summarise(records[kind])
-            write_run(own, records[kind], summaries[kind])
+            summaries[kind] = summarise(record)
+            write_run(own, record, summaries[kind])
         draw_demo(folder / PICTURE_FILE, sequence, records)
         (folder / MARKER_FILE).write_text(to_json(summaries, indent=2) + "\n", encoding="utf-8")
     return summaries

@@ -1,6 +1,5 @@
 """One run of one system over one sequence, with its result folder."""
 
-from contextlib import ExitStack
 from pathlib import Path
 
 from experiments.execution import AtEnd, Progress, RunRecord, SystemFactory, SystemKind, execute
@@ -81,12 +80,12 @@ def execute_recorded(
         return execute(sequence, system_kind, seed, None, progress, build, pace, at_end)
     if pace is not None:
         raise ValueError("a recording takes time that belongs to the frames")
-    from experiments.recording import Recorder
+    from experiments.recording import Recording
 
-    with ExitStack() as stack:
-        recorder = stack.enter_context(Recorder(recording_path, sequence, system_kind))
-        record = execute(sequence, system_kind, seed, recorder, progress, build, None, at_end)
-        recorder.finish(record)
+    with Recording(recording_path, sequence, [system_kind]) as recording:
+        watcher = recording.watch(system_kind)
+        record = execute(sequence, system_kind, seed, watcher, progress, build, None, at_end)
+        recording.finish([record])
     return record
 
 

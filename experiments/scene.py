@@ -1,5 +1,6 @@
 """A run laid out for the eye: every map aligned to the truth for display only, up axis, extent."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +49,14 @@ def lay_out(record: RunRecord) -> Scene:
     positions = poses[:, :3, 3] if len(poses) else np.zeros((1, 3))
     low, high = positions.min(axis=0), positions.max(axis=0)
     return Scene(truth, placed, final, _up(poses), (low + high) / 2, max(float((high - low).max()), 1e-3))
+
+
+def together(scenes: Sequence[Scene]) -> Scene:
+    """The scene of several runs over one sequence: its truth, and the extent of all; no maps of its own."""
+    low = np.min([s.centre - s.extent / 2 for s in scenes], axis=0)
+    high = np.max([s.centre + s.extent / 2 for s in scenes], axis=0)
+    first = scenes[0]
+    return Scene(first.T_world_cam, {}, {}, first.up, (low + high) / 2, float((high - low).max()))
 
 
 def _placement(record: RunRecord, trajectory: MapTrajectory) -> Similarity | Undefined:

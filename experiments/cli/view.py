@@ -16,12 +16,12 @@ def view_command(
 ) -> None:
     """Open a recording in the rerun viewer at its first breakage.
 
-    Example: `dslab view out/demo/dual`
+    Example: `dslab view out/demo`
     """
     recording = path / "recording.rrd" if path.is_dir() else path
     if not recording.is_file():
         raise InputError(str(recording), "no such recording", "make one with dslab run --rerun")
-    stamp_s = at if at is not None else _first_breakage_s(recording.with_name("summary.json"))
+    stamp_s = at if at is not None else _first_breakage_s(recording.parent)
     from experiments.recording import open_viewer
 
     try:
@@ -32,10 +32,20 @@ def view_command(
     err.print(f"opened {recording} at {stamp_s:.2f} s")
 
 
-def _first_breakage_s(summary_file: Path) -> float:
-    """The first breakage that the summary beside the recording tells of, else the start."""
+def _first_breakage_s(folder: Path) -> float:
+    """The first breakage that the summaries beside the recording tell of, else the start."""
+    from experiments.demo import MARKER_FILE
+    from experiments.run import SUMMARY_FILE
+
+    summaries = [_read(folder / SUMMARY_FILE), *_read(folder / MARKER_FILE).values()]
+    found = [b["stamp_s"] for s in summaries if isinstance(s, dict) for b in s.get("breakage_list", ())]
+    return float(min(found, default=0.0))
+
+
+def _read(file: Path) -> dict:
+    """The object in a JSON file; an empty one where there is none."""
     try:
-        breakages = json.loads(summary_file.read_text(encoding="utf-8"))["breakage_list"]
-    except (OSError, ValueError, KeyError):
-        return 0.0
-    return float(breakages[0]["stamp_s"]) if breakages else 0.0
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}

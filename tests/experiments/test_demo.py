@@ -3,10 +3,12 @@
 import io
 
 import pytest
+from rerun.chunk import RrdReader
 from rich.console import Console
 from slam_fakes import fake_factory, make_sequence
 
 from experiments.cli.demo import demo_table
+from experiments.cli.view import view_command
 from experiments.demo import run_demo
 from scenarios.errors import InputError
 
@@ -19,11 +21,27 @@ def demo(tmp_path_factory):
     return out, sequence, summaries
 
 
-def test_both_systems_and_the_picture_are_there(demo):
+def test_a_folder_per_system_and_one_recording_and_picture_of_all_are_there(demo):
     out, _, _ = demo
     for kind in ("base", "dual"):
-        assert {"recording.rrd", "summary.json", "trajectory.txt"} <= {p.name for p in (out / kind).iterdir()}
+        assert {"summary.json", "trajectory.txt"} <= {p.name for p in (out / kind).iterdir()}
     assert (out / "demo.png").read_bytes()[:4] == b"\x89PNG"
+    entities = {chunk.entity_path for chunk in RrdReader(out / "recording.rrd").stream()}
+    assert {"/lanes/base/state", "/lanes/dual/state", "/camera/image"} <= entities
+
+
+def test_the_viewer_opens_the_demonstration_at_the_first_breakage(demo, monkeypatch):
+    out, _, _ = demo
+    opened = []
+    monkeypatch.setattr("experiments.recording.open_viewer", lambda path, at: opened.append((path, at)))
+    view_command(out)
+    assert opened == [(out / "recording.rrd", pytest.approx(160 / 30))]
+
+
+def test_any_systems_can_be_shown(tmp_path):
+    sequence = make_sequence(60, segment=None)
+    made = run_demo(sequence, 0, tmp_path / "out", build=fake_factory(sequence), systems=["dual"])
+    assert list(made) == ["dual"] and (tmp_path / "out" / "demo.png").is_file()
 
 
 def test_a_second_demonstration_replaces_the_first_but_no_other_folder(demo, tmp_path):
@@ -43,6 +61,6 @@ def test_the_table_fits_a_terminal_and_tells_base_from_dual(demo):
     lines = console.export_text().splitlines()
     base = next(line for line in lines if line.strip().startswith("base")).split()
     dual = next(line for line in lines if line.strip().startswith("dual")).split()
-    assert base[1:6] == ["300", "51.7", "%", "1", "0"]
-    assert dual[1:6] == ["300", "91.7", "%", "1", "1"]
+    assert base[1:8] == ["51.7", "%", "51.7", "%", "1", "0", "0"]
+    assert dual[1:8] == ["91.7", "%", "91.7", "%", "1", "1", "0"]
     assert sum("low texture 5-6 s" in line for line in lines) == 2

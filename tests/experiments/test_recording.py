@@ -1,63 +1,143 @@
-"""A recording holds what one looks for, and stays small."""
+"""A recording holds what one looks for, side by side for its systems, and stays small."""
 
-import subprocess
-import sys
+from collections import Counter, defaultdict
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from rerun.chunk import RrdReader
 from slam_fakes import CAMERA, FakeSystem, fake_factory, make_sequence
 
 from experiments.execution import execute
-from experiments.recording import Recorder, describe_event
+from experiments.recording import Recording
+from experiments.recording.words import describe_event
 from experiments.run import run_sequence
 from experiments.scene import lay_out
 
-RERUN = str(Path(sys.executable).with_name("rerun"))
+PER_SYSTEM = (
+    "/world/{}/camera", "/world/{}/map_0/path", "/world/{}/map_0/points", "/world/{}/map_0/keyframes",
+    "/world/{}/lost", "/world/{}/recovered", "/world/{}/marks", "/camera/{}/features", "/camera/{}/inliers",
+    "/plots/inliers/{}", "/plots/ms/{}", "/lanes/{}/state", "/lanes/{}/events", "/lanes/{}/outcome",
+    "/events/{}",
+)  # fmt: skip
 
 
-def record(tmp_path, sequence, **script) -> Path:
-    build = fake_factory(sequence, **script) if sequence.T_world_cam is not None else script["build"]
+class Content:
+    """What is in a recording: rows, time lines and columns per entity."""
+
+    def __init__(self, path: Path) -> None:
+        self.rows: Counter = Counter()
+        self.times: dict[str, set[str]] = defaultdict(set)
+        self.columns: dict[str, dict[str, list]] = defaultdict(lambda: defaultdict(list))
+        self._reader = RrdReader(path)
+        for chunk in self._reader.stream():
+            if chunk.is_static:
+                continue
+            self.rows[chunk.entity_path] += chunk.num_rows
+            self.times[chunk.entity_path] |= set(chunk.timeline_names)
+            for name, values in chunk.to_record_batch().to_pydict().items():
+                self.columns[chunk.entity_path][name.rsplit(":", 1)[-1]] += values
+
+    def blueprint(self) -> str:
+        """Everything that the blueprint says, as text."""
+        (store,) = self._reader.blueprints()
+        batches = [chunk.to_record_batch().to_pydict() for chunk in self._reader.stream(store=store)]
+        return str(batches)
+
+
+def record(tmp_path, sequence, build) -> Path:
     run_sequence(sequence, "dual", 0, tmp_path / "r", recording=True, build=build)
     return tmp_path / "r" / "recording.rrd"
 
 
-def dump(path: Path) -> str:
-    done = subprocess.run([RERUN, "rrd", "print", str(path)], capture_output=True, text=True, check=True)
-    return done.stdout + done.stderr
+@pytest.fixture(scope="module")
+def side_by_side(tmp_path_factory):
+    """Base and dual+ over one sequence with a breakage that only the second survives."""
+    path, sequence = tmp_path_factory.mktemp("recording") / "two.rrd", make_sequence()
+    build = fake_factory(sequence, breaks_at=160)
+    with Recording(path, sequence, ["base", "dual+"]) as recording:
+        runs = [execute(sequence, kind, 0, recording.watch(kind), build=build) for kind in ("base", "dual+")]
+        recording.finish(runs)
+    return Content(path)
 
 
-def test_a_recording_has_every_part_on_both_timelines(tmp_path):
-    text = dump(record(tmp_path, make_sequence(), breaks_at=160))
-    for entity in (
-        "/world/camera/image", "/world/camera/features", "/world/true_path", "/world/true_camera",
-        "/world/map_0/path", "/world/map_0/points", "/world/map_0/keyframes", "/world/final_path/map_0",
-        "/plots/inliers/inliers", "/plots/cpu_ms/tracking", "/plots/cpu_ms/mapping",
-        "/lanes/state", "/lanes/segment", "/lanes/map", "/events",
-    ):  # fmt: skip
-        assert entity in text, entity
-    assert "frame" in text and "time" in text and "log_tick" not in text
+def test_every_system_has_every_part_on_both_time_lines(side_by_side):
+    for system in ("base", r"dual\+"):
+        for entity in PER_SYSTEM:
+            assert side_by_side.rows[entity.format(system)], entity.format(system)
+    assert side_by_side.rows[r"/lanes/dual\+/recovery_1"] and not side_by_side.rows["/lanes/base/recovery_1"]
+    assert all({"frame", "time"} == times for times in side_by_side.times.values() if times)
+
+
+def test_what_the_systems_share_is_there_once(side_by_side):
+    # 300 frames at 30 fps, 10 images a second, and those at which a state begins.
+    assert 100 <= side_by_side.rows["/camera/image"] <= 106
+    assert side_by_side.rows["/world/true_camera"] == 300
+    assert side_by_side.rows["/lanes/segment"] == 3
+
+
+def test_the_true_path_turns_red_where_no_pose_is_known(side_by_side):
+    lost = {system: lines(side_by_side, f"/world/{system}/lost") for system in ("base", r"dual\+")}
+    assert lost["base"][159] == 0
+    assert 19 <= lost["base"][180] < lost["base"][299] and 139 <= lost["base"][299] <= 141
+    # Up to the new map it is lost too, and after it nothing more is.
+    assert lost[r"dual\+"][180] == lost[r"dual\+"][299] <= 22
+
+
+def lines(content: Content, entity: str) -> dict[int, int]:
+    """Points drawn of an entity's lines, from frame to frame."""
+    columns, drawn = content.columns[entity], {}
+    for frame, strips in zip(columns["frame"], columns["strips"], strict=True):
+        drawn[frame] = sum(len(s) for s in strips or [])
+    return {f: drawn[max(g for g in drawn if g <= f)] for f in range(300)}
+
+
+def test_the_blueprint_shows_each_system_and_opens_at_the_breakage(side_by_side):
+    said = side_by_side.blueprint()
+    for words in ("base: camera", "dual+: camera", "base: map", "dual+: map", "states", "inliers", "events"):
+        assert words in said, words
+    # From a second before the breakage, 160 / 30 s, in nanoseconds.
+    assert "'min': 4333333333" in said or "4333333333" in said
 
 
 def test_without_truth_there_is_no_true_path(tmp_path):
     sequence = make_sequence(100, truth=True, segment=None)
     blind = replace(sequence, T_world_cam=None)
-    text = dump(record(tmp_path, blind, build=lambda *_: FakeSystem(sequence.T_world_cam)))
-    assert "/world/map_0/path" in text and "/world/true_path" not in text
+    content = Content(record(tmp_path, blind, lambda *_: FakeSystem(sequence.T_world_cam)))
+    assert content.rows["/world/dual/map_0/path"] and not content.rows["/world/true_camera"]
 
 
-def test_a_minute_of_video_stays_under_60_mb(tmp_path):
+def test_a_minute_of_video_with_two_systems_stays_under_60_mb(tmp_path):
     rng = np.random.default_rng(0)
     # Two seconds stand for the minute; blurred noise packs no better than a richly textured world.
     noise = rng.integers(0, 256, (480, 640), dtype=np.uint8)
     texture = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 2), None, 0, 255, cv2.NORM_MINMAX)
     frames = [np.roll(texture, 7 * i, axis=1) for i in range(60)]
     sequence = make_sequence(60, segment=None)
-    camera = replace(CAMERA, width_px=640, height_px=480)
-    path = record(tmp_path, replace(sequence, frames=frames, camera=camera))
+    sequence = replace(sequence, frames=frames, camera=replace(CAMERA, width_px=640, height_px=480))
+    path, build = tmp_path / "r.rrd", Rich.factory(sequence)
+    with Recording(path, sequence, ["base", "dual"]) as recording:
+        kinds = ("base", "dual")
+        recording.finish([execute(sequence, k, 0, recording.watch(k), build=build) for k in kinds])
     assert 30 * path.stat().st_size < 60e6
+
+
+class Rich(FakeSystem):
+    """With as many features and map points as a real system has."""
+
+    @staticmethod
+    def factory(sequence):
+        return lambda kind, *_: Rich(sequence.T_world_cam, kind=kind)
+
+    def process(self, image, stamp_s):
+        pixels = self._rng.uniform(0, 470, (1000, 2)).astype(np.float32)
+        inlier = np.arange(1000) % 3 == 0
+        return replace(super().process(image, stamp_s), keypoints_px=pixels, inlier_mask=inlier)
+
+    def map_points(self, map_id):
+        return self._rng.normal(0, 3, (8000, 3))
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
@@ -65,8 +145,9 @@ def test_a_recording_that_cannot_be_written_raises():
     sequence = make_sequence(30, segment=None)
 
     def work():
-        with Recorder(Path("/dev/full"), sequence, "base") as recorder:
-            recorder.finish(execute(sequence, "base", 0, recorder, build=fake_factory(sequence)))
+        with Recording(Path("/dev/full"), sequence, ["base"]) as recording:
+            watcher = recording.watch("base")
+            recording.finish([execute(sequence, "base", 0, watcher, build=fake_factory(sequence))])
 
     with pytest.raises(OSError, match="/dev/full"):
         work()

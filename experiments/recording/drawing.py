@@ -1,0 +1,183 @@
+"""What of a run is drawn when it is over: paths, maps, marks, plots, lanes, the log."""
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+import rerun as rr
+
+from experiments.execution import RunRecord
+from experiments.recording import palette
+from experiments.recording.lanes import Lane, system_lanes
+from experiments.recording.palette import Color
+from experiments.recording.paths import RunPaths
+from experiments.recording.stream import Stream, part
+from experiments.recording.words import describe_event
+from experiments.scene import Scene
+from sim.sequence import Sequence
+
+if TYPE_CHECKING:
+    from experiments.recording.recorder import Snapshot
+
+_STEP_S = 0.5
+
+
+def draw_truth(stream: Stream, sequence: Sequence, scene: Scene, shrink: float) -> None:
+    """The world's axes, and the true path and camera where they are known.
+
+    Args:
+        stream: the file.
+        sequence: what was fed.
+        scene: of all runs together.
+        shrink: size of the recorded images over that of the fed ones.
+    """
+    stream.static("world", _view_coordinates(scene.up))
+    if scene.T_world_cam is None:
+        return
+    known = np.isfinite(scene.T_world_cam).all(axis=(1, 2))
+    path = rr.LineStrips3D(
+        [scene.T_world_cam[known, :3, 3]], colors=palette.TRUTH, radii=rr.Radius.ui_points(1.0)
+    )
+    stream.static("world/true_path", path)
+    stream.static("world/true_camera", pinhole(sequence, shrink, 0.03 * scene.extent, palette.TRUTH))
+    stream.poses("world/true_camera", np.flatnonzero(known), scene.T_world_cam[known])
+
+
+def pinhole(sequence: Sequence, shrink: float, size: float, color: Color) -> rr.Pinhole:
+    """The sequence's camera; rerun's pixel (0, 0) is a corner, ours the centre of the first pixel."""
+    camera = sequence.camera
+    K = np.array([[camera.fx, 0, camera.cx + 0.5], [0, camera.fy, camera.cy + 0.5], [0, 0, 1]])
+    K[:2] *= shrink
+    return rr.Pinhole(
+        image_from_camera=K,
+        resolution=[camera.width_px * shrink, camera.height_px * shrink],
+        camera_xyz=rr.ViewCoordinates.RDF,
+        image_plane_distance=size,
+        color=list(color),
+    )
+
+
+class RunDrawing:
+    """Draws one run under its system's name.
+
+    Args:
+        stream: the file.
+        record: the run.
+        scene: where its maps are in the world.
+        extent: of everything drawn, for the sizes of symbols.
+        shrink: size of the recorded images over that of the fed ones.
+    """
+
+    def __init__(self, stream: Stream, record: RunRecord, scene: Scene, extent: float, shrink: float) -> None:
+        self._stream = stream
+        self._record = record
+        self._scene = scene
+        self._extent = extent
+        self._shrink = shrink
+        self._paths = RunPaths(record, scene)
+        self._name = part(record.system_kind)
+        self._world = f"world/{self._name}"
+
+    def draw(self, snapshots: "Iterable[Snapshot]", color: Color) -> None:
+        """Everything; the colour is that of the system's curves."""
+        self._draw_camera()
+        self._draw_paths()
+        self._draw_maps(snapshots)
+        self._draw_marks()
+        self._draw_curves(color)
+        for lane in system_lanes(self._record):
+            draw_lane(self._stream, f"lanes/{self._name}", lane)
+        for event in self._record.events:
+            text, level = describe_event(event)
+            line = rr.TextLog(f"{self._record.system_kind}: {text}", level=level)
+            self._stream.log(f"events/{self._name}", event.frame, line)
+
+    def _draw_camera(self) -> None:
+        """The estimated camera, in the colour of its state; where it has no pose it stays where it was."""
+        entity, state = f"{self._world}/camera", None
+        for result in self._record.results:
+            if result.state != state:
+                state = result.state
+                color = palette.STATES.get(str(state), palette.NOTE)
+                size = 0.06 * self._extent
+                self._stream.log(
+                    entity, result.frame, pinhole(self._record.sequence, self._shrink, size, color)
+                )
+        for map_id, alignment in self._scene.alignments.items():
+            live = self._record.live[map_id]
+            self._stream.poses(entity, live.frames, alignment.poses(live.T_map_cam))
+
+    def _draw_paths(self) -> None:
+        """The paths so far, step by step: live per map, recovered, the true one where none is known."""
+        last = len(self._record.results) - 1
+        step = max(1, round(_STEP_S * self._record.sequence.camera.fps))
+        changes = {e.frame for e in self._record.events}
+        for frame in sorted({*range(0, last + 1, step), *changes, last}):
+            for map_id in self._scene.alignments:
+                if self._record.live[map_id].frames[0] <= frame:
+                    strips = self._paths.live_strips(map_id, frame)
+                    self._line(f"map_{map_id}/path", frame, strips, palette.map_color(map_id), 2.0)
+            self._line("recovered", frame, self._paths.recovered_strips(frame), palette.RECOVERED, 4.0)
+            self._line("lost", frame, self._paths.lost_strips(frame), palette.LOST, 2.5)
+
+    def _line(self, name: str, frame: int, strips: list[np.ndarray], color: Color, width: float) -> None:
+        line = rr.LineStrips3D(strips, colors=color, radii=rr.Radius.ui_points(width))
+        self._stream.log(f"{self._world}/{name}", frame, line)
+
+    def _draw_maps(self, snapshots: "Iterable[Snapshot]") -> None:
+        """Points and keyframes, each map in its colour, as they stood at the time."""
+        keyframes = np.array([r.frame for r in self._record.results if r.is_keyframe], int)
+        for snapshot in snapshots:
+            map_id, frame = snapshot.map_id, snapshot.frame
+            if map_id not in self._scene.alignments:
+                continue
+            color, entity = palette.map_color(map_id), f"{self._world}/map_{map_id}"
+            live = self._record.live[map_id]
+            chosen = np.isin(live.frames[live.frames <= frame], keyframes)
+            centres = self._paths.live(map_id, frame)[chosen, :3, 3]
+            dots = rr.Points3D(centres, colors=color, radii=rr.Radius.ui_points(3.0))
+            self._stream.log(f"{entity}/keyframes", frame, dots)
+            points = self._scene.alignments[map_id].points(snapshot.points).astype(np.float32)
+            cloud = rr.Points3D(points, colors=[*color, 120], radii=rr.Radius.ui_points(1.2))
+            self._stream.log(f"{entity}/points", frame, cloud)
+
+    def _draw_marks(self) -> None:
+        marks = self._paths.marks()
+        for count, mark in enumerate(marks, start=1):
+            so_far = marks[:count]
+            points = rr.Points3D(
+                [m.position for m in so_far],
+                colors=[palette.LOST if m.broke else palette.FUSED for m in so_far],
+                labels=[m.words for m in so_far],
+                show_labels=True,
+                radii=rr.Radius.ui_points(6.0),
+            )
+            self._stream.log(f"{self._world}/marks", mark.frame, points)
+
+    def _draw_curves(self, color: Color) -> None:
+        results = self._record.results
+        frames = range(len(results))
+        self._curve("inliers", frames, [float(r.inliers) for r in results], color)
+        self._curve("ms", frames, [sum(r.ms.values()) for r in results], color)
+
+    def _curve(self, plot: str, frames: Iterable[int], values: list[float], color: Color) -> None:
+        entity = f"plots/{plot}/{self._name}"
+        line = rr.SeriesLines(colors=list(color), names=self._record.system_kind, widths=1.5)
+        self._stream.static(entity, line)
+        self._stream.columns(entity, frames, rr.Scalars.columns(scalars=values))
+
+
+def draw_lane(stream: Stream, under: str, lane: Lane) -> None:
+    """A lane as a row of the timeline view."""
+    entity = f"{under}/{part(lane.name)}"
+    values = list(lane.colors)
+    colors = np.array([palette.rgba(c) for c in lane.colors.values()], np.uint32)
+    stream.static(entity, rr.StateConfiguration(values=values, labels=values, colors=colors))
+    changes = rr.StateChange.columns(state=[value for _, value in lane.changes])
+    stream.columns(entity, [frame for frame, _ in lane.changes], changes)
+
+
+def _view_coordinates(up: np.ndarray) -> rr.ViewCoordinates:
+    axis = "XYZ"[int(np.abs(up).argmax())]
+    sign = "UP" if up.sum() > 0 else "DOWN"
+    return getattr(rr.ViewCoordinates, f"RIGHT_HAND_{axis}_{sign}")

@@ -1,0 +1,60 @@
+"""The colours of a recording: one meaning, one colour, in every view."""
+
+Color = tuple[int, int, int]
+
+TRUTH: Color = (150, 150, 150)
+TRACKED: Color = (60, 179, 113)
+INITIALISING: Color = (224, 160, 48)
+LOST: Color = (224, 64, 64)
+RELOCALIZING: Color = (200, 110, 110)
+RECOVERED: Color = (80, 235, 90)
+RECOVERY: Color = (70, 150, 255)
+FUSED: Color = (40, 210, 120)
+REFUSED: Color = (230, 120, 40)
+NOTE: Color = (130, 130, 160)
+
+FEATURE: Color = (110, 130, 160)
+INLIER: Color = (80, 230, 90)
+
+STATES = {
+    "tracking": TRACKED,
+    "not_initialized": INITIALISING,
+    "lost": LOST,
+    "relocalizing": RELOCALIZING,
+}
+
+_MAPS: tuple[Color, ...] = (
+    (31, 160, 255),
+    (255, 150, 40),
+    (200, 110, 255),
+    (240, 220, 60),
+    (120, 220, 220),
+    (220, 90, 160),
+)
+_SYSTEMS: tuple[Color, ...] = ((217, 98, 43), (31, 160, 255), (120, 220, 120), (200, 110, 255))
+_SEGMENTS: dict[str, Color] = {
+    "low_texture": (200, 160, 64),
+    "motion_blur": (144, 96, 208),
+    "fast_rotation": (48, 144, 192),
+}
+_OTHER_SEGMENT: Color = (176, 96, 96)
+
+
+def map_color(map_id: int) -> Color:
+    """The colour of a map's points, keyframes and path."""
+    return _MAPS[map_id % len(_MAPS)]
+
+
+def system_color(index: int) -> Color:
+    """The colour of a system's curves where several are drawn in one plot."""
+    return _SYSTEMS[index % len(_SYSTEMS)]
+
+
+def segment_color(kind: str) -> Color:
+    """The colour of an injected segment."""
+    return _SEGMENTS.get(kind, _OTHER_SEGMENT)
+
+
+def rgba(color: Color) -> int:
+    """0xRRGGBBAA, opaque."""
+    return color[0] << 24 | color[1] << 16 | color[2] << 8 | 255

@@ -1,0 +1,127 @@
+"""The paths of a run as they were known at a frame, in the world. Arrays in, line strips out."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from experiments.execution import RunRecord
+from experiments.fates import Fate, fates, known_from
+from experiments.scene import Scene
+from experiments.summary import is_tracked
+from slam.events import Breakage, Event, Fusion, Relocalized
+
+MAX_PATH = 600
+"""The most points of a path that are drawn."""
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A place on the path where something happened.
+
+    Attributes:
+        frame: when.
+        position: (3,) float64 in the world.
+        broke: a breakage; else what mended one.
+        words: its label.
+    """
+
+    frame: int
+    position: np.ndarray
+    broke: bool
+    words: str
+
+
+class RunPaths:
+    """The paths of one run, cut by what became of their frames.
+
+    Args:
+        record: the run.
+        scene: where its maps are in the world.
+    """
+
+    def __init__(self, record: RunRecord, scene: Scene) -> None:
+        self._record = record
+        self._scene = scene
+        n = len(record.results)
+        self._tracked = np.array([is_tracked(r) for r in record.results], bool)
+        self._recovered = np.array([f is Fate.RECOVERED for f in fates(record)], bool)
+        self._known_from = known_from(record.events, n)
+        self._placed = np.full((n, 3), np.nan)
+        for trajectory in reversed(list(scene.final.values())):
+            self._placed[trajectory.frames] = trajectory.T_map_cam[:, :3, 3]
+
+    def live(self, map_id: int, frame: int) -> np.ndarray:
+        """(n, 4, 4) camera poses in the world, as they were given up to a frame while in a map."""
+        live = self._record.live[map_id]
+        poses = live.T_map_cam[live.frames <= frame]
+        return self._scene.alignments[map_id].poses(poses)
+
+    def live_strips(self, map_id: int, frame: int) -> list[np.ndarray]:
+        """The path in a map up to a frame, cut where frames are missing."""
+        frames = self._record.live[map_id].frames
+        return strips(frames[frames <= frame], self.live(map_id, frame)[:, :3, 3])
+
+    def recovered_strips(self, frame: int) -> list[np.ndarray]:
+        """What a recovery applied by this frame has placed, where it is in the end."""
+        chosen = self._recovered & (self._known_from <= frame) & np.isfinite(self._placed).all(axis=1)
+        frames = np.flatnonzero(chosen)
+        return strips(frames, self._placed[frames])
+
+    def lost_strips(self, frame: int) -> list[np.ndarray]:
+        """The true path where no pose is known at a frame, from the first breakage on; none without truth."""
+        truth, first = self._scene.T_world_cam, self._first_breakage()
+        if truth is None or first is None:
+            return []
+        without = ~self._tracked & ~(self._recovered & (self._known_from <= frame))
+        without[:first] = False
+        without[frame + 1 :] = False
+        frames = np.flatnonzero(without & np.isfinite(truth).all(axis=(1, 2)))
+        return strips(frames, truth[frames, :3, 3])
+
+    def marks(self) -> list[Mark]:
+        """Breakages, fusions and relocalizations where the camera was, in order."""
+        found = []
+        for event in self._record.events:
+            words = _mark_words(event)
+            position = None if words is None else self._position(event.frame)
+            if words is not None and position is not None:
+                found.append(Mark(event.frame, position, isinstance(event, Breakage), words))
+        return found
+
+    def _first_breakage(self) -> int | None:
+        return min((e.frame for e in self._record.events if isinstance(e, Breakage)), default=None)
+
+    def _position(self, frame: int) -> np.ndarray | None:
+        """The true position, else the last one placed before it; None where there is neither."""
+        truth = self._scene.T_world_cam
+        if truth is not None and np.isfinite(truth[frame]).all():
+            return truth[frame, :3, 3]
+        known = np.flatnonzero(np.isfinite(self._placed[: frame + 1]).all(axis=1))
+        return self._placed[known[-1]] if len(known) else None
+
+
+def _mark_words(event: Event) -> str | None:
+    if isinstance(event, Breakage):
+        return "breakage"
+    if isinstance(event, Fusion) and event.accepted:
+        return "fused"
+    return "relocalized" if isinstance(event, Relocalized) else None
+
+
+def strips(frames: np.ndarray, positions: np.ndarray) -> list[np.ndarray]:
+    """A path cut where frames are missing, thinned to what the eye can follow.
+
+    Args:
+        frames: (n,) int increasing.
+        positions: (n, 3) float64.
+    """
+    if not len(frames):
+        return []
+    pieces = np.split(positions, np.flatnonzero(np.diff(frames) > 1) + 1)
+    budget = max(2, MAX_PATH // len(pieces))
+    return [np.concatenate([thin(piece, budget), piece[-1:]]) for piece in pieces]
+
+
+def thin(rows: np.ndarray, most: int) -> np.ndarray:
+    """At most so many rows, evenly spread."""
+    return rows[:: max(1, -(-len(rows) // most))]

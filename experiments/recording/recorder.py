@@ -1,0 +1,153 @@
+"""Records the runs of one or more systems over a sequence into one file."""
+
+from collections.abc import Sequence as Many
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import cv2
+import numpy as np
+import rerun as rr
+
+from experiments.execution import RunRecord, SlamSystem
+from experiments.recording import palette
+from experiments.recording.blueprint import make_blueprint
+from experiments.recording.drawing import RunDrawing, draw_lane, draw_truth
+from experiments.recording.lanes import segment_lane
+from experiments.recording.paths import thin
+from experiments.recording.stream import Stream, part
+from experiments.scene import lay_out, together
+from experiments.summary import is_tracked
+from sim.sequence import Sequence
+from slam.results import TrackingResult
+
+IMAGES_PER_S = 10.0
+_JPEG = [cv2.IMWRITE_JPEG_QUALITY, 60]
+_IMAGE_WIDTH_PX = 640
+_SNAPSHOT_S = 0.5
+_MAX_POINTS = 3000
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The map as it stood at one frame, in its own frame.
+
+    Attributes:
+        frame, map_id: when, and which.
+        points: (n, 3) float32 map units.
+    """
+
+    frame: int
+    map_id: int
+    points: np.ndarray
+
+
+class Recording:
+    """Writes the runs of some systems over one sequence to one .rrd file.
+
+    Frames go in as they come, everything that needs the truth or the whole run at the end. The systems run
+    one after the other, each watched by what :meth:`watch` gives; then :meth:`finish`. Estimates are placed
+    in the world per map by :func:`experiments.scene.lay_out`, for display only.
+
+    Images go in once for all systems, at ``IMAGES_PER_S`` at most, JPEG-compressed: a minute of 640 x 480 at
+    30 fps with two systems stays under 60 MB.
+
+    Args:
+        path: the file to write.
+        sequence: what is fed, with its truth.
+        systems: names of the systems, in the order in which they are shown.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+
+    def __init__(self, path: Path, sequence: Sequence, systems: Many[str]) -> None:
+        self._path = path
+        self._sequence = sequence
+        self._systems = tuple(systems)
+        self._shrink = min(1.0, _IMAGE_WIDTH_PX / sequence.camera.width_px)
+        self._shown: set[int] = set()
+        self._watchers: dict[str, SystemRecorder] = {}
+
+    def __enter__(self) -> Self:
+        title = f"{self._sequence.name}: {' and '.join(self._systems)}"
+        self._stream = Stream(self._path, title, self._sequence.stamps_s)
+        return self
+
+    def __exit__(self, failed: type[BaseException] | None, *rest: object) -> None:
+        self._stream.close(failed is not None)
+
+    def watch(self, system: str) -> "SystemRecorder":
+        """The observer of one system's run."""
+        self._watchers[system] = SystemRecorder(self, system)
+        return self._watchers[system]
+
+    def finish(self, records: Many[RunRecord]) -> None:
+        """Write what is known only at the end: the aligned paths, plots, lanes and the blueprint.
+
+        Args:
+            records: the runs, one per system watched.
+        """
+        scenes = [lay_out(record) for record in records]
+        scene = together(scenes)
+        draw_truth(self._stream, self._sequence, scene, self._shrink)
+        for place, record in enumerate(records):
+            snapshots = self._watchers[record.system_kind].snapshots
+            drawing = RunDrawing(self._stream, record, scenes[place], scene.extent, self._shrink)
+            drawing.draw(snapshots, palette.system_color(place))
+        draw_lane(self._stream, "lanes", segment_lane(records[0]))
+        self._stream.blueprint(make_blueprint(records, scene, self._shrink))
+
+    def show_image(self, frame: int, image: np.ndarray) -> None:
+        """Put in a frame's image, unless it is there already."""
+        if frame in self._shown:
+            return
+        self._shown.add(frame)
+        if self._shrink < 1:
+            size = (_IMAGE_WIDTH_PX, round(image.shape[0] * self._shrink))
+            image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        encoded = cv2.imencode(".jpg", image, _JPEG)[1].tobytes()
+        self._stream.log("camera/image", frame, rr.EncodedImage(contents=encoded, media_type="image/jpeg"))
+
+    def show_features(self, system: str, result: TrackingResult) -> None:
+        """Put in a frame's features, apart those that are inliers of the map."""
+        pixels = ((result.keypoints_px + 0.5) * self._shrink).astype(np.float32)
+        inlier = result.inlier_mask & is_tracked(result)
+        for name, chosen, color, radius in (
+            ("features", ~inlier, palette.FEATURE, 1.2),
+            ("inliers", inlier, palette.INLIER, 1.8),
+        ):
+            dots = rr.Points2D(pixels[chosen], colors=[color], radii=rr.Radius.ui_points(radius))
+            self._stream.log(f"camera/{part(system)}/{name}", result.frame, dots)
+
+    @property
+    def stride(self) -> int:
+        """Frames from one image to the next."""
+        return max(1, round(self._sequence.camera.fps / IMAGES_PER_S))
+
+
+class SystemRecorder:
+    """Watches one system's run for a recording; made by :meth:`Recording.watch`.
+
+    Attributes:
+        snapshots: the map now and then, thinned.
+    """
+
+    def __init__(self, recording: Recording, system: str) -> None:
+        self.snapshots: list[Snapshot] = []
+        self._recording = recording
+        self._system = system
+        self._next_snapshot_s = -np.inf
+        self._state = ""
+
+    def frame(self, image: np.ndarray, result: TrackingResult, system: SlamSystem) -> None:
+        """Record one frame: image, features and, now and then, the map."""
+        changed = result.state != self._state
+        self._state = result.state
+        if changed or result.frame % self._recording.stride == 0:
+            self._recording.show_image(result.frame, image)
+            self._recording.show_features(self._system, result)
+        if is_tracked(result) and result.stamp_s >= self._next_snapshot_s and result.map_id in system.maps():
+            self._next_snapshot_s = result.stamp_s + _SNAPSHOT_S
+            points = thin(system.map_points(result.map_id), _MAX_POINTS).astype(np.float32)
+            self.snapshots.append(Snapshot(result.frame, result.map_id, points))

@@ -1,0 +1,96 @@
+"""An .rrd file being written: its stream, its times, and why it could not be written."""
+
+import errno
+import os
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+from scipy.spatial.transform import Rotation
+
+APPLICATION = "dslab"
+_NO_SPACE_BYTES = 1 << 20
+
+
+class Stream:
+    """Entities by path and frame; every frame is on both time lines, ``frame`` and ``time``.
+
+    Args:
+        path: the file to write.
+        title: name of the recording.
+        stamps_s: (N,) float64 times of the frames.
+
+    Raises:
+        OSError: the file cannot be written; from :meth:`close` too.
+    """
+
+    def __init__(self, path: Path, title: str, stamps_s: np.ndarray) -> None:
+        self._path = path
+        self._stamps_s = stamps_s
+        self._rec = rr.RecordingStream(APPLICATION, recording_id=title)
+        self._rec.set_log_time_enabled(False)
+        self._rec.set_log_tick_enabled(False)
+        try:
+            self._rec.save(path)
+        except RuntimeError as error:
+            raise self._write_error() from error
+        self._rec.send_recording_name(title)
+
+    def close(self, failed: bool) -> None:
+        """End the file; ``failed``: something else already went wrong, of which to tell instead."""
+        try:
+            self._rec.flush()
+        except RuntimeError as error:
+            if not failed:
+                raise self._write_error() from error
+        finally:
+            self._rec.disconnect()
+
+    def static(self, entity: str, *archetypes: Any) -> None:
+        """What holds at all times."""
+        for archetype in archetypes:
+            self._rec.log(entity, archetype, static=True)
+
+    def log(self, entity: str, frame: int, archetype: Any) -> None:
+        """What holds from a frame on."""
+        self._rec.set_time("frame", sequence=frame)
+        self._rec.set_time("time", duration=float(self._stamps_s[frame]))
+        self._rec.log(entity, archetype)
+
+    def columns(self, entity: str, frames: Iterable[int], columns: Any) -> None:
+        """What holds from each of some frames on, one row for each."""
+        frames = np.asarray(list(frames), int)
+        if not len(frames):
+            return
+        times = [
+            rr.TimeColumn("frame", sequence=frames),
+            rr.TimeColumn("time", duration=self._stamps_s[frames]),
+        ]
+        self._rec.send_columns(entity, times, columns)
+
+    def poses(self, entity: str, frames: Iterable[int], T_world_cam: np.ndarray) -> None:
+        """(n, 4, 4) poses of an entity, one per frame."""
+        quaternions = Rotation.from_matrix(T_world_cam[:, :3, :3]).as_quat() if len(T_world_cam) else []
+        self.columns(
+            entity,
+            frames,
+            rr.Transform3D.columns(translation=T_world_cam[:, :3, 3], quaternion=quaternions),
+        )
+
+    def blueprint(self, blueprint: Any) -> None:
+        """How the viewer opens the file."""
+        self._rec.send_blueprint(blueprint)
+
+    def _write_error(self) -> OSError:
+        """Why the file could not be written; rerun's writer does not say."""
+        full = shutil.disk_usage(self._path.parent).free < _NO_SPACE_BYTES
+        code = errno.ENOSPC if full else errno.EIO
+        return OSError(code, os.strerror(code), str(self._path))
+
+
+def part(name: str) -> str:
+    """A name as one part of an entity path."""
+    return rr.escape_entity_path_part(name)
