@@ -16,10 +16,13 @@ class SlamConfig:
     """Settings of the base system, one group per component.
 
     Attributes:
+        initial_features: features of a frame while a map is sought, over those of a tracked one: small steps
+            show parallax in few of them.
         min_map_keyframes: a map that breaks with no more keyframes is dropped instead of kept.
     """
 
     orb: OrbConfig = field(default_factory=OrbConfig)
+    initial_features: float = 5.0
     initialization: InitializationConfig = field(default_factory=InitializationConfig)
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     mapping: LocalMappingConfig = field(default_factory=LocalMappingConfig)

@@ -39,5 +39,5 @@ def build_system(
     if kind == "base":
         return MonocularSlam(camera, seed, config, mode)
     if kind == "dual+":
-        config = replace(config, initialization=replace(config.initialization))
+        config = replace(config, initialization=replace(config.initialization, matcher="gms"))
     return DualSlam(camera, seed, config, dual, mode)

@@ -1,6 +1,6 @@
 """The monocular SLAM system: reads as the steps of the method."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from numbers import Real
 from typing import Self
 
@@ -55,7 +55,11 @@ class MonocularSlam:
         self.view = view_geometry(camera, self.config.orb.n_levels, self.config.orb.scale_factor)
         self.state = TrackingState.NOT_INITIALIZED
         self.timer = StageTimer()
-        self._extractor = OrbExtractor(camera.width_px, camera.height_px, self.config.orb)
+        orb, more = self.config.orb, self.config.initial_features
+        self._extractor = OrbExtractor(camera.width_px, camera.height_px, orb)
+        self._initial_extractor = OrbExtractor(
+            camera.width_px, camera.height_px, replace(orb, n_features=round(more * orb.n_features))
+        )
         self._initializer = Initializer(camera, self.view, self.config.initialization)
         self._tracker: Tracker | None = None
         self._mapper: LocalMapper | None = None
@@ -111,7 +115,8 @@ class MonocularSlam:
 
     def _extract_features(self, image: np.ndarray, stamp_s: float) -> Frame:
         with self.timer("extract"):
-            features = self._extractor.extract(image)
+            seeking = self.state is TrackingState.NOT_INITIALIZED
+            features = (self._initial_extractor if seeking else self._extractor).extract(image)
             frame = Frame(FrameFeatures.build(self._frames, stamp_s, features, self.camera, self.view))
         self._frames += 1
         return frame
