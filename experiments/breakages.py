@@ -31,7 +31,8 @@ class BreakageOutcome:
         until_frame: first frame of the next breakage of the same map, None where none came.
         reinit_frame: frame at which a new map stood, None if none did.
         recoveries: the ends of the recovery threads, in order.
-        fusion: the last decision on fusing with the broken map, None if it never came to one.
+        fusion: the last fusion that a recovery has led to, None if it never came to one.
+        joined: the broken map was met again by place recognition and joined, None if it never was.
         relocalized: tracking going on in the broken map, None if it never did.
         dropped: why the broken map was thrown away at once, empty where it was kept.
     """
@@ -43,6 +44,7 @@ class BreakageOutcome:
     reinit_frame: int | None
     recoveries: tuple[RecoveryEnd, ...]
     fusion: Fusion | None
+    joined: Fusion | None
     relocalized: Relocalized | None
     dropped: str
 
@@ -53,8 +55,8 @@ class BreakageOutcome:
 
     @property
     def healed(self) -> bool:
-        """The broken map is in use again, by recovery or by relocalization."""
-        return self.recovered or self.relocalized is not None
+        """The broken map is in use again, by recovery, by relocalization or by meeting it later."""
+        return self.recovered or self.relocalized is not None or self.joined is not None
 
     @property
     def failure_reason(self) -> str:
@@ -145,7 +147,12 @@ def _outcome(
         until_frame=until,
         reinit_frame=reinit[0] if reinit else None,
         recoveries=tuple(e for e in after if isinstance(e, RecoveryEnd) and e.old_map_id == breakage.map_id),
-        fusion=fusions[-1] if fusions else None,
+        fusion=_last(e for e in fusions if e.by == "recovery"),
+        joined=_last(e for e in fusions if e.by == "place"),
         relocalized=found[0] if found else None,
         dropped=dropped[0] if dropped else "",
     )
+
+
+def _last(fusions: Iterable[Fusion]) -> Fusion | None:
+    return next(iter(reversed(tuple(fusions))), None)

@@ -12,7 +12,7 @@ from experiments.run import RECORDING_FILE, write_run
 from experiments.summary import summarise
 from sim.sequence import Sequence
 
-SYSTEMS: tuple[SystemKind, ...] = ("base", "dual")
+SYSTEMS: tuple[SystemKind, ...] = ("base", "dual+")
 MARKER_FILE = "demo.json"
 PICTURE_FILE = "demo.png"
 

@@ -12,15 +12,18 @@ from typing import Any
 
 from experiments.alignment import Undefined, align_poses
 from experiments.breakages import BreakageOutcome, breakage_outcomes
-from experiments.execution import RunRecord, SystemFactory, SystemKind, execute
+from experiments.execution import RunRecord, SystemFactory, SystemKind, execute, system_factory
 from experiments.metrics import associate, coverage, position_errors_m, rms
 from experiments.provenance import commit
 from experiments.summary import is_tracked, summarise
 from scenarios.errors import InputError
 from scenarios.spec import Scenario
 from sim.sequence import Sequence
+from slam.dual.config import DualConfig
+from slam.dual.registry import ThreadSpec
 from slam.results import MapTrajectory
 
+RECOVERY_ALONE = DualConfig(threads=(ThreadSpec("orb"),), relocalization=False, joining=None)
 LEAD_IN_HEALTHY_S = 1.0
 """How long before the first segment the map must have been tracked without a gap."""
 LEAD_IN_ERROR_SHARE = 0.05
@@ -47,7 +50,8 @@ def run_trial(
         scenario: what happens.
         seed: root seed of the unit: of the world, the images and both systems.
         render: makes the images.
-        build: makes the systems; ``slam.system.build_system`` by default.
+        build: makes the systems; by default with one ORB recovery thread that nothing forestalls: neither
+            relocalization nor meeting the saved map again.
 
     Returns:
         One flat row with the columns of :func:`empty_row`. Whatever goes wrong in the programs is the outcome
@@ -58,6 +62,7 @@ def run_trial(
     try:
         sequence = render(scenario, seed)
         row["render_s"] = time.perf_counter() - started
+        build = build or system_factory(dual=RECOVERY_ALONE)
         records = {kind: execute(sequence, kind, seed, build=build) for kind in ("base", "dual")}
         row.update(judge(records["base"], records["dual"]))
     except Exception as error:  # the one place that may: a broken unit must not end the experiment

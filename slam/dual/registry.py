@@ -35,3 +35,15 @@ def build_thread(spec: ThreadSpec) -> RecoveryThread:
     if spec.kind not in RECOVERY_KINDS:
         raise ValueError(f"unknown recovery thread {spec.kind!r}: one of {', '.join(RECOVERY_KINDS)}")
     return RECOVERY_KINDS[spec.kind](spec.config or RecoveryConfig())
+
+
+def parse_threads(text: str) -> tuple[ThreadSpec, ...]:
+    """Threads from their kinds with commas between, such as ``orb,sift``.
+
+    Raises:
+        ValueError: a kind is unknown, or there is none.
+    """
+    specs = tuple(ThreadSpec(kind.strip()) for kind in text.split(","))
+    for spec in specs:
+        build_thread(spec)
+    return specs

@@ -192,7 +192,15 @@ class FakeSystem:
             if success:
                 self.events.append(
                     ev.Fusion(
-                        **common, map_id=0, old_map_id=0, accepted=True, scale=1.0, inliers=50, reason=""
+                        **common,
+                        map_id=0,
+                        old_map_id=0,
+                        new_map_id=1,
+                        by="recovery",
+                        accepted=True,
+                        scale=1.0,
+                        inliers=50,
+                        reason="",
                     )
                 )
         return TrackingState.TRACKING, 0 if self.recovers else 1, ""

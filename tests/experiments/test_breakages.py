@@ -23,9 +23,17 @@ def broke(frame: int, map_id: int = 0) -> ev.Breakage:
     return ev.Breakage(**at(frame), map_id=map_id, reason="few_inliers", inliers=3)
 
 
-def fused(frame: int, old: int = 0, accepted: bool = True) -> ev.Fusion:
+def fused(frame: int, old: int = 0, accepted: bool = True, by: str = "recovery") -> ev.Fusion:
     return ev.Fusion(
-        **at(frame), map_id=old, old_map_id=old, accepted=accepted, scale=1.0, inliers=9, reason="why"
+        **at(frame),
+        map_id=old,
+        old_map_id=old,
+        new_map_id=old + 1,
+        by=by,
+        accepted=accepted,
+        scale=1.0,
+        inliers=9,
+        reason="why",
     )
 
 
@@ -40,6 +48,11 @@ def test_a_fusion_mends_the_breakage_of_its_old_map():
     (one,) = outcomes(broke(160), fused(220))
     assert one.recovered and one.failure_reason == ""
     assert one.segment == 0
+
+
+def test_a_map_met_again_is_healed_and_not_recovered():
+    (one,) = outcomes(broke(160), fused(280, by="place"))
+    assert one.joined is not None and one.healed and not one.recovered and one.failure_reason == ""
 
 
 def test_a_fusion_belongs_to_the_last_breakage_before_it():

@@ -24,7 +24,7 @@ def made_up(monkeypatch):
     sequence = make_sequence()
     monkeypatch.setattr(sources, "open_sequence", lambda source, seed, show, **options: sequence)
     monkeypatch.setattr(
-        execution, "system_factory", lambda mode="lockstep": fake_factory(sequence, breaks_at=160)
+        execution, "system_factory", lambda mode="lockstep", dual=None: fake_factory(sequence, breaks_at=160)
     )
     return sequence
 

@@ -23,11 +23,11 @@ def demo(tmp_path_factory):
 
 def test_a_folder_per_system_and_one_recording_and_picture_of_all_are_there(demo):
     out, _, _ = demo
-    for kind in ("base", "dual"):
+    for kind in ("base", "dual+"):
         assert {"summary.json", "trajectory.txt"} <= {p.name for p in (out / kind).iterdir()}
     assert (out / "demo.png").read_bytes()[:4] == b"\x89PNG"
     entities = {chunk.entity_path for chunk in RrdReader(out / "recording.rrd").stream()}
-    assert {"/lanes/base/state", "/lanes/dual/state", "/camera/image"} <= entities
+    assert {"/lanes/base/state", "/lanes/dual\\+/state", "/camera/image"} <= entities
 
 
 def test_the_viewer_opens_the_demonstration_at_the_first_breakage(demo, monkeypatch):
@@ -46,9 +46,9 @@ def test_any_systems_can_be_shown(tmp_path):
 
 def test_a_second_demonstration_replaces_the_first_but_no_other_folder(demo, tmp_path):
     out, sequence, _ = demo
-    (out / "dual" / "stale").write_text("")
+    (out / "dual+" / "stale").write_text("")
     run_demo(sequence, 0, out, build=fake_factory(sequence))
-    assert not (out / "dual" / "stale").exists()
+    assert not (out / "dual+" / "stale").exists()
     (tmp_path / "mine").write_text("")
     with pytest.raises(InputError):
         run_demo(sequence, 0, tmp_path, build=fake_factory(sequence))
