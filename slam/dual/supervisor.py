@@ -176,6 +176,7 @@ class DualSlam(MonocularSlam):
             [self._maps[k] for k in old_ids],
             share_of_motion(motion, 1.0 / steps),
             rng_for(self.seed, "recovery", number, self._broke_at),
+            self.camera,
             _no_image,
         )
 
