@@ -25,7 +25,7 @@ class DualConfig:
     buffer_s: float = 10.0
     buffer_cap_s: float = 60.0
     start_keyframes: int = 5
-    threads: tuple[ThreadSpec, ...] = (ThreadSpec("orb"),)
+    threads: tuple[ThreadSpec, ...] = (ThreadSpec("orb"), ThreadSpec("sift"))
     exhaustive: bool = False
     relocalization: bool = True
     relocalization_maps: int = 2

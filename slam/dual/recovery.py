@@ -4,11 +4,12 @@ Source: paper, Sec. III-B and Algorithm 1.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Protocol
+from dataclasses import dataclass, field, fields
+from typing import Protocol, Self
 
 import numpy as np
 
+from slam.camera import PinholeCamera
 from slam.dual.fusion import FusionConfig
 from slam.frame import Frame, FrameFeatures
 from slam.local_mapping import LocalMappingConfig
@@ -28,6 +29,7 @@ class RecoveryTask:
         old_maps: the saved maps that the buffer reaches, newest first, not to be changed.
         step: T_cam_last of one frame backward, as far as the new map's first motion tells.
         rng: stream of this thread.
+        camera: what the images were taken with.
         image_of: the (H, W) uint8 image of a frame by its index; the first frame's and the buffered ones'
             are there for a thread that has said that it needs images.
     """
@@ -38,6 +40,7 @@ class RecoveryTask:
     old_maps: Sequence[Map]
     step: np.ndarray
     rng: np.random.Generator
+    camera: PinholeCamera
     image_of: Callable[[int], np.ndarray]
 
 
@@ -50,14 +53,14 @@ class RecoveryResult:
         stage: where it failed: ``propagation``, ``overlap`` or ``sim3``; empty on success.
         reason: why.
         frames_covered: buffered frames gone back over.
-        frames_passed_over: those of them that could not be tracked.
+        frames_passed_over: those of them that could not be placed.
         keyframes_made: keyframes that the new map has gained.
         alignments_tried: pairs of keyframes at which the maps were compared.
-        inliers: of the last tracked frame, or of the alignment on success.
+        inliers: of the last placed frame, or of the alignment on success.
         alignment: the accepted similarity, None on failure.
         confirming: the earlier ones that agree with it.
         map: the new map as extended.
-        frames: the frames tracked backward.
+        frames: the frames placed backward.
     """
 
     map: Map
@@ -117,11 +120,11 @@ class RecoveryThread(Protocol):
 
 @dataclass(frozen=True)
 class RecoveryConfig:
-    """Settings of a recovery thread.
+    """Settings of a recovery thread; kinds with settings of their own extend it.
 
     Attributes:
-        max_unusable_s: how long a run of frames it may pass over, carried by the motion model, before it
-            gives up. The paper passes over none, its released code any number.
+        max_unusable_s: how long a run of frames it may pass over before it gives up; 0 for none, as in the
+            paper, infinity for any number, as in its released code.
         tracking, mapping, fusion: settings of the parts that it reuses.
     """
 
@@ -129,3 +132,16 @@ class RecoveryConfig:
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     mapping: LocalMappingConfig = field(default_factory=LocalMappingConfig)
     fusion: FusionConfig = field(default_factory=FusionConfig)
+
+    def __post_init__(self) -> None:
+        """Check what has no other guard."""
+        if not self.max_unusable_s >= 0:
+            raise ValueError(f"max_unusable_s must be 0 or more, is {self.max_unusable_s}")
+
+    @classmethod
+    def extending(cls, config: "RecoveryConfig | None") -> Self:
+        """These settings, where ``config`` has them; what is shared taken from it, where it has not."""
+        if isinstance(config, cls):
+            return config
+        shared = {f.name: getattr(config, f.name) for f in fields(RecoveryConfig)} if config else {}
+        return cls(**shared)

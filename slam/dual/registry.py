@@ -1,49 +1,52 @@
-"""Recovery threads by name."""
+"""Recovery threads by name: a new kind is a file of its own and a line here."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from slam.dual.gms_thread import GmsRecovery
 from slam.dual.orb_thread import OrbRecovery
 from slam.dual.recovery import RecoveryConfig, RecoveryThread
+from slam.dual.sift_thread import SiftRecovery
 
-RECOVERY_KINDS: dict[str, Callable[[RecoveryConfig], RecoveryThread]] = {
-    OrbRecovery.name: OrbRecovery,
+RECOVERY_KINDS: dict[str, Callable[[RecoveryConfig | None], RecoveryThread]] = {
+    "orb": OrbRecovery,
+    "sift": SiftRecovery,
+    "gms": GmsRecovery,
 }
 
 
 @dataclass(frozen=True)
 class ThreadSpec:
-    """One recovery thread of a system.
+    """One recovery thread of a list.
 
     Attributes:
-        kind: its name in ``RECOVERY_KINDS``.
-        seed: of its random stream, beside the system's own.
-        config: its settings.
+        kind: a key of ``RECOVERY_KINDS``.
+        seed: of its random stream, beside that of the run.
+        config: its settings, those of its kind by default.
     """
 
     kind: str
     seed: int = 0
     config: RecoveryConfig | None = None
 
+    def __post_init__(self) -> None:
+        """Check the kind."""
+        if self.kind not in RECOVERY_KINDS:
+            raise ValueError(f"unknown recovery thread {self.kind!r}: one of {', '.join(RECOVERY_KINDS)}")
+
 
 def build_thread(spec: ThreadSpec) -> RecoveryThread:
-    """The thread that a specification names.
-
-    Raises:
-        ValueError: there is no such kind.
-    """
-    if spec.kind not in RECOVERY_KINDS:
-        raise ValueError(f"unknown recovery thread {spec.kind!r}: one of {', '.join(RECOVERY_KINDS)}")
-    return RECOVERY_KINDS[spec.kind](spec.config or RecoveryConfig())
+    """The thread that a specification asks for."""
+    return RECOVERY_KINDS[spec.kind](spec.config)
 
 
 def parse_threads(text: str) -> tuple[ThreadSpec, ...]:
-    """Threads from their kinds with commas between, such as ``orb,sift``.
+    """Threads from their kinds in order, such as ``"orb,sift"``; no text, no threads.
+
+    A kind that comes again has a seed of its own.
 
     Raises:
-        ValueError: a kind is unknown, or there is none.
+        ValueError: naming the kinds that there are.
     """
-    specs = tuple(ThreadSpec(kind.strip()) for kind in text.split(","))
-    for spec in specs:
-        build_thread(spec)
-    return specs
+    kinds = [name.strip() for name in text.split(",")] if text.strip() else []
+    return tuple(ThreadSpec(kind, kinds[:i].count(kind)) for i, kind in enumerate(kinds))

@@ -123,7 +123,7 @@ class DualSlam(MonocularSlam):
         """A new map is to start from the frames that come."""
         self._broke_at = frame.features.index
         self._to_place.clear()
-        self._recovery_due = bool(self._reachable())
+        self._recovery_due = bool(self._threads and self._reachable())
         self._buffer.frozen = self._recovery_due
         if not self._held:
             self._emit(frame, ev.ReinitStart)
@@ -219,6 +219,7 @@ class DualSlam(MonocularSlam):
             old_maps,
             share_of_motion(motion, 1.0 / steps),
             rng_for(self.seed, "recovery", number, seed, self._broke_at),
+            self.camera,
             self._buffer.images(),
         )
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_scenes import FPS, PointWorld, make_frame, pose_error, rigid, tracked_in, walk
+from slam_scenes import CAMERA, FPS, PointWorld, make_frame, pose_error, rigid, tracked_in, walk
 
 from slam.dual.fusion import FusionConfig
 from slam.dual.orb_thread import OrbRecovery
@@ -64,7 +64,8 @@ def task(begun, sightings, old_maps, backward, seed=0):
     step = in_new_map(sightings[FIRST].T_cam_world) @ np.linalg.inv(
         in_new_map(sightings[FIRST + 1].T_cam_world)
     )
-    return RecoveryTask(own, first, tuple(backward), old_maps, step, np.random.default_rng(seed), no_image)
+    rng = np.random.default_rng(seed)
+    return RecoveryTask(own, first, tuple(backward), old_maps, step, rng, CAMERA, no_image)
 
 
 def buffered(sightings, oldest=0, blind=BLIND):

@@ -1,0 +1,143 @@
+"""Recovery tasks as real runs over toy images give them, for the tests of the recovery threads."""
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+from dual_scenes import STEP_M, dual
+from slam_scenes import blanked, errors_m, feed, toy
+
+from slam.dual.recovery import RecoveryCost, RecoveryResult, RecoveryTask
+from slam.dual.registry import ThreadSpec, build_thread
+from slam.results import MapTrajectory
+from slam.trajectory import keyframe_trajectory
+
+BLIND = range(50, 56)
+FADED = range(50, 80)
+_FADED_CONTRAST = 0.05
+_HASTE = 3
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What a recovery thread was given in a run, the images of the run and the truth (n, 4, 4)."""
+
+    task: RecoveryTask
+    images: list
+    T_world_cam: np.ndarray
+
+    def again(self, seed=0):
+        """The task anew: nothing of it has been used."""
+        task = self.task
+        return replace(
+            task,
+            new_map=task.new_map.copy(),
+            first=task.first.copy(),
+            rng=np.random.default_rng(seed),
+            image_of=lambda index: self.images[index],
+        )
+
+    def run(self, kind, config=None, blind=()):
+        """What a thread of a kind makes of it, with more frames blind than the run had."""
+        task = self.again()
+        if blind:
+            frames = [f if f.index not in blind else _without_features(f) for f in task.backward]
+            images = blanked(self.images, blind)
+            task = replace(task, backward=frames, image_of=lambda index: images[index])
+        return build_thread(ThreadSpec(kind, config=config)).run(task)
+
+    def scale_error(self, result):
+        """How far the scale of an alignment is from the truth, as a share."""
+        met = result.alignment
+        old = next(m for m in self.task.old_maps if m.map_id == met.old_map_id)
+        seam = old.frame_index(met.old_keyframe)
+        metres_old = self._metres(keyframe_trajectory(old), seam)
+        metres_new = self._metres(keyframe_trajectory(self.task.new_map), self.task.first.features.index)
+        return met.scale * metres_old / metres_new - 1
+
+    def errors_m(self, result):
+        """Distance of every frame placed from where it was, by frame, all being aligned with the truth."""
+        forward = keyframe_trajectory(self.task.new_map)
+        placed = [
+            np.linalg.inv(f.T_cam_reference @ result.map.T_cam_map(f.reference_keyframe))
+            for f in result.frames
+        ]
+        frames = [f.features.index for f in result.frames]
+        path = MapTrajectory(
+            forward.map_id,
+            np.concatenate([forward.frames, frames]).astype(forward.frames.dtype),
+            np.concatenate([forward.stamps_s, np.array(frames) / 30.0]),
+            np.concatenate([forward.T_map_cam, placed]),
+        )
+        return dict(zip(frames, errors_m(path, self.T_world_cam)[0][len(forward.frames) :], strict=True))
+
+    def _metres(self, path, frame):
+        near = np.sort(np.argsort(np.abs(path.frames - frame), kind="stable")[:8])
+        part = replace(
+            path, frames=path.frames[near], stamps_s=path.stamps_s[near], T_map_cam=path.T_map_cam[near]
+        )
+        return errors_m(part, self.T_world_cam)[1]
+
+
+class _Given:
+    """A thread that only keeps what it is given."""
+
+    name = "given"
+    needs_images = False
+    cost = RecoveryCost(0.0, 0.0, 0.0)
+
+    def __init__(self):
+        self.tasks = []
+
+    def run(self, task):
+        self.tasks.append(replace(task, new_map=task.new_map.copy(), first=task.first.copy()))
+        return RecoveryResult(task.new_map, stage="propagation", reason="not_tried")
+
+
+def _scene(images, T_world_cam):
+    system, given = dual(), _Given()
+    system._threads = [given]
+    for image, stamp_s in zip(images, np.arange(len(images)) / 30.0, strict=True):
+        feed(system, [image], [stamp_s], check=False)
+        if given.tasks:
+            break
+    return Scene(given.tasks[0], images, T_world_cam)
+
+
+@cache
+def blind_scene():
+    """Six frames show nothing, and the camera goes on as before."""
+    images, _, T_world_cam = toy(110, 0, STEP_M)
+    return _scene(blanked(images, BLIND), T_world_cam)
+
+
+@cache
+def faded_scene():
+    """For a second there is hardly any contrast, and the camera hastens: the places have nothing in common.
+
+    No corner of an image stands out then, and neither the motion before nor that after it tells how far the
+    camera went.
+    """
+    images, _, T_world_cam = toy(185, 0, STEP_M)
+    kept = np.cumsum([0] + [_HASTE if i in FADED else 1 for i in range(1, 120)])
+    shown = [images[k] for k in kept]
+    faded = [
+        np.rint(120 + _FADED_CONTRAST * (image - 120.0)).astype(np.uint8) if i in FADED else image
+        for i, image in enumerate(shown)
+    ]
+    return _scene(faded, T_world_cam[kept])
+
+
+def _without_features(features):
+    empty = {
+        name: getattr(features, name)[:0] for name in ("xy_image", "xy", "octave", "angle_deg", "descriptors")
+    }
+    return replace(features, cell_start=np.zeros_like(features.cell_start), **empty)
+
+
+def same_map(a, b):
+    """Whether two maps are the same, bit by bit."""
+    arrays = zip(a.arrays, b.arrays, strict=True)
+    return (a.n_keyframes, a.n_points) == (b.n_keyframes, b.n_points) and all(
+        x.tobytes() == y.tobytes() for x, y in arrays
+    )
