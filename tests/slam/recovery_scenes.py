@@ -96,7 +96,7 @@ class _Given:
 
 def _scene(images, T_world_cam):
     system, given = dual(), _Given()
-    system._threads = [given]
+    system._threads = [(given, 0)]
     for image, stamp_s in zip(images, np.arange(len(images)) / 30.0, strict=True):
         feed(system, [image], [stamp_s], check=False)
         if given.tasks:
