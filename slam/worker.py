@@ -43,6 +43,11 @@ class Worker:
             self._changed.wait_for(lambda: self._error or not (self._jobs or self._busy))
             self._raise()
 
+    def check(self) -> None:
+        """Raise what a job has raised, if one has."""
+        with self._changed:
+            self._raise()
+
     def close(self) -> None:
         """End the thread after the job that runs; jobs that wait are dropped."""
         with self._changed:

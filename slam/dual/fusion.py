@@ -118,11 +118,10 @@ def _bypass_younger(old: Map, frame: int) -> None:
 def _settle(fused: Map, alignments: Sequence[Alignment], first_new: int) -> np.ndarray:
     """Optimise the essential graph of the new side over the seam; (n_keyframes,) factor on lengths."""
     rows = fused.keyframes()
-    seam = [
-        (a.new_keyframe + first_new, a.old_keyframe)
-        for a in alignments
-        if not fused.arrays.kf_bad[[a.new_keyframe + first_new, a.old_keyframe]].any()
-    ]
+    bad = fused.arrays.kf_bad
+    standing = [a for a in alignments if not (bad[a.new_keyframe + first_new] or bad[a.old_keyframe])]
+    seam = [(a.new_keyframe + first_new, a.old_keyframe) for a in standing]
+    fused.loop_edges += seam
     if len(seam) < 2:
         return np.ones(fused.n_keyframes)
     T = fused.arrays.kf_T_cam_map
@@ -132,7 +131,7 @@ def _settle(fused: Map, alignments: Sequence[Alignment], first_new: int) -> np.n
     measured = [
         # Both ends by this alignment: the new keyframe stands where the last one has put it.
         T[i] @ to_placed @ sim3_inverse(a.S_old_new) @ np.linalg.inv(T[j])
-        for (i, j), a in zip(seam, alignments, strict=False)
+        for (i, j), a in zip(seam, standing, strict=True)
     ]
     slot = np.full(fused.n_keyframes, -1)
     slot[rows] = np.arange(len(rows))

@@ -44,7 +44,7 @@ class Grafted:
         )
 
 
-def graft(grown: Map, copy: Map, keyframes: int, points: int) -> Grafted:
+def graft(grown: Map, copy: Map, keyframes: int, points: int) -> Grafted | None:
     """Take over the rows that a copy of this map has gained since it was made.
 
     The rows that both had then are one again, as this map has them now.
@@ -56,29 +56,33 @@ def graft(grown: Map, copy: Map, keyframes: int, points: int) -> Grafted:
 
     Returns:
         Where the copy's rows are; its old keyframes are culled there and follow their originals, its old
-        points are replaced by their originals.
+        points are replaced by their originals. None, and nothing done, where the two have too few points
+        left in common to tell how the map has moved meanwhile.
     """
     S = _similarity(grown, copy, points)
+    if S is None:
+        return None
     copy.transform(*sim3_decompose(S))
     K, P = grown.absorb(copy)
     _join_points(grown, P, points)
     for k in range(keyframes):
         twin = K + k
+        if grown.arrays.kf_bad[twin]:  # the copy has culled it: it follows another twin, and goes on doing so
+            continue
         if not grown.arrays.kf_bad[k]:
             _hand_over(grown, twin, k)
+        _let_go(grown, twin)
         grown.set_parent(twin, grown.live(k))
-        if not grown.arrays.kf_bad[twin]:
-            _let_go(grown, twin)
-            grown.cull_keyframe(twin)
+        grown.cull_keyframe(twin)
     return Grafted(K, P, S)
 
 
-def _similarity(grown: Map, copy: Map, points: int) -> np.ndarray:
-    """(4, 4) from the copy's frame to the map's, by the points that both still have."""
+def _similarity(grown: Map, copy: Map, points: int) -> np.ndarray | None:
+    """(4, 4) from the copy's frame to the map's, by the points that both still have; None for too few."""
     a, b = grown.arrays, copy.arrays
     both = np.flatnonzero(~a.pt_bad[:points] & ~b.pt_bad[:points])
     if len(both) < _MIN_SHARED:
-        return np.eye(4)
+        return None
     xyz_a, xyz_b = a.pt_xyz[both], b.pt_xyz[both]
     for _ in range(2):  # the worst of them twice left out: points far away or just being refined
         s, R, t = horn_sim3(xyz_a, xyz_b)
@@ -99,13 +103,19 @@ def _join_points(grown: Map, offset: int, points: int) -> None:
 
 
 def _hand_over(grown: Map, twin: int, original: int) -> None:
-    """The original observes what only its copy has found out to observe."""
-    a = grown.arrays
+    """The original observes what only its copy has found out to observe.
+
+    Where each has found a point of its own in the same keypoint, the two are one.
+    """
+    a, scale = grown.arrays, grown.view.scale
     theirs, own = grown.observed_points(twin).copy(), grown.observed_points(original)
     start = grown.keypoints(original).start
-    for row in np.flatnonzero((theirs >= 0) & (own < 0)):
-        if kernels.add_observation(a, start + int(row), int(theirs[row])):
-            kernels.refresh_point(a, int(theirs[row]), grown.view.scale)
+    for row in np.flatnonzero(theirs >= 0):
+        point = int(theirs[row])
+        if own[row] >= 0:
+            kernels.replace_point(a, point, int(own[row]), scale)
+        elif kernels.add_observation(a, start + int(row), point):
+            kernels.refresh_point(a, point, scale)
 
 
 def _let_go(grown: Map, twin: int) -> None:

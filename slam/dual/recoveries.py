@@ -48,11 +48,6 @@ class Recoveries:
         self._outcomes: deque[ThreadOutcome] = deque()
         self._worker = Worker("recovery") if mode is ExecutionMode.THREADED else None
 
-    @property
-    def busy(self) -> bool:
-        """Whether a thread runs or has ended unheard."""
-        return bool(self._outcomes) or (self._worker is not None and self._worker.pending > 0)
-
     def start(self, threads: Sequence[RecoveryThread], tasks: Sequence[RecoveryTask], stamp_s: float) -> None:
         """Set the threads going.
 
@@ -68,12 +63,14 @@ class Recoveries:
             self._worker.submit(lambda: self._outcomes.extend(job))
 
     def ended(self, stamp_s: float) -> Iterator[ThreadOutcome]:
-        """The threads that have ended by now, each told of once."""
+        """The threads that have ended by now, each told of once. Raises what a thread has raised."""
+        if self._worker is not None:
+            self._worker.check()
         while self._outcomes and (self._worker is not None or self._outcomes[0].ends_s <= stamp_s):
             yield self._outcomes.popleft()
 
     def rest(self) -> Iterator[ThreadOutcome]:
-        """Wait for all threads; those not told of yet."""
+        """Wait for all threads; those not told of yet. Raises what a thread has raised."""
         if self._worker is not None:
             self._worker.drain()
         while self._outcomes:

@@ -1,12 +1,16 @@
 """Whole runs of Dual-SLAM on toy sequences, for the tests of it."""
 
 from dataclasses import replace
+from unittest.mock import patch
 
 from slam_scenes import blanked, feed, toy
 
+from slam.backend import ExecutionMode
 from slam.config import default_config
 from slam.dual.config import DualConfig
-from slam.dual.registry import ThreadSpec
+from slam.dual.orb_thread import OrbRecovery
+from slam.dual.recovery import RecoveryConfig, RecoveryCost
+from slam.dual.registry import RECOVERY_KINDS, ThreadSpec
 from slam.dual.supervisor import DualSlam
 from slam.optimization.sim3 import horn_sim3
 from slam.results import MapTrajectory
@@ -25,8 +29,9 @@ CONFIG = replace(default_config(CAMERA), min_map_keyframes=3)
 RECOVERY_ONLY = DualConfig(threads=(ThreadSpec("orb"),), relocalization=False, joining=None)
 
 
-def dual(config=RECOVERY_ONLY):
-    return DualSlam(CAMERA, 0, CONFIG, config)
+def dual(config=RECOVERY_ONLY, mode=ExecutionMode.LOCKSTEP):
+    """A system for the toy sequences."""
+    return DualSlam(CAMERA, 0, CONFIG, config, mode)
 
 
 def play(count, *spans):
@@ -49,12 +54,35 @@ def scale_between(path: MapTrajectory, T_world_cam, first, last):
     return horn_sim3(truth, path.T_map_cam[here, :3, 3])[0]
 
 
-def with_threads(count, spans, threads):
-    """A run over a toy sequence with blank spans, with recovery threads of the test's own."""
+def with_threads(count, spans, threads, check=True, **config):
+    """A run over a toy sequence with blank spans, with recovery threads of the test's own.
+
+    Args:
+        count: frames.
+        spans: of frames that are blank.
+        threads: recovery threads, in their order.
+        check: prove the maps in the end.
+        config: of Dual-SLAM.
+    """
     images, stamps_s, _ = toy(count, 0, STEP_M)
-    system = dual()
-    system._threads = [(thread, 0) for thread in threads]
+    system = with_own_threads(threads, **config)
     feed(system, blanked(images, *spans), stamps_s, check=False)
-    for map_id in system.maps():
+    for map_id in system.maps() if check else ():
         system.map(map_id).check()
     return system
+
+
+def with_own_threads(threads, mode=ExecutionMode.LOCKSTEP, seeds=(), **config):
+    """A system whose recovery threads are the test's own, registered for it."""
+    own = {f"own {i}": lambda _, t=thread: t for i, thread in enumerate(threads)}
+    with patch.dict(RECOVERY_KINDS, own):
+        specs = tuple(map(ThreadSpec, own, seeds or [0] * len(threads)))
+        return dual(replace(RECOVERY_ONLY, threads=specs, **config), mode)
+
+
+class Slow(OrbRecovery):
+    """The recovery thread, said to take some seconds per buffered frame."""
+
+    def __init__(self, frame_s, config=None):
+        super().__init__(config or RecoveryConfig())
+        self.cost = RecoveryCost(1e3 * frame_s, 0.0, 0.0)

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from dual_scenes import STEP_M, dual
+from dual_scenes import STEP_M, with_own_threads
 from slam_scenes import blanked, errors_m, feed, toy
 
 from slam.dual.recovery import RecoveryCost, RecoveryResult, RecoveryTask
@@ -95,8 +95,8 @@ class _Given:
 
 
 def _scene(images, T_world_cam):
-    system, given = dual(), _Given()
-    system._threads = [(given, 0)]
+    given = _Given()
+    system = with_own_threads([given])
     for image, stamp_s in zip(images, np.arange(len(images)) / 30.0, strict=True):
         feed(system, [image], [stamp_s], check=False)
         if given.tasks:

@@ -74,7 +74,7 @@ def test_the_events_tell_what_happened(mended):
     assert end.cpu_ms > 0
     fusion = by_kind["fusion"]
     assert fusion.accepted and (fusion.old_map_id, fusion.map_id) == (0, 0)
-    assert fusion.inliers == end.inliers >= 40
+    assert 40 <= fusion.inliers <= end.inliers
     # Both maps began with unit median depth of much the same scene.
     assert fusion.scale == pytest.approx(1, abs=0.2)
     for event in system.events:
@@ -232,7 +232,7 @@ def test_a_new_map_that_breaks_before_its_recovery_is_dropped_and_the_first_one_
 
 
 def test_a_first_map_too_young_is_dropped_as_in_the_base():
-    system, _, _ = play(45, range(12, 14))
+    system, _, _ = play(45, range(7, 9))
     assert kinds(system) == ["initialized", "breakage", "map_dropped", "reinit_start", *MENDED[3:5]]
     assert of(system, "map_dropped")[0].reason == "too_few_keyframes"
     assert system.maps() == [1]

@@ -64,3 +64,14 @@ def test_closing_drops_what_waits():
     threading.Timer(0.05, gate.set).start()
     w.close()
     assert done == []
+
+
+def test_an_error_can_be_asked_for_without_waiting(worker):
+    def fail():
+        raise ZeroDivisionError("in a job")
+
+    worker.check()
+    worker.submit(fail)
+    worker._thread.join(10)
+    with pytest.raises(ZeroDivisionError, match="in a job"):
+        worker.check()

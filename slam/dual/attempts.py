@@ -1,0 +1,203 @@
+"""One recovery: what the threads are given, and what the outside is told of them."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam import events as ev
+from slam.backend import ExecutionMode
+from slam.camera import PinholeCamera
+from slam.dual.buffer import FeatureBuffer
+from slam.dual.config import DualConfig
+from slam.dual.recoveries import Recoveries, ThreadOutcome
+from slam.dual.recovery import RecoveryResult, RecoveryTask
+from slam.dual.registry import build_thread
+from slam.frame import Frame
+from slam.geometry import share_of_motion
+from slam.map import Map
+from slam.seeds import rng_for
+
+
+@dataclass(frozen=True)
+class NewMap:
+    """A map begun after a breakage.
+
+    Attributes:
+        map: it.
+        first, second: the frames that it was begun with.
+        since: the frame from which on it had been sought.
+    """
+
+    map: Map
+    first: Frame
+    second: Frame
+    since: int
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """A recovery that is under way.
+
+    Attributes:
+        new_id: the map that is extended backward.
+        old_ids: the saved maps that it aims at, newest first.
+        keyframes, points: rows of the new map when it was copied.
+        buffered_frames: frames that there are to go back over.
+    """
+
+    new_id: int
+    old_ids: tuple[int, ...]
+    keyframes: int
+    points: int
+    buffered_frames: int
+
+
+class RecoveryAttempts:
+    """Runs recoveries, one at a time, and declares what becomes of them.
+
+    Args:
+        config: settings.
+        camera, seed, mode: the system's.
+        emit: declares an event: the frame, the kind, the map, the kind's own fields.
+
+    Attributes:
+        under_way: the recovery whose threads have not all been heard of, if any.
+    """
+
+    def __init__(
+        self,
+        config: DualConfig,
+        camera: PinholeCamera,
+        seed: int,
+        mode: ExecutionMode,
+        emit: Callable[..., None],
+    ) -> None:
+        self.under_way: Attempt | None = None
+        self._camera = camera
+        self._seed = seed
+        self._mode = mode
+        self._emit = emit
+        self._threads = [(build_thread(spec), spec.seed) for spec in config.threads]
+        self._recoveries = Recoveries(mode, config.exhaustive)
+
+    @property
+    def possible(self) -> bool:
+        """Whether there is any thread."""
+        return bool(self._threads)
+
+    @property
+    def needs_images(self) -> bool:
+        """Whether any thread works on images."""
+        return any(thread.needs_images for thread, _ in self._threads)
+
+    def begin(self, frame: Frame, new: NewMap, old_maps: Sequence[Map], buffer: FeatureBuffer) -> None:
+        """Set the threads going.
+
+        Args:
+            frame: the newest frame.
+            new: the map to be extended; each thread gets a copy of it.
+            old_maps: the saved maps that the buffer reaches, newest first, not to change before the end.
+            buffer: the frames to go back over.
+        """
+        backward = tuple(buffer.backward_from(new.first.features.index))
+        self.under_way = Attempt(
+            new.map.map_id,
+            tuple(m.map_id for m in old_maps),
+            new.map.n_keyframes,
+            new.map.n_points,
+            len(backward),
+        )
+        images = buffer.images()
+        tasks = []
+        for number, (_, seed) in enumerate(self._threads, start=1):
+            own, start, step = _ready_to_extend(new)
+            rng = rng_for(self._seed, "recovery", number, seed, new.since)
+            old = self._for_thread(old_maps)
+            tasks.append(RecoveryTask(own, start, backward, old, step, rng, self._camera, images))
+        self._announce(frame, 1, self.under_way)
+        self._recoveries.start([thread for thread, _ in self._threads], tasks, frame.features.stamp_s)
+
+    def give_up(self, frame: Frame, new_map: Map, old_id: int) -> None:
+        """The buffer no longer reaches any saved map: every thread has failed before it began."""
+        attempt = Attempt(new_map.map_id, (old_id,), 0, 0, 0)
+        for number, (thread, _) in enumerate(self._threads, start=1):
+            self._announce(frame, number, attempt)
+            result = RecoveryResult(new_map, stage="overlap", reason="buffer_exceeded")
+            self._tell(frame, attempt, ThreadOutcome(number, thread.name, result, 0.0, 0.0, False))
+
+    def ended(self, frame: Frame) -> Iterator[tuple[Attempt, RecoveryResult]]:
+        """Tell of the threads that have ended by now; each that has succeeded is to be acted upon at once.
+
+        Raises:
+            Exception: what a thread has raised.
+        """
+        return self._conclude(frame, self._recoveries.ended(frame.features.stamp_s))
+
+    def rest(self, frame: Frame) -> Iterator[tuple[Attempt, RecoveryResult]]:
+        """As :meth:`ended`, once all threads have been waited for."""
+        return self._conclude(frame, self._recoveries.rest())
+
+    def close(self) -> None:
+        """End what runs beside tracking."""
+        self._recoveries.close()
+
+    def _for_thread(self, old_maps: Sequence[Map]) -> list[Map]:
+        """Saved maps as a thread may read them while others do, too."""
+        return [m.copy() if self._mode is ExecutionMode.THREADED else m for m in old_maps]
+
+    def _conclude(
+        self, frame: Frame, outcomes: Iterable[ThreadOutcome]
+    ) -> Iterator[tuple[Attempt, RecoveryResult]]:
+        for outcome in outcomes:
+            attempt = self.under_way
+            if attempt is None:
+                raise RuntimeError("no recovery is under way")
+            self._tell(frame, attempt, outcome)
+            if outcome.result.success:
+                yield attempt, outcome.result
+            if outcome.is_last:
+                self.under_way = None
+            else:
+                self._announce(frame, outcome.number + 1, attempt)
+
+    def _announce(self, frame: Frame, number: int, attempt: Attempt) -> None:
+        self._emit(
+            frame,
+            ev.RecoveryStart,
+            attempt.new_id,
+            thread=number,
+            method=self._threads[number - 1][0].name,
+            old_map_id=attempt.old_ids[0],
+            buffered_frames=attempt.buffered_frames,
+        )
+
+    def _tell(self, frame: Frame, attempt: Attempt, outcome: ThreadOutcome) -> None:
+        result = outcome.result
+        self._emit(
+            frame,
+            ev.RecoveryEnd,
+            attempt.new_id,
+            thread=outcome.number,
+            method=outcome.name,
+            old_map_id=result.alignment.old_map_id if result.alignment else attempt.old_ids[0],
+            success=result.success,
+            stage=result.stage,
+            reason=result.reason,
+            frames_covered=result.frames_covered,
+            frames_passed_over=result.frames_passed_over,
+            inliers=result.inliers,
+            cpu_ms=outcome.cpu_ms,
+        )
+
+
+def _ready_to_extend(new: NewMap) -> tuple[Map, Frame, np.ndarray]:
+    """A copy of the new map, its first frame tracked in it, and T_cam_last of one frame backward."""
+    own = new.map.copy()
+    start = Frame(new.first.features)
+    start.point[:] = own.observed_points(0)
+    start.T_cam_map, start.T_cam_reference = own.T_cam_map(0), np.eye(4)
+    start.reference_keyframe = 0
+    steps = new.second.features.index - new.first.features.index
+    motion = own.T_cam_map(0) @ np.linalg.inv(own.T_cam_map(1))
+    return own, start, share_of_motion(motion, 1.0 / steps)
