@@ -16,8 +16,8 @@ class SlamConfig:
     """Settings of the base system, one group per component.
 
     Attributes:
-        initial_features: features of a frame while a map is sought, over those of a tracked one: small steps
-            show parallax in few of them.
+        initial_features: features of a frame while a map is sought, over those of a tracked one, as far as
+            the image has room for them: small steps show parallax in few of them.
         min_map_keyframes: a map that breaks with no more keyframes is dropped instead of kept.
     """
 

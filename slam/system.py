@@ -26,6 +26,8 @@ from slam.timing import StageTimer
 from slam.tracking import Tracker, TrackingOutcome
 from slam.trajectory import FramePoses, keyframe_trajectory
 
+_PX_PER_FEATURE = 45.0  # an image has no room for more than one feature in so many pixels
+
 
 class MonocularSlam:
     """ORB-SLAM's monocular method: tracking, local mapping, relocalization, loop closing.
@@ -55,11 +57,11 @@ class MonocularSlam:
         self.view = view_geometry(camera, self.config.orb.n_levels, self.config.orb.scale_factor)
         self.state = TrackingState.NOT_INITIALIZED
         self.timer = StageTimer()
-        orb, more = self.config.orb, self.config.initial_features
-        self._extractor = OrbExtractor(camera.width_px, camera.height_px, orb)
-        self._initial_extractor = OrbExtractor(
-            camera.width_px, camera.height_px, replace(orb, n_features=round(more * orb.n_features))
-        )
+        width, height, orb = camera.width_px, camera.height_px, self.config.orb
+        self._extractor = OrbExtractor(width, height, orb)
+        wanted = min(self.config.initial_features * orb.n_features, width * height / _PX_PER_FEATURE)
+        more = replace(orb, n_features=max(orb.n_features, round(wanted)))
+        self._initial_extractor = OrbExtractor(width, height, more)
         self._initializer = Initializer(camera, self.view, self.config.initialization)
         self._tracker: Tracker | None = None
         self._mapper: LocalMapper | None = None

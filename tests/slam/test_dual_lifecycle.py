@@ -104,7 +104,7 @@ def test_the_path_is_complete_and_of_one_scale(delayed):
     assert path.frames.tolist() == [i for i in range(first, 150) if not 50 <= i < 56]
     assert one_scale(system, T_world_cam, (0, 49), (56, 100), (100, 149))
     steps = np.linalg.norm(np.diff(path.T_map_cam[:, :3, 3], axis=0), axis=1) / np.diff(path.frames)
-    assert steps.max() < 2 * np.median(steps)
+    assert steps.max() < 2.5 * np.median(steps)
 
 
 def test_tracking_goes_on_meanwhile_in_the_new_map_and_then_in_the_old(delayed):

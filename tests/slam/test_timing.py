@@ -75,6 +75,6 @@ def test_stages_mapping_and_loops_are_the_whole_of_a_frame():
             told_ms.append(sum(result.cpu_ms.values()) + result.mapping_cpu_ms + result.loop_cpu_ms)
             other_ms.append(result.cpu_ms[OTHER])
     # Handing a keyframe over belongs to neither side.
-    assert sum(told_ms) == pytest.approx(sum(whole_ms), rel=0.02)
-    assert np.median(told_ms) == pytest.approx(np.median(whole_ms), rel=0.02)
+    assert sum(told_ms) == pytest.approx(sum(whole_ms), rel=0.05)
+    assert np.median(told_ms) == pytest.approx(np.median(whole_ms), rel=0.05)
     assert 0.0 < np.median(other_ms) < 0.5 * np.median(whole_ms)
