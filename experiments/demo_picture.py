@@ -165,7 +165,9 @@ def _draw_inliers(axes: Axes, sequence: Sequence, records: dict[SystemKind, RunR
             label=kind,
         )
     axes.set_xlim(sequence.stamps_s[0], sequence.stamps_s[-1])
-    axes.set_ylim(bottom=0)
+    # The few frames in which a map begins have many times as many, and would flatten all others.
+    every = [r.inliers for record in records.values() for r in record.results]
+    axes.set_ylim(0, 1.4 * max(1.0, float(np.percentile(every, 98))))
     axes.set_xlabel("s", fontsize=8)
     axes.set_ylabel("inliers", fontsize=9)
     axes.tick_params(labelsize=8)

@@ -5,7 +5,9 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
+from experiments.execution import system_factory
 from experiments.run import run_sequence
+from experiments.trial import RECOVERY_ALONE
 from sim.camera import Intrinsics
 from sim.sequence import SegmentTruth, Sequence
 from slam.warmup import CAMERA, toy_frames
@@ -31,8 +33,10 @@ def sequence():
 
 
 def test_base_breaks_in_the_blank_frames_and_finds_its_place_and_dual_mends_it(sequence, tmp_path):
+    build = system_factory(dual=RECOVERY_ALONE)
     base, dual = (
-        run_sequence(sequence, kind, 0, tmp_path / kind, recording=True) for kind in ("base", "dual")
+        run_sequence(sequence, kind, 0, tmp_path / kind, recording=True, build=build)
+        for kind in ("base", "dual")
     )
     assert base["breakage_list"][0]["segment"] == dual["breakage_list"][0]["segment"] == "low_texture"
     assert base["breakage_list"][0]["frame"] == dual["breakage_list"][0]["frame"]

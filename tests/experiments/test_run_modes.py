@@ -117,7 +117,7 @@ def dslab(dslab, monkeypatch):
     few = make_sequence(12, segment=None)
     monkeypatch.setattr("slam.warmup.warm_up", lambda progress: None)
     monkeypatch.setattr(sources, "open_sequence", lambda source, seed, show, **options: few)
-    monkeypatch.setattr(execution, "system_factory", lambda mode="lockstep": fake_factory(few))
+    monkeypatch.setattr(execution, "system_factory", lambda mode="lockstep", dual=None: fake_factory(few))
     return dslab
 
 
