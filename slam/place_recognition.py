@@ -194,11 +194,22 @@ class KeyframeDatabase:
 
     def _best_groups(self, common: np.ndarray, score: np.ndarray, possible: np.ndarray) -> list[int]:
         """The best keyframe of each group of covisible keyframes that together score well."""
-        eligible = possible & (common > _COMMON_SHARE * common.max(initial=0))
+        likeness = common * self._discount
+        eligible = possible & (likeness > _COMMON_SHARE * likeness.max(initial=0.0))
         total, best = kernels.score_groups(eligible, score, self.map.arrays.covisibility, _GROUP_SIZE)
         good = np.flatnonzero(eligible & (total > _TOTAL_SHARE * total.max(initial=0.0)))
         good = good[np.argsort(-total[good], kind="stable")]
         return list(dict.fromkeys(best[good].tolist()))
+
+    @property
+    def _discount(self) -> np.ndarray:
+        """(n,) of keyframes with more words than usual: they have more in common with any image.
+
+        The first two of a map, found among many features, would shut out all others.
+        """
+        words = np.array([len(bow.words) for bow in self._bows])
+        usual = np.median(words[words > 0]) if words.any() else 1.0
+        return np.minimum(1.0, usual / np.maximum(words, 1))
 
     def _reserve(self, entries: int) -> None:
         """Make room for that many more entries."""

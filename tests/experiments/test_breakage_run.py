@@ -12,6 +12,7 @@ from sim.render import render_sequence
 def test_base_stays_lost_where_dual_slam_recovers():
     sequence = render_sequence(load_scenario("breakage", 0))
     base, dual = (summarise(execute(sequence, kind, 0)) for kind in ("base", "dual"))
+    # Either may find its place for a moment, with too little in view to stay.
     assert base["breakages"] >= 1 and base["share_tracked"] < 0.4
-    assert dual["breakages"] == 1 and dual["recoveries"] == 1 and dual["share_tracked"] > 0.9
+    assert dual["breakages"] >= 1 and dual["recoveries"] == 1 and dual["share_tracked"] > 0.9
     assert dual["ate_poses"] > 0.9 * dual["frames"] and dual["ate_m"] < 0.01 * dual["path_m"]

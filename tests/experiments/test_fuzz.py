@@ -126,6 +126,7 @@ def outputs(tmp_path_factory):
     return rows, [folder / "1", folder / "2"]
 
 
+@pytest.mark.slow
 def test_every_run_has_a_row_in_order_whatever_becomes_of_its_process(outputs):
     (rows, _), (folder, _) = outputs
     assert [(r["seed"], r["system"]) for r in rows] == [(s, k) for s in range(5) for k in ("base", "dual")]
@@ -140,11 +141,13 @@ def test_every_run_has_a_row_in_order_whatever_becomes_of_its_process(outputs):
     assert [t["slam_cpu_s"] for t in times[::2]] == pytest.approx([0, 0.1, 0.2, None, 0.4], nan_ok=True)
 
 
+@pytest.mark.slow
 def test_the_table_does_not_depend_on_the_number_of_processes(outputs):
     one, two = ((folder / "units.jsonl").read_bytes() for folder in outputs[1])
     assert one == two
 
 
+@pytest.mark.slow
 def test_what_failed_is_there_to_be_run_again(outputs):
     (rows, _), (folder, _) = outputs
     assert sorted(p.name for p in (folder / "failed").iterdir()) == ["2.yaml", "3.yaml"]
@@ -190,13 +193,8 @@ def fails_of(seeds, folder):
     return [(row["seed"], row["system"], row["message"], row["traceback"]) for row in failed(rows)], rows
 
 
-def test_the_systems_come_through_a_few_random_scenarios(tmp_path):
-    fails, rows = fails_of((2, 3), tmp_path)
-    assert fails == []
-    assert sum(row["breakages"] for row in rows) > 2
-
-
 @pytest.mark.slow
 def test_the_systems_come_through_twenty_random_scenarios(tmp_path):
-    fails, _ = fails_of(range(20), tmp_path)
+    fails, rows = fails_of(range(20), tmp_path)
     assert fails == []
+    assert sum(row["breakages"] for row in rows) > 20 and sum(row["fusions"] for row in rows) > 2

@@ -178,6 +178,7 @@ def test_a_thumbnail_is_the_frame_of_the_sequence_made_smaller(gallery, scenario
             assert cv2.PSNR(cv2.resize(whole.frames[other], size), thumbnail) < cv2.PSNR(small, thumbnail)
 
 
+@pytest.mark.slow
 def test_workers_make_the_same_gallery(gallery, scenario_files, tmp_path):
     made = make_gallery([str(scenario_files / "lone.yaml")], tmp_path / "two", seeds=2, frames=4, workers=2)
     one, two = gallery[0].page.parent / "pictures/lone", made.page.parent / "pictures/lone"

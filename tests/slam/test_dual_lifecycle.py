@@ -174,6 +174,7 @@ def test_a_new_map_that_breaks_during_its_recovery_is_saved_and_fused_all_the_sa
     assert len(system.trajectories()[0].frames) >= 175 - 12 - 5
 
 
+@pytest.mark.slow
 def test_a_break_in_the_very_frame_of_the_fusion():
     system = with_own_threads([Lasting(20)])
     _, T_world_cam = drive(system, 160, after_start(system, 20, 26))
@@ -187,6 +188,7 @@ def test_a_break_in_the_very_frame_of_the_fusion():
     assert one_scale(system, T_world_cam, (0, 49), (56, broken.frame - 1), (broken.frame + 30, 159))
 
 
+@pytest.mark.slow
 def test_a_third_map_that_waits_for_its_turn_and_breaks_is_dropped():
     """Young, its frames are in the buffer: the fourth map's recovery goes over them too."""
     system = with_own_threads([Lasting(45)])
@@ -204,6 +206,7 @@ def test_a_third_map_that_waits_for_its_turn_and_breaks_is_dropped():
     assert rms(errors_m(system.trajectories()[0], T_world_cam)[0]) < 0.06
 
 
+@pytest.mark.slow
 def test_a_map_that_breaks_while_its_recovery_waits_is_saved_and_gets_its_turn():
     """Its link to the maps before it is not lost with the breakage, nor is what it has tracked."""
     thread = Lasting(60)
@@ -232,6 +235,7 @@ def test_a_map_that_breaks_while_its_recovery_waits_is_saved_and_gets_its_turn()
 # -- any number, anywhere ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("config", [RECOVERY_ONLY, DualConfig()], ids=["recovery only", "all"])
 def test_breakages_in_a_row_end_in_sound_maps(config):
     system = dual(replace(config, start_keyframes=3))

@@ -111,6 +111,7 @@ def test_no_unusable_frame_at_all_may_be_passed_over(kind):
     result.map.check()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_any_number_of_unusable_frames_may_be_passed_over(kind):
     """The released code's way: nothing is ever given up, and the end of the buffer is reached."""
@@ -124,6 +125,7 @@ def test_any_number_of_unusable_frames_may_be_passed_over(kind):
     assert limited.frames_covered == limited.frames_passed_over == 16
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_old_map_of_another_scene_is_not_met(kind):
     scene = blind_scene()

@@ -53,6 +53,7 @@ def test_the_map_begins_again_beyond_the_stretch(faded):
     assert all((m.observed_points(int(k)) >= 0).sum() > 100 for k in beyond)
 
 
+@pytest.mark.slow
 def test_the_same_seed_does_it_again_bit_by_bit(faded):
     again = faded_scene().run("sift")
     assert same_map(again.map, faded.map)
