@@ -12,6 +12,7 @@ from slam import matching
 from slam.frame import Frame
 from slam.map import Map
 from slam.place_recognition import BowVector, KeyframeDatabase, match_by_bow
+from slam.pnp import ransac_pnp
 from slam.tracking import optimize_frame
 
 
@@ -100,7 +101,11 @@ class Relocalizer:
         matches = len(rows)
         if matches < self.config.min_matches:
             return RelocalizationOutcome(False, keyframe, 0, matches, "too_few_bow_matches")
-        found = self._pose(frame, rows, points, rng)
+        found = ransac_pnp(
+            self.map.arrays.pt_xyz[points], frame.features.xy[rows], self.map.view, rng,
+            self.config.ransac_iterations, self.config.ransac_error_px, self.config.min_pose_inliers,
+            cv2.SOLVEPNP_AP3P, 0.99,
+        )  # fmt: skip
         if found is None:
             return RelocalizationOutcome(False, keyframe, 0, matches, "no_pose")
         frame.T_cam_map, agree = found
@@ -131,35 +136,6 @@ class Relocalizer:
             self.config.ratio,
         )
         return pairs[:, 1], observed[pairs[:, 0]]
-
-    def _pose(
-        self, frame: Frame, rows: np.ndarray, points: np.ndarray, rng: np.random.Generator
-    ) -> tuple[np.ndarray, np.ndarray] | None:
-        """T_cam_map (4, 4) that most matches agree with, and (k,) bool which; None where there is none."""
-        view = self.map.view
-        K = np.array([[view.fx, 0, view.cx], [0, view.fy, view.cy], [0, 0, 1.0]])
-        xyz, xy = self.map.arrays.pt_xyz[points], frame.features.xy[rows]
-        cv2.setRNGSeed(int(rng.integers(2**31)))
-        found, _, _, inliers = cv2.solvePnPRansac(
-            xyz,
-            xy,
-            K,
-            None,
-            iterationsCount=self.config.ransac_iterations,
-            reprojectionError=self.config.ransac_error_px,
-            flags=cv2.SOLVEPNP_AP3P,
-        )
-        if not found or inliers is None or len(inliers) < self.config.min_pose_inliers:
-            return None
-        agree = np.zeros(len(rows), np.bool_)
-        agree[inliers.ravel()] = True
-        # SQPnP, unlike the closing step of the RANSAC, takes points in a plane as well as any.
-        solved, rotation, translation = cv2.solvePnP(xyz[agree], xy[agree], K, None, flags=cv2.SOLVEPNP_SQPNP)
-        if not solved:
-            return None
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = cv2.Rodrigues(rotation)[0], translation.ravel()
-        return (T, agree) if np.isfinite(T).all() else None
 
     def _search(self, frame: Frame, radius_px: float) -> tuple[int, int]:
         """Look for all of the local map about the pose, and refine it; (matches, inliers)."""

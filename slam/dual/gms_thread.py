@@ -5,21 +5,14 @@ Source: the method of Dual-SLAM's released code, which matches every frame with 
 
 from dataclasses import dataclass
 
-import cv2
-import numpy as np
-
-from slam.brute_force import match_brute_force
-from slam.dual.pnp import ransac_pnp
 from slam.dual.propagation import propagate
 from slam.dual.recovery import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
-from slam.frame import Frame, FrameFeatures
-from slam.geometry import ViewGeometry
+from slam.frame import Frame
+from slam.gms_matching import GmsConfig, match_gms
 from slam.local_mapping import LocalMapper
+from slam.pnp import ransac_pnp
 from slam.timing import StageTimer
 from slam.tracking import Tracker, TrackingOutcome, optimize_frame
-
-_ANY_DISTANCE = 256
-_NO_RATIO = 2.0
 
 
 @dataclass(frozen=True)
@@ -63,6 +56,7 @@ class GmsTracker(Tracker):
     def __init__(self, task: RecoveryTask, config: GmsRecoveryConfig) -> None:
         super().__init__(task.new_map, config.tracking, StageTimer())
         self._gms_config = config
+        self._size_px = task.camera.width_px, task.camera.height_px
         self._rng = task.rng
         self._keyframe = task.first.reference_keyframe
         self.start(task.first, self._keyframe)
@@ -77,7 +71,9 @@ class GmsTracker(Tracker):
         last = self._refreshed_last()
         keyframe = m.live(self._keyframe)
         points = m.observed_points(keyframe)
-        pairs = gms_matches(m.features(keyframe), frame.features, m.view, config.threshold_factor)
+        pairs = match_gms(
+            m.features(keyframe), frame.features, self._size_px, GmsConfig(config.threshold_factor)
+        )
         pairs = pairs[points[pairs[:, 0]] >= 0]
         if len(pairs) < config.min_pose_inliers:
             return TrackingOutcome(False, 0, len(pairs), "too_few_gms_matches")
@@ -107,32 +103,3 @@ class GmsTracker(Tracker):
         """Take note that ``frame`` has become ``keyframe``."""
         super().keyframe_made(frame, keyframe)
         self._keyframe = keyframe
-
-
-def gms_matches(
-    a: FrameFeatures, b: FrameFeatures, view: ViewGeometry, threshold_factor: float
-) -> np.ndarray:
-    """(k, 2) int32 rows of two frames: nearest by descriptor, as are enough of their surroundings.
-
-    Args:
-        a, b: the frames.
-        view: bounds of undistorted keypoints.
-        threshold_factor: how much support a match needs.
-
-    Source: Bian et al., "GMS: Grid-based motion statistics", 2017.
-    """
-    if not len(a) or not len(b):
-        return np.empty((0, 2), np.int32)
-    pairs = match_brute_force(a.descriptors, b.descriptors, _ANY_DISTANCE, _NO_RATIO)
-    corner = np.array([view.x_min, view.y_min])
-    size = np.array([view.x_max, view.y_max]) - corner
-    # GMS takes for granted that every keypoint lies in the image.
-    inside = [np.clip(f.xy - corner, 0, size - 1e-3).astype(np.float32) for f in (a, b)]
-    kept = cv2.xfeatures2d.matchGMS(
-        (int(np.ceil(size[0])), int(np.ceil(size[1]))),
-        (int(np.ceil(size[0])), int(np.ceil(size[1]))),
-        *(cv2.KeyPoint.convert(xy) for xy in inside),
-        [cv2.DMatch(int(i), int(j), 0.0) for i, j in pairs],
-        thresholdFactor=threshold_factor,
-    )
-    return np.array([(m.queryIdx, m.trainIdx) for m in kept], np.int32).reshape(-1, 2)

@@ -12,13 +12,13 @@ import numpy as np
 from slam import matching
 from slam._map_kernels import count_observed, resolve_points
 from slam.dual import sift_features
-from slam.dual.pnp import ransac_pnp
 from slam.dual.propagation import propagate
 from slam.dual.recovery import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
 from slam.dual.sift_features import SiftFrame
 from slam.dual.sift_mapping import SiftMapper
 from slam.frame import Frame
 from slam.optimization.pose import CHI2_2DOF, optimize_pose
+from slam.pnp import ransac_pnp
 from slam.timing import StageTimer
 from slam.tracking import Tracker, TrackingOutcome
 

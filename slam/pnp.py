@@ -5,8 +5,6 @@ import numpy as np
 
 from slam.geometry import ViewGeometry
 
-_CONFIDENCE = 0.999
-
 
 def ransac_pnp(
     xyz: np.ndarray,
@@ -16,8 +14,10 @@ def ransac_pnp(
     iterations: int,
     error_px: float,
     min_inliers: int,
+    method: int = cv2.SOLVEPNP_EPNP,
+    confidence: float = 0.999,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """The pose that most matches agree with: RANSAC over EPnP.
+    """The pose that most matches agree with, by RANSAC.
 
     Args:
         xyz: (n, 3) points, frame map.
@@ -27,6 +27,8 @@ def ransac_pnp(
         iterations: of the RANSAC at the most.
         error_px: reprojection error up to which a match agrees.
         min_inliers: matches that must agree.
+        method: OpenCV's number of the solver of each sample.
+        confidence: that the best pose has been drawn, at which it stops.
 
     Returns:
         T_cam_map (4, 4) and (n,) bool which agree; None where there is no such pose.
@@ -45,8 +47,8 @@ def ransac_pnp(
         None,
         iterationsCount=iterations,
         reprojectionError=error_px,
-        confidence=_CONFIDENCE,
-        flags=cv2.SOLVEPNP_EPNP,
+        confidence=confidence,
+        flags=method,
     )
     if not found or inliers is None or len(inliers) < min_inliers:
         return None
