@@ -43,6 +43,9 @@ class Scenario(Strict):
     imu: Imu | None = Field(None, description="inertial readings, for the forms that have a place for them")
     segments: tuple[Segment, ...] = ()
     seed: int = Field(0, ge=0, lt=2**63)
+    world_seed: int | None = Field(
+        None, ge=0, lt=2**63, description="seed of the world where it is another than that of all else"
+    )
 
     @property
     def frame_count(self) -> int:

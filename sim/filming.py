@@ -90,7 +90,7 @@ def camera_intrinsics(camera: Camera) -> Intrinsics:
 
 def plan_shoot(scenario: Scenario, seed: int, studio: Studio, progress: Progress) -> tuple[Shoot, WorldModel]:
     """Everything that decides the frames, with every segment applied, and the world as it is seen."""
-    world = studio.build_world(scenario.world, seed)
+    world = studio.build_world(scenario.world, world_seed(scenario, seed))
     survey = partial(_survey, world=world, camera=scenario.camera, studio=studio, progress=progress)
     shoot = plan_in_world(scenario, seed, studio, len(world.surfaces), survey)
     return shoot, replace(papered(world, shoot.texture_of, shoot.period_m), contrast=shoot.contrast)
@@ -111,7 +111,10 @@ def plan_in_world(scenario: Scenario, seed: int, studio: Studio, surfaces: int, 
     shoot = Shoot(
         stamps_s=stamps_s,
         motion=plan_motion(
-            studio.layout(scenario.world, seed), scenario.trajectory, scenario.duration_s, seed
+            studio.layout(scenario.world, world_seed(scenario, seed)),
+            scenario.trajectory,
+            scenario.duration_s,
+            seed,
         ),
         exposure_s=np.full(len(stamps_s), camera.exposure_s),
         contrast=np.ones(surfaces),
@@ -126,6 +129,11 @@ def plan_in_world(scenario: Scenario, seed: int, studio: Studio, surfaces: int, 
         for segment in segments:
             shoot = SHOOT_KINDS[segment.kind].apply(shoot, segment)
     return shoot
+
+
+def world_seed(scenario: Scenario, seed: int) -> int:
+    """The seed of the world: the scenario's own for it, else that of all else."""
+    return seed if scenario.world_seed is None else scenario.world_seed
 
 
 def plan_path(scenario: Scenario, seed: int, studio: Studio) -> Motion:
