@@ -62,7 +62,7 @@ def nearest_in_window(
     c1 = min(int((u + radius - view.x_min) / view.cell), view.cols - 1)
     r0 = max(int((v - radius - view.y_min) / view.cell), 0)
     r1 = min(int((v + radius - view.y_min) / view.cell), view.rows - 1)
-    if u + radius < view.x_min or v + radius < view.y_min:
+    if u + radius < view.x_min or v + radius < view.y_min or c0 >= view.cols or r0 >= view.rows:
         return -1, 257
     for r in range(r0, r1 + 1):
         for i in range(cell_start[r * view.cols + c0], cell_start[r * view.cols + c1 + 1]):

@@ -30,9 +30,10 @@ def test_window_search_agrees_with_its_twin():
     rng = np.random.default_rng(0)
     f = make_frame(0, rng, n=900).features
     hits = 0
-    for _ in range(400):
+    for round_ in range(400):
         query = f.descriptors[rng.integers(len(f))] ^ np.uint64(2 ** int(rng.integers(60)))
-        u, v = rng.uniform((-40, -40), (680, 520))
+        out = 3000 if round_ % 4 == 0 else 40
+        u, v = rng.uniform((-out, -out), (640 + out, 480 + out))
         radius, low = rng.uniform(5, 120), int(rng.integers(-1, 5))
         taken = rng.random(len(f)) < 0.1
         args = (float(u), float(v), float(radius), low, low + 2, query, float(rng.uniform(0.6, 1.0)))
