@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Protocol
 
@@ -61,9 +61,20 @@ def studio_with(renderer: str) -> Studio:
         InputError: no such renderer, or it is not usable here.
     """
     from sim.gl_context import gl_info
-    from sim.world import build_world, layout
+    from sim.world import layout
 
-    return Studio(layout, build_world, load_renderer(renderer), gl_info, renderer)
+    return Studio(layout, _world, load_renderer(renderer), gl_info, renderer)
+
+
+@lru_cache(maxsize=1)
+def _world(spec: World, seed: int) -> WorldModel:
+    """The world built last is kept: units of an experiment that share one come one after another."""
+    from sim.world import build_world
+
+    world = build_world(spec, seed)
+    for surface in world.surfaces:
+        surface.texture.flags.writeable = False
+    return world
 
 
 def mujoco_studio() -> Studio:
