@@ -36,7 +36,9 @@ class RealTime:
     """Feeds the frames of a sequence at the pace of their stamps, as a camera would.
 
     The first frame is due when it is asked for. A frame whose turn comes more than one frame interval after
-    it was due is dropped: the camera has the next one by then.
+    it was due is dropped: the camera has the next one by then. So does a driver with a queue of one image, in
+    which the newest takes the place of one not yet taken, as ORB-SLAM's drivers of live cameras do. Its
+    drivers of recorded sequences drop nothing, however late: that is no real time.
 
     Args:
         sequence: the frames to come; its median frame interval is the one that counts.

@@ -71,16 +71,16 @@ def motions_around(
 
 def distinct(motions: list[RefinedMotion]) -> list[RefinedMotion]:
     """Those that are no worse copy of another, lowest cost first."""
-    kept: list[RefinedMotion] = []
-    for motion in sorted(motions, key=lambda m: m.cost):
-        if not any(_same(motion.T_2_1, other.T_2_1) for other in kept):
-            kept.append(motion)
-    return kept
-
-
-def _same(T: np.ndarray, other: np.ndarray) -> bool:
-    cos_turn = 0.5 * ((T[:3, :3] * other[:3, :3]).sum() - 1.0)
-    return min(float(T[:3, 3] @ other[:3, 3]), float(cos_turn)) > np.cos(np.deg2rad(_SAME_DEG))
+    motions = sorted(motions, key=lambda m: m.cost)
+    directions = np.array([m.T_2_1[:3, 3] for m in motions])
+    turns = np.array([m.T_2_1[:3, :3].ravel() for m in motions])
+    cosines = np.minimum(directions @ directions.T, 0.5 * (turns @ turns.T - 1.0))
+    same = cosines > np.cos(np.deg2rad(_SAME_DEG))
+    kept: list[int] = []
+    for k in range(len(motions)):
+        if not same[k, kept].any():
+            kept.append(k)
+    return [motions[k] for k in kept]
 
 
 def _noise(motion: RefinedMotion) -> float:

@@ -4,11 +4,11 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from slam._initial_matching_kernels import match_for_initialization
 from slam.camera import PinholeCamera
 from slam.frame import FrameFeatures
 from slam.geometry import ViewGeometry
 from slam.gms_matching import GmsConfig, match_gms
-from slam.matching import match_for_initialization
 
 MatcherKind = Literal["windowed", "gms"]
 

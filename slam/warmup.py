@@ -80,8 +80,9 @@ def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
     """
     from slam.factory import build_system
 
-    # Long enough for a map worth saving, a breakage, a recovery and a fusion; for the base, a relocalization.
-    blank, counts = range(90, 96), {"dual": 180, "base": 105}
+    # Long enough for a map worth saving, a breakage, a recovery and a fusion; for the base, a relocalization;
+    # for the matching of Dual-SLAM+, a first map.
+    blank, counts = range(90, 96), {"dual": 180, "base": 105, "dual+": 10}
     done, total = 0, sum(counts.values())
     for kind, count in counts.items():
         system = build_system(kind, CAMERA, seed=0)

@@ -76,6 +76,30 @@ def test_a_hitch_costs_only_the_frames_within_it():
     assert record.dropped_frames == 13
 
 
+def queue_of_one(due_s, seconds):
+    """The frames that a driver takes whose queue holds the newest image only."""
+    now_s, taken = 0.0, [-1]
+    while taken[-1] < len(due_s) - 1:
+        now_s = max(now_s, due_s[taken[-1] + 1])
+        taken.append(int(np.flatnonzero(due_s <= now_s)[-1]))
+        now_s += seconds[taken[-1]]
+    return taken[1:]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_frames_fed_are_those_of_a_queue_of_one_image(seed):
+    sequence = make_sequence(90, segment=None)
+    # Eighths of an interval and a bit, so that no frame's turn comes just when the next one does.
+    eighths = np.random.default_rng(seed).geometric(0.12, 90)
+    seconds = (eighths / 8 + 1e-3) / 30
+    record, system, _ = run(sequence, lambda stamp_s: seconds[round(stamp_s * 30)])
+    fed = np.round(np.array(system.seen_s) * 30).astype(int).tolist()
+    expected = queue_of_one(sequence.stamps_s - sequence.stamps_s[0], seconds)
+    assert 0 < record.dropped_frames == 90 - len(fed)
+    # The last frame, which no later one replaces, is dropped like any other.
+    assert [k for k in expected if k < 89] == [k for k in fed if k < 89]
+
+
 def test_the_run_is_judged_on_the_frames_that_were_fed():
     sequence = make_sequence(90, segment=(20, 50))
     record, system, _ = run(sequence, lambda stamp_s: 2.99 / 30)

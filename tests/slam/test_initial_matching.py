@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from slam_scenes import CAMERA, VIEW, PointWorld, rigid
 
+from slam._initial_matching_kernels import match_for_initialization
 from slam.gms_matching import GmsConfig, match_gms
 from slam.initial_matching import GmsMatcher, WindowedMatcher
-from slam.matching import match_for_initialization
+from slam.matching import NEAR, keep_common_rotation
 
 WORLD = PointWorld(seed=5, points=9000, reach=(-8.0, 8.0))
 SIZE_PX = (CAMERA.width_px, CAMERA.height_px)
@@ -48,6 +49,52 @@ def test_the_windowed_matcher_is_the_windowed_search_followed_from_frame_to_fram
         pairs = matcher.match(b)
         assert len(pairs) == count > 100
         np.testing.assert_array_equal(pairs, np.column_stack([found, matched[found]]))
+
+
+def windowed_twin(a, b, around, radius_px, max_octave, ratio):
+    """Match by match over all of the second frame; ties go to the keypoint that comes first."""
+    bits = (
+        np.unpackbits(a.descriptors.view(np.uint8), axis=1),
+        np.unpackbits(b.descriptors.view(np.uint8), axis=1),
+    )
+    matched, owner = np.full(len(a), -1), {}
+    for j in np.flatnonzero(a.octave <= max_octave):
+        near = (np.abs(b.xy - around[j]) <= radius_px).all(axis=1) & (b.octave == a.octave[j])
+        rows = np.flatnonzero(near)
+        distance = (bits[0][j] != bits[1][rows]).sum(axis=1)
+        order = np.argsort(distance, kind="stable")
+        if not len(rows) or (len(rows) > 1 and distance[order[0]] > ratio * distance[order[1]]):
+            continue
+        i, d = rows[order[0]], distance[order[0]]
+        if d > NEAR or (i in owner and d >= owner[i][1]):
+            continue
+        if i in owner:
+            matched[owner[i][0]] = -1
+        owner[i] = j, d
+        matched[j] = i
+    turn = np.where(matched >= 0, a.angle_deg.astype(float) - b.angle_deg[matched], 0.0)
+    matched = matched.astype(np.int32)
+    return matched, keep_common_rotation(matched, turn)
+
+
+@pytest.mark.parametrize("bits", [2, 20])
+@pytest.mark.parametrize("radius_px", [4.0, 100.0])
+def test_the_windowed_search_compares_each_keypoint_with_all_of_its_level_around(bits, radius_px):
+    a, b = look(0, bits=bits).frame.features, look(1, bits=bits).frame.features
+    around = a.xy + np.random.default_rng(0).normal(0, 3.0, a.xy.shape)
+    around[:3] = (-500.0, 10.0), (10.0, -500.0), (5000.0, 5000.0)
+    counts = []
+    for max_octave, ratio in ((0, 0.9), (3, 0.9), (3, 0.2)):
+        matched, count = match_for_initialization(
+            a.xy, a.octave, a.angle_deg, a.descriptors, around, VIEW,
+            b.xy, b.octave, b.angle_deg, b.descriptors, b.cell_start, radius_px, max_octave, ratio,
+        )  # fmt: skip
+        expected, expected_count = windowed_twin(a, b, around, radius_px, max_octave, ratio)
+        np.testing.assert_array_equal(matched, expected)
+        assert count == expected_count
+        counts.append(count)
+    assert counts[1] > max(counts[0], 20)
+    assert (counts[2] < counts[1]) == (bits == 20)
 
 
 @pytest.mark.parametrize("make", [windowed, gms])

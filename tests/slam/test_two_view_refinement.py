@@ -3,129 +3,10 @@
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from two_view_rays import FOCAL, angle_deg, errors_of, errors_twin, loss, rigid, views
 
-from slam._two_view_refinement import TUKEY, motion_errors, moved, refined, tangent
+from slam._two_view_refinement import TUKEY, moved, refined, tangent
 from slam.optimization._se3 import so3_exp
-
-FOCAL = 500.0
-
-
-def unit(v):
-    return np.asarray(v, float) / np.linalg.norm(v)
-
-
-def angle_deg(a, b):
-    return np.degrees(np.arccos(np.clip(unit(a) @ unit(b), -1, 1)))
-
-
-def rigid(direction, turn):
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = so3_exp(*map(float, turn)), unit(direction)
-    return T
-
-
-def views(seed, n=200, noise_px=0.0, direction=None, depth=(5, 20), outliers=0.0):
-    """T_2_1, rays of both views and the noise, for points at a depth in baselines."""
-    rng = np.random.default_rng(seed)
-    T = rigid(rng.normal(size=3) if direction is None else direction, rng.normal(0, 0.05, 3))
-    rays_1 = rng.uniform(-0.5, 0.5, (n, 2))
-    points = np.column_stack([rays_1, np.ones(n)]) * rng.uniform(*depth, n)[:, None]
-    moved_points = points @ T[:3, :3].T + T[:3, 3]
-    rays_2 = moved_points[:, :2] / moved_points[:, 2:]
-    rays = [r + noise_px / FOCAL * rng.normal(size=r.shape) for r in (rays_1, rays_2)]
-    wrong = int(outliers * n)
-    rays[1][:wrong] = rng.uniform(-0.5, 0.5, (wrong, 2))
-    return T, rays[0], rays[1], np.full(n, max(noise_px, 0.1) / FOCAL)
-
-
-def errors_of(T, rays_1, rays_2, sigma):
-    out = np.empty(len(sigma)), np.empty(len(sigma))
-    motion_errors(
-        np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3]), rays_1, rays_2, sigma, *out
-    )
-    return out
-
-
-def errors_twin(T, rays_1, rays_2, sigma):
-    """The errors match by match, from the essential matrix and the vanishing point of the ray."""
-    R, t = T[:3, :3], T[:3, 3]
-    E = np.cross(np.eye(3), t) @ R
-    off, behind = [], []
-    for p, q, s in zip(rays_1, rays_2, sigma, strict=True):
-        h1, h2 = np.append(p, 1.0), np.append(q, 1.0)
-        gradient2 = ((E @ h1)[:2] ** 2).sum() + ((E.T @ h2)[:2] ** 2).sum() + s**2 * (E[:2, :2] ** 2).sum()
-        off.append(h2 @ E @ h1 / np.sqrt(gradient2) / s)
-        ray = R @ h1
-        if ray[2] <= 0:
-            behind.append(-1 / s)
-            continue
-        infinity = ray / ray[2]
-        end = h2 if t[2] >= 0 else infinity
-        nearer = t[:2] - end[:2] * t[2]
-        length = np.sqrt(2 * (nearer @ nearer + s**2 * (E[:2, :2] ** 2).sum()))
-        behind.append(min(0.0, (h2 - infinity)[:2] @ nearer / length / s))
-    return np.array(off), np.array(behind)
-
-
-def loss(off, behind):
-    """Tukey's loss as in textbooks, so scaled that it is the square for small errors."""
-    e2 = (off**2 + behind**2) / TUKEY**2
-    return TUKEY**2 / 3 * np.where(e2 < 1, 1 - (1 - np.minimum(e2, 1)) ** 3, 1.0)
-
-
-# -- errors --------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_errors_agree_with_their_definition(seed):
-    T, rays_1, rays_2, sigma = views(seed, n=60, noise_px=1.0, outliers=0.3)
-    sigma *= np.random.default_rng(seed).uniform(0.5, 3.0, 60)
-    for turn in ((0.0, 0, 0), (0.1, -0.2, 0.05), (0.0, 3.0, 0.0)):
-        other = rigid(T[:3, 3] + 0.3 * np.array(turn), turn)
-        for got, expected in zip(
-            errors_of(other, rays_1, rays_2, sigma), errors_twin(other, rays_1, rays_2, sigma), strict=True
-        ):
-            np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize("direction", [(1, 0, 0), (0.2, 0.1, -1), (0.2, 0.1, 1), None])
-def test_perfect_matches_have_no_error_under_the_true_motion_only(direction):
-    T, rays_1, rays_2, sigma = views(1, direction=direction)
-    off, behind = errors_of(T, rays_1, rays_2, sigma)
-    assert np.abs(off).max() < 1e-6 and np.abs(behind).max() == 0.0
-    mirrored = T.copy()
-    mirrored[:3, 3] *= -1
-    off, behind = errors_of(mirrored, rays_1, rays_2, sigma)
-    assert np.abs(off).max() < 1e-6 and (behind < -1.0).mean() > 0.95
-    # The turn by 180 degrees about the baseline, which has the same epipolar lines.
-    twisted = T.copy()
-    twisted[:3, :3] = so3_exp(*(np.pi * T[:3, 3])) @ T[:3, :3]
-    off, behind = errors_of(twisted, rays_1, rays_2, sigma)
-    assert np.abs(off).max() < 1e-4 and (behind < -1.0).mean() > 0.95
-
-
-def test_a_point_behind_is_as_wrong_as_its_image_is_from_that_of_infinity():
-    T, rays_1, rays_2, sigma = views(2, noise_px=0.5, direction=(1, 0.2, 0.1), depth=(50, 200))
-    T[:3, 3] *= -1
-    off, behind = errors_of(T, rays_1, rays_2, sigma)
-    turned = np.column_stack([rays_1, np.ones(len(rays_1))]) @ T[:3, :3].T
-    way = rays_2 - turned[:, :2] / turned[:, 2:]
-    at_back = behind < 0
-    assert at_back.sum() > 150
-    expected = np.linalg.norm(way, axis=1) / np.sqrt(2) / sigma
-    np.testing.assert_allclose(np.hypot(off, behind)[at_back], expected[at_back], rtol=0.1, atol=0.05)
-
-
-def test_a_point_at_infinity_is_no_edge():
-    T, rays_1, *_ = views(3, n=40)
-    turned = np.column_stack([rays_1, np.ones(40)]) @ T[:3, :3].T
-    infinity = turned[:, :2] / turned[:, 2:]
-    nearer = T[:2, 3] - infinity * T[2, 3]
-    nearer /= np.linalg.norm(nearer, axis=1)[:, None]
-    sigma = np.full(40, 1 / FOCAL)
-    for way in (-1e-9, 0.0, 1e-9):
-        errors = errors_of(T, rays_1, infinity + way * nearer, sigma)
-        assert np.abs(errors).max() < 1e-5
 
 
 def test_the_tangent_and_the_moved_direction_are_unit_vectors():
@@ -140,9 +21,6 @@ def test_the_tangent_and_the_moved_direction_are_unit_vectors():
         assert np.linalg.norm(t_moved) == pytest.approx(1.0)
         np.testing.assert_allclose(t_moved - t, basis[:, 1:] @ step[3:], atol=1e-5)
         np.testing.assert_allclose(R_moved, so3_exp(*step[:3]) @ T[:3, :3], atol=1e-12)
-
-
-# -- refinement ----------------------------------------------------------------------------------------------
 
 
 def off_by(T, rng, direction=0.05, turn=0.005):
