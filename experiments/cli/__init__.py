@@ -9,6 +9,7 @@ from experiments.cli import bench, demo, doctor, experiment, run, view, vocabula
 from experiments.cli.console import err
 from experiments.cli.degrade import degrade_command
 from experiments.cli.export import export_command
+from experiments.cli.paper import paper_command
 from experiments.cli.render import render_command
 from experiments.cli.scenarios import app as scenarios_app
 from scenarios.errors import InputError
@@ -32,6 +33,7 @@ app.command("export")(export_command)
 app.command("run")(run.run_command)
 app.command("view")(view.view_command)
 app.add_typer(experiment.app, name="experiment")
+app.command("paper")(paper_command)
 app.add_typer(bench.app, name="bench")
 app.add_typer(vocabulary.app, name="vocabulary")
 

@@ -1,0 +1,118 @@
+"""``dslab paper``."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from experiments.cli.console import out, print_json_line
+
+Row = dict[str, Any]
+
+
+def paper_command(
+    out_dir: Annotated[
+        Path | None, typer.Option("--out", help="Folder for paper.json and the plot; absent or empty.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as one line of JSON.")] = False,
+) -> None:
+    """Read the paper's Tables II and III again: do its own counts agree with Pr(failure) = p0 · prⁿ?
+
+    Runs nothing. With --out writes paper.json, paper.png and paper.svg. For example:
+
+    `dslab paper`
+
+    `dslab paper --out out/paper`
+    """
+    from experiments.output import check_free
+    from experiments.report.plain_data import as_data
+    from experiments.statistics.paper import CAVEATS, reanalyse
+
+    if out_dir is not None:
+        check_free(out_dir)
+    rows = as_data(reanalyse())
+    figures = {"rows": rows, "caveats": list(CAVEATS)}
+    if out_dir is not None:
+        _write(figures, out_dir)
+    if as_json:
+        print_json_line(figures)
+        return
+    _print(rows)
+    out.print("Mind:")
+    for caveat in CAVEATS:
+        out.print(f"- {caveat}")
+    if out_dir is not None:
+        out.print(f"{out_dir / 'paper.json'}, with paper.png and paper.svg beside it", soft_wrap=True)
+
+
+def _write(figures: dict[str, Any], out_dir: Path) -> None:
+    from experiments.files import to_json
+    from experiments.output import new_directory
+    from experiments.report.plots.draw import rendered
+    from experiments.report.plots.paper import draw_paper
+    from experiments.report.plots.style import settings
+
+    with settings(), new_directory(out_dir) as partial:
+        plot = rendered(
+            "paper", "Eq. 1's prediction beside the published failures", draw_paper(figures["rows"])
+        )
+        (partial / "paper.svg").write_bytes(plot.svg)
+        (partial / "paper.png").write_bytes(plot.png)
+        (partial / "paper.json").write_text(to_json(figures, indent=1) + "\n", encoding="utf-8")
+
+
+def _print(rows: list[Row]) -> None:
+    from experiments.report.wording import ends, ends_percent, number, p_value, percent
+
+    def counted(name: str) -> Callable[[Row], str]:
+        def words(row: Row) -> str:
+            share = row[name]
+            return f"{share['events']}/{share['units']}  {percent(share['estimate'])}\n{ends_percent(share)}"
+
+        return words
+
+    def estimated(*place: str) -> Callable[[Row], str]:
+        def words(row: Row) -> str:
+            estimate: Any = row
+            for name in place:
+                estimate = estimate[name]
+            if place[-1].startswith("ratio"):
+                return f"{number(estimate['value'])}\n{ends(estimate)}"
+            return f"{percent(estimate['value'])}\n{ends_percent(estimate)}"
+
+        return words
+
+    tables: dict[str, dict[str, Callable[[Row], str]]] = {
+        "What the paper counted; below each share its 95 % Clopper-Pearson interval": {
+            "ORB-SLAM fails": counted("base_failure"),
+            "p0: needs recovery": counted("p0"),
+            "thread 1 fails": counted("thread_1"),
+            "then thread 2 fails": counted("thread_2"),
+        },
+        "Eq. 1 with n = 2": {
+            "predicted: p0 · pr²": estimated("predicted"),
+            "measured": counted("measured"),
+            "measured / predicted": estimated("ratio"),
+            "p: threads fail alike": lambda row: p_value(row["alike_p"]),
+            "ratio_if_alike: ten trials as one": estimated("ratio_if_alike"),
+        },
+        "Another model: some breakages are hopeless": {
+            "hopeless": estimated("mixture", "share_hopeless"),
+            "pr of the rest": estimated("mixture", "pr_rest"),
+        },
+    }
+    for title, columns in tables.items():
+        out.print(_table(title, columns, rows))
+
+
+def _table(title: str, columns: dict[str, Callable[[Row], str]], rows: list[Row]) -> Table:
+    table = Table(title=title, title_justify="left", show_lines=True)
+    for name in ("system", "data set", *columns):
+        table.add_column(name)
+    for row in rows:
+        table.add_row(
+            row["counts"]["system"], row["counts"]["dataset"], *(cell(row) for cell in columns.values())
+        )
+    return table

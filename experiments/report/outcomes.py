@@ -1,0 +1,184 @@
+"""What became of the units: counts, failures one by one, why and where they happened."""
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from experiments.records import Outcome, dual_column, thread_column
+from experiments.report.plain_data import as_data, counted, is_false, is_true, spread
+from experiments.statistics.intervals import clopper_pearson
+
+ARMS = ("free", "cross")
+
+
+def completed(table: pd.DataFrame) -> pd.DataFrame:
+    """The units that count."""
+    return rows_where(table, table["outcome"] == Outcome.COMPLETED)
+
+
+def rows_where(table: pd.DataFrame, mask: pd.Series) -> pd.DataFrame:
+    """The rows in which a column of truth values is true; null is false."""
+    return table.loc[is_true(mask), :]
+
+
+def unit_counts(table: pd.DataFrame, planned: dict[str, int]) -> dict[str, Any]:
+    """How many units were planned, are there, count, are void or errors; in all and per cell.
+
+    Args:
+        table: the records.
+        planned: budget of units per cell.
+    """
+    per_cell = []
+    for cell in dict.fromkeys([*planned, *table["cell"].dropna()]):
+        rows = table[table["cell"] == cell]
+        per_cell.append({"cell": cell, **_counts(rows, planned.get(cell, len(rows)))})
+    total = {key: sum(row[key] for row in per_cell) for key in _counts(table[:0], 0)}
+    return {**total, "per_cell": per_cell}
+
+
+def _counts(rows: pd.DataFrame, planned: int) -> dict[str, int]:
+    def of(outcome: Outcome) -> int:
+        return int((rows["outcome"] == outcome).sum())
+
+    return {
+        "planned": planned,
+        "recorded": len(rows),
+        "missing": max(planned - len(rows), 0),
+        "completed": of(Outcome.COMPLETED),
+        "void": of(Outcome.VOID),
+        "errors": of(Outcome.INFRASTRUCTURE_ERROR),
+    }
+
+
+def failures(table: pd.DataFrame, threads: int, folder: Path) -> list[dict[str, Any]]:
+    """Every unit with a dual failure, a false recovery or a silent failure, in the order of the table.
+
+    Args:
+        table: the records.
+        threads: n, the number of recovery threads.
+        folder: of the experiment, for the command that replays the unit.
+    """
+    found = []
+    place = shlex.quote(str(folder))
+    for _, row in completed(table).iterrows():
+        what = _what_failed(row, threads)
+        if what:
+            unit = str(row["unit_id"])
+            found.append(
+                {
+                    "unit_id": unit,
+                    "cell": row["cell"],
+                    "index": int(row["index"]),
+                    "world_seed": as_data(row["world_seed"]),
+                    "what": what,
+                    "breakage_reason": as_data(row["breakage_reason"]) or "",
+                    "threads": _thread_fates(row, threads),
+                    "command": f"dslab experiment replay {place} {unit} --rerun {unit}.rrd",
+                    "recording": None,
+                }
+            )
+    return found
+
+
+def _what_failed(row: pd.Series, threads: int) -> list[str]:
+    """In words; empty where nothing did."""
+    levels = [n for n in range(1, threads + 1) if _said(row[dual_column(n)])]
+    what = [f"dual failure (n = {', '.join(map(str, levels))})"] if levels else []
+    for arm, place in (("free", ""), ("cross", " in the crossing arm")):
+        false = [j for j in range(1, threads + 1) if _said(row[thread_column(arm, j, "false")])]
+        what += [f"false recovery by thread {j}{place}" for j in false]
+    return [*what, "silent failure"] if _said(row["silent_failure"]) else what
+
+
+def _thread_fates(row: pd.Series, threads: int) -> list[dict[str, Any]]:
+    fates = []
+    for thread in range(1, threads + 1):
+        if _said(row[thread_column("free", thread, "failed")]):
+            stage, reason = (row[thread_column("free", thread, name)] for name in ("stage", "reason"))
+            fates.append({"thread": thread, "stage": as_data(stage) or "", "reason": as_data(reason) or ""})
+    return fates
+
+
+def _said(value: Any) -> bool:
+    return not pd.isna(value) and bool(value)
+
+
+def taxonomy(table: pd.DataFrame, threads: int) -> dict[str, Any]:
+    """Why tracking broke, at which stage recoveries failed and for which reason, silences and delays."""
+    rows = completed(table)
+    per_cell = []
+    for cell, of_cell in rows.groupby("cell", sort=False):
+        silent = is_true(of_cell["silent_failure"])
+        judged = int(of_cell["silent_failure"].notna().sum())
+        per_cell.append(
+            {
+                "cell": cell,
+                "breakage_reasons": counted(of_cell["breakage_reason"][is_true(of_cell["breakage"])]),
+                "silent": as_data(clopper_pearson(int(silent.sum()), judged)),
+                "declaration_delay_s": spread(of_cell["declaration_delay_s"]),
+            }
+        )
+    broke = is_true(rows["breakage"])
+    silent = is_true(rows["silent_failure"])
+    return {
+        "breakage_reasons": counted(rows["breakage_reason"][broke]),
+        "silent": as_data(clopper_pearson(int(silent.sum()), int(rows["silent_failure"].notna().sum()))),
+        "declaration_delay_s": spread(rows["declaration_delay_s"]),
+        "per_cell": per_cell,
+        "threads": [_thread_taxonomy(rows, arm, thread) for arm in ARMS for thread in range(1, threads + 1)],
+    }
+
+
+def _thread_taxonomy(rows: pd.DataFrame, arm: Any, thread: int) -> dict[str, Any]:
+    failed = rows[thread_column(arm, thread, "failed")]
+    lost = rows[is_true(failed)]
+    declared = is_true(rows[thread_column(arm, thread, "declared")])
+    false = is_true(rows[thread_column(arm, thread, "false")])
+    return {
+        "arm": "free" if arm == "free" else "crossing",
+        "thread": thread,
+        "attempts": int(failed.notna().sum()),
+        "failed": len(lost),
+        "stages": counted(lost[thread_column(arm, thread, "stage")]),
+        "reasons": counted(lost[thread_column(arm, thread, "reason")]),
+        "false": as_data(clopper_pearson(int((false & declared).sum()), int(declared.sum()))),
+    }
+
+
+def set_aside(table: pd.DataFrame) -> dict[str, Any]:
+    """Void units with their reasons, and infrastructure errors with their messages."""
+    void = table[table["outcome"] == Outcome.VOID]
+    errors = table[table["outcome"] == Outcome.INFRASTRUCTURE_ERROR]
+    retried = completed(table)
+    return {
+        "void_reasons": counted(void["void_reason"].fillna("no reason given")),
+        "void": [_named(row) | {"reason": as_data(row["void_reason"]) or ""} for _, row in void.iterrows()],
+        "errors": [
+            _named(row) | {"message": as_data(row["message"]) or "", "attempts": as_data(row["attempts"])}
+            for _, row in errors.iterrows()
+        ],
+        "completed_after_errors": int((retried["attempts"].fillna(1) > 1).sum()),
+    }
+
+
+def _named(row: pd.Series) -> dict[str, Any]:
+    return {"unit_id": as_data(row["unit_id"]), "cell": row["cell"], "index": as_data(row["index"])}
+
+
+def costs(table: pd.DataFrame) -> dict[str, Any]:
+    """CPU time in seconds of the completed units and the largest memory."""
+    rows = completed(table)
+    sums = {name: float(rows[name].fillna(0).sum()) for name in ("render_s", "slam_s", "cpu_s", "wall_s")}
+    return sums | {"peak_rss_mb": max((float(v) for v in rows["peak_rss_mb"].dropna()), default=None)}
+
+
+def sources(table: pd.DataFrame) -> dict[str, Any]:
+    """Which code the records are of, and how many of each."""
+    return {"code": counted(table["code"]), "commits": counted(table["commit"])}
+
+
+def recovered(rows: pd.DataFrame, thread: int) -> pd.Series:
+    """Where a thread of the free arm was due and did relate the maps."""
+    return is_false(rows[thread_column("free", thread, "failed")])

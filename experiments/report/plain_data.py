@@ -1,0 +1,58 @@
+"""Results of the statistics as the plain data of report.json."""
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import pandas as pd
+
+from experiments.files import plain
+from experiments.statistics.intervals import Proportion
+
+
+def as_data(value: Any) -> Any:
+    """Dicts, lists and Python scalars of dataclasses however nested; a proportion gets its estimate too."""
+    if is_dataclass(value) and not isinstance(value, type):
+        data = {field.name: as_data(getattr(value, field.name)) for field in fields(value)}
+        return {"estimate": value.estimate, **data} if isinstance(value, Proportion) else data
+    if isinstance(value, Mapping):
+        return {str(key): as_data(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_data(item) for item in value]
+    return None if _is_missing(value) else plain(value)
+
+
+def is_true(column: pd.Series) -> pd.Series:
+    """Where a nullable column is true; false where it says nothing."""
+    return column.fillna(False).astype(bool)
+
+
+def is_false(column: pd.Series) -> pd.Series:
+    """Where a nullable column is false; false too where it says nothing."""
+    return ~column.fillna(True).astype(bool)
+
+
+def numbers(column: pd.Series) -> list[float]:
+    """The values of a column that are there."""
+    return [float(value) for value in column.dropna()]
+
+
+def spread(column: pd.Series) -> dict[str, Any]:
+    """Count, median, quartiles and range of the values that are there."""
+    values = pd.Series(numbers(column), dtype=float)
+    names = {"low": 0.0, "quartile_1": 0.25, "median": 0.5, "quartile_3": 0.75, "high": 1.0}
+    return {"units": len(values)} | {
+        name: float(values.quantile(at)) if len(values) else None for name, at in names.items()
+    }
+
+
+def counted(column: pd.Series) -> dict[str, int]:
+    """How often each text of a column occurs, most frequent first, then by name."""
+    counts = column.dropna()[lambda texts: texts != ""].value_counts()
+    return {
+        str(text): int(n) for text, n in sorted(counts.items(), key=lambda item: (-item[1], str(item[0])))
+    }
+
+
+def _is_missing(value: Any) -> bool:
+    return value is pd.NA or value is pd.NaT

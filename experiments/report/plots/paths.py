@@ -1,0 +1,44 @@
+"""Estimated paths over the true one (Fig. 8 of the paper)."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.report.plots.style import BLUE, GREEN, ORANGE, direct_legend, new_figure, shorten
+
+_COLUMNS = 3
+_STYLES = {
+    "truth": {"color": BLUE, "linewidth": 3.2, "alpha": 0.45, "label": "truth"},
+    "base": {"color": ORANGE, "linewidth": 1.3, "linestyle": "--", "label": "base"},
+    "dual": {"color": GREEN, "linewidth": 1.3, "label": "Dual-SLAM"},
+}
+
+
+def draw_paths(paths: dict[str, dict[str, np.ndarray]], names: dict[str, str]) -> Figure | None:
+    """Per unit a panel from above: along the two axes in which the true path extends most.
+
+    Args:
+        paths: as `paths_file.read_paths` gives them.
+        names: words for a unit's title, by its id.
+    """
+    shown: list[tuple[str, dict[str, Any]]] = [(unit, own) for unit, own in paths.items() if "truth" in own]
+    if not shown:
+        return None
+    columns = min(_COLUMNS, len(shown))
+    rows = -(-len(shown) // columns)
+    figure = new_figure(0.5 + 2.8 * rows, 2.9 * columns)
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes, (unit, own) in zip(panels, shown, strict=False):
+        ground = np.sort(np.argsort(np.nanmax(own["truth"], 0) - np.nanmin(own["truth"], 0))[1:])
+        for which, style in _STYLES.items():
+            if which in own:
+                axes.plot(*own[which][:, ground].T, **style)
+        axes.set_title(shorten(names.get(unit, unit), 30), fontsize=9)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.tick_params(labelsize=7)
+    for empty in panels[len(shown) :]:
+        empty.remove()
+    panels[0].set_ylabel("m")
+    direct_legend(panels[0], fontsize=8)
+    return figure

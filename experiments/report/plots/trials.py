@@ -1,0 +1,131 @@
+"""Trials one by one: profiles over frames (Fig. 7 of the paper) and errors of the last pose (Fig. 9)."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from experiments.report.plots.style import BLUE, GREEN, ORANGE, PALE, SKY, new_figure, shorten
+
+_EXPOSED = "#f3e3c4"
+_PARTS = {
+    "tracked": BLUE,
+    "bridged by recovery": GREEN,
+    "a new map, not joined": SKY,
+    "lost for good": ORANGE,
+    "relocalized later": PALE,
+}
+_COLUMNS = 3
+
+
+def draw_timeline(report: dict[str, Any]) -> Figure | None:
+    """Per cell a panel, per trial two bars: base above, Dual-SLAM below; frames across."""
+    cells = [cell for cell in report["timeline"] if cell["units"]]
+    if not cells:
+        return None
+    columns = min(_COLUMNS, len(cells))
+    rows = -(-len(cells) // columns)
+    figure = new_figure(0.7 + rows * 2.3, 3.2 * columns)
+    for axes, cell in zip(_panels(figure, rows, columns, len(cells)), cells, strict=True):
+        for place, unit in enumerate(cell["units"]):
+            _draw_trial(axes, place, unit, cell["frames"])
+        axes.set_title(shorten(cell["cell"], 30), fontsize=10)
+        axes.set(xlim=(0, cell["frames"]), ylim=(len(cell["units"]) - 0.4, -0.6))
+        axes.set_yticks(range(len(cell["units"])), [str(unit["index"]) for unit in cell["units"]], fontsize=7)
+        axes.grid(visible=False)
+        axes.set_xlabel("frame", fontsize=9)
+        axes.set_ylabel("trial", fontsize=9)
+    handles = [Patch(color=colour, label=part) for part, colour in _PARTS.items()]
+    handles.append(Patch(color=_EXPOSED, label="exposed segment"))
+    figure.legend(handles=handles, loc="outside upper left", ncols=3, fontsize=9)
+    return figure
+
+
+def _draw_trial(axes: Axes, place: int, unit: dict[str, Any], frames: int) -> None:
+    if unit["onset_frame"] is not None and unit["end_frame"] is not None:
+        width = unit["end_frame"] - unit["onset_frame"] + 1
+        axes.barh(place, width, left=unit["onset_frame"], height=0.9, color=_EXPOSED, zorder=0)
+    for offset, parts in ((-0.2, base_parts(unit, frames)), (0.2, dual_parts(unit, frames))):
+        for start, end, part in parts:
+            axes.barh(place + offset, end - start, left=start, height=0.32, color=_PARTS[part])
+
+
+def base_parts(unit: dict[str, Any], frames: int) -> list[tuple[int, int, str]]:
+    """What the base had: (first frame, frame after, part). When it relocalized is not recorded."""
+    if not unit["breakage"] or unit["breakage_frame"] is None:
+        return [(0, frames, "tracked")]
+    broke = unit["breakage_frame"]
+    after = "relocalized later" if unit["relocalized"] else "lost for good"
+    return [(0, broke, "tracked"), (broke, frames, after)]
+
+
+def dual_parts(unit: dict[str, Any], frames: int) -> list[tuple[int, int, str]]:
+    """What Dual-SLAM had, as base_parts."""
+    if not unit["breakage"] or unit["breakage_frame"] is None:
+        return [(0, frames, "tracked")]
+    broke, again = unit["breakage_frame"], unit["reinit_frame"]
+    before = (0, broke, "tracked")
+    if again is None:
+        after = "relocalized later" if unit["dual_relocalized"] else "lost for good"
+        return [before, (broke, frames, after)]
+    if unit["dual_failure"]:
+        return [before, (broke, again, "lost for good"), (again, frames, "a new map, not joined")]
+    return [before, (broke, again, "bridged by recovery"), (again, frames, "tracked")]
+
+
+def draw_end_errors(report: dict[str, Any]) -> Figure | None:
+    """Cells across, trials up, colour the position error of the last pose; base beside Dual-SLAM."""
+    cells = report["end_errors"]
+    values = [v for cell in cells for name in ("base_m", "dual_m") for v in cell[name] if v]
+    if not values:
+        return None
+    most = max(len(cell["index"]) for cell in cells)
+    figure = new_figure(2.4 + min(0.09 * most, 4.5))
+    panels = figure.subplots(1, 2, sharey=True)
+    norm = LogNorm(max(min(values), 1e-3), max(*values, 2e-3))
+    image = None
+    for axes, name, title in zip(panels, ("base", "dual"), ("base", "Dual-SLAM"), strict=True):
+        image = _heat(axes, cells, name, most, norm)
+        axes.set_title(title, fontsize=10)
+        axes.set_xticks(
+            range(len(cells)), [shorten(c["cell"]) for c in cells], rotation=60, ha="right", fontsize=8
+        )
+        axes.grid(visible=False)
+    panels[0].set_ylabel("trial")
+    if image is not None:
+        figure.colorbar(image, ax=list(panels), label="error of the last pose (m)", shrink=0.9)
+    failed = [
+        Patch(facecolor="#222222", label="failed"),
+        Patch(facecolor="#d8d8d8", label="no last pose or truth"),
+    ]
+    figure.legend(handles=failed, loc="outside upper left", ncols=2, fontsize=9)
+    return figure
+
+
+def _heat(axes: Axes, cells: list[dict[str, Any]], name: str, most: int, norm: LogNorm) -> Any:
+    errors = np.full((most, len(cells)), np.nan)
+    shade = np.full((most, len(cells), 4), 0.0)
+    for column, cell in enumerate(cells):
+        for row, (error, failed) in enumerate(zip(cell[f"{name}_m"], cell[f"{name}_failed"], strict=True)):
+            shade[row, column] = (0.13, 0.13, 0.13, 1) if failed else (0.85, 0.85, 0.85, 1)
+            if error is not None and not failed:
+                errors[row, column] = max(error, norm.vmin or 0)
+    axes.imshow(shade, origin="lower", aspect="auto", interpolation="nearest")
+    return axes.imshow(
+        np.ma.masked_invalid(errors),
+        norm=norm,
+        cmap="viridis",
+        origin="lower",
+        aspect="auto",
+        interpolation="nearest",
+    )
+
+
+def _panels(figure: Figure, rows: int, columns: int, used: int) -> list[Axes]:
+    panels = list(np.ravel(figure.subplots(rows, columns, squeeze=False)))
+    for empty in panels[used:]:
+        empty.remove()
+    return panels[:used]

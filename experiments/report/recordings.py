@@ -1,0 +1,55 @@
+"""Recordings of failed units, made by running them again."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from experiments.report.paths_file import add_paths, paths_of
+
+if TYPE_CHECKING:
+    from experiments.spec import ExperimentSpec
+    from experiments.units import UnitSpec
+
+FOLDER = "recordings"
+
+
+def add_recordings(
+    report: dict[str, Any],
+    spec: "ExperimentSpec",
+    folder: Path,
+    count: int,
+    progress: Callable[[int, int], None],
+) -> None:
+    """Record the first failed units, but those recorded earlier, and keep their paths.
+
+    Args:
+        report: as `report_content` makes it; its failures get the places of their recordings, relative to
+            the folder.
+        spec: of the experiment.
+        folder: of the experiment.
+        count: of recordings wanted.
+        progress: called with recordings made and wanted.
+    """
+    wanted = report["failures"][:count]
+    (folder / FOLDER).mkdir(exist_ok=True)
+    for done, failure in enumerate(wanted):
+        progress(done, len(wanted))
+        failure["recording"] = f"{FOLDER}/{failure['unit_id']}.rrd"
+        if not (folder / failure["recording"]).is_file():
+            _record(spec.unit(failure["cell"], failure["index"]), failure["unit_id"], folder)
+    progress(len(wanted), len(wanted))
+
+
+def _record(unit: "UnitSpec", unit_id: str, folder: Path) -> None:
+    from experiments.trial import record_runs
+    from sim.render import render_sequence
+
+    path = folder / FOLDER / f"{unit_id}.rrd"
+    partial = path.with_name(f".{unit_id}.partial.rrd")
+    try:
+        runs = record_runs(unit, render_sequence(unit.scenario), partial)
+        add_paths(folder, unit_id, paths_of(runs))
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)

@@ -1,0 +1,198 @@
+"""Tables I to III and Figures 6, 7 and 9 of the paper, made anew of an experiment's units.
+
+Families of cells stand where the paper has data sets: what is beside the paper's figures was measured on
+other data, with other failures, and is to be read for its pattern.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import pandas as pd
+
+from experiments.records import dual_column, thread_column
+from experiments.report.outcomes import completed, recovered, rows_where
+from experiments.report.plain_data import as_data, is_false, is_true, numbers, spread
+from experiments.statistics.intervals import clopper_pearson
+
+UNITS_PER_CELL_OF_TIMELINE = 10
+"""As many trials as the paper shows of a sequence."""
+
+
+def table_1(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Accuracy per cell: median ATE of base and Dual-SLAM, with the shares that a median hides."""
+    rows = []
+    for cell, units in completed(table).groupby("cell", sort=False):
+        failed = {"base": units["base_failure"], "dual": units["dual_failure"]}
+        row: dict[str, Any] = {"cell": cell, "units": len(units)}
+        for system, column in failed.items():
+            row[system] = {
+                "median_ate_m": _median(units[f"{system}_ate_m"]),
+                "units_with_ate": int(units[f"{system}_ate_m"].notna().sum()),
+                "median_share_tracked": _median(units[f"{system}_share_tracked"]),
+                "median_path_share": _median(units[f"{system}_path_share"]),
+                "failed": _proportion(column),
+            }
+        rows.append(row)
+    return rows
+
+
+def table_2(
+    table: pd.DataFrame, threads: int, families: Mapping[str, str], systems: Mapping[str, str]
+) -> list[dict[str, Any]]:
+    """Failures of the base and of the dual with each number of threads, per system, family and in all.
+
+    Args:
+        table: the records.
+        threads: n.
+        families: of the cells: what stands where the paper has a data set.
+        systems: of the cells.
+    """
+    return [
+        names | _failure_rates(units, threads)
+        for names, units in _groups(completed(table), families, systems)
+    ]
+
+
+def _groups(
+    rows: pd.DataFrame, families: Mapping[str, str], systems: Mapping[str, str]
+) -> Iterator[tuple[dict[str, str], pd.DataFrame]]:
+    """Units of each system: those of each family, then all."""
+    system_of, family_of = rows["cell"].map(systems), rows["cell"].map(families)
+    for system in dict.fromkeys(systems.values()):
+        own = rows_where(rows, system_of == system)
+        for family in dict.fromkeys(families.values()):
+            yield {"system": system, "family": family}, rows_where(own, family_of[own.index] == family)
+        yield {"system": system, "family": "all"}, own
+
+
+def _failure_rates(units: pd.DataFrame, threads: int) -> dict[str, Any]:
+    levels = [_proportion(units[dual_column(n)]) for n in range(1, threads + 1)]
+    shares = {name: _proportion(units[name]) for name in ("breakage", "base_failure")}
+    shipped = _proportion(units["dual_failure"])
+    left = shipped["events"]
+    return {
+        **shares,
+        "dual": levels,
+        "dual_as_shipped": shipped,
+        **{
+            f"reduction_of_{name}": 1 - left / share["events"] if share["events"] else None
+            for name, share in shares.items()
+        },
+    }
+
+
+def table_3(
+    table: pd.DataFrame, threads: int, families: Mapping[str, str], systems: Mapping[str, str]
+) -> list[dict[str, Any]]:
+    """How often recovery was needed, how it went with which thread, its mean CPU time.
+
+    Arguments as `table_2`.
+    """
+    return [
+        names | _recoveries(units, threads) for names, units in _groups(completed(table), families, systems)
+    ]
+
+
+def _recoveries(units: pd.DataFrame, threads: int) -> dict[str, Any]:
+    broken = units[is_true(units["breakage"])]
+    waiting = pd.Series(True, index=broken.index)
+    cpu_s = pd.Series(0.0, index=broken.index)
+    with_thread = []
+    for thread in range(1, threads + 1):
+        # The system deploys one thread after the other until one declares success, be it false.
+        cpu_s += (
+            broken[thread_column("free", thread, "cpu_ms")].fillna(0).astype(float).where(waiting, 0) / 1e3
+        )
+        declared = waiting & is_true(broken[thread_column("free", thread, "declared")])
+        with_thread.append(int((declared & recovered(broken, thread)).sum()))
+        waiting &= ~declared
+    tried = is_true(broken["reinit"])
+    return {
+        "trials": len(units),
+        "needs_recovery": len(broken),
+        "failure": len(broken) - sum(with_thread),
+        "no_reinit": int((~tried).sum()),
+        "success": sum(with_thread),
+        "with_thread": with_thread,
+        "mean_recovery_cpu_s": float(cpu_s[tried].mean()) if tried.any() else None,
+    }
+
+
+def initialisation(
+    table: pd.DataFrame, systems: Mapping[str, str], frames_per_s: Mapping[str, float]
+) -> list[dict[str, Any]]:
+    """Seconds until a new map stands, per cell: after the breakage, and after the exposed segment's end.
+
+    Args:
+        table: the records.
+        systems: of the cells.
+        frames_per_s: of the cells.
+    """
+    rows = []
+    for cell, units in completed(table).groupby("cell", sort=False):
+        rate = frames_per_s[str(cell)]
+        waits = {
+            "after_breakage": units["reinit_frame"] - units["breakage_frame"],
+            "after_segment": units["cross_reinit_frame"] - units["end_frame"],
+        }
+        told = {f"{name}_s": spread(frames.astype("Float64") / rate) for name, frames in waits.items()}
+        rows.append({"cell": cell, "system": systems[str(cell)], **told})
+    return rows
+
+
+def timeline(table: pd.DataFrame, frames: Mapping[str, int]) -> list[dict[str, Any]]:
+    """Profiles of the first trials of every cell: frames at which tracking broke, was taken up, was bridged.
+
+    Args:
+        table: the records.
+        frames: frames of a sequence per cell.
+    """
+    profiles = []
+    for cell, units in completed(table).groupby("cell", sort=False):
+        shown = units.sort_values("index").head(UNITS_PER_CELL_OF_TIMELINE)
+        profiles.append(
+            {
+                "cell": cell,
+                "frames": frames[str(cell)],
+                "units": [_profile(row) for _, row in shown.iterrows()],
+            }
+        )
+    return profiles
+
+
+def _profile(row: pd.Series) -> dict[str, Any]:
+    names = ("unit_id", "index", "onset_frame", "end_frame", "breakage_frame", "reinit_frame")
+    flags = ("breakage", "relocalized", "base_failure", "silent_failure", "dual_relocalized")
+    profile = {name: as_data(row[name]) for name in (*names, *flags)}
+    return profile | {
+        "dual_failure": as_data(row["dual_failure"]),
+        "frames_to_cross": as_data(row["free_frames_to_cross"]),
+    }
+
+
+def end_errors(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Position error of the last pose in metres, per cell and unit, of base and dual; None without a pose."""
+    cells = (
+        (cell, units.sort_values("index")) for cell, units in completed(table).groupby("cell", sort=False)
+    )
+    return [
+        {
+            "cell": cell,
+            "index": [int(i) for i in units["index"]],
+            "base_m": as_data(units["base_end_error_m"].tolist()),
+            "dual_m": as_data(units["dual_end_error_m"].tolist()),
+            "base_failed": is_true(units["base_failure"]).tolist(),
+            "dual_failed": is_true(units["dual_failure"]).tolist(),
+        }
+        for cell, units in cells
+    ]
+
+
+def _proportion(column: pd.Series) -> dict[str, Any]:
+    yes, no = int(is_true(column).sum()), int(is_false(column).sum())
+    return as_data(clopper_pearson(yes, yes + no))
+
+
+def _median(column: pd.Series) -> float | None:
+    values = numbers(column)
+    return float(pd.Series(values).median()) if values else None

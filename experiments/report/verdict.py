@@ -1,0 +1,134 @@
+"""What was found, in plain words that say no more than the figures do."""
+
+from typing import Any
+
+from experiments.report.wording import figure_of, number, p_value, plural, proportion, share_of
+
+VERDICTS = ("consistent", "optimistic", "pessimistic", "undecided")
+
+
+def verdict(analysis: dict[str, Any]) -> dict[str, Any]:
+    """Counts of verdicts per n, headline and sentences, of the analysis as plain data."""
+    levels = [_level(analysis, n) for n in range(1, analysis["threads"] + 1)]
+    return {
+        "headline": _headline(levels),
+        "levels": [
+            level | {"told": _overall(level), "sentences": _sentences(level, analysis)} for level in levels
+        ],
+        "dependence": _dependence(analysis),
+        "meanings": _meanings(analysis["settings"]),
+    }
+
+
+def _meanings(settings: dict[str, Any]) -> dict[str, str]:
+    ratio, power = number(settings["power_ratio"]), number(settings["power_wanted"])
+    return {
+        "consistent": f"the test does not reject Eq. 1 and would have noticed a ratio of {ratio} with a "
+        f"power of at least {power}; not to reject is not to confirm",
+        "optimistic": "Eq. 1 promises too much: significantly more dual failures were measured than it "
+        "predicts",
+        "pessimistic": "Eq. 1 promises too little: significantly fewer dual failures were measured than it "
+        "predicts",
+        "undecided": f"Eq. 1 is not rejected, but too few units could tell: a ratio of {ratio} would have "
+        f"been noticed with a power below {power}",
+    }
+
+
+def _level(analysis: dict[str, Any], n: int) -> dict[str, Any]:
+    own = [(cell["cell"], level) for cell in analysis["cells"] for level in cell["levels"] if level["n"] == n]
+    named = {v: [cell for cell, level in own if level["verdict"] == v] for v in VERDICTS}
+    powers = [level["power_ratio_2"] for _, level in own if level["power_ratio_2"] is not None]
+    settings = analysis["settings"]
+    pooled = (e for e in analysis["heterogeneity"]["eckhardt_lee"] if e["n"] == n)
+    return {
+        "n": n,
+        "cells": len(own),
+        "counts": {v: len(named[v]) for v in VERDICTS},
+        "named": named,
+        "powered": sum(power >= settings["power_wanted"] for power in powers),
+        "power_low": min(powers, default=None),
+        "power_high": max(powers, default=None),
+        "equivalent": sum(
+            level["tost_p"] is not None and level["tost_p"] < settings["alpha"] for _, level in own
+        ),
+        "overall": next(pooled, None),
+    }
+
+
+def _headline(levels: list[dict[str, Any]]) -> str:
+    if not any(level["overall"] and level["overall"]["measured"]["units"] for level in levels):
+        return "Nothing can be said yet: no unit is completed."
+    total = {v: sum(level["counts"][v] for level in levels) for v in VERDICTS}
+    tests = sum(total.values())
+    if total["undecided"] == tests:
+        return "Undecided: nowhere are there units enough to tell whether Eq. 1 holds."
+    rest = f" {total['undecided']} of {tests} verdicts are undecided." if total["undecided"] else ""
+    if total["optimistic"] and total["pessimistic"]:
+        return (
+            f"Eq. 1 is off in both directions: {total['optimistic']} of {tests} verdicts find it optimistic, "
+            f"{total['pessimistic']} pessimistic.{rest}"
+        )
+    if total["optimistic"] or total["pessimistic"]:
+        way, which = ("more", "optimistic") if total["optimistic"] else ("fewer", "pessimistic")
+        off = f"Eq. 1 is rejected in {total[which]} of {tests} verdicts"
+        return f"{off}: {way} dual failures than it predicts.{rest}"
+    return f"Eq. 1 is not rejected in {total['consistent']} of {tests} verdicts that could tell.{rest}"
+
+
+def _sentences(level: dict[str, Any], analysis: dict[str, Any]) -> list[str]:
+    settings, said = analysis["settings"], []
+    if level["power_low"] is not None:
+        low, high = (number(round(level[f"power_{end}"], 2)) for end in ("low", "high"))
+        said.append(
+            f"The power to notice a ratio of {number(settings['power_ratio'])} is {low} to {high}; it "
+            f"reaches {number(settings['power_wanted'])} in {plural(level['powered'], 'cell')}."
+        )
+    said.append(
+        f"Agreement within a factor of {number(settings['equivalence_ratio'])} is shown in "
+        f"{plural(level['equivalent'], 'cell')} (equivalence test, uncorrected)."
+    )
+    return said
+
+
+def _overall(level: dict[str, Any]) -> str | None:
+    """What was measured of all units beside what Eq. 1 predicts, and whether the intervals overlap."""
+    overall = level["overall"]
+    if not overall or not overall["measured"]["units"]:
+        return None
+    measured, within = overall["measured"], overall["within"]
+    said = (
+        f"All cells together, n = {level['n']}: dual failures were measured in {proportion(measured)}. "
+        f"Eq. 1 within each cell predicts {share_of(within)}, "
+        f"Eq. 1 of the pooled shares {share_of(overall['pooled'])}."
+    )
+    if within["low"] is None or within["high"] is None:
+        return said
+    apart = (
+        "above" if measured["low"] > within["high"] else "below" if measured["high"] < within["low"] else None
+    )
+    if apart is None:
+        return f"{said} The intervals of measured and predicted within cells overlap."
+    return f"{said} The measured interval lies {apart} that of the prediction within cells."
+
+
+def _dependence(analysis: dict[str, Any]) -> list[str]:
+    """The odds ratios over all units, and how often independence is rejected within worlds."""
+    said = []
+    alpha = analysis["settings"]["alpha"]
+    for thread in range(1, analysis["threads"] + 1):
+        own = [t for cell in analysis["cells"] for t in cell["threads"] if t["thread"] == thread]
+        told = [t for t in own if t["fisher_p"] is not None]
+        within = [t for t in own if t["mantel_haenszel_p"] is not None]
+        if told:
+            rejected = sum(t["fisher_p"] < alpha for t in told)
+            rejected_within = sum(t["mantel_haenszel_p"] < alpha for t in within)
+            least = p_value(min(t["fisher_p"] for t in told))
+            said.append(
+                f"Thread {thread}: independence of breakage and recovery failure is rejected in {rejected} "
+                f"of {plural(len(told), 'cell')} on the whole (least p {least}, uncorrected) and in "
+                f"{rejected_within} of {len(within)} within worlds."
+            )
+    for name, estimate in analysis["heterogeneity"]["gee"].items():
+        if estimate["value"] is not None and "odds" in name:
+            said.append(f"Over all units, {name}: {figure_of(estimate)}.")
+    return said

@@ -1,0 +1,104 @@
+"""Figures as people read them: rounded, with their intervals; report.json holds them whole."""
+
+from collections.abc import Callable
+from typing import Any
+
+NONE = "–"
+
+
+def percent(value: float | None) -> str:
+    """A share as a percentage, with more digits the smaller it is."""
+    if value is None:
+        return NONE
+    hundredth = 100 * value
+    if hundredth == 0 or abs(hundredth) >= 0.95:
+        return f"{hundredth:.1f} %"
+    return f"{hundredth:.2g} %"
+
+
+def number(value: float | None) -> str:
+    """A figure with three significant digits; whole numbers whole."""
+    if value is None:
+        return NONE
+    if isinstance(value, int) or (value == int(value) and abs(value) < 1e5):
+        return f"{int(value)}"
+    return (
+        f"{value:.3g}"
+        if 1e-3 <= abs(value) < 1e3
+        else f"{value:.3g}".replace("e-0", "e-").replace("e+0", "e")
+    )
+
+
+def metres(value: float | None) -> str:
+    """To the centimetre."""
+    return NONE if value is None else f"{value:.2f}"
+
+
+def p_value(value: float | None) -> str:
+    """A p-value; the very small ones only as such."""
+    if value is None:
+        return NONE
+    return "< 0.001" if value < 0.001 else f"{value:.3f}" if value < 0.1 else f"{value:.2f}"
+
+
+def proportion(share: dict[str, Any] | None) -> str:
+    """Events of units, the share, its interval."""
+    if share is None:
+        return NONE
+    if not share["units"]:
+        return "0 of 0"
+    return f"{share['events']} of {share['units']}: {percent(share['estimate'])} {_ends(share, percent)}"
+
+
+def ends(of: dict[str, Any]) -> str:
+    """The ends of an interval."""
+    return _between(of, number)
+
+
+def ends_percent(of: dict[str, Any]) -> str:
+    """The ends of an interval of a share."""
+    return _between(of, percent)
+
+
+def share_of(estimate: dict[str, Any] | None) -> str:
+    """An estimated probability with its interval, as percentages."""
+    return _estimate(estimate, percent)
+
+
+def figure_of(estimate: dict[str, Any] | None) -> str:
+    """An estimate with its interval."""
+    return _estimate(estimate, number)
+
+
+def counts(values: dict[str, int]) -> str:
+    """Names with their counts."""
+    return ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in values.items()) or NONE
+
+
+def plural(count: int, noun: str) -> str:
+    """A count with its noun."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def _estimate(estimate: dict[str, Any] | None, form: Callable[[float | None], str]) -> str:
+    if estimate is None or estimate["value"] is None:
+        return NONE
+    return f"{form(estimate['value'])} {_ends(estimate, form)}".strip()
+
+
+def _ends(of: dict[str, Any], form: Callable[[float | None], str]) -> str:
+    between = _between(of, form)
+    return f"({between})" if between else ""
+
+
+def _between(of: dict[str, Any], form: Callable[[float | None], str]) -> str:
+    if of["low"] is None and of["high"] is None:
+        return ""
+    low, high = ("?" if end is None else form(end) for end in (of["low"], of["high"]))
+    return f"{low.removesuffix(' %') if high.endswith(' %') else low} to {high}"
+
+
+FILTERS = {
+    f.__name__: f
+    for f in (percent, number, metres, p_value, proportion, share_of, ends, ends_percent, counts)
+}
