@@ -1,0 +1,130 @@
+"""Do forward and backward failures depend on each other? Two by two tables of paired units."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import binomtest, fisher_exact
+from statsmodels.stats.contingency_tables import StratifiedTable
+
+from experiments.statistics.joint import Bools, Floats
+from experiments.statistics.results import Estimate
+
+_POSTERIOR = "interval of posterior draws, one unit's worth of prior"
+
+
+@dataclass(frozen=True)
+class PairedCounts:
+    """Units by whether A and whether R."""
+
+    both: int
+    only_a: int
+    only_r: int
+    neither: int
+
+    @classmethod
+    def of_units(cls, a: Bools, r: Bools) -> "PairedCounts":
+        """Count (N,) by (N,)."""
+        return cls(int((a & r).sum()), int((a & ~r).sum()), int((~a & r).sum()), int((~a & ~r).sum()))
+
+    @property
+    def units(self) -> int:
+        """All of them."""
+        return self.both + self.only_a + self.only_r + self.neither
+
+    @property
+    def table(self) -> list[list[int]]:
+        """Rows A, not A; columns R, not R."""
+        return [[self.both, self.only_a], [self.only_r, self.neither]]
+
+
+def conditional_ratio(
+    counts: PairedCounts, draws: int, rng: np.random.Generator, confidence: float = 0.95
+) -> Estimate:
+    """ρ = P(R | A) / P(R); 1 under independence, undetermined without A or without R."""
+    method = f"P(R | A) / P(R); {_POSTERIOR}"
+    has_a, has_r = counts.both + counts.only_a, counts.both + counts.only_r
+    if has_a == 0 or has_r == 0:
+        return Estimate.undetermined(method)
+    both, only_a, only_r, _ = _draws(counts, draws, rng)
+    low, high = _tails(both / (both + only_a) / (both + only_r), confidence)
+    value = counts.both / has_a / (has_r / counts.units)
+    return Estimate(value, low if counts.both else 0.0, high, method)
+
+
+def phi(counts: PairedCounts, draws: int, rng: np.random.Generator, confidence: float = 0.95) -> Estimate:
+    """Correlation of A and R; undetermined where one of them always or never happened."""
+    method = f"phi; {_POSTERIOR}"
+    cells = np.array([[counts.both], [counts.only_a], [counts.only_r], [counts.neither]], float)
+    if (cells[0] + cells[1]) * (cells[0] + cells[2]) * (cells[1] + cells[3]) * (cells[2] + cells[3]) == 0:
+        return Estimate.undetermined(method)
+    low, high = _tails(_phi(_draws(counts, draws, rng)), confidence)
+    return Estimate(float(_phi(cells)[0]), low, high, method)
+
+
+def fisher(counts: PairedCounts) -> float | None:
+    """Two-sided exact p of independence; None where one of the two always or never happened."""
+    table = np.array(counts.table)
+    if 0 in (*table.sum(axis=0), *table.sum(axis=1)):
+        return None
+    return float(fisher_exact(table).pvalue)
+
+
+def mcnemar(counts: PairedCounts) -> float | None:
+    """Two-sided exact p of P(A) = P(R) on paired units; None of no units, 1 where no pair differs."""
+    if counts.units == 0:
+        return None
+    differing = counts.only_a + counts.only_r
+    return float(binomtest(counts.only_a, differing).pvalue) if differing else 1.0
+
+
+def mantel_haenszel(
+    a: Bools, r: Bools, stratum: ArrayLike, confidence: float = 0.95
+) -> tuple[Estimate, float | None]:
+    """Common odds ratio of A and R within strata (worlds), and the p of independence within them.
+
+    Only strata in which both A and R vary tell; without one, all is undetermined. Dependence on the whole
+    that is gone within worlds is uneven difficulty of the worlds.
+
+    Source: Mantel & Haenszel, J. National Cancer Institute 1959.
+    """
+    method = "Mantel–Haenszel odds ratio within worlds"
+    _, index = np.unique(np.asarray(stratum), return_inverse=True)
+    tables = np.zeros((int(index.max()) + 1 if index.size else 0, 2, 2))
+    np.add.at(tables, (index, (~a).astype(int), (~r).astype(int)), 1)
+    rows, columns = tables.sum(axis=2), tables.sum(axis=1)
+    telling = tables[(rows.min(axis=1) > 0) & (columns.min(axis=1) > 0)] if len(tables) else tables
+    if len(telling) == 0:
+        return Estimate.undetermined(method), None
+    found = StratifiedTable(np.moveaxis(telling, 0, -1))
+    with np.errstate(all="ignore"):
+        p = float(found.test_null_odds(correction=False).pvalue)
+        value = float(found.oddsratio_pooled)
+        low, high = found.oddsratio_pooled_confint(1 - confidence)
+    bounded = math.isfinite(value) and value > 0 and math.isfinite(low) and math.isfinite(high)
+    return (
+        Estimate(
+            value if math.isfinite(value) else None,
+            float(low) if bounded else None,
+            float(high) if bounded else None,
+            method,
+        ),
+        p if math.isfinite(p) else None,
+    )
+
+
+def _draws(counts: PairedCounts, draws: int, rng: np.random.Generator) -> Floats:
+    cells = np.array([counts.both, counts.only_a, counts.only_r, counts.neither])
+    return rng.dirichlet(cells + 0.25, draws).T
+
+
+def _phi(cells: Floats) -> Floats:
+    both, only_a, only_r, neither = cells
+    scale = (both + only_a) * (both + only_r) * (only_a + neither) * (only_r + neither)
+    return (both * neither - only_a * only_r) / np.sqrt(scale)
+
+
+def _tails(draws: Floats, confidence: float) -> tuple[float, float]:
+    low, high = np.quantile(draws, [(1 - confidence) / 2, (1 + confidence) / 2])
+    return float(low), float(high)

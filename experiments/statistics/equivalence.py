@@ -1,0 +1,51 @@
+"""Equivalence (two one-sided tests) of measured and predicted, and Holm's correction."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from experiments.statistics.joint import JointCounts
+from experiments.statistics.likelihood_ratio import one_sided_p
+
+
+def tost(counts: JointCounts, bound: float, replicates: int, rng: np.random.Generator) -> float | None:
+    """The p of H0 "the log ratio of measured to predicted is at least log(bound) away from 0".
+
+    Not rejecting Eq. 1 confirms nothing; rejecting this does: the ratio is then within (1/bound, bound).
+
+    Args:
+        counts: of a cell.
+        bound: > 1.
+        replicates: drawn at each edge.
+        rng: of the draws.
+
+    Returns:
+        The larger p of the two one-sided tests; None where nothing tells.
+
+    Raises:
+        ValueError: bound <= 1.
+
+    Source: Schuirmann, "A comparison of the two one-sided tests procedure", 1987.
+    """
+    if bound <= 1:
+        raise ValueError(f"equivalence bound {bound} is not above 1")
+    found = counts.margins
+    if found.breakages[0] == 0 or (found.failures[0] == 0 and found.crossings[0].min() == 0):
+        return None
+    not_larger = one_sided_p(counts, bound, above=False, replicates=replicates, rng=rng)
+    not_smaller = one_sided_p(counts, 1 / bound, above=True, replicates=replicates, rng=rng)
+    return max(not_larger, not_smaller)
+
+
+def holm(p_values: Sequence[float | None]) -> list[float | None]:
+    """Holm's corrected p, in the order given; None stays None and counts as no test.
+
+    Source: Holm, "A simple sequentially rejective multiple test procedure", Scand. J. of Statistics 1979.
+    """
+    tested = [(p, i) for i, p in enumerate(p_values) if p is not None]
+    corrected: list[float | None] = [None] * len(p_values)
+    running = 0.0
+    for rank, (p, i) in enumerate(sorted(tested)):
+        running = max(running, min(1.0, (len(tested) - rank) * p))
+        corrected[i] = running
+    return corrected
