@@ -135,7 +135,7 @@ def execute(
         wall_s += time.perf_counter() - started
         if observer is not None:
             observer.frame(image, result, system)
-        results.append(_without_features(result))
+        results.append(without_features(result))
         if progress is not None:
             progress(index + 1, len(sequence))
     started = time.perf_counter()
@@ -146,12 +146,26 @@ def execute(
         sequence = sequence.only(np.array(fed, int))
     if at_end is not None:
         at_end(system, sequence)
+    return record_of(system, sequence, system_kind, seed, results, wall_s, dropped)
+
+
+def record_of(
+    system: SlamSystem,
+    sequence: Sequence,
+    system_kind: SystemKind,
+    seed: int,
+    results: Iterable[TrackingResult],
+    wall_s: float,
+    dropped: int = 0,
+) -> RunRecord:
+    """The record of a finished system; arguments as its fields."""
+    results = tuple(results)
     return RunRecord(
         sequence=sequence,
         system_kind=system_kind,
         seed=seed,
         config=system.settings,
-        results=tuple(results),
+        results=results,
         events=tuple(system.events),
         trajectories=tuple(system.trajectories()),
         keyframes=tuple(system.keyframe_trajectories()),
@@ -194,5 +208,6 @@ def live_trajectories(results: Iterable[TrackingResult]) -> dict[int, MapTraject
     }
 
 
-def _without_features(result: TrackingResult) -> TrackingResult:
+def without_features(result: TrackingResult) -> TrackingResult:
+    """What is kept of a frame."""
     return replace(result, keypoints_px=np.empty((0, 2), np.float32), inlier_mask=np.empty(0, bool))

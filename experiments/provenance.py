@@ -1,5 +1,6 @@
 """Where a result comes from: the code's commit, versions, the machine."""
 
+import hashlib
 import os
 import platform
 import subprocess
@@ -30,6 +31,19 @@ def commit() -> str | None:
     if head is None:
         return None
     return head + ("-dirty" if _git(folder, "status", "--porcelain") else "")
+
+
+@cache
+def code_hash() -> str:
+    """Hash of all that makes images and poses: the sources and the data files of scenarios, sim and slam."""
+    digest = hashlib.sha256()
+    root = Path(__file__).resolve().parent.parent
+    for package in ("scenarios", "sim", "slam"):
+        for path in sorted((root / package).rglob("*")):
+            if path.suffix in (".py", ".npz"):
+                digest.update(path.relative_to(root).as_posix().encode())
+                digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 @cache

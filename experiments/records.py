@@ -60,6 +60,7 @@ UNIT_COLUMNS: dict[str, tuple[ColumnType, str]] = {
     "dual_ate_m": ("float", "ATE of its largest map"),
     "dual_path_share": ("float", "share of the path that it covers"),
     "dual_end_error_m": ("float", "position error of the last pose, aligned on the lead-in"),
+    "dual_failure": ("bool", "B, and the first thread to declare success was false, or none did: as shipped"),
     "dual_relocalized": ("bool", "given B: the dual went on in the broken map by relocalization"),
     # Crossing arm.
     "cross_reinit": ("bool", "a new map stood after the exposed segment"),
@@ -77,18 +78,27 @@ THREAD_COLUMNS: dict[str, tuple[ColumnType, str]] = {
     "failed": ("bool", "R_j: it did not relate the maps, or its fusion is false by the audit"),
     "declared": ("bool", "its own word: it related the maps"),
     "false": ("bool", "given declared: out of bounds by the audit (false recovery)"),
-    "stage": ("text", "where it failed: propagation, overlap, sim3, audit, no_reinit"),
+    "stage": ("text", "where it failed: propagation, overlap, sim3, fusion, audit, no_reinit"),
     "reason": ("text", "why"),
     "frames_covered": ("int", "frames it went back over"),
     "scale_error": ("float", "given declared: scale over the true one, minus 1"),
     "seam_error_m": ("float", "given declared: position error of the new map in the old one"),
-    "cpu_ms": ("float", "its CPU time"),
+    "cpu_ms": ("float", "its CPU time; of an arm run later less, where features are known already"),
     "inliers": ("int", "of its alignment"),
 }
 """Per arm and thread, named ``free_r1_failed``, ``cross_r2_cpu_ms`` and so on; ``free_`` only where B."""
 
 DUAL_COLUMN = "d{n}"
 """``d1`` … ``dn`` (bool): the whole has failed with the first n threads: B and R_1 … R_n of the free arm."""
+
+
+MEASURED_COLUMNS = ("attempts", "render_s", "slam_s", "cpu_s", "wall_s", "peak_rss_mb")
+"""What may differ between two runs of a unit, beside the threads' ``cpu_ms``."""
+
+
+def decided(record: dict[str, Any]) -> dict[str, Any]:
+    """The columns of a record that its unit and the code decide: the same, bit for bit, in every run."""
+    return {k: v for k, v in record.items() if k not in MEASURED_COLUMNS and not k.endswith("_cpu_ms")}
 
 
 def thread_column(arm: Literal["free", "cross"], thread: int, name: str) -> str:
@@ -107,7 +117,8 @@ def columns(threads: int) -> dict[str, ColumnType]:
     for arm in ("free", "cross"):
         for thread in range(1, threads + 1):
             named |= {thread_column(arm, thread, n): kind for n, (kind, _) in THREAD_COLUMNS.items()}
-    return named | {dual_column(n): "bool" for n in range(1, threads + 1)}
+    whole: dict[str, ColumnType] = {dual_column(n): "bool" for n in range(1, threads + 1)}
+    return named | whole
 
 
 def empty_record(unit: UnitSpec) -> dict[str, Any]:

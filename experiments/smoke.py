@@ -13,8 +13,8 @@ import pyarrow.parquet as pq
 
 from experiments.output import new_directory
 from experiments.provenance import commit
+from experiments.smoke_trial import Outcome, empty_row, run_trial
 from experiments.statistics.intervals import Proportion, clopper_pearson
-from experiments.trial import Outcome, empty_row, run_trial
 from scenarios.spec import Scenario
 
 TABLE_FILE = "units.parquet"

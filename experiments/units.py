@@ -30,7 +30,8 @@ class UnitSpec(Strict):
         severity: dose of the degradation, in the unit that the experiment states.
         index: number of the unit in its cell, from 0.
         world_seed, nuisance_seed: of the world; of path, sensor noise, draws of the segment and the SLAM.
-        scenario: as drawn, with these seeds: lead-in, one exposed segment, tail.
+        scenario: as drawn, with these seeds: lead-in, exposed segment with what acts in it, tail.
+        onset_s, exposed_s: the exposed segment; None for that of the scenario's first injected segment.
         threads: the recovery threads, in order; n of Eq. 1 is their number.
         system: what runs in the free arm beside the base; the crossing arm is of the same kind.
         arms: which are run.
@@ -44,6 +45,8 @@ class UnitSpec(Strict):
     world_seed: int = Field(ge=0)
     nuisance_seed: int = Field(ge=0)
     scenario: Scenario
+    onset_s: float | None = Field(None, ge=0)
+    exposed_s: float | None = Field(None, gt=0)
     threads: tuple[ThreadChoice, ...] = Field(min_length=1)
     system: Literal["dual", "dual+"] = "dual"
     arms: tuple[ArmName, ...] = ("free", "crossing")

@@ -183,7 +183,7 @@ def _family(file: YamlFile, member_id: str | None = None) -> Family:
     else:
         members = ()
         name = f"{own.get('name', file.path.stem)}/{member_id}"
-        own = {**_merged(own, file.data[MEMBERS][member_id] or {}), "name": name}
+        own = {**merged(own, file.data[MEMBERS][member_id] or {}), "name": name}
 
     def where(at: Location) -> str:
         return _where(file, member_id, at, at)
@@ -194,7 +194,7 @@ def _family(file: YamlFile, member_id: str | None = None) -> Family:
     parameters = {
         field_path(at): found
         for key, value in own.items()
-        for at, found in _distributions(value, (key,), where)
+        for at, found in distributions_in(value, (key,), where)
     }
     description = str(own.get("description", ""))
     return Family(name, description, members, parameters, _seed(own, where), own, file, member_id)
@@ -220,24 +220,24 @@ def _members(file: YamlFile) -> tuple[str, ...]:
     return tuple(members)
 
 
-def _merged(base: dict[Any, Any], over: dict[Any, Any]) -> dict[Any, Any]:
+def merged(base: dict[Any, Any], over: dict[Any, Any]) -> dict[Any, Any]:
     """Mappings merged key by key. Anything else replaces, and so does a mapping of another kind."""
-    merged = dict(base)
+    result = dict(base)
     for key, value in over.items():
         before = base.get(key, {})
         alike = _is_plain_mapping(before) and _is_plain_mapping(value)
         if alike and ("kind" not in value or value["kind"] == before.get("kind")):
-            merged[key] = _merged(before, value)
+            result[key] = merged(before, value)
         else:
-            merged[key] = value
-    return merged
+            result[key] = value
+    return result
 
 
 def _is_plain_mapping(node: Any) -> bool:
     return isinstance(node, dict) and not is_distribution(node)
 
 
-def _distributions(
+def distributions_in(
     node: Any, at: Location, where: Callable[[Location], str]
 ) -> Iterator[tuple[Location, Distribution]]:
     """Every distribution in a node, with its place."""
@@ -250,7 +250,7 @@ def _distributions(
         node, at = (node["choice"], (*at, "choice")) if isinstance(found, Choice) else (None, at)
     inner = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
     for key, value in inner:
-        yield from _distributions(value, (*at, key), where)
+        yield from distributions_in(value, (*at, key), where)
 
 
 def _seed(written: dict[str, Any], where: Callable[[Location], str]) -> int:

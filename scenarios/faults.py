@@ -28,21 +28,26 @@ def problem_and_remedy(fault: Any) -> tuple[str, str]:
 
 
 def first_fault(
-    error: ValidationError, where: Callable[[Location], str], of_sample: str, extra_keys: tuple[str, ...]
+    error: ValidationError,
+    where: Callable[[Location], str],
+    of_sample: str = "",
+    extra_keys: tuple[str, ...] = (),
+    root: type[BaseModel] = Scenario,
 ) -> InputError:
     """The most telling fault, with the number of further ones.
 
     Args:
-        error: from validating a scenario.
-        where: file, line and field of a location in the scenario.
+        error: from validating a scenario, or what else ``root`` is.
+        where: file, line and field of a location in it.
         of_sample: what was drawn with which seed, in words; empty if nothing was drawn.
-        extra_keys: keys that are allowed at the top beside the scenario's own.
+        extra_keys: keys that are allowed at the top beside the model's own.
+        root: the model.
     """
     # A misspelt key also shows as a missing one: name the misspelling.
     first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     more = error.error_count() - 1
     rest = f" ({more} more in this file)" if more else ""
-    location, problem, remedy = _told(first, extra_keys)
+    location, problem, remedy = _told(first, extra_keys, root)
     return InputError(where(location), problem + of_sample, remedy + rest)
 
 
@@ -65,25 +70,25 @@ def field_annotation(location: Location, data: Any) -> Any:
     return annotation
 
 
-def _told(fault: Any, extra_keys: tuple[str, ...]) -> tuple[Location, str, str]:
+def _told(fault: Any, extra_keys: tuple[str, ...], root: type[BaseModel]) -> tuple[Location, str, str]:
     """Location, problem and remedy of one of pydantic's faults."""
-    model, location = _resolve(fault["loc"])
+    model, location = _resolve(fault["loc"], root)
     context = fault.get("ctx", {})
     if fault["type"] == "extra_forbidden":
         allowed = [name for name in model.model_fields if name != "spec_version"]
-        allowed += extra_keys if model is Scenario else ()
+        allowed += extra_keys if model is root else ()
         return location, "unknown key", f"use {guess(str(location[-1]), allowed)}one of {', '.join(allowed)}"
     if fault["type"] in ("union_tag_invalid", "union_tag_not_found"):
-        tags = str(context.get("expected_tags") or ", ".join(_kinds(location))).replace("'", "")
+        tags = str(context.get("expected_tags") or ", ".join(_kinds(location, root))).replace("'", "")
         given = str(context.get("tag", ""))
         problem = f"unknown kind {given!r}" if given else "is missing"
         return (*location, "kind"), problem, f"use {guess(given, tags.split(', '))}one of {tags}"
     return location, *problem_and_remedy(fault)
 
 
-def _resolve(loc: Location) -> tuple[type[BaseModel], Location]:
+def _resolve(loc: Location, root: type[BaseModel]) -> tuple[type[BaseModel], Location]:
     """The model that holds the field of a pydantic location, and the location without union tags."""
-    model: type[BaseModel] = Scenario
+    model = root
     plain: list[str | int] = []
     candidates: list[type[BaseModel]] = []
     for part in loc:
@@ -117,6 +122,6 @@ def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
         yield from _models_in(argument)
 
 
-def _kinds(location: Location) -> list[str]:
-    field = Scenario.model_fields[str(location[0])].annotation
+def _kinds(location: Location, root: type[BaseModel]) -> list[str]:
+    field = root.model_fields[str(location[0])].annotation
     return [str(kind) for m in _models_in(field) for kind in get_args(m.model_fields["kind"].annotation)]

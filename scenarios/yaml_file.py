@@ -52,8 +52,15 @@ def field_path(location: Location) -> str:
     return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
 
 
-def read_yaml(path: Path) -> YamlFile:
+def read_yaml(
+    path: Path, holds: str = "scenario", example: str = "`dslab scenarios show clean-room`"
+) -> YamlFile:
     """Read one file.
+
+    Args:
+        path: of the file.
+        holds: what it should hold, for the fault of one that does not.
+        example: where the reader finds one.
 
     Raises:
         InputError: there is no such file, or it is no YAML, holds no mapping, or a key twice.
@@ -61,7 +68,7 @@ def read_yaml(path: Path) -> YamlFile:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise InputError(str(path), "no such file", "check the path, or see `dslab scenarios list`") from None
+        raise InputError(str(path), "no such file", f"check the path, or start from {example}") from None
     except UnicodeDecodeError:
         raise InputError(str(path), "is not UTF-8 text", "give a YAML file") from None
     except OSError as error:
@@ -74,7 +81,7 @@ def read_yaml(path: Path) -> YamlFile:
     except (ValueError, RecursionError) as error:
         raise InputError(str(path), f"is not valid YAML ({error})", "correct the value") from None
     if not isinstance(data, dict) or root is None:
-        raise InputError(str(path), "holds no scenario", "start from `dslab scenarios show clean-room`")
+        raise InputError(str(path), f"holds no {holds}", f"start from {example}")
     for location, key in _duplicate_keys(root):
         where = f"{path}:{key.start_mark.line + 1}: {field_path(location)}"
         raise InputError(where, "key appears twice", "keep one of them")

@@ -144,7 +144,12 @@ class RecoveryStart(Event):
 
 @dataclass(frozen=True, kw_only=True)
 class RecoveryEnd(Event):
-    """A recovery thread ended. ``stage`` is where it failed: propagation, overlap, sim3; empty on success."""
+    """A recovery thread ended. ``stage`` is where it failed: propagation, overlap, sim3; empty on success.
+
+    Attributes:
+        S_old_new: on success the rows of the (4, 4) similarity from the new map, as it was when the recovery
+            started, to the old one.
+    """
 
     kind: ClassVar[str] = "recovery_end"
     thread: int
@@ -157,6 +162,12 @@ class RecoveryEnd(Event):
     frames_passed_over: int
     inliers: int
     cpu_ms: float
+    S_old_new: tuple[tuple[float, ...], ...] | None = None
+
+    def record(self) -> dict:
+        """A flat record for events.jsonl."""
+        rows = self.S_old_new
+        return {**super().record(), "S_old_new": None if rows is None else [list(row) for row in rows]}
 
 
 @dataclass(frozen=True, kw_only=True)

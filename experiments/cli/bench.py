@@ -22,7 +22,7 @@ from experiments.cli.console import (
 )
 from experiments.cli.run import SystemChoice
 
-_HELP = """Measure the speed of the tracker, or with `sim` that of the simulator.
+_HELP = """Measure the speed of the tracker, with `sim` of the simulator, with `experiment` of whole units.
 
 `dslab bench` alone and `dslab bench SOURCE` are `dslab bench slam`. For example:
 
@@ -33,6 +33,8 @@ _HELP = """Measure the speed of the tracker, or with `sim` that of the simulator
 `dslab bench path/to/sequence --peer "orbslam3.py --features 2000"`
 
 `dslab bench sim`
+
+`dslab bench experiment`
 """
 _RUNS, _RUNS_WITH_PEER = 1, 5
 
@@ -218,3 +220,42 @@ def _rates_table(figures: dict[str, Any]) -> Table:
             f"<= {number(asked['peak_rss_mb'], 0)}",
         )
     return table
+
+
+@app.command("experiment")
+def experiment_command(
+    experiment: Annotated[str, typer.Argument(metavar="NAME|SPEC.yaml", help="The experiment.")] = "smoke",
+    units: Annotated[int, typer.Option(min=1, help="Units per lap.")] = 4,
+    workers: Annotated[int, typer.Option(min=2, help="Workers of the second lap.")] = 2,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as one line of JSON.")] = False,
+) -> None:
+    """Measure units per hour on one worker and on several, and where their time goes.
+
+    Nothing is taken from the cache of rendered sequences. Where the machine is shared with other work, look
+    at the shares, which are of CPU time. For example:
+
+    `dslab bench experiment`
+
+    `dslab bench experiment eq1-quick --units 8 --workers 4`
+    """
+    from experiments.bench_experiment import bench_experiment
+    from experiments.spec import load_spec
+    from experiments.trial import run_unit
+
+    with progress_bars() as show:
+        figures = bench_experiment(load_spec(experiment), units, workers, run_unit, show)
+    if as_json:
+        print_json_line(figures)
+        return
+    table = Table(title=f"{figures['experiment']}, {figures['cores']} cores")
+    for column in ("workers", "units", "units per hour", "CPU s each", "render", "SLAM", "overhead"):
+        table.add_column(column, justify="right")
+    for lap in figures["laps"]:
+        shares = (share(lap[f"{part}_share"]) for part in ("render", "slam", "overhead"))
+        each = number(lap["cpu_s"] / lap["units"] if lap["units"] else None, 1)
+        table.add_row(str(lap["workers"]), str(lap["units"]), number(lap["units_per_hour"], 1), each, *shares)
+    out.print(table)
+    out.print(
+        f"{workers} workers against one: {number(figures['speed_up'], 2)} times the units per hour "
+        f"({number(figures['speed_up_cores_free'], 2)} with a free core for each, by CPU time)"
+    )

@@ -1,91 +1,300 @@
 """``dslab experiment``."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
 
-from experiments.cli.console import out, print_json_line, progress_bars, single_threaded_opencv
+from experiments.cli.console import err, number, out, print_json_line, progress_bars
+from experiments.cli.experiment_progress import estimates_text, experiment_progress
 from experiments.cli.fuzz import fuzz_command
 
-app = typer.Typer(help="Many units through base and Dual-SLAM, counted.", no_args_is_help=True)
+if TYPE_CHECKING:
+    from experiments.experiment_status import ExperimentStatus
+    from experiments.spec import ExperimentSpec
+
+_HELP = """Many units through base and Dual-SLAM: run, resume, look, replay, report.
+
+A folder holds an experiment: its spec, its ledger with a row per unit, what is made of them. For example:
+
+`dslab experiment run smoke --out out/smoke`
+
+`dslab experiment report out/smoke`
+"""
+app = typer.Typer(help=_HELP, no_args_is_help=True)
 app.command("fuzz")(fuzz_command)
 
-
-@app.callback()
-def _group() -> None:
-    """Many units through base and Dual-SLAM, counted."""
+FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of an experiment.")]
+TimeoutOption = Annotated[float, typer.Option(min=1, help="The longest that a unit may take, seconds.")]
+MemoryOption = Annotated[
+    int,
+    typer.Option(
+        min=0, metavar="MB", help="Memory at which a worker is ended and its unit tried again; 0: any."
+    ),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one line of JSON.")]
+_TIMEOUT_S, _MEMORY_MB = 1800.0, 4000
 
 
 @app.command("run")
 def run_command(
-    name: Annotated[Literal["smoke"], typer.Argument(help="The experiment.")],
-    out_dir: Annotated[Path, typer.Option("--out", help="Result folder; absent or empty.")],
-    units: Annotated[int, typer.Option(min=1, help="Number of units, one seed each.")] = 20,
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
-    scenario: Annotated[str, typer.Option(help="Scenario: a name or a YAML file.")] = "stressed",
-    as_json: Annotated[bool, typer.Option("--json", help="Print the counts as one line of JSON.")] = False,
+    experiment: Annotated[
+        str, typer.Argument(metavar="NAME|SPEC.yaml", help="A preset or a spec of your own.")
+    ],
+    out_dir: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the experiment.")],
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; by default one per core.")] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="URL", help="Dask scheduler to use, in place of processes of this machine."),
+    ] = None,
+    units: Annotated[int | None, typer.Option(min=1, help="Units per cell, in place of the spec's.")] = None,
+    timeout: TimeoutOption = _TIMEOUT_S,
+    memory: MemoryOption = _MEMORY_MB,
+    retry_errors: Annotated[
+        bool,
+        typer.Option("--retry-errors", help="Try units again that were given up for infrastructure errors."),
+    ] = False,
+    as_json: JsonOption = False,
 ) -> None:
-    """Run seeds of a scenario through base and Dual-SLAM on the same images; count failures against Eq. 1.
+    """Run an experiment, or go on with it: units that the folder holds already are not run again.
 
-    Of a family every seed is another scenario. Writes units.parquet, one row per unit. For example:
+    May be interrupted at any time, also by `kill -9`: units under way are lost, the others stay. The rows are
+    the same for any number of workers. For example:
 
-    `dslab experiment run smoke --out out/smoke --units 10`
+    `dslab experiment run smoke --out out/smoke`
+
+    `dslab experiment run my-spec.yaml --out out/mine --workers 8 --units 100`
+
+    `dslab experiment run eq1-full --out out/full --scheduler tcp://10.0.0.1:8786`
+    """
+    from experiments.crew import CrewSettings, open_crew
+    from experiments.provenance import usable_cores
+    from experiments.runner import run_experiment
+    from experiments.spec import load_spec
+    from experiments.stopping import stopping_rule
+    from experiments.trial import run_unit
+
+    spec = load_spec(experiment)
+    if units is not None:
+        spec = _with_units(spec, units)
+    settings = CrewSettings(
+        workers=workers or usable_cores(),
+        scheduler=scheduler,
+        timeout_s=timeout,
+        memory_mb=memory or None,
+    )
+    rule = stopping_rule(spec.stopping)
+    try:
+        with experiment_progress(spec.name) as show:
+            tally = run_experiment(
+                spec, out_dir, lambda: open_crew(settings, run_unit), rule, retry_errors, show
+            )
+    except KeyboardInterrupt:
+        err.print(f"{out_dir} keeps the units that have ended: run the same command again", soft_wrap=True)
+        raise
+    if as_json:
+        status_command(out_dir, as_json=True)
+        return
+    out.print(f"{tally.done} of {tally.total} units: {estimates_text(tally)}")
+    if tally.retries:
+        out.print(
+            f"{tally.retries} attempts ended in infrastructure errors: see dslab experiment status {out_dir}",
+            soft_wrap=True,
+        )
+    out.print(f"next: dslab experiment report {out_dir}", soft_wrap=True)
+
+
+@app.command("status")
+def status_command(folder: FolderArgument, as_json: JsonOption = False) -> None:
+    """Show where an experiment stands, also while it runs. For example:
+
+    `dslab experiment status out/smoke`
     """
     from dataclasses import asdict
 
+    from experiments.experiment_status import experiment_status
     from experiments.files import plain
-    from experiments.output import check_free
-    from experiments.smoke import run_smoke
-    from scenarios.families import load_family
 
-    check_free(out_dir)
-    single_threaded_opencv()
-    family = load_family(scenario)
-    drawn = [family.sample(seed) for seed in range(family.seed, family.seed + units)]
-    with progress_bars() as show:
-        show(f"experiment {name}", 0, units)
-        result, rows = run_smoke(
-            drawn, out_dir, workers, lambda done, total: show(f"experiment {name}", done, total)
-        )
+    status = experiment_status(folder)
     if as_json:
-        print_json_line(plain(asdict(result)))
+        print_json_line(plain(asdict(status)))
         return
-    out.print(_table(result, family.name))
-    out.print(
-        "pr|B is conditional on breakage in the free arm, where recovery only ever runs after one. By the "
-        "chain rule p0 · pr|B equals the measured share, so this table cannot refute Eq. 1: that takes the "
-        "pr of a crossing arm, in which every unit is crossed backward whether or not the base broke."
-    )
-    for row in rows:
-        if row["message"] or row["void_reason"]:
-            out.print(f"seed {row['seed']}: {row['outcome']}: {row['message'] or row['void_reason']}")
-    out.print(f"one row per unit in {out_dir / 'units.parquet'}")
+    out.print(_status_table(status))
+    out.print(f"{status.done} of {status.total} units, {number(status.wall_s / 3600, 2)} h of one worker")
+    if status.failed_attempts:
+        out.print(f"{status.failed_attempts} attempts ended in infrastructure errors")
+    for unit_id, message in status.given_up:
+        out.print(f"given up: {unit_id}: {message}", markup=False)
+    if len(status.codes) > 1:
+        out.print(f"units were run with {len(status.codes)} versions of the code: {', '.join(status.codes)}")
 
 
-def _table(result, scenario: str) -> Table:
-    healthy = result.units - result.void - result.errors
-    table = Table(
-        title=f"{scenario}: {result.units} units, {result.void} void, {result.errors} infrastructure errors, "
-        f"{healthy} counted"
-    )
-    for column in ("", "count", "share", "95 % Clopper-Pearson"):
-        table.add_column(column, justify="left" if not column else "right")
-    rows = {
-        "p0: base breaks in an exposed segment (B)": result.p0,
-        "pr|B: recovery fails, given B (R_1|B)": result.pr_given_b,
-        "measured failure: B and R_1 (D_1)": result.measured,
-        "base relocalizes later, given B": result.relocalized,
-        "base not tracking at the end": result.base_failure,
-        "silent: map corrupted, nothing declared": result.silent,
-        "no re-initialisation, given B": result.no_reinit,
-        "false recovery, of fusions judged": result.false_recovery,
-    }
-    for label, p in rows.items():
-        share = "-" if p.estimate is None else f"{p.estimate:.3f}"
-        table.add_row(label, f"{p.events} / {p.units}", share, f"{p.low:.3f} to {p.high:.3f}")
-        if p is result.pr_given_b:
-            predicted = "-" if result.predicted is None else f"{result.predicted:.3f}"
-            table.add_row("predicted p0 · pr|B (chain rule)", "", predicted, "")
+@app.command("power")
+def power_command(
+    p0: Annotated[float, typer.Option(help="Guessed share of units that break.")],
+    pr: Annotated[
+        list[float], typer.Option(help="Guessed failure of a recovery thread; repeat for each of n.")
+    ],
+    n: Annotated[int | None, typer.Option(min=1, help="Threads, where all have the one pr given.")] = None,
+    ratio: Annotated[float, typer.Option(help="Measured over predicted that shall be seen.")] = 2.0,
+    power: Annotated[float, typer.Option(help="Probability with which it shall be seen.")] = 0.8,
+    cells: Annotated[int, typer.Option(min=1, help="Cells tested together: Holm's correction.")] = 1,
+    as_json: JsonOption = False,
+) -> None:
+    """Print the units per cell that a wanted ratio and power need, before anything runs. For example:
+
+    `dslab experiment power --p0 0.25 --pr 0.2 --n 2 --ratio 2 --power 0.8`
+
+    `dslab experiment power --p0 0.5 --pr 0.2 --pr 0.4 --ratio 1.5 --cells 9`
+    """
+    from dataclasses import asdict
+
+    from experiments.statistics.power import units_needed
+    from scenarios.errors import InputError
+
+    if n is not None and len(pr) not in (1, n):
+        raise InputError(
+            "--n", f"is {n}, and {len(pr)} values of --pr are given", "give one --pr, or n of them"
+        )
+    each = tuple(pr * n) if n is not None and len(pr) == 1 else tuple(pr)
+    try:
+        plan = units_needed(p0, each, ratio, power, alpha=0.05 / cells)
+    except ValueError as error:
+        raise InputError("dslab experiment power", str(error), "give other guesses") from None
+    if as_json:
+        print_json_line(asdict(plan))
+        return
+    out.print(f"predicted {plan.predicted:.4g}, measured if {ratio:g} times as high: {plan.measured:.4g}")
+    if plan.units is None:
+        out.print(f"over ten million units per cell would be needed (power with these: {plan.power:.2f})")
+        return
+    out.print(f"{plan.units} completed units per cell give a power of {plan.power:.2f} (wanted: {power:g})")
+
+
+@app.command("replay")
+def replay_command(
+    folder: FolderArgument,
+    unit: Annotated[str, typer.Argument(help="Its id, or as much as makes it unique, or CELL:INDEX.")],
+    rerun: Annotated[
+        Path | None, typer.Option(metavar="FILE.rrd", help="Save its recording: see `dslab view`.")
+    ] = None,
+    timeout: TimeoutOption = _TIMEOUT_S,
+    memory: MemoryOption = _MEMORY_MB,
+    as_json: JsonOption = False,
+) -> None:
+    """Run one unit again and say whether it comes out as the ledger has it. Exit code 1 where it does not.
+
+    For example:
+
+    `dslab experiment replay out/smoke 3fa9`
+
+    `dslab experiment replay out/smoke low_texture/2:7 --rerun unit.rrd`
+    """
+    from experiments.crew import CrewSettings
+    from experiments.files import plain
+    from experiments.replay import replay
+    from experiments.trial import run_unit
+
+    settings = CrewSettings(timeout_s=timeout, memory_mb=memory or None)
+    with progress_bars() as show:
+        show(f"unit {unit}", 0, 1)
+        done = replay(folder, unit, run_unit, settings, None if rerun is None else rerun.absolute())
+    if as_json:
+        print_json_line(
+            plain({"record": done.record, "recorded": done.recorded, "differing": done.differing})
+        )
+    else:
+        _print_replay(done, rerun)
+    if done.differing:
+        raise typer.Exit(1)
+
+
+@app.command("export")
+def export_command(
+    folder: FolderArgument,
+    csv: Annotated[bool, typer.Option("--csv", help="Write units.csv too.")] = False,
+) -> None:
+    """Write the ledger as units.parquet, one row per unit, and the infrastructure errors beside it.
+
+    For example:
+
+    `dslab experiment export out/smoke --csv`
+    """
+    from experiments.experiment_folder import export
+
+    out.print(f"one row per unit in {export(folder, csv)}", soft_wrap=True)
+
+
+@app.command("report")
+def report_command(
+    folder: FolderArgument,
+    recordings: Annotated[
+        int, typer.Option(min=0, help="Run this many of the failed units again and link their recordings.")
+    ] = 0,
+) -> None:
+    """Write report.html, report.json and the plots of an experiment into its folder. For example:
+
+    `dslab experiment report out/smoke --recordings 3`
+    """
+    from experiments.report.write import write_report
+
+    with progress_bars() as show:
+        path = write_report(folder, recordings, lambda done, total: show("recordings", done, total))
+    out.print(f"report in {path}", soft_wrap=True)
+
+
+@app.command("schema")
+def schema_command() -> None:
+    """Print the JSON Schema of experiment files, for editors. For example:
+
+    `dslab experiment schema > experiment.schema.json`
+    """
+    import json
+
+    from experiments.spec_schema import json_schema
+
+    print(json.dumps(json_schema(), indent=2))
+
+
+def _with_units(spec: "ExperimentSpec", units: int) -> "ExperimentSpec":
+    from pydantic import ValidationError
+
+    from scenarios.errors import InputError
+
+    try:
+        return spec.model_validate(spec.model_dump(mode="json") | {"units": units})
+    except ValidationError as error:
+        problem = error.errors()[0]["msg"].removeprefix("Value error, ").replace("units = ", "")
+        raise InputError("--units", problem, "give more units or change the spec") from None
+
+
+def _status_table(status: "ExperimentStatus") -> Table:
+    table = Table(title=f"{status.name} ({status.spec_hash[:12]})")
+    for column in ("cell", "units", "completed", "void", "errors", "breakages", "dual failures", ""):
+        table.add_column(column, justify="left" if column in ("cell", "") else "right")
+    for cell in status.cells:
+        ended = f"{cell.units} / {cell.budget}"
+        counts = (cell.completed, cell.void, cell.errors, cell.breakages, cell.failures)
+        note = "" if cell.stopped_at is None else f"stopped at {cell.stopped_at}"
+        table.add_row(cell.cell, ended, *map(str, counts), note)
     return table
+
+
+def _print_replay(done, rerun: Path | None) -> None:
+    record, unit = done.record, done.unit
+    out.print(
+        f"unit {unit.unit_id} ({unit.cell}:{unit.index}): {record['outcome']} {record['message']}",
+        markup=False,
+    )
+    if done.recorded is None:
+        out.print("the ledger does not have it yet")
+    elif done.differing:
+        for name in done.differing:
+            out.print(f"{name}: {record[name]!r}, in the ledger {done.recorded[name]!r}", markup=False)
+        if record["code"] != done.recorded["code"]:
+            out.print(f"the code has changed since: go back to commit {done.recorded['commit']}")
+    else:
+        out.print("it agrees with the ledger in every column but those of time and memory")
+    if rerun is not None and rerun.is_file():
+        out.print(f"look at it: dslab view {rerun}")

@@ -173,14 +173,14 @@ class RecoveryAttempts:
         )
 
     def _tell(self, frame: Frame, attempt: Attempt, outcome: ThreadOutcome) -> None:
-        result = outcome.result
+        result, found = outcome.result, outcome.result.alignment
         self._emit(
             frame,
             ev.RecoveryEnd,
             attempt.new_id,
             thread=outcome.number,
             method=outcome.name,
-            old_map_id=result.alignment.old_map_id if result.alignment else attempt.old_ids[0],
+            old_map_id=found.old_map_id if found else attempt.old_ids[0],
             success=result.success,
             stage=result.stage,
             reason=result.reason,
@@ -188,6 +188,7 @@ class RecoveryAttempts:
             frames_passed_over=result.frames_passed_over,
             inliers=result.inliers,
             cpu_ms=outcome.cpu_ms,
+            S_old_new=tuple(map(tuple, found.S_old_new.tolist())) if found else None,
         )
 
 

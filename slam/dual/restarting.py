@@ -1,6 +1,7 @@
 """At a breakage: save the map, start another. Source: paper, Sec. II."""
 
 from collections.abc import Sequence
+from copy import deepcopy
 
 import numpy as np
 
@@ -96,6 +97,22 @@ class RestartingSlam(MonocularSlam):
         self._last_frame = frame
 
     # -- laboratory --------------------------------------------------------------------------------------
+
+    def as_base(self) -> MonocularSlam:
+        """The base system as it would stand after the same frames: up to the first breakage the two are one.
+
+        Raises:
+            RuntimeError: they have parted, or the system is threaded.
+        """
+        if self._backend.mode is not ExecutionMode.LOCKSTEP:
+            raise RuntimeError("a copy needs lockstep mode")
+        if any(isinstance(event, ev.Breakage | ev.MapCut) for event in self.events):
+            raise RuntimeError("base and Dual-SLAM part at the first breakage")
+        base = MonocularSlam(self.camera, self.seed, self.config, self._backend.mode)
+        # The backend calls back the system that it serves; in lockstep it holds nothing between frames.
+        shared = [name for name in vars(base) if name != "_backend"]
+        vars(base).update(deepcopy({name: vars(self)[name] for name in shared}))
+        return base
 
     def cut(self) -> None:
         """Save the healthy map as a breakage would, and only buffer frames until :meth:`restart`.

@@ -1,5 +1,9 @@
 """SIFT features of a frame, and the places of some of them in space."""
 
+import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 
 import cv2
@@ -14,6 +18,7 @@ from slam.optimization._triangulation import triangulate
 
 # Standard deviation of SIFT's finest level, px; a keypoint's size is twice its own.
 _FINEST_SIGMA_PX = 1.6
+_kept: ContextVar[dict | None] = ContextVar("kept", default=None)
 
 
 @dataclass
@@ -91,14 +96,40 @@ def detect(
 
     Source: Lowe, "Distinctive image features from scale-invariant keypoints", 2004.
     """
+    kept = _kept.get()
+    if kept is None:
+        return SiftFrame(frame, *_features(image, camera, n_features, contrast))
+    key = (hashlib.sha256(image.data).digest(), image.shape, camera, n_features, contrast)
+    if key not in kept:
+        kept[key] = _features(image, camera, n_features, contrast)
+    return SiftFrame(frame, *kept[key])
+
+
+@contextmanager
+def features_kept() -> Iterator[None]:
+    """While it lasts, the features of an image are found once: for branches over the same frames.
+
+    They are about 150 kB per image.
+    """
+    token = _kept.set({})
+    try:
+        yield
+    finally:
+        _kept.reset(token)
+
+
+def _features(
+    image: np.ndarray, camera: PinholeCamera, n_features: int, contrast: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places, information and descriptors, none of which is ever written to."""
     keypoints, descriptors = cv2.SIFT_create(
         nfeatures=n_features, contrastThreshold=contrast
     ).detectAndCompute(image, None)
     if descriptors is None:
-        return SiftFrame(frame, np.empty((0, 2)), np.empty(0), np.empty((0, 128), np.uint8))
+        return np.empty((0, 2)), np.empty(0), np.empty((0, 128), np.uint8)
     xy = camera.undistort_points(np.array([k.pt for k in keypoints], np.float32)).astype(np.float64)
     sigma = np.array([k.size for k in keypoints]) / (2 * _FINEST_SIGMA_PX)
-    return SiftFrame(frame, xy, 1.0 / np.maximum(sigma, 1.0) ** 2, descriptors.astype(np.uint8))
+    return xy, 1.0 / np.maximum(sigma, 1.0) ** 2, descriptors.astype(np.uint8)
 
 
 def match(a: SiftFrame, b: SiftFrame, ratio: float) -> np.ndarray:

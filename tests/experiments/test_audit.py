@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from slam_fakes import circle, fake_factory, make_sequence
 
 from experiments.alignment import Undefined
-from experiments.audit import AuditBounds, audit_fusion, audit_loss
+from experiments.audit import AuditBounds, audit_fusion, audit_loss, audit_relation
 from experiments.execution import execute
 from experiments.summary import summarise
 from slam.results import MapTrajectory
@@ -126,3 +127,62 @@ def test_a_breakage_outside_the_segments_is_audited_too():
     losses = summarise(record)["audit"]["losses"]
     assert [x["segment"] for x in losses] == [0, None]
     assert losses[1]["declared_frame"] == losses[1]["true_loss_frame"] == 250
+
+
+# -- the relation of two maps --------------------------------------------------------------------------------
+
+ONSET, BEGUN = 120, 150
+
+
+def similarity(scale=1.0, shift_m=(0.0, 0.0, 0.0), turn_deg=0.0):
+    S = np.eye(4)
+    S[:3, :3] = scale * Rotation.from_rotvec([0, 0, turn_deg], degrees=True).as_matrix()
+    S[:3, 3] = shift_m
+    return S
+
+
+def related(S_error: np.ndarray, new_frames=range(BEGUN, BEGUN + 12)):
+    """An old map at half size and a new one at a third, related by the truth with an error put in front."""
+    S_old_world, S_new_world = similarity(0.5, (1, 2, 3), 30), similarity(1 / 3, (-4, 0, 1), -70)
+    T = circle(N)
+
+    def seen(frames, S):
+        frames = np.asarray(frames)
+        return MapTrajectory(0, frames, STAMPS[frames], moved(T[frames], S))
+
+    S_old_new = S_error @ S_old_world @ np.linalg.inv(S_new_world)
+    old, new = seen(range(5, ONSET + 10), S_old_world), seen(new_frames, S_new_world)
+    return audit_relation(old, new, S_old_new, STAMPS, T, ONSET)
+
+
+def moved(T, S):
+    scale = np.cbrt(np.linalg.det(S[:3, :3]))
+    out = S @ T
+    out[:, :3, :3] /= scale
+    return out
+
+
+def test_the_true_relation_of_two_maps_is_sound():
+    found = related(np.eye(4))
+    assert found.false is False and found.reason == ""
+    assert abs(found.scale_error) < 1e-9 and found.seam_error_m < 1e-9
+
+
+@pytest.mark.parametrize("scale", [0.8, 1.2])
+def test_a_relation_of_wrong_scale_is_false(scale):
+    found = related(similarity(scale))
+    assert found.false is True
+    assert found.scale_error == pytest.approx(scale - 1, abs=1e-6)
+
+
+def test_a_relation_to_the_wrong_place_is_false():
+    found = related(similarity(shift_m=(0.5, 0, 0)))
+    assert found.false is True and abs(found.scale_error) < 1e-6
+    assert found.seam_error_m == pytest.approx(1.0, abs=1e-6)  # the old map is at half size
+    turned = related(similarity(turn_deg=8))
+    assert turned.false is True and turned.seam_rotation_deg == pytest.approx(8, abs=0.1)
+
+
+def test_a_new_map_with_few_frames_is_judged_by_its_place_alone():
+    found = related(similarity(1.2), new_frames=range(BEGUN, BEGUN + 3))
+    assert found.scale_error is None and found.seam_error_m is not None and "scale" in found.reason

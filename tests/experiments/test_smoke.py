@@ -8,7 +8,7 @@ import pytest
 from slam_fakes import fake_factory, make_sequence
 
 from experiments.smoke import count, run_smoke
-from experiments.trial import empty_row, run_trial
+from experiments.smoke_trial import empty_row, run_trial
 from scenarios.errors import InputError
 from scenarios.spec import RoomWorld, Scenario
 

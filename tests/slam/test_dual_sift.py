@@ -176,3 +176,27 @@ def test_triangulation_of_pairs_tells_points_from_what_cannot_be():
     assert disagrees.tolist() == [False] * 4 + [True, False]
     assert np.isfinite(found[:, 0]).tolist() == [True, True, True, False, False, True]
     np.testing.assert_allclose(found[[0, 1, 2, 5]], xyz[[0, 1, 2, 5]], atol=1e-6)
+
+
+def test_features_kept_are_found_once_per_image_and_the_same(monkeypatch):
+    images, frame = toy(2, 0, STEP_M)[0], Frame(make_frame(0, np.random.default_rng(0)).features)
+
+    def found(image, count=200):
+        return sift_features.detect(image, frame, CAMERA, count, 0.04)
+
+    plain = [found(image) for image in images]
+    calls = []
+    real = sift_features.cv2.SIFT_create
+    monkeypatch.setattr(sift_features.cv2, "SIFT_create", lambda **k: calls.append(k) or real(**k))
+    with sift_features.features_kept():
+        kept = [found(image) for image in (*images, *images)]
+        found(images[0], 100)
+    assert len(calls) == 3
+    for one, other in zip([*plain, *plain], kept, strict=True):
+        np.testing.assert_array_equal(one.xy, other.xy)
+        np.testing.assert_array_equal(one.descriptors, other.descriptors)
+    kept[0].seen_at[:] = 0
+    kept[0].xyz_cam[:] = 1
+    assert not kept[2].known.any() and (kept[2].seen_at == plain[0].seen_at).all()
+    found(images[0])
+    assert len(calls) == 4  # outside nothing is held

@@ -58,3 +58,27 @@ def test_features_are_shared_and_maps_are_not(cut):
     assert a.features(0) is b.features(0)
     for mine, theirs in zip(a.arrays, b.arrays, strict=True):
         assert not np.shares_memory(mine, theirs)
+
+
+@pytest.mark.parametrize("at", [2, 40])
+def test_dual_slam_goes_on_as_the_base_bit_for_bit(at):
+    images, stamps_s, _ = toy(90, 0, STEP_M)
+    images = blanked(images, range(50, 56))
+    from_start, dual = (build_system(kind, CAMERA, 0, CONFIG) for kind in ("base", "dual"))
+    feed(from_start, images, stamps_s, check=False)
+    feed(dual, images[:at], stamps_s[:at], check=False)
+    before = fingerprint(dual)
+    base = dual.snapshot().restore().as_base()
+    assert type(base) is type(from_start)
+    feed(base, images[at:], stamps_s[at:], check=False)
+    assert fingerprint(base) == fingerprint(from_start)
+    assert any(e.kind == "breakage" for e in base.events)
+    assert fingerprint(dual) == before  # nothing has leaked back
+
+
+def test_once_they_have_parted_there_is_no_base_to_be_had():
+    images, stamps_s, _ = toy(60, 0, STEP_M)
+    dual = build_system("dual", CAMERA, 0, CONFIG)
+    feed(dual, blanked(images, range(50, 56)), stamps_s, check=False)
+    with pytest.raises(RuntimeError, match="part at the first breakage"):
+        dual.as_base()

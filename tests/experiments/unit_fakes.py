@@ -1,0 +1,127 @@
+"""A made-up experiment whose units take no time: what a cell is named is what its units do."""
+
+import os
+import signal
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+from experiments.records import dual_column, empty_record, thread_column
+from experiments.units import ThreadChoice, UnitSpec, content_hash
+from scenarios.seeds import rng_for
+from scenarios.spec import RoomWorld, Scenario
+
+
+@dataclass(frozen=True)
+class MadeUp:
+    """Cells by name, each with its budget."""
+
+    cells: dict[str, int]
+    name: str = "made-up"
+    threads: tuple[ThreadChoice, ...] = (ThreadChoice(kind="orb"), ThreadChoice(kind="sift"))
+    root_seed: int = 0
+
+    @property
+    def content_hash(self) -> str:
+        return content_hash([self.name, list(self.cells), self.root_seed, len(self.threads)])
+
+    def cell_names(self) -> list[str]:
+        return list(self.cells)
+
+    def units_of(self, cell: str) -> int:
+        return self.cells[cell]
+
+    def unit(self, cell: str, index: int) -> UnitSpec:
+        seed = int(rng_for(self.root_seed, "unit", index).integers(2**53))
+        return UnitSpec(
+            experiment=self.name, cell=cell, kind="made_up", severity=1.0, index=index,
+            world_seed=seed, nuisance_seed=seed,
+            scenario=Scenario(name="made-up", world=RoomWorld(), seed=seed), threads=self.threads,
+        )  # fmt: skip
+
+    def as_yaml(self) -> str:
+        return yaml.safe_dump({"name": self.name, "cells": self.cells, "root_seed": self.root_seed})
+
+
+def made_up_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict:
+    """Do what the cell says, then give a record drawn from the unit's seed."""
+    what, *arguments = unit.cell.split("-")
+    tries = _count_try(unit, cache_dir)
+    if what == "slow":
+        time.sleep(float(arguments[0]))
+    elif what == "crash":
+        if not arguments or tries <= int(arguments[0]):
+            signal.raise_signal(signal.SIGSEGV)
+    elif what == "hang":
+        time.sleep(1000)
+    elif what == "stop":
+        os.kill(os.getpid(), signal.SIGSTOP)
+    elif what == "memory":
+        held = []
+        for _ in range(4000):
+            held.append(b"x" * 2**22)
+            time.sleep(0.002)
+    elif what == "raise" and (not arguments or tries <= int(arguments[0])):
+        raise ValueError("told to")
+    elif what == "error" and (not arguments or tries <= int(arguments[0])):
+        return empty_record(unit) | {"message": "no GL here"}
+    elif what == "wrong":
+        return {"unit_id": unit.unit_id}
+    return made_up_record(unit)
+
+
+def rendered_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict:
+    """Render something small and tell the hash of its frames."""
+    import hashlib
+
+    from sim.render import render_sequence
+
+    camera = {
+        "width_px": 96,
+        "height_px": 64,
+        "fx_px": 70,
+        "fy_px": 70,
+        "cx_px": 47.5,
+        "cy_px": 31.5,
+        "fps": 10,
+    }
+    scenario = Scenario.model_validate(
+        {
+            "name": "small", "duration_s": 1.0, "seed": unit.index, "camera": camera,
+            "world": {"kind": "corridor", "length_m": 10, "turns": 0},
+        }
+    )  # fmt: skip
+    frames = render_sequence(scenario, cache_dir=cache_dir).frames
+    digest = hashlib.sha256(b"".join(frame.tobytes() for frame in frames)).hexdigest()
+    return made_up_record(unit) | {"outcome": "void", "void_reason": digest}
+
+
+def made_up_record(unit: UnitSpec) -> dict:
+    """A record that a unit's seed alone decides: p0 = 1/2, each thread fails in half of the cases."""
+    rng = rng_for(unit.nuisance_seed, unit.cell)
+    record = empty_record(unit) | {"code": "0", "commit": "0", "wall_s": time.perf_counter()}
+    if rng.random() < 0.1:
+        return record | {"outcome": "void", "void_reason": "drawn so"}
+    broke = bool(rng.random() < 0.5)
+    record |= {"outcome": "completed", "breakage": broke, "base_ate_m": float(rng.normal())}
+    whole = broke
+    for thread in range(1, len(unit.threads) + 1):
+        failed, crossed = (bool(x) for x in rng.random(2) < 0.5)
+        record[thread_column("cross", thread, "failed")] = crossed
+        if broke:
+            record[thread_column("free", thread, "failed")] = failed
+        whole = whole and failed
+        record[dual_column(thread)] = whole
+    return record
+
+
+def _count_try(unit: UnitSpec, folder: Path | None) -> int:
+    """The how-manieth time this unit is tried, counted in files."""
+    if folder is None:
+        return 1
+    path = folder / f"{unit.unit_id}.tries"
+    with path.open("a") as file:
+        file.write("x")
+    return path.stat().st_size

@@ -1,0 +1,58 @@
+"""Units over made-up images: boards passing by, blank where it is wanted."""
+
+from functools import cache
+
+import numpy as np
+
+from experiments import trial
+from experiments.units import ThreadChoice, UnitSpec
+from scenarios.spec import LowTexture, RoomWorld, Scenario
+from sim.camera import Intrinsics
+from sim.sequence import SegmentTruth, Sequence
+from slam.warmup import CAMERA, toy_frames
+
+FRAMES, ONSET, END = 170, 75, 104
+FPS = CAMERA.fps
+
+
+@cache
+def _images():
+    images, stamps_s, T_world_cam = zip(*toy_frames(FRAMES, seed=0, step_m=0.05), strict=True)
+    return np.array(images), np.array(stamps_s), np.array(T_world_cam)
+
+
+def made_up(*blank: range, frames: int = FRAMES) -> Sequence:
+    """A sequence whose exposed segment is the frames ONSET to END, blank in some ranges of frames."""
+    images, stamps_s, T_world_cam = (array[:frames] for array in _images())
+    images = images.copy()
+    for span in blank:
+        images[span.start : span.stop] = 120
+    segment = SegmentTruth("low_texture", {"contrast": 0.0}, ONSET / FPS, END / FPS, ONSET, END)
+    camera = Intrinsics(CAMERA.width_px, CAMERA.height_px, CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, FPS)
+    return Sequence("made-up", camera, stamps_s, images, T_world_cam, None, (segment,), {})
+
+
+def unit(threads: str = "orb,gms", **changes) -> UnitSpec:
+    """A unit whose exposed segment is that of :func:`made_up`."""
+    segment = LowTexture(
+        kind="low_texture", start_s=ONSET / FPS, duration_s=(END - ONSET + 1) / FPS, contrast=0.0
+    )
+    scenario = Scenario(name="made-up", world=RoomWorld(), duration_s=FRAMES / FPS, segments=(segment,))
+    given = {
+        "experiment": "test",
+        "cell": "low_texture/1",
+        "kind": "low_texture",
+        "severity": 0.0,
+        "index": 0,
+        "world_seed": 1,
+        "nuisance_seed": 2,
+        "scenario": scenario,
+        "threads": tuple(ThreadChoice(kind=kind) for kind in threads.split(",")),
+    }
+    return UnitSpec(**{**given, **changes})
+
+
+def run(monkeypatch, sequence: Sequence, of: UnitSpec | None = None, **options) -> dict:
+    """The record of a unit whose images are given."""
+    monkeypatch.setattr(trial, "_render", lambda *_: sequence)
+    return trial.run_unit(of or unit(), **options)
