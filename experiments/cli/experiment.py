@@ -271,8 +271,8 @@ def _with_units(spec: "ExperimentSpec", units: int) -> "ExperimentSpec":
 
 def _status_table(status: "ExperimentStatus") -> Table:
     table = Table(title=f"{status.name} ({status.spec_hash[:12]})")
-    for column in ("cell", "units", "completed", "void", "errors", "breakages", "dual failures", ""):
-        table.add_column(column, justify="left" if column in ("cell", "") else "right")
+    for column in ("cell", "units", "completed", "void", "errors", "B", "D_n", ""):
+        table.add_column(column, justify="left" if column in ("cell", "") else "right", overflow="fold")
     for cell in status.cells:
         ended = f"{cell.units} / {cell.budget}"
         counts = (cell.completed, cell.void, cell.errors, cell.breakages, cell.failures)
