@@ -13,8 +13,9 @@ from scenarios.errors import InputError
 
 COMMANDS = [
     ["demo"], ["doctor"], ["warmup"], ["render"], ["run"], ["view"], ["bench"], ["bench", "sim"],
-    ["bench", "slam"], ["experiment", "run"], ["experiment", "fuzz"],
-    ["vocabulary", "train"],
+    ["bench", "slam"], ["bench", "experiment"], ["experiment", "run"], ["experiment", "fuzz"],
+    ["experiment", "status"], ["experiment", "power"], ["experiment", "replay"], ["experiment", "export"],
+    ["experiment", "report"], ["experiment", "schema"], ["vocabulary", "train"], ["paper"],
 ]  # fmt: skip
 
 

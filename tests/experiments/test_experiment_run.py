@@ -11,7 +11,6 @@ from pathlib import Path
 
 import psutil
 import pytest
-from experiments.spec import Stopping
 from unit_fakes import MadeUp, made_up_record, made_up_unit
 
 from experiments import crew as crews
@@ -21,6 +20,7 @@ from experiments.folder_lock import sole_driver
 from experiments.ledger import LEDGER_FILE, Ledger
 from experiments.records import decided
 from experiments.runner import run_experiment
+from experiments.spec import Stopping
 from experiments.stopping import NarrowEnough
 from scenarios.errors import InputError
 

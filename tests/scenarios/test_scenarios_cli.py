@@ -85,18 +85,3 @@ def test_commands_draw_with_their_seed(monkeypatch, capsys, tmp_path, command, s
         cli.main()
     assert rendered == [load_scenario("kitti-like/07", seed)]
     assert rendered[0].seed == (7 if seed is None else 3)
-
-
-def test_an_experiment_draws_every_unit_anew(monkeypatch, capsys, tmp_path):
-    units: list[Scenario] = []
-
-    def run_smoke(scenarios, *_):
-        units.extend(scenarios)
-        raise _RenderedEnoughError
-
-    monkeypatch.setattr("experiments.smoke.run_smoke", run_smoke)
-    words = ["experiment", "run", "smoke", "--out", str(tmp_path / "out"), "--units", "4"]
-    monkeypatch.setattr(sys, "argv", ["dslab", *words, "--scenario", "low-texture/room"])
-    with pytest.raises(_RenderedEnoughError):
-        cli.main()
-    assert units == [load_scenario("low-texture/room", seed) for seed in range(4)]
