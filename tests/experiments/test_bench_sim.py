@@ -33,6 +33,7 @@ def which_process(index: int):
     return os.getpid
 
 
+@pytest.mark.slow
 def test_processes_wait_for_each_other_and_the_set_up_is_not_counted():
     first, second = run_together(start_time, (), 2)
     assert abs(first.frames - second.frames) < 400

@@ -179,7 +179,7 @@ def test_presets_are_valid_and_say_what_they_are(name):
     jsonschema.validate(yaml.safe_load(text), json_schema())
 
 
-def test_the_issue_s_presets_are_there():
+def test_the_presets_are_all_there():
     wanted = {"smoke", "eq1-quick", "eq1-full", "direction", "conditioning", "init", "timeline", "tables"}
     assert wanted <= set(preset_names())
 

@@ -84,6 +84,7 @@ def test_a_unit_that_hangs_is_ended_and_says_where(run_made_up, tmp_path, one_tr
     assert all("in made_up_unit" in e["report"] for e in errors)
 
 
+@pytest.mark.slow
 def test_a_unit_that_eats_memory_is_ended(run_made_up, tmp_path, one_try):
     plan = MadeUp({"memory": 1, "ok": 4})
     run_made_up(plan)
@@ -129,6 +130,7 @@ def test_a_corrupt_cached_sequence_is_rendered_again(run_made_up, tmp_path):
     assert before == after and len({r["void_reason"] for r in after}) == 2
 
 
+@pytest.mark.slow
 def test_workers_that_are_killed_are_replaced(run_made_up, shared_crew, tmp_path):
     plan = MadeUp({"slow-0.3": 8})
     killed = []

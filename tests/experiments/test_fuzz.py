@@ -164,6 +164,7 @@ def dslab(monkeypatch, capsys, *arguments):
     return caught.value.code or 0, captured.out, captured.err
 
 
+@pytest.mark.slow
 def test_the_command_counts_and_fails_where_a_run_has(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr("experiments.fuzz.fuzz_unit", scripted)
     code, out, _ = dslab(monkeypatch, capsys, "--units", "2", "--out", str(tmp_path / "a"))

@@ -7,10 +7,13 @@ import pytest
 
 from experiments.execution import system_factory
 from experiments.run import run_sequence
-from experiments.trial import RECOVERY_ALONE
 from sim.camera import Intrinsics
 from sim.sequence import SegmentTruth, Sequence
+from slam.dual.config import DualConfig
+from slam.dual.registry import ThreadSpec
 from slam.warmup import CAMERA, toy_frames
+
+RECOVERY_ALONE = DualConfig(threads=(ThreadSpec("orb"),), relocalization=False, joining=None)
 
 BLANK = range(80, 86)
 

@@ -157,6 +157,7 @@ def test_every_record_has_the_same_columns_of_plain_values(broken, monkeypatch):
     json.dumps(records, allow_nan=False)
 
 
+@pytest.mark.slow
 def test_a_recording_of_base_and_dual_can_be_had(monkeypatch, tmp_path):
     path = tmp_path / "unit.rrd"
     record = run(monkeypatch, BROKEN, unit("orb", arms=("crossing",)), recording=path)
@@ -166,7 +167,10 @@ def test_a_recording_of_base_and_dual_can_be_had(monkeypatch, tmp_path):
 # -- branches and modes --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("sequence", [BROKEN, made_up()], ids=["broken", "whole"])
+@pytest.mark.parametrize(
+    "sequence",
+    [pytest.param(BROKEN, id="broken"), pytest.param(made_up(), id="whole", marks=pytest.mark.slow)],
+)
 def test_branches_are_what_runs_from_the_start_are(sequence):
     of = unit()
     exposure, clock = Exposure.of(of, sequence), CpuClock()
@@ -189,6 +193,7 @@ def test_branches_are_what_runs_from_the_start_are(sequence):
     assert ends(crossing) == ends(whole) and len(ends(whole)) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("blank", [range(85, 91), range(80, 103)], ids=["crossed", "not crossed"])
 def test_both_modes_give_the_same_failure_for_every_n(monkeypatch, blank):
     sequence = made_up(blank)

@@ -82,6 +82,7 @@ def test_a_map_out_of_reach_of_the_buffer_is_not_sought():
     assert of(grown, "recovery_start")[0].buffered_frames > 30
 
 
+@pytest.mark.slow
 def test_after_a_failed_recovery_the_next_breakage_has_another_chance(elsewhere):
     """The second scene's map breaks in turn: it is saved, and met by the third map."""
     (here, stamps_s, _), (there, _, _) = toy(190, 0, STEP_M), toy(190, 7, STEP_M)

@@ -190,6 +190,7 @@ def test_another_seed_gives_another_run(sequence):
     assert len(digests) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no processor affinity here")
 def test_another_process_on_one_core_gives_the_same_run():
     """With a recovery and a fusion: neither threads nor what ran before in the process have a say."""
