@@ -8,6 +8,7 @@ from experiments.spec import ExperimentSpec, load_spec, preset_names
 from experiments.spec_schema import json_schema
 from scenarios.errors import InputError
 
+VALIDATOR = jsonschema.Draft202012Validator(json_schema())
 SPEC = """\
 name: two
 root_seed: 5
@@ -176,7 +177,7 @@ def test_presets_are_valid_and_say_what_they_are(name):
     spec = load_spec(name)
     assert spec.name == name and spec.description
     text = (load_spec.__globals__["PRESET_DIR"] / f"{name}.yaml").read_text()
-    jsonschema.validate(yaml.safe_load(text), json_schema())
+    VALIDATOR.validate(yaml.safe_load(text))
 
 
 def test_the_presets_are_all_there():
@@ -184,12 +185,11 @@ def test_the_presets_are_all_there():
     assert wanted <= set(preset_names())
 
 
+@pytest.mark.slow
 def test_the_schema_refuses_what_the_loader_refuses():
-    schema = json_schema()
-    jsonschema.Draft202012Validator.check_schema(schema)
-    jsonschema.validate(yaml.safe_load(SPEC), schema)
+    jsonschema.Draft202012Validator.check_schema(json_schema())
+    VALIDATOR.validate(yaml.safe_load(SPEC))
     for old, new in (("units: 8", "unitz: 8"), ("length_m: {uniform: [30, 60]}", "length_m: 3"),
                      ("kind: motion_blur", "kind: mud"), ("begins_s: {uniform: [0, 1]}", "begins_s: soon"),
                      ("threads: [orb,", "threads: [gps,")):  # fmt: skip
-        with pytest.raises(jsonschema.ValidationError):
-            jsonschema.validate(yaml.safe_load(SPEC.replace(old, new, 1)), schema)
+        assert not VALIDATOR.is_valid(yaml.safe_load(SPEC.replace(old, new, 1)))

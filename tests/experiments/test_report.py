@@ -203,6 +203,7 @@ def test_the_same_records_give_the_same_report(made, tmp_path):
         assert plot.read_bytes() == (made.folder / "plots" / plot.name).read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("units", [0, 7])
 def test_an_unfinished_experiment_has_a_report(tmp_path, units):
     spec = FakeSpec(doses=1)

@@ -141,6 +141,7 @@ def test_what_goes_wrong_in_the_programs_is_an_infrastructure_error(monkeypatch)
 # -- records -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_two_runs_give_the_same_record_but_for_the_times(broken, monkeypatch):
     again = run(monkeypatch, BROKEN, unit("orb,sift"))
     assert decided(again) == decided(broken)

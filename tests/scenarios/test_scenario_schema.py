@@ -2,7 +2,7 @@
 
 import copy
 
-import pytest
+import jsonschema
 import yaml
 from test_families import FAMILY, MEMBERS
 
@@ -39,7 +39,6 @@ def test_every_node_may_be_a_distribution():
 
 
 def test_a_validator_agrees():
-    jsonschema = pytest.importorskip("jsonschema")
     schema = json_schema()
     jsonschema.Draft202012Validator.check_schema(schema)
     validator = jsonschema.Draft202012Validator(schema)
@@ -59,5 +58,5 @@ def test_a_validator_agrees():
         {"segments": {"uniform": [1, 2]}},
     ]
     for fault in faults:
-        assert list(validator.iter_errors({**copy.deepcopy(files[-1]), **fault})), fault
-    assert list(validator.iter_errors({"name": "no-world"}))
+        assert not validator.is_valid({**copy.deepcopy(files[-1]), **fault}), fault
+    assert not validator.is_valid({"name": "no-world"})

@@ -110,6 +110,7 @@ def test_dim_lamps_dim_everything_alike():
     assert dimmed(world, 1.0) is world
 
 
+@pytest.mark.slow
 def test_the_weather_changes_the_light_and_leaves_the_shapes():
     spec = MotorwayWorld(length_m=200)
     clear, dull = (
