@@ -142,7 +142,8 @@ def test_a_full_disk_ends_the_run_in_one_line_and_the_next_goes_on(run_made_up, 
 
 
 DRIVER = """
-import sys; sys.path.insert(0, {tests!r})
+import signal, sys; sys.path.insert(0, {tests!r})
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored by what a shell starts in the background
 from pathlib import Path
 from experiments.crew import CrewSettings, open_crew
 from experiments.runner import run_experiment

@@ -114,8 +114,8 @@ def test_the_size_is_at_most_nominal_where_eq1_holds(case):
 @pytest.mark.slow
 @pytest.mark.parametrize("case", [*PAIRED, (40, 0.5, 0.2, 1, 3.0), (100, 0.15, 0.5, 2, 0.3)])
 def test_the_size_is_at_most_nominal_in_detail(case):
-    rejected = simulated(case, 1.0, 3000, lambda c, rng: _p(c, rng, 399)) <= 0.05
-    assert at_most(rejected.mean(), 0.05, 3000)
+    rejected = simulated(case, 1.0, 1500, lambda c, rng: _p(c, rng, 299)) <= 0.05
+    assert at_most(rejected.mean(), 0.05, 1500)
 
 
 @pytest.mark.parametrize("case", [PAIRED[0], (90, 0.5, 0.35, 1, 2.0)])
