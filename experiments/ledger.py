@@ -187,6 +187,9 @@ class Ledger:
             raise
 
     def _check(self, experiment: "Experiment") -> None:
+        if not self._connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'meta'").fetchone():
+            # The run that makes it is between the file and its tables, or was ended there.
+            raise InputError(str(self.path), "holds nothing yet", "ask again once the run has begun")
         meta = dict(self._connection.execute("SELECT key, value FROM meta").fetchall())
         if meta.get("schema_version") != str(SCHEMA_VERSION):
             raise InputError(

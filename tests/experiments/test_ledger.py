@@ -173,3 +173,9 @@ def test_numbers_that_are_none_are_null():
     plain = normalise(record, 2)
     assert plain["base_ate_m"] is None and plain["dual_ate_m"] is None
     assert data_frame([plain], 2)["base_ate_m"].tolist() == [pd.NA]
+
+
+def test_a_ledger_that_is_being_made_is_told_of(tmp_path):
+    (tmp_path / LEDGER_FILE).touch()
+    with pytest.raises(InputError, match="holds nothing yet; ask again once the run has begun"):
+        Ledger.open(tmp_path, MadeUp({"ok": 1}), read_only=True)
