@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from statsmodels.stats.multitest import multipletests
 
 from experiments.statistics.joint import JointCounts
 from experiments.statistics.likelihood_ratio import one_sided_p
@@ -42,10 +43,9 @@ def holm(p_values: Sequence[float | None]) -> list[float | None]:
 
     Source: Holm, "A simple sequentially rejective multiple test procedure", Scand. J. of Statistics 1979.
     """
-    tested = [(p, i) for i, p in enumerate(p_values) if p is not None]
+    tested = [i for i, p in enumerate(p_values) if p is not None]
     corrected: list[float | None] = [None] * len(p_values)
-    running = 0.0
-    for rank, (p, i) in enumerate(sorted(tested)):
-        running = max(running, min(1.0, (len(tested) - rank) * p))
-        corrected[i] = running
+    if tested:
+        for i, p in zip(tested, multipletests([p_values[i] for i in tested], method="holm")[1], strict=True):
+            corrected[i] = float(p)
     return corrected

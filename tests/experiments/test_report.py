@@ -6,7 +6,6 @@ import re
 import shutil
 import subprocess
 import sys
-from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +14,7 @@ from typing import get_type_hints
 import numpy as np
 import pandas as pd
 import pytest
+from html_page import Page
 from report_fakes import FakeSpec, fake_table
 from slam_fakes import fake_factory, make_sequence
 
@@ -34,35 +34,6 @@ from scenarios.errors import InputError
 
 PLOT = Plot("dependence", "A plot.", b"<svg xmlns='http://www.w3.org/2000/svg'/>", b"png", 10, 10)
 QUICK = AnalysisSettings(draws=200, replicates=59)
-VOID_ELEMENTS = {"meta", "link", "img", "br", "hr", "input"}
-
-
-class Page(HTMLParser):
-    """The page's elements and text."""
-
-    def __init__(self, html: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.elements: list[tuple[str, dict]] = []
-        self.texts: list[str] = []
-        self.feed(html)
-        self.close()
-        assert not self.open
-
-    def handle_starttag(self, tag, attrs):
-        self.elements.append((tag, dict(attrs)))
-        if tag not in VOID_ELEMENTS:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.texts.append(data)
-
-    @property
-    def text(self) -> str:
-        return " ".join("".join(self.texts).split())
 
 
 @pytest.fixture(scope="module")
