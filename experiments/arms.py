@@ -20,7 +20,7 @@ from slam.dual.registry import ThreadSpec
 from slam.dual.restarting import RestartingSlam
 from slam.events import Breakage, RecoveryStart
 from slam.factory import build_system
-from slam.results import MapTrajectory, TrackingResult
+from slam.results import TrackingResult
 from slam.snapshot import Snapshot
 from slam.system import MonocularSlam
 
@@ -98,7 +98,7 @@ class Course:
         results: of the frames that it has had.
 
     Attributes:
-        begun: of every new map its poses when a recovery over it started, by the map's number.
+        begun: the first frame of every new map that a recovery has started from, by the map's number.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class Course:
         self.system = system
         self.sequence = sequence
         self.results = list(results)
-        self.begun: dict[int, MapTrajectory] = {}
+        self.begun: dict[int, int] = {}
         self._clock = clock
 
     @property
@@ -161,8 +161,8 @@ class Course:
         return record_of(self.system, self.sequence, kind, seed, self.results, self._clock.seconds)
 
     def _note_new_map(self, map_id: int) -> None:
-        found = [path for path in self.system.trajectories() if path.map_id == map_id]
-        self.begun.update((path.map_id, path) for path in found)
+        paths = self.system.keyframe_trajectories()
+        self.begun.update((map_id, int(path.frames[0])) for path in paths if path.map_id == map_id)
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,7 @@ class FreeArm:
 
     base: RunRecord
     dual: RunRecord
-    begun: dict[int, MapTrajectory]
+    begun: dict[int, int]
 
 
 def dual_config(unit: UnitSpec, exhaustive: bool = True) -> DualConfig:

@@ -170,33 +170,28 @@ def audit_fusion(
 
 def audit_relation(
     old: MapTrajectory,
-    new: MapTrajectory,
-    S_old_new: np.ndarray,
+    placed: MapTrajectory,
     stamps_s: np.ndarray,
     T_world_cam: np.ndarray,
     onset_frame: int,
     bounds: AuditBounds = RELATION_BOUNDS,
 ) -> FusionAudit:
-    """Judge a similarity that takes a new map into an old one, whether or not it was acted upon.
+    """Judge where a recovery has placed a new map in an old one, whether or not it was acted upon.
 
     Args:
         old: poses in the old map; those before the onset count.
-        new: poses in the new map as it was when it was related, all of them after the onset.
-        S_old_new: (4, 4) similarity from the new map to the old one.
+        placed: poses of the new map's keyframes, in the old map; those after the onset count.
         stamps_s: (N,) float64 times of all frames.
         T_world_cam: (N, 4, 4) float64 true poses, NaN where unknown.
         onset_frame: where the trusted part of the old map ends.
         bounds: what counts as false.
     """
-    sR, t = S_old_new[:3, :3], S_old_new[:3, 3]
-    scale = np.cbrt(np.linalg.det(sR))
-    moved = Similarity(float(scale), sR / scale, t).poses(new.T_map_cam)
-    before, after = old.frames < onset_frame, new.frames > onset_frame
+    before, after = old.frames < onset_frame, placed.frames > onset_frame
     both = MapTrajectory(
         old.map_id,
-        np.concatenate([old.frames[before], new.frames[after]]),
-        np.concatenate([old.stamps_s[before], new.stamps_s[after]]),
-        np.concatenate([old.T_map_cam[before], moved[after]]),
+        np.concatenate([old.frames[before], placed.frames[after]]),
+        np.concatenate([old.stamps_s[before], placed.stamps_s[after]]),
+        np.concatenate([old.T_map_cam[before], placed.T_map_cam[after]]),
     )
     return audit_fusion(both, stamps_s, T_world_cam, onset_frame, bounds=bounds)
 

@@ -41,28 +41,28 @@ class Recovery:
 
     Attributes:
         reinit_frame: at which a new map stood, None if none did.
-        new: poses of the new map when the threads set out from it, None if they never did.
+        first_frame: of the new map that the threads set out from, None if they never did.
         columns: of every thread.
     """
 
     reinit_frame: int | None
-    new: MapTrajectory | None
+    first_frame: int | None
     columns: dict[str, Any]
 
     def frames_from(self, frame: int) -> int | None:
         """Frames from ``frame`` to the new map's first."""
-        return None if self.new is None else int(self.new.frames[0]) - frame
+        return None if self.first_frame is None else self.first_frame - frame
 
 
 def judge_recovery(
-    arm: Arm, events: Sequence[Event], begun: Mapping[int, MapTrajectory], since: int, reference: Reference
+    arm: Arm, events: Sequence[Event], begun: Mapping[int, int], since: int, reference: Reference
 ) -> Recovery:
     """The first recovery of the map that was parted with.
 
     Args:
         arm: in which.
         events: all that the system has declared.
-        begun: poses of new maps when recoveries over them started, by the maps' numbers.
+        begun: first frames of the maps that recoveries have started from, by the maps' numbers.
         since: the frame after which a new map was sought.
         reference: what is judged by.
     """
@@ -74,20 +74,24 @@ def judge_recovery(
         each = range(1, reference.threads + 1)
         return Recovery(reinit, None, {thread_column(arm, j, k): v for j in each for k, v in none.items()})
     columns: dict[str, Any] = {}
-    new = begun.get(attempt)
     for end in _ends(events, attempt):
-        told = _thread(end, _audit(end, new, reference), _refused(events, end))
+        told = _thread(end, _audit(end, reference), _refused(events, end))
         columns |= {thread_column(arm, end.thread, name): value for name, value in told.items()}
-    return Recovery(reinit, new, columns)
+    return Recovery(reinit, begun.get(attempt), columns)
 
 
-def _audit(end: RecoveryEnd, new: MapTrajectory | None, reference: Reference) -> FusionAudit | None:
+def _audit(end: RecoveryEnd, reference: Reference) -> FusionAudit | None:
     truth = reference.sequence.T_world_cam
-    if end.S_old_new is None or new is None or truth is None:
+    if not end.placed or truth is None:
         return None
-    S_old_new, stamps_s = np.array(end.S_old_new), reference.sequence.stamps_s
+    placed = MapTrajectory(
+        end.old_map_id,
+        np.array([k.frame for k in end.placed]),
+        np.array([k.stamp_s for k in end.placed]),
+        np.array([k.T_old_cam for k in end.placed]),
+    )
     onset = reference.exposure.onset_frame
-    return audit_relation(reference.lead_in, new, S_old_new, stamps_s, truth, onset)
+    return audit_relation(reference.lead_in, placed, reference.sequence.stamps_s, truth, onset)
 
 
 def _ends(events: Sequence[Event], attempt: int) -> list[RecoveryEnd]:

@@ -142,13 +142,27 @@ class RecoveryStart(Event):
     buffered_frames: int
 
 
+@dataclass(frozen=True)
+class PlacedKeyframe(Unchanging):
+    """Where a recovery has found a keyframe of the new map to be in the old one.
+
+    Attributes:
+        frame, stamp_s: its frame.
+        T_old_cam: rows of the (4, 4) pose, camera to old map.
+    """
+
+    frame: int
+    stamp_s: float
+    T_old_cam: tuple[tuple[float, ...], ...]
+
+
 @dataclass(frozen=True, kw_only=True)
 class RecoveryEnd(Event):
     """A recovery thread ended. ``stage`` is where it failed: propagation, overlap, sim3; empty on success.
 
     Attributes:
-        S_old_new: on success the rows of the (4, 4) similarity from the new map, as it was when the recovery
-            started, to the old one.
+        placed: on success, the keyframes that the new map had when the recovery started, as going back has
+            refined them, moved by the similarity that was found.
     """
 
     kind: ClassVar[str] = "recovery_end"
@@ -162,12 +176,12 @@ class RecoveryEnd(Event):
     frames_passed_over: int
     inliers: int
     cpu_ms: float
-    S_old_new: tuple[tuple[float, ...], ...] | None = None
+    placed: tuple[PlacedKeyframe, ...] = ()
 
     def record(self) -> dict:
-        """A flat record for events.jsonl."""
-        rows = self.S_old_new
-        return {**super().record(), "S_old_new": None if rows is None else [list(row) for row in rows]}
+        """A record for events.jsonl, in lists all through."""
+        placed = [{**vars(k), "T_old_cam": [list(row) for row in k.T_old_cam]} for k in self.placed]
+        return {**super().record(), "placed": placed}
 
 
 @dataclass(frozen=True, kw_only=True)

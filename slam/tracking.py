@@ -25,6 +25,7 @@ class TrackingConfig:
         reference_ratio: best over second best descriptor distance of a match with the reference keyframe.
         min_reference_matches: below, the reference keyframe is given up too.
         min_inliers: map matches that survive pose optimisation, below which tracking is lost.
+        min_share: their least share of the map matches.
         cautious_inliers, cautious_s: the same, for so long after a relocalization.
         local_map_keyframes: cap on the local map.
         keyframe_share: a keyframe is made when inliers fall below this share of the reference's points.
@@ -38,6 +39,7 @@ class TrackingConfig:
     reference_ratio: float = 0.8
     min_reference_matches: int = 15
     min_inliers: int = 30
+    min_share: float = 0.0
     cautious_inliers: int = 50
     cautious_s: float = 1.0
     local_map_keyframes: int = 80
@@ -138,6 +140,8 @@ class Tracker:
         cautious = frame.features.stamp_s < self._cautious_until_s
         if inliers < (self.config.cautious_inliers if cautious else self.config.min_inliers):
             return TrackingOutcome(False, inliers, matches, "too_few_local_map_inliers")
+        if inliers < self.config.min_share * matches:
+            return TrackingOutcome(False, inliers, matches, "too_many_outliers")
         self._accept(frame, last)
         return TrackingOutcome(True, inliers, matches)
 
@@ -187,27 +191,38 @@ class Tracker:
         return optimize_frame(frame, self.map) >= self.config.min_motion_inliers
 
     def _track_across_gap(self, frame: Frame, last: Frame) -> bool:
-        """Look for the local map about the pose carried on, ever wider as its error grows with the gap."""
+        """Look for the local map ever wider, about the pose carried on and about where the gap began.
+
+        A pose that many frames have been carried over may be far off, and the few points of a plane then
+        agree with a wrong one: of the two ways to set out, that with more inliers counts.
+        """
         if self.velocity is None:
             return False
-        m, f = self.map, frame.features
+        m = self.map
+        starts = self.velocity @ last.T_cam_map, m.T_cam_map(m.live(last.reference_keyframe))
         _, candidates = matching.collect_local_map(
             m.arrays, m.n_keyframes, m.n_points, last.point, self.config.local_map_keyframes
         )
-        predicted = np.ascontiguousarray(self.velocity @ last.T_cam_map)
         for radius_px in self.config.gap_radius_px * np.array([1.0, 2.0, 4.0]):
-            frame.point[:] = -1
-            _, count = matching.match_local_points(
-                m.arrays, m.view, predicted, candidates,
-                f.xy, f.octave, f.descriptors, f.cell_start, frame.point, radius_px / 4.0, 0.8, False,
-            )  # fmt: skip
-            frame.T_cam_map = predicted
-            if (
-                count >= self.config.min_motion_matches
-                and optimize_frame(frame, self.map) >= self.config.min_motion_matches
-            ):
+            found = [self._place_about(frame, np.ascontiguousarray(T), candidates, radius_px) for T in starts]
+            best = max(found, key=lambda placed: placed[0])
+            if best[0] >= self.config.min_motion_matches:
+                _, frame.T_cam_map, frame.point = best
                 return True
         return False
+
+    def _place_about(
+        self, frame: Frame, T_cam_map: np.ndarray, candidates: np.ndarray, radius_px: float
+    ) -> tuple[int, np.ndarray, np.ndarray]:
+        """Inliers, pose and matches of the frame with points looked for where a pose would show them."""
+        m, f = self.map, frame.features
+        frame.point, frame.T_cam_map = np.full(len(f), -1, np.int32), T_cam_map
+        _, count = matching.match_local_points(
+            m.arrays, m.view, T_cam_map, candidates,
+            f.xy, f.octave, f.descriptors, f.cell_start, frame.point, radius_px / 4.0, 0.8, False,
+        )  # fmt: skip
+        inliers = optimize_frame(frame, m) if count >= self.config.min_motion_matches else 0
+        return inliers, frame.T_cam_map, frame.point
 
     def _match_last(self, frame: Frame, last: Frame, predicted: np.ndarray, radius_px: float) -> int:
         f, g = frame.features, last.features

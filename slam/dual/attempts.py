@@ -16,6 +16,7 @@ from slam.dual.registry import build_thread
 from slam.frame import Frame
 from slam.geometry import share_of_motion
 from slam.map import Map
+from slam.map_alignment import Alignment
 from slam.seeds import rng_for
 
 
@@ -188,8 +189,20 @@ class RecoveryAttempts:
             frames_passed_over=result.frames_passed_over,
             inliers=result.inliers,
             cpu_ms=outcome.cpu_ms,
-            S_old_new=tuple(map(tuple, found.S_old_new.tolist())) if found else None,
+            placed=_placed(result.map, attempt.keyframes, found) if found else (),
         )
+
+
+def _placed(extended: Map, keyframes: int, found: Alignment) -> tuple[ev.PlacedKeyframe, ...]:
+    """The first keyframes of an extended map in the old map, those gone since apart."""
+    placed = []
+    for k in range(keyframes):
+        if not extended.arrays.kf_bad[k]:
+            T_old_cam = found.S_old_new @ np.linalg.inv(extended.T_cam_map(k))
+            T_old_cam[:3, :3] /= found.scale
+            features, rows = extended.features(k), tuple(map(tuple, T_old_cam.tolist()))
+            placed.append(ev.PlacedKeyframe(features.index, features.stamp_s, rows))
+    return tuple(placed)
 
 
 def _ready_to_extend(new: NewMap) -> tuple[Map, Frame, np.ndarray]:

@@ -142,17 +142,16 @@ def similarity(scale=1.0, shift_m=(0.0, 0.0, 0.0), turn_deg=0.0):
 
 
 def related(S_error: np.ndarray, new_frames=range(BEGUN, BEGUN + 12)):
-    """An old map at half size and a new one at a third, related by the truth with an error put in front."""
-    S_old_world, S_new_world = similarity(0.5, (1, 2, 3), 30), similarity(1 / 3, (-4, 0, 1), -70)
+    """An old map at half size and a new one placed in it by the truth with an error put in front."""
+    S_old_world = similarity(0.5, (1, 2, 3), 30)
     T = circle(N)
 
     def seen(frames, S):
         frames = np.asarray(frames)
         return MapTrajectory(0, frames, STAMPS[frames], moved(T[frames], S))
 
-    S_old_new = S_error @ S_old_world @ np.linalg.inv(S_new_world)
-    old, new = seen(range(5, ONSET + 10), S_old_world), seen(new_frames, S_new_world)
-    return audit_relation(old, new, S_old_new, STAMPS, T, ONSET)
+    old, placed = seen(range(5, ONSET + 10), S_old_world), seen(new_frames, S_error @ S_old_world)
+    return audit_relation(old, placed, STAMPS, T, ONSET)
 
 
 def moved(T, S):

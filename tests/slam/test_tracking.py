@@ -335,3 +335,27 @@ def test_tracking_goes_on_in_a_map_that_has_absorbed_its_own(world, known, sight
     truth[:3, 3] = 2 * sightings[23].T_cam_world[:3, 3] - truth[:3, :3] @ whole[:3, 3]
     distance, angle = pose_error(frame.T_cam_map, truth)
     assert distance < 0.04 and angle < 0.3
+
+
+def test_a_gap_that_was_entered_on_a_wrong_turn_is_got_over(known, sightings):
+    """The last pose before a gap may be poor, and what was carried on from it far off by its end."""
+    turn = rigid(np.zeros(3), rotvec_deg=(0.0, 4.0, 0.0))
+    tracker = started(known, sightings[0], turn, NO_FALLBACK)
+    for i in range(1, 12):
+        tracker.pass_over(nothing(i))
+    assert far(tracker.last, sightings[11], most_m=0.1, most_deg=20.0)
+    frame = sightings[12].again()
+    assert tracker.track(frame).success
+    assert not far(frame, sightings[12])
+
+
+def test_a_pose_that_many_matches_deny_is_refused_where_a_share_is_asked(known, sightings):
+    """Half of the keypoints displaced, within the search windows: their points are matched and do not fit."""
+    features = sightings[1].frame.features
+    off = 3.2 * known[0].view.scale[features.octave] * np.sin(np.arange(len(features)) * np.pi / 2)
+    displaced = replace(features, xy=features.xy + np.stack([0 * off, off], axis=1))
+    for share, reason in ((0.0, ""), (0.7, "too_many_outliers")):
+        tracker = started(known, sightings[0], np.eye(4), TrackingConfig(min_share=share))
+        outcome = tracker.track(Frame(displaced))
+        assert (outcome.success, outcome.reason) == (not reason, reason)
+        assert 30 <= outcome.inliers < 0.7 * outcome.matches
