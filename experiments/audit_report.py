@@ -72,6 +72,31 @@ def loss_findings(
     return findings
 
 
+def audit_loss_in(
+    record: RunRecord, onset_frame: int, end_frame: int, bounds: AuditBounds | None = None
+) -> LossAudit | Undefined:
+    """`audit_loss` of the map in which the frame before the onset was tracked.
+
+    Args:
+        record: a run over a sequence with truth.
+        onset_frame, end_frame, bounds: as there.
+
+    Returns:
+        The finding; Undefined also where that frame was not tracked.
+    """
+    before = record.results[onset_frame - 1] if onset_frame > 0 else None
+    if before is None or before.T_map_cam is None:
+        return Undefined("not tracking at the onset")
+    sequence, live = record.sequence, record.live[before.map_id]
+    assert sequence.T_world_cam is not None
+    return audit_loss(live, sequence.stamps_s, sequence.T_world_cam, onset_frame, end_frame, bounds)
+
+
+def declaration_delay_s(stamps_s: np.ndarray, lost: int | None, declared: int | None) -> float | None:
+    """From the true loss to the declaration, by their frames; None unless there are both."""
+    return None if lost is None or declared is None else float(stamps_s[declared] - stamps_s[lost])
+
+
 def fusion_findings(
     record: RunRecord, outcomes: list[BreakageOutcome], bounds: AuditBounds | None = None
 ) -> list[FusionFinding]:
@@ -147,24 +172,11 @@ def _finding(
     end: int,
     declared: int | None,
 ) -> LossFinding:
-    audit = _audit(record, bounds, onset, end)
+    audit = audit_loss_in(record, onset, end, bounds)
     if isinstance(audit, Undefined):
         return LossFinding(segment, onset, end, declared, None, None, None, audit.reason)
-    stamps_s = record.sequence.stamps_s
     loss = audit.true_loss_frame
-    delay_s = (
-        float(stamps_s[declared] - stamps_s[loss]) if declared is not None and loss is not None else None
-    )
+    delay_s = declaration_delay_s(record.sequence.stamps_s, loss, declared)
     return LossFinding(
         segment, onset, end, declared, loss, delay_s, loss is not None and declared is None, ""
     )
-
-
-def _audit(record: RunRecord, bounds: AuditBounds, onset: int, end: int) -> LossAudit | Undefined:
-    """Follow the map in which the frame before the onset was tracked."""
-    before = record.results[onset - 1] if onset > 0 else None
-    if before is None or before.T_map_cam is None:
-        return Undefined("not tracking at the onset")
-    sequence = record.sequence
-    assert sequence.T_world_cam is not None
-    return audit_loss(record.live[before.map_id], sequence.stamps_s, sequence.T_world_cam, onset, end, bounds)

@@ -25,11 +25,17 @@ def fates(record: RunRecord) -> list[Fate]:
     recovery that went back over it. Before a first breakage it owes it to initialisation, which places the
     frames between its two views, and counts as tracked. A frame of a map that was dropped has none.
     """
+    posed = posed_frames(record)
+    first = min((e.frame for e in record.events if isinstance(e, Breakage)), default=len(posed))
+    return [_fate(bool(posed[r.frame]), is_tracked(r) or r.frame < first) for r in record.results]
+
+
+def posed_frames(record: RunRecord) -> np.ndarray:
+    """(frames,) bool: the frame has a pose in the end, in whichever map."""
     posed = np.zeros(len(record.results), bool)
     for trajectory in record.trajectories:
         posed[trajectory.frames] = True
-    first = min((e.frame for e in record.events if isinstance(e, Breakage)), default=len(posed))
-    return [_fate(bool(posed[r.frame]), is_tracked(r) or r.frame < first) for r in record.results]
+    return posed
 
 
 def _fate(posed: bool, at_once: bool) -> Fate:

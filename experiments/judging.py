@@ -7,12 +7,14 @@ import numpy as np
 from experiments import metrics
 from experiments.alignment import Similarity, Undefined, align_poses
 from experiments.arms import Course, Exposure, FreeArm
-from experiments.audit import LossAudit, audit_loss
+from experiments.audit import LossAudit
+from experiments.audit_report import audit_loss_in, declaration_delay_s
 from experiments.breakages import BreakageOutcome, breakage_outcomes
 from experiments.execution import RunRecord
+from experiments.fates import posed_frames
 from experiments.records import dual_column, thread_column
 from experiments.recovery_judging import Reference, judge_recovery
-from experiments.summary import is_tracked
+from experiments.summary import is_tracked, main_map_pairs
 
 
 def judge_free(arm: FreeArm, reference: Reference) -> dict[str, Any]:
@@ -25,7 +27,7 @@ def judge_free(arm: FreeArm, reference: Reference) -> dict[str, Any]:
         "silent_failure": None if loss is None else base_first is None and loss.true_loss_frame is not None,
         "base_failure": not is_tracked(arm.base.results[-1]),
         "base_share_tracked": float(np.mean([is_tracked(r) for r in arm.base.results])),
-        "dual_share_tracked": _share_posed(arm.dual),
+        "dual_share_tracked": float(posed_frames(arm.dual).mean()),
         **_accuracy(arm.base, "base", exposure),
         **_accuracy(arm.dual, "dual", exposure),
         **{dual_column(n): False for n in range(1, threads + 1)},
@@ -40,7 +42,7 @@ def judge_free(arm: FreeArm, reference: Reference) -> dict[str, Any]:
     row |= {
         "breakage_frame": breakage.frame,
         "breakage_reason": breakage.reason,
-        "declaration_delay_s": _delay_s(reference.sequence.stamps_s, lost, breakage.frame),
+        "declaration_delay_s": declaration_delay_s(reference.sequence.stamps_s, lost, breakage.frame),
         "relocalized": base_first.relocalized is not None,
         "dual_relocalized": dual_first.relocalized is not None,
         "reinit": recovery.reinit_frame is not None,
@@ -85,29 +87,18 @@ def _first_exposed(record: RunRecord, reference: Reference) -> BreakageOutcome |
 
 def _loss(record: RunRecord, exposure: Exposure, first: BreakageOutcome | None) -> LossAudit | None:
     """When the pose was truly lost, up to the declaration; None where it cannot be judged."""
-    sequence = record.sequence
-    assert sequence.T_world_cam is not None
-    live = record.live[record.results[exposure.onset_frame - 1].map_id]
     end = exposure.last_frame if first is None else first.breakage.frame
-    audit = audit_loss(live, sequence.stamps_s, sequence.T_world_cam, exposure.onset_frame, end)
+    audit = audit_loss_in(record, exposure.onset_frame, end)
     return None if isinstance(audit, Undefined) else audit
-
-
-def _share_posed(record: RunRecord) -> float:
-    posed = np.zeros(len(record.results), bool)
-    for path in record.trajectories:
-        posed[path.frames] = True
-    return float(posed.mean())
 
 
 def _accuracy(record: RunRecord, name: str, exposure: Exposure) -> dict[str, Any]:
     """ATE and coverage of the largest map, end-point error of the map that holds the lead-in."""
-    sequence, truth = record.sequence, record.sequence.T_world_cam
+    truth, pairs = record.sequence.T_world_cam, main_map_pairs(record)
     assert truth is not None
     row: dict[str, Any] = {f"{name}_ate_m": None, f"{name}_path_share": 0.0, f"{name}_end_error_m": None}
-    if not record.trajectories:
+    if pairs is None:
         return row
-    pairs = metrics.associate(record.trajectories[0], sequence.stamps_s, truth)
     ate = metrics.ate(pairs)
     row[f"{name}_ate_m"] = None if isinstance(ate, Undefined) else ate.rmse_m
     share = metrics.coverage(pairs.frames, truth).share
@@ -129,7 +120,3 @@ def _end_error_m(record: RunRecord, exposure: Exposure) -> float | None:
         return None
     last = pairs.where(pairs.frames == pairs.frames[-1])
     return float(metrics.position_errors_m(last, alignment)[0])
-
-
-def _delay_s(stamps_s: np.ndarray, lost: int | None, declared: int) -> float | None:
-    return None if lost is None else float(stamps_s[declared] - stamps_s[lost])

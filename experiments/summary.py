@@ -53,6 +53,14 @@ def is_tracked(result: TrackingResult) -> bool:
     return result.state is TrackingState.TRACKING and result.T_map_cam is not None
 
 
+def main_map_pairs(record: RunRecord) -> metrics.PosePairs | None:
+    """The path of the main map, that with most frames, beside the truth; None where either is missing."""
+    truth = record.sequence.T_world_cam
+    if truth is None or not record.trajectories:
+        return None
+    return metrics.associate(record.trajectories[0], record.sequence.stamps_s, truth)
+
+
 def segment_rows(record: RunRecord, outcomes: list[BreakageOutcome]) -> list[dict]:
     """Per injected segment: frames, tracked frames, breakages, what healed them, ATE with its completeness.
 
@@ -135,9 +143,9 @@ def _accuracy(record: RunRecord) -> dict:
     if truth is None:
         return {**empty, "ate_reason": "no ground truth"}
     empty["true_path_m"] = metrics.path_length_m(truth)
-    if not record.trajectories:
+    pairs = main_map_pairs(record)
+    if pairs is None:
         return {**empty, "ate_reason": "no map", "path_m": 0.0, "path_share": 0.0}
-    pairs = metrics.associate(record.trajectories[0], record.sequence.stamps_s, truth)
     covered = metrics.coverage(pairs.frames, truth)
     found = {**empty, "path_m": covered.path_m, "path_share": covered.share, "ate_poses": len(pairs)}
     ate = metrics.ate(pairs)
@@ -192,10 +200,9 @@ def _breakage(outcome: BreakageOutcome, record: RunRecord) -> dict:
 
 def _main_map_errors(record: RunRecord) -> dict[int, float]:
     """Position error, metres, of every frame of the main map; empty where there is none to be had."""
-    truth = record.sequence.T_world_cam
-    if truth is None or not record.trajectories:
+    pairs = main_map_pairs(record)
+    if pairs is None:
         return {}
-    pairs = metrics.associate(record.trajectories[0], record.sequence.stamps_s, truth)
     ate = metrics.ate(pairs)
     if isinstance(ate, Undefined):
         return {}

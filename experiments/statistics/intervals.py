@@ -1,8 +1,9 @@
 """Intervals of proportions. Pure: counts in, numbers out."""
 
 from dataclasses import dataclass
+from typing import Literal
 
-from scipy.stats import beta
+from statsmodels.stats.proportion import proportion_confint
 
 
 @dataclass(frozen=True)
@@ -41,11 +42,7 @@ def clopper_pearson(events: int, units: int, confidence: float = 0.95) -> Propor
 
     Source: Clopper & Pearson, "The use of confidence or fiducial limits", Biometrika 1934.
     """
-    _check(events, units, confidence)
-    tail = (1 - confidence) / 2
-    low = float(beta.ppf(tail, events, units - events + 1)) if events > 0 else 0.0
-    high = float(beta.ppf(1 - tail, events + 1, units - events)) if events < units else 1.0
-    return Proportion(events, units, low, high, confidence)
+    return _interval(events, units, confidence, "beta")
 
 
 def jeffreys(events: int, units: int, confidence: float = 0.95) -> Proportion:
@@ -59,15 +56,17 @@ def jeffreys(events: int, units: int, confidence: float = 0.95) -> Proportion:
 
     Source: Brown, Cai & DasGupta, "Interval estimation for a binomial proportion", Statistical Science 2001.
     """
-    _check(events, units, confidence)
-    tail = (1 - confidence) / 2
-    low = float(beta.ppf(tail, events + 0.5, units - events + 0.5)) if events > 0 else 0.0
-    high = float(beta.ppf(1 - tail, events + 0.5, units - events + 0.5)) if events < units else 1.0
-    return Proportion(events, units, low, high, confidence)
+    return _interval(events, units, confidence, "jeffreys")
 
 
-def _check(events: int, units: int, confidence: float) -> None:
+def _interval(events: int, units: int, confidence: float, method: Literal["beta", "jeffreys"]) -> Proportion:
     if not 0 <= events <= units:
         raise ValueError(f"{events} events of {units} units")
     if not 0 < confidence < 1:
         raise ValueError(f"confidence {confidence} is not in (0, 1)")
+    low, high = 0.0, 1.0
+    if units:  # of none statsmodels makes NaN
+        low, high = map(float, proportion_confint(events, units, 1 - confidence, method))
+    # Where nothing speaks against the shares 0 and 1, Brown, Cai & DasGupta's interval holds them; that of
+    # statsmodels does not.
+    return Proportion(events, units, low if events > 0 else 0.0, high if events < units else 1.0, confidence)

@@ -1,23 +1,19 @@
-"""Runs of made-up units in real processes: the same rows for any number of workers and interruptions."""
+"""Runs of made-up units in real processes: the same rows for any number of workers, one run or several."""
 
 import os
-import signal
 import subprocess
-import sys
-import time
 from contextlib import nullcontext
 from dataclasses import replace
-from pathlib import Path
 
 import psutil
 import pytest
-from unit_fakes import MadeUp, made_up_record, made_up_unit
+from unit_fakes import MadeUp, made_up_record, made_up_unit, rows_of
 
 from experiments import crew as crews
 from experiments.crew import Crew, CrewSettings, open_crew
 from experiments.experiment_folder import SPEC_FILE, claim_folder
 from experiments.folder_lock import sole_driver
-from experiments.ledger import LEDGER_FILE, Ledger
+from experiments.ledger import LEDGER_FILE
 from experiments.records import decided
 from experiments.runner import run_experiment
 from experiments.spec import Stopping
@@ -26,19 +22,6 @@ from scenarios.errors import InputError
 
 PLAN = MadeUp({"ok": 40, "slow-0.01": 40})
 RULE = NarrowEnough(Stopping(quantity="p0", half_width=0.3, min_units=10))
-
-
-def rows_of(folder, plan=PLAN):
-    with Ledger.open(folder, plan, read_only=True) as ledger:
-        return [decided(row) for row in ledger.rows()]
-
-
-def rows_so_far(folder, plan):
-    """How many there are, none while the ledger is being made."""
-    try:
-        return len(rows_of(folder, plan))
-    except InputError:
-        return 0
 
 
 class OneWorker(Crew):
@@ -53,7 +36,7 @@ def test_one_worker_and_two_give_the_same_rows_with_a_stopping_rule(shared_crew,
         crew = kind(shared_crew._client, made_up_unit, CrewSettings(workers=2))
         tally = run_experiment(PLAN, tmp_path / kind.__name__, lambda crew=crew: nullcontext(crew), RULE)
         assert tally.done == tally.total < 80
-    one, two = (rows_of(tmp_path / kind.__name__) for kind in (OneWorker, Crew))
+    one, two = (rows_of(tmp_path / kind.__name__, PLAN) for kind in (OneWorker, Crew))
     assert one == two
     assert all(row == decided(made_up_record(PLAN.unit(row["cell"], row["index"]))) for row in one)
 
@@ -147,49 +130,6 @@ def test_a_full_disk_ends_the_run_in_one_line_and_the_next_goes_on(run_made_up, 
     assert 4 <= len(kept) < 12
     assert run_made_up(plan, folder=folder).ended_here == 12 - len(kept)
     assert [row for row in rows_of(folder, plan) if row in kept] == kept
-
-
-DRIVER = """
-import signal, sys; sys.path.insert(0, {tests!r})
-signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored by what a shell starts in the background
-from pathlib import Path
-from experiments.crew import CrewSettings, open_crew
-from experiments.runner import run_experiment
-from unit_fakes import MadeUp, made_up_unit
-if __name__ == "__main__":
-    plan = MadeUp({{"slow-0.05": 200}})
-    run_experiment(plan, Path({folder!r}), lambda: open_crew(CrewSettings(workers=2), made_up_unit))
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT], ids=["kill-9", "ctrl-c"])
-def test_a_driver_that_is_ended_loses_the_units_under_way_only(run_made_up, tmp_path, how):
-    plan, folder = MadeUp({"slow-0.05": 200}), tmp_path / "x"
-    script = tmp_path / "driver.py"
-    script.write_text(DRIVER.format(tests=str(Path(__file__).parent), folder=str(folder)))
-    with subprocess.Popen(
-        [sys.executable, script], stderr=subprocess.PIPE, text=True, start_new_session=True
-    ) as driver:
-        deadline_s = time.monotonic() + 120
-        while rows_so_far(folder, plan) < 5:
-            assert time.monotonic() < deadline_s and driver.poll() is None
-            time.sleep(0.1)
-        processes = psutil.Process(driver.pid).children(recursive=True)
-        if how is signal.SIGKILL:
-            driver.kill()
-        else:
-            os.killpg(driver.pid, how)
-        _, said = driver.communicate(timeout=60)
-    _, alive = psutil.wait_procs(processes, timeout=30)
-    assert alive == []
-    if how is signal.SIGINT:
-        assert said.strip().splitlines()[-1] == "KeyboardInterrupt" and said.count("Traceback") == 1
-    before = rows_of(folder, plan)
-    assert 5 <= len(before) < 200
-    tally = run_made_up(plan, folder=folder)
-    assert tally.ended_here == 200 - len(before) and tally.retries == 0
-    assert all(row in rows_of(folder, plan) for row in before)
 
 
 def test_a_scheduler_somewhere_else_gives_the_same(shared_crew, tmp_path):

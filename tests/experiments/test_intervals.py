@@ -1,4 +1,4 @@
-"""Clopper-Pearson intervals against statsmodels and against their own promise."""
+"""Clopper-Pearson intervals against their definition and their own promise."""
 
 import numpy as np
 import pytest
@@ -11,13 +11,14 @@ from experiments.statistics.intervals import clopper_pearson
     ("events", "units"), [(0, 10), (1, 10), (5, 10), (10, 10), (30, 153), (24, 30), (0, 1)]
 )
 @pytest.mark.parametrize("confidence", [0.9, 0.95])
-def test_the_interval_is_statsmodels(events, units, confidence):
-    proportion = pytest.importorskip("statsmodels.stats.proportion")
-    ours = clopper_pearson(events, units, confidence)
-    low, high = proportion.proportion_confint(events, units, 1 - confidence, method="beta")
-    # statsmodels leaves the ends at 0 and 1 undefined in some releases.
-    assert ours.low == pytest.approx(low if events else 0.0, abs=1e-12)
-    assert ours.high == pytest.approx(high if events < units else 1.0, abs=1e-12)
+def test_at_an_end_what_was_seen_is_just_about_too_far_off(events, units, confidence):
+    found, tail = clopper_pearson(events, units, confidence), (1 - confidence) / 2
+    assert found.low == 0 if events == 0 else binom.sf(events - 1, units, found.low) == pytest.approx(tail)
+    assert found.high == 1 if events == units else binom.cdf(events, units, found.high) == pytest.approx(tail)
+
+
+def test_of_no_events_the_upper_end_is_known_in_closed_form():
+    assert clopper_pearson(0, 10).high == pytest.approx(1 - 0.025 ** (1 / 10))
 
 
 def test_the_published_recovery_interval():

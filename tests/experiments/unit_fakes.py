@@ -8,7 +8,9 @@ from pathlib import Path
 
 import yaml
 
-from experiments.records import dual_column, empty_record, thread_column
+from experiments.ledger import Ledger
+from experiments.records import decided, dual_column, empty_record, thread_column
+from experiments.schedule import Experiment
 from experiments.units import ThreadChoice, UnitSpec, content_hash
 from scenarios.seeds import rng_for
 from scenarios.spec import RoomWorld, Scenario
@@ -72,28 +74,22 @@ def made_up_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path 
     return made_up_record(unit)
 
 
+def slow_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict:
+    """Take a moment, whatever the cell."""
+    time.sleep(0.05)
+    return made_up_record(unit)
+
+
 def rendered_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict:
     """Render something small and tell the hash of its frames."""
     import hashlib
 
+    from small_world import CAMERA, CORRIDOR
+
     from sim.render import render_sequence
 
-    camera = {
-        "width_px": 96,
-        "height_px": 64,
-        "fx_px": 70,
-        "fy_px": 70,
-        "cx_px": 47.5,
-        "cy_px": 31.5,
-        "fps": 10,
-    }
-    scenario = Scenario.model_validate(
-        {
-            "name": "small", "duration_s": 1.0, "seed": unit.index, "camera": camera,
-            "world": {"kind": "corridor", "length_m": 10, "turns": 0},
-        }
-    )  # fmt: skip
-    frames = render_sequence(scenario, cache_dir=cache_dir).frames
+    spec = {"name": "small", "duration_s": 1.0, "seed": unit.index, "world": CORRIDOR, "camera": CAMERA}
+    frames = render_sequence(Scenario.model_validate(spec), cache_dir=cache_dir).frames
     digest = hashlib.sha256(b"".join(frame.tobytes() for frame in frames)).hexdigest()
     return made_up_record(unit) | {"outcome": "void", "void_reason": digest}
 
@@ -115,6 +111,12 @@ def made_up_record(unit: UnitSpec) -> dict:
         whole = whole and failed
         record[dual_column(thread)] = whole
     return record
+
+
+def rows_of(folder: Path, plan: Experiment) -> list[dict]:
+    """What the ledger has of every unit that has ended, without times."""
+    with Ledger.open(folder, plan, read_only=True) as ledger:
+        return [decided(row) for row in ledger.rows()]
 
 
 def _count_try(unit: UnitSpec, folder: Path | None) -> int:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_world import CAMERA, CORRIDOR
 
 from scenarios.errors import InputError
 from scenarios.spec import Scenario
@@ -20,17 +21,9 @@ from sim.world.base import Route, Surface, WorldModel
 SPEC = {
     "name": "trial",
     "duration_s": 4,
-    "world": {"kind": "corridor", "length_m": 10, "turns": 0},
+    "world": CORRIDOR,
     "trajectory": {"gaze_deg": 90},
-    "camera": {
-        "width_px": 96,
-        "height_px": 64,
-        "fx_px": 70,
-        "fy_px": 70,
-        "cx_px": 47.5,
-        "cy_px": 31.5,
-        "fps": 10,
-    },
+    "camera": CAMERA,
     "segments": [
         {"kind": "low_texture", "start_s": 0.5, "duration_s": 1, "contrast": 0.1},
         {"kind": "motion_blur", "start_s": 2, "duration_s": 0.5, "exposure_s": 0.3},
@@ -148,7 +141,7 @@ def test_a_second_call_takes_the_frames_from_the_cache(tmp_path, rendered):
 def test_seed_spec_and_depth_make_other_entries(tmp_path, rendered):
     options = {"cache_dir": tmp_path / "cache", "studio": fake_studio()}
     assert digest(render_sequence(SCENARIO, 2, **options)) != digest(rendered)
-    quiet = Scenario.model_validate({**SPEC, "camera": {**SPEC["camera"], "noise_sigma": 0}})
+    quiet = Scenario.model_validate({**SPEC, "camera": {**CAMERA, "noise_sigma": 0}})
     assert digest(render_sequence(quiet, 1, **options)) != digest(rendered)
     deep = render_sequence(SCENARIO, 1, depth=True, **options)
     assert digest(deep) == digest(rendered)

@@ -1,4 +1,4 @@
-"""The base system: what it is given, what it answers, and that it answers the same every time."""
+"""The base system: what it answers, that it answers the same every time, and what it does when it breaks."""
 
 import json
 import os
@@ -14,7 +14,6 @@ from slam_scenes import blanked, digest_of_run, errors_m, feed, fingerprint, kin
 from slam.config import SlamConfig, default_config
 from slam.events import TrackingState
 from slam.factory import build_system
-from slam.system import MonocularSlam
 from slam.warmup import CAMERA
 
 COUNT, STEP_M = 100, 0.05
@@ -207,154 +206,6 @@ def test_another_process_on_one_core_gives_the_same_run():
     here = [digest_of_run(*run) for _ in range(2)]
     assert here == [child.stdout.strip()] * 2
     assert here[0].endswith("fusion")
-
-
-@pytest.mark.parametrize("layout", ["columns", "read_only", "strided", "reused"])
-def test_the_layout_of_an_image_in_memory_does_not_matter(sequence, layout):
-    images, stamps_s, _ = sequence
-    plain, other = base(), base()
-    feed(plain, images[:15], stamps_s[:15], check=False)
-    buffer = np.empty(SHAPE, np.uint8)
-    for image, stamp_s in zip(images[:15], stamps_s[:15], strict=True):
-        given = image
-        if layout == "columns":
-            given = np.asfortranarray(image)
-        elif layout == "read_only":
-            given = image.copy()
-            given.flags.writeable = False
-        elif layout == "strided":
-            given = np.repeat(image, 2, axis=1)[:, ::2]
-        else:
-            buffer[:] = image
-            given = buffer
-        other.process(given, stamp_s)
-        buffer[:] = 0
-    assert fingerprint(other) == fingerprint(plain)
-
-
-# -- misuse --------------------------------------------------------------------------------------------------
-
-
-GREY = np.zeros(SHAPE, np.uint8)
-
-
-@pytest.mark.parametrize(
-    "image",
-    [
-        GREY[:-1],
-        GREY.T,
-        GREY[:0],
-        GREY[..., None],
-        np.zeros((*SHAPE, 3), np.uint8),
-        GREY.astype(np.float32),
-        GREY.astype(np.float64),
-        GREY.astype(np.int8),
-        GREY.astype(np.uint16),
-        GREY.astype(bool),
-        GREY.tolist(),
-        None,
-        "frame.png",
-    ],
-    ids=lambda image: f"{getattr(image, 'dtype', type(image).__name__)}{getattr(image, 'shape', '')}",
-)
-def test_what_is_no_image_is_refused(image):
-    system = base()
-    with pytest.raises(ValueError, match="frame 0"):
-        system.process(image, 0.0)
-
-
-@pytest.mark.parametrize("stamp_s", [1.0, 0.5, -1.0, np.nan, np.inf, -np.inf, None, "2.0"])
-def test_a_time_that_is_no_later_is_refused(stamp_s):
-    system = base()
-    system.process(GREY, 1.0)
-    with pytest.raises(ValueError, match="frame 1"):
-        system.process(GREY, stamp_s)
-
-
-def test_a_first_time_must_be_a_time():
-    for stamp_s in (np.nan, -np.inf):
-        with pytest.raises(ValueError):
-            base().process(GREY, stamp_s)
-    assert base().process(GREY, -5.0).frame == 0
-
-
-def test_misuse_leaves_the_system_as_it_was(sequence):
-    images, stamps_s, _ = sequence
-    plain, abused = base(), base()
-    feed(plain, images[:25], stamps_s[:25], check=False)
-    for image, stamp_s in zip(images[:25], stamps_s[:25], strict=True):
-        abused.process(image, stamp_s)
-        for wrong in ((image[1:], stamp_s + 0.01), (image, stamp_s), (image, np.nan)):
-            with pytest.raises(ValueError):
-                abused.process(*wrong)
-    assert fingerprint(abused) == fingerprint(plain)
-
-
-def test_what_cannot_be_built_is_refused():
-    with pytest.raises(ValueError, match="unknown system"):
-        build_system("triple", CAMERA)
-    with pytest.raises(ValueError, match="too small"):
-        MonocularSlam(replace(CAMERA, width_px=20, height_px=20, cx=10.0, cy=10.0))
-
-
-def test_a_wide_camera_gets_more_features():
-    assert default_config(CAMERA).orb.n_features == 1000
-    assert default_config(replace(CAMERA, width_px=1241, height_px=376)).orb.n_features == 2000
-
-
-# -- content -------------------------------------------------------------------------------------------------
-
-
-def corner(_):
-    image = np.full(SHAPE, 100, np.uint8)
-    image[100:, 150:] = 200
-    return image
-
-
-def checkerboard(_):
-    """Thousands of equal corners."""
-    y, x = np.indices(SHAPE)
-    return (((x // 8 + y // 8) % 2) * 255).astype(np.uint8)
-
-
-CONTENT = {
-    "black": lambda _: np.zeros(SHAPE, np.uint8),
-    "white": lambda _: np.full(SHAPE, 255, np.uint8),
-    "constant": lambda _: np.full(SHAPE, 120, np.uint8),
-    "noise": lambda i: np.random.default_rng(i).integers(0, 256, SHAPE).astype(np.uint8),
-    "one_corner": corner,
-    "checkerboard": checkerboard,
-}
-
-
-@pytest.mark.parametrize("kind", ["base", "dual"])
-@pytest.mark.parametrize("content", CONTENT)
-def test_no_content_raises(sequence, content, kind):
-    """At the start, while initialising, while tracking and at the end: at worst the system is lost."""
-    images, stamps_s, _ = sequence
-    images = list(images[:66])
-    spots = {*range(3), *range(5, 7), *range(50, 53), *range(64, 66)}
-    for i in spots:
-        images[i] = CONTENT[content](i)
-    system = build_system(kind, CAMERA, 0)
-    results = feed(system, images, stamps_s[:66])
-    assert {r.frame for r in results if r.state is TrackingState.TRACKING}.isdisjoint(spots)
-    assert "initialized" in kinds(system) and "breakage" in kinds(system)
-    for r in results:
-        assert (r.T_map_cam is not None) is (r.state is TrackingState.TRACKING)
-        assert r.T_map_cam is None or np.isfinite(r.T_map_cam).all()
-    for path in system.trajectories():
-        assert np.isfinite(path.T_map_cam).all()
-
-
-@pytest.mark.parametrize("kind", ["base", "dual"])
-@pytest.mark.parametrize("content", CONTENT)
-def test_a_sequence_of_nothing_else_yields_no_map(content, kind):
-    system = build_system(kind, CAMERA, 0)
-    for i in range(8):
-        result = system.process(CONTENT[content](i), i / 30)
-        assert result.state is TrackingState.NOT_INITIALIZED and result.reason
-    assert system.maps() == [] and system.trajectories() == [] and system.events == []
 
 
 # -- breakage ------------------------------------------------------------------------------------------------
