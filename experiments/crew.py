@@ -237,6 +237,9 @@ def embedded_crew(settings: CrewSettings, job: Job) -> Iterator[Crew]:
     """Spawned processes of this machine, reached over loopback only; ended with the block.
 
     A process that ends is replaced by its nanny; where that fails, by another nanny.
+
+    Raises:
+        InputError: the processes do not come up.
     """
     from dask import config as dask_config
     from distributed import Client, LocalCluster
@@ -252,7 +255,8 @@ def embedded_crew(settings: CrewSettings, job: Job) -> Iterator[Crew]:
         dask_config.set(config),
         tempfile.TemporaryDirectory(prefix="dslab-") as folder,
         LocalCluster(
-            n_workers=settings.workers,
+            # Started below, as Dask does not close workers cleanly whose start is interrupted in here.
+            n_workers=0,
             threads_per_worker=1,
             processes=True,
             host="127.0.0.1",
@@ -268,6 +272,13 @@ def embedded_crew(settings: CrewSettings, job: Job) -> Iterator[Crew]:
         Client(cluster) as client,
     ):
         try:
+            cluster.scale(settings.workers)
+            _await(
+                client,
+                settings.workers,
+                "this machine",
+                "give fewer --workers, or wait until it is less busy",
+            )
             yield Crew(client, job, settings, Path(folder), lambda: cluster.scale(settings.workers))
         except BaseException:
             # What is under way is lost: no need to wait until it notices.
@@ -291,11 +302,16 @@ def remote_crew(settings: CrewSettings, job: Job) -> Iterator[Crew]:
     except (OSError, TimeoutError, ValueError) as error:
         raise InputError(address, f"no scheduler answers ({type(error).__name__})", remedy) from error
     with client:
-        try:
-            client.wait_for_workers(1, timeout=_START_S)
-        except TimeoutError:
-            raise InputError(address, f"has had no worker for {_START_S:.0f} s", remedy) from None
+        _await(client, 1, address, remedy)
         yield Crew(client, job, settings)
+
+
+def _await(client: Any, workers: int, where: str, remedy: str) -> None:
+    try:
+        client.wait_for_workers(workers, timeout=_START_S)
+    except TimeoutError:
+        missing = "no worker" if workers == 1 else f"fewer than {workers} workers"
+        raise InputError(where, f"has had {missing} for {_START_S:.0f} s", remedy) from None
 
 
 def _kill(cluster: Any) -> None:
