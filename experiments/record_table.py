@@ -58,8 +58,9 @@ def data_frame(records: Iterable[Mapping[str, Any]], threads: int) -> "pd.DataFr
 
 
 def typed(frame: "pd.DataFrame", threads: int) -> "pd.DataFrame":
-    """A table read from Parquet with the types of :func:`data_frame`."""
-    return frame.astype({name: PANDAS_TYPES[kind] for name, kind in columns(threads).items()})
+    """A table read from Parquet with the columns and types of :func:`data_frame`; null where it has none."""
+    types = {name: PANDAS_TYPES[kind] for name, kind in columns(threads).items()}
+    return frame.reindex(columns=list(types)).astype(types)
 
 
 def arrow_table(records: Iterable[Mapping[str, Any]], threads: int) -> "pa.Table":

@@ -88,6 +88,18 @@ THREAD_COLUMNS: dict[str, tuple[ColumnType, str]] = {
 }
 """Per arm and thread, named ``free_r1_failed``, ``cross_r2_cpu_ms`` and so on; ``free_`` only where B."""
 
+PAIR_GAPS = (1, 3, 9, 27)
+"""Frames between the two of a pair, for the columns below."""
+
+PAIR_COLUMNS: dict[str, tuple[ColumnType, str]] = {
+    "count": ("int", "pairs of the lead-in whose relative pose was estimated, of eight"),
+    "matches": ("float", "matches of a pair"),
+    "baseline_m": ("float", "true distance of its two cameras"),
+    "rotation_deg": ("float", "error of its rotation"),
+    "direction_deg": ("float", "angle between estimated and true direction of translation"),
+}
+"""Per gap, named ``pairs1_count``, ``pairs27_direction_deg`` and so on: medians over the pairs of the gap."""
+
 DUAL_COLUMN = "d{n}"
 """``d1`` … ``dn`` (bool): the whole has failed with the first n threads: B and R_1 … R_n of the free arm."""
 
@@ -106,6 +118,11 @@ def thread_column(arm: Literal["free", "cross"], thread: int, name: str) -> str:
     return f"{arm}_r{thread}_{name}"
 
 
+def pair_column(gap: int, name: str) -> str:
+    """The name of a column of the pairs of frames with this gap."""
+    return f"pairs{gap}_{name}"
+
+
 def dual_column(threads: int) -> str:
     """The name of the column of D_n."""
     return DUAL_COLUMN.format(n=threads)
@@ -118,7 +135,10 @@ def columns(threads: int) -> dict[str, ColumnType]:
         for thread in range(1, threads + 1):
             named |= {thread_column(arm, thread, n): kind for n, (kind, _) in THREAD_COLUMNS.items()}
     whole: dict[str, ColumnType] = {dual_column(n): "bool" for n in range(1, threads + 1)}
-    return named | whole
+    pairs: dict[str, ColumnType] = {
+        pair_column(gap, n): kind for gap in PAIR_GAPS for n, (kind, _) in PAIR_COLUMNS.items()
+    }
+    return named | whole | pairs
 
 
 def empty_record(unit: UnitSpec) -> dict[str, Any]:

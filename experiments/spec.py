@@ -42,7 +42,11 @@ class ExperimentSpec(Strict):
     degradations: tuple[Degradation, ...] = Field(min_length=1)
     systems: tuple[SystemName, ...] = Field(("dual",), min_length=1)
     threads: Threads = Field((ThreadChoice(kind="orb"), ThreadChoice(kind="sift")), min_length=1)
-    arms: tuple[ArmName, ...] = Field(("free", "crossing"), min_length=1)
+    arms: tuple[ArmName, ...] = Field(
+        ("free", "crossing"),
+        min_length=1,
+        description="free and crossing for Eq. 1; pairs for pose error against baseline in the lead-in",
+    )
     lead_in_s: float = Field(5.0, gt=0, le=600)
     exposed_s: float = Field(10.0, gt=0, le=600, description="L, the unit length of Eq. 1")
     tail_s: float = Field(15.0, gt=0, le=600)

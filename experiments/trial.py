@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 
 from experiments.arms import Course, CpuClock, Exposure, dual_config, run_crossing, run_free, run_lead_in
+from experiments.conditioning import judge_pairs
 from experiments.execution import RunRecord, execute, system_factory
 from experiments.judging import judge_crossing, judge_free
 from experiments.lead_in import lead_in_fault
@@ -96,6 +97,8 @@ def _judged(unit: UnitSpec, sequence: Sequence, clock: CpuClock) -> dict[str, An
             row |= judge_free(run_free(lead_in, unit), reference)
         if "crossing" in unit.arms:
             row |= judge_crossing(run_crossing(lead_in, exposure), reference)
+    if "pairs" in unit.arms:
+        row |= judge_pairs(sequence, exposure.onset_frame, unit.nuisance_seed)
     return row | {"outcome": Outcome.COMPLETED.value}
 
 

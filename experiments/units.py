@@ -10,7 +10,7 @@ from scenarios.spec import Scenario
 from scenarios.strict import Strict
 from slam.dual.registry import RECOVERY_KINDS
 
-ArmName = Literal["free", "crossing"]
+ArmName = Literal["free", "crossing", "pairs"]
 
 
 class ThreadChoice(Strict):
@@ -34,7 +34,7 @@ class UnitSpec(Strict):
         onset_s, exposed_s: the exposed segment; None for that of the scenario's first injected segment.
         threads: the recovery threads, in order; n of Eq. 1 is their number.
         system: what runs in the free arm beside the base; the crossing arm is of the same kind.
-        arms: which are run.
+        arms: which are run; ``pairs`` measures pose error against baseline in the lead-in, without a SLAM.
     """
 
     experiment: str

@@ -8,6 +8,7 @@ import pandas as pd
 
 from experiments import provenance
 from experiments.report import outcomes, reproductions
+from experiments.report.conditioning import conditioning
 from experiments.report.plain_data import as_data
 from experiments.report.verdict import verdict
 from experiments.statistics.analysis import AnalysisSettings, analyse
@@ -52,6 +53,7 @@ def report_content(
         "calibration": _calibration(analysis),
         "analysis": analysis,
         "lengths": _lengths(analysis, table),
+        "conditioning": conditioning(analysis, table),
         "tables": {
             "table_1": reproductions.table_1(table),
             "table_2": reproductions.table_2(table, threads, families, systems),

@@ -6,11 +6,13 @@ import pandas as pd
 from experiments.records import ColumnType, columns, thread_column
 from experiments.statistics import clustering, heterogeneity
 from experiments.statistics.cell import CellData, LevelTest, analyse_cell, flags, level_test
+from experiments.statistics.conditioning import QUANTITIES, baseline_errors, lead_ins
 from experiments.statistics.dose_response import dose_response
 from experiments.statistics.equivalence import holm
 from experiments.statistics.results import (
     Analysis,
     AnalysisSettings,
+    BaselineErrors,
     BetaBinomial,
     BetaFactor,
     CellAnalysis,
@@ -29,6 +31,7 @@ from scenarios.seeds import rng_for
 __all__ = [
     "Analysis",
     "AnalysisSettings",
+    "BaselineErrors",
     "BetaBinomial",
     "BetaFactor",
     "CellAnalysis",
@@ -84,6 +87,7 @@ def analyse(table: pd.DataFrame, threads: int, settings: AnalysisSettings = _DEF
         _dose_responses(found, threads, settings),
         _notes(found, settings),
         settings,
+        _conditioning(table, settings),
     )
 
 
@@ -196,6 +200,21 @@ def _dose_responses(
             quantity = f"pr{thread}" if thread else "p0"
             found.append(dose_response(kind, quantity, points, settings.confidence))
     return tuple(found)
+
+
+def _conditioning(table: pd.DataFrame, settings: AnalysisSettings) -> tuple[BaselineErrors, ...]:
+    rows = lead_ins(table)
+    found = (
+        baseline_errors(
+            rows,
+            quantity,
+            settings.draws,
+            rng_for(settings.seed, "conditioning", quantity),
+            settings.confidence,
+        )
+        for quantity in QUANTITIES
+    )
+    return tuple(errors for errors in found if errors is not None)
 
 
 def _notes(cells: tuple[CellAnalysis, ...], settings: AnalysisSettings) -> tuple[str, ...]:

@@ -12,6 +12,8 @@ from scipy.stats import norm, t
 from experiments.statistics.joint import Bools, Floats
 from experiments.statistics.results import Estimate
 
+_PERCENTILE = "percentile interval widened for their number"
+
 
 def cluster_bootstrap(
     event: Bools, cluster: ArrayLike, draws: int, rng: np.random.Generator, confidence: float = 0.95
@@ -23,21 +25,80 @@ def cluster_bootstrap(
 
     Source: Hesterberg, "What teachers should know about the bootstrap", American Statistician 2015, Sec. 3.
     """
-    method = "worlds resampled, percentile interval widened for their number"
+    method = f"worlds resampled, {_PERCENTILE}"
     if event.size == 0:
         return Estimate.undetermined(method)
     share = float(event.mean())
-    _, index = np.unique(np.asarray(cluster), return_inverse=True)
-    clusters = int(index.max()) + 1
-    if clusters < 2 or share in (0.0, 1.0):
+    if share in (0.0, 1.0):
         return Estimate(share, None, None, method)
-    sizes = np.bincount(index).astype(float)
-    events = np.bincount(index, weights=event)
-    weights = rng.multinomial(clusters, np.full(clusters, 1 / clusters), size=draws)
-    shares = (weights @ events) / (weights @ sizes)
+    return cluster_ratio(event.astype(float), np.ones(event.size), cluster, draws, rng, method, confidence)
+
+
+def cluster_ratio(
+    over: Floats,
+    under: Floats,
+    cluster: ArrayLike,
+    draws: int,
+    rng: np.random.Generator,
+    method: str,
+    confidence: float = 0.95,
+) -> Estimate:
+    """Ratio of two sums over units, its interval by resampling whole clusters as `cluster_bootstrap` does.
+
+    Args:
+        over: (N,) summands of the numerator.
+        under: (N,) of the denominator, each above 0.
+        cluster: (N,) labels.
+        draws: of the bootstrap.
+        rng: of the bootstrap.
+        method: how the ratio was found, in words.
+        confidence: of the interval.
+    """
+    if under.size == 0:
+        return Estimate.undetermined(method)
+    value = float(over.sum() / under.sum())
+    index, clusters = _numbered(cluster)
+    if clusters < 2:
+        return Estimate(value, None, None, method)
+    weights = _resampled(clusters, draws, rng)
+    ratios = (weights @ np.bincount(index, weights=over)) / (weights @ np.bincount(index, weights=under))
+    return Estimate(value, *_percentiles(ratios, clusters, confidence), method)
+
+
+def cluster_median(
+    values: Floats, cluster: ArrayLike, draws: int, rng: np.random.Generator, confidence: float = 0.95
+) -> Estimate:
+    """Median of units, its interval by resampling whole clusters as `cluster_bootstrap` does."""
+    method = f"median; worlds resampled, {_PERCENTILE}"
+    if values.size == 0:
+        return Estimate.undetermined(method)
+    value = float(np.median(values))
+    index, clusters = _numbered(cluster)
+    if clusters < 2:
+        return Estimate(value, None, None, method)
+    order = np.argsort(values, kind="stable")
+    heights = np.cumsum(_resampled(clusters, draws, rng)[:, index[order]], axis=1)
+    half = heights[:, -1:] / 2
+    # Of an even number of units the middle lies between two.
+    lower, upper = (values[order][reached.argmax(axis=1)] for reached in (heights >= half, heights > half))
+    return Estimate(value, *_percentiles((lower + upper) / 2, clusters, confidence), method)
+
+
+def _numbered(cluster: ArrayLike) -> tuple[np.ndarray, int]:
+    """(N,) number of each unit's cluster, and how many there are."""
+    names, index = np.unique(np.asarray(cluster), return_inverse=True)
+    return index, len(names)
+
+
+def _resampled(clusters: int, draws: int, rng: np.random.Generator) -> np.ndarray:
+    """(draws, clusters) how often each cluster is drawn."""
+    return rng.multinomial(clusters, np.full(clusters, 1 / clusters), size=draws)
+
+
+def _percentiles(drawn: Floats, clusters: int, confidence: float) -> tuple[float, float]:
     tail = norm.cdf(math.sqrt(clusters / (clusters - 1)) * t.ppf((1 - confidence) / 2, clusters - 1))
-    low, high = np.quantile(shares, [tail, 1 - tail])
-    return Estimate(share, float(low), float(high), method)
+    low, high = np.quantile(drawn, [tail, 1 - tail])
+    return float(low), float(high)
 
 
 def gee_share(event: Bools, cluster: ArrayLike, confidence: float = 0.95) -> Estimate:

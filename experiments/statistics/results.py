@@ -293,6 +293,56 @@ class DoseResponse:
 
 
 @dataclass(frozen=True)
+class GapErrors:
+    """An error of the relative pose of two frames with one gap between them.
+
+    Attributes:
+        gap: in frames.
+        lead_ins: with such a pair.
+        pairs: in all of them.
+        matches, baseline_m: of a pair, medians.
+        error: median over the lead-ins, in the unit of the quantity.
+    """
+
+    gap: int
+    lead_ins: int
+    pairs: int
+    matches: float
+    baseline_m: float
+    error: Estimate
+
+
+@dataclass(frozen=True)
+class GapSlope:
+    """Slope of log error on log baseline between two neighbouring gaps."""
+
+    narrow: int
+    wide: int
+    slope: Estimate
+
+
+@dataclass(frozen=True)
+class BaselineErrors:
+    """An error of the relative pose of two frames against their true baseline.
+
+    Attributes:
+        quantity: ``rotation_deg`` or ``direction_deg``.
+        lead_ins, worlds: that it is of.
+        gaps: medians, the narrowest first.
+        slope: of log error on log baseline, within lead-ins, over all gaps: -1 where the error halves as the
+            baseline doubles.
+        steps: the same between neighbouring gaps.
+    """
+
+    quantity: str
+    lead_ins: int
+    worlds: int
+    gaps: tuple[GapErrors, ...]
+    slope: Estimate
+    steps: tuple[GapSlope, ...]
+
+
+@dataclass(frozen=True)
 class Analysis:
     """All of an experiment.
 
@@ -303,6 +353,7 @@ class Analysis:
         dose_response: per kind and quantity.
         notes: what a reader must know beside the figures, in sentences.
         settings: as used.
+        conditioning: pose error against baseline, per quantity; empty where it was not measured.
     """
 
     threads: int
@@ -311,3 +362,4 @@ class Analysis:
     dose_response: tuple[DoseResponse, ...]
     notes: tuple[str, ...] = ()
     settings: AnalysisSettings = field(default_factory=AnalysisSettings)
+    conditioning: tuple[BaselineErrors, ...] = ()

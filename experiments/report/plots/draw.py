@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from experiments.report.paths_file import read_paths
 from experiments.report.plots.calibration import draw_calibration
+from experiments.report.plots.conditioning import draw_conditioning
 from experiments.report.plots.dependence import draw_dependence
 from experiments.report.plots.models import draw_dose_response, draw_heterogeneity
 from experiments.report.plots.paths import draw_paths
@@ -63,6 +64,10 @@ def draw_plots(report: dict[str, Any], folder: Path) -> dict[str, Plot]:
         "heterogeneity": (
             "Pooled prediction, prediction within cells and measured share, as in the table below.",
             lambda: draw_heterogeneity(report),
+        ),
+        "conditioning": (
+            "Error of rotation and of direction against baseline, medians per gap as in the table below.",
+            lambda: draw_conditioning(report),
         ),
         "timeline": (
             "Per trial, the frames that base and Dual-SLAM tracked, lost, bridged.",

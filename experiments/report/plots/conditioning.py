@@ -1,0 +1,75 @@
+"""Pose error of two views against their baseline: the picture of the paper's Fig. 2."""
+
+import math
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
+
+from experiments.report.conditioning import QUANTITY_WORDS
+from experiments.report.plots.style import BLUE, GREEN, GREY, ORANGE, PURPLE, bars, log_ticks, new_figure
+from experiments.report.wording import number
+
+_COLOURS = (BLUE, ORANGE, GREEN, PURPLE)
+
+
+def draw_conditioning(report: dict[str, Any]) -> Figure | None:
+    """Per error a panel, axes logarithmic: a mark per lead-in and gap, medians with intervals, the slope."""
+    found = report["analysis"]["conditioning"]
+    if not found:
+        return None
+    figure = new_figure(3.9)
+    panels = figure.subplots(1, len(found), squeeze=False)[0]
+    for axes, errors in zip(panels, found, strict=True):
+        _draw_panel(axes, errors, report["conditioning"]["marks"])
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=4, fontsize=9)
+    return figure
+
+
+def _draw_panel(axes: Axes, errors: dict[str, Any], marks: list[dict[str, Any]]) -> None:
+    quantity = errors["quantity"]
+    _draw_slope(axes, errors)
+    for place, gap in enumerate(errors["gaps"]):
+        colour = _COLOURS[place % len(_COLOURS)]
+        own = [m for m in marks if m["gap"] == gap["gap"] and m[quantity] and m["baseline_m"]]
+        axes.plot(
+            [m["baseline_m"] for m in own],
+            [m[quantity] for m in own],
+            "o", color=colour, markersize=4, alpha=0.3, markeredgewidth=0,
+        )  # fmt: skip
+        at, low, high = (gap["error"][name] for name in ("value", "low", "high"))
+        axes.errorbar(
+            gap["baseline_m"],
+            at,
+            yerr=None if low is None or high is None else bars(at, low, high),
+            fmt="D", color=colour, markersize=7, markeredgecolor="white", elinewidth=2, zorder=3,
+            label=f"{gap['gap']} frame{'s' if gap['gap'] > 1 else ''} apart",
+        )  # fmt: skip
+    axes.set(xscale="log", yscale="log")
+    slope = errors["slope"]["value"]
+    told = "" if slope is None else f": slope {number(slope)}"
+    axes.set_title(QUANTITY_WORDS[quantity] + told, fontsize=10)
+    axes.set_xlabel("true baseline (m)")
+    axes.set_ylabel("error (deg)")
+    for axis, limits in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+        log_ticks(axis, *limits)
+        axis.set_major_formatter(lambda value, _: f"{value:g}")
+        axis.set_minor_formatter(NullFormatter())
+
+
+def _draw_slope(axes: Axes, errors: dict[str, Any]) -> None:
+    """The slope over all gaps, through the middle of the medians: it has no level of its own."""
+    slope = errors["slope"]["value"]
+    points = [(g["baseline_m"], g["error"]["value"]) for g in errors["gaps"] if g["error"]["value"]]
+    if slope is None or len(points) < 2:
+        return
+    x, y = ([math.log(value) for value in axis] for axis in zip(*points, strict=True))
+    middle = sum(x) / len(x), sum(y) / len(y)
+    ends = min(x), max(x)
+    axes.plot(
+        [math.exp(end) for end in ends],
+        [math.exp(middle[1] + slope * (end - middle[0])) for end in ends],
+        "--", color=GREY, linewidth=1.4, zorder=1,
+    )  # fmt: skip

@@ -1,0 +1,100 @@
+"""Pose error of two views against their baseline: medians per gap, and slopes within lead-ins."""
+
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+
+from experiments.records import PAIR_COLUMNS, PAIR_GAPS, Outcome, pair_column
+from experiments.statistics.clustering import cluster_median, cluster_ratio
+from experiments.statistics.results import BaselineErrors, Estimate, GapErrors, GapSlope
+
+QUANTITIES = ("rotation_deg", "direction_deg")
+_METHOD = "least squares of logarithms within lead-ins; worlds resampled"
+
+
+def lead_ins(table: pd.DataFrame) -> pd.DataFrame:
+    """The lead-ins of completed units whose pairs were judged, each once.
+
+    Cells of one base share theirs: it ends before what tells them apart begins.
+
+    Args:
+        table: of units, with the columns of `experiments.records.columns`.
+    """
+    rows = table[table["outcome"] == Outcome.COMPLETED.value]
+    judged = [pair_column(gap, name) for gap in PAIR_GAPS for name in PAIR_COLUMNS]
+    measured = rows[[pair_column(gap, "baseline_m") for gap in PAIR_GAPS]].notna().any(axis=1)
+    return rows[measured].drop_duplicates(["world_seed", "nuisance_seed", *judged])
+
+
+def baseline_errors(
+    rows: pd.DataFrame, quantity: str, draws: int, rng: np.random.Generator, confidence: float = 0.95
+) -> BaselineErrors | None:
+    """How an error of the relative pose goes with the baseline; None where no pair was judged.
+
+    Every lead-in has a level of its own, so that hard worlds and fast cameras tell nothing: what counts is
+    how the error changes from gap to gap in the same place.
+
+    Args:
+        rows: as `lead_ins` gives them.
+        quantity: ``rotation_deg`` or ``direction_deg``.
+        draws: of the bootstrap over worlds.
+        rng: of the bootstrap.
+        confidence: of the intervals.
+    """
+    if rows.empty:
+        return None
+    gaps = []
+    for gap in PAIR_GAPS:
+        own = rows[rows[pair_column(gap, quantity)].notna()]
+        if len(own):
+            error, world = _floats(own, gap, quantity), own["world_seed"].to_numpy()
+            gaps.append(
+                GapErrors(
+                    gap,
+                    len(own),
+                    int(own[pair_column(gap, "count")].sum()),
+                    float(np.median(_floats(own, gap, "matches"))),
+                    float(np.median(_floats(own, gap, "baseline_m"))),
+                    cluster_median(error, world, draws, rng, confidence),
+                )
+            )
+    told = [g.gap for g in gaps]
+    slopes = [
+        GapSlope(narrow, wide, _slope(rows, quantity, [narrow, wide], draws, rng, confidence))
+        for narrow, wide in pairwise(told)
+    ]
+    worlds = rows["world_seed"].nunique()
+    whole = _slope(rows, quantity, told, draws, rng, confidence)
+    return BaselineErrors(quantity, len(rows), worlds, tuple(gaps), whole, tuple(slopes))
+
+
+def _slope(
+    rows: pd.DataFrame,
+    quantity: str,
+    gaps: list[int],
+    draws: int,
+    rng: np.random.Generator,
+    confidence: float,
+) -> Estimate:
+    """Slope of log error on log baseline; what is zero has no logarithm and is left out."""
+    baseline_m = np.column_stack([_floats(rows, gap, "baseline_m") for gap in gaps])
+    error = np.column_stack([_floats(rows, gap, quantity) for gap in gaps])
+    known = (baseline_m > 0) & (error > 0)
+    enough = known.sum(axis=1) > 1
+    known, baseline_m, error = known[enough], baseline_m[enough], error[enough]
+    x = _about_own_mean(np.log(np.where(known, baseline_m, 1.0)), known)
+    y = _about_own_mean(np.log(np.where(known, error, 1.0)), known)
+    world = rows["world_seed"].to_numpy()[enough]
+    return cluster_ratio((x * y).sum(axis=1), (x * x).sum(axis=1), world, draws, rng, _METHOD, confidence)
+
+
+def _about_own_mean(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """(N, G) less the mean of the known ones of each row; 0 where not known."""
+    means = (values * known).sum(axis=1, keepdims=True) / known.sum(axis=1, keepdims=True)
+    return np.where(known, values - means, 0.0)
+
+
+def _floats(rows: pd.DataFrame, gap: int, name: str) -> np.ndarray:
+    """A column as (N,) float64, NaN where it says nothing."""
+    return rows[pair_column(gap, name)].to_numpy(float, na_value=np.nan)
