@@ -32,6 +32,8 @@ class BreakageOutcome:
         reinit_frame: frame at which a new map stood, None if none did.
         recoveries: the ends of the recovery threads, in order.
         fusion: the last fusion that a recovery has led to, None if it never came to one.
+        bridged: the fusion of a later map with an older one, by a recovery that went past the broken map;
+            None where there was none.
         joined: the broken map was met again by place recognition and joined, None if it never was.
         relocalized: tracking going on in the broken map, None if it never did.
         dropped: why the broken map was thrown away at once, empty where it was kept.
@@ -44,6 +46,7 @@ class BreakageOutcome:
     reinit_frame: int | None
     recoveries: tuple[RecoveryEnd, ...]
     fusion: Fusion | None
+    bridged: Fusion | None
     joined: Fusion | None
     relocalized: Relocalized | None
     dropped: str
@@ -63,16 +66,16 @@ class BreakageOutcome:
         """Why it was not healed, empty if it was."""
         if self.healed:
             return ""
+        if self.bridged is not None:
+            return "a recovery went past it, to an older map"
         if self.dropped:
             return f"map dropped: {self.dropped}"
         if self.reinit_frame is None:
             return "no_reinit"
         if self.fusion is not None:
             return f"fusion: {self.fusion.reason}"
-        if self.recoveries:
-            last = self.recoveries[-1]
-            return f"{last.stage}: {last.reason}" if last.stage else last.reason
-        return "no recovery was run"
+        last = self.recoveries[-1] if self.recoveries else None
+        return f"{last.stage}: {last.reason}".strip(": ") if last else "no recovery was run"
 
 
 def segment_of_frame(
@@ -139,6 +142,11 @@ def _outcome(
         if isinstance(e, MapDropped) and (e.frame, e.map_id) == (breakage.frame, breakage.map_id)
     ]
     fusions = [e for e in after if isinstance(e, Fusion) and e.old_map_id == breakage.map_id]
+    across = [
+        e
+        for e in after
+        if isinstance(e, Fusion) and e.accepted and e.old_map_id < breakage.map_id < e.new_map_id
+    ]
     found = [e for e in after if isinstance(e, Relocalized) and e.map_id == breakage.map_id]
     return BreakageOutcome(
         breakage=breakage,
@@ -148,6 +156,7 @@ def _outcome(
         reinit_frame=reinit[0] if reinit else None,
         recoveries=tuple(e for e in after if isinstance(e, RecoveryEnd) and e.old_map_id == breakage.map_id),
         fusion=_last(e for e in fusions if e.by == "recovery"),
+        bridged=_last(e for e in across if e.by == "recovery"),
         joined=_last(e for e in fusions if e.by == "place"),
         relocalized=found[0] if found else None,
         dropped=dropped[0] if dropped else "",

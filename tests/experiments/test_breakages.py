@@ -23,12 +23,14 @@ def broke(frame: int, map_id: int = 0) -> ev.Breakage:
     return ev.Breakage(**at(frame), map_id=map_id, reason="few_inliers", inliers=3)
 
 
-def fused(frame: int, old: int = 0, accepted: bool = True, by: str = "recovery") -> ev.Fusion:
+def fused(
+    frame: int, old: int = 0, accepted: bool = True, by: str = "recovery", new: int | None = None
+) -> ev.Fusion:
     return ev.Fusion(
         **at(frame),
         map_id=old,
         old_map_id=old,
-        new_map_id=old + 1,
+        new_map_id=old + 1 if new is None else new,
         by=by,
         accepted=accepted,
         scale=1.0,
@@ -64,6 +66,19 @@ def test_a_fusion_belongs_to_the_last_breakage_before_it():
 def test_a_fusion_of_another_map_mends_nothing():
     (one,) = outcomes(broke(160), fused(220, old=3))
     assert not one.recovered
+
+
+def test_a_map_that_a_recovery_went_past_is_bridged():
+    """A map begun within a blur that breaks at once: the next one's recovery may reach the map before it."""
+    first, second = outcomes(broke(160), broke(175, map_id=1), fused(220, new=2))
+    assert first.recovered and first.bridged is None
+    assert second.bridged.frame == 220 and not second.healed
+    assert second.failure_reason == "a recovery went past it, to an older map"
+
+
+@pytest.mark.parametrize("other", [{"accepted": False}, {"by": "place"}, {"old": 1}, {"new": 1}])
+def test_nothing_else_bridges_a_map(other):
+    assert outcomes(broke(175, map_id=1), fused(220, **({"new": 2} | other)))[0].bridged is None
 
 
 def found(frame: int, map_id: int = 0) -> ev.Relocalized:
