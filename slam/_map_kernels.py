@@ -236,6 +236,29 @@ def replace_point(m, old, new, scale):
 
 
 @njit(cache=True, nogil=True)
+def replace_points(m, olds, news, scale):
+    """:func:`replace_point` over index arrays; where the new one is -1 the old one stays."""
+    for i in range(len(olds)):
+        if news[i] >= 0:
+            replace_point(m, olds[i], news[i], scale)
+
+
+@njit(cache=True, nogil=True)
+def take_over(m, keyframe, points, scale):
+    """A keyframe observes the points given to its keypoints, -1 for none; its own there become the same."""
+    start = m.kf_start[keyframe]
+    for i in range(len(points)):
+        p = points[i]
+        if p < 0:
+            continue
+        own = m.kp_point[start + i]
+        if own >= 0:
+            replace_point(m, p, own, scale)
+        elif add_observation(m, start + i, p):
+            refresh_point(m, p, scale)
+
+
+@njit(cache=True, nogil=True)
 def resolve_points(m, points):
     """Follow replacements in place; dropped points become -1."""
     for i in range(len(points)):

@@ -96,8 +96,8 @@ def fuse(
             old.set_parent(k, accepted.old_keyframe)
     scale = old.view.scale
     for alignment in reversed(alignments):
-        for mine, theirs in zip(alignment.old_points, alignment.new_points, strict=True):
-            kernels.replace_point(old.arrays, theirs + points, mine, scale)
+        theirs = (alignment.new_points + points).astype(np.int32)
+        kernels.replace_points(old.arrays, theirs, alignment.old_points, scale)
     factor = _settle(old, alignments, keyframes)
     _fuse_seam(old, accepted.old_keyframe, accepted.new_keyframe + keyframes)
     LocalMapper(old, mapping).adjust(accepted.new_keyframe + keyframes)

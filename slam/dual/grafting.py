@@ -94,12 +94,10 @@ def _similarity(grown: Map, copy: Map, points: int) -> np.ndarray | None:
 
 def _join_points(grown: Map, offset: int, points: int) -> None:
     """The copies of points become the points that they were copied from."""
-    a, scale = grown.arrays, grown.view.scale
     originals = np.arange(points, dtype=np.int32)
-    kernels.resolve_points(a, originals)
-    for p in range(points):
-        if originals[p] >= 0 and not a.pt_bad[offset + p]:
-            kernels.replace_point(a, offset + p, int(originals[p]), scale)
+    kernels.resolve_points(grown.arrays, originals)
+    copies = np.arange(offset, offset + points, dtype=np.int32)
+    kernels.replace_points(grown.arrays, copies, originals, grown.view.scale)
 
 
 def _hand_over(grown: Map, twin: int, original: int) -> None:
@@ -107,15 +105,7 @@ def _hand_over(grown: Map, twin: int, original: int) -> None:
 
     Where each has found a point of its own in the same keypoint, the two are one.
     """
-    a, scale = grown.arrays, grown.view.scale
-    theirs, own = grown.observed_points(twin).copy(), grown.observed_points(original)
-    start = grown.keypoints(original).start
-    for row in np.flatnonzero(theirs >= 0):
-        point = int(theirs[row])
-        if own[row] >= 0:
-            kernels.replace_point(a, point, int(own[row]), scale)
-        elif kernels.add_observation(a, start + int(row), point):
-            kernels.refresh_point(a, point, scale)
+    kernels.take_over(grown.arrays, original, grown.observed_points(twin).copy(), grown.view.scale)
 
 
 def _let_go(grown: Map, twin: int) -> None:
