@@ -194,14 +194,13 @@ class RecoveryAttempts:
 
 
 def _placed(extended: Map, keyframes: int, found: Alignment) -> tuple[ev.PlacedKeyframe, ...]:
-    """The first keyframes of an extended map in the old map, those gone since apart."""
+    """The first keyframes of an extended map in the old map, culled ones by what they hang on."""
     placed = []
     for k in range(keyframes):
-        if not extended.arrays.kf_bad[k]:
-            T_old_cam = found.S_old_new @ np.linalg.inv(extended.T_cam_map(k))
-            T_old_cam[:3, :3] /= found.scale
-            features, rows = extended.features(k), tuple(map(tuple, T_old_cam.tolist()))
-            placed.append(ev.PlacedKeyframe(features.index, features.stamp_s, rows))
+        T_old_cam = found.S_old_new @ np.linalg.inv(extended.T_cam_map(k))
+        T_old_cam[:3, :3] /= found.scale
+        features, rows = extended.features(k), tuple(map(tuple, T_old_cam.tolist()))
+        placed.append(ev.PlacedKeyframe(features.index, features.stamp_s, rows))
     return tuple(placed)
 
 

@@ -129,7 +129,7 @@ class RecoveryConfig:
     """
 
     max_unusable_s: float = 2.0
-    tracking: TrackingConfig = field(default_factory=lambda: TrackingConfig(min_share=0.6))
+    tracking: TrackingConfig = field(default_factory=TrackingConfig)
     mapping: LocalMappingConfig = field(default_factory=LocalMappingConfig)
     fusion: FusionConfig = field(default_factory=FusionConfig)
 

@@ -45,7 +45,7 @@ def draw_dose_response(report: dict[str, Any]) -> Figure | None:
         empty.remove()
     panels[0].set_ylabel("share of units")
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=4, fontsize=9)
+    figure.legend(handles, labels, loc="outside upper left", ncols=4 if columns > 1 else 1, fontsize=9)
     return figure
 
 

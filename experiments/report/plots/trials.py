@@ -40,7 +40,7 @@ def draw_timeline(report: dict[str, Any]) -> Figure | None:
         axes.set_ylabel("trial", fontsize=9)
     handles = [Patch(color=colour, label=part) for part, colour in _PARTS.items()]
     handles.append(Patch(color=_EXPOSED, label="exposed segment"))
-    figure.legend(handles=handles, loc="outside upper left", ncols=3, fontsize=9)
+    figure.legend(handles=handles, loc="outside upper left", ncols=3 if columns > 1 else 1, fontsize=9)
     return figure
 
 
