@@ -66,10 +66,10 @@ class BreakageOutcome:
         """Why it was not healed, empty if it was."""
         if self.healed:
             return ""
-        if self.bridged is not None:
-            return "a recovery went past it, to an older map"
         if self.dropped:
             return f"map dropped: {self.dropped}"
+        if self.bridged is not None:
+            return "a recovery went past it, to an older map"
         if self.reinit_frame is None:
             return "no_reinit"
         if self.fusion is not None:
@@ -145,7 +145,7 @@ def _outcome(
     across = [
         e
         for e in after
-        if isinstance(e, Fusion) and e.accepted and e.old_map_id < breakage.map_id < e.new_map_id
+        if isinstance(e, Fusion) and e.accepted and e.by == "recovery" and _spans(e, breakage, breakages)
     ]
     found = [e for e in after if isinstance(e, Relocalized) and e.map_id == breakage.map_id]
     return BreakageOutcome(
@@ -156,11 +156,17 @@ def _outcome(
         reinit_frame=reinit[0] if reinit else None,
         recoveries=tuple(e for e in after if isinstance(e, RecoveryEnd) and e.old_map_id == breakage.map_id),
         fusion=_last(e for e in fusions if e.by == "recovery"),
-        bridged=_last(e for e in across if e.by == "recovery"),
+        bridged=across[0] if across else None,
         joined=_last(e for e in fusions if e.by == "place"),
         relocalized=found[0] if found else None,
         dropped=dropped[0] if dropped else "",
     )
+
+
+def _spans(fusion: Fusion, breakage: Breakage, breakages: list[Breakage]) -> bool:
+    """Whether what a fusion has joined lay before and after the broken map."""
+    old = [b.frame for b in breakages if b.map_id == fusion.old_map_id and b.frame <= fusion.frame]
+    return fusion.old_map_id < breakage.map_id < fusion.new_map_id and max(old, default=-1) < breakage.frame
 
 
 def _last(fusions: Iterable[Fusion]) -> Fusion | None:

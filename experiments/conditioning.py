@@ -14,15 +14,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.execution import slam_camera
-from experiments.records import PAIR_GAPS, pair_column
+from experiments.records import PAIR_GAPS, PAIRS_PER_GAP, pair_column
 from scenarios.seeds import rng_for
 from sim.sequence import Sequence
 from slam.brute_force import match_brute_force
 from slam.camera import PinholeCamera
 from slam.config import default_config
 from slam.orb import Features, OrbExtractor
-
-PAIRS_PER_GAP = 8
 
 _MAX_DISTANCE, _RATIO = 50, 0.8
 _THRESHOLD_PX = 1.0

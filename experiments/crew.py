@@ -277,7 +277,7 @@ def embedded_crew(settings: CrewSettings, job: Job) -> Iterator[Crew]:
                 client,
                 settings.workers,
                 "this machine",
-                "give fewer --workers, or wait until it is less busy",
+                "run `dslab doctor`, give fewer --workers, or wait until it is less busy",
             )
             yield Crew(client, job, settings, Path(folder), lambda: cluster.scale(settings.workers))
         except BaseException:

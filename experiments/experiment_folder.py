@@ -34,13 +34,17 @@ def read_experiment(folder: Path) -> "tuple[ExperimentSpec, pd.DataFrame]":
         :func:`experiments.records.columns`: nullable boolean, Int64, Float64 and string.
 
     Raises:
-        InputError: it is no folder of an experiment.
+        InputError: it is no folder of an experiment, or its table has other columns.
     """
     spec = read_spec(folder)
     if not (folder / LEDGER_FILE).is_file() and (folder / TABLE_FILE).is_file():
         import pandas as pd
 
-        return spec, typed(pd.read_parquet(folder / TABLE_FILE), len(spec.threads))
+        try:
+            return spec, typed(pd.read_parquet(folder / TABLE_FILE), len(spec.threads))
+        except ValueError as error:
+            remedy = "export it anew from its ledger, by the version that wrote it"
+            raise InputError(str(folder / TABLE_FILE), str(error), remedy) from None
     with Ledger.open(folder, spec, read_only=True) as ledger:
         return spec, ledger.records()
 

@@ -58,8 +58,17 @@ def data_frame(records: Iterable[Mapping[str, Any]], threads: int) -> "pd.DataFr
 
 
 def typed(frame: "pd.DataFrame", threads: int) -> "pd.DataFrame":
-    """A table read from Parquet with the columns and types of :func:`data_frame`; null where it has none."""
+    """A table read from Parquet with the columns and types of :func:`data_frame`.
+
+    The columns of pairs of frames are null where it has none: tables from before they were judged are good.
+
+    Raises:
+        ValueError: it lacks another column, or has an unknown one.
+    """
     types = {name: PANDAS_TYPES[kind] for name, kind in columns(threads).items()}
+    differing = set(types) ^ set(frame.columns)
+    if differing := {n for n in differing if n not in types or not n.startswith("pairs")}:
+        raise ValueError(f"missing or unknown columns: {', '.join(sorted(differing))}")
     return frame.reindex(columns=list(types)).astype(types)
 
 

@@ -91,8 +91,11 @@ THREAD_COLUMNS: dict[str, tuple[ColumnType, str]] = {
 PAIR_GAPS = (1, 3, 9, 27)
 """Frames between the two of a pair, for the columns below."""
 
+PAIRS_PER_GAP = 8
+"""Pairs of each gap, fewer in a short lead-in."""
+
 PAIR_COLUMNS: dict[str, tuple[ColumnType, str]] = {
-    "count": ("int", "pairs of the lead-in whose relative pose was estimated, of eight"),
+    "count": ("int", "pairs of the lead-in whose relative pose was estimated, of ``PAIRS_PER_GAP``"),
     "matches": ("float", "matches of a pair"),
     "baseline_m": ("float", "true distance of its two cameras"),
     "rotation_deg": ("float", "error of its rotation"),

@@ -25,8 +25,8 @@ class TrackingConfig:
         reference_ratio: best over second best descriptor distance of a match with the reference keyframe.
         min_reference_matches: below, the reference keyframe is given up too.
         min_inliers: map matches that survive pose optimisation, below which tracking is lost.
-        min_share: their least share of the map matches.
         cautious_inliers, cautious_s: the same, for so long after a relocalization.
+        min_share: share of the map matches that must survive it, below which the frame is refused; 0 for any.
         local_map_keyframes: cap on the local map.
         keyframe_share: a keyframe is made when inliers fall below this share of the reference's points.
         keyframe_interval_s: least time between keyframes.
@@ -39,9 +39,9 @@ class TrackingConfig:
     reference_ratio: float = 0.8
     min_reference_matches: int = 15
     min_inliers: int = 30
-    min_share: float = 0.0
     cautious_inliers: int = 50
     cautious_s: float = 1.0
+    min_share: float = 0.0
     local_map_keyframes: int = 80
     keyframe_share: float = 0.9
     keyframe_interval_s: float = 0.1
@@ -191,10 +191,11 @@ class Tracker:
         return optimize_frame(frame, self.map) >= self.config.min_motion_inliers
 
     def _track_across_gap(self, frame: Frame, last: Frame) -> bool:
-        """Look for the local map ever wider, about the pose carried on and about where the gap began.
+        """Look for the local map ever wider, about the pose carried on and about the last reference keyframe.
 
         A pose that many frames have been carried over may be far off, and the few points of a plane then
-        agree with a wrong one: of the two ways to set out, that with more inliers counts.
+        agree with a wrong one. The keyframe's is sound, being adjusted with others. Of the two ways to set
+        out, that with more inliers counts.
         """
         if self.velocity is None:
             return False

@@ -3,7 +3,8 @@
 import numpy as np
 import pandas as pd
 
-from experiments.records import ColumnType, columns, thread_column
+from experiments.record_table import PANDAS_TYPES
+from experiments.records import columns, thread_column
 from experiments.statistics import clustering, heterogeneity
 from experiments.statistics.cell import CellData, LevelTest, analyse_cell, flags, level_test
 from experiments.statistics.conditioning import QUANTITIES, baseline_errors, lead_ins
@@ -48,7 +49,6 @@ __all__ = [
 ]
 
 _DEFAULT = AnalysisSettings()
-_DTYPES: dict[ColumnType, str] = {"bool": "boolean", "int": "Int64", "float": "Float64", "text": "string"}
 
 
 def analyse(table: pd.DataFrame, threads: int, settings: AnalysisSettings = _DEFAULT) -> Analysis:
@@ -95,7 +95,7 @@ def _typed(table: pd.DataFrame, threads: int) -> pd.DataFrame:
     """The record's columns in nullable types, in an order that does not hang on which unit ended first."""
     wanted = columns(threads)
     table = table.reindex(columns=list(wanted))
-    table = table.astype({name: _DTYPES[kind] for name, kind in wanted.items()})
+    table = table.astype({name: PANDAS_TYPES[kind] for name, kind in wanted.items()})
     return table.sort_values(["kind", "severity", "cell", "index", "unit_id"], kind="stable")
 
 

@@ -54,6 +54,8 @@ def cluster_ratio(
         method: how the ratio was found, in words.
         confidence: of the interval.
     """
+    if not (under > 0).all():
+        raise ValueError("summands of the denominator must be above 0")
     if under.size == 0:
         return Estimate.undetermined(method)
     value = float(over.sum() / under.sum())

@@ -42,7 +42,7 @@ def baseline_errors(
         rng: of the bootstrap.
         confidence: of the intervals.
     """
-    if rows.empty:
+    if not any(rows[pair_column(gap, quantity)].notna().any() for gap in PAIR_GAPS):
         return None
     gaps = []
     for gap in PAIR_GAPS:
@@ -64,9 +64,10 @@ def baseline_errors(
         GapSlope(narrow, wide, _slope(rows, quantity, [narrow, wide], draws, rng, confidence))
         for narrow, wide in pairwise(told)
     ]
-    worlds = rows["world_seed"].nunique()
     whole = _slope(rows, quantity, told, draws, rng, confidence)
-    return BaselineErrors(quantity, len(rows), worlds, tuple(gaps), whole, tuple(slopes))
+    told_of = rows[_known(rows, quantity, told).sum(axis=1) > 1]
+    worlds = told_of["world_seed"].nunique()
+    return BaselineErrors(quantity, len(told_of), worlds, tuple(gaps), whole, tuple(slopes))
 
 
 def _slope(
@@ -78,15 +79,24 @@ def _slope(
     confidence: float,
 ) -> Estimate:
     """Slope of log error on log baseline; what is zero has no logarithm and is left out."""
-    baseline_m = np.column_stack([_floats(rows, gap, "baseline_m") for gap in gaps])
-    error = np.column_stack([_floats(rows, gap, quantity) for gap in gaps])
-    known = (baseline_m > 0) & (error > 0)
+    baseline_m, error = _by_gap(rows, "baseline_m", gaps), _by_gap(rows, quantity, gaps)
+    known = _known(rows, quantity, gaps)
     enough = known.sum(axis=1) > 1
     known, baseline_m, error = known[enough], baseline_m[enough], error[enough]
     x = _about_own_mean(np.log(np.where(known, baseline_m, 1.0)), known)
     y = _about_own_mean(np.log(np.where(known, error, 1.0)), known)
     world = rows["world_seed"].to_numpy()[enough]
     return cluster_ratio((x * y).sum(axis=1), (x * x).sum(axis=1), world, draws, rng, _METHOD, confidence)
+
+
+def _known(rows: pd.DataFrame, quantity: str, gaps: list[int]) -> np.ndarray:
+    """(N, G) bool: which errors have a logarithm, and so have their baselines."""
+    return (_by_gap(rows, "baseline_m", gaps) > 0) & (_by_gap(rows, quantity, gaps) > 0)
+
+
+def _by_gap(rows: pd.DataFrame, name: str, gaps: list[int]) -> np.ndarray:
+    """(N, G) a column of every gap."""
+    return np.column_stack([_floats(rows, gap, name) for gap in gaps])
 
 
 def _about_own_mean(values: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -105,6 +105,7 @@ class ThreadAnalysis:
         mantel_haenszel, mantel_haenszel_p: odds ratio and test within worlds; None where no world has
             units that differ.
         mcnemar_p: exact test of pr = p0 on paired units; Eq. 1's text claims this for the base's own method.
+            The ORB thread is that method, but that it passes over poor frames for up to two seconds.
         discordant: units with B but not R_j, and with R_j but not B.
         false_recoveries, false_recoveries_given_b: share of declared recoveries that the audit refutes,
             crossing arm and free arm.
@@ -327,7 +328,7 @@ class BaselineErrors:
 
     Attributes:
         quantity: ``rotation_deg`` or ``direction_deg``.
-        lead_ins, worlds: that it is of.
+        lead_ins, worlds: that the slope over all gaps rests on: those with a pose of two gaps at least.
         gaps: medians, the narrowest first.
         slope: of log error on log baseline, within lead-ins, over all gaps: -1 where the error halves as the
             baseline doubles.

@@ -189,12 +189,18 @@ class RecoveryAttempts:
             frames_passed_over=result.frames_passed_over,
             inliers=result.inliers,
             cpu_ms=outcome.cpu_ms,
-            placed=_placed(result.map, attempt.keyframes, found) if found else (),
+            placed=placed_keyframes(result.map, attempt.keyframes, found) if found else (),
         )
 
 
-def _placed(extended: Map, keyframes: int, found: Alignment) -> tuple[ev.PlacedKeyframe, ...]:
-    """The first keyframes of an extended map in the old map, culled ones by what they hang on."""
+def placed_keyframes(extended: Map, keyframes: int, found: Alignment) -> tuple[ev.PlacedKeyframe, ...]:
+    """Where an alignment puts the first keyframes of an extended map in the old map.
+
+    Args:
+        extended: what a recovery has made of its copy of the new map.
+        keyframes: how many there were when it started; those culled since go by what they hang on.
+        found: its alignment.
+    """
     placed = []
     for k in range(keyframes):
         T_old_cam = found.S_old_new @ np.linalg.inv(extended.T_cam_map(k))

@@ -81,6 +81,12 @@ def test_nothing_else_bridges_a_map(other):
     assert outcomes(broke(175, map_id=1), fused(220, **({"new": 2} | other)))[0].bridged is None
 
 
+def test_a_map_is_not_bridged_by_the_recovery_of_a_later_breakage():
+    """The old map was found again in between: it broke anew, after the young one had."""
+    _, young, again = outcomes(broke(160), broke(175, map_id=1), found(200), broke(240), fused(280, new=2))
+    assert young.bridged is None and again.recovered
+
+
 def found(frame: int, map_id: int = 0) -> ev.Relocalized:
     return ev.Relocalized(**at(frame), map_id=map_id, keyframe=10, inliers=60, frames_lost=40, lost_s=1.3)
 

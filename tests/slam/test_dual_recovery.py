@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from slam_scenes import CAMERA, FPS, PointWorld, make_frame, pose_error, rigid, tracked_in, walk
 
+from slam.dual.attempts import placed_keyframes
 from slam.dual.fusion import FusionConfig
-from slam.dual.orb_thread import OrbRecovery
+from slam.dual.orb_thread import OrbRecovery, OrbRecoveryConfig
 from slam.dual.recovery import RecoveryConfig, RecoveryTask
 from slam.optimization.sim3 import sim3_decompose
 from slam.tracking import TrackingConfig
@@ -94,6 +95,12 @@ def same(a, b):
     )
 
 
+def disturbed(features, view):
+    """Every other keypoint out of place, within the search windows: their points match and do not fit."""
+    off = 3.2 * view.scale[features.octave] * np.sin(np.arange(len(features)) * np.pi / 2)
+    return replace(features, xy=features.xy + np.stack([0 * off, off], axis=1))
+
+
 # -- success -------------------------------------------------------------------------------------------------
 
 
@@ -123,6 +130,20 @@ def test_the_similarity_brings_the_new_cameras_to_their_places(success, sighting
         T_map_cam = np.linalg.inv(result.map.T_cam_map(k))
         centre = s * R @ T_map_cam[:3, 3] + t
         assert np.linalg.norm(centre - np.linalg.inv(sightings[i].T_cam_world)[:3, 3]) < 0.15
+
+
+def test_the_first_keyframes_are_told_of_in_the_old_map(success, begun, sightings):
+    """Culled or not, and they alone."""
+    result, _ = success
+    extended = result.map.copy()
+    extended.cull_keyframe(2)
+    placed = placed_keyframes(extended, begun[0].n_keyframes, result.alignment)
+    assert [k.frame for k in placed] == list(range(FIRST, 66, 5))
+    for keyframe in placed:
+        assert keyframe.stamp_s == pytest.approx(keyframe.frame / FPS)
+        T_cam_old = np.linalg.inv(np.array(keyframe.T_old_cam))
+        distance, angle = pose_error(T_cam_old, sightings[keyframe.frame].T_cam_world)
+        assert distance < 0.15 and angle < 1.0
 
 
 def test_the_new_map_grows_backward(success, begun):
@@ -164,6 +185,19 @@ def test_of_several_old_maps_the_one_that_fits_is_met(world, begun, sightings, s
     other, _ = elsewhere.map_of([elsewhere.see(i, walk(i), rng) for i in (25, 30)], rng, map_id=5)
     result = recover(task(begun, sightings, [other, saved], buffered(sightings)))
     assert result.alignment is not None and result.alignment.old_map_id == 0
+
+
+def test_frames_in_which_many_matches_do_not_fit_are_passed_over(begun, sightings, saved):
+    """A pose that they yield is no base to go on from."""
+    poor = range(38, 42)
+    backward = [
+        disturbed(features, begun[0].view) if features.index in poor else features
+        for features in buffered(sightings)
+    ]
+    strict = recover(task(begun, sightings, [saved], backward))
+    assert strict.success and not {f.features.index for f in strict.frames} & set(poor)
+    anything = OrbRecovery(OrbRecoveryConfig(min_share=0.0)).run(task(begun, sightings, [saved], backward))
+    assert set(poor) <= {f.features.index for f in anything.frames}
 
 
 def test_the_motion_model_carries_the_camera_over_a_long_blind_stretch(begun, sightings, saved):

@@ -131,3 +131,45 @@ def test_the_representative_descriptor_has_the_least_median_distance():
         medians = np.sort(distance, 1)[:, (len(rows) - 1) // 2]
         chosen = [int(np.bitwise_count(x ^ m.arrays.pt_descriptor[p]).sum()) for x in d].index(0)
         assert medians[chosen] == medians.min() or len(rows) == 2
+
+
+def arrays_of(m):
+    return [array.tobytes() for array in m.arrays]
+
+
+def test_points_are_replaced_in_order_as_one_by_one():
+    """Chains and repetitions included; -1 leaves a point alone."""
+    rng = np.random.default_rng(6)
+    at_once = random_map(rng)
+    one_by_one = at_once.copy()
+    olds = rng.choice(at_once.points(), 40).astype(np.int32)
+    news = np.where(rng.random(40) < 0.2, -1, rng.choice(at_once.points(), 40)).astype(np.int32)
+    kernels.replace_points(at_once.arrays, olds, news, VIEW.scale)
+    for old, new in zip(olds.tolist(), news.tolist(), strict=True):
+        if new >= 0:
+            kernels.replace_point(one_by_one.arrays, old, new, VIEW.scale)
+    assert arrays_of(at_once) == arrays_of(one_by_one)
+    at_once.check()
+
+
+def test_a_keyframe_takes_over_points_as_one_by_one():
+    """Into free keypoints they go, where it has one already the two become it."""
+    rng = np.random.default_rng(7)
+    at_once = random_map(rng)
+    one_by_one = at_once.copy()
+    keyframe, start = 2, at_once.keypoints(2).start
+    count = len(at_once.observed_points(keyframe))
+    points = np.where(rng.random(count) < 0.5, -1, rng.choice(at_once.points(), count)).astype(np.int32)
+    kernels.take_over(at_once.arrays, keyframe, points, VIEW.scale)
+    own = one_by_one.observed_points(keyframe)
+    joined = 0
+    for row in np.flatnonzero(points >= 0).tolist():
+        point = int(points[row])
+        if own[row] >= 0:
+            joined += 1
+            kernels.replace_point(one_by_one.arrays, point, int(own[row]), VIEW.scale)
+        elif kernels.add_observation(one_by_one.arrays, start + row, point):
+            kernels.refresh_point(one_by_one.arrays, point, VIEW.scale)
+    assert joined > 3
+    assert arrays_of(at_once) == arrays_of(one_by_one)
+    at_once.check()
