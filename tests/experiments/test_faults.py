@@ -13,6 +13,7 @@ from experiments.crew import CrewSettings, embedded_crew
 from experiments.ledger import Ledger
 from experiments.record_table import normalise
 from experiments.records import decided
+from scenarios.errors import InputError
 
 LOST = "distributed.deploy.lost-worker-timeout"
 pytestmark = pytest.mark.usefixtures("shared_crew")
@@ -146,3 +147,12 @@ def test_workers_that_are_killed_are_replaced(run_made_up, shared_crew, tmp_path
     assert len(killed) == 2 and tally.done == tally.total == 8 and tally.errors == 0
     assert 1 <= len(errors) <= 2 and sum(r["attempts"] for r in rows) == 8 + len(errors)
     assert all(e["message"] == "its process has died" for e in errors)
+
+
+def test_workers_that_do_not_come_up_are_told_of():
+    class Nobody:
+        def wait_for_workers(self, workers, timeout):
+            raise TimeoutError
+
+    with pytest.raises(InputError, match=r"this machine: has had fewer than 3 workers for 120 s; wait"):
+        crew._await(Nobody(), 3, "this machine", "wait")
