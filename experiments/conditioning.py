@@ -11,8 +11,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from experiments.alignment import rotation_angle_deg
 from experiments.execution import slam_camera
 from experiments.records import PAIR_GAPS, PAIRS_PER_GAP, pair_column
 from scenarios.seeds import rng_for
@@ -87,7 +87,7 @@ class FramePairs:
         return PairError(
             len(matches),
             baseline_m,
-            float(np.rad2deg(Rotation.from_matrix(R.T @ T_second_first[:3, :3]).magnitude())),
+            float(rotation_angle_deg((R.T @ T_second_first[:3, :3])[None])[0]),
             angle_deg(direction, T_second_first[:3, 3]),
         )
 

@@ -15,6 +15,7 @@ from experiments.recording import Recording
 from experiments.recording.words import describe_event
 from experiments.run import run_sequence
 from experiments.scene import lay_out
+from slam.events import PlacedKeyframe, RecoveryEnd
 
 PER_SYSTEM = (
     "/world/{}/camera", "/world/{}/map_0/path", "/world/{}/map_0/points", "/world/{}/map_0/keyframes",
@@ -171,3 +172,15 @@ def test_events_read_as_sentences(breaks_at, level):
     text, found = describe_event(run.events[-1])
     assert found == level
     assert text.startswith("0.17 s  frame 5" if breaks_at is None else "5.33 s  frame 160  breakage: ")
+
+
+def test_an_event_that_holds_many_things_is_one_short_line():
+    pose = tuple(map(tuple, np.eye(4).tolist()))
+    end = RecoveryEnd(
+        frame=9, stamp_s=0.3, map_id=1, thread=1, method="orb", old_map_id=0, success=True, stage="",
+        reason="", frames_covered=7, frames_passed_over=0, inliers=50, cpu_ms=3.0,
+        placed=tuple(PlacedKeyframe(i, i / 30, pose) for i in range(5)),
+    )  # fmt: skip
+    text, _ = describe_event(end)
+    assert "placed 5" in text and len(text) < 200
+    assert "placed" not in describe_event(replace(end, success=False, placed=()))[0]
