@@ -141,7 +141,9 @@ def test_the_first_keyframes_are_told_of_in_the_old_map(success, begun, sighting
     assert [k.frame for k in placed] == list(range(FIRST, 66, 5))
     for keyframe in placed:
         assert keyframe.stamp_s == pytest.approx(keyframe.frame / FPS)
-        T_cam_old = np.linalg.inv(np.array(keyframe.T_old_cam))
+        T_old_cam = np.array(keyframe.T_old_cam)
+        assert np.linalg.det(T_old_cam[:3, :3]) == pytest.approx(1.0)
+        T_cam_old = np.linalg.inv(T_old_cam)
         distance, angle = pose_error(T_cam_old, sightings[keyframe.frame].T_cam_world)
         assert distance < 0.15 and angle < 1.0
 
