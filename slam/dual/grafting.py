@@ -78,18 +78,28 @@ def graft(grown: Map, copy: Map, keyframes: int, points: int) -> Grafted | None:
 
 
 def _similarity(grown: Map, copy: Map, points: int) -> np.ndarray | None:
-    """(4, 4) from the copy's frame to the map's, by the points that both still have; None for too few."""
+    """(4, 4) from the copy's frame to the map's, by points that both have; None if they do not tell."""
     a, b = grown.arrays, copy.arrays
     both = np.flatnonzero(~a.pt_bad[:points] & ~b.pt_bad[:points])
     if len(both) < _MIN_SHARED:
         return None
-    xyz_a, xyz_b = a.pt_xyz[both], b.pt_xyz[both]
-    for _ in range(2):  # the worst of them twice left out: points far away or just being refined
-        s, R, t = horn_sim3(xyz_a, xyz_b)
-        error = np.linalg.norm(xyz_a - (s * xyz_b @ R.T + t), axis=1)
-        keep = error <= np.quantile(error, 0.7)
-        xyz_a, xyz_b = xyz_a[keep], xyz_b[keep]
-    return sim3_matrix(*horn_sim3(xyz_a, xyz_b))
+    near = both[_near(a.pt_xyz[both]) & _near(b.pt_xyz[both])]
+    xyz_a, xyz_b = a.pt_xyz[near], b.pt_xyz[near]
+    try:
+        for _ in range(2):  # the worst of them twice left out: points just being refined
+            s, R, t = horn_sim3(xyz_a, xyz_b)
+            error = np.linalg.norm(xyz_a - (s * xyz_b @ R.T + t), axis=1)
+            keep = error <= np.quantile(error, 0.7)
+            xyz_a, xyz_b = xyz_a[keep], xyz_b[keep]
+        return sim3_matrix(*horn_sim3(xyz_a, xyz_b))
+    except ValueError:  # on a line
+        return None
+
+
+def _near(xyz: np.ndarray) -> np.ndarray:
+    """Which points are not among the tenth farthest off: one as good as at infinity outweighs all others."""
+    distance = np.linalg.norm(xyz - np.median(xyz, axis=0), axis=1)
+    return distance <= np.quantile(distance, 0.9)
 
 
 def _join_points(grown: Map, offset: int, points: int) -> None:

@@ -206,7 +206,7 @@ def test_keyframes_that_the_map_has_culled_do_not_come_back(grown, recovered, be
     assert done is not None
     forward.check()
     points = begun[0].n_points
-    both = ~grown.arrays.pt_bad[:points] & ~recovered.map.arrays.pt_bad[:points]
+    both = shared(grown, recovered.map, points)
     both &= ~forward.arrays.pt_bad[:points]
     assert forward.arrays.pt_bad[done.points : done.points + points][both].all(), "no point comes back either"
     frame = forward.frame_index(2)
@@ -224,3 +224,30 @@ def test_too_little_left_in_common_is_refused_and_nothing_done(grown, recovered,
         assert one.n_keyframes == other.n_keyframes
         for x, y in zip(one.arrays, other.arrays, strict=True):
             np.testing.assert_array_equal(x, y)
+
+
+@pytest.mark.parametrize("factor", [30.0, 1e6])
+def test_points_as_good_as_at_infinity_do_not_turn_the_map(grown, recovered, begun, factor):
+    forward, copy = grown.copy(), recovered.map.copy()
+    both = np.flatnonzero(shared(forward, copy, begun[0].n_points))
+    far = both[:: len(both) // 5]
+    rng = np.random.default_rng(35)
+    for arrays in (forward.arrays, copy.arrays):  # how far is anybody's guess
+        arrays.pt_xyz[far] *= factor * rng.uniform(0.5, 2.0, (len(far), 1))
+    done = graft(forward, copy, begun[0].n_keyframes, begun[0].n_points)
+    assert done is not None
+    expected = graft(grown.copy(), recovered.map.copy(), begun[0].n_keyframes, begun[0].n_points)
+    np.testing.assert_allclose(done.S_map_copy, expected.S_map_copy, atol=2e-3)
+
+
+def test_points_on_a_line_do_not_tell_how_the_map_has_moved(grown, recovered, begun):
+    forward, copy = grown.copy(), recovered.map.copy()
+    both = shared(forward, copy, begun[0].n_points)
+    for arrays in (forward.arrays, copy.arrays):
+        arrays.pt_xyz[: len(both)][both] = np.linspace(1.0, 2.0, both.sum())[:, None] * [1.0, 2.0, 3.0]
+    assert graft(forward, copy, begun[0].n_keyframes, begun[0].n_points) is None
+
+
+def shared(forward, copy, points):
+    """Which points the map and its copy both still have."""
+    return ~forward.arrays.pt_bad[:points] & ~copy.arrays.pt_bad[:points]
