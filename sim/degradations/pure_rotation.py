@@ -23,12 +23,14 @@ class PausedMotion:
         base: the motion without the pause.
         start_s, duration_s: braking begins and full pace is reached again.
         braking_s: time of braking, and of setting off.
+        from_rest: the motion has never been under way before: nothing to brake.
     """
 
     base: Motion
     start_s: float
     duration_s: float
     braking_s: float
+    from_rest: bool = False
 
     def T_world_cam(self, stamp_s: float | np.ndarray) -> np.ndarray:
         """See ``Motion``."""
@@ -45,7 +47,7 @@ class PausedMotion:
     def pace(self, stamp_s: float | np.ndarray) -> np.ndarray:
         """(...) share of its own pace at which the motion runs: 1 before and after, 0 at rest."""
         into, off = self._phases(stamp_s)
-        return 1 - _smooth(into) + _smooth(off)
+        return (0.0 if self.from_rest else 1 - _smooth(into)) + _smooth(off)
 
     def _phases(self, stamp_s: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         since_s = np.asarray(stamp_s, float) - self.start_s
@@ -53,6 +55,8 @@ class PausedMotion:
 
     def _own_time_s(self, stamp_s: float | np.ndarray) -> np.ndarray:
         into, off = self._phases(stamp_s)
+        if self.from_rest:
+            return self.start_s + self.braking_s * _smooth_area(off)
         return np.asarray(stamp_s, float) - self.braking_s * (_smooth_area(into) - _smooth_area(off))
 
 
@@ -71,7 +75,8 @@ def _smooth_area(u: np.ndarray) -> np.ndarray:
 class PureRotationDegradation:
     """Stops the camera, turns it out and back about one of its axes, and lets it go on.
 
-    All that follows comes later by the time that the stop has cost.
+    All that follows comes later by the time that the stop has cost. From the first frame on the camera is at
+    rest at once: a sequence that begins so has no parallax before the camera sets off.
     """
 
     kind: ClassVar[str] = "pure_rotation"
@@ -87,7 +92,9 @@ class PureRotationDegradation:
         if segment.angle_deg == 0:
             return shoot
         braking_s = BRAKING * segment.duration_s
-        paused = PausedMotion(shoot.motion, segment.start_s, segment.duration_s, braking_s)
+        paused = PausedMotion(
+            shoot.motion, segment.start_s, segment.duration_s, braking_s, segment.start_s == 0
+        )
         return replace(shoot, motion=_turned(paused, segment))
 
     def measure(self, shoot: Shoot, segment: PureRotation, blur_px: np.ndarray) -> np.ndarray:

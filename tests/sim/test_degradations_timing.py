@@ -92,9 +92,23 @@ def test_the_camera_turns_on_the_spot_and_goes_on_where_it_was(shoot, axis):
     np.testing.assert_allclose(motion.T_world_cam(1.9), shoot.motion.T_world_cam(1.9))
 
 
-def test_the_stopping_motion_has_its_own_derivatives(shoot):
-    motion = apply(shoot, PureRotation(kind="pure_rotation", angle_deg=40, **TIMES)).motion
-    stamps_s, step_s = np.linspace(1.9, 3.1, 400), 1e-4
+def test_from_the_first_frame_on_the_camera_is_at_rest_before_it_sets_off(shoot):
+    motion = apply(shoot, PureRotation(kind="pure_rotation", angle_deg=70, start_s=0, duration_s=1)).motion
+    at_s = np.linspace(0, 0.85, 200)
+    assert (motion.T_world_cam(at_s)[:, :3, 3] == shoot.motion.T_world_cam(0.0)[:3, 3]).all()
+    assert (motion.velocity_mps(at_s) == 0).all() and np.linalg.norm(motion.velocity_mps(0.99)) > 0
+    later_s = np.array([1.0, 1.7, 2.4])
+    cost_s = 0.925  # the stop, and half of setting off
+    np.testing.assert_allclose(
+        motion.T_world_cam(later_s), shoot.motion.T_world_cam(later_s - cost_s), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("start_s", [0.0, 2.0])
+def test_the_stopping_motion_has_its_own_derivatives(shoot, start_s):
+    segment = PureRotation(kind="pure_rotation", angle_deg=40, start_s=start_s, duration_s=1)
+    motion = apply(shoot, segment).motion
+    stamps_s, step_s = start_s + np.linspace(-0.1, 1.1, 400), 1e-4
     before, after = (motion.T_world_cam(stamps_s + d) for d in (-step_s / 2, step_s / 2))
     np.testing.assert_allclose(motion.velocity_mps(stamps_s), (after - before)[:, :3, 3] / step_s, atol=1e-5)
     turn = Rotation.from_matrix(np.swapaxes(before[:, :3, :3], 1, 2) @ after[:, :3, :3]).as_rotvec()
