@@ -82,7 +82,10 @@ class FastRotation(SegmentBase):
 
 
 class PureRotation(SegmentBase):
-    """The camera stops, turns out and back on the spot, without parallax, and goes on; from 0 s on it is at rest."""
+    """The camera stops, turns out and back on the spot, without parallax, and goes on.
+
+    One that begins at 0 s begins at rest.
+    """
 
     kind: Literal["pure_rotation"]
     angle_deg: float = Field(ge=0, le=360, description="how far it turns out; 0 does not even stop")

@@ -13,8 +13,12 @@ _SAME_DEG = 2.0
 _MOST = 6
 """Minima that are followed to the end; those beyond explain far less."""
 
-_MIN_SCALE = 0.1
-"""The noise is never taken for smaller than this share of the nominal: keypoints are no better."""
+_MIN_SCALE = 1.0 / np.sqrt(12.0)
+"""The noise is never taken for smaller than this share of the nominal, which is a pixel of the pyramid level.
+
+Keypoints lie on whole pixels, and rounding alone scatters them so much. They may seem to agree better where
+they were rounded alike: a small turn then looks like a move sideways, which keeps the rows that they lie in.
+"""
 
 
 def search_motions(

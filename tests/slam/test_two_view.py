@@ -84,6 +84,24 @@ def test_pure_rotation_is_refused_for_its_parallax(seed, noise):
     assert not result.triangulated.any() and np.isnan(result.points).all()
 
 
+@pytest.mark.parametrize("seed", [2, 4, 5])
+@pytest.mark.parametrize("turn_deg", [0.5, 0.6])
+def test_a_small_turn_among_keypoints_on_whole_pixels_is_not_taken_for_a_move(seed, turn_deg):
+    """Most rows stay what they were by rounding, as in a move sideways."""
+    rng, n = np.random.default_rng(seed), 2000
+    scale = 1.2 ** rng.integers(0, 8, n)
+    rays = np.column_stack([rng.uniform([20, 20], [620, 460], (n, 2)), np.ones(n)]) @ np.linalg.inv(K).T
+    points = rays * rng.uniform(2, 8, (n, 1))
+    turned = rigid([0.0, 0.0, 0.0], [0.0, np.deg2rad(turn_deg), 0.0])
+    u, v = (
+        np.round(project(T, points) / scale[:, None] + rng.normal(0, 0.1, (n, 2))) * scale[:, None]
+        for T in (np.eye(4), turned)
+    )
+    config = TwoViewConfig(min_parallax_deg=0.6)
+    result = two_view_reconstruction(u, v, K, np.random.default_rng(0), config, scale)
+    assert (result.success, result.reason) == (False, "low_parallax")
+
+
 def test_standing_still_is_refused_for_its_parallax():
     _, _, u, _, _ = scene("rotation", n=200)
     result = reconstruct(u, u.copy())
