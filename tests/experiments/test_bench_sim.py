@@ -61,7 +61,7 @@ def test_rates_are_of_all_together_until_the_last_is_ready():
 
 @pytest.mark.slow
 def test_the_whole_bench_in_small(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["dslab", "bench", "sim", "--frames", "4", "--json"])
+    monkeypatch.setattr(sys, "argv", ["dslab", "bench", "sim", "--processes", "1", "--frames", "4", "--json"])
     with pytest.raises(SystemExit) as caught:
         cli.main()
     assert not caught.value.code
@@ -69,7 +69,7 @@ def test_the_whole_bench_in_small(monkeypatch, capsys):
     assert set(figures["rendered"]) == set(bench_sim.SCENES)
     assert set(figures["degraded"]) == {"sharp", "blurred"}
     for row in (*figures["rendered"].values(), *figures["degraded"].values()):
-        assert row["frames"] >= 8 and row["frames_per_s"] > 0
+        assert row["frames"] >= 4 and row["frames_per_s"] > 0
         assert row["peak_rss_mb"] < figures["asked"]["peak_rss_mb"]
     assert figures["build"]["surfaces"] > 1000
     assert figures["build"]["peak_rss_mb"] < figures["asked"]["peak_rss_mb"]

@@ -1,0 +1,96 @@
+"""The base over rendered scenarios: it closes loops and finds its place again, the same bits on one core."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from slam_scenes import feed, fingerprint, kinds
+
+from experiments import metrics
+from experiments.execution import slam_camera
+from scenarios.loading import load_scenario
+from sim.render import render_sequence
+from slam.config import default_config
+from slam.factory import build_system
+
+REPOSITORY = Path(__file__).parents[2]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no processor affinity here"),
+]
+
+
+def rendered(name, seed, duration_s):
+    """The first seconds of a scenario."""
+    scenario = load_scenario(name, seed)
+    return render_sequence(scenario.model_copy(update={"duration_s": min(duration_s, scenario.duration_s)}))
+
+
+def run(sequence, **loops):
+    """The base at the end of a sequence, with other settings of its loop closing, and its results."""
+    camera = slam_camera(sequence.camera)
+    config = default_config(camera)
+    system = build_system("base", camera, 0, replace(config, loops=replace(config.loops, **loops)))
+    images = (sequence.frames[i] for i in range(len(sequence)))
+    return system, feed(system, images, sequence.stamps_s, check=False)
+
+
+def digest_of_scenario(*scenario):
+    """What the base makes of a scenario, bit by bit."""
+    return fingerprint(run(rendered(*scenario))[0])
+
+
+def agrees_on_one_core(system, scenario):
+    """Whether another process on one core has the same bits in the end."""
+    script = (
+        "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
+        f"from test_rendered_scenarios import digest_of_scenario; print(digest_of_scenario(*{scenario!r}))"
+    )
+    path = os.pathsep.join([str(REPOSITORY), str(Path(__file__).parent)])
+    environment = {**os.environ, "PYTHONPATH": path}
+    command = [sys.executable, "-c", script]
+    child = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert child.returncode == 0, child.stderr
+    return child.stdout.strip() == fingerprint(system)
+
+
+def ate_m(system, sequence):
+    pairs = metrics.associate(system.trajectories()[0], sequence.stamps_s, sequence.T_world_cam)
+    return metrics.ate(pairs).rmse_m
+
+
+def test_a_clean_room_is_tracked():
+    scenario = ("clean-room", 0, 6.0)
+    system, _ = run(rendered(*scenario))
+    assert kinds(system) == ["initialized"]
+    assert agrees_on_one_core(system, scenario)
+
+
+def test_a_block_is_closed_and_most_of_the_drift_goes():
+    scenario = ("loop/city", 3, 60.0)
+    sequence = rendered(*scenario)
+    closed, _ = run(sequence)
+    open_, _ = run(sequence, min_gap=10**9)
+    assert kinds(closed)[:3] == ["initialized", "loop_closed", "map_adjusted"]
+    assert kinds(open_) == ["initialized"]
+    assert ate_m(closed, sequence) <= ate_m(open_, sequence) / 3
+    assert agrees_on_one_core(closed, scenario)
+
+
+def test_after_a_covered_lens_it_finds_its_place_within_a_second():
+    scenario = ("covered-lens", 2, 30.0)
+    sequence = rendered(*scenario)
+    system, results = run(sequence)
+    assert {"loop_closed", "map_adjusted"} <= set(kinds(system))
+    assert kinds(system).count("breakage") == kinds(system).count("relocalized") == 1
+    back = system.events[kinds(system).index("relocalized")]
+    uncovered_s = sequence.stamps_s[sequence.segments[0].last_frame]
+    assert 0 < back.stamp_s - uncovered_s <= 1.0
+    assert all(r.T_map_cam is not None for r in results[back.frame :])
+    assert ate_m(system, sequence) < 0.05
+    assert np.isfinite(system.trajectories()[0].T_map_cam).all()
+    assert agrees_on_one_core(system, scenario)
