@@ -78,18 +78,21 @@ def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
     Args:
         progress: called with a message, the frames done and the frames in all.
     """
+    from slam.dual.config import DualConfig
     from slam.factory import build_system
 
-    # Long enough for a map worth saving, a breakage, a recovery and a fusion; for the base, a relocalization;
-    # for the matching of Dual-SLAM+, a first map.
-    blank, counts = range(90, 96), {"dual": 180, "base": 105, "dual+": 10}
+    # For Dual-SLAM a map worth saving, a breakage, a recovery by either thread and a fusion, all of which
+    # relocalization would forestall; for the base just that; for the matching of Dual-SLAM+ a first map.
+    every = DualConfig(exhaustive=True, relocalization=False)
+    counts = {"dual": 110, "base": 75, "dual+": 10}
     done, total = 0, sum(counts.values())
     for kind, count in counts.items():
-        system = build_system(kind, CAMERA, seed=0)
-        for image, stamp_s, _ in toy_frames(count, blank):
+        system = build_system(kind, CAMERA, seed=0, dual=every)
+        for image, stamp_s, _ in toy_frames(count, range(60, 66), step_m=0.05):
             if progress:
                 progress("compiling kernels (kept for later runs)", done, total)
             system.process(image, stamp_s)
             done += 1
+        system.finish()
     if progress:
         progress("kernels ready", total, total)

@@ -1,0 +1,22 @@
+"""The warm-up goes through all that has kernels of its own, so that no run has to stop to compile."""
+
+from slam import factory
+from slam.warmup import warm_up
+
+
+def test_it_comes_to_a_recovery_by_either_thread_a_fusion_and_a_relocalization(monkeypatch):
+    built, build, told = {}, factory.build_system, []
+
+    def build_system(kind, *arguments, **options):
+        built[kind] = build(kind, *arguments, **options)
+        return built[kind]
+
+    monkeypatch.setattr(factory, "build_system", build_system)
+    warm_up(lambda *progress: told.append(progress))
+    dual = built["dual"].events
+    ends = [(e.method, e.success) for e in dual if e.kind == "recovery_end"]
+    assert ends == [("orb", True), ("sift", True)]
+    assert [e.accepted for e in dual if e.kind == "fusion"] == [True]
+    assert "relocalized" in [e.kind for e in built["base"].events]
+    assert "initialized" in [e.kind for e in built["dual+"].events]
+    assert told[-1][1:] == (len(told) - 1, len(told) - 1)
