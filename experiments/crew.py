@@ -251,6 +251,8 @@ def embedded_crew(settings: CrewSettings, job: Job) -> Iterator[Crew]:
     # On a busy machine a process may take longer to start than the 15 s after which its nanny is dismissed.
     config["distributed.deploy.lost-worker-timeout"] = f"{_START_S:.0f}s"
     limit = 0 if settings.memory_mb is None else settings.memory_mb * 2**20
+    # It tells of connections that an interrupt ends; `silence_logs` does not reach it.
+    logging.getLogger("distributed.batched").setLevel(logging.CRITICAL)
     with (
         dask_config.set(config),
         tempfile.TemporaryDirectory(prefix="dslab-") as folder,

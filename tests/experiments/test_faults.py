@@ -111,7 +111,8 @@ def test_workers_that_their_nanny_does_not_bring_back_are_replaced(tmp_path):
     settings = CrewSettings(workers=1, cache_dir=tmp_path / "tries")
     with embedded_crew(settings, made_up_unit) as alone, config.set({LOST: "100ms"}):
         tally = runner.run_experiment(plan, tmp_path / "x", lambda: nullcontext(alone))
-    assert (tally.done, tally.errors, tally.retries) == (3, 0, 1)
+    # The next unit may have been given to the worker that is gone.
+    assert (tally.done, tally.errors) == (3, 0) and tally.retries in (1, 2)
 
 
 @pytest.mark.slow
