@@ -2,8 +2,12 @@
 
 import hashlib
 import json
+import os
+import subprocess
+import sys
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -303,6 +307,21 @@ def fingerprint(system):
         record = {k: v for k, v in event.record().items() if k != "cpu_ms"}
         digest.update(json.dumps(record, sort_keys=True).encode())
     return digest.hexdigest()
+
+
+def on_one_core(module, call):
+    """What a call of a function of a test module prints in another process, on one core where it can be."""
+    script = (
+        "import os\n"
+        "if hasattr(os, 'sched_setaffinity'): os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
+        f"import {module}; print({module}.{call})"
+    )
+    here = Path(__file__).parent
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(here.parents[1]), str(here)])}
+    command = [sys.executable, "-c", script]
+    child = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert child.returncode == 0, child.stderr
+    return child.stdout.strip()
 
 
 def digest_of_run(kind, count, *spans):

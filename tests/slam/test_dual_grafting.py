@@ -226,14 +226,13 @@ def test_too_little_left_in_common_is_refused_and_nothing_done(grown, recovered,
             np.testing.assert_array_equal(x, y)
 
 
-@pytest.mark.parametrize("factor", [30.0, 1e6])
-def test_points_as_good_as_at_infinity_do_not_turn_the_map(grown, recovered, begun, factor):
+def test_points_as_good_as_at_infinity_do_not_turn_the_map(grown, recovered, begun):
     forward, copy = grown.copy(), recovered.map.copy()
     both = np.flatnonzero(shared(forward, copy, begun[0].n_points))
     far = both[:: len(both) // 5]
     rng = np.random.default_rng(35)
     for arrays in (forward.arrays, copy.arrays):  # how far is anybody's guess
-        arrays.pt_xyz[far] *= factor * rng.uniform(0.5, 2.0, (len(far), 1))
+        arrays.pt_xyz[far] *= 1e6 * rng.uniform(0.5, 2.0, (len(far), 1))
     done = graft(forward, copy, begun[0].n_keyframes, begun[0].n_points)
     assert done is not None
     expected = graft(grown.copy(), recovered.map.copy(), begun[0].n_keyframes, begun[0].n_points)

@@ -1,14 +1,10 @@
 """The base over rendered scenarios: it closes loops and finds its place again, the same bits on one core."""
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from slam_scenes import feed, fingerprint, kinds
+from slam_scenes import feed, fingerprint, kinds, on_one_core
 
 from experiments import metrics
 from experiments.execution import slam_camera
@@ -17,11 +13,7 @@ from sim.render import render_sequence
 from slam.config import default_config
 from slam.factory import build_system
 
-REPOSITORY = Path(__file__).parents[2]
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no processor affinity here"),
-]
+pytestmark = pytest.mark.slow
 
 
 def rendered(name, seed, duration_s):
@@ -46,16 +38,8 @@ def digest_of_scenario(*scenario):
 
 def agrees_on_one_core(system, scenario):
     """Whether another process on one core has the same bits in the end."""
-    script = (
-        "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
-        f"from test_rendered_scenarios import digest_of_scenario; print(digest_of_scenario(*{scenario!r}))"
-    )
-    path = os.pathsep.join([str(REPOSITORY), str(Path(__file__).parent)])
-    environment = {**os.environ, "PYTHONPATH": path}
-    command = [sys.executable, "-c", script]
-    child = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert child.returncode == 0, child.stderr
-    return child.stdout.strip() == fingerprint(system)
+    call = f"digest_of_scenario(*{scenario!r})"
+    return on_one_core("test_rendered_scenarios", call) == fingerprint(system)
 
 
 def ate_m(system, sequence):

@@ -1,15 +1,12 @@
 """The base system: what it answers, that it answers the same every time, and what it does when it breaks."""
 
 import json
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from slam_scenes import blanked, digest_of_run, errors_m, feed, fingerprint, kinds, rms, toy
+from slam_scenes import blanked, digest_of_run, errors_m, feed, fingerprint, kinds, on_one_core, rms, toy
 
 from slam.config import SlamConfig, default_config
 from slam.events import TrackingState
@@ -190,21 +187,12 @@ def test_another_seed_gives_another_run(sequence):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no processor affinity here")
 def test_another_process_on_one_core_gives_the_same_run():
     """With a recovery and a fusion: neither threads nor what ran before in the process have a say."""
     run = ("dual", 110, (60, 66))
-    script = (
-        "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
-        f"from slam_scenes import digest_of_run; print(digest_of_run(*{run!r}))"
-    )
-    path = os.pathsep.join([str(REPOSITORY), str(Path(__file__).parent)])
-    environment = {**os.environ, "PYTHONPATH": path}
-    command = [sys.executable, "-c", script]
-    child = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert child.returncode == 0, child.stderr
+    other = on_one_core("slam_scenes", f"digest_of_run(*{run!r})")
     here = [digest_of_run(*run) for _ in range(2)]
-    assert here == [child.stdout.strip()] * 2
+    assert here == [other] * 2
     assert here[0].endswith("fusion")
 
 
