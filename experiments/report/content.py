@@ -12,6 +12,7 @@ from experiments.report.conditioning import conditioning
 from experiments.report.plain_data import as_data
 from experiments.report.verdict import verdict
 from experiments.statistics.analysis import AnalysisSettings, analyse
+from experiments.statistics.kinds_of_world import kinds_of_world
 
 if TYPE_CHECKING:
     from experiments.spec import ExperimentSpec
@@ -43,13 +44,15 @@ def report_content(
     kinds = tuple(thread.kind for thread in spec.threads)
     settings = replace(settings or AnalysisSettings(), thread_methods=kinds)
     analysis = as_data(analyse(table, threads, settings))
+    kinds_apart = as_data(kinds_of_world(table, threads, settings.confidence))
     units = outcomes.unit_counts(table, {cell: spec.units_of(cell) for cell in cells})
     return {
         "format": FORMAT,
         "experiment": _about(spec),
         "units": units,
         "warnings": _warnings(units, table),
-        "verdict": verdict(analysis),
+        "verdict": verdict(analysis, kinds_apart),
+        "kinds_of_world": kinds_apart,
         "calibration": _calibration(analysis),
         "analysis": analysis,
         "lengths": _lengths(analysis, table),

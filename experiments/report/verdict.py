@@ -2,16 +2,23 @@
 
 from typing import Any
 
-from experiments.report.wording import figure_of, number, p_value, plural, proportion, share_of
+from experiments.report.wording import figure_of, number, p_value, percent, plural, proportion, share_of
 
 VERDICTS = ("consistent", "optimistic", "pessimistic", "undecided")
 
 
-def verdict(analysis: dict[str, Any]) -> dict[str, Any]:
-    """Counts of verdicts per n, headline and sentences, of the analysis as plain data."""
+def verdict(analysis: dict[str, Any], kinds: dict[str, Any]) -> dict[str, Any]:
+    """Why no verdict is given, and what the tests said all the same.
+
+    Args:
+        analysis: as plain data.
+        kinds: the kinds of world told apart, as plain data.
+    """
     levels = [_level(analysis, n) for n in range(1, analysis["threads"] + 1)]
     return {
-        "headline": _headline(levels),
+        "headline": "No verdict on Eq. 1: it is withdrawn until it is measured anew.",
+        "reasons": _reasons(kinds),
+        "tests_headline": _tests_headline(levels),
         "levels": [
             level | {"told": _overall(level), "sentences": _sentences(level, analysis)} for level in levels
         ],
@@ -55,7 +62,27 @@ def _level(analysis: dict[str, Any], n: int) -> dict[str, Any]:
     }
 
 
-def _headline(levels: list[dict[str, Any]]) -> str:
+def _reasons(kinds: dict[str, Any]) -> list[str]:
+    """Why the tests below decide nothing."""
+    said = [
+        f"The sample is {plural(kinds['worlds'], 'world')}, not {plural(kinds['units'], 'unit')}: units of "
+        "one world succeed and fail together, and the tests below take them for independent."
+    ]
+    if kinds["mixed"]:
+        said.append(
+            f"{len(kinds['mixed'])} of the cells mix {' and '.join(kinds['kinds'])}. A mixture of an easy "
+            "and a hard population refutes Eq. 1 by itself, even if it holds in each of them."
+        )
+        for level in kinds["levels"]:
+            said.append(
+                f"n = {level['n']}: measured {share_of(level['measured'])} with worlds as the sample; Eq. 1 "
+                f"predicts {percent(level['predicted_by_cell'])} from whole cells and "
+                f"{percent(level['predicted_by_kind'])} with the kinds of world told apart."
+            )
+    return said
+
+
+def _tests_headline(levels: list[dict[str, Any]]) -> str:
     if not any(level["overall"] and level["overall"]["measured"]["units"] for level in levels):
         return "Nothing can be said yet: no unit is completed."
     total = {v: sum(level["counts"][v] for level in levels) for v in VERDICTS}

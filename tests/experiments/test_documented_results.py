@@ -35,20 +35,25 @@ def test_the_report_follows_from_the_records(report):
     assert again["units"] == report["units"]
 
 
-def test_the_readme_says_what_the_report_says(report):
+def test_the_readme_says_what_the_records_say(report):
     readme = " ".join((ROOT / "README.md").read_text().split())
-    for level in report["verdict"]["levels"]:
-        for name in ("measured", "within"):
-            found = level["overall"][name]
-            value = found["estimate"] if name == "measured" else found["value"]
-            told = f"[{percent(found['low'])}, {percent(found['high'])}]"
-            assert f"{percent(value)} %" in readme and told in readme
-    counts = [level["counts"] for level in report["verdict"]["levels"]]
-    optimistic, undecided = (sum(c[name] for c in counts) for name in ("optimistic", "undecided"))
-    assert f"{optimistic} are *optimistic* and {undecided} *undecided*" in readme
+    kinds = report["kinds_of_world"]
+    for level in kinds["levels"]:
+        measured, by_cell, by_kind = (
+            level[name] for name in ("measured", "predicted_by_cell", "predicted_by_kind")
+        )
+        told = f"{percent(measured['value'])} % [{percent(measured['low'])}, {percent(measured['high'])}]"
+        assert f"| {level['n']} | {told} | {percent(by_cell)} % | {percent(by_kind)} % |" in readme
+    rows = [row for row in kinds["rows"] if not row["cell"].startswith("fast_rotation")]
+    for world in ("room", "corridor"):
+        broke, units = (sum(r[name] for r in rows if r["world"] == world) for name in ("breakages", "units"))
+        assert f"{broke} of {units}" in readme
     cells = report["analysis"]["cells"]
-    units = sum(cell["completed"] for cell in cells)
-    assert f"{sum(cell['silent']['events'] for cell in cells)} of {units} units" in readme
+    silent, unbroken = (
+        sum(cell["silent"]["events"] for cell in cells),
+        sum(cell["completed"] - cell["p0"]["events"] for cell in cells),
+    )
+    assert f"{silent} of the {unbroken} unbroken units" in readme
     for thread, name in enumerate(("ORB", "SIFT")):
         false = [cell["threads"][thread]["false_recoveries"] for cell in cells]
         assert f"{sum(f['events'] for f in false)} of {sum(f['units'] for f in false)} by {name}" in readme

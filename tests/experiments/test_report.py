@@ -117,7 +117,7 @@ def test_every_failed_unit_is_listed_with_its_command(made):
     assert "dual failure (n = 1, 2)" in words and "silent failure" in words and "false recovery" in words
 
 
-def test_the_page_tells_the_verdicts_first(made):
+def test_the_page_says_first_that_the_verdict_is_withdrawn(made):
     text = made.page.text
     verdict = made.report["verdict"]
     assert text.index(verdict["headline"]) < text.index("Predicted and measured", text.index("Skip to") + 400)
@@ -182,7 +182,7 @@ def test_an_unfinished_experiment_has_a_report(tmp_path, units):
     text = Page(write_files(report, tmp_path).read_text()).text
     assert f"{120 - 3 * units} of 120 planned units missing" in text
     if units == 0:
-        assert report["verdict"]["headline"] == "Nothing can be said yet: no unit is completed."
+        assert report["verdict"]["tests_headline"] == "Nothing can be said yet: no unit is completed."
         assert report["failures"] == []
 
 

@@ -71,6 +71,16 @@ def analysis(words: list[str], measured: tuple[float, float], within: tuple[floa
     }
 
 
+ONE_KIND = {"worlds": 15, "units": 522, "mixed": [], "kinds": ["room"], "levels": []}
+
+
+def test_whatever_the_tests_say_no_verdict_is_given():
+    told = verdict(analysis(["optimistic"] * 9, (0.06, 0.1), (0.01, 0.05)), ONE_KIND)
+    assert told["headline"].startswith("No verdict") and "15 worlds, not 522 units" in told["reasons"][0]
+    mixed = verdict(analysis(["optimistic"], (0.06, 0.1), (0.01, 0.05)), ONE_KIND | {"mixed": ["blur/1"]})
+    assert "1 of the cells mix" in mixed["reasons"][1]
+
+
 @pytest.mark.parametrize(
     ("words", "headline"),
     [
@@ -85,8 +95,8 @@ def analysis(words: list[str], measured: tuple[float, float], within: tuple[floa
     ],
 )
 def test_the_headline_follows_the_verdicts(words, headline):
-    told = verdict(analysis(words, (0.01, 0.1), (0.01, 0.05)))
-    assert headline in told["headline"]
+    told = verdict(analysis(words, (0.01, 0.1), (0.01, 0.05)), ONE_KIND)
+    assert headline in told["tests_headline"]
     assert told["levels"][0]["counts"]["undecided"] == words.count("undecided")
     assert told["levels"][0]["powered"] == len(words) - words.count("undecided")
 
@@ -96,7 +106,7 @@ def test_the_headline_follows_the_verdicts(words, headline):
     [((0.01, 0.1), "overlap"), ((0.06, 0.1), "lies above"), ((0.001, 0.005), "lies below")],
 )
 def test_what_all_cells_say_together_goes_by_the_intervals(measured, words):
-    assert words in verdict(analysis(["undecided"], measured, (0.01, 0.05)))["levels"][0]["told"]
+    assert words in verdict(analysis(["undecided"], measured, (0.01, 0.05)), ONE_KIND)["levels"][0]["told"]
 
 
 def test_a_profile_tells_what_was_bridged_and_what_was_lost():

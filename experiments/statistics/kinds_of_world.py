@@ -1,0 +1,191 @@
+"""Eq. 1 with the kinds of world told apart, and with worlds as the sample."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from experiments.records import Outcome, dual_column, thread_column
+from experiments.statistics.distinct_rows import product_over_distinct_rows
+
+
+@dataclass(frozen=True)
+class WorldShare:
+    """A share over units whose interval rests on worlds.
+
+    Attributes:
+        value: mean over worlds of the share within a world.
+        low, high: ends of the interval; None for fewer than two worlds.
+        units, worlds: number of rows, and of the worlds that they come from.
+    """
+
+    value: float
+    low: float | None
+    high: float | None
+    units: int
+    worlds: int
+
+
+@dataclass(frozen=True)
+class KindOfWorld:
+    """Counts of one cell in one kind of world.
+
+    Attributes:
+        cell: name of the cell.
+        world: kind of the world.
+        units, worlds: number of completed rows, and of their worlds.
+        breakages: units with a breakage.
+        crossing_failures: per thread, units in which it did not cross.
+        dual_failures: per n, units with a dual failure.
+        silent: units with a silent failure.
+    """
+
+    cell: str
+    world: str
+    units: int
+    worlds: int
+    breakages: int
+    crossing_failures: tuple[int, ...]
+    dual_failures: tuple[int, ...]
+    silent: int
+
+
+@dataclass(frozen=True)
+class PooledLevel:
+    """Eq. 1 with n threads over all cells, cells weighted by their units.
+
+    Attributes:
+        n: number of recovery threads.
+        measured: share of units with a dual failure in the free arm.
+        predicted_by_cell: p0 · Π pr of each cell, over distinct rows; None where a cell has too few.
+        predicted_by_kind: the same of each cell and kind of world.
+    """
+
+    n: int
+    measured: WorldShare
+    predicted_by_cell: float | None
+    predicted_by_kind: float | None
+
+
+@dataclass(frozen=True)
+class KindsOfWorld:
+    """What a table says once its populations are told apart.
+
+    Attributes:
+        kinds: kinds of world in the table.
+        mixed: cells that hold more than one of them.
+        worlds, units: number of worlds, and of completed rows.
+        levels: per n.
+        failed_or_silent: share of units with a dual failure of all threads or a silent failure.
+        silent: share of unbroken units with a silent failure.
+        rows: per cell and kind.
+    """
+
+    kinds: tuple[str, ...]
+    mixed: tuple[str, ...]
+    worlds: int
+    units: int
+    levels: tuple[PooledLevel, ...]
+    failed_or_silent: WorldShare | None
+    silent: WorldShare | None
+    rows: tuple[KindOfWorld, ...]
+
+
+def kinds_of_world(table: pd.DataFrame, threads: int, confidence: float = 0.95) -> KindsOfWorld:
+    """Tell the kinds of world in a table apart.
+
+    Args:
+        table: records, with the columns of ``records.columns``.
+        threads: number of recovery threads.
+        confidence: of the intervals.
+    """
+    done = table[table["outcome"] == Outcome.COMPLETED]
+    truths = _truths(done, threads)
+    kinds_in = done.groupby("cell", sort=False)["world"].nunique()
+    last = truths[f"d{threads}"] if threads else np.zeros(len(done), bool)
+    unbroken = ~truths["b"]
+    return KindsOfWorld(
+        kinds=tuple(sorted(done["world"].dropna().unique())),
+        mixed=tuple(str(cell) for cell in kinds_in.index[kinds_in > 1]),
+        worlds=int(done["world_seed"].nunique()),
+        units=len(done),
+        levels=tuple(_level(done, truths, n, confidence) for n in range(1, threads + 1)) if len(done) else (),
+        failed_or_silent=share_by_world(last | truths["silent"], done["world_seed"], confidence),
+        silent=share_by_world(truths["silent"][unbroken], done["world_seed"][unbroken], confidence),
+        rows=tuple(
+            _counts(str(cell), str(kind), rows, threads)
+            for (cell, kind), rows in done.groupby(["cell", "world"], sort=False)
+        ),
+    )
+
+
+def share_by_world(
+    happened: np.ndarray | pd.Series, world: pd.Series, confidence: float = 0.95
+) -> WorldShare | None:
+    """A share whose sample are the worlds: Wilson's interval at the effective number of units.
+
+    Args:
+        happened: (R,) bool.
+        world: (R,) the world of each row.
+        confidence: of the interval.
+
+    Returns:
+        None of no rows.
+
+    Source: Wilson 1927; the effective sample size of a cluster sample, Kish, "Survey sampling", 1965.
+    """
+    flags = np.asarray(happened, float)
+    if not len(flags):
+        return None
+    means = pd.Series(flags).groupby(np.asarray(world)).mean().to_numpy()
+    worlds, value = len(means), float(means.mean())
+    if worlds < 2:
+        return WorldShare(value, None, None, len(flags), worlds)
+    variance = float(means.var(ddof=1))
+    effective = value * (1 - value) * worlds / variance if variance > 0 else float(worlds)
+    z = float(stats.t.ppf((1 + confidence) / 2, worlds - 1))
+    centre = (value + z**2 / (2 * effective)) / (1 + z**2 / effective)
+    half = z * np.sqrt(value * (1 - value) / effective + z**2 / (4 * effective**2)) / (1 + z**2 / effective)
+    return WorldShare(value, max(0.0, centre - half), min(1.0, centre + half), len(flags), worlds)
+
+
+def _truths(done: pd.DataFrame, threads: int) -> dict[str, np.ndarray]:
+    names = {"b": "breakage", "silent": "silent_failure"}
+    for n in range(1, threads + 1):
+        names |= {f"r{n}": thread_column("cross", n, "failed"), f"d{n}": dual_column(n)}
+    return {name: done[column].fillna(False).to_numpy(bool) for name, column in names.items()}
+
+
+def _level(done: pd.DataFrame, truths: dict[str, np.ndarray], n: int, confidence: float) -> PooledLevel:
+    columns = np.stack([truths["b"], *(truths[f"r{j}"] for j in range(1, n + 1))], axis=1)
+    measured = share_by_world(truths[f"d{n}"], done["world_seed"], confidence)
+    if measured is None:
+        raise ValueError("no completed unit")
+    by_cell, by_kind = (_predicted(done, columns, keys) for keys in (["cell"], ["cell", "world"]))
+    return PooledLevel(n, measured, by_cell, by_kind)
+
+
+def _predicted(done: pd.DataFrame, columns: np.ndarray, keys: list[str]) -> float | None:
+    """Eq. 1 of each group, weighted by its units."""
+    total = 0.0
+    for places in done.groupby(keys, sort=False).indices.values():
+        product = product_over_distinct_rows(columns[places])
+        if product is None:
+            return None
+        total += len(places) * product
+    return total / len(done)
+
+
+def _counts(cell: str, kind: str, rows: pd.DataFrame, threads: int) -> KindOfWorld:
+    truths = _truths(rows, threads)
+    return KindOfWorld(
+        cell=cell,
+        world=kind,
+        units=len(rows),
+        worlds=int(rows["world_seed"].nunique()),
+        breakages=int(truths["b"].sum()),
+        crossing_failures=tuple(int(truths[f"r{j}"].sum()) for j in range(1, threads + 1)),
+        dual_failures=tuple(int(truths[f"d{j}"].sum()) for j in range(1, threads + 1)),
+        silent=int(truths["silent"].sum()),
+    )
