@@ -114,8 +114,8 @@ def kinds_of_world(table: pd.DataFrame, threads: int, confidence: float = 0.95) 
         failed_or_silent=share_by_world(last | truths["silent"], done["world_seed"], confidence),
         silent=share_by_world(truths["silent"][unbroken], done["world_seed"][unbroken], confidence),
         rows=tuple(
-            _counts(str(cell), str(kind), rows, threads)
-            for (cell, kind), rows in done.groupby(["cell", "world"], sort=False)
+            _counts(str(of_cell["cell"].iloc[0]), str(of_cell["world"].iloc[0]), of_cell, threads)
+            for _, of_cell in done.groupby(["cell", "world"], sort=False)
         ),
     )
 
