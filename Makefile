@@ -23,7 +23,7 @@ setup: .venv/.ready
 .venv/.ready: pyproject.toml uv.lock .tools/bin/uv
 	@echo "dslab setup: installing the locked packages into .venv"
 	@$(UV) sync --quiet --frozen --extra evo --python $(PYTHON)
-	@$(BIN)/python -m sim.gl_setup --uv $(UV)
+	@$(BIN)/python -m sim.rendering.gl_setup --uv $(UV)
 	@$(BIN)/dslab warmup
 	@touch $@
 

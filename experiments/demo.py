@@ -4,12 +4,12 @@ from collections.abc import Callable
 from collections.abc import Sequence as Many
 from pathlib import Path
 
-from experiments.demo_picture import draw_demo
-from experiments.execution import RunRecord, SystemFactory, SystemKind, execute
-from experiments.files import to_json
-from experiments.output import new_directory
-from experiments.run import RECORDING_FILE, write_run
-from experiments.summary import summarise
+from experiments.evaluation.summary import summarise
+from experiments.pictures.run_picture import draw_demo
+from experiments.result_folder import RECORDING_FILE, write_run
+from experiments.runs.execution import RunRecord, SystemFactory, SystemKind, execute
+from experiments.runs.files import to_json
+from experiments.runs.output import new_directory
 from sim.sequence import Sequence
 
 SYSTEMS: tuple[SystemKind, ...] = ("base", "dual+")

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.execution import slam_camera
+from experiments.runs.execution import slam_camera
 from scenarios.spec import Scenario
-from sim.render import render_sequence
 from sim.sequence import Sequence
+from sim.sequence_rendering import render_sequence
 from slam.config import default_config
-from slam.orb import OrbExtractor
-from slam.place_recognition import Vocabulary
-from slam.vocabulary_training import train_vocabulary
+from slam.features.orb import OrbExtractor
+from slam.places.recognition import Vocabulary
+from slam.places.training import train_vocabulary
 
 BRANCHING, LEVELS = 10, 4
 FIRST_SEED = 1000

@@ -10,7 +10,7 @@ import numpy as np
 from scenarios.spec import Scenario
 from sim.degradations.base import Shoot
 from sim.degradations.chain import ImageChain
-from sim.filming import (
+from sim.frame_plan import (
     Studio,
     camera_intrinsics,
     film,
@@ -20,7 +20,7 @@ from sim.filming import (
     rendered_plates,
 )
 from sim.io.raw import RawFrames
-from sim.world.base import WorldModel
+from sim.worlds.base import WorldModel
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from sim.camera import Intrinsics
+from sim.sensors.camera import Intrinsics
 
 
 @dataclass(frozen=True)

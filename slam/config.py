@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass, field, replace
 
-from slam.camera import PinholeCamera
-from slam.initialization import InitializationConfig
-from slam.local_mapping import LocalMappingConfig
-from slam.loop_closing import LoopClosingConfig
-from slam.orb import OrbConfig
-from slam.relocalization import RelocalizationConfig
-from slam.tracking import TrackingConfig
+from slam.core.camera import PinholeCamera
+from slam.features.orb import OrbConfig
+from slam.initialization.initializer import InitializationConfig
+from slam.loop_closing.detection import LoopClosingConfig
+from slam.mapping.local_mapping import LocalMappingConfig
+from slam.tracking.relocalization import RelocalizationConfig
+from slam.tracking.tracker import TrackingConfig
 
 
 @dataclass(frozen=True)

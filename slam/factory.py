@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
-from slam.backend import ExecutionMode
-from slam.camera import PinholeCamera
 from slam.config import SlamConfig, default_config
+from slam.core.camera import PinholeCamera
 from slam.dual.config import DualConfig
-from slam.dual.supervisor import DualSlam
+from slam.dual.dual_slam import DualSlam
+from slam.runtime.backend import ExecutionMode
 from slam.system import MonocularSlam
 
 SYSTEMS = ("base", "dual", "dual+")

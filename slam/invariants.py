@@ -5,13 +5,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from slam import events as ev
-from slam.dual.supervisor import DualSlam
-from slam.events import Event, TrackingState
-from slam.frame import Frame
-from slam.map import Map
-from slam.map_invariants import InvariantError, check_map, require, require_rigid
-from slam.results import TrackingResult
+from slam.core import events as ev
+from slam.core.events import Event, TrackingState
+from slam.core.frame import Frame
+from slam.core.results import TrackingResult
+from slam.dual.dual_slam import DualSlam
+from slam.map.invariants import InvariantError, check_map, require, require_rigid
+from slam.map.map import Map
 from slam.system import MonocularSlam
 
 __all__ = ["InvariantError", "check_events", "check_map", "check_result", "check_system"]

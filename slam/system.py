@@ -6,25 +6,25 @@ from typing import Self
 
 import numpy as np
 
-from slam import events as ev
-from slam.backend import Backend, Change, Corrected, ExecutionMode, KeyframeTask, Mapped, Searched
-from slam.camera import PinholeCamera
 from slam.config import SlamConfig
-from slam.events import TrackingState
-from slam.frame import Frame, FrameFeatures
-from slam.geometry import view_geometry
-from slam.global_adjustment import apply_adjustment
-from slam.initialization import Initializer, InitialMap, frames_between
-from slam.local_mapping import LocalMapper
-from slam.map import Map
-from slam.orb import OrbExtractor
-from slam.places import Places
-from slam.results import MapTrajectory, TrackingResult
-from slam.seeds import rng_for
-from slam.snapshot import Snapshot
-from slam.timing import StageTimer
-from slam.tracking import Tracker, TrackingOutcome
-from slam.trajectory import FramePoses, keyframe_trajectory
+from slam.core import events as ev
+from slam.core.camera import PinholeCamera
+from slam.core.events import TrackingState
+from slam.core.frame import Frame, FrameFeatures
+from slam.core.geometry import view_geometry
+from slam.core.results import MapTrajectory, TrackingResult
+from slam.core.seeds import rng_for
+from slam.core.snapshot import Snapshot
+from slam.core.timing import StageTimer
+from slam.features.orb import OrbExtractor
+from slam.initialization.initializer import Initializer, InitialMap, frames_between
+from slam.loop_closing.global_adjustment import apply_adjustment
+from slam.map.map import Map
+from slam.map.trajectory import FramePoses, keyframe_trajectory
+from slam.map_places import Places
+from slam.mapping.local_mapping import LocalMapper
+from slam.runtime.backend import Backend, Change, Corrected, ExecutionMode, KeyframeTask, Mapped, Searched
+from slam.tracking.tracker import Tracker, TrackingOutcome
 
 _PX_PER_FEATURE = 45.0  # an image has no room for more than one feature in so many pixels
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 import cv2
 import numpy as np
 
-from slam.camera import PinholeCamera
+from slam.core.camera import PinholeCamera
 
 CAMERA = PinholeCamera(320, 240, 260.0, 260.0, 159.5, 119.5, 30.0)
 _LAYERS = ((7.0, 0.0, 1.0), (5.0, 0.0, 0.35), (4.0, 0.55, 0.85), (6.0, 0.35, 0.6))  # depth, top, bottom

@@ -83,10 +83,10 @@ def slam_command(
 
     `dslab bench slam clean-room --seed 1 --peer "path/to/orbslam3.py --features 1000"`
     """
-    from experiments.bench import bench
-    from experiments.files import plain
-    from experiments.peer import check_command, open_peer
-    from experiments.sources import open_sequence
+    from experiments.benchmarks.tracker import bench
+    from experiments.runs.files import plain
+    from experiments.runs.foreign_systems import check_command, open_peer
+    from experiments.runs.sources import open_sequence
 
     check_real_time(real_time, mode)
     if peer is not None:
@@ -176,8 +176,8 @@ def sim_command(
 
     `dslab bench sim`
     """
-    from experiments.bench_sim import bench_sim
-    from sim.renderers import DEFAULT_RENDERER
+    from experiments.benchmarks.simulator import bench_sim
+    from sim.rendering.renderers import DEFAULT_RENDERER
 
     with progress_bars() as show:
         figures = bench_sim(processes, frames, show, renderer or DEFAULT_RENDERER)
@@ -238,9 +238,9 @@ def experiment_command(
 
     `dslab bench experiment eq1-quick --units 8 --workers 4`
     """
-    from experiments.bench_experiment import bench_experiment
-    from experiments.spec import load_spec
-    from experiments.trial import run_unit
+    from experiments.benchmarks.experiment import bench_experiment
+    from experiments.eq1.spec import load_spec
+    from experiments.eq1.trial import run_unit
 
     with progress_bars() as show:
         figures = bench_experiment(load_spec(experiment), units, workers, run_unit, show)

@@ -42,9 +42,9 @@ def degrade_command(
 
     `dslab degrade MH_01 --segment "rain:start_s=10,duration_s=20,rate_mmph=40,ramp_s=2" --out out/rainy`
     """
-    from experiments.sources import open_imu
+    from experiments.runs.sources import open_imu
     from scenarios.segment_text import parse_segment
-    from sim.degradations.footage import check_footage, degrade_sequence
+    from sim.degradations.recorded_sequences import check_footage, degrade_sequence
     from sim.io.folders import claim_output_dir
     from sim.io.forms import Form, detect_form, load_sequence, sequence_folder, write_sequence
 

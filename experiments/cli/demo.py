@@ -27,10 +27,10 @@ def demo_command(
     `dslab demo --out out/demo`
     """
     from experiments.demo import MARKER_FILE, PICTURE_FILE, run_demo
-    from experiments.output import check_free
-    from experiments.run import RECORDING_FILE
+    from experiments.result_folder import RECORDING_FILE
+    from experiments.runs.output import check_free
     from scenarios.loading import load_scenario
-    from sim.render import render_sequence
+    from sim.sequence_rendering import render_sequence
 
     check_free(out_dir, MARKER_FILE)
     single_threaded_opencv()
@@ -79,6 +79,6 @@ def _cells(part: dict, ate_m: float | None, posed: int | None) -> list[str]:
 
 
 def _grace_s() -> float:
-    from experiments.breakages import EXPOSURE_GRACE_S
+    from experiments.evaluation.breakages import EXPOSURE_GRACE_S
 
     return EXPOSURE_GRACE_S

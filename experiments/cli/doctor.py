@@ -16,7 +16,7 @@ def doctor_command() -> None:
 
     Example: `dslab doctor`
     """
-    from experiments.provenance import commit, usable_cores, versions
+    from experiments.runs.provenance import commit, usable_cores, versions
 
     table = Table(show_header=False, box=None)
     gl, gl_error = _gl()
@@ -37,7 +37,7 @@ def doctor_command() -> None:
 
 
 def _gl() -> tuple[str, InputError | None]:
-    from sim.gl_context import gl_info
+    from sim.rendering.gl_context import gl_info
 
     try:
         info = gl_info()
@@ -47,7 +47,7 @@ def _gl() -> tuple[str, InputError | None]:
 
 
 def _renderers() -> str:
-    from sim.renderers import RENDERERS, load_renderer
+    from sim.rendering.renderers import RENDERERS, load_renderer
 
     def state(name: str) -> str:
         try:

@@ -11,8 +11,8 @@ from experiments.cli.experiment_progress import estimates_text, experiment_progr
 from experiments.cli.fuzz import fuzz_command
 
 if TYPE_CHECKING:
-    from experiments.experiment_status import ExperimentStatus
-    from experiments.spec import ExperimentSpec
+    from experiments.campaign.status import ExperimentStatus
+    from experiments.eq1.spec import ExperimentSpec
 
 _HELP = """Many units through base and Dual-SLAM: run, resume, look, replay, report.
 
@@ -68,12 +68,12 @@ def run_command(
 
     `dslab experiment run eq1-full --out out/full --scheduler tcp://10.0.0.1:8786`
     """
-    from experiments.crew import CrewSettings, open_crew
-    from experiments.provenance import usable_cores
-    from experiments.runner import run_experiment
-    from experiments.spec import load_spec
-    from experiments.stopping import stopping_rule
-    from experiments.trial import run_unit
+    from experiments.campaign.runner import run_experiment
+    from experiments.campaign.stopping import stopping_rule
+    from experiments.campaign.worker_pool import CrewSettings, open_crew
+    from experiments.eq1.spec import load_spec
+    from experiments.eq1.trial import run_unit
+    from experiments.runs.provenance import usable_cores
 
     spec = load_spec(experiment)
     if units is not None:
@@ -113,8 +113,8 @@ def status_command(folder: FolderArgument, as_json: JsonOption = False) -> None:
     """
     from dataclasses import asdict
 
-    from experiments.experiment_status import experiment_status
-    from experiments.files import plain
+    from experiments.campaign.status import experiment_status
+    from experiments.runs.files import plain
 
     status = experiment_status(folder)
     if as_json:
@@ -191,10 +191,10 @@ def replay_command(
 
     `dslab experiment replay out/smoke low_texture/2:7 --rerun unit.rrd`
     """
-    from experiments.crew import CrewSettings
-    from experiments.files import plain
-    from experiments.replay import replay
-    from experiments.trial import run_unit
+    from experiments.campaign.replay import replay
+    from experiments.campaign.worker_pool import CrewSettings
+    from experiments.eq1.trial import run_unit
+    from experiments.runs.files import plain
 
     settings = CrewSettings(timeout_s=timeout, memory_mb=memory or None)
     with progress_bars() as show:
@@ -221,7 +221,7 @@ def export_command(
 
     `dslab experiment export out/smoke --csv`
     """
-    from experiments.experiment_folder import export
+    from experiments.campaign.folder import export
 
     out.print(f"one row per unit in {export(folder, csv)}", soft_wrap=True)
 
@@ -252,7 +252,7 @@ def schema_command() -> None:
     """
     import json
 
-    from experiments.spec_schema import json_schema
+    from experiments.eq1.spec_schema import json_schema
 
     print(json.dumps(json_schema(), indent=2))
 

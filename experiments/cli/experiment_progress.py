@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from experiments.cli.console import err
 
 if TYPE_CHECKING:
-    from experiments.runner import Tally
+    from experiments.campaign.runner import Tally
 
 
 @contextmanager

@@ -44,7 +44,7 @@ def export_command(
 
     `dslab export path/to/mav --format tum --out out/mav`
     """
-    from experiments.sources import open_imu, open_sequence
+    from experiments.runs.sources import open_imu, open_sequence
     from scenarios.errors import InputError
     from sim.io.folders import claim_output_dir
     from sim.io.forms import Form, write_sequence

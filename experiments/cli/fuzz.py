@@ -26,8 +26,8 @@ def fuzz_command(
 
     `dslab experiment fuzz --units 20 --system base,dual --out out/fuzz`
     """
-    from experiments.fuzz import FuzzUnit, failed, run_fuzz
-    from experiments.output import check_free
+    from experiments.fuzz.fuzzing import FuzzUnit, failed, run_fuzz
+    from experiments.runs.output import check_free
 
     check_free(out_dir)
     kinds = _kinds(systems)
@@ -48,7 +48,7 @@ def fuzz_command(
 
 def _print_failure(row: dict) -> None:
     """What went wrong in a run, with its traceback and how to run it again; nothing where nothing did."""
-    from experiments.fuzz import failed, replay_command
+    from experiments.fuzz.fuzzing import failed, replay_command
 
     for bad in failed([row]):
         at = f" at {bad['stage']}" if bad["stage"] else ""
@@ -62,7 +62,7 @@ def _print_failure(row: dict) -> None:
 def _kinds(text: str) -> tuple:
     from typing import get_args
 
-    from experiments.execution import SystemKind
+    from experiments.runs.execution import SystemKind
     from scenarios.errors import InputError
 
     kinds = tuple(text.split(","))

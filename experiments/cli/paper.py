@@ -26,8 +26,8 @@ def paper_command(
 
     `dslab paper --out out/paper`
     """
-    from experiments.output import check_free
     from experiments.report.plain_data import as_data
+    from experiments.runs.output import check_free
     from experiments.statistics.paper import CAVEATS, reanalyse
 
     if out_dir is not None:
@@ -48,11 +48,11 @@ def paper_command(
 
 
 def _write(figures: dict[str, Any], out_dir: Path) -> None:
-    from experiments.files import to_json
-    from experiments.output import new_directory
     from experiments.report.plots.draw import rendered
     from experiments.report.plots.paper import draw_paper
     from experiments.report.plots.style import settings
+    from experiments.runs.files import to_json
+    from experiments.runs.output import new_directory
 
     with settings(), new_directory(out_dir) as partial:
         plot = rendered(

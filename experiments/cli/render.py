@@ -46,13 +46,13 @@ def render_command(
 
     dslab render mine.yaml --format euroc --no-cache --out out/mine
     """
-    from experiments.sources import open_imu
+    from experiments.runs.sources import open_imu
     from scenarios.errors import InputError
     from scenarios.loading import load_scenario
     from sim.io.folders import claim_output_dir
     from sim.io.forms import Form, write_sequence
-    from sim.render import render_sequence, studio_with
-    from sim.renderers import DEFAULT_RENDERER
+    from sim.rendering.renderers import DEFAULT_RENDERER
+    from sim.sequence_rendering import render_sequence, studio_with
 
     what = load_scenario(scenario, seed)
     if depth and form is not FormatChoice.TUM:

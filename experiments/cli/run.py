@@ -82,11 +82,11 @@ def run_command(
 
     `dslab run clean-room --mode threaded --real-time --map --out out/room`
     """
-    from experiments.execution import system_factory
-    from experiments.output import check_free
-    from experiments.pacing import RealTime
-    from experiments.run import run_sequence
-    from experiments.sources import open_sequence
+    from experiments.result_folder import run_sequence
+    from experiments.runs.execution import system_factory
+    from experiments.runs.output import check_free
+    from experiments.runs.pacing import RealTime
+    from experiments.runs.sources import open_sequence
     from scenarios.errors import InputError
     from slam.warmup import warm_up
 
@@ -126,7 +126,7 @@ def _dual_config(
     """The settings of Dual-SLAM that the options name, None for its defaults."""
     from scenarios.errors import InputError
     from slam.dual.config import DualConfig
-    from slam.dual.registry import parse_threads
+    from slam.dual.recovery.registry import parse_threads
 
     if recovery is None and not exhaustive and relocalization:
         return None

@@ -35,7 +35,7 @@ def view_command(
 def _first_breakage_s(folder: Path) -> float:
     """The first breakage that the summaries beside the recording tell of, else the start."""
     from experiments.demo import MARKER_FILE
-    from experiments.run import SUMMARY_FILE
+    from experiments.result_folder import SUMMARY_FILE
 
     summaries = [_read(folder / SUMMARY_FILE), *_read(folder / MARKER_FILE).values()]
     found = [b["stamp_s"] for s in summaries if isinstance(s, dict) for b in s.get("breakage_list", ())]

@@ -50,7 +50,7 @@ def show_command(
     """Print what a vocabulary was trained on, as JSON."""
     from experiments.cli.console import print_json_line
     from scenarios.errors import InputError
-    from slam.place_recognition import VOCABULARY_FILE, Vocabulary
+    from slam.places.recognition import VOCABULARY_FILE, Vocabulary
 
     path = file or VOCABULARY_FILE
     try:

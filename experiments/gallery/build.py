@@ -9,8 +9,8 @@ from pathlib import Path
 
 from experiments.gallery.page import Entry, gallery_html
 from experiments.gallery.sheet import Sheet, make_sheet
-from experiments.output import new_directory
-from experiments.provenance import DISTRIBUTION, commit, versions
+from experiments.runs.output import new_directory
+from experiments.runs.provenance import DISTRIBUTION, commit, versions
 from scenarios.errors import InputError
 from scenarios.families import Family, family_names, load_family
 from scenarios.spec import Scenario

@@ -9,7 +9,7 @@ import numpy as np
 from experiments.gallery.markup import Element, el, points
 from experiments.gallery.sheet import Sheet
 from scenarios.wording import kind_words, measured
-from sim.world.route import arc_length
+from sim.worlds.geometry.route import arc_length
 
 LEVEL_M = 1.0
 """Below this climb a path counts as level."""

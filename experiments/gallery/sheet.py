@@ -12,7 +12,7 @@ from scenarios.spec import Scenario
 from sim.degradations.base import Shoot
 from sim.motion.base import Motion
 from sim.preview import Preview, preview
-from sim.render import Studio
+from sim.sequence_rendering import Studio
 
 THUMB_PIXELS = 60_000
 """Size of a thumbnail, whatever the shape of the frames."""

@@ -6,10 +6,10 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from experiments.execution import RunRecord
+from experiments.evaluation.scene import Scene
 from experiments.recording.stream import part
-from experiments.scene import Scene
-from slam.events import Breakage
+from experiments.runs.execution import RunRecord
+from slam.core.events import Breakage
 
 _BEFORE_S, _AFTER_S = 1.0, 6.0
 """What is selected, about the first breakage."""

@@ -1,23 +1,20 @@
 """What of a run is drawn when it is over: paths, maps, marks, plots, lanes, the log."""
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
 
-from experiments.execution import RunRecord
+from experiments.evaluation.scene import Scene
 from experiments.recording import palette
 from experiments.recording.lanes import Lane, system_lanes
 from experiments.recording.palette import Color
 from experiments.recording.paths import RunPaths
 from experiments.recording.stream import Stream, part
 from experiments.recording.words import describe_event
-from experiments.scene import Scene
+from experiments.runs.execution import RunRecord
 from sim.sequence import Sequence
-
-if TYPE_CHECKING:
-    from experiments.recording.recorder import Snapshot
 
 _STEP_S = 0.5
 
@@ -57,6 +54,20 @@ def pinhole(sequence: Sequence, shrink: float, size: float, color: Color) -> rr.
     )
 
 
+@dataclass(frozen=True)
+class MapSnapshot:
+    """The map as it stood at one frame, in its own frame.
+
+    Attributes:
+        frame, map_id: when, and which.
+        points: (n, 3) float32 map units.
+    """
+
+    frame: int
+    map_id: int
+    points: np.ndarray
+
+
 class RunDrawing:
     """Draws one run under its system's name.
 
@@ -78,7 +89,7 @@ class RunDrawing:
         self._name = part(record.system_kind)
         self._world = f"world/{self._name}"
 
-    def draw(self, snapshots: "Iterable[Snapshot]", color: Color) -> None:
+    def draw(self, snapshots: "Iterable[MapSnapshot]", color: Color) -> None:
         """Everything; the colour is that of the system's curves."""
         self._draw_camera()
         self._draw_paths()
@@ -124,7 +135,7 @@ class RunDrawing:
         line = rr.LineStrips3D(strips, colors=color, radii=rr.Radius.ui_points(width))
         self._stream.log(f"{self._world}/{name}", frame, line)
 
-    def _draw_maps(self, snapshots: "Iterable[Snapshot]") -> None:
+    def _draw_maps(self, snapshots: "Iterable[MapSnapshot]") -> None:
         """Points and keyframes, each map in its colour, as they stood at the time."""
         keyframes = np.array([r.frame for r in self._record.results if r.is_keyframe], int)
         for snapshot in snapshots:

@@ -3,17 +3,12 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from experiments.execution import RunRecord
-from experiments.fates import Fate, fates
+from experiments.evaluation.frame_outcomes import Fate, fates
+from experiments.evaluation.summary import is_tracked
 from experiments.recording import palette
 from experiments.recording.palette import Color
-from experiments.summary import is_tracked
-from slam.events import (
-    Event,
-    Fusion,
-    RecoveryEnd,
-    RecoveryStart,
-)
+from experiments.runs.execution import RunRecord
+from slam.core.events import Event, Fusion, RecoveryEnd, RecoveryStart
 
 MARK_SHARE = 0.08
 """What takes no time is shown this share of the run long, for its word to be read."""

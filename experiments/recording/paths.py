@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.execution import RunRecord
-from experiments.fates import Fate, fates, known_from
-from experiments.scene import Scene
-from experiments.summary import is_tracked
-from slam.events import Breakage, Event, Fusion, Relocalized
+from experiments.evaluation.frame_outcomes import Fate, fates, known_from
+from experiments.evaluation.scene import Scene
+from experiments.evaluation.summary import is_tracked
+from experiments.runs.execution import RunRecord
+from slam.core.events import Breakage, Event, Fusion, Relocalized
 
 MAX_PATH = 600
 """The most points of a path that are drawn."""

@@ -1,7 +1,6 @@
 """Records the runs of one or more systems over a sequence into one file."""
 
 from collections.abc import Sequence as Many
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
@@ -9,17 +8,17 @@ import cv2
 import numpy as np
 import rerun as rr
 
-from experiments.execution import RunRecord, SlamSystem
+from experiments.evaluation.scene import lay_out, together
+from experiments.evaluation.summary import is_tracked
 from experiments.recording import palette
 from experiments.recording.blueprint import make_blueprint
-from experiments.recording.drawing import RunDrawing, draw_lane, draw_truth
+from experiments.recording.drawing import MapSnapshot, RunDrawing, draw_lane, draw_truth
 from experiments.recording.lanes import segment_lane
 from experiments.recording.paths import thin
 from experiments.recording.stream import Stream, part
-from experiments.scene import lay_out, together
-from experiments.summary import is_tracked
+from experiments.runs.execution import RunRecord, SlamSystem
 from sim.sequence import Sequence
-from slam.results import TrackingResult
+from slam.core.results import TrackingResult
 
 IMAGES_PER_S = 10.0
 _JPEG = [cv2.IMWRITE_JPEG_QUALITY, 60]
@@ -28,26 +27,12 @@ _SNAPSHOT_S = 0.5
 _MAX_POINTS = 3000
 
 
-@dataclass(frozen=True)
-class Snapshot:
-    """The map as it stood at one frame, in its own frame.
-
-    Attributes:
-        frame, map_id: when, and which.
-        points: (n, 3) float32 map units.
-    """
-
-    frame: int
-    map_id: int
-    points: np.ndarray
-
-
 class Recording:
     """Writes the runs of some systems over one sequence to one .rrd file.
 
     Frames go in as they come, everything that needs the truth or the whole run at the end. The systems run
     one after the other, each watched by what :meth:`watch` gives; then :meth:`finish`. Estimates are placed
-    in the world per map by :func:`experiments.scene.lay_out`, for display only.
+    in the world per map by :func:`experiments.evaluation.scene.lay_out`, for display only.
 
     Images go in once for all systems, at ``IMAGES_PER_S`` at most, JPEG-compressed: a minute of 640 x 480 at
     30 fps with two systems stays under 60 MB.
@@ -134,7 +119,7 @@ class SystemRecorder:
     """
 
     def __init__(self, recording: Recording, system: str) -> None:
-        self.snapshots: list[Snapshot] = []
+        self.snapshots: list[MapSnapshot] = []
         self._recording = recording
         self._system = system
         self._next_snapshot_s = -np.inf
@@ -150,4 +135,4 @@ class SystemRecorder:
         if is_tracked(result) and result.stamp_s >= self._next_snapshot_s and result.map_id in system.maps():
             self._next_snapshot_s = result.stamp_s + _SNAPSHOT_S
             points = thin(system.map_points(result.map_id), _MAX_POINTS).astype(np.float32)
-            self.snapshots.append(Snapshot(result.frame, result.map_id, points))
+            self.snapshots.append(MapSnapshot(result.frame, result.map_id, points))

@@ -1,6 +1,6 @@
 """Events as lines of text."""
 
-from slam.events import Event
+from slam.core.events import Event
 
 _LEVELS = {"breakage": "ERROR", "map_dropped": "WARN"}
 

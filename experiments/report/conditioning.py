@@ -4,7 +4,7 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.records import PAIR_GAPS, pair_column
+from experiments.eq1.records import PAIR_GAPS, pair_column
 from experiments.report.plain_data import as_data
 from experiments.report.wording import ends, number, plural
 from experiments.statistics.conditioning import QUANTITIES, lead_ins

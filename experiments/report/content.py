@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from experiments import provenance
 from experiments.report import outcomes, reproductions
 from experiments.report.conditioning import conditioning
 from experiments.report.plain_data import as_data
 from experiments.report.verdict import verdict
+from experiments.runs import provenance
 from experiments.statistics.analysis import AnalysisSettings, analyse
 from experiments.statistics.kinds_of_world import kinds_of_world
 
 if TYPE_CHECKING:
-    from experiments.spec import ExperimentSpec
+    from experiments.eq1.spec import ExperimentSpec
 
 FORMAT = 1
 

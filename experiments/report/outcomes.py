@@ -6,7 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.records import Outcome, dual_column, thread_column
+from experiments.eq1.records import Outcome, dual_column, thread_column
 from experiments.report.plain_data import as_data, counted, is_false, is_true, spread
 from experiments.statistics.intervals import clopper_pearson
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.execution import RunRecord
-from experiments.scene import lay_out
+from experiments.evaluation.scene import lay_out
+from experiments.runs.execution import RunRecord
 
 PATHS_FILE = "trajectories.npz"
 WHICH = ("truth", "base", "dual")

@@ -6,7 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.files import plain
+from experiments.runs.files import plain
 from experiments.statistics.intervals import Proportion
 
 

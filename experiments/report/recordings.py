@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from experiments.report.paths_file import add_paths, paths_of
 
 if TYPE_CHECKING:
-    from experiments.spec import ExperimentSpec
-    from experiments.units import UnitSpec
+    from experiments.eq1.spec import ExperimentSpec
+    from experiments.eq1.units import UnitSpec
 
 FOLDER = "recordings"
 
@@ -42,8 +42,8 @@ def add_recordings(
 
 
 def _record(unit: "UnitSpec", unit_id: str, folder: Path) -> None:
-    from experiments.trial import record_runs
-    from sim.render import render_sequence
+    from experiments.eq1.trial import record_runs
+    from sim.sequence_rendering import render_sequence
 
     path = folder / FOLDER / f"{unit_id}.rrd"
     partial = path.with_name(f".{unit_id}.partial.rrd")

@@ -9,7 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.records import dual_column, thread_column
+from experiments.eq1.records import dual_column, thread_column
 from experiments.report.outcomes import completed, recovered, rows_where
 from experiments.report.plain_data import as_data, is_false, is_true, numbers, spread
 from experiments.statistics.intervals import clopper_pearson

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from experiments.files import to_json
 from experiments.report.content import report_content
 from experiments.report.page import report_html
 from experiments.report.plots.draw import Plot, draw_plots
 from experiments.report.recordings import add_recordings
+from experiments.runs.files import to_json
 from scenarios.errors import InputError
 
 PAGE, FIGURES, PLOTS = "report.html", "report.json", "plots"
@@ -37,7 +37,7 @@ def write_report(
     Raises:
         InputError: it is no experiment's folder, or it cannot be written to.
     """
-    from experiments.experiment_folder import read_experiment
+    from experiments.campaign.folder import read_experiment
 
     folder = Path(folder)
     spec, table = read_experiment(folder)

@@ -3,8 +3,8 @@
 import numpy as np
 import pandas as pd
 
-from experiments.record_table import PANDAS_TYPES
-from experiments.records import columns, thread_column
+from experiments.eq1.record_table import PANDAS_TYPES
+from experiments.eq1.records import columns, thread_column
 from experiments.statistics import clustering, heterogeneity
 from experiments.statistics.cell import CellData, LevelTest, analyse_cell, flags, level_test
 from experiments.statistics.conditioning import QUANTITIES, baseline_errors, lead_ins
@@ -57,7 +57,7 @@ def analyse(table: pd.DataFrame, threads: int, settings: AnalysisSettings = _DEF
     Only completed units count; void units and infrastructure errors are counted beside them.
 
     Args:
-        table: one row per unit, columns as `experiments.records.columns`; missing ones count as unknown.
+        table: one row per unit, columns as `experiments.eq1.records.columns`; missing ones count as unknown.
         threads: largest n.
         settings: fixed before the data are seen.
 

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from experiments.records import Outcome, dual_column, thread_column
+from experiments.eq1.records import Outcome, dual_column, thread_column
 from experiments.statistics import dependence
 from experiments.statistics.clustering import cluster_bootstrap
 from experiments.statistics.eq1 import predicted_and_ratio, predicted_at_free_length, verdict

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
-from experiments.records import PAIR_COLUMNS, PAIR_GAPS, Outcome, pair_column
+from experiments.eq1.records import PAIR_COLUMNS, PAIR_GAPS, Outcome, pair_column
 from experiments.statistics.clustering import cluster_median, cluster_ratio
 from experiments.statistics.results import BaselineErrors, Estimate, GapErrors, GapSlope
 
@@ -19,7 +19,7 @@ def lead_ins(table: pd.DataFrame) -> pd.DataFrame:
     Cells of one base share theirs: it ends before what tells them apart begins.
 
     Args:
-        table: of units, with the columns of `experiments.records.columns`.
+        table: of units, with the columns of `experiments.eq1.records.columns`.
     """
     rows = table[table["outcome"] == Outcome.COMPLETED.value]
     judged = [pair_column(gap, name) for gap in PAIR_GAPS for name in PAIR_COLUMNS]

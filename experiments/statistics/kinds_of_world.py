@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from experiments.records import Outcome, dual_column, thread_column
+from experiments.eq1.records import Outcome, dual_column, thread_column
 from experiments.statistics.distinct_rows import product_over_distinct_rows
 
 

@@ -5,10 +5,10 @@ from typing import ClassVar
 import numpy as np
 
 from scenarios.segments import AutoExposureLag
-from sim.camera import Intrinsics
 from sim.degradations.base import Stage
 from sim.degradations.image import Filter, ImageDegradation, Streams, View
 from sim.degradations.tone import map_light
+from sim.sensors.camera import Intrinsics
 
 FELT_STOPS = 0.5
 

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 
 from scenarios.segments import Defocus
-from sim.camera import Intrinsics
 from sim.degradations.base import Stage
 from sim.degradations.image import Filter, ImageDegradation, Streams, View
 from sim.degradations.tone import decode, encode
+from sim.sensors.camera import Intrinsics
 
 # A pixel averages as much.
 SHARP_PX = 1.0

@@ -5,10 +5,10 @@ from typing import ClassVar
 import numpy as np
 
 from scenarios.segments import Fog
-from sim.camera import Intrinsics
 from sim.degradations.base import Stage
 from sim.degradations.image import Filter, ImageDegradation, Streams, View
-from sim.degradations.veil import Veil
+from sim.degradations.scattering import Veil
+from sim.sensors.camera import Intrinsics
 
 HALF_THE_LIGHT = 0.5
 

@@ -8,9 +8,9 @@ from typing import ClassVar, Generic, Protocol, TypeVar
 import numpy as np
 
 from scenarios.segments import ImageSegment
-from sim.camera import Intrinsics
 from sim.degradations.base import Stage
 from sim.motion.base import Motion
+from sim.sensors.camera import Intrinsics
 
 Streams = Callable[..., np.random.Generator]
 """Names to the random stream of one segment and consumer."""

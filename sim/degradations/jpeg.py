@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 
 from scenarios.segments import Jpeg
-from sim.camera import Intrinsics
 from sim.degradations.base import Stage
 from sim.degradations.image import Filter, ImageDegradation, Streams, View
+from sim.sensors.camera import Intrinsics
 
 FELT_LOSS = 50.0
 

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 
 from scenarios.segments import LensDirt
-from sim.camera import Intrinsics
 from sim.degradations.base import Stage
 from sim.degradations.image import Filter, ImageDegradation, Streams, View
 from sim.degradations.sprites import felt_share, fill_share, filled, smooth_outline
 from sim.degradations.tone import decode, encode
+from sim.sensors.camera import Intrinsics
 
 # Spots are laid out and light is smeared on grids this much coarser than the image.
 _COARSE, _SMEAR = 4, 32

@@ -6,10 +6,10 @@ import numpy as np
 from numba import njit
 
 from scenarios.segments import LowLight
-from sim.camera import Intrinsics
 from sim.degradations.base import Stage
 from sim.degradations.image import Filter, ImageDegradation, Streams, View
 from sim.degradations.tone import DECODE, ENCODE
+from sim.sensors.camera import Intrinsics
 
 ONE_STOP = 1.0
 _BANK_SIZE = 1 << 22

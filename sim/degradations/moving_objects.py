@@ -6,11 +6,11 @@ from typing import ClassVar
 import numpy as np
 
 from scenarios.segments import MovingObjects
-from sim.camera import Intrinsics
 from sim.degradations.base import Stage
 from sim.degradations.image import Filter, ImageDegradation, Streams, View
 from sim.degradations.passers_by import CAR_M, PERSON_M, POSES, VAN_M, person, vehicle
 from sim.degradations.sprites import Sprite, draw_behind, felt_share, fill_share
+from sim.sensors.camera import Intrinsics
 
 _SPEEDS = (0.6, 1.4)  # of the stated rate
 _MOST = 400

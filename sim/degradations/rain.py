@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 
 from scenarios.segments import Rain
-from sim.camera import Intrinsics
 from sim.degradations.base import Stage
 from sim.degradations.image import Filter, ImageDegradation, Streams, View
 from sim.degradations.raindrops import REACH_M, RainField, extinction_per_m
 from sim.degradations.tone import decode, encode
 from sim.degradations.wet_glass import WetGlass
+from sim.sensors.camera import Intrinsics
 
 FELT_VEIL = 0.02
 _VERY_FAR_M = 1e4

@@ -9,7 +9,7 @@ import numpy as np
 from scenarios.segments import RepeatedTexture
 from sim.degradations.base import Shoot, Stage
 from sim.degradations.low_texture import passed
-from sim.world.base import Surface, WorldModel
+from sim.worlds.base import Surface, WorldModel
 
 HALF_THE_VIEW = 0.5
 

@@ -7,10 +7,10 @@ import numpy as np
 from numba import njit
 
 from scenarios.segments import RollingShutter
-from sim.camera import Intrinsics
 from sim.degradations.base import Stage
-from sim.degradations.exposure import row_shifts
 from sim.degradations.image import Filter, ImageDegradation, Streams, View
+from sim.sensors.camera import Intrinsics
+from sim.sensors.exposure import row_shifts
 
 FELT_PX = 2.0
 # Poses are taken at so many times over the readout and joined by straight lines.

@@ -6,9 +6,9 @@ from typing import Any
 import yaml
 
 from scenarios.errors import InputError
-from sim.camera import DISTORTION_KEYS, Intrinsics
 from sim.io.layout import CAMERA_KEYS
 from sim.io.text import number_at, read_yaml
+from sim.sensors.camera import DISTORTION_KEYS, Intrinsics
 
 _LEAST_FOCAL_SHARE, _MOST_FOCAL_SHARE = 0.1, 20
 

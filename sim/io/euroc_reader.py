@@ -7,8 +7,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scenarios.errors import InputError
-from sim.camera import DISTORTION_KEYS, Intrinsics
-from sim.imu import ImuModel, ImuReadings
 from sim.io import euroc_layout as layout
 from sim.io.camera_file import check_camera
 from sim.io.images import GrayFolder
@@ -25,6 +23,8 @@ from sim.io.text import (
     to_numbers,
 )
 from sim.io.truth import check_quaternion, half_interval_s, nearest_poses, poses_of
+from sim.sensors.camera import DISTORTION_KEYS, Intrinsics
+from sim.sensors.imu import ImuModel, ImuReadings
 from sim.sequence import Sequence
 
 _SENSOR_KEYS = "T_BS, rate_hz, resolution, intrinsics, distortion_model, distortion_coefficients"

@@ -7,11 +7,11 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from sim.camera import Intrinsics
-from sim.imu import ImuModel, ImuReadings, ImuTruth
 from sim.io import euroc_layout as layout
 from sim.io.folders import Progress, whole_or_nothing, write_images
 from sim.io.sidecars import write_sidecars
+from sim.sensors.camera import Intrinsics
+from sim.sensors.imu import ImuModel, ImuReadings, ImuTruth
 from sim.sequence import Sequence
 
 
@@ -26,8 +26,8 @@ def write_euroc(
     Args:
         sequence: what to write.
         directory: new or empty folder; it will hold ``mav0``.
-        imu: readings and, where it is known, the truth at the frames, of ``sim.imu.record_imu``; None for
-            none.
+        imu: readings and, where it is known, the truth at the frames, of ``sim.sensors.imu.record_imu``;
+            None for none.
         progress: called with step, frames done and frames in all.
 
     Raises:

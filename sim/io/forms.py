@@ -4,13 +4,13 @@ from enum import StrEnum
 from pathlib import Path
 
 from scenarios.errors import InputError
-from sim.imu import ImuReadings, ImuTruth
 from sim.io import euroc_layout, kitti, layout, tum_mono
 from sim.io.euroc_reader import load_euroc
 from sim.io.euroc_writer import write_euroc
 from sim.io.folders import Progress
 from sim.io.tum_reader import load_tum
 from sim.io.tum_writer import write_tum
+from sim.sensors.imu import ImuReadings, ImuTruth
 from sim.sequence import Sequence
 
 

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from scenarios.errors import InputError
-from sim.camera import Intrinsics
 from sim.io.text import check_words, read_rows, to_numbers
+from sim.sensors.camera import Intrinsics
 
 _LENS_NAMES = ["fx", "fy", "cx", "cy", "omega"]
 _SIZE_NAMES = ["width", "height"]

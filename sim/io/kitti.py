@@ -15,12 +15,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scenarios.errors import InputError
-from sim.camera import Intrinsics
 from sim.io.camera_file import check_camera
 from sim.io.folders import Progress, whole_or_nothing, write_images
 from sim.io.images import GrayFolder, read_gray
 from sim.io.sidecars import read_sidecars, write_sidecars
 from sim.io.text import check_order, check_present, check_words, read_rows, to_numbers
+from sim.sensors.camera import Intrinsics
 from sim.sequence import Sequence
 
 IMAGES_DIR, TIMES_FILE, CALIBRATION_FILE, POSES_DIR = "image_0", "times.txt", "calib.txt", "poses"

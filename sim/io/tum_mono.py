@@ -17,13 +17,13 @@ import cv2
 import numpy as np
 
 from scenarios.errors import InputError
-from sim.camera import Intrinsics
 from sim.io.camera_file import check_camera
 from sim.io.fov_camera import FovCamera, read_fov_camera
 from sim.io.images import GrayFolder, GrayZip, read_raw
 from sim.io.sidecars import read_sidecars
 from sim.io.text import check_order, check_words, read_rows, to_numbers
 from sim.io.truth import half_interval_s, read_tum_poses
+from sim.sensors.camera import Intrinsics
 from sim.sequence import FrameSource, Sequence
 
 IMAGES_DIR, IMAGES_ZIP = "images", "images.zip"

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 
 from scenarios.errors import InputError
-from sim.camera import Intrinsics
 from sim.io import layout
 from sim.io.camera_file import read_camera
 from sim.io.images import DepthFolder, GrayFolder
 from sim.io.sidecars import read_sidecars
 from sim.io.text import check_order, check_present, read_rows, to_numbers
 from sim.io.truth import half_interval_s, nearest, read_tum_poses
+from sim.sensors.camera import Intrinsics
 from sim.sequence import Sequence
 
 

@@ -6,7 +6,7 @@ from scenarios.motions import Trajectory
 from sim.motion.car import plan_car
 from sim.motion.spline import PoseSpline
 from sim.motion.walker import plan_handheld, plan_walk
-from sim.world.base import Route
+from sim.worlds.base import Route
 
 
 def plan_motion(route: Route, trajectory: Trajectory, duration_s: float, seed: int) -> PoseSpline:

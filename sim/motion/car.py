@@ -11,8 +11,8 @@ from scenarios.seeds import rng_for
 from sim.motion.path import STEP_M, ground, smooth_path
 from sim.motion.planning import knot_times, limited_pace, long_enough, progress, sway, within_limits
 from sim.motion.spline import PoseSpline
-from sim.world.base import Route
-from sim.world.route import arc_length
+from sim.worlds.base import Route
+from sim.worlds.geometry.route import arc_length
 
 _KNOT_S = 0.05
 # The plan stays this far below the limits, which springs and the spline then use up.

@@ -9,12 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from scenarios.motions import Trajectory
 from scenarios.seeds import rng_for
-from sim import gl_context  # noqa: F401  must come first: it tells MuJoCo to load no GL library
 from sim.motion.path import STEP_M, ground, smooth_path
 from sim.motion.planning import knot_times, limited_pace, long_enough, progress, within_limits
 from sim.motion.spline import PoseSpline
-from sim.world.base import Route
-from sim.world.route import arc_length
+from sim.worlds.base import Route
+from sim.worlds.geometry.route import arc_length
 
 import mujoco  # isort: skip
 

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from sim.world.base import Route
-from sim.world.route import arc_length
+from sim.worlds.base import Route
+from sim.worlds.geometry.route import arc_length
 
 STEP_M = 0.05
 # Shares of the clearance: cutting corners, and wandering sideways. The rest is left to the carrier's sway.

@@ -9,7 +9,7 @@ from scenarios.motions import Trajectory
 from scenarios.seeds import rng_for
 from sim.motion.path import STEP_M
 from sim.motion.spline import PoseSpline
-from sim.world.base import Route
+from sim.worlds.base import Route
 
 # Exposures reach beyond the first and the last frame.
 PAD_S = 1.0

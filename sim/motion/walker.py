@@ -14,8 +14,8 @@ from scenarios.spec import Trajectory
 from sim.motion.path import STEP_M, ground, smooth_path
 from sim.motion.planning import PAD_S, knot_times, long_enough, progress, sway, within_limits
 from sim.motion.spline import PoseSpline
-from sim.world.base import Route
-from sim.world.route import arc_length
+from sim.worlds.base import Route
+from sim.worlds.geometry.route import arc_length
 
 __all__ = ["PAD_S", "plan_handheld", "plan_walk"]
 

@@ -5,19 +5,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam import events as ev
-from slam.backend import ExecutionMode
-from slam.camera import PinholeCamera
+from slam.core import events as ev
+from slam.core.camera import PinholeCamera
+from slam.core.frame import Frame
+from slam.core.geometry import share_of_motion
+from slam.core.seeds import rng_for
 from slam.dual.buffer import FeatureBuffer
 from slam.dual.config import DualConfig
-from slam.dual.recoveries import Recoveries, ThreadOutcome
-from slam.dual.recovery import RecoveryResult, RecoveryTask
-from slam.dual.registry import build_thread
-from slam.frame import Frame
-from slam.geometry import share_of_motion
-from slam.map import Map
-from slam.map_alignment import Alignment
-from slam.seeds import rng_for
+from slam.dual.recovery.interface import RecoveryResult, RecoveryTask
+from slam.dual.recovery.registry import build_thread
+from slam.dual.recovery.scheduler import Recoveries, ThreadOutcome
+from slam.loop_closing.map_alignment import Alignment
+from slam.map.map import Map
+from slam.runtime.backend import ExecutionMode
 
 
 @dataclass(frozen=True)

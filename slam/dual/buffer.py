@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
-from slam.frame import FrameFeatures
+from slam.core.frame import FrameFeatures
 
 # Of 100: at this quality SIFT finds what it finds in the image itself, at a fifth of its size.
 JPEG_QUALITY = 95

@@ -5,15 +5,15 @@ from copy import deepcopy
 
 import numpy as np
 
-from slam import events as ev
-from slam.backend import ExecutionMode
-from slam.camera import PinholeCamera
 from slam.config import SlamConfig
-from slam.events import TrackingState
-from slam.frame import Frame
-from slam.initialization import InitialMap
+from slam.core import events as ev
+from slam.core.camera import PinholeCamera
+from slam.core.events import TrackingState
+from slam.core.frame import Frame
+from slam.initialization.initializer import InitialMap
+from slam.runtime.backend import ExecutionMode
 from slam.system import MonocularSlam
-from slam.tracking import TrackingOutcome
+from slam.tracking.tracker import TrackingOutcome
 
 
 class RestartingSlam(MonocularSlam):

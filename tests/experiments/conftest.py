@@ -5,8 +5,8 @@ from contextlib import nullcontext
 import pytest
 from unit_fakes import made_up_unit
 
-from experiments.crew import Crew, CrewSettings, embedded_crew
-from experiments.runner import run_experiment
+from experiments.campaign.runner import run_experiment
+from experiments.campaign.worker_pool import Crew, CrewSettings, embedded_crew
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from experiments.records import columns, dual_column, thread_column
+from experiments.eq1.records import columns, dual_column, thread_column
 
 _DTYPES = {"bool": "boolean", "int": "Int64", "float": "Float64", "text": "string"}
 

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 
-from experiments.records import columns, dual_column, thread_column
-from experiments.units import ThreadChoice
+from experiments.eq1.records import columns, dual_column, thread_column
+from experiments.eq1.units import ThreadChoice
 
 KINDS = ("low_texture", "motion_blur", "fast_rotation")
 _TYPES = {"bool": "boolean", "int": "Int64", "float": "Float64", "text": "string"}

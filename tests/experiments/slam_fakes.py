@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sim.camera import Intrinsics
+from sim.sensors.camera import Intrinsics
 from sim.sequence import SegmentTruth, Sequence
-from slam import events as ev
-from slam.events import TrackingState
-from slam.results import MapTrajectory, TrackingResult
+from slam.core import events as ev
+from slam.core.events import TrackingState
+from slam.core.results import MapTrajectory, TrackingResult
 
 CAMERA = Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5, 30.0)
 

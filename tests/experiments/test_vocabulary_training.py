@@ -9,7 +9,7 @@ from experiments.cli.vocabulary import show_command, train_command
 from experiments.vocabulary import FIRST_SEED, train, training_scenarios
 from scenarios.errors import InputError
 from scenarios.spec import Scenario
-from slam.place_recognition import Vocabulary
+from slam.places.recognition import Vocabulary
 
 
 def little_room() -> Scenario:

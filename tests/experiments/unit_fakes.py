@@ -8,10 +8,10 @@ from pathlib import Path
 
 import yaml
 
-from experiments.ledger import Ledger
-from experiments.records import decided, dual_column, empty_record, thread_column
-from experiments.schedule import Experiment
-from experiments.units import ThreadChoice, UnitSpec, content_hash
+from experiments.campaign.ledger import Ledger
+from experiments.campaign.schedule import Experiment
+from experiments.eq1.records import decided, dual_column, empty_record, thread_column
+from experiments.eq1.units import ThreadChoice, UnitSpec, content_hash
 from scenarios.seeds import rng_for
 from scenarios.spec import RoomWorld, Scenario
 
@@ -86,7 +86,7 @@ def rendered_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path
 
     from small_world import CAMERA, CORRIDOR
 
-    from sim.render import render_sequence
+    from sim.sequence_rendering import render_sequence
 
     spec = {"name": "small", "duration_s": 1.0, "seed": unit.index, "world": CORRIDOR, "camera": CAMERA}
     frames = render_sequence(Scenario.model_validate(spec), cache_dir=cache_dir).frames

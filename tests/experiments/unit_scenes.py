@@ -4,10 +4,10 @@ from functools import cache
 
 import numpy as np
 
-from experiments import trial
-from experiments.units import ThreadChoice, UnitSpec
+from experiments.eq1 import trial
+from experiments.eq1.units import ThreadChoice, UnitSpec
 from scenarios.spec import LowTexture, RoomWorld, Scenario
-from sim.camera import Intrinsics
+from sim.sensors.camera import Intrinsics
 from sim.sequence import SegmentTruth, Sequence
 from slam.warmup import CAMERA, toy_frames
 

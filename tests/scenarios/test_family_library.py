@@ -8,7 +8,7 @@ from scenarios.families import LIBRARY_DIR, family_names, library_names, load_fa
 from scenarios.family_wording import members_in_words, parameters_in_words
 from scenarios.loading import dump_yaml, load_scenario
 from scenarios.spec import Scenario
-from sim.world import layout
+from sim.worlds import layout
 
 SEEDS = range(50)
 WANTED = {

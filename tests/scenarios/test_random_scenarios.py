@@ -8,7 +8,7 @@ from scenarios.loading import dump_yaml, load_scenario
 from scenarios.random_scenarios import SEVERITIES, random_scenario
 from scenarios.segments import ImageSegment
 from sim.degradations.registry import DEGRADATIONS
-from sim.world import layout
+from sim.worlds import layout
 
 DRAWN = [random_scenario(seed) for seed in range(150)]
 

@@ -77,7 +77,7 @@ def test_commands_draw_with_their_seed(monkeypatch, capsys, tmp_path, command, s
         rendered.append(scenario)
         raise _RenderedEnoughError
 
-    monkeypatch.setattr("sim.render.render_sequence", render_sequence)
+    monkeypatch.setattr("sim.sequence_rendering.render_sequence", render_sequence)
     words = [*command, "kitti-like/07", *(["--seed", str(seed)] if seed is not None else [])]
     words += [] if command == ["bench"] else ["--out", str(tmp_path / "out")]
     monkeypatch.setattr(sys, "argv", ["dslab", *words])

@@ -9,7 +9,7 @@ import numpy as np
 from scenarios.spec import Scenario
 from sim.degradations.base import Stage
 from sim.degradations.registry import DEGRADATIONS
-from sim.filming import Studio, mujoco_studio
+from sim.frame_plan import Studio, mujoco_studio
 from sim.sequence import Sequence
 
 START_S, DURATION_S = 0.2, 0.4

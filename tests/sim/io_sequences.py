@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from scenarios.errors import InputError
-from sim.camera import Intrinsics
 from sim.io.forms import load_sequence
+from sim.sensors.camera import Intrinsics
 from sim.sequence import SegmentTruth, Sequence
 
 COUNT, SHAPE = 6, (48, 64)

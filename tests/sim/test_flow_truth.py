@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from world_views import CAMERA, SMALL, along, check_flow, flow_errors, length, moved
 
-from sim.filming import mujoco_studio
+from sim.frame_plan import mujoco_studio
 
 
 @pytest.mark.slow

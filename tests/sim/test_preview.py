@@ -6,7 +6,7 @@ import pytest
 from scenarios.spec import Scenario
 from sim.degradations.registry import DEGRADATIONS, IMAGE_KINDS, SHOOT_KINDS
 from sim.preview import preview
-from sim.render import render_sequence
+from sim.sequence_rendering import render_sequence
 
 CAMERA = {"width_px": 128, "height_px": 96, "fx_px": 90, "fy_px": 90, "cx_px": 63.5, "cy_px": 47.5, "fps": 10}
 SEGMENT_S = 0.7

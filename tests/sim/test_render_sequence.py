@@ -15,8 +15,8 @@ from small_world import CAMERA, CORRIDOR
 from scenarios.errors import InputError
 from scenarios.spec import Scenario
 from sim.io.tum import load_sequence
-from sim.render import Studio, mujoco_studio, render_sequence
-from sim.world.base import Route, Surface, WorldModel
+from sim.sequence_rendering import Studio, mujoco_studio, render_sequence
+from sim.worlds.base import Route, Surface, WorldModel
 
 SPEC = {
     "name": "trial",
@@ -190,7 +190,7 @@ _IN_ANOTHER_PROCESS = """
 import hashlib, json, sys
 from pathlib import Path
 from scenarios.spec import Scenario
-from sim.render import render_sequence
+from sim.sequence_rendering import render_sequence
 s = render_sequence(Scenario.model_validate(json.loads(sys.argv[1])), 5, cache_dir=Path(sys.argv[2]))
 print(hashlib.sha256(b"".join(f.tobytes() for f in s.frames)).hexdigest())
 """

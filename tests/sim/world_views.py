@@ -14,10 +14,10 @@ from scenarios.worlds import (
     RoomWorld,
     WarehouseWorld,
 )
-from sim.camera import Intrinsics
-from sim.renderer import Renderer
-from sim.world.base import Route
-from sim.world.route import arc_length
+from sim.rendering.renderer import Renderer
+from sim.sensors.camera import Intrinsics
+from sim.worlds.base import Route
+from sim.worlds.geometry.route import arc_length
 
 CAMERA = Intrinsics(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
 SMALL = {

@@ -5,15 +5,16 @@ from unittest.mock import patch
 
 from slam_scenes import blanked, feed, toy
 
-from slam.backend import ExecutionMode
 from slam.config import default_config
+from slam.core.results import MapTrajectory
 from slam.dual.config import DualConfig
-from slam.dual.orb_thread import OrbRecovery
-from slam.dual.recovery import RecoveryConfig, RecoveryCost
-from slam.dual.registry import RECOVERY_KINDS, ThreadSpec
-from slam.dual.supervisor import DualSlam
+from slam.dual.dual_slam import DualSlam
+from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost
+from slam.dual.recovery.orb import OrbRecovery
+from slam.dual.recovery.registry import RECOVERY_KINDS, ThreadSpec
+from slam.map.invariants import check_map
 from slam.optimization.sim3 import horn_sim3
-from slam.results import MapTrajectory
+from slam.runtime.backend import ExecutionMode
 from slam.warmup import CAMERA
 
 STEP_M = 0.05
@@ -68,7 +69,7 @@ def with_threads(count, spans, threads, check=True, **config):
     system = with_own_threads(threads, **config)
     feed(system, blanked(images, *spans), stamps_s, check=False)
     for map_id in system.maps() if check else ():
-        system.map(map_id).check()
+        check_map(system.map(map_id))
     return system
 
 

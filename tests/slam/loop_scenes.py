@@ -5,12 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from slam_scenes import CAMERA, VIEW
 
-from slam import _map_kernels as kernels
-from slam.frame import Frame, FrameFeatures
-from slam.loop_correction import Loop
-from slam.map import Map
+from slam.core.frame import Features, Frame, FrameFeatures
+from slam.loop_closing.correction import Loop
+from slam.map import _map_kernels as kernels
+from slam.map.map import Map
 from slam.optimization.sim3_algebra import exp_sim3, invert_sim3
-from slam.orb import Features
 
 RADIUS_M, WALL_M = 4.0, 9.0
 

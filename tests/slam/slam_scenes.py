@@ -12,18 +12,18 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slam import _map_kernels as kernels
 from slam import warmup
-from slam.camera import PinholeCamera
+from slam.core.camera import PinholeCamera
+from slam.core.frame import Features, Frame, FrameFeatures
+from slam.core.geometry import view_geometry
+from slam.core.results import MapTrajectory
 from slam.dual.config import DualConfig
-from slam.dual.registry import ThreadSpec
+from slam.dual.recovery.registry import ThreadSpec
 from slam.factory import build_system
-from slam.frame import Frame, FrameFeatures
-from slam.geometry import view_geometry
-from slam.map import Map
+from slam.map import _map_kernels as kernels
+from slam.map.invariants import check_map
+from slam.map.map import Map
 from slam.optimization.sim3 import horn_sim3
-from slam.orb import Features
-from slam.results import MapTrajectory
 
 CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
 VIEW = view_geometry(CAMERA, 8, 1.2)
@@ -272,7 +272,7 @@ def feed(system, images, stamps_s, check=True):
     for image, stamp_s in zip(images, stamps_s, strict=True):
         results.append(system.process(image, float(stamp_s)))
         for map_id in system.maps() if check else ():
-            system.map(map_id).check()
+            check_map(system.map(map_id))
     system.finish()
     return results
 

@@ -7,9 +7,10 @@ import pytest
 from slam_scenes import errors_m, feed, kinds, rms
 
 from sim.io.forms import load_sequence
-from slam.camera import PinholeCamera
-from slam.events import TrackingState
+from slam.core.camera import PinholeCamera
+from slam.core.events import TrackingState
 from slam.factory import build_system
+from slam.map.invariants import check_map
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 
@@ -26,7 +27,7 @@ def run(name, count, kind="base"):
     images = (sequence.frames[i] for i in range(count))
     results = feed(system, images, sequence.stamps_s[:count], check=False)
     for map_id in system.maps():
-        system.map(map_id).check()
+        check_map(system.map(map_id))
     return system, results, sequence.T_world_cam
 
 

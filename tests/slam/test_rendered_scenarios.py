@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from slam_scenes import feed, fingerprint, kinds, on_one_core
 
-from experiments import metrics
-from experiments.execution import slam_camera
+from experiments.evaluation import metrics
+from experiments.runs.execution import slam_camera
 from scenarios.loading import load_scenario
-from sim.render import render_sequence
+from sim.sequence_rendering import render_sequence
 from slam.config import default_config
 from slam.factory import build_system
 

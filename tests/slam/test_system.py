@@ -9,7 +9,7 @@ import pytest
 from slam_scenes import blanked, digest_of_run, errors_m, feed, fingerprint, kinds, on_one_core, rms, toy
 
 from slam.config import SlamConfig, default_config
-from slam.events import TrackingState
+from slam.core.events import TrackingState
 from slam.factory import build_system
 from slam.warmup import CAMERA
 

@@ -7,7 +7,7 @@ import pytest
 from slam_scenes import feed, fingerprint, kinds, toy
 
 from slam.config import default_config
-from slam.events import TrackingState
+from slam.core.events import TrackingState
 from slam.factory import build_system
 from slam.system import MonocularSlam
 from slam.warmup import CAMERA

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from slam._two_view_errors import motion_errors
-from slam._two_view_refinement import TUKEY
+from slam.initialization._two_view_errors import motion_errors
+from slam.initialization._two_view_refinement import TUKEY
 from slam.optimization._se3 import so3_exp
 
 FOCAL = 500.0

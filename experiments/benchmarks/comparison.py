@@ -1,0 +1,96 @@
+"""Ours beside a peer's: the same figures of both, from the same code, and their ratios."""
+
+from collections.abc import Sequence as Many
+from typing import Any
+
+import numpy as np
+
+from experiments.evaluation import metrics
+from experiments.evaluation.alignment import Undefined
+from experiments.evaluation.summary import is_tracked
+from experiments.runs.execution import RunRecord
+from experiments.runs.foreign_systems import PeerRun
+from sim.sequence import Sequence
+from slam.core.results import MapTrajectory
+
+FIGURES = ("cpu_ms_median", "ate_m", "share_tracked", "share_with_pose", "first_tracked_frame")
+
+
+def compare(sequence: Sequence, ours: Many[RunRecord], peers: Many[PeerRun]) -> dict[str, Any]:
+    """Medians over the runs of both, their ratios, and every run.
+
+    Args:
+        sequence: all frames; shares are of these, dropped ones included.
+        ours, peers: runs in the order they were made.
+
+    Returns:
+        ``ours``, ``peer`` and ``ratio`` (ours over the peer's), each with ``FIGURES``, null where the data do
+        not determine one; ``ate_reasons``, why a run has no ATE; ``runs``, one row each, in turn.
+        ``share_tracked`` counts the frames that had a pose when they were taken, ``share_with_pose`` those
+        that have one in the final trajectory of the main map: frames before the map may be placed
+        afterwards, frames of other maps are missing.
+    """
+    rows = [
+        {"run": number, "system": name, **row}
+        for number, (record, peer) in enumerate(zip(ours, peers, strict=True))
+        for name, row in (("ours", _our_row(record, sequence)), ("peer", _peer_row(peer, sequence)))
+    ]
+    medians = {
+        name: {figure: _median([r[figure] for r in rows if r["system"] == name]) for figure in FIGURES}
+        for name in ("ours", "peer")
+    }
+    ratio = {figure: _ratio(medians["ours"][figure], medians["peer"][figure]) for figure in FIGURES}
+    reasons = sorted({r["ate_reason"] for r in rows if r["ate_reason"]})
+    return {**medians, "ratio": ratio, "ate_reasons": reasons, "runs": rows}
+
+
+def _our_row(record: RunRecord, all_frames: Sequence) -> dict[str, Any]:
+    tracked = [r.stamp_s for r in record.results if is_tracked(r)]
+    first = int(np.searchsorted(all_frames.stamps_s, tracked[0])) if tracked else None
+    path = record.trajectories[0] if record.trajectories else None
+    ate_m, reason = _ate(path, record.sequence)
+    return {
+        "cpu_ms_median": _median([sum(r.cpu_ms.values()) for r in record.results]),
+        "ate_m": ate_m,
+        "ate_reason": reason,
+        "share_tracked": len(tracked) / len(all_frames),
+        "share_with_pose": _share_with_pose(path, all_frames),
+        "first_tracked_frame": first,
+        "dropped_frames": record.dropped_frames,
+    }
+
+
+def _peer_row(run: PeerRun, all_frames: Sequence) -> dict[str, Any]:
+    ate_m, reason = _ate(run.trajectory, all_frames)
+    return {
+        "cpu_ms_median": run.cpu_ms_median,
+        "ate_m": ate_m,
+        "ate_reason": reason,
+        "share_tracked": run.tracked / len(all_frames),
+        "share_with_pose": _share_with_pose(run.trajectory, all_frames),
+        "first_tracked_frame": run.first_tracked_frame,
+        "dropped_frames": None,
+    }
+
+
+def _share_with_pose(trajectory: MapTrajectory | None, all_frames: Sequence) -> float:
+    return len(trajectory.frames) / len(all_frames) if trajectory is not None else 0.0
+
+
+def _ate(trajectory: MapTrajectory | None, sequence: Sequence) -> tuple[float | None, str]:
+    """RMSE after Sim(3) alignment, metres, or why there is none."""
+    if sequence.T_world_cam is None:
+        return None, "no ground truth"
+    if trajectory is None:
+        return None, "no map"
+    ate = metrics.ate(metrics.associate(trajectory, sequence.stamps_s, sequence.T_world_cam))
+    return (None, ate.reason) if isinstance(ate, Undefined) else (ate.rmse_m, "")
+
+
+def _median(values: Many[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.median(known)) if known else None
+
+
+def _ratio(ours: float | None, peer: float | None) -> float | None:
+    return ours / peer if ours is not None and peer else None

@@ -1,0 +1,254 @@
+"""Speed and memory of the simulator: rendering, degrading from the cache, building a large world."""
+
+import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.synchronize import Barrier
+from pathlib import Path
+from threading import BrokenBarrierError
+from typing import Any
+
+from experiments.runs.memory import peak_rss_mb
+from sim.rendering.renderers import check_renderer
+
+WIDTH_PX, HEIGHT_PX, FOCAL_PX = 640, 480, 420.0
+LARGE_CITY_M = 1000.0
+SCENES: dict[str, tuple[str, float | None]] = {
+    "city": ("clean-city", None),
+    "corridor": ("clean-corridor", None),
+    "large_city": ("clean-city", LARGE_CITY_M),
+}
+"""What is rendered: the name in the figures, the scenario and the length of its world, None for its own."""
+BLUR_EXPOSURE_S = 0.02
+ASKED = {"rendered_per_s": 60.0, "degraded_per_s": 150.0, "build_s": 5.0, "peak_rss_mb": 1536.0}
+"""What the simulator is to reach on two cores: at least so many frames, at most so much time and memory."""
+
+_SET_UP_TIMEOUT_S = 600
+# Filled when a process starts: a barrier cannot be sent to it later.
+_barriers: list[Barrier] = []
+
+Work = Callable[[], int]
+"""What is measured; gives the number of frames made."""
+
+
+@dataclass(frozen=True)
+class Lap:
+    """One process's measured stretch.
+
+    Attributes:
+        frames: frames made.
+        wall_s: by the clock.
+        cpu_s: of all threads of the process.
+        peak_rss_mb: largest resident memory of the process so far, its set-up included.
+    """
+
+    frames: int
+    wall_s: float
+    cpu_s: float
+    peak_rss_mb: float
+
+
+def bench_sim(
+    processes: int = 2,
+    frames: int = 120,
+    progress: Callable[[str, int, int], None] | None = None,
+    renderer: str = "mujoco",
+) -> dict[str, Any]:
+    """Measure the simulator at 640x480 with several processes at once, each with its own GL context.
+
+    Every process makes itself ready (imports, world, renderer, kernels), waits for the others and starts
+    together with them; only what follows is measured.
+
+    Args:
+        processes: how many at once.
+        frames: per process and figure.
+        progress: called with (step, done, total).
+        renderer: one of ``sim.rendering.renderers``.
+
+    Returns:
+        JSON-like figures: under ``rendered`` (by scene) and ``degraded`` (``sharp`` and ``blurred``) those of
+        ``rates``; under ``build`` the seconds for a city of a kilometre; under ``asked`` the aims.
+    """
+    check_renderer(renderer)
+    show = progress or (lambda step, done, total: None)
+    steps = [
+        (f"render {name}", _prepare_render, (*scene, processes, frames, renderer))
+        for name, scene in SCENES.items()
+    ]
+    with tempfile.TemporaryDirectory(prefix="dslab-bench-") as cache:
+        steps += [
+            ("degrade", _prepare_degrade, (frames, 0.0, Path(cache), renderer)),
+            ("degrade and blur", _prepare_degrade, (frames, BLUR_EXPOSURE_S, Path(cache), renderer)),
+        ]
+        figures = {}
+        for done, (name, prepare, arguments) in enumerate(steps):
+            show("measuring", done, len(steps) + 1)
+            figures[name] = rates(run_together(prepare, arguments, processes))
+        show("measuring", len(steps), len(steps) + 1)
+        build = _alone(_build_large_city, renderer)
+        show("measuring", len(steps) + 1, len(steps) + 1)
+    return {
+        "processes": processes,
+        "renderer": renderer,
+        "size_px": [WIDTH_PX, HEIGHT_PX],
+        "rendered": {name: figures[f"render {name}"] for name in SCENES},
+        "degraded": {"sharp": figures["degrade"], "blurred": figures["degrade and blur"]},
+        "build": build,
+        "asked": ASKED,
+    }
+
+
+def run_together(prepare: Callable[..., Work], arguments: tuple[Any, ...], processes: int) -> list[Lap]:
+    """Measure the same work in several new processes that start it at the same moment.
+
+    Args:
+        prepare: called in each process with its index and the arguments; gives the work. A function of a
+            module, since it is sent by name.
+        arguments: for ``prepare``.
+        processes: how many.
+    """
+    context = get_context("spawn")  # a process with a GL context must not fork
+    barrier = context.Barrier(processes, timeout=_SET_UP_TIMEOUT_S)
+    with ProcessPoolExecutor(processes, context, initializer=_set_up, initargs=(barrier,)) as pool:
+        laps = [pool.submit(_lap, prepare, index, arguments) for index in range(processes)]
+        faults = [lap.exception() for lap in laps]
+        # A process that found the barrier broken is not the one at fault.
+        for fault in sorted((f for f in faults if f), key=lambda f: isinstance(f, BrokenBarrierError)):
+            raise fault
+        return [lap.result() for lap in laps]
+
+
+def rates(laps: list[Lap]) -> dict[str, float]:
+    """Figures of processes that ran at once.
+
+    Returns:
+        ``frames_per_s`` of all together by the clock, until the last is ready; ``cpu_ms`` per frame;
+        ``frames_per_s_alone``, what they reach when each has a core to itself; ``peak_rss_mb``, the largest.
+    """
+    frames = sum(lap.frames for lap in laps)
+    cpu_ms = 1e3 * sum(lap.cpu_s for lap in laps) / frames
+    return {
+        "frames": frames,
+        "frames_per_s": frames / max(lap.wall_s for lap in laps),
+        "cpu_ms": cpu_ms,
+        "frames_per_s_alone": 1e3 * len(laps) / cpu_ms,
+        "peak_rss_mb": max(lap.peak_rss_mb for lap in laps),
+    }
+
+
+def _set_up(barrier: Barrier) -> None:
+    """Make a new process ready for ``_lap``."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    _barriers.append(barrier)
+
+
+def _lap(prepare: Callable[..., Work], index: int, arguments: tuple[Any, ...]) -> Lap:
+    (barrier,) = _barriers
+    try:
+        work = prepare(index, *arguments)
+    except BaseException:
+        barrier.abort()  # the others would wait in vain
+        raise
+    barrier.wait()
+    wall_s, cpu_s = time.perf_counter(), time.process_time()
+    frames = work()
+    return Lap(frames, time.perf_counter() - wall_s, time.process_time() - cpu_s, peak_rss_mb())
+
+
+def _prepare_render(
+    index: int, name: str, length_m: float | None, processes: int, frames: int, renderer_name: str
+) -> Work:
+    """Clean frames one after the other along a scenario's path, each process on a stretch of its own."""
+    from scenarios.loading import load_scenario
+    from sim.frame_plan import plan_shoot, studio_with
+
+    scenario, studio = load_scenario(name), studio_with(renderer_name)
+    if length_m is not None:
+        scenario = scenario.model_copy(
+            update={"world": scenario.world.model_copy(update={"length_m": length_m})}
+        )
+    shoot, world = plan_shoot(scenario, scenario.seed, studio, lambda step, done, total: None)
+    renderer = studio.renderer(world, _intrinsics())
+    poses = shoot.motion.T_world_cam(shoot.stamps_s)
+    start = index * len(poses) // processes
+    renderer.render(poses[start])
+
+    def render() -> int:
+        for frame in range(frames):
+            renderer.render(poses[(start + frame) % len(poses)])
+        return frames
+
+    return render
+
+
+def _prepare_degrade(index: int, frames: int, exposure_s: float, cache: Path, renderer: str) -> Work:
+    """Fog, defocus, low light and sensor noise on every frame of a corridor that is in the cache."""
+    from sim.sequence_rendering import render_sequence, studio_with
+
+    studio = studio_with(renderer)
+    # Each process has frames of its own in the cache, and a severity that is not yet in it.
+    cache_dir, seconds = cache / str(index), max(1.0, frames / 30)
+    first, second = (_degraded(seconds, exposure_s, light) for light in (0.2, 0.1))
+    render_sequence(first, index, cache_dir=cache_dir, studio=studio)
+    return lambda: len(render_sequence(second, index, cache_dir=cache_dir, studio=studio))
+
+
+def _degraded(seconds: float, exposure_s: float, illumination: float):
+    from scenarios.spec import Scenario
+
+    camera = {"width_px": WIDTH_PX, "height_px": HEIGHT_PX, "fx_px": FOCAL_PX, "fy_px": FOCAL_PX}
+    severities = {
+        "fog": {"extinction_per_m": 0.1},
+        "defocus": {"diameter_px": 4.0},
+        "low_light": {"illumination": illumination},
+    }
+    whole = {"start_s": 0.0, "duration_s": seconds}
+    return Scenario.model_validate(
+        {
+            "name": "bench",
+            "duration_s": seconds,
+            "world": {"kind": "corridor", "length_m": 20},
+            "trajectory": {"max_speed_mps": 1.5, "max_rate_degps": 60},
+            "camera": {**camera, "fps": 30, "exposure_s": exposure_s},
+            "segments": [{"kind": kind, **whole, **severity} for kind, severity in severities.items()],
+        }
+    )
+
+
+def _alone(measure: Callable[[str], dict[str, float]], renderer: str) -> dict[str, float]:
+    """A measurement in a new process of its own."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        return pool.submit(measure, renderer).result()
+
+
+def _build_large_city(renderer: str) -> dict[str, float]:
+    """Seconds to build a city of a kilometre, and to load it into a renderer; peak memory of both."""
+    from scenarios.worlds import CityWorld
+    from sim.frame_plan import studio_with
+
+    studio = studio_with(renderer)
+    studio.build_world(CityWorld(length_m=100, turns=0), 0)  # compiles what is compiled
+    started_s, started_cpu_s = time.perf_counter(), time.process_time()
+    world = studio.build_world(CityWorld(length_m=LARGE_CITY_M), 0)
+    built_s, built_cpu_s = time.perf_counter(), time.process_time()
+    studio.renderer(world, _intrinsics())
+    return {
+        "build_s": built_s - started_s,
+        "build_cpu_s": built_cpu_s - started_cpu_s,
+        "load_s": time.perf_counter() - built_s,
+        "load_cpu_s": time.process_time() - built_cpu_s,
+        "surfaces": len(world.surfaces),
+        "peak_rss_mb": peak_rss_mb(),
+    }
+
+
+def _intrinsics():
+    from sim.sensors.camera import Intrinsics
+
+    centre = ((WIDTH_PX - 1) / 2, (HEIGHT_PX - 1) / 2)
+    return Intrinsics(WIDTH_PX, HEIGHT_PX, FOCAL_PX, FOCAL_PX, *centre, 30.0)

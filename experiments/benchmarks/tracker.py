@@ -1,0 +1,96 @@
+"""Speed of a system on a sequence, over repeated runs, alone or in turn with a peer."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from experiments.evaluation.summary import is_tracked, stage_times, time_figures
+from experiments.runs import execution
+from experiments.runs.execution import Mode, RunRecord, SystemFactory, SystemKind, execute
+from experiments.runs.foreign_systems import Peer, PeerRun
+from experiments.runs.pacing import RealTime
+from sim.sequence import Sequence
+
+
+def bench(
+    sequence: Sequence,
+    system_kind: SystemKind,
+    runs: int,
+    seed: int = 0,
+    progress: Callable[[str, int, int], None] | None = None,
+    build: SystemFactory | None = None,
+    mode: Mode = "lockstep",
+    real_time: bool = False,
+    peer: Peer | None = None,
+) -> dict:
+    """Run a system several times over the same frames; the times of all runs are pooled.
+
+    Args:
+        sequence: what to feed.
+        system_kind: ``base`` or ``dual``.
+        runs: how often.
+        seed: root of every random stream of the system, the same in every run.
+        progress: called with (step, done, total).
+        build: makes the system; ``slam.system.build_system`` by default, whose kernels are compiled first.
+        mode: how the system's parts share time, where ``build`` does not say.
+        real_time: feed the frames at the pace of their stamps.
+        peer: a system to compare with, run after each of our runs.
+
+    Returns:
+        Times as in the summary of a run, with frames per second (median over runs), peak memory (largest) and
+        the size of the map (last run); with a peer, ``comparison`` as of
+        ``experiments.benchmarks.comparison.compare``.
+
+    Raises:
+        InputError: a frame cannot be read, or the peer fails.
+    """
+    show = progress or (lambda step, done, total: None)
+    if build is None:
+        from slam.warmup import warm_up
+
+        warm_up(show)
+        build = execution.system_factory(mode)
+    records: list[RunRecord] = []
+    peer_runs: list[PeerRun] = []
+    for run in range(runs):
+        title = f"run {run + 1} of {runs}"
+        records.append(
+            execute(
+                sequence,
+                system_kind,
+                seed,
+                progress=lambda done, total, title=title: show(title, done, total),
+                build=build,
+                pace=RealTime(sequence) if real_time else None,
+            )
+        )
+        if peer is not None:
+            show(f"peer, {title}", 0, 1)
+            peer_runs.append(peer.run())
+            show(f"peer, {title}", 1, 1)
+    figures = _figures(sequence, system_kind, mode, records)
+    if peer is not None:
+        from experiments.benchmarks.comparison import compare
+
+        figures["comparison"] = compare(sequence, records, peer_runs)
+    return figures
+
+
+def _figures(sequence: Sequence, system_kind: SystemKind, mode: Mode, records: list[RunRecord]) -> dict:
+    results = [result for record in records for result in record.results]
+    last = records[-1]
+    return {
+        "sequence": sequence.name,
+        "system": system_kind,
+        "mode": mode,
+        "runs": len(records),
+        "frames": len(sequence),
+        "dropped_frames": [record.dropped_frames for record in records],
+        "tracked": sum(is_tracked(r) for r in last.results),
+        "stages": stage_times(results),
+        **time_figures(results),
+        "frames_per_s": float(np.median([len(r.results) / r.wall_s for r in records])),
+        "peak_rss_mb": max(r.peak_rss_mb for r in records),
+        "keyframes": sum(len(k.frames) for k in last.keyframes),
+        "map_points": sum(last.map_points.values()),
+    }

@@ -1,0 +1,110 @@
+"""One unit again: alone, in a process like those of the run, held against its row of the ledger."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from experiments.campaign.folder import read_spec
+from experiments.campaign.ledger import Ledger
+from experiments.campaign.schedule import Experiment
+from experiments.campaign.unit_job import Job
+from experiments.campaign.worker_pool import CrewSettings, embedded_crew
+from experiments.eq1.records import decided
+from experiments.eq1.units import UnitSpec
+from scenarios.errors import InputError
+
+_ABOUT_THE_CODE = {"code", "commit"}
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A unit run again.
+
+    Attributes:
+        unit: which.
+        record: as it came out now.
+        recorded: its row of the ledger, None where it has none yet.
+        differing: columns in which the two differ, those of cost and of the code
+            apart: none where the unit is reproduced.
+    """
+
+    unit: UnitSpec
+    record: dict[str, Any]
+    recorded: dict[str, Any] | None
+    differing: tuple[str, ...]
+
+
+def replay(
+    folder: Path, name: str, job: Job, settings: CrewSettings | None = None, recording: Path | None = None
+) -> Replay:
+    """Run a unit of an experiment again.
+
+    Args:
+        folder: of the experiment.
+        name: its id, abbreviated as far as it stays unique, or ``cell:index``, also of a unit not run yet.
+        job: runs one unit.
+        settings: what runs it: one process of its own by default, whatever else they say.
+        recording: file for its recording, None for none.
+
+    Raises:
+        InputError: no such folder or unit, or the unit could not be run.
+    """
+    spec = read_spec(folder)
+    with Ledger.open(folder, spec, read_only=True) as ledger:
+        rows = {row["unit_id"]: row for row in ledger.rows()}
+    unit = find_unit(spec, rows, name)
+    with embedded_crew(settings or CrewSettings(), job) as crew:
+        ended = []
+        while not ended:
+            for worker in crew.free()[:1] if not crew.busy else ():
+                crew.start(unit, worker, recording)
+            ended = crew.wait(1.0)
+    record = ended[0].record
+    if record is None:
+        raise InputError(f"unit {unit.unit_id}", ended[0].message, "see `dslab experiment status`")
+    recorded = rows.get(unit.unit_id)
+    return Replay(unit, record, recorded, differing(record, recorded) if recorded else ())
+
+
+def find_unit(spec: Experiment, rows: Mapping[str, Mapping[str, Any]], name: str) -> UnitSpec:
+    """The unit that a name means.
+
+    Args:
+        spec: of the experiment.
+        rows: its records by unit id.
+        name: see :func:`replay`.
+
+    Raises:
+        InputError: it means none, or several.
+    """
+    if match := re.fullmatch(r"(.+):(\d+)", name):
+        cell, index = match[1], int(match[2])
+        if cell not in spec.cell_names():
+            raise InputError(name, "no such cell", f"use one of {', '.join(spec.cell_names())}")
+        return spec.unit(cell, index)
+    found = sorted(unit_id for unit_id in rows if unit_id.startswith(name.lower()))
+    if not found:
+        raise InputError(
+            name, "no unit of the ledger has an id that begins so", "give CELL:INDEX for any other"
+        )
+    if len(found) > 1:
+        raise InputError(
+            name, f"{len(found)} units have ids that begin so", f"give more of it, as {found[0]}"
+        )
+    row = rows[found[0]]
+    unit = spec.unit(row["cell"], row["index"])
+    if unit.unit_id != found[0]:
+        raise InputError(
+            found[0],
+            f"the code now makes {row['cell']}:{row['index']} another unit, {unit.unit_id}",
+            f"go back to commit {row['commit']}",
+        )
+    return unit
+
+
+def differing(record: Mapping[str, Any], recorded: Mapping[str, Any]) -> tuple[str, ...]:
+    """Columns in which two records of a unit differ, of those that its spec decides."""
+    names = [name for name in decided(dict(record)) if name not in _ABOUT_THE_CODE]
+    return tuple(name for name in names if record[name] != recorded[name])

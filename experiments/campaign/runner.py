@@ -1,0 +1,167 @@
+"""Run an experiment: what is not yet in its ledger, on a crew of workers, until every unit is accounted for.
+
+The rows of the ledger do not depend on the number of workers: a unit is a pure function of its spec, and
+which units are run is decided by their records in order (see :mod:`experiments.campaign.schedule`).
+"""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+
+from experiments.campaign.folder import claim_folder, write_spec
+from experiments.campaign.folder_lock import sole_driver
+from experiments.campaign.ledger import Ledger
+from experiments.campaign.schedule import Experiment, Record, Schedule, StoppingRule
+from experiments.campaign.unit_job import is_infrastructure_error
+from experiments.campaign.worker_pool import Crew, Ended
+from experiments.eq1.record_table import normalise
+from experiments.eq1.records import Outcome, dual_column, empty_record
+from experiments.eq1.units import UnitSpec
+from scenarios.errors import InputError
+
+TRIES = 4
+"""How often a unit is tried in all: three times more after an infrastructure error."""
+_TICK_S = 1.0
+
+
+@dataclass(frozen=True)
+class Tally:
+    """Where a run stands.
+
+    Attributes:
+        done, total: units that are accounted for, and in all; the total falls as cells stop.
+        completed, void, errors: units by outcome.
+        retries: attempts in this run that ended in an infrastructure error.
+        breakages: of the completed units, those with B.
+        failures: of the completed units, those in which the whole failed with all threads (D_n).
+        ended_here: units that ended in this run.
+        workers: that are at work.
+    """
+
+    done: int
+    total: int
+    completed: int
+    void: int
+    errors: int
+    retries: int
+    breakages: int
+    failures: int
+    ended_here: int
+    workers: int
+
+
+Show = Callable[[Tally], None]
+
+
+def run_experiment(
+    experiment: Experiment,
+    folder: Path,
+    open_crew: Callable[[], AbstractContextManager[Crew]],
+    rule: StoppingRule | None = None,
+    retry_errors: bool = False,
+    show: Show | None = None,
+) -> Tally:
+    """Run all units of an experiment that its folder does not hold yet.
+
+    Args:
+        experiment: its spec.
+        folder: absent, empty, or that of an earlier run of the same spec, which is gone on with.
+        open_crew: gets the workers together, asked only where there is something to do.
+        rule: when a cell has units enough, None to run every budget to its end.
+        retry_errors: try units again that were given up for infrastructure errors.
+        show: told where the run stands, at least as each unit ends.
+
+    Raises:
+        InputError: the folder holds something else or is in use, the disk is full, the scheduler is gone.
+            What the ledger has stays.
+    """
+    claim_folder(folder)
+    with sole_driver(folder), Ledger.open(folder, experiment) as ledger:
+        write_spec(folder, experiment)
+        if retry_errors:
+            ledger.forget_errors()
+        rows = ledger.rows()
+        check_units(experiment, rows, folder)
+        run = _Run(ledger, Schedule(experiment, rows, rule), dual_column(len(experiment.threads)), show)
+        if not run.schedule.complete:
+            with open_crew() as crew:
+                run.work(crew)
+        return run.tally(0)
+
+
+def check_units(experiment: Experiment, rows: Sequence[Record], folder: Path) -> None:
+    """Make sure that the rows are of the units that the spec gives now.
+
+    Raises:
+        InputError: the same spec gives another unit: the code that draws scenarios has changed.
+    """
+    for row in rows:
+        unit = experiment.unit(row["cell"], row["index"])
+        if unit.unit_id != row["unit_id"]:
+            raise InputError(
+                str(folder),
+                f"the code now makes {row['cell']}:{row['index']} another unit, {unit.unit_id}",
+                f"choose a new folder, or go back to commit {row['commit']}",
+            )
+
+
+class _Run:
+    """A run under way."""
+
+    def __init__(self, ledger: Ledger, schedule: Schedule, whole: str, show: Show | None) -> None:
+        self.schedule = schedule
+        self._ledger = ledger
+        self._whole = whole
+        self._show = show or (lambda tally: None)
+        self._due: deque[UnitSpec] = deque()
+        self._failed: dict[str, int] = {}
+        self._retries = self._ended_here = 0
+
+    def work(self, crew: Crew) -> None:
+        """Run what is left to do."""
+        while not self.schedule.complete:
+            for worker in crew.free():
+                unit = self._due.popleft() if self._due else self.schedule.next()
+                if unit is None:
+                    break
+                crew.start(unit, worker)
+            self._show(self.tally(crew.busy))
+            for ended in crew.wait(_TICK_S):
+                self._settle(ended)
+
+    def tally(self, workers: int) -> Tally:
+        """Where it stands."""
+        records = self.schedule.records()
+        completed = [r for r in records if r["outcome"] == Outcome.COMPLETED]
+        return Tally(
+            done=self.schedule.done,
+            total=self.schedule.total,
+            completed=len(completed),
+            void=sum(r["outcome"] == Outcome.VOID for r in records),
+            errors=sum(is_infrastructure_error(r) for r in records),
+            retries=self._retries,
+            breakages=sum(bool(r["breakage"]) for r in completed),
+            failures=sum(bool(r[self._whole]) for r in completed),
+            ended_here=self._ended_here,
+            workers=workers,
+        )
+
+    def _settle(self, ended: Ended) -> None:
+        """Write down what became of a unit, and whether it is tried again."""
+        unit = ended.unit
+        tried = self._failed.get(unit.unit_id, 0) + 1
+        record = ended.record
+        if record is None or is_infrastructure_error(record):
+            record = record or normalise(empty_record(unit) | {"message": ended.message}, len(unit.threads))
+            self._ledger.add_error(unit, tried, ended.worker, record["message"], ended.report)
+            self._failed[unit.unit_id] = tried
+            self._retries += 1
+            if tried < TRIES:
+                self._due.append(unit)
+                return
+        record = record | {"attempts": tried}
+        self._ledger.add(record)
+        self.schedule.finish(record)
+        self._ended_here += 1

@@ -1,0 +1,109 @@
+"""Where an experiment stands, from its folder alone."""
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from experiments.campaign.folder import read_spec
+from experiments.campaign.ledger import Ledger
+from experiments.campaign.schedule import Schedule
+from experiments.campaign.stopping import stopping_rule
+from experiments.eq1.records import Outcome, dual_column
+
+
+@dataclass(frozen=True)
+class CellStatus:
+    """A cell.
+
+    Attributes:
+        cell: its name.
+        budget: units that it may have.
+        stopped_at: units with which it has met the stopping rule; None where it has not.
+        units: that have ended.
+        completed, void, errors: of these, by outcome.
+        breakages, failures: of the completed, with B, and with failure of all threads (D_n).
+    """
+
+    cell: str
+    budget: int
+    stopped_at: int | None
+    units: int
+    completed: int
+    void: int
+    errors: int
+    breakages: int
+    failures: int
+
+
+@dataclass(frozen=True)
+class ExperimentStatus:
+    """An experiment.
+
+    Attributes:
+        name, spec_hash: of its spec.
+        done, total: units that count, and in all.
+        cells: one by one.
+        failed_attempts: infrastructure errors in all.
+        given_up: id and message of the units that were given up for them.
+        codes: hashes of the sources that the units were run with; more than one is a reason for care.
+        wall_s: time of a worker that the units took.
+    """
+
+    name: str
+    spec_hash: str
+    done: int
+    total: int
+    cells: tuple[CellStatus, ...]
+    failed_attempts: int
+    given_up: tuple[tuple[str, str], ...]
+    codes: tuple[str, ...]
+    wall_s: float
+
+
+def experiment_status(folder: Path) -> ExperimentStatus:
+    """Where the experiment of a folder stands, also while it is being run.
+
+    Raises:
+        InputError: it is no folder of an experiment.
+    """
+    spec = read_spec(folder)
+    with Ledger.open(folder, spec, read_only=True) as ledger:
+        rows, errors = ledger.rows(), ledger.errors()
+    schedule = Schedule(spec, rows, stopping_rule(spec.stopping))
+    stopped = schedule.stopped_cells()
+    whole = dual_column(len(spec.threads))
+    return ExperimentStatus(
+        name=spec.name,
+        spec_hash=spec.content_hash,
+        done=schedule.done,
+        total=schedule.total,
+        cells=tuple(
+            _cell(cell, spec.units_of(cell), stopped.get(cell), [r for r in rows if r["cell"] == cell], whole)
+            for cell in spec.cell_names()
+        ),
+        failed_attempts=len(errors),
+        given_up=tuple(
+            (r["unit_id"], r["message"]) for r in rows if r["outcome"] == Outcome.INFRASTRUCTURE_ERROR
+        ),
+        codes=tuple(sorted({r["code"] for r in rows if r["code"]})),
+        wall_s=sum(r["wall_s"] or 0.0 for r in rows),
+    )
+
+
+def _cell(
+    cell: str, budget: int, stopped_at: int | None, rows: list[dict[str, Any]], whole: str
+) -> CellStatus:
+    outcomes = Counter(row["outcome"] for row in rows)
+    completed = [row for row in rows if row["outcome"] == Outcome.COMPLETED]
+    return CellStatus(
+        cell=cell,
+        budget=budget,
+        stopped_at=stopped_at,
+        units=len(rows),
+        completed=len(completed),
+        void=outcomes[Outcome.VOID],
+        errors=outcomes[Outcome.INFRASTRUCTURE_ERROR],
+        breakages=sum(bool(row["breakage"]) for row in completed),
+        failures=sum(bool(row[whole]) for row in completed),
+    )

@@ -1,0 +1,265 @@
+"""The arms of a unit, branched from one lead-in.
+
+Free: base and Dual-SLAM see the same images. Crossing: the map is saved at the onset and a new one is started
+after the exposed segment, whether or not tracking would have failed in it.
+"""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from experiments.eq1.units import UnitSpec
+from experiments.evaluation.breakages import EXPOSURE_GRACE_S
+from experiments.runs.execution import RunRecord, record_of, slam_camera, without_features
+from sim.sequence import SegmentTruth, Sequence
+from slam.core.events import Breakage, RecoveryStart
+from slam.core.results import TrackingResult
+from slam.core.snapshot import Snapshot
+from slam.dual.config import DualConfig
+from slam.dual.recovery.registry import ThreadSpec
+from slam.dual.restarting import RestartingSlam
+from slam.factory import build_system
+from slam.system import MonocularSlam
+
+_SAVE_EVERY_S = 1.0
+_ROUNDING_S = 1e-6
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """The exposed segment.
+
+    Attributes:
+        onset_s, exposed_s: start and length.
+        onset_frame, end_frame: its first and last frame.
+        last_frame: the last one at which a breakage still counts as its own.
+    """
+
+    onset_s: float
+    exposed_s: float
+    onset_frame: int
+    end_frame: int
+    last_frame: int
+
+    @staticmethod
+    def of(unit: UnitSpec, sequence: Sequence) -> "Exposure":
+        """The exposed segment of a unit, in the frames of its sequence.
+
+        Raises:
+            ValueError: it has no frame before it, in it or after it.
+        """
+        first = unit.scenario.segments[0]
+        onset_s = first.start_s if unit.onset_s is None else unit.onset_s
+        exposed_s = first.duration_s if unit.exposed_s is None else unit.exposed_s
+        stamps_s = sequence.stamps_s
+        onset = int(np.searchsorted(stamps_s, onset_s - _ROUNDING_S))
+        end = int(np.searchsorted(stamps_s, onset_s + exposed_s - _ROUNDING_S)) - 1
+        if not 0 < onset <= end < len(sequence) - 1:
+            raise ValueError(f"the exposed segment is frames {onset} to {end} of {len(sequence)}")
+        last = int(np.searchsorted(stamps_s, stamps_s[end] + EXPOSURE_GRACE_S, "right")) - 1
+        return Exposure(onset_s, exposed_s, onset, end, last)
+
+    def as_segment(self, kind: str) -> SegmentTruth:
+        """The exposed segment as one that acts on all of its frames."""
+        end_s = self.onset_s + self.exposed_s
+        return SegmentTruth(kind, {}, self.onset_s, end_s, self.onset_frame, self.end_frame)
+
+
+@dataclass
+class CpuClock:
+    """CPU time of this process, summed up over stretches of work.
+
+    Attributes:
+        seconds: so far.
+    """
+
+    seconds: float = 0.0
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Count the time that the block takes."""
+        started = time.process_time()
+        try:
+            yield
+        finally:
+            self.seconds += time.process_time() - started
+
+
+class Course:
+    """A system on its way through a sequence, with all that it has said.
+
+    Args:
+        system: it.
+        sequence: what it is fed.
+        clock: counts the time within the system.
+        results: of the frames that it has had.
+
+    Attributes:
+        begun: the first frame of every new map that a recovery has started from, by the map's number.
+    """
+
+    def __init__(
+        self,
+        system: MonocularSlam,
+        sequence: Sequence,
+        clock: CpuClock,
+        results: tuple[TrackingResult, ...] = (),
+    ) -> None:
+        self.system = system
+        self.sequence = sequence
+        self.results = list(results)
+        self.begun: dict[int, int] = {}
+        self._clock = clock
+
+    @property
+    def frames(self) -> int:
+        """Frames fed so far."""
+        return len(self.results)
+
+    @property
+    def at_end(self) -> bool:
+        """No frame is left."""
+        return self.frames == len(self.sequence)
+
+    @property
+    def is_broken(self) -> bool:
+        """A breakage was declared."""
+        return any(isinstance(event, Breakage) for event in self.system.events)
+
+    def step(self) -> None:
+        """Feed one frame."""
+        index, happened = self.frames, len(self.system.events)
+        image = self.sequence.frames[index]
+        with self._clock.running():
+            result = self.system.process(image, float(self.sequence.stamps_s[index]))
+        self.results.append(without_features(result))
+        for event in self.system.events[happened:]:
+            if isinstance(event, RecoveryStart) and event.map_id not in self.begun:
+                self._note_new_map(event.map_id)
+
+    def feed(self, until: int) -> None:
+        """Feed the frames up to ``until``, without it."""
+        while self.frames < until:
+            self.step()
+
+    def finish(self) -> None:
+        """End of input, wherever it is."""
+        with self._clock.running():
+            self.system.finish()
+
+    def save(self) -> "SavedCourse":
+        """What any number of courses can go on from."""
+        with self._clock.running():
+            snapshot = self.system.snapshot()
+        return SavedCourse(snapshot, self.sequence, self._clock, tuple(self.results))
+
+    def record(self, kind: str, seed: int) -> RunRecord:
+        """The record of the finished course, its time being that of all courses by this clock."""
+        return record_of(self.system, self.sequence, kind, seed, self.results, self._clock.seconds)
+
+    def _note_new_map(self, map_id: int) -> None:
+        paths = self.system.keyframe_trajectories()
+        self.begun.update((map_id, int(path.frames[0])) for path in paths if path.map_id == map_id)
+
+
+@dataclass(frozen=True)
+class SavedCourse:
+    """A course as it stood between two frames."""
+
+    snapshot: Snapshot
+    sequence: Sequence
+    clock: CpuClock
+    results: tuple[TrackingResult, ...]
+
+    @property
+    def frames(self) -> int:
+        """Frames fed until then."""
+        return len(self.results)
+
+    def resume(self) -> Course:
+        """A course that goes on from here."""
+        with self.clock.running():
+            system = self.snapshot.restore()
+        return Course(system, self.sequence, self.clock, self.results)
+
+    def resume_as_base(self) -> Course:
+        """As the base system would go on from here."""
+        course = self.resume()
+        if isinstance(course.system, RestartingSlam):
+            course.system = course.system.as_base()
+        return course
+
+
+@dataclass(frozen=True)
+class FreeArm:
+    """What came of the free arm.
+
+    Attributes:
+        base, dual: the two runs, from the first frame to the last.
+        begun: see Course, of the dual.
+    """
+
+    base: RunRecord
+    dual: RunRecord
+    begun: dict[int, int]
+
+
+def dual_config(unit: UnitSpec, exhaustive: bool = True) -> DualConfig:
+    """Settings of Dual-SLAM in a unit: recovery is what is measured, so nothing else may mend a breakage.
+
+    Relocalization in a saved map and meeting it again are off: they would forestall recovery, or take
+    the credit for it.
+    """
+    threads = tuple(ThreadSpec(thread.kind, thread.seed) for thread in unit.threads)
+    return DualConfig(threads=threads, exhaustive=exhaustive, relocalization=False, joining=None)
+
+
+def run_lead_in(unit: UnitSpec, sequence: Sequence, exposure: Exposure, clock: CpuClock) -> Course:
+    """The lead-in, which all arms share: up to the onset, without its frame."""
+    camera = slam_camera(sequence.camera)
+    system = build_system(unit.system, camera, unit.nuisance_seed, dual=dual_config(unit))
+    course = Course(system, sequence, clock)
+    course.feed(exposure.onset_frame)
+    return course
+
+
+def run_free(lead_in: SavedCourse, unit: UnitSpec) -> FreeArm:
+    """Base and Dual-SLAM to the end.
+
+    Up to the first breakage the two are alike bit for bit and run as one; the base then goes on from
+    a snapshot just before.
+    """
+    seed, saved = unit.nuisance_seed, lead_in
+    stride = max(1, round(_SAVE_EVERY_S * lead_in.sequence.camera.fps))
+    dual = lead_in.resume()
+    while not (dual.at_end or dual.is_broken):
+        if dual.frames - saved.frames >= stride:
+            saved = dual.save()
+        dual.step()
+    base = saved.resume_as_base() if dual.is_broken else None
+    for course in filter(None, (base, dual)):
+        course.feed(len(course.sequence))
+        course.finish()
+    record = dual.record(unit.system, seed)
+    base_record = replace(record, system_kind="base") if base is None else base.record("base", seed)
+    return FreeArm(base_record, record, dual.begun)
+
+
+def run_crossing(lead_in: SavedCourse, exposure: Exposure) -> Course:
+    """Every recovery thread over the whole exposed segment, whether or not tracking fails in it.
+
+    The course ends as soon as a recovery has started and its threads have run.
+    """
+    course = lead_in.resume()
+    system = course.system
+    assert isinstance(system, RestartingSlam)
+    system.cut()
+    course.feed(exposure.end_frame + 1)
+    system.restart()
+    while not (course.at_end or course.begun):
+        course.step()
+    course.finish()
+    return course

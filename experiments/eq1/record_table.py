@@ -1,0 +1,96 @@
+"""Records as typed tables: what a column is in Python, SQLite, pandas and Parquet."""
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from experiments.eq1.records import ColumnType, columns
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
+
+SQL_TYPES: dict[ColumnType, str] = {"bool": "INTEGER", "int": "INTEGER", "float": "REAL", "text": "TEXT"}
+PANDAS_TYPES: dict[ColumnType, str] = {
+    "bool": "boolean",
+    "int": "Int64",
+    "float": "Float64",
+    "text": "string",
+}
+
+
+def normalise(record: Mapping[str, Any], threads: int) -> dict[str, Any]:
+    """A record with plain Python values of the types that its columns have, in their order.
+
+    NaN and infinities are unknown, hence null.
+
+    Args:
+        record: as a unit gives it.
+        threads: number of recovery threads.
+
+    Raises:
+        ValueError: a column is missing or unknown, or a value is not of its type.
+    """
+    types = columns(threads)
+    if differing := set(record) ^ set(types):
+        raise ValueError(f"missing or unknown columns: {', '.join(sorted(differing))}")
+    return {name: _plain(name, record[name], kind) for name, kind in types.items()}
+
+
+def data_frame(records: Iterable[Mapping[str, Any]], threads: int) -> "pd.DataFrame":
+    """Records as a table with nullable columns: boolean, Int64, Float64 and string.
+
+    Args:
+        records: normalised; as many as there may be, also none.
+        threads: number of recovery threads.
+    """
+    import pandas as pd
+
+    rows = list(records)
+    return pd.DataFrame(
+        {
+            name: pd.array([row[name] for row in rows], dtype=PANDAS_TYPES[kind])
+            for name, kind in columns(threads).items()
+        }
+    )
+
+
+def typed(frame: "pd.DataFrame", threads: int) -> "pd.DataFrame":
+    """A table read from Parquet with the columns and types of :func:`data_frame`.
+
+    The columns of pairs of frames are null where it has none: tables from before they were judged are good.
+
+    Raises:
+        ValueError: it lacks another column, or has an unknown one.
+    """
+    types = {name: PANDAS_TYPES[kind] for name, kind in columns(threads).items()}
+    differing = set(types) ^ set(frame.columns)
+    if differing := {n for n in differing if n not in types or not n.startswith("pairs")}:
+        raise ValueError(f"missing or unknown columns: {', '.join(sorted(differing))}")
+    return frame.reindex(columns=list(types)).astype(types)
+
+
+def arrow_table(records: Iterable[Mapping[str, Any]], threads: int) -> "pa.Table":
+    """Records as an Arrow table, every column with the same type whatever the rows hold."""
+    import pyarrow as pa
+
+    kinds = {"bool": pa.bool_(), "int": pa.int64(), "float": pa.float64(), "text": pa.string()}
+    schema = pa.schema([(name, kinds[kind]) for name, kind in columns(threads).items()])
+    return pa.Table.from_pylist(list(records), schema=schema)
+
+
+def _plain(name: str, value: Any, kind: ColumnType) -> Any:
+    if value is None:
+        return None
+    fitting = (
+        isinstance(value, str) if kind == "text" else isinstance(value, int | float | np.number | np.bool_)
+    )
+    if fitting and kind == "text":
+        return str(value)
+    if fitting and kind == "float":
+        return float(value) if math.isfinite(value) else None
+    if fitting and math.isfinite(value) and value == int(value) and (kind == "int" or value in (0, 1)):
+        return bool(value) if kind == "bool" else int(value)
+    raise ValueError(f"{name}: {value!r} is not of type {kind}")

@@ -1,0 +1,149 @@
+"""What became of the recovery threads of a unit, by their own word and by the audit."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from experiments.eq1.arms import Exposure
+from experiments.eq1.records import thread_column
+from experiments.evaluation.audit import FusionAudit, audit_relation
+from sim.sequence import Sequence as ImageSequence
+from slam.core.events import Event, Fusion, MapDropped, RecoveryEnd, ReinitDone
+from slam.core.results import MapTrajectory
+
+Arm = Literal["free", "cross"]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What the arms of a unit are judged by.
+
+    Attributes:
+        sequence: images with their truth.
+        exposure: the exposed segment.
+        lead_in: poses of the lead-in as its map stood at the onset.
+        kind: of the degradation.
+        threads: how many recovery threads there are.
+    """
+
+    sequence: ImageSequence
+    exposure: Exposure
+    lead_in: MapTrajectory
+    kind: str
+    threads: int
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """A recovery judged.
+
+    Attributes:
+        reinit_frame: at which a new map stood, None if none did.
+        first_frame: of the new map that the threads set out from, None if they never did.
+        columns: of every thread.
+    """
+
+    reinit_frame: int | None
+    first_frame: int | None
+    columns: dict[str, Any]
+
+    def frames_from(self, frame: int) -> int | None:
+        """Frames from ``frame`` to the new map's first."""
+        return None if self.first_frame is None else self.first_frame - frame
+
+
+def judge_recovery(
+    arm: Arm, events: Sequence[Event], begun: Mapping[int, int], since: int, reference: Reference
+) -> Recovery:
+    """The first recovery of the map that was parted with.
+
+    Args:
+        arm: in which.
+        events: all that the system has declared.
+        begun: first frames of the maps that recoveries have started from, by the maps' numbers.
+        since: the frame after which a new map was sought.
+        reference: what is judged by.
+    """
+    reinit = next((e.frame for e in events if isinstance(e, ReinitDone) and e.frame > since), None)
+    attempt = next((e.map_id for e in events if isinstance(e, RecoveryEnd)), None)
+    if attempt is None:
+        reason = _why_no_recovery(events, reinit)
+        none = {"failed": True, "declared": False, "stage": "no_reinit", "reason": reason}
+        each = range(1, reference.threads + 1)
+        return Recovery(reinit, None, {thread_column(arm, j, k): v for j in each for k, v in none.items()})
+    columns: dict[str, Any] = {}
+    for end in _ends(events, attempt):
+        told = _thread(end, _audit(end, reference), _refused(events, end))
+        columns |= {thread_column(arm, end.thread, name): value for name, value in told.items()}
+    return Recovery(reinit, begun.get(attempt), columns)
+
+
+def _audit(end: RecoveryEnd, reference: Reference) -> FusionAudit | None:
+    truth = reference.sequence.T_world_cam
+    if not end.placed or truth is None:
+        return None
+    placed = MapTrajectory(
+        end.old_map_id,
+        np.array([k.frame for k in end.placed]),
+        np.array([k.stamp_s for k in end.placed]),
+        np.array([k.T_old_cam for k in end.placed]),
+    )
+    onset = reference.exposure.onset_frame
+    return audit_relation(reference.lead_in, placed, reference.sequence.stamps_s, truth, onset)
+
+
+def _ends(events: Sequence[Event], attempt: int) -> list[RecoveryEnd]:
+    ends: dict[int, RecoveryEnd] = {}
+    for event in events:
+        if isinstance(event, RecoveryEnd) and event.map_id == attempt:
+            ends.setdefault(event.thread, event)
+    return list(ends.values())
+
+
+def _thread(end: RecoveryEnd, audit: FusionAudit | None, refused: str) -> dict[str, Any]:
+    declared = end.success and not refused
+    false = audit.false if audit is not None and declared else None
+    stage, reason = end.stage, end.reason
+    if refused:
+        stage, reason = "fusion", refused
+    elif false and audit is not None:
+        stage, reason = "audit", _off(audit)
+    return {
+        "failed": not declared or false is True,
+        "declared": declared,
+        "false": false,
+        "stage": stage or None,
+        "reason": reason or None,
+        "frames_covered": end.frames_covered,
+        "scale_error": audit.scale_error if audit is not None else None,
+        "seam_error_m": audit.seam_error_m if audit is not None else None,
+        "cpu_ms": end.cpu_ms,
+        "inliers": end.inliers,
+    }
+
+
+def _off(audit: FusionAudit) -> str:
+    parts = []
+    if audit.scale_error is not None:
+        parts.append(f"scale {audit.scale_error:+.3f}")
+    if audit.seam_error_m is not None:
+        parts.append(f"seam {audit.seam_error_m:.2f} m, {audit.seam_rotation_deg:.1f} deg")
+    return ", ".join(parts)
+
+
+def _refused(events: Sequence[Event], end: RecoveryEnd) -> str:
+    """Why the fusion that the thread led to was refused; empty where it was not, or came to none."""
+    refusals = [
+        e.reason
+        for e in events
+        if isinstance(e, Fusion) and not e.accepted and (e.frame, e.new_map_id) == (end.frame, end.map_id)
+    ]
+    return refusals[0] if refusals and end.success else ""
+
+
+def _why_no_recovery(events: Sequence[Event], reinit: int | None) -> str:
+    if any(isinstance(e, MapDropped) and e.reason == "too_few_keyframes" for e in events):
+        return "map_dropped"
+    return "no_new_map" if reinit is None else "new_map_not_fit"

@@ -1,0 +1,31 @@
+"""The JSON Schema of experiment files, for editors and for whoever writes them by program."""
+
+from typing import Any
+
+from experiments.eq1.spec import ExperimentSpec
+from experiments.eq1.spec_parts import SEVERITIES
+from scenarios import schema as scenario_schema
+from slam.dual.recovery.registry import RECOVERY_KINDS
+
+_PARTS = ("world", "trajectory", "camera")
+
+
+def json_schema() -> dict[str, Any]:
+    """The JSON Schema of an experiment file, with distributions wherever they may stand."""
+    schema = ExperimentSpec.model_json_schema()
+    scenario = scenario_schema.json_schema()
+    schema["$defs"] = {**scenario["$defs"], **schema["$defs"]}
+    base = schema["$defs"]["Base"]["properties"]
+    base.update({part: scenario["properties"][part] for part in _PARTS})
+    # Over a family a base need not say what kind of world it is.
+    kindless = {"not": {"anyOf": [{"required": ["kind"]}, {"required": ["choice"]}]}}
+    base["world"] = {"anyOf": [base["world"], {"type": "object", **kindless}]}
+    degradation = schema["$defs"]["Degradation"]["properties"]
+    number = {"anyOf": [{"type": "number", "minimum": 0}, {"$ref": "#/$defs/Distribution"}]}
+    for name in ("begins_s", "acts_s"):
+        degradation[name] = {"description": degradation[name]["description"], **number}
+    degradation["kind"] = {**degradation["kind"], "enum": sorted(SEVERITIES)}
+    # A thread may be given by the name of its kind alone.
+    thread = {"anyOf": [{"enum": sorted(RECOVERY_KINDS)}, {"$ref": "#/$defs/ThreadChoice"}]}
+    schema["properties"]["threads"]["items"] = thread
+    return {"$schema": scenario["$schema"], **schema}

@@ -1,0 +1,125 @@
+"""One unit of an experiment: one lead-in, its arms, their judgement, as one flat record. Never raises."""
+
+import time
+import traceback
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from experiments.eq1.arms import Course, CpuClock, Exposure, dual_config, run_crossing, run_free, run_lead_in
+from experiments.eq1.conditioning import judge_pairs
+from experiments.eq1.judging import judge_crossing, judge_free
+from experiments.eq1.lead_in import lead_in_fault
+from experiments.eq1.records import Outcome, empty_record
+from experiments.eq1.recovery_judging import Reference
+from experiments.eq1.units import UnitSpec
+from experiments.runs.execution import RunRecord, execute, system_factory
+from experiments.runs.memory import peak_rss_mb, reset_peak
+from experiments.runs.provenance import code_hash, commit
+from scenarios.errors import InputError
+from sim.sequence import Sequence
+from slam.core.results import MapTrajectory
+from slam.features.sift import features_kept
+
+
+def run_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict[str, Any]:
+    """Run one unit: a pure function of its spec, but for the times that it takes.
+
+    Args:
+        unit: all that decides the record.
+        cache_dir: folder of rendered sequences; None for the default one.
+        recording: file for a recording of base and Dual-SLAM, which takes two more runs.
+
+    Returns:
+        The columns of ``experiments.eq1.records``. Whatever goes wrong in the programs is the outcome
+        ``infrastructure_error`` with its message, never a failure of the SLAM.
+    """
+    record = empty_record(unit)
+    started, cpu_started = time.perf_counter(), time.process_time()
+    render, slam = CpuClock(), CpuClock()
+    reset_peak()
+    try:
+        cv2.setNumThreads(1)
+        record |= {"code": code_hash(), "commit": commit()}
+        with render.running():
+            sequence = _render(unit, cache_dir)
+        record |= _judged(unit, sequence, slam)
+        if recording is not None:
+            record_runs(unit, sequence, recording)
+    except Exception as error:  # the one place that may: a broken unit must not end the experiment
+        record |= {"outcome": Outcome.INFRASTRUCTURE_ERROR.value, "message": _message(error)}
+    return record | {
+        "render_s": render.seconds,
+        "slam_s": slam.seconds,
+        "cpu_s": time.process_time() - cpu_started,
+        "wall_s": time.perf_counter() - started,
+        "peak_rss_mb": peak_rss_mb(),
+    }
+
+
+def record_runs(unit: UnitSpec, sequence: Sequence, path: Path) -> list[RunRecord]:
+    """Record base and Dual-SLAM, each from the start: they do there what they do in the unit."""
+    from experiments.recording import Recording
+
+    kinds = ("base", unit.system)
+    build = system_factory(dual=dual_config(unit))
+    with Recording(path, sequence, kinds) as recorded:
+        runs = [
+            execute(sequence, kind, unit.nuisance_seed, recorded.watch(kind), build=build) for kind in kinds
+        ]
+        recorded.finish(runs)
+    return runs
+
+
+def _render(unit: UnitSpec, cache_dir: Path | None) -> Sequence:
+    from sim.sequence_rendering import render_sequence
+
+    return render_sequence(unit.scenario, cache_dir=cache_dir)
+
+
+def _judged(unit: UnitSpec, sequence: Sequence, clock: CpuClock) -> dict[str, Any]:
+    exposure = Exposure.of(unit, sequence)
+    row: dict[str, Any] = {
+        "onset_s": exposure.onset_s,
+        "exposed_s": exposure.exposed_s,
+        "onset_frame": exposure.onset_frame,
+        "end_frame": exposure.end_frame,
+    }
+    course = run_lead_in(unit, sequence, exposure, clock)
+    fault = _lead_in_fault(course, exposure)
+    if fault is not None:
+        return row | {"outcome": Outcome.VOID.value, "void_reason": fault}
+    lead_in = course.save()
+    reference = Reference(sequence, exposure, _current_path(course), unit.kind, len(unit.threads))
+    with features_kept():
+        if "free" in unit.arms:
+            row |= judge_free(run_free(lead_in, unit), reference)
+        if "crossing" in unit.arms:
+            row |= judge_crossing(run_crossing(lead_in, exposure), reference)
+    if "pairs" in unit.arms:
+        row |= judge_pairs(sequence, exposure.onset_frame, unit.nuisance_seed)
+    return row | {"outcome": Outcome.COMPLETED.value}
+
+
+def _lead_in_fault(course: Course, exposure: Exposure) -> str | None:
+    system = course.system
+    fault = lead_in_fault(course.results, system.events, course.sequence, exposure.onset_frame)
+    if fault is None:
+        keyframes = len(system.current_map.keyframes())
+        if keyframes <= system.config.min_map_keyframes:
+            return f"{keyframes} keyframes only at the onset: a breakage would drop the map"
+    return fault
+
+
+def _current_path(course: Course) -> MapTrajectory:
+    """The poses of the lead-in as its map stands now."""
+    current = course.system.current_map_id
+    return next(path for path in course.system.trajectories() if path.map_id == current)
+
+
+def _message(error: Exception) -> str:
+    if isinstance(error, InputError):
+        return str(error)
+    at = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({at.filename.rsplit('/', 1)[-1]}:{at.lineno})"

@@ -1,0 +1,146 @@
+"""From a cell and the seeds of a unit to its scenario."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from pydantic import ValidationError
+
+from experiments.eq1.spec_parts import Degradation
+from scenarios.drawing import Draw
+from scenarios.families import load_family, merged
+from scenarios.faults import first_fault
+from scenarios.seeds import rng_for
+from scenarios.spec import Scenario
+from scenarios.yaml_file import Location
+
+_PARTS = ("world", "trajectory", "camera")
+
+
+class UnitPlan(Protocol):
+    """The fields of an experiment's spec that decide the scenario of a unit."""
+
+    @property
+    def lead_in_s(self) -> float: ...
+    @property
+    def exposed_s(self) -> float: ...
+    @property
+    def tail_s(self) -> float: ...
+    @property
+    def degradations(self) -> Sequence[Degradation]: ...
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of an experiment.
+
+    Attributes:
+        image: its name without the system: what its images are decided by.
+        base: name of its base in the spec.
+        written: world, trajectory and camera as written, one of them for each variant that the world seed
+            chooses from: the members of a family.
+        degradation, dose: places of kind and dose in the spec.
+        system: what is run.
+    """
+
+    image: str
+    base: str
+    written: tuple[dict[str, Any], ...]
+    degradation: int
+    dose: int
+    system: Any
+
+
+def written_base(family: str | None, member: str | None, own: dict[str, Any]) -> tuple[dict[str, Any], ...]:
+    """World, trajectory and camera of a base: its own fields over those of its family.
+
+    Args:
+        family: by name, None for none.
+        member: the only member that counts; None for all of them.
+        own: fields of the base itself.
+
+    Raises:
+        InputError: there is no such family or member.
+    """
+    if family is None:
+        return ({**{part: {} for part in _PARTS}, **own},)
+    found = load_family(family)
+    chosen = (member,) if member is not None else found.members
+    families = [found.member(one) for one in chosen] or [found]
+    parts = [{part: f.written.get(part, {}) for part in _PARTS} for f in families]
+    return tuple(merged(part, own) for part in parts)
+
+
+def draw_scenario(
+    spec: UnitPlan,
+    cell: Cell,
+    index: int,
+    world_seed: int,
+    nuisance_seed: int,
+    where: Callable[[Location], str],
+) -> Scenario:
+    """The scenario of a unit.
+
+    The world comes from the world seed: its kind, its parameters, itself. All else comes from the nuisance
+    seed, by streams that know nothing of kind and dose: path, camera and noise are the same in every cell.
+
+    Args:
+        spec: of the experiment.
+        cell: one of its cells.
+        index: of the unit.
+        world_seed, nuisance_seed: of the unit.
+        where: says the place of a location in the spec, for faults.
+
+    Raises:
+        InputError: what was drawn is no valid scenario.
+    """
+    written = cell.written[int(rng_for(world_seed, "experiment", "variant").random() * len(cell.written))]
+    of_world, of_rest = Draw(world_seed), Draw(nuisance_seed)
+    data: dict[str, Any] = {
+        "name": f"{cell.image}/{index}",
+        "duration_s": spec.lead_in_s + spec.exposed_s + spec.tail_s,
+        "world": of_world(written["world"], ("world",), ("world",)),
+        "trajectory": of_rest(written["trajectory"], ("trajectory",), ("trajectory",)),
+        "camera": of_rest(written["camera"], ("camera",), ("camera",)),
+        "segments": [_segment(spec, cell, of_rest)],
+        "seed": nuisance_seed,
+        "world_seed": world_seed,
+    }
+    for draw in (of_world, of_rest):
+        draw.round_whole_numbers(data)
+    try:
+        return Scenario.model_validate(data)
+    except ValidationError as error:
+        of_sample = f", in cell {cell.image} as drawn for unit {index}"
+        raise first_fault(error, lambda at: where(_in_spec(spec, cell, at)), of_sample) from None
+
+
+def _segment(spec: UnitPlan, cell: Cell, draw: Draw) -> dict[str, Any]:
+    degradation = spec.degradations[cell.degradation]
+
+    def drawn(value: Any, *name: str) -> Any:
+        return draw(value, ("segments", 0, *name), ("segment", *name))
+
+    begins_s = drawn(degradation.begins_s, "begins_s")
+    left_s = spec.exposed_s - begins_s
+    acts_s = left_s if degradation.acts_s is None else min(drawn(degradation.acts_s, "acts_s"), left_s)
+    return {
+        "kind": degradation.kind,
+        "start_s": spec.lead_in_s + begins_s,
+        "duration_s": acts_s,
+        **{name: drawn(value, name) for name, value in degradation.fields.items()},
+        degradation.dose: degradation.doses[cell.dose],
+    }
+
+
+def _in_spec(spec: UnitPlan, cell: Cell, at: Location) -> Location:
+    """Where in the spec a field of the scenario comes from."""
+    if at[:1] != ("segments",):
+        return ("bases", cell.base, *at)
+    inside, place = at[2:], ("degradations", cell.degradation)
+    name = inside[0] if inside else "kind"
+    if name == spec.degradations[cell.degradation].dose:
+        return (*place, "doses", cell.dose)
+    if name in ("start_s", "duration_s"):
+        return (*place, "begins_s" if name == "start_s" else "acts_s")
+    return (*place, name) if name == "kind" else (*place, "fields", *inside)

@@ -1,0 +1,62 @@
+"""A unit of an experiment as data: everything that decides its record, and nothing else."""
+
+import hashlib
+import json
+from typing import Any, Literal
+
+from pydantic import Field
+
+from scenarios.spec import Scenario
+from scenarios.strict import Strict
+from slam.dual.recovery.registry import RECOVERY_KINDS
+
+ArmName = Literal["free", "crossing", "pairs"]
+
+
+class ThreadChoice(Strict):
+    """A recovery thread: one of n."""
+
+    kind: str = Field(description=f"one of {', '.join(sorted(RECOVERY_KINDS))}")
+    seed: int = Field(0, ge=0, description="tells apart threads of one kind")
+
+
+class UnitSpec(Strict):
+    """One unit of one cell.
+
+    Attributes:
+        experiment: name of the experiment it belongs to.
+        cell: name of the cell, such as ``blur/2``.
+        kind: kind of the degradation of the cell, such as ``motion_blur``.
+        severity: dose of the degradation, in the unit that the experiment states.
+        index: number of the unit in its cell, from 0.
+        world_seed, nuisance_seed: of the world; of path, sensor noise, draws of the segment and the SLAM.
+        scenario: as drawn, with these seeds: lead-in, exposed segment with what acts in it, tail.
+        onset_s, exposed_s: the exposed segment; None for that of the scenario's first injected segment.
+        threads: the recovery threads, in order; n of Eq. 1 is their number.
+        system: what runs in the free arm beside the base; the crossing arm is of the same kind.
+        arms: which are run; ``pairs`` measures pose error against baseline in the lead-in, without a SLAM.
+    """
+
+    experiment: str
+    cell: str
+    kind: str
+    severity: float
+    index: int = Field(ge=0)
+    world_seed: int = Field(ge=0)
+    nuisance_seed: int = Field(ge=0)
+    scenario: Scenario
+    onset_s: float | None = Field(None, ge=0)
+    exposed_s: float | None = Field(None, gt=0)
+    threads: tuple[ThreadChoice, ...] = Field(min_length=1)
+    system: Literal["dual", "dual+"] = "dual"
+    arms: tuple[ArmName, ...] = ("free", "crossing")
+
+    @property
+    def unit_id(self) -> str:
+        """Sixteen hexadecimal digits of the hash of all that it says."""
+        return content_hash(self.model_dump(mode="json"))[:16]
+
+
+def content_hash(data: Any) -> str:
+    """SHA-256 of JSON-like data, whatever the order of its keys."""
+    return hashlib.sha256(json.dumps(data, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

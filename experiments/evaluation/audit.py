@@ -1,0 +1,250 @@
+"""The estimate judged by the truth: silent loss, late declaration, false fusion; never fed back."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from experiments.evaluation.alignment import Similarity, Undefined, align_poses
+from experiments.evaluation.metrics import (
+    PosePairs,
+    associate,
+    path_length_m,
+    position_errors_m,
+    rotation_errors_deg,
+)
+from slam.core.results import MapTrajectory
+
+
+@dataclass(frozen=True)
+class AuditBounds:
+    """What counts as off the truth.
+
+    Attributes:
+        position_share: position error allowed per metre of true path since the start of the reference window.
+        position_floor_m: position error allowed in any case.
+        rotation_deg: orientation error allowed.
+        scale_share: scale error allowed across a fusion.
+        reference_s: length of the window before the onset on which the estimate is aligned to the truth.
+        seam_s: length of the stretch after a breakage by which the seam of a fusion is judged.
+        min_poses: poses that an alignment must rest on.
+        min_path_m: true path that an alignment must rest on.
+    """
+
+    position_share: float = 0.05
+    position_floor_m: float = 0.1
+    rotation_deg: float = 5.0
+    scale_share: float = 0.10
+    reference_s: float = 5.0
+    seam_s: float = 1.0
+    min_poses: int = 15
+    min_path_m: float = 0.2
+
+
+RELATION_BOUNDS = AuditBounds(min_poses=5)
+"""For the relation that a recovery finds: it starts when the new map has just these many keyframes."""
+
+
+@dataclass(frozen=True)
+class LossAudit:
+    """When the pose was truly lost.
+
+    Attributes:
+        true_loss_frame: first frame from which, to the end of the window, there is no pose within the bounds;
+            None where there is none.
+        error_m, rotation_error_deg: of the last pose in the window; None where it has none.
+        reference_poses: poses of the alignment.
+    """
+
+    true_loss_frame: int | None
+    error_m: float | None
+    rotation_error_deg: float | None
+    reference_poses: int
+
+
+@dataclass(frozen=True)
+class FusionAudit:
+    """A fused map on the two sides of the breakage.
+
+    Attributes:
+        scale_error: size of the part after the breakage over that of the part before, both in units of
+            the truth, minus 1; None where one of the two is too short to have a scale.
+        seam_error_m: median position error over the first ``seam_s`` after the breakage, aligned on the
+            ``reference_s`` before it.
+        seam_rotation_deg: likewise, of the orientation.
+        seam_bound_m: position error allowed there.
+        false: scale or seam are out of bounds; None where neither could be judged.
+        reason: what could not be judged and why; empty otherwise.
+    """
+
+    scale_error: float | None
+    seam_error_m: float | None
+    seam_rotation_deg: float | None
+    seam_bound_m: float | None
+    false: bool | None
+    reason: str
+
+
+def audit_loss(
+    live: MapTrajectory,
+    stamps_s: np.ndarray,
+    T_world_cam: np.ndarray,
+    onset_frame: int,
+    end_frame: int,
+    bounds: AuditBounds | None = None,
+) -> LossAudit | Undefined:
+    """Find the true loss in the frames ``onset_frame .. end_frame``.
+
+    The poses of one map are aligned to the truth over ``reference_s`` before the onset and followed
+    from there.
+
+    Args:
+        live: the poses of the map as the system gave them at each frame.
+        stamps_s: (N,) float64 times of all frames.
+        T_world_cam: (N, 4, 4) float64 true poses, NaN where unknown.
+        onset_frame: first frame that may be lost.
+        end_frame: last frame looked at (inclusive): the declaration where there is one.
+        bounds: what counts as lost.
+
+    Returns:
+        The finding; Undefined where the poses before the onset determine no alignment.
+    """
+    bounds = bounds or AuditBounds()
+    pairs = associate(live, stamps_s, T_world_cam)
+    start_frame = int(np.searchsorted(stamps_s, stamps_s[onset_frame] - bounds.reference_s))
+    reference = pairs.where((pairs.frames >= start_frame) & (pairs.frames < onset_frame))
+    alignment = _reference_alignment(reference, bounds)
+    if isinstance(alignment, Undefined):
+        return alignment
+    window = pairs.where((pairs.frames >= onset_frame) & (pairs.frames <= end_frame))
+    position, rotation = position_errors_m(window, alignment), rotation_errors_deg(window, alignment)
+    walked = np.array([path_length_m(T_world_cam[start_frame : f + 1]) for f in window.frames])
+    good = (position <= _position_bound_m(walked, bounds)) & (rotation <= bounds.rotation_deg)
+    unknown = ~np.isfinite(T_world_cam[onset_frame : end_frame + 1]).all(axis=(1, 2))
+    fine = unknown.copy()
+    fine[window.frames[good] - onset_frame] = True
+    last_fine = int(np.flatnonzero(fine)[-1]) if fine.any() else -1
+    loss = onset_frame + last_fine + 1
+    return LossAudit(
+        loss if loss <= end_frame else None,
+        float(position[-1]) if len(position) else None,
+        float(rotation[-1]) if len(rotation) else None,
+        len(reference),
+    )
+
+
+def audit_fusion(
+    fused: MapTrajectory,
+    stamps_s: np.ndarray,
+    T_world_cam: np.ndarray,
+    breakage_frame: int,
+    from_frame: int = 0,
+    until_frame: int | None = None,
+    bounds: AuditBounds | None = None,
+) -> FusionAudit:
+    """Compare the two sides of a breakage in the finished map.
+
+    Args:
+        fused: final poses of the map that came out of the fusion.
+        stamps_s: (N,) float64 times of all frames.
+        T_world_cam: (N, 4, 4) float64 true poses, NaN where unknown.
+        breakage_frame: the declared breakage; later frames are the part after it.
+        from_frame: first frame of the part before it.
+        until_frame: first frame that no longer belongs to the part after it.
+        bounds: what counts as false.
+    """
+    bounds = bounds or AuditBounds()
+    pairs = associate(fused, stamps_s, T_world_cam)
+    before = pairs.where((pairs.frames >= from_frame) & (pairs.frames < breakage_frame))
+    end = len(stamps_s) if until_frame is None else until_frame
+    after = pairs.where((pairs.frames > breakage_frame) & (pairs.frames < end))
+    reasons = []
+    scale_error = _scale_error(before, after, bounds)
+    if isinstance(scale_error, Undefined):
+        reasons.append(f"scale: {scale_error.reason}")
+        scale_error = None
+    error_m = rotation_deg = bound_m = None
+    verdicts = [] if scale_error is None else [abs(scale_error) > bounds.scale_share]
+    seam = _seam(before, after, stamps_s, T_world_cam, bounds)
+    if isinstance(seam, Undefined):
+        reasons.append(f"seam: {seam.reason}")
+    else:
+        error_m, rotation_deg, bound_m = seam
+        verdicts.append(error_m > bound_m or rotation_deg > bounds.rotation_deg)
+    false = any(verdicts) if verdicts else None
+    return FusionAudit(scale_error, error_m, rotation_deg, bound_m, false, "; ".join(reasons))
+
+
+def audit_relation(
+    old: MapTrajectory,
+    placed: MapTrajectory,
+    stamps_s: np.ndarray,
+    T_world_cam: np.ndarray,
+    onset_frame: int,
+    bounds: AuditBounds = RELATION_BOUNDS,
+) -> FusionAudit:
+    """Judge where a recovery has placed a new map in an old one, whether or not it was acted upon.
+
+    Args:
+        old: poses in the old map; those before the onset count.
+        placed: poses of the new map's keyframes, in the old map; those after the onset count.
+        stamps_s: (N,) float64 times of all frames.
+        T_world_cam: (N, 4, 4) float64 true poses, NaN where unknown.
+        onset_frame: where the trusted part of the old map ends.
+        bounds: what counts as false.
+    """
+    before, after = old.frames < onset_frame, placed.frames > onset_frame
+    both = MapTrajectory(
+        old.map_id,
+        np.concatenate([old.frames[before], placed.frames[after]]),
+        np.concatenate([old.stamps_s[before], placed.stamps_s[after]]),
+        np.concatenate([old.T_map_cam[before], placed.T_map_cam[after]]),
+    )
+    return audit_fusion(both, stamps_s, T_world_cam, onset_frame, bounds=bounds)
+
+
+def _reference_alignment(reference: PosePairs, bounds: AuditBounds) -> Similarity | Undefined:
+    if len(reference) < bounds.min_poses:
+        return Undefined(f"{len(reference)} poses, {bounds.min_poses} needed")
+    moved = path_length_m(reference.T_world_cam)
+    if moved < bounds.min_path_m:
+        return Undefined(f"{moved:.2f} m of path, {bounds.min_path_m:g} m needed")
+    return align_poses(reference.T_map_cam, reference.T_world_cam)
+
+
+def _scale_error(before: PosePairs, after: PosePairs, bounds: AuditBounds) -> float | Undefined:
+    scales = []
+    for name, part in (("before", before), ("after", after)):
+        alignment = _reference_alignment(part, bounds)
+        if isinstance(alignment, Undefined):
+            return Undefined(f"{name} the breakage: {alignment.reason}")
+        scales.append(alignment.scale)
+    # Where a part of the map is too large, its factor to metres is too small.
+    return scales[0] / scales[1] - 1
+
+
+def _seam(
+    before: PosePairs,
+    after: PosePairs,
+    stamps_s: np.ndarray,
+    T_world_cam: np.ndarray,
+    bounds: AuditBounds,
+) -> tuple[float, float, float] | Undefined:
+    """(position error, rotation error, position bound) just after the breakage."""
+    if not len(before):
+        return Undefined("no pose before the breakage")
+    reference_end = stamps_s[before.frames[-1]]
+    reference = before.where(stamps_s[before.frames] >= reference_end - bounds.reference_s)
+    alignment = _reference_alignment(reference, bounds)
+    if isinstance(alignment, Undefined):
+        return Undefined(f"before the breakage: {alignment.reason}")
+    if not len(after):
+        return Undefined("no pose after the breakage")
+    first = after.where(stamps_s[after.frames] <= stamps_s[after.frames[0]] + bounds.seam_s)
+    walked = path_length_m(T_world_cam[reference.frames[0] : first.frames[-1] + 1])
+    error_m = float(np.median(position_errors_m(first, alignment)))
+    rotation_deg = float(np.median(rotation_errors_deg(first, alignment)))
+    return error_m, rotation_deg, float(_position_bound_m(walked, bounds))
+
+
+def _position_bound_m(walked_m: np.ndarray | float, bounds: AuditBounds) -> np.ndarray:
+    return np.maximum(bounds.position_floor_m, bounds.position_share * np.asarray(walked_m))

@@ -1,0 +1,182 @@
+"""The audit of a whole run: every exposure and breakage for true loss, every healed one for truth."""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from experiments.evaluation.alignment import Undefined
+from experiments.evaluation.audit import AuditBounds, FusionAudit, LossAudit, audit_fusion, audit_loss
+from experiments.evaluation.breakages import EXPOSURE_GRACE_S, BreakageOutcome
+from experiments.runs.execution import RunRecord
+
+_LOOKBACK_S = 2.0
+"""How long before a breakage outside every segment the loss may have begun."""
+
+
+@dataclass(frozen=True)
+class LossFinding:
+    """One stretch in which the pose might have been lost.
+
+    Attributes:
+        segment: index of the injected segment, None for a breakage outside every segment.
+        onset_frame, end_frame: the frames looked at, inclusive.
+        declared_frame: the breakage, None where none was declared.
+        true_loss_frame: see LossAudit; None also where it could not be judged.
+        delay_s: from the true loss to the declaration; None unless both are known.
+        silent: lost in truth and never declared; None where it could not be judged.
+        reason: why it could not be judged; empty otherwise.
+    """
+
+    segment: int | None
+    onset_frame: int
+    end_frame: int
+    declared_frame: int | None
+    true_loss_frame: int | None
+    delay_s: float | None
+    silent: bool | None
+    reason: str
+
+
+@dataclass(frozen=True)
+class FusionFinding:
+    """One accepted fusion or relocalization, with the breakage that it mends."""
+
+    breakage_frame: int
+    old_map_id: int
+    audit: FusionAudit
+
+
+def loss_findings(
+    record: RunRecord, outcomes: list[BreakageOutcome], bounds: AuditBounds | None = None
+) -> list[LossFinding]:
+    """Every injected segment, then every breakage that is not a segment's first, judged for true loss."""
+    bounds = bounds or AuditBounds()
+    stamps_s = record.sequence.stamps_s
+    findings, seen = [], set()
+    for index, segment in enumerate(record.sequence.segments):
+        if segment.first_frame < 0:
+            continue
+        declared = next((o.breakage for o in outcomes if index in o.segments), None)
+        last = np.searchsorted(stamps_s, stamps_s[segment.last_frame] + EXPOSURE_GRACE_S, side="right") - 1
+        if declared is not None:
+            seen.add(declared.frame)
+        end = int(last) if declared is None else declared.frame
+        findings.append(
+            _finding(record, bounds, index, segment.first_frame, end, declared.frame if declared else None)
+        )
+    for outcome in outcomes:
+        frame = outcome.breakage.frame
+        if frame not in seen:
+            onset = int(np.searchsorted(stamps_s, stamps_s[frame] - _LOOKBACK_S))
+            findings.append(_finding(record, bounds, outcome.segment, onset, frame, frame))
+    return findings
+
+
+def audit_loss_in(
+    record: RunRecord, onset_frame: int, end_frame: int, bounds: AuditBounds | None = None
+) -> LossAudit | Undefined:
+    """`audit_loss` of the map in which the frame before the onset was tracked.
+
+    Args:
+        record: a run over a sequence with truth.
+        onset_frame, end_frame, bounds: as there.
+
+    Returns:
+        The finding; Undefined also where that frame was not tracked.
+    """
+    before = record.results[onset_frame - 1] if onset_frame > 0 else None
+    if before is None or before.T_map_cam is None:
+        return Undefined("not tracking at the onset")
+    sequence, live = record.sequence, record.live[before.map_id]
+    assert sequence.T_world_cam is not None
+    return audit_loss(live, sequence.stamps_s, sequence.T_world_cam, onset_frame, end_frame, bounds)
+
+
+def declaration_delay_s(stamps_s: np.ndarray, lost: int | None, declared: int | None) -> float | None:
+    """From the true loss to the declaration, by their frames; None unless there are both."""
+    return None if lost is None or declared is None else float(stamps_s[declared] - stamps_s[lost])
+
+
+def fusion_findings(
+    record: RunRecord, outcomes: list[BreakageOutcome], bounds: AuditBounds | None = None
+) -> list[FusionFinding]:
+    """Every accepted fusion, judged on the finished map that holds it."""
+    return [
+        _seam_finding(record, outcomes, o, {o.breakage.map_id, o.fusion.map_id}, bounds)
+        for o in outcomes
+        if o.recovered and o.fusion is not None
+    ]
+
+
+def relocalization_findings(
+    record: RunRecord, outcomes: list[BreakageOutcome], bounds: AuditBounds | None = None
+) -> list[FusionFinding]:
+    """Every relocalization, judged as a fusion is: the finished map before the breakage and after it."""
+    return [
+        _seam_finding(record, outcomes, o, {o.breakage.map_id}, bounds)
+        for o in outcomes
+        if o.relocalized is not None and not o.recovered
+    ]
+
+
+def _seam_finding(
+    record: RunRecord,
+    outcomes: list[BreakageOutcome],
+    outcome: BreakageOutcome,
+    map_ids: set[int],
+    bounds: AuditBounds | None,
+) -> FusionFinding:
+    sequence, frame = record.sequence, outcome.breakage.frame
+    assert sequence.T_world_cam is not None
+    healed = next((t for t in record.trajectories if t.map_id in map_ids), None)
+    if healed is None:
+        audit = FusionAudit(None, None, None, None, None, "the fused map no longer exists")
+    else:
+        earlier = [o.breakage.frame for o in outcomes if o.breakage.frame < frame]
+        audit = audit_fusion(
+            healed,
+            sequence.stamps_s,
+            sequence.T_world_cam,
+            frame,
+            from_frame=max(earlier, default=-1) + 1,
+            until_frame=outcome.until_frame,
+            bounds=bounds,
+        )
+    return FusionFinding(frame, outcome.breakage.map_id, audit)
+
+
+def audit_record(record: RunRecord, outcomes: list[BreakageOutcome]) -> dict | None:
+    """The audit as a part of the summary; None without truth."""
+    if record.sequence.T_world_cam is None:
+        return None
+    bounds = AuditBounds()
+    return {
+        "bounds": asdict(bounds),
+        "losses": [asdict(f) for f in loss_findings(record, outcomes, bounds)],
+        "fusions": [
+            {"breakage_frame": f.breakage_frame, "old_map_id": f.old_map_id, **asdict(f.audit)}
+            for f in fusion_findings(record, outcomes, bounds)
+        ],
+        "relocalizations": [
+            {"breakage_frame": f.breakage_frame, "map_id": f.old_map_id, **asdict(f.audit)}
+            for f in relocalization_findings(record, outcomes, bounds)
+        ],
+    }
+
+
+def _finding(
+    record: RunRecord,
+    bounds: AuditBounds,
+    segment: int | None,
+    onset: int,
+    end: int,
+    declared: int | None,
+) -> LossFinding:
+    audit = audit_loss_in(record, onset, end, bounds)
+    if isinstance(audit, Undefined):
+        return LossFinding(segment, onset, end, declared, None, None, None, audit.reason)
+    loss = audit.true_loss_frame
+    delay_s = declaration_delay_s(record.sequence.stamps_s, loss, declared)
+    return LossFinding(
+        segment, onset, end, declared, loss, delay_s, loss is not None and declared is None, ""
+    )

@@ -1,0 +1,212 @@
+"""Accuracy of a trajectory against the truth: ATE, RPE, coverage."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from experiments.evaluation.alignment import Similarity, Undefined, rotation_angle_deg, umeyama
+from slam.core.results import MapTrajectory
+
+
+@dataclass(frozen=True)
+class PosePairs:
+    """Poses of the same frames, estimated and true.
+
+    Attributes:
+        frames: (n,) int frame indices, increasing.
+        T_map_cam: (n, 4, 4) float64 estimate.
+        T_world_cam: (n, 4, 4) float64 truth, metres.
+    """
+
+    frames: np.ndarray
+    T_map_cam: np.ndarray
+    T_world_cam: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def where(self, mask: np.ndarray) -> "PosePairs":
+        """The pairs that a (n,) bool mask selects."""
+        return PosePairs(self.frames[mask], self.T_map_cam[mask], self.T_world_cam[mask])
+
+
+@dataclass(frozen=True)
+class Ate:
+    """Absolute trajectory error after alignment, metres.
+
+    Attributes:
+        rmse_m, median_m, max_m: of the position errors.
+        poses: number of poses compared.
+        alignment: the alignment used; its scale is metres per map unit.
+    """
+
+    rmse_m: float
+    median_m: float
+    max_m: float
+    poses: int
+    alignment: Similarity
+
+
+@dataclass(frozen=True)
+class Rpe:
+    """Relative pose error over a fixed step, after scaling the estimate.
+
+    Attributes:
+        translation_rmse_m, translation_median_m: error of the relative translation over the step.
+        rotation_rmse_deg, rotation_median_deg: error of the relative rotation over the step.
+        delta, unit: the step, in frames or in metres of true path.
+        pairs: number of steps compared.
+    """
+
+    translation_rmse_m: float
+    translation_median_m: float
+    rotation_rmse_deg: float
+    rotation_median_deg: float
+    delta: float
+    unit: str
+    pairs: int
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How much of the true path the estimate covers.
+
+    Attributes:
+        path_m: length of the true path between consecutive frames that are both posed.
+        share: of the whole true path; NaN where that does not move.
+    """
+
+    path_m: float
+    share: float
+
+
+def associate(
+    trajectory: MapTrajectory, stamps_s: np.ndarray, T_world_cam: np.ndarray, tolerance_s: float = 1e-3
+) -> PosePairs:
+    """Pair the estimate with the truth by frame index; frames without truth are left out.
+
+    Args:
+        trajectory: estimated poses.
+        stamps_s: (N,) float64 times of all frames of the sequence.
+        T_world_cam: (N, 4, 4) float64 true poses, NaN where unknown.
+        tolerance_s: how far the two times of a frame may differ.
+
+    Raises:
+        ValueError: a frame is outside the sequence or its times differ: the two do not belong together.
+    """
+    frames = np.asarray(trajectory.frames, int)
+    if frames.size and (frames.min() < 0 or frames.max() >= len(stamps_s)):
+        raise ValueError(f"frames {frames.min()}..{frames.max()} of a sequence of {len(stamps_s)}")
+    if np.any(np.abs(stamps_s[frames] - trajectory.stamps_s) > tolerance_s):
+        raise ValueError(f"time stamps of estimate and truth differ by more than {tolerance_s} s")
+    truth = T_world_cam[frames]
+    known = np.isfinite(truth).all(axis=(1, 2))
+    return PosePairs(frames[known], trajectory.T_map_cam[known], truth[known])
+
+
+def ate(pairs: PosePairs, with_scale: bool = True) -> Ate | Undefined:
+    """Absolute trajectory error over all pairs, aligned by Sim(3) or SE(3).
+
+    Source: Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012, sec. IV.B.
+    """
+    p_map, p_world = pairs.T_map_cam[:, :3, 3], pairs.T_world_cam[:, :3, 3]
+    alignment = umeyama(p_map, p_world, with_scale)
+    if isinstance(alignment, Undefined):
+        return alignment
+    errors = position_errors_m(pairs, alignment)
+    return Ate(rms(errors), float(np.median(errors)), float(errors.max()), len(errors), alignment)
+
+
+def position_errors_m(pairs: PosePairs, alignment: Similarity) -> np.ndarray:
+    """(n,) distance of every aligned position from the true one, metres."""
+    return np.linalg.norm(alignment.points(pairs.T_map_cam[:, :3, 3]) - pairs.T_world_cam[:, :3, 3], axis=1)
+
+
+def rotation_errors_deg(pairs: PosePairs, alignment: Similarity) -> np.ndarray:
+    """(n,) angle between every aligned orientation and the true one, degrees."""
+    aligned = alignment.R_world_map @ pairs.T_map_cam[:, :3, :3]
+    return rotation_angle_deg(np.swapaxes(pairs.T_world_cam[:, :3, :3], 1, 2) @ aligned)
+
+
+def rpe(
+    pairs: PosePairs, delta: float, unit: Literal["frames", "metres"], scale: float = 1.0
+) -> Rpe | Undefined:
+    """Relative pose error over steps of ``delta``.
+
+    In frames, every pair of posed frames exactly ``delta`` apart counts; in metres, consecutive steps that
+    each end at the first pose at least ``delta`` of true path after their start.
+
+    Args:
+        pairs: estimate and truth.
+        delta: the step, > 0.
+        unit: of the step.
+        scale: metres per map unit, as found by the alignment.
+
+    Returns:
+        The errors; Undefined where no step of this length is posed at both ends.
+
+    Source: Sturm et al., IROS 2012, sec. IV.A, eqs. 1-3.
+    """
+    starts, ends = _frame_steps(pairs, round(delta)) if unit == "frames" else _metre_steps(pairs, delta)
+    if not len(starts):
+        return Undefined(f"no step of {delta:g} {unit} is posed at both ends")
+    T_map_cam = pairs.T_map_cam.copy()
+    T_map_cam[:, :3, 3] *= scale
+    estimated = np.linalg.inv(T_map_cam[starts]) @ T_map_cam[ends]
+    true = np.linalg.inv(pairs.T_world_cam[starts]) @ pairs.T_world_cam[ends]
+    error = np.linalg.inv(true) @ estimated
+    translation, rotation = np.linalg.norm(error[:, :3, 3], axis=1), rotation_angle_deg(error[:, :3, :3])
+    return Rpe(
+        rms(translation),
+        float(np.median(translation)),
+        rms(rotation),
+        float(np.median(rotation)),
+        delta,
+        unit,
+        len(starts),
+    )
+
+
+def path_length_m(T_world_cam: np.ndarray) -> float:
+    """Length of a true path (n, 4, 4), metres; steps to or from an unknown pose count nothing."""
+    return float(np.nansum(np.linalg.norm(np.diff(T_world_cam[:, :3, 3], axis=0), axis=1)))
+
+
+def coverage(frames: np.ndarray, T_world_cam: np.ndarray) -> Coverage:
+    """True path covered by the posed frames, and its share of the whole.
+
+    Args:
+        frames: (n,) int indices of the posed frames.
+        T_world_cam: (N, 4, 4) float64 true poses of all frames, NaN where unknown.
+    """
+    steps = np.nan_to_num(np.linalg.norm(np.diff(T_world_cam[:, :3, 3], axis=0), axis=1))
+    posed = np.zeros(len(T_world_cam), bool)
+    posed[frames] = True
+    covered, whole = float(steps[posed[:-1] & posed[1:]].sum()), float(steps.sum())
+    return Coverage(covered, covered / whole if whole > 0 else float("nan"))
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _frame_steps(pairs: PosePairs, delta: int) -> tuple[np.ndarray, np.ndarray]:
+    ends = np.searchsorted(pairs.frames, pairs.frames + delta)
+    starts = np.flatnonzero(ends < len(pairs))
+    starts = starts[pairs.frames[ends[starts]] == pairs.frames[starts] + delta]
+    return starts, ends[starts]
+
+
+def _metre_steps(pairs: PosePairs, delta_m: float) -> tuple[np.ndarray, np.ndarray]:
+    if len(pairs) < 2:
+        return np.empty(0, int), np.empty(0, int)
+    steps = np.linalg.norm(np.diff(pairs.T_world_cam[:, :3, 3], axis=0), axis=1)
+    marks, walked = [0], 0.0
+    for i, step in enumerate(steps):
+        walked += step
+        if walked >= delta_m:
+            marks.append(i + 1)
+            walked = 0.0
+    return np.array(marks[:-1], int), np.array(marks[1:], int)

@@ -1,0 +1,81 @@
+"""A run laid out for the eye: every map aligned to the truth for display only, up axis, extent."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from experiments.evaluation.alignment import IDENTITY, Similarity, Undefined, align_poses
+from experiments.evaluation.metrics import associate
+from experiments.runs.execution import RunRecord
+from slam.core.results import MapTrajectory
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is drawn of a run.
+
+    Attributes:
+        T_world_cam: (N, 4, 4) float64 true poses, NaN where unknown; None without truth.
+        alignments: per map id of the live poses, its place in the world; maps that have none are left out.
+        final: final paths in the world, per map id, those that can be placed.
+        up: (3,) unit vector, the mean upward direction of the camera, to the nearest axis.
+        centre, extent: of all paths drawn, metres or map units.
+    """
+
+    T_world_cam: np.ndarray | None
+    alignments: dict[int, Similarity]
+    final: dict[int, MapTrajectory]
+    up: np.ndarray
+    centre: np.ndarray
+    extent: float
+
+
+def lay_out(record: RunRecord) -> Scene:
+    """Place the maps of a run; without truth each is shown in its own frame."""
+    alignments = {k: _placement(record, t) for k, t in record.live.items()}
+    placed = {k: a for k, a in alignments.items() if isinstance(a, Similarity)}
+    final = {}
+    for trajectory in record.trajectories:
+        alignment = _placement(record, trajectory)
+        if isinstance(alignment, Similarity):
+            poses = alignment.poses(trajectory.T_map_cam)
+            final[trajectory.map_id] = MapTrajectory(
+                trajectory.map_id, trajectory.frames, trajectory.stamps_s, poses
+            )
+    truth = record.sequence.T_world_cam
+    known = _known(truth) if truth is not None else np.empty((0, 4, 4))
+    poses = np.concatenate([known, *(t.T_map_cam for t in final.values())])
+    positions = poses[:, :3, 3] if len(poses) else np.zeros((1, 3))
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    return Scene(truth, placed, final, _up(poses), (low + high) / 2, max(float((high - low).max()), 1e-3))
+
+
+def together(scenes: Sequence[Scene]) -> Scene:
+    """The scene of several runs over one sequence: its truth, and the extent of all; no maps of its own."""
+    low = np.min([s.centre - s.extent / 2 for s in scenes], axis=0)
+    high = np.max([s.centre + s.extent / 2 for s in scenes], axis=0)
+    first = scenes[0]
+    return Scene(first.T_world_cam, {}, {}, first.up, (low + high) / 2, float((high - low).max()))
+
+
+def _placement(record: RunRecord, trajectory: MapTrajectory) -> Similarity | Undefined:
+    if record.sequence.T_world_cam is None:
+        return IDENTITY
+    pairs = associate(trajectory, record.sequence.stamps_s, record.sequence.T_world_cam)
+    return align_poses(pairs.T_map_cam, pairs.T_world_cam)
+
+
+def _known(T_world_cam: np.ndarray) -> np.ndarray:
+    return T_world_cam[np.isfinite(T_world_cam).all(axis=(1, 2))]
+
+
+def _up(T_world_cam: np.ndarray) -> np.ndarray:
+    """Image rows run downward, so the camera's -y axis points up."""
+    if not len(T_world_cam):
+        return np.array([0.0, -1.0, 0.0])
+    mean = -T_world_cam[:, :3, 1].mean(axis=0)
+    up = np.zeros(3)
+    axis = int(np.abs(mean).argmax())
+    up[axis] = np.sign(mean[axis])
+    return up

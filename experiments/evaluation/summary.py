@@ -1,0 +1,218 @@
+"""The summary of a run: counts, accuracy, times, audit. Null where the data do not determine a figure."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+
+import numpy as np
+
+from experiments.evaluation import metrics
+from experiments.evaluation.alignment import Undefined
+from experiments.evaluation.audit_report import audit_record
+from experiments.evaluation.breakages import BreakageOutcome, breakage_outcomes
+from experiments.runs.execution import RunRecord
+from experiments.runs.files import plain
+from experiments.runs.provenance import commit, versions
+from slam.core.events import TrackingState
+from slam.core.results import TrackingResult
+
+RPE_STEP_S = 1.0
+
+
+def summarise(record: RunRecord) -> dict:
+    """All figures of a run as plain JSON values.
+
+    ``ate_m`` is the RMSE after Sim(3) alignment of the map with most frames, over ``ate_poses`` frames; raw
+    accuracy rewards a system that got lost early, so read it beside ``share_tracked`` and ``path_share``.
+    ``cpu_ms_*`` is the CPU time of the tracking stages per frame, ``mapping_cpu_ms_*`` that of local mapping
+    per keyframe, ``loop_cpu_ms_*`` that of loop closing. ``dropped_frames`` came too late to be fed; they are
+    not among the ``frames``.
+    """
+    outcomes = breakage_outcomes(record.events, record.sequence.segments, list(record.sequence.stamps_s))
+    summary = {
+        "sequence": record.sequence.name,
+        "system": record.system_kind,
+        "seed": record.seed,
+        **_counts(record, outcomes),
+        **_accuracy(record),
+        **time_figures(record.results),
+        "frames_per_s": len(record.results) / record.wall_s if record.wall_s > 0 else None,
+        "peak_rss_mb": round(record.peak_rss_mb, 1),
+        "commit": commit(),
+        "breakage_list": [_breakage(o, record) for o in outcomes],
+        "segments": segment_rows(record, outcomes),
+        "audit": audit_record(record, outcomes),
+        "stages": stage_times(record.results),
+        "versions": versions(),
+        "config": record.config,
+    }
+    return plain(summary)
+
+
+def is_tracked(result: TrackingResult) -> bool:
+    """The frame has a pose."""
+    return result.state is TrackingState.TRACKING and result.T_map_cam is not None
+
+
+def main_map_pairs(record: RunRecord) -> metrics.PosePairs | None:
+    """The path of the main map, that with most frames, beside the truth; None where either is missing."""
+    truth = record.sequence.T_world_cam
+    if truth is None or not record.trajectories:
+        return None
+    return metrics.associate(record.trajectories[0], record.sequence.stamps_s, truth)
+
+
+def segment_rows(record: RunRecord, outcomes: list[BreakageOutcome]) -> list[dict]:
+    """Per injected segment: frames, tracked frames, breakages, what healed them, ATE with its completeness.
+
+    The ATE of a segment is that of the main map, aligned as a whole, over the segment's frames. A breakage
+    counts for every one of the segments that lay over one another when it fell.
+    """
+    errors = _main_map_errors(record)
+    rows = []
+    for index, segment in enumerate(record.sequence.segments):
+        inside = range(segment.first_frame, segment.last_frame + 1) if segment.first_frame >= 0 else range(0)
+        own = [o for o in outcomes if index in o.segments]
+        posed = [errors[f] for f in inside if f in errors]
+        rows.append(
+            {
+                "index": index,
+                "kind": segment.kind,
+                "severity": segment.severity,
+                "start_s": segment.start_s,
+                "end_s": segment.end_s,
+                "first_frame": segment.first_frame,
+                "last_frame": segment.last_frame,
+                "frames": len(inside),
+                "tracked": sum(is_tracked(record.results[f]) for f in inside),
+                "breakages": len(own),
+                "recoveries": sum(o.recovered for o in own),
+                "relocalizations": sum(o.relocalized is not None for o in own),
+                "ate_m": metrics.rms(np.array(posed)) if posed else None,
+                "ate_frames": len(posed),
+            }
+        )
+    return rows
+
+
+def stage_times(results: Iterable[TrackingResult]) -> dict[str, dict[str, float | None]]:
+    """Median and 95th percentile of every tracking stage, over the frames in which it ran."""
+    wall: dict[str, list[float]] = {}
+    cpu: dict[str, list[float]] = {}
+    for result in results:
+        for stage, value in result.ms.items():
+            wall.setdefault(stage, []).append(value)
+        for stage, value in result.cpu_ms.items():
+            cpu.setdefault(stage, []).append(value)
+    return {
+        stage: {
+            "frames": len(values),
+            "cpu_ms_median": _median(values),
+            "cpu_ms_p95": _p95(values),
+            "ms_median": _median(wall.get(stage, [])),
+        }
+        for stage, values in cpu.items()
+    }
+
+
+def _counts(record: RunRecord, outcomes: list[BreakageOutcome]) -> dict:
+    tracked = [r.frame for r in record.results if is_tracked(r)]
+    frames, first = len(record.results), tracked[0] if tracked else None
+    stamps_s = record.sequence.stamps_s
+    return {
+        "frames": frames,
+        "dropped_frames": record.dropped_frames,
+        "tracked": len(tracked),
+        "share_tracked": len(tracked) / frames if frames else None,
+        "share_tracked_after_init": None if first is None else len(tracked) / (frames - first),
+        "first_tracked_frame": first,
+        "frames_to_initialise": None if first is None else first + 1,
+        "time_to_initialise_s": None if first is None else stamps_s[first] - stamps_s[0],
+        "maps": len(record.trajectories),
+        "keyframes": sum(len(k.frames) for k in record.keyframes),
+        "map_points": sum(record.map_points.values()),
+        "breakages": len(outcomes),
+        "recoveries": sum(o.recovered for o in outcomes),
+        "relocalizations": sum(o.relocalized is not None for o in outcomes),
+    }
+
+
+def _accuracy(record: RunRecord) -> dict:
+    names = ("ate_m", "ate_median_m", "ate_max_m", "ate_share_of_path", "scale_m_per_map_unit")
+    empty = dict.fromkeys((*names, "ate_poses", "path_m", "path_share", "true_path_m", "rpe"))
+    truth = record.sequence.T_world_cam
+    if truth is None:
+        return {**empty, "ate_reason": "no ground truth"}
+    empty["true_path_m"] = metrics.path_length_m(truth)
+    pairs = main_map_pairs(record)
+    if pairs is None:
+        return {**empty, "ate_reason": "no map", "path_m": 0.0, "path_share": 0.0}
+    covered = metrics.coverage(pairs.frames, truth)
+    found = {**empty, "path_m": covered.path_m, "path_share": covered.share, "ate_poses": len(pairs)}
+    ate = metrics.ate(pairs)
+    if isinstance(ate, Undefined):
+        return {**found, "ate_reason": ate.reason}
+    step = max(1, round(RPE_STEP_S * record.sequence.camera.fps))
+    rpe = metrics.rpe(pairs, step, "frames", ate.alignment.scale)
+    return {
+        **found,
+        "ate_m": ate.rmse_m,
+        "ate_median_m": ate.median_m,
+        "ate_max_m": ate.max_m,
+        "ate_share_of_path": ate.rmse_m / covered.path_m if covered.path_m > 0 else None,
+        "scale_m_per_map_unit": ate.alignment.scale,
+        "ate_reason": "",
+        "rpe": {"reason": rpe.reason} if isinstance(rpe, Undefined) else asdict(rpe),
+    }
+
+
+def time_figures(results: Sequence[TrackingResult]) -> dict[str, float | None]:
+    """Median and 95th percentile: tracking per frame, wall and CPU; mapping and loops per keyframe, CPU."""
+    cpu = [sum(r.cpu_ms.values()) for r in results]
+    mapping = [r.mapping_cpu_ms for r in results if r.mapping_cpu_ms > 0]
+    loops = [r.loop_cpu_ms for r in results if r.loop_cpu_ms > 0]
+    return {
+        "ms_median": _median([sum(r.ms.values()) for r in results]),
+        "cpu_ms_median": _median(cpu),
+        "cpu_ms_p95": _p95(cpu),
+        "mapping_cpu_ms_median": _median(mapping),
+        "mapping_cpu_ms_p95": _p95(mapping),
+        "loop_cpu_ms_median": _median(loops),
+        "loop_cpu_ms_p95": _p95(loops),
+    }
+
+
+def _breakage(outcome: BreakageOutcome, record: RunRecord) -> dict:
+    segment = None if outcome.segment is None else record.sequence.segments[outcome.segment].kind
+    return {
+        "frame": outcome.breakage.frame,
+        "stamp_s": outcome.breakage.stamp_s,
+        "map_id": outcome.breakage.map_id,
+        "reason": outcome.breakage.reason,
+        "segment": segment,
+        "reinit_frame": outcome.reinit_frame,
+        "recovered": outcome.recovered,
+        "fusion_frame": outcome.fusion.frame if outcome.fusion else None,
+        "relocalized_frame": outcome.relocalized.frame if outcome.relocalized else None,
+        "lost_s": outcome.relocalized.lost_s if outcome.relocalized else None,
+        "failure_reason": outcome.failure_reason,
+    }
+
+
+def _main_map_errors(record: RunRecord) -> dict[int, float]:
+    """Position error, metres, of every frame of the main map; empty where there is none to be had."""
+    pairs = main_map_pairs(record)
+    if pairs is None:
+        return {}
+    ate = metrics.ate(pairs)
+    if isinstance(ate, Undefined):
+        return {}
+    errors = metrics.position_errors_m(pairs, ate.alignment)
+    return dict(zip(pairs.frames.tolist(), errors.tolist(), strict=True))
+
+
+def _median(values: list[float]) -> float | None:
+    return float(np.median(values)) if values else None
+
+
+def _p95(values: list[float]) -> float | None:
+    return float(np.percentile(values, 95)) if values else None

@@ -1,0 +1,213 @@
+"""Feed a sequence to a SLAM system and keep everything it said."""
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from experiments.runs.memory import peak_rss_mb, reset_peak
+from experiments.runs.pacing import RealTime
+from sim.sensors.camera import Intrinsics
+from sim.sequence import Sequence
+from slam.core.camera import PinholeCamera
+from slam.core.events import Event, TrackingState
+from slam.core.results import MapTrajectory, TrackingResult
+from slam.dual.config import DualConfig
+from slam.map.map import Map
+
+SystemKind = Literal["base", "dual", "dual+"]
+Mode = Literal["lockstep", "threaded"]
+"""How tracking, mapping and loop closing share time: ``slam.runtime.backend.ExecutionMode`` by name."""
+Progress = Callable[[int, int], None]
+
+
+class SlamSystem(Protocol):
+    """What is asked of a SLAM system: see ``slam.system``."""
+
+    events: list[Event]
+
+    def process(self, image: np.ndarray, stamp_s: float) -> TrackingResult: ...
+    def finish(self) -> None: ...
+    def trajectories(self) -> list[MapTrajectory]: ...
+    def keyframe_trajectories(self) -> list[MapTrajectory]: ...
+    def map_points(self, map_id: int) -> np.ndarray: ...
+    def maps(self) -> list[int]: ...
+    def map(self, map_id: int) -> Map: ...
+    @property
+    def config(self) -> Any: ...
+
+
+SystemFactory = Callable[[SystemKind, PinholeCamera, int], SlamSystem]
+AtEnd = Callable[[SlamSystem, Sequence], None]
+"""Called with the finished system and the frames it was fed."""
+
+
+class Observer(Protocol):
+    """Something that watches a run, such as a recording."""
+
+    def frame(self, image: np.ndarray, result: TrackingResult, system: SlamSystem) -> None:
+        """Called after every frame."""
+        ...
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """One run, complete.
+
+    Attributes:
+        sequence: what was fed; without the frames that were dropped.
+        system_kind, seed, config: what it was fed to.
+        results: one per frame, in order, without keypoints.
+        events: everything the system declared.
+        trajectories: final paths, the map with most frames first.
+        keyframes: final keyframe poses per map.
+        live: the poses as they were given frame by frame, per map.
+        map_points: number of points per map.
+        wall_s: time spent in the system.
+        peak_rss_mb: largest resident memory of the process during the run.
+        dropped_frames: frames that came too late to be fed.
+    """
+
+    sequence: Sequence
+    system_kind: SystemKind
+    seed: int
+    config: dict
+    results: tuple[TrackingResult, ...]
+    events: tuple[Event, ...]
+    trajectories: tuple[MapTrajectory, ...]
+    keyframes: tuple[MapTrajectory, ...]
+    live: dict[int, MapTrajectory]
+    map_points: dict[int, int]
+    wall_s: float
+    peak_rss_mb: float
+    dropped_frames: int = 0
+
+
+def slam_camera(camera: Intrinsics) -> PinholeCamera:
+    """The simulator's camera as the estimator takes it."""
+    return PinholeCamera(**asdict(camera))
+
+
+def execute(
+    sequence: Sequence,
+    system_kind: SystemKind,
+    seed: int,
+    observer: Observer | None = None,
+    progress: Progress | None = None,
+    build: SystemFactory | None = None,
+    pace: RealTime | None = None,
+    at_end: AtEnd | None = None,
+) -> RunRecord:
+    """Run a system over a sequence: image, time and intrinsics in, nothing else.
+
+    A system numbers the frames that it is fed. Where some are dropped, the record is that of a sequence
+    without them.
+
+    Args:
+        sequence: frames, times, camera; its truth is not passed on.
+        system_kind: ``base``, ``dual`` or ``dual+``.
+        seed: root of every random stream of the system.
+        observer: told of every frame.
+        progress: called with (frames done, frames in all).
+        build: makes the system; ``slam.factory.build_system`` by default.
+        pace: feeds in real time; None for as fast as the frames are taken.
+        at_end: called when all is done, for what is wanted of the system itself.
+
+    Raises:
+        InputError: a frame cannot be read.
+    """
+    system = (build or system_factory())(system_kind, slam_camera(sequence.camera), seed)
+    reset_peak()
+    results: list[TrackingResult] = []
+    fed: list[int] = []
+    wall_s = 0.0
+    for index, stamp_s in enumerate(sequence.stamps_s):
+        if pace is not None and pace.is_late(index):
+            continue
+        image = sequence.frames[index]
+        if pace is not None:
+            pace.wait_for(index)
+        fed.append(index)
+        started = time.perf_counter()
+        result = system.process(image, float(stamp_s))
+        wall_s += time.perf_counter() - started
+        if observer is not None:
+            observer.frame(image, result, system)
+        results.append(without_features(result))
+        if progress is not None:
+            progress(index + 1, len(sequence))
+    started = time.perf_counter()
+    system.finish()
+    wall_s += time.perf_counter() - started
+    dropped = len(sequence) - len(fed)
+    if dropped:
+        sequence = sequence.only(np.array(fed, int))
+    if at_end is not None:
+        at_end(system, sequence)
+    return record_of(system, sequence, system_kind, seed, results, wall_s, dropped)
+
+
+def record_of(
+    system: SlamSystem,
+    sequence: Sequence,
+    system_kind: SystemKind,
+    seed: int,
+    results: Iterable[TrackingResult],
+    wall_s: float,
+    dropped: int = 0,
+) -> RunRecord:
+    """The record of a finished system; arguments as its fields."""
+    results = tuple(results)
+    return RunRecord(
+        sequence=sequence,
+        system_kind=system_kind,
+        seed=seed,
+        config=system.settings,
+        results=results,
+        events=tuple(system.events),
+        trajectories=tuple(system.trajectories()),
+        keyframes=tuple(system.keyframe_trajectories()),
+        live=live_trajectories(results),
+        map_points={map_id: len(system.map_points(map_id)) for map_id in system.maps()},
+        wall_s=wall_s,
+        peak_rss_mb=peak_rss_mb(),
+        dropped_frames=dropped,
+    )
+
+
+def system_factory(mode: Mode = "lockstep", dual: DualConfig | None = None) -> SystemFactory:
+    """What makes the systems of this project, for one way of running them.
+
+    Args:
+        mode: how tracking, mapping and loop closing share time.
+        dual: settings of Dual-SLAM, its defaults where None.
+    """
+    from slam.factory import build_system
+    from slam.runtime.backend import ExecutionMode
+
+    execution_mode = ExecutionMode(mode)
+    return lambda kind, camera, seed: build_system(kind, camera, seed, mode=execution_mode, dual=dual)
+
+
+def live_trajectories(results: Iterable[TrackingResult]) -> dict[int, MapTrajectory]:
+    """The poses as given frame by frame, gathered per map."""
+    rows: dict[int, list[TrackingResult]] = {}
+    for result in results:
+        if result.state is TrackingState.TRACKING and result.T_map_cam is not None:
+            rows.setdefault(result.map_id, []).append(result)
+    return {
+        map_id: MapTrajectory(
+            map_id,
+            np.array([r.frame for r in of_map], int),
+            np.array([r.stamp_s for r in of_map]),
+            np.array([r.T_map_cam for r in of_map]),
+        )
+        for map_id, of_map in rows.items()
+    }
+
+
+def without_features(result: TrackingResult) -> TrackingResult:
+    """What is kept of a frame."""
+    return replace(result, keypoints_px=np.empty((0, 2), np.float32), inlier_mask=np.empty(0, bool))

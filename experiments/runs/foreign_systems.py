@@ -1,0 +1,179 @@
+"""Another SLAM system as a program: run on the same frames, judged by the same code.
+
+The program is any command line that takes a TUM-form folder and a result folder and leaves there
+``trajectory.txt`` (TUM form) and ``summary.json`` with at least ``cpu_ms_median`` (tracking, per frame),
+``tracked`` and ``frames``; ``first_tracked_frame`` is taken where it is there. Memory is not compared: what
+a program started from here calls its peak may be ours at the start.
+"""
+
+import shlex
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from scenarios.errors import InputError
+from sim.io.forms import Form, detect_form, write_sequence
+from sim.io.text import check_words, read_json, read_rows, to_numbers
+from sim.io.truth import half_interval_s, nearest, poses_of
+from sim.sequence import Sequence
+from slam.core.results import MapTrajectory
+
+_TUM_NAMES = ["stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
+
+
+@dataclass(frozen=True)
+class PeerRun:
+    """What a peer left of one run.
+
+    Attributes:
+        cpu_ms_median: CPU milliseconds of tracking, median over the frames.
+        tracked: number of frames with a pose.
+        first_tracked_frame: None where it does not say.
+        trajectory: its path; None where it tracked nothing.
+    """
+
+    cpu_ms_median: float
+    tracked: int
+    first_tracked_frame: int | None
+    trajectory: MapTrajectory | None
+
+
+class Peer:
+    """A program to compare with, on one sequence; see :func:`open_peer`.
+
+    Args:
+        command: its words, without the two folders.
+        sequence: what is in the folder.
+        sequence_dir: the TUM-form folder.
+        scratch: where result folders may be made.
+    """
+
+    def __init__(self, command: list[str], sequence: Sequence, sequence_dir: Path, scratch: Path) -> None:
+        self._command, self._sequence = command, sequence
+        self._sequence_dir, self._scratch = sequence_dir, scratch
+
+    def run(self) -> PeerRun:
+        """Run the program once; its output is shown only in part, where it fails.
+
+        Raises:
+            InputError: it cannot be started, fails, or leaves files that are missing or not valid.
+        """
+        out_dir = Path(tempfile.mkdtemp(prefix="peer-", dir=self._scratch))
+        words = [*self._command, str(self._sequence_dir), str(out_dir)]
+        where = f"--peer: {shlex.join(self._command)}"
+        try:
+            ended = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+        except OSError as error:
+            raise InputError(where, f"cannot be run ({error.strerror})", "check the command") from None
+        if ended.returncode != 0:
+            lines = ended.stderr.decode(errors="replace").strip().splitlines()
+            said = lines[-1].strip() if lines else "no message"
+            problem = f"ended with exit code {ended.returncode}: {said}"
+            raise InputError(where, problem, "run it by hand on a sequence folder")
+        return read_peer_run(out_dir, self._sequence)
+
+
+@contextmanager
+def open_peer(
+    command: str, source: str, sequence: Sequence, progress: Callable[[str, int, int], None] | None = None
+) -> Iterator[Peer]:
+    """A peer and the folder it is to read, for the length of the block.
+
+    Args:
+        command: command line, options included, without the two folders.
+        source: what the sequence was opened from; a TUM-form folder is read by the peer where it is, all
+            else is written as one for the time being.
+        sequence: the frames.
+        progress: called with (step, done, total) while writing.
+
+    Raises:
+        InputError: the command is empty or there is no such program; the disk is full.
+    """
+    words = check_command(command)
+    with tempfile.TemporaryDirectory(prefix="dslab-peer-") as name:
+        scratch, folder = Path(name), Path(source)
+        if not (folder.is_dir() and detect_form(folder) is Form.TUM):
+            folder = scratch / "sequence"
+            write_sequence(sequence, folder, Form.TUM, progress=progress)
+        yield Peer(words, sequence, folder.resolve(), scratch)
+
+
+def check_command(command: str) -> list[str]:
+    """The words of a command line. Raises InputError if it is none or there is no such program."""
+    try:
+        words = shlex.split(command)
+    except ValueError as error:
+        raise InputError(f"--peer: {command}", f"is no command line ({error})", "check its quotes") from None
+    if not words:
+        raise InputError("--peer", "is empty", "give the command that runs the other system")
+    if shutil.which(words[0]) is None:
+        raise InputError(f"--peer: {words[0]}", "no such command", "check its path, or install it")
+    return words
+
+
+def read_peer_run(out_dir: Path, sequence: Sequence) -> PeerRun:
+    """Read what a peer has left of a run over a sequence.
+
+    Raises:
+        InputError: a file is missing, malformed, or does not belong to the sequence.
+    """
+    path = out_dir / "summary.json"
+    summary = read_json(path, dict)
+    if summary is None:
+        raise InputError(str(path), "the peer has not written it", "see what the peer must leave")
+    frames = _count(path, summary, "frames", None)
+    if frames != len(sequence):
+        problem = f"is {frames}, the sequence has {len(sequence)}"
+        raise InputError(f"{path}: frames", problem, "count every frame that was given")
+    tracked = _count(path, summary, "tracked", frames)
+    has_first = summary.get("first_tracked_frame") is not None
+    return PeerRun(
+        cpu_ms_median=_number(path, summary, "cpu_ms_median"),
+        tracked=tracked,
+        first_tracked_frame=_count(path, summary, "first_tracked_frame", frames - 1) if has_first else None,
+        trajectory=_read_trajectory(out_dir / "trajectory.txt", sequence, tracked),
+    )
+
+
+def _read_trajectory(path: Path, sequence: Sequence, tracked: int) -> MapTrajectory | None:
+    """The poses, each given to the frame of its stamp; a peer that tracked nothing may leave no file."""
+    if tracked == 0 and not path.exists():
+        return None
+    rows: list[list[float]] = []
+    for where, words in read_rows(path, "see what the peer must leave"):
+        check_words(where, words, _TUM_NAMES)
+        rows.append(to_numbers(where, words, _TUM_NAMES))
+        if not 0.99 < np.linalg.norm(rows[-1][4:]) < 1.01:
+            raise InputError(f"{where}: qx qy qz qw", "is no unit quaternion", "correct the peer")
+    if not rows:
+        return None
+    table = np.array(rows)
+    tolerance_s = half_interval_s(sequence.stamps_s, sequence.camera.fps)
+    frames = nearest(sequence.stamps_s, table[:, 0], tolerance_s)
+    if (frames < 0).any():
+        problem = f"{table[frames < 0, 0][0]:.6f} s is the time of no frame"
+        raise InputError(f"{path}: stamp", problem, "keep the stamps of rgb.txt")
+    frames, rows_kept = np.unique(frames, return_index=True)
+    table = table[rows_kept]
+    return MapTrajectory(0, frames, sequence.stamps_s[frames], poses_of(table[:, 1:4], table[:, 4:]))
+
+
+def _number(path: Path, summary: dict, field: str) -> float:
+    value = summary.get(field)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < np.inf:
+        raise InputError(f"{path}: {field}", f"{value!r} is no number from 0 up", "correct the peer")
+    return float(value)
+
+
+def _count(path: Path, summary: dict, field: str, most: int | None) -> int:
+    value = _number(path, summary, field)
+    if value != int(value) or (most is not None and value > most):
+        wanted = "a whole number" if most is None else f"a whole number up to {most}"
+        raise InputError(f"{path}: {field}", f"{value:g} is not {wanted}", "correct the peer")
+    return int(value)

@@ -1,0 +1,33 @@
+"""The maps of a run as COLMAP models with point clouds."""
+
+from pathlib import Path
+
+from experiments.runs.execution import SlamSystem, slam_camera
+from sim.sequence import Sequence
+from slam.map.export import colmap_model, write_colmap
+
+
+def write_maps(folder: Path, system: SlamSystem, sequence: Sequence) -> None:
+    """Write every map: into the folder itself, or of several each into a sub-folder by its number.
+
+    Args:
+        folder: to be made; it is not where there is no map.
+        system: finished.
+        sequence: the frames it was fed; images are named by their files where those are known, and give the
+            points their grey.
+
+    Raises:
+        InputError: a frame cannot be read.
+        OSError: a file cannot be written.
+    """
+    names = sequence.image_names
+    name = names.__getitem__ if names else "{:06d}.png".format
+    map_ids = system.maps()
+    for map_id in map_ids:
+        model = colmap_model(
+            system.map(map_id),
+            slam_camera(sequence.camera),
+            image_name=name,
+            image=sequence.frames.__getitem__,
+        )
+        write_colmap(model, folder if len(map_ids) == 1 else folder / str(map_id))

@@ -1,0 +1,77 @@
+"""Where a result comes from: the code's commit, versions, the machine."""
+
+import hashlib
+import os
+import platform
+import subprocess
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+
+DISTRIBUTION = "dual-slam-lab"
+_REPORTED = (
+    "numpy",
+    "numba",
+    "opencv-contrib-python-headless",
+    "scipy",
+    "mujoco",
+    "pyrender",
+    "pyopengl",
+    "rerun-sdk",
+)
+
+
+@cache
+def commit() -> str | None:
+    """Git commit of the code that runs, with ``-dirty`` where it was changed; None outside a work tree."""
+    folder = Path(__file__).resolve().parents[2]
+    if not (folder / ".git").exists():
+        return None
+    head = _git(folder, "rev-parse", "HEAD")
+    if head is None:
+        return None
+    return head + ("-dirty" if _git(folder, "status", "--porcelain") else "")
+
+
+@cache
+def code_hash() -> str:
+    """Hash of all that makes images and poses: the sources and the data files of scenarios, sim and slam."""
+    digest = hashlib.sha256()
+    root = Path(__file__).resolve().parents[2]
+    for package in ("scenarios", "sim", "slam"):
+        for path in sorted((root / package).rglob("*")):
+            if path.suffix in (".py", ".npz"):
+                digest.update(path.relative_to(root).as_posix().encode())
+                digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Versions of Python, of this project and of what its numbers rest on."""
+    found = {"python": platform.python_version(), DISTRIBUTION: _version(DISTRIBUTION)}
+    return found | {name: _version(name) for name in _REPORTED}
+
+
+def usable_cores() -> int:
+    """Cores this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def _git(folder: Path, *arguments: str) -> str | None:
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(folder), *arguments], capture_output=True, text=True, timeout=10, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() if done.returncode == 0 else None

@@ -1,0 +1,122 @@
+"""A sequence from what a user names: a folder, a scenario, or a scenario file."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from scenarios.errors import InputError
+from sim.sensors.imu import ImuReadings, ImuTruth
+from sim.sequence import Sequence
+
+Progress = Callable[[str, int, int], None]
+"""Called with the name of the step, frames done and frames in all."""
+
+
+def open_sequence(
+    source: str,
+    seed: int | None = None,
+    progress: Progress | None = None,
+    depth: bool = False,
+    renderer: str | None = None,
+) -> Sequence:
+    """Load a sequence folder, or render a scenario (or take it from the cache).
+
+    Args:
+        source: a folder in TUM, KITTI, EuRoC or TUM-mono form, the name of a scenario, or the path of its
+            YAML file.
+        seed: root seed of a scenario, with which it is drawn too; its own where None; a folder has none.
+        progress: called with (step, frames done, frames in all) while rendering.
+        depth: render a scenario with depth images; a folder has them or not.
+        renderer: what renders a scenario, one of ``sim.rendering.renderers``; None for the default one.
+
+    Raises:
+        InputError: there is no such thing, it is not valid, or a renderer is named for a folder.
+    """
+    path = Path(source)
+    if path.is_dir():
+        if renderer is not None:
+            problem = "the folder's frames are already rendered"
+            raise InputError(f"--renderer: {source}", problem, "name a scenario, or leave out --renderer")
+        from sim.io.forms import load_sequence
+
+        sequence = load_sequence(path)
+        names = _image_names(path)
+        return replace(sequence, image_names=names) if len(names) == len(sequence) else sequence
+    from scenarios.families import is_scenario_name
+    from scenarios.loading import load_scenario
+
+    if not path.exists() and len(path.parts) > 1 and not is_scenario_name(source):
+        raise InputError(
+            source, "no such folder", "check the path, or name a scenario (dslab scenarios list)"
+        )
+    from sim.sequence_rendering import render_sequence, studio_with
+
+    studio = studio_with(renderer) if renderer is not None else None
+    return render_sequence(load_scenario(source, seed), depth=depth, progress=progress, studio=studio)
+
+
+def open_imu(
+    source: str, stamps_s: np.ndarray, seed: int | None = None, wanted: bool | None = None
+) -> tuple[ImuReadings, ImuTruth | None] | None:
+    """Inertial readings of a sequence: those in its folder, or those along a scenario's motion.
+
+    Args:
+        source: as for ``open_sequence``.
+        stamps_s: (N,) stamps of its frames.
+        seed: root seed of a scenario, its own where None.
+        wanted: False for none, True for EuRoC's sensor where a scenario names none, None for what there is.
+
+    Returns:
+        The readings and, of a scenario, the truth at its frames; None where there are none.
+
+    Raises:
+        InputError: they are wanted of a folder that has none, or the source is not valid.
+    """
+    if wanted is False:
+        return None
+    if Path(source).is_dir():
+        readings = _folder_imu(Path(source))
+        if wanted and readings is None:
+            problem = "the folder has no inertial readings, and no continuous motion to make them from"
+            raise InputError(f"--imu: {source}", problem, "name a scenario, or leave out --imu")
+        return None if readings is None else (readings, None)
+    from scenarios.loading import load_scenario
+    from sim.frame_plan import mujoco_studio, plan_path
+    from sim.sensors.imu import ImuModel, record_imu
+
+    scenario = load_scenario(source, seed)
+    if scenario.imu is None and not wanted:
+        return None
+    model = ImuModel.of_spec(scenario.imu) if scenario.imu else None
+    return record_imu(plan_path(scenario, scenario.seed, mujoco_studio()), stamps_s, scenario.seed, model)
+
+
+def _image_names(folder: Path) -> tuple[str, ...]:
+    """File names of the images in a folder's order, relative to it; none of the TUM-mono form's."""
+    from sim.io import euroc_layout, kitti, layout
+    from sim.io.forms import Form, detect_form, sequence_folder
+    from sim.io.text import read_rows
+
+    folder = sequence_folder(folder)
+    form = detect_form(folder)
+    if form is Form.TUM:
+        return tuple(words[1] for _, words in read_rows(folder / layout.FRAMES_FILE, ""))
+    if form is Form.EUROC:
+        camera = folder / euroc_layout.CAMERA_DIR
+        rows = read_rows(camera / euroc_layout.TABLE_FILE, "", ",")
+        return tuple(f"{euroc_layout.CAMERA_DIR}/data/{words[1]}" for _, words in rows)
+    if form is Form.KITTI:
+        return tuple(
+            f"{kitti.IMAGES_DIR}/{p.name}" for p in sorted((folder / kitti.IMAGES_DIR).glob("*.png"))
+        )
+    return ()
+
+
+def _folder_imu(folder: Path) -> ImuReadings | None:
+    from sim.io.euroc_reader import load_euroc_imu
+    from sim.io.forms import Form, detect_form, sequence_folder
+
+    folder = sequence_folder(folder)
+    return load_euroc_imu(folder) if detect_form(folder) is Form.EUROC else None

@@ -1,0 +1,47 @@
+"""The veil of hazy or foggy air: the farther a surface, the more airlight is in its light's place."""
+
+import cv2
+import numpy as np
+
+from sim.degradations.tone import decode, encode
+from sim.sensors.camera import Intrinsics
+from sim.sensors.exposure import srgb_to_linear
+
+_VERY_FAR_M = 1e4
+
+
+class Veil:
+    """Light ``J`` at distance ``d`` becomes ``J t + A (1 - t)`` with ``t = exp(-extinction d)``.
+
+    Pixels without depth are taken as very far. Source: Koschmieder's law.
+
+    Args:
+        camera: intrinsics of the images.
+        airlight_level: gray level of ``A``, sRGB-encoded.
+    """
+
+    def __init__(self, camera: Intrinsics, airlight_level: float) -> None:
+        self._airlight = np.float32(srgb_to_linear(np.array(airlight_level / 255)))
+        self._stretch = _ray_lengths(camera)
+
+    def drawn(
+        self, image: np.ndarray, depth_m: np.ndarray, extinction_per_m: float
+    ) -> tuple[np.ndarray, float]:
+        """The image through the air, and the mean share of the light that is airlight.
+
+        Args:
+            image: (H, W) uint8; left as it is.
+            depth_m: (H, W) float32 depth along the optical axis, 0 for none.
+            extinction_per_m: share of the light lost per metre.
+        """
+        distance_m = np.where(depth_m > 0, depth_m, np.float32(_VERY_FAR_M)) * self._stretch
+        passing = cv2.exp(np.float32(-extinction_per_m) * distance_m)
+        light = (decode(image) - self._airlight) * passing + self._airlight
+        return encode(light), 1 - float(cv2.mean(passing)[0])
+
+
+def _ray_lengths(camera: Intrinsics) -> np.ndarray:
+    """(H, W) float32 distance from the camera per depth along the optical axis."""
+    x = (np.arange(camera.width_px) - camera.cx) / camera.fx
+    y = (np.arange(camera.height_px) - camera.cy) / camera.fy
+    return np.sqrt(1 + x**2 + y[:, None] ** 2).astype(np.float32)

@@ -1,0 +1,302 @@
+"""From a scenario to its frames: the plan of the shoot, the sharp frames, what happens to each of them."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from scenarios.spec import Camera, Scenario, World
+from sim.degradations.base import Shoot, Stage
+from sim.degradations.chain import ImageChain
+from sim.degradations.registry import SHOOT_KINDS, in_order_of_action
+from sim.degradations.repeated_texture import papered
+from sim.degradations.scattering import Veil
+from sim.io.raw import RawFrames, RawWriter
+from sim.motion import plan_motion
+from sim.motion.base import Motion
+from sim.rendering.lens_renderer import lens_renderer
+from sim.rendering.renderer import Renderer
+from sim.rendering.renderers import DEFAULT_RENDERER, load_renderer
+from sim.sensors.camera import Intrinsics
+from sim.sensors.distortion import Lens
+from sim.sensors.exposure import expose
+from sim.sensors.noise import SensorNoise
+from sim.worlds.base import Route, WorldModel
+
+Progress = Callable[[str, int, int], None]
+"""Called with the name of the step, frames done and frames in all."""
+
+Survey = Callable[[Shoot], np.ndarray]
+"""(N, S) float32 share of the view that each surface of the world fills in each frame of a shoot."""
+
+_SURVEY_WIDTH_PX = 80
+
+
+@dataclass(frozen=True)
+class Studio:
+    """What renders: the worlds and the renderer behind their interfaces.
+
+    Attributes:
+        layout: route through a world, from its spec and a seed.
+        build_world: the world itself.
+        renderer: renderer of a world through a camera without distortion.
+        gl_info: names of the GL implementation.
+        renderer_name: under which the renderer is recorded.
+    """
+
+    layout: Callable[[World, int], Route]
+    build_world: Callable[[World, int], WorldModel]
+    renderer: Callable[[WorldModel, Intrinsics], Renderer]
+    gl_info: Callable[[], dict[str, str]]
+    renderer_name: str = DEFAULT_RENDERER
+
+
+def studio_with(renderer: str) -> Studio:
+    """The worlds of ``sim.worlds``, rendered by one of ``sim.rendering.renderers``.
+
+    Raises:
+        InputError: no such renderer, or it is not usable here.
+    """
+    from sim.rendering.gl_context import gl_info
+    from sim.worlds import layout
+
+    return Studio(layout, _world, load_renderer(renderer), gl_info, renderer)
+
+
+@lru_cache(maxsize=1)
+def _world(spec: World, seed: int) -> WorldModel:
+    """The world built last is kept: units of an experiment that share one come one after another."""
+    from sim.worlds import build_world
+
+    world = build_world(spec, seed)
+    for surface in world.surfaces:
+        surface.texture.flags.writeable = False
+    return world
+
+
+def mujoco_studio() -> Studio:
+    """The worlds of ``sim.worlds``, rendered by MuJoCo."""
+    return studio_with("mujoco")
+
+
+def camera_intrinsics(camera: Camera) -> Intrinsics:
+    """The intrinsics of a scenario's camera."""
+    lens = camera.distortion
+    pinhole = Intrinsics(
+        camera.width_px,
+        camera.height_px,
+        camera.fx_px,
+        camera.fy_px,
+        camera.cx_px,
+        camera.cy_px,
+        camera.fps,
+    )
+    return (
+        pinhole if lens.model == "none" else replace(pinhole, distortion=lens.coefficients, model=lens.model)
+    )
+
+
+def plan_shoot(scenario: Scenario, seed: int, studio: Studio, progress: Progress) -> tuple[Shoot, WorldModel]:
+    """Everything that decides the frames, with every segment applied, and the world as it is seen."""
+    world = studio.build_world(scenario.world, world_seed(scenario, seed))
+    survey = partial(_survey, world=world, camera=scenario.camera, studio=studio, progress=progress)
+    shoot = plan_in_world(scenario, seed, studio, len(world.surfaces), survey)
+    return shoot, replace(papered(world, shoot.texture_of, shoot.period_m), contrast=shoot.contrast)
+
+
+def plan_in_world(scenario: Scenario, seed: int, studio: Studio, surfaces: int, survey: Survey) -> Shoot:
+    """The plan alone, of a world that need not be built.
+
+    Args:
+        scenario: what happens.
+        seed: root seed.
+        studio: for the route.
+        surfaces: their number, S.
+        survey: asked once if a segment acts on the world.
+    """
+    camera = scenario.camera
+    stamps_s = np.arange(scenario.frame_count) / camera.fps
+    shoot = Shoot(
+        stamps_s=stamps_s,
+        motion=plan_motion(
+            studio.layout(scenario.world, world_seed(scenario, seed)),
+            scenario.trajectory,
+            scenario.duration_s,
+            seed,
+        ),
+        exposure_s=np.full(len(stamps_s), camera.exposure_s),
+        contrast=np.ones(surfaces),
+        view_share=np.zeros((len(stamps_s), 0), np.float32),
+        seed=seed,
+    )
+    acting = in_order_of_action(s for s in scenario.segments if s.kind in SHOOT_KINDS)
+    for stage in Stage:
+        segments = [s for s in acting if SHOOT_KINDS[s.kind].stage is stage]
+        if stage is Stage.WORLD and segments:
+            shoot = replace(shoot, view_share=survey(shoot))
+        for segment in segments:
+            shoot = SHOOT_KINDS[segment.kind].apply(shoot, segment)
+    return shoot
+
+
+def world_seed(scenario: Scenario, seed: int) -> int:
+    """The seed of the world: the scenario's own for it, else that of all else."""
+    return seed if scenario.world_seed is None else scenario.world_seed
+
+
+def plan_path(scenario: Scenario, seed: int, studio: Studio) -> Motion:
+    """The camera's motion alone, with the segments that act on it; nothing is built or rendered."""
+    acting = (s for s in scenario.segments if s.kind in SHOOT_KINDS)
+    turning = tuple(s for s in acting if SHOOT_KINDS[s.kind].stage is Stage.MOTION)
+    moved = scenario.model_copy(update={"segments": turning})
+    return plan_in_world(moved, seed, studio, 0, lambda shoot: shoot.view_share).motion
+
+
+class Plates(Protocol):
+    """Sharp frames of an ideal camera, which every segment but those of motion and world leaves alone."""
+
+    def __call__(self, frame: int, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gray (H, W) uint8 and depth (H, W) float32 of a frame, known by its number and its pose."""
+        ...
+
+
+@contextmanager
+def rendered_plates(world: WorldModel, camera: Camera, studio: Studio) -> Iterator[Plates]:
+    """Plates rendered as they are asked for, through the world's air."""
+    ideal = ideal_camera(camera_intrinsics(camera))
+    renderer = studio.renderer(world, ideal)
+    haze = world.haze
+    veil = Veil(ideal, haze.airlight_level) if haze else None
+
+    def plate(frame: int, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        gray, depth_m = renderer.render(T_world_cam)
+        if veil and haze:
+            gray, _ = veil.drawn(gray, depth_m, haze.extinction_per_m)
+        return gray, depth_m
+
+    try:
+        yield plate
+    finally:
+        renderer.close()
+
+
+def stored_plates(folder: Path) -> Plates:
+    """Plates that ``store_plates`` has written."""
+    grays, depths = RawFrames(folder / "gray.npy"), RawFrames(folder / "depth.npy")
+    return lambda frame, T_world_cam: (grays[frame], depths[frame])
+
+
+def store_plates(folder: Path, shoot: Shoot, plates: Plates, camera: Camera, progress: Progress) -> None:
+    """Write the plates of a shoot, and its survey, into a folder."""
+    ideal = ideal_camera(camera_intrinsics(camera))
+    shape = (len(shoot.stamps_s), ideal.height_px, ideal.width_px)
+    np.save(folder / "view_share.npy", shoot.view_share)
+    with (
+        RawWriter(folder / "gray.npy", shape, np.uint8) as grays,
+        RawWriter(folder / "depth.npy", shape, np.float32) as depths,
+    ):
+        for frame, T_world_cam in enumerate(shoot.motion.T_world_cam(shoot.stamps_s)):
+            gray, depth_m = plates(frame, T_world_cam)
+            grays.append(gray)
+            depths.append(depth_m)
+            progress("rendering", frame + 1, shape[0])
+
+
+def ideal_camera(camera: Intrinsics) -> Intrinsics:
+    """The camera without distortion through which a camera's frames are rendered."""
+    return camera if camera.is_pinhole else Lens(camera).ideal
+
+
+def film(
+    folder: Path,
+    shoot: Shoot,
+    plates: Plates,
+    camera: Camera,
+    chain: ImageChain,
+    depth: bool,
+    progress: Progress,
+) -> np.ndarray:
+    """Make and write every frame: the light's way from the surfaces to the file.
+
+    Args:
+        folder: gets ``gray.npy`` and, with ``depth``, ``depth.npy``.
+        shoot: with every segment applied.
+        plates: the sharp frames.
+        camera: of the scenario.
+        chain: the image-space segments.
+        depth: keep depth images too.
+        progress: told of every frame.
+
+    Returns:
+        (N,) float64 median length of each frame's motion blur, pixels.
+    """
+    own = camera_intrinsics(camera)
+    lens = None if own.is_pinhole else Lens(own)
+    ideal = lens.ideal if lens else own
+    count, size = len(shoot.stamps_s), (camera.height_px, camera.width_px)
+    noise = SensorNoise(size, camera.noise_sigma, shoot.seed)
+    T_world_mid, T_mid_open, T_mid_close = _shutter_poses(shoot)
+    blur_px = np.zeros(count)
+    with ExitStack() as files:
+        grays = files.enter_context(RawWriter(folder / "gray.npy", (count, *size), np.uint8))
+        depths = (
+            files.enter_context(RawWriter(folder / "depth.npy", (count, *size), np.float32))
+            if depth
+            else None
+        )
+        for index, frame in enumerate(shoot.frame.tolist()):
+            image, depth_m = plates(frame, T_world_mid[index])
+            image = chain.apply(image, index, (Stage.SCENE,), depth_m, shoot.motion)
+            image, blur_px[index] = expose(image, depth_m, ideal, T_mid_open[index], T_mid_close[index])
+            image = chain.apply(image, index, (Stage.READOUT,), depth_m, shoot.motion)
+            if lens:
+                image, depth_m = lens.distort(image), lens.distort_depth(depth_m)
+            image = chain.apply(image, index, (Stage.LENS, Stage.SENSOR))
+            grays.append(chain.apply(noise.apply(image, frame), index, (Stage.ENCODER,)))
+            if depths:
+                depths.append(depth_m)
+            progress("filming", index + 1, count)
+    return blur_px
+
+
+def _shutter_poses(shoot: Shoot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(N, 4, 4) each: camera to world mid-exposure; camera at opening, at closing to mid-exposure."""
+    half_s = shoot.exposure_s / 2
+    T_world_mid = shoot.motion.T_world_cam(shoot.stamps_s)
+    T_mid_world = np.linalg.inv(T_world_mid)
+    T_mid_open = T_mid_world @ shoot.motion.T_world_cam(shoot.stamps_s - half_s)
+    T_mid_close = T_mid_world @ shoot.motion.T_world_cam(shoot.stamps_s + half_s)
+    return T_world_mid, T_mid_open, T_mid_close
+
+
+def _survey(
+    shoot: Shoot, world: WorldModel, camera: Camera, studio: Studio, progress: Progress
+) -> np.ndarray:
+    """See ``Survey``; the frames are seen in small."""
+    scale = _SURVEY_WIDTH_PX / camera.width_px
+    small = replace(
+        camera_intrinsics(camera),
+        width_px=_SURVEY_WIDTH_PX,
+        height_px=max(1, round(camera.height_px * scale)),
+        fx=camera.fx_px * scale,
+        fy=camera.fy_px * scale,
+        cx=(camera.cx_px + 0.5) * scale - 0.5,
+        cy=(camera.cy_px + 0.5) * scale - 0.5,
+    )
+    poses = shoot.motion.T_world_cam(shoot.stamps_s)
+    shares = np.zeros((len(poses), len(world.surfaces)), np.float32)
+    renderer = lens_renderer(partial(studio.renderer, world), small)
+    try:
+        for frame, T_world_cam in enumerate(poses):
+            ids = renderer.render_surface_ids(T_world_cam)
+            # Index -1, no surface, is counted in front and dropped.
+            counts = np.bincount(ids.ravel() + 1, minlength=len(world.surfaces) + 1)[1:]
+            shares[frame] = counts / ids.size
+            progress("surveying", frame + 1, len(poses))
+    finally:
+        renderer.close()
+    return shares

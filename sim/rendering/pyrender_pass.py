@@ -1,0 +1,147 @@
+"""pyrender's renderer, drawing one sample per pixel into a reversed depth buffer of floats.
+
+pyrender itself draws four samples and 24 bits of depth: its depth is that of a point beside the pixel's
+centre, and coarse beyond some ten metres. Its scene is general; here it is static, so that what pyrender
+finds out anew in each frame is found out once.
+"""
+
+import os
+import sys
+from types import ModuleType
+
+import numpy as np
+import OpenGL
+from OpenGL.plugins import PlatformPlugin
+
+from scenarios.errors import InputError
+from sim.rendering.gl_context import PYRENDER, shared_context
+
+_PLATFORM = "dslab"
+
+
+def _prepare_imports() -> None:
+    """PyOpenGL and pyrender take their choices from the state of the process when they are imported."""
+    shared_context(PYRENDER).make_current()
+    PlatformPlugin(_PLATFORM, "sim.rendering.pyopengl_platform.ContextPlatform")
+    os.environ["PYOPENGL_PLATFORM"] = _PLATFORM
+    # A check after each of the thousand calls of a frame would double its time.
+    OpenGL.ERROR_CHECKING = False
+    # pyrender imports its window, whose libraries a headless machine lacks.
+    window = ModuleType("pyrender.viewer")
+    window.Viewer = None
+    sys.modules.setdefault(window.__name__, window)
+
+
+_prepare_imports()
+
+import pyrender  # noqa: E402
+from OpenGL import GL  # noqa: E402
+
+
+class Pass(pyrender.Renderer):
+    """Draws the visible nodes of a static scene.
+
+    Args:
+        scene: its meshes and textures are uploaded now; their images are dropped.
+        size_px: width and height.
+
+    Raises:
+        InputError: the driver lacks a buffer that this needs.
+    """
+
+    def __init__(self, scene: pyrender.Scene, size_px: tuple[int, int]) -> None:
+        self._context = shared_context(PYRENDER)
+        self._context.make_current()
+        super().__init__(*size_px)
+        self.visible: list[pyrender.Node] = []
+        self._programs: dict[int, _SparingProgram] = {}
+        # Rows of bytes may have any length; the default is a multiple of four.
+        GL.glPixelStorei(GL.GL_UNPACK_ALIGNMENT, 1)
+        GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
+        super()._update_context(scene, pyrender.RenderFlags.FLAT)
+        for texture in self._mesh_textures:
+            texture.source = None
+        self._configure_main_framebuffer()
+
+    def draw(self, scene: pyrender.Scene, colours: dict[pyrender.Node, np.ndarray] | None = None) -> None:
+        """Draw the visible nodes, by their textures or in flat colours (3,) of 0 to 255."""
+        self._context.make_current()
+        how = pyrender.RenderFlags.FLAT if colours is None else pyrender.RenderFlags.SEG
+        self.render(scene, how | pyrender.RenderFlags.OFFSCREEN, colours)
+
+    def read(self, colours: np.ndarray, zbuffer: np.ndarray) -> None:
+        """Read what was drawn into (H, W, C) uint8 and (H, W) float32, the lowest row first."""
+        width, height = self._main_fb_dims
+        kind = GL.GL_RED if colours.shape[2] == 1 else GL.GL_RGB
+        GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, self._main_fb)
+        GL.glReadPixels(0, 0, width, height, kind, GL.GL_UNSIGNED_BYTE, colours)
+        GL.glReadPixels(0, 0, width, height, GL.GL_DEPTH_COMPONENT, GL.GL_FLOAT, zbuffer)
+
+    def delete(self) -> None:
+        """Free all OpenGL resources; called again when the object dies, whatever is current then."""
+        if sys.is_finalizing():
+            return
+        self._context.make_current()
+        super().delete()
+
+    # What follows are the steps of pyrender's own rendering that differ here.
+
+    def _update_context(self, scene, flags) -> None:
+        """The scene is static and was uploaded."""
+
+    def _sorted_mesh_nodes(self, scene) -> list[pyrender.Node]:
+        """Nothing is transparent, so that order is free."""
+        return self.visible
+
+    def _get_primitive_program(self, primitive, flags, program_flags):
+        """All primitives have the same kinds of buffers and material."""
+        if flags not in self._programs:
+            program = super()._get_primitive_program(primitive, flags, program_flags)
+            self._programs[flags] = _SparingProgram(program)
+        return self._programs[flags]
+
+    def _configure_forward_pass_viewport(self, flags) -> None:
+        super()._configure_forward_pass_viewport(flags)
+        GL.glDepthFunc(GL.GL_GREATER)
+        GL.glClearDepth(0.0)
+        GL.glClipControl(GL.GL_LOWER_LEFT, GL.GL_ZERO_TO_ONE)
+
+    def _configure_main_framebuffer(self) -> None:
+        if self._main_fb is not None:
+            return
+        size = self.viewport_width, self.viewport_height
+        self._main_cb, self._main_db = GL.glGenRenderbuffers(2)
+        self._main_fb = GL.glGenFramebuffers(1)
+        GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._main_fb)
+        for buffer, storage, place in (
+            (self._main_cb, GL.GL_RGBA8, GL.GL_COLOR_ATTACHMENT0),
+            (self._main_db, GL.GL_DEPTH_COMPONENT32F, GL.GL_DEPTH_ATTACHMENT),
+        ):
+            GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, buffer)
+            GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, storage, *size)
+            GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, place, GL.GL_RENDERBUFFER, buffer)
+        status = GL.glCheckFramebufferStatus(GL.GL_FRAMEBUFFER)
+        if status != GL.GL_FRAMEBUFFER_COMPLETE or not GL.glClipControl:
+            raise InputError("GL", "the driver has no reversed depth in floats", "use Mesa 22 or newer")
+        # pyrender's buffer of several samples and the one it is resolved into are one.
+        self._main_cb_ms, self._main_db_ms, self._main_fb_ms = self._main_cb, self._main_db, self._main_fb
+        self._main_fb_dims = size
+
+    def _read_main_framebuffer(self, scene, flags) -> None:
+        """Read by ``read``."""
+
+
+class _SparingProgram:
+    """A program that is told only what changes; pyrender tells it everything at every primitive."""
+
+    def __init__(self, program) -> None:
+        self._program = program
+        self._bind, self._unbind = program._bind, program._unbind
+        self._told: dict[str, object] = {}
+
+    def set_uniform(self, name: str, value, unsigned: bool = False) -> None:
+        """As of ``pyrender.shader_program.ShaderProgram``; what the program does not have is ignored."""
+        told = value.tobytes() if isinstance(value, np.ndarray) else value
+        if self._told.get(name) != told:
+            self._program.set_uniform(name, value, unsigned)
+            self._told[name] = told

@@ -1,0 +1,36 @@
+"""The renderers by name: classes of ``(world, camera)`` that are a ``sim.rendering.renderer.Renderer``."""
+
+from collections.abc import Callable
+from importlib import import_module
+
+from scenarios.errors import InputError
+from sim.rendering.renderer import Renderer
+from sim.sensors.camera import Intrinsics
+from sim.worlds.base import WorldModel
+
+# Where each is found: its libraries are imported when it is asked for.
+RENDERERS = {
+    "mujoco": "sim.rendering.mujoco_renderer:MujocoRenderer",
+    "pyrender": "sim.rendering.pyrender_renderer:PyrenderRenderer",
+}
+DEFAULT_RENDERER = "mujoco"
+
+
+def load_renderer(name: str) -> Callable[[WorldModel, Intrinsics], Renderer]:
+    """The class of a renderer.
+
+    Raises:
+        InputError: there is none of that name, no OpenGL, or its libraries are not installed.
+    """
+    check_renderer(name)
+    module, _, kind = RENDERERS[name].partition(":")
+    try:
+        return getattr(import_module(module), kind)
+    except ImportError as error:
+        raise InputError(f"renderer {name}", str(error), "install it again with `make`") from error
+
+
+def check_renderer(name: str) -> None:
+    """Raises InputError if there is no renderer of that name."""
+    if name not in RENDERERS:
+        raise InputError("--renderer", f"unknown renderer {name!r}", f"use one of {', '.join(RENDERERS)}")

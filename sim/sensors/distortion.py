@@ -1,0 +1,265 @@
+"""Lens distortion: a wider image without it, sampled where each pixel of the distorted camera looks.
+
+The wide image has the camera's own focal length and its pixels fall on the camera's, so that a lens without
+distortion changes no pixel. Where the lens squeezes the view, several samples make a pixel, as its area
+does on a sensor.
+"""
+
+import math
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numba import njit
+
+from scenarios.errors import InputError
+from sim.sensors.camera import Intrinsics
+
+# A pinhole image of what a lens sees further than this to the side would be absurdly large.
+MOST_HALF_ANGLE_DEG = 78.0
+MOST_IDEAL_PX = 8192
+_SOLVED = 1e-10  # error of a normalised point that is taken as none
+_MARGIN_PX = 3  # for the neighbours that the interpolation takes
+# OpenCV places a sample to 1/32 of a pixel; the mean of several is placed better.
+_LEAST_SAMPLES, _MOST_SAMPLES = 2, 4
+# Neighbouring depths that differ by more lie on different things.
+_SAME_SURFACE = np.float32(1.05)
+_NEWTON_ROUNDS = 30
+
+
+class Lens:
+    """The distortion of one camera, between an image of the ideal camera and the camera's own.
+
+    Args:
+        camera: the distorted camera.
+
+    Attributes:
+        camera: the same.
+        ideal: pinhole camera, wide enough to hold everything that ``camera`` sees.
+
+    Raises:
+        InputError: the distortion folds the image over itself, or the lens sees too far to the side.
+    """
+
+    def __init__(self, camera: Intrinsics) -> None:
+        self.camera = camera
+        width, height = camera.width_px, camera.height_px
+        corners = _grid(width + 1, height + 1, 1) - 0.5  # the corners of the pixels
+        at = _ideal_pixels(camera, corners)
+        low = np.floor(at.min(axis=(0, 1))).astype(int) - _MARGIN_PX
+        size = np.ceil(at.max(axis=(0, 1))).astype(int) + _MARGIN_PX + 1 - low
+        if size.max() > MOST_IDEAL_PX:
+            problem = f"would take a pinhole image of {size[0]}x{size[1]} pixels"
+            raise InputError("camera: distortion", problem, "give a narrower lens or a smaller image")
+        self.ideal = Intrinsics(
+            int(size[0]),
+            int(size[1]),
+            camera.fx,
+            camera.fy,
+            camera.cx - int(low[0]),
+            camera.cy - int(low[1]),
+            camera.fps,
+        )
+        self._samples = 1 if camera.is_pinhole else _samples_per_pixel(at)
+        self._low = low
+
+    def distort(self, gray: np.ndarray) -> np.ndarray:
+        """The camera's image (H, W) uint8 from the ideal camera's."""
+        fine = cv2.remap(gray, self._sample_map, None, cv2.INTER_CUBIC)
+        if self._samples == 1:
+            return fine
+        size = (self.camera.width_px, self.camera.height_px)
+        return cv2.resize(fine, size, interpolation=cv2.INTER_AREA)
+
+    def distort_depth(self, depth_m: np.ndarray) -> np.ndarray:
+        """The camera's depth (H, W) float32, metres along the axis, from the ideal camera's.
+
+        Exact on planes; at the outlines of things the nearest pixel's, never a mixture.
+        """
+        return sample_depth(np.ascontiguousarray(depth_m, np.float32), self._centre_map, _SAME_SURFACE)
+
+    def distort_labels(self, labels: np.ndarray) -> np.ndarray:
+        """The camera's labels (H, W) from the ideal camera's: the nearest pixel's."""
+        nearest = np.rint(self._centre_map).astype(np.intp)
+        return labels[nearest[..., 1], nearest[..., 0]]
+
+    # The maps are made when they are first needed: many users ask for the ideal camera only.
+
+    @cached_property
+    def _sample_map(self) -> np.ndarray:
+        return self._map(self._samples)
+
+    @cached_property
+    def _centre_map(self) -> np.ndarray:
+        return self._map(1)
+
+    def _map(self, samples: int) -> np.ndarray:
+        """(H * samples, W * samples, 2) float32 where the samples of the pixels lie in the wide image."""
+        grid = _grid(self.camera.width_px, self.camera.height_px, samples)
+        return np.ascontiguousarray(_ideal_pixels(self.camera, grid) - self._low, np.float32)
+
+
+def project(camera: Intrinsics, rays: np.ndarray) -> np.ndarray:
+    """Pixels of rays.
+
+    Args:
+        camera: intrinsics, with distortion or without.
+        rays: (N, 2) at unit depth.
+
+    Returns:
+        (N, 2) float64 pixels.
+    """
+    points = np.column_stack([rays, np.ones(len(rays))])[:, None]
+    zero, coefficients = np.zeros(3), np.array(camera.distortion)
+    if camera.model == "equidistant":
+        return cv2.fisheye.projectPoints(points, zero, zero, camera.K, coefficients)[0][:, 0]
+    return cv2.projectPoints(points, zero, zero, camera.K, coefficients)[0][:, 0]
+
+
+def unproject(camera: Intrinsics, xy: np.ndarray) -> np.ndarray:
+    """Rays of pixels.
+
+    Args:
+        camera: intrinsics, with distortion or without.
+        xy: (N, 2) pixels.
+
+    Returns:
+        (N, 2) float64 rays at unit depth.
+
+    Raises:
+        InputError: a pixel has no ray, several, or one too far to the side.
+    """
+    bent = np.ascontiguousarray((xy - (camera.cx, camera.cy)) / (camera.fx, camera.fy))
+    undistort = undistort_equidistant if camera.model == "equidistant" else undistort_radtan
+    rays = undistort(bent, np.array(camera.distortion, float))
+    if np.isnan(rays).any():
+        problem = f"{camera.distortion} folds the image over itself or sees behind the camera"
+        raise InputError("camera: distortion", problem, "give the coefficients of a calibration")
+    widest_deg = math.degrees(math.atan(np.hypot(*rays.T).max()))
+    if widest_deg > MOST_HALF_ANGLE_DEG:
+        problem = f"the lens sees {widest_deg:.0f} degrees to the side"
+        remedy = f"give one of at most {MOST_HALF_ANGLE_DEG:g}"
+        raise InputError("camera: distortion", problem, remedy)
+    return rays
+
+
+def _grid(width: int, height: int, samples: int) -> np.ndarray:
+    """(H * samples, W * samples, 2) float64 pixel coordinates, ``samples`` squared evenly in each pixel."""
+    x, y = ((np.arange(size * samples) + 0.5) / samples - 0.5 for size in (width, height))
+    return np.stack(np.meshgrid(x, y), axis=-1)
+
+
+def _ideal_pixels(camera: Intrinsics, xy: np.ndarray) -> np.ndarray:
+    """Where pixels (..., 2) lie in an endless image without distortion, (..., 2)."""
+    rays = unproject(camera, xy.reshape(-1, 2)).reshape(xy.shape)
+    return rays * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+
+
+def _samples_per_pixel(corners_at: np.ndarray) -> int:
+    """Samples along each side of a pixel, so that hardly one is wider than the wide image's pixels.
+
+    Args:
+        corners_at: (H + 1, W + 1, 2) where the pixels' corners lie in the wide image.
+    """
+    along_x, along_y = np.diff(corners_at, axis=1)[:-1], np.diff(corners_at, axis=0)[:, :-1]
+    area = np.abs(along_x[..., 0] * along_y[..., 1] - along_x[..., 1] * along_y[..., 0])
+    return int(np.clip(np.rint(np.sqrt(np.quantile(area, 0.95))), _LEAST_SAMPLES, _MOST_SAMPLES))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def undistort_radtan(bent, coefficients):
+    """Takes OpenCV's radtan distortion out of normalised points, by Newton's method.
+
+    Args:
+        bent: (N, 2) float64 distorted points at unit depth.
+        coefficients: (5,) float64 k1, k2, p1, p2, k3.
+
+    Returns:
+        (N, 2) float64 points, NaN where there is none or the lens has folded the image before it.
+    """
+    k1, k2, p1, p2, k3 = coefficients
+    out = np.full_like(bent, np.nan)
+    for index in range(len(bent)):
+        x, y = bent[index]
+        for _ in range(_NEWTON_ROUNDS):
+            r2 = x * x + y * y
+            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            growth = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
+            error_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) - bent[index, 0]
+            error_y = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y - bent[index, 1]
+            xx = radial + growth * x * x + 2 * p1 * y + 6 * p2 * x
+            xy = growth * x * y + 2 * p1 * x + 2 * p2 * y
+            yy = radial + growth * y * y + 6 * p1 * y + 2 * p2 * x
+            determinant = xx * yy - xy * xy
+            if abs(error_x) + abs(error_y) < _SOLVED:
+                # Behind a fold the image is turned inside out.
+                if determinant > 0 and radial > 0:
+                    out[index, 0], out[index, 1] = x, y
+                break
+            x -= (yy * error_x - xy * error_y) / determinant
+            y -= (xx * error_y - xy * error_x) / determinant
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def undistort_equidistant(bent, coefficients):
+    """Takes OpenCV's fisheye distortion out of normalised points, by Newton's method on the ray's angle.
+
+    Args:
+        bent: (N, 2) float64 distorted points at unit depth.
+        coefficients: (4,) float64 k1 to k4.
+
+    Returns:
+        (N, 2) float64 points, NaN where there is none, the lens has folded the image before it, or the ray
+        does not point forward.
+    """
+    k1, k2, k3, k4 = coefficients
+    out = np.full_like(bent, np.nan)
+    for index in range(len(bent)):
+        x, y = bent[index]
+        radius = np.sqrt(x * x + y * y)
+        theta = min(radius, 1.0)
+        for _ in range(_NEWTON_ROUNDS):
+            t2 = theta * theta
+            error = theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))) - radius
+            slope = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
+            if abs(error) < _SOLVED:
+                if slope > 0 and 0 <= theta < np.pi / 2:
+                    stretch = np.tan(theta) / radius if radius > 1e-9 else 1.0
+                    out[index, 0], out[index, 1] = x * stretch, y * stretch
+                break
+            theta -= error / slope
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sample_depth(depth_m, at, same_surface):
+    """Depth at points between pixels: linear in its inverse, which is exact on a plane.
+
+    Args:
+        depth_m: (H, W) float32 metres, 0 for none.
+        at: (h, w, 2) float32 x, y inside the image, a pixel from its border.
+        same_surface: ratio of the largest to the smallest of the four neighbours up to which they are
+            taken as one surface; beyond it, or where one has no depth, the nearest stands for all.
+
+    Returns:
+        (h, w) float32.
+    """
+    height, width = at.shape[:2]
+    out = np.empty((height, width), np.float32)
+    one, half = np.float32(1), np.float32(0.5)
+    for row in range(height):
+        for column in range(width):
+            x, y = at[row, column, 0], at[row, column, 1]
+            left, top = np.int32(x), np.int32(y)
+            part_x, part_y = x - np.float32(left), y - np.float32(top)
+            a, b = depth_m[top, left], depth_m[top, left + 1]
+            c, d = depth_m[top + 1, left], depth_m[top + 1, left + 1]
+            low, high = min(a, b, c, d), max(a, b, c, d)
+            if low > 0 and high <= same_surface * low:
+                upper = (one - part_x) / a + part_x / b
+                lower = (one - part_x) / c + part_x / d
+                out[row, column] = one / ((one - part_y) * upper + part_y * lower)
+            else:
+                out[row, column] = depth_m[np.int32(y + half), np.int32(x + half)]
+    return out

@@ -1,0 +1,169 @@
+"""The open shutter: what the sensor collects while the camera moves, from one sharp frame and its depth.
+
+For every pixel the light is summed over the exposure along the path that its point took through the sharp
+frame, in linear light. The path follows from the depth and the camera's poses at the shutter's opening,
+centre and closing. Depth is taken as constant along a pixel's path. That is wrong at the outlines of near
+things, where ``sim.sensors.outlines`` follows the rays instead.
+"""
+
+import cv2
+import numpy as np
+from numba import njit
+
+from sim.sensors.camera import Intrinsics
+from sim.sensors.outlines import TILE_PX, integrate_outlines, inverse_depths, outline_tiles
+
+# A shorter smear than this cannot be seen.
+SHARP_PX = np.float32(0.3)
+# One sample per so many pixels of smear, up to a number.
+PX_PER_SAMPLE = np.float32(1.25)
+MAX_SAMPLES = 64
+# The median smear is taken over a grid of pixels so far apart.
+GRID_PX = 16
+_CODES = 16384
+
+
+def srgb_to_linear(level: np.ndarray) -> np.ndarray:
+    """Light, 0 to 1, of sRGB-encoded levels, 0 to 1. Source: IEC 61966-2-1."""
+    return np.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)
+
+
+def linear_to_srgb(light: np.ndarray) -> np.ndarray:
+    """sRGB-encoded levels, 0 to 1, of light, 0 to 1. Source: IEC 61966-2-1."""
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+
+
+_DECODE = srgb_to_linear(np.arange(256) / 255).astype(np.float32)
+_ENCODE = np.rint(255 * linear_to_srgb(np.arange(_CODES) / (_CODES - 1))).astype(np.uint8)
+
+
+def expose(
+    gray: np.ndarray, depth_m: np.ndarray, camera: Intrinsics, T_mid_open: np.ndarray, T_mid_close: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """The frame as the open shutter sees it.
+
+    Args:
+        gray: (H, W) uint8 sharp frame at the centre of the exposure, sRGB-encoded.
+        depth_m: (H, W) float32 depth along the optical axis, 0 for none (taken as very far).
+        camera: intrinsics without distortion.
+        T_mid_open: (4, 4) camera at the shutter's opening to camera at its centre.
+        T_mid_close: (4, 4) the same for its closing.
+
+    Returns:
+        (H, W) uint8 sRGB-encoded frame, and the median length of the smear in pixels.
+    """
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+    opening, closing = (np.ascontiguousarray(T[:3], np.float32) for T in (T_mid_open, T_mid_close))
+    lengths = smear_lengths(depth_m, intrinsics, opening, closing)
+    median_px = float(np.median(lengths))
+    # Between the pixels of the grid the smear is hardly longer than on them.
+    if lengths.max() < 0.8 * SHARP_PX:
+        return gray.copy(), median_px
+    linear = cv2.LUT(gray, _DECODE)
+    inverse_depth = inverse_depths(depth_m)
+    near, far = outline_tiles(inverse_depth, intrinsics, opening, closing)
+    image = integrate(gray, linear, depth_m, intrinsics, opening, closing, _ENCODE, near)
+    integrate_outlines(image, linear, inverse_depth, intrinsics, opening, closing, _ENCODE, near, far)
+    return image, median_px
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def row_shifts(row, depth_row, k, T, shift_x, shift_y):
+    """Where the points that a row's pixels see from another pose lie in the sharp frame, minus the pixels.
+
+    Free of branches and calls, so that the compiler makes vector code of it.
+    """
+    y = (np.float32(row) - k[3]) / k[1]
+    from_y_x, from_y_y, from_y_z = T[0, 1] * y + T[0, 2], T[1, 1] * y + T[1, 2], T[2, 1] * y + T[2, 2]
+    one_px = np.float32(1) / k[0]
+    near, far = np.float32(0.05), np.float32(1e-4)
+    for column in range(len(depth_row)):
+        u = np.float32(column)
+        x = (u - k[2]) * one_px
+        inverse_depth = np.float32(1) / depth_row[column] if depth_row[column] > far else far
+        to_x = T[0, 0] * x + from_y_x + T[0, 3] * inverse_depth
+        to_y = T[1, 0] * x + from_y_y + T[1, 3] * inverse_depth
+        to_z = max(T[2, 0] * x + from_y_z + T[2, 3] * inverse_depth, near)
+        inverse_z = np.float32(1) / to_z
+        shift_x[column] = k[0] * to_x * inverse_z + k[2] - u
+        shift_y[column] = k[1] * to_y * inverse_z + k[3] - np.float32(row)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def smear_lengths(depth_m, k, T_open, T_close):
+    """(n,) float32 smear length of every ``GRID_PX``-th pixel; arguments as ``integrate``'s."""
+    height, width = depth_m.shape
+    lengths = np.empty(((height + GRID_PX - 1) // GRID_PX, (width + GRID_PX - 1) // GRID_PX), np.float32)
+    open_x, open_y, close_x, close_y = np.empty((4, width), np.float32)
+    for i in range(lengths.shape[0]):
+        row = i * GRID_PX
+        row_shifts(row, depth_m[row], k, T_open, open_x, open_y)
+        row_shifts(row, depth_m[row], k, T_close, close_x, close_y)
+        for j in range(lengths.shape[1]):
+            column = j * GRID_PX
+            along_x, along_y = close_x[column] - open_x[column], close_y[column] - open_y[column]
+            lengths[i, j] = np.sqrt(along_x * along_x + along_y * along_y)
+    return lengths.ravel()
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def integrate(gray, linear, depth_m, k, T_open, T_close, encode, near):
+    """Sums light along every pixel's path.
+
+    Args:
+        gray: (H, W) uint8 sharp frame.
+        linear: (H, W) float32 the same as light, 0 to 1.
+        depth_m: (H, W) float32.
+        k: (4,) float32 fx, fy, cx, cy.
+        T_open: (3, 4) float32, camera at the shutter's opening to the sharp frame's camera.
+        T_close: (3, 4) float32, the same at its closing.
+        encode: uint8 table from light to level.
+        near: (h, w) float32 from ``outline_tiles``; its tiles with outlines are left sharp.
+
+    Returns:
+        (H, W) uint8.
+    """
+    height, width = gray.shape
+    codes, half = np.float32(len(encode) - 1), np.float32(0.5)
+    right, bottom, zero = np.float32(width - 1), np.float32(height - 1), np.float32(0)
+    open_x, open_y, close_x, close_y = np.empty((4, width), np.float32)
+    light_at, one = linear.ravel(), np.uint64(1)
+    out = np.empty_like(gray)
+    for row in range(height):
+        row_shifts(row, depth_m[row], k, T_open, open_x, open_y)
+        row_shifts(row, depth_m[row], k, T_close, close_x, close_y)
+        for column in range(width):
+            # The parabola through opening, centre and closing, over s from -1 to 1.
+            along_x = half * (close_x[column] - open_x[column])
+            along_y = half * (close_y[column] - open_y[column])
+            length = np.float32(2) * np.sqrt(along_x * along_x + along_y * along_y)
+            if length < SHARP_PX or near[row // TILE_PX, column // TILE_PX] >= zero:
+                out[row, column] = gray[row, column]
+                continue
+            bend_x = half * (close_x[column] + open_x[column])
+            bend_y = half * (close_y[column] + open_y[column])
+            count = min(MAX_SAMPLES, max(2, np.int32(length / PX_PER_SAMPLE) + 1))
+            step = np.float32(2) / np.float32(count)
+            s = half * step - np.float32(1)
+            light, seen = zero, zero
+            for _ in range(count):
+                x = np.float32(column) + s * (along_x + s * bend_x)
+                y = np.float32(row) + s * (along_y + s * bend_y)
+                s += step
+                # What comes from outside the frame is unknown: the rest stands for it.
+                if x < zero or y < zero or x >= right or y >= bottom:
+                    continue
+                left, top = np.int32(x), np.int32(y)
+                part_x, part_y = x - np.float32(left), y - np.float32(top)
+                # An unsigned index spares a test for negative ones.
+                at = np.uint64(top * width + left)
+                under = at + np.uint64(width)
+                upper = light_at[at] + part_x * (light_at[at + one] - light_at[at])
+                lower = light_at[under] + part_x * (light_at[under + one] - light_at[under])
+                light += upper + part_y * (lower - upper)
+                seen += np.float32(1)
+            if seen > zero:
+                out[row, column] = encode[np.int32(light / seen * codes + half)]
+            else:
+                out[row, column] = gray[row, column]
+    return out

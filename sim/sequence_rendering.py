@@ -1,0 +1,236 @@
+"""From a scenario and a seed to a sequence: frames and truth."""
+
+import hashlib
+import json
+import platform
+from contextlib import nullcontext
+from dataclasses import asdict
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import scenarios
+import sim
+from scenarios.segments import ImageSegment
+from scenarios.spec import Scenario
+from sim.cache import FolderCache, content_key
+from sim.degradations.base import Shoot, Stage
+from sim.degradations.chain import ImageChain
+from sim.degradations.registry import DEGRADATIONS, in_order_of_action
+from sim.degradations.truths import truths_of
+from sim.frame_plan import (
+    Progress,
+    Studio,
+    camera_intrinsics,
+    film,
+    ideal_camera,
+    mujoco_studio,
+    plan_in_world,
+    plan_shoot,
+    rendered_plates,
+    store_plates,
+    stored_plates,
+    studio_with,
+)
+from sim.io.raw import RawFrames
+from sim.io.tum import claim_output_dir, write_tum
+from sim.sequence import SegmentTruth, Sequence
+
+__all__ = [
+    "Progress",
+    "Studio",
+    "camera_intrinsics",
+    "mujoco_studio",
+    "plan_shoot",
+    "render_sequence",
+    "studio_with",
+]
+
+_PACKAGES = (
+    "dual-slam-lab",
+    "mujoco",
+    "numba",
+    "numpy",
+    "opencv-contrib-python-headless",
+    "pyopengl",
+    "pyrender",
+    "scipy",
+)
+
+
+def render_sequence(
+    scenario: Scenario,
+    seed: int | None = None,
+    *,
+    out_dir: Path | None = None,
+    cache_dir: Path | None = None,
+    depth: bool = False,
+    progress: Progress | None = None,
+    studio: Studio | None = None,
+) -> Sequence:
+    """Render a scenario, or take it from the cache.
+
+    The same scenario and seed give the same bytes on one machine and GL driver. Frames stay on disk and are
+    read one by one. With segments that act on images, the sharp frames with their depth are cached too, so
+    that another severity renders nothing again.
+
+    Args:
+        scenario: what happens.
+        seed: root seed; None for the scenario's own.
+        out_dir: also write the sequence there as a TUM-form folder.
+        cache_dir: folder of the cache; None for the default one.
+        depth: keep depth images too.
+        progress: told of every frame.
+        studio: what renders; None for MuJoCo.
+
+    Raises:
+        InputError: no GL, the world's sizes do not fit, a folder cannot be written, the disk is full.
+    """
+    seed = scenario.seed if seed is None else seed
+    studio = studio or mujoco_studio()
+    progress = progress or (lambda step, done, total: None)
+    if out_dir is not None:
+        claim_output_dir(out_dir)
+    meta = _provenance(scenario, seed, studio)
+    store = FolderCache(cache_dir)
+    # Inertial readings change no frame.
+    filmed = _provenance(scenario.model_copy(update={"imu": None}), seed, studio)
+    key = content_key({"depth": depth, "sources": _source_hash(), **filmed})
+    entry = store.find(key)
+    if entry is None:
+        with store.create(key) as folder:
+            _render_into(folder, scenario, seed, depth, studio, store, progress)
+        entry = store.root / key
+    sequence = _open(entry, scenario, meta)
+    if out_dir is not None:
+        write_tum(sequence, out_dir, depth=depth, progress=progress)
+    return sequence
+
+
+def _render_into(
+    folder: Path,
+    scenario: Scenario,
+    seed: int,
+    depth: bool,
+    studio: Studio,
+    store: FolderCache,
+    progress: Progress,
+) -> None:
+    """Write the frames and the truth of a sequence into a folder of the cache."""
+    camera = scenario.camera
+    if any(isinstance(segment, ImageSegment) for segment in scenario.segments):
+        entry = _plates(scenario, seed, studio, store, progress)
+        view_share = np.load(entry / "view_share.npy")
+        shoot = plan_in_world(scenario, seed, studio, view_share.shape[1], lambda shoot: view_share)
+        plates = nullcontext(stored_plates(entry))
+    else:
+        shoot, world = plan_shoot(scenario, seed, studio, progress)
+        plates = rendered_plates(world, camera, studio)
+    own = camera_intrinsics(camera)
+    chain = ImageChain(
+        scenario.segments,
+        own,
+        shoot.stamps_s,
+        shoot.frame,
+        seed,
+        exposure_s=shoot.exposure_s,
+        ideal=ideal_camera(own),
+    )
+    with plates as source:
+        blur_px = film(folder, shoot, source, camera, chain, depth, progress)
+    _write_truth(folder, scenario, shoot, chain, blur_px)
+
+
+def _plates(scenario: Scenario, seed: int, studio: Studio, store: FolderCache, progress: Progress) -> Path:
+    """The folder of a scenario's sharp frames: rendered once for all that is done to them in image space."""
+    kept = [s for s in scenario.segments if DEGRADATIONS[s.kind].stage in (Stage.MOTION, Stage.WORLD)]
+    calm = scenario.model_copy(
+        update={
+            "name": "plates",
+            "description": "",
+            "imu": None,
+            "segments": tuple(in_order_of_action(kept)),
+            "camera": scenario.camera.model_copy(update={"exposure_s": 0.0, "noise_sigma": 0.0}),
+        }
+    )
+    key = content_key({"plates": True, "sources": _source_hash(), **_provenance(calm, seed, studio)})
+    entry = store.find(key)
+    if entry is None:
+        shoot, world = plan_shoot(calm, seed, studio, progress)
+        with (
+            store.create(key) as folder,
+            rendered_plates(world, calm.camera, studio) as plates,
+        ):
+            store_plates(folder, shoot, plates, calm.camera, progress)
+        entry = store.root / key
+    return entry
+
+
+def _write_truth(
+    folder: Path, scenario: Scenario, shoot: Shoot, chain: ImageChain, blur_px: np.ndarray
+) -> None:
+    truths, measured = truths_of(scenario.segments, shoot, chain, blur_px)
+    # Every frame is exposed and blurred a little, segment or not.
+    columns = {**measured, "exposure_s": shoot.exposure_s, "blur_px": blur_px}
+    (folder / "segments.json").write_text(json.dumps([asdict(truth) for truth in truths]))
+    np.save(folder / "stamps_s.npy", shoot.stamps_s + shoot.stamp_error_s)
+    np.save(folder / "T_world_cam.npy", shoot.motion.T_world_cam(shoot.stamps_s))
+    np.savez(folder / "frame_truth.npz", **columns)
+
+
+def _open(entry: Path, scenario: Scenario, meta: dict[str, Any]) -> Sequence:
+    """The sequence of a complete cache entry."""
+    segments = json.loads((entry / "segments.json").read_text())
+    with np.load(entry / "frame_truth.npz") as truth:
+        columns = {name: truth[name] for name in sorted(truth.files)}
+    depth_file = entry / "depth.npy"
+    return Sequence(
+        name=scenario.name,
+        camera=camera_intrinsics(scenario.camera),
+        stamps_s=np.load(entry / "stamps_s.npy"),
+        frames=RawFrames(entry / "gray.npy"),
+        T_world_cam=np.load(entry / "T_world_cam.npy"),
+        depths=RawFrames(depth_file) if depth_file.exists() else None,
+        segments=tuple(SegmentTruth.from_record(segment) for segment in segments),
+        meta=meta,
+        frame_truth=columns,
+    )
+
+
+def _provenance(scenario: Scenario, seed: int, studio: Studio) -> dict[str, Any]:
+    """What the frames depend on, as JSON-like data."""
+    return {
+        "spec": scenario.model_copy(update={"seed": seed}).model_dump(mode="json"),
+        "seed": seed,
+        "versions": {"python": platform.python_version(), **_versions()},
+        "renderer": studio.renderer_name,
+        "gl": studio.gl_info(),
+        "stamps": "centre of the exposure",
+        "poses": "camera (x right, y down, z forward) to world (z up), metres, at the stamp",
+    }
+
+
+@cache
+def _versions() -> dict[str, str]:
+    found = {}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "unknown"
+    return found
+
+
+@cache
+def _source_hash() -> str:
+    """Hash of every source file that can change a pixel: a changed renderer finds no old frames."""
+    digest = hashlib.sha256()
+    for package in (scenarios, sim):
+        root = Path(str(package.__file__)).parent
+        for path in sorted(root.rglob("*.py")):
+            digest.update(path.relative_to(root).as_posix().encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,122 @@
+"""A building of several floors: corridors that meet and branch, rooms behind open doors, two staircases."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from scenarios.seeds import rng_for
+from scenarios.worlds import BuildingWorld
+from sim.worlds.assembly import assemble
+from sim.worlds.base import Route, WorldModel
+from sim.worlds.build import Lighting, build
+from sim.worlds.geometry.atlas import gathered
+from sim.worlds.geometry.panels import Panel
+from sim.worlds.geometry.route import arc_length
+from sim.worlds.indoor.building_light import Lamplight, stair_light
+from sim.worlds.indoor.building_plan import Plan, clearance_m, route_nodes, walked_floors
+from sim.worlds.indoor.interior import storey_panels
+from sim.worlds.indoor.stairs import stair_panels, stair_pieces
+from sim.worlds.indoor.storey import plan_storey
+
+_EYE_M = 1.5
+_GROWTH_M = 0.0015
+_FINEST, _FINEST_AT_M = 0.7, 1.0  # texture detail of panels at one metre from the eye, and its fall beyond
+_CELL_M, _SMALL_PX = (4.0, 4.0), 70_000  # small surfaces are joined within cells of the plan
+_SEEN_BELOW_M = 1.0  # from the stairs, a floor is seen by eyes that are a little below it
+
+
+def layout(spec: BuildingWorld, seed: int) -> Route:
+    """Up the stairs from floor to floor, or for a loop up one staircase and down the other.
+
+    The same for every seed. The origin is the south-western corner of the ring of corridors, on the ground
+    floor.
+    """
+    del seed
+    centre, height = route_nodes(spec)
+    return Route(centre, clearance_m(), spec.loop, height)
+
+
+def build_world(spec: BuildingWorld, seed: int) -> WorldModel:
+    """The building with its textures; the floors differ in plan, finishes and furniture."""
+    plan, eyes = Plan.of(spec), _eyes(spec)
+    stairwells = stair_light(plan)
+    panels: list[Panel] = []
+    lights: dict[str, tuple[Lighting, float]] = {}
+    for level in range(spec.floors):
+        base = level * spec.storey_m
+        rng = rng_for(seed, "world", "building", "storey", level)
+        storey = plan_storey(plan, level in walked_floors(spec), rng)
+        for own, light in storey_panels(storey, plan.clear_m, plan.reach_m(), rng):
+            raised = [_raised(panel, base, f"floor {level} {panel.label}") for panel in own]
+            lights |= {panel.label: (light, base) for panel in raised}
+            panels += raised
+    for stairs in plan.stairs:
+        panels += stair_panels(stairs, plan.clear_m, rng_for(seed, "world", "building", stairs.name))
+    distance_m = np.array([_distance(panel, _who_see(panel, lights, eyes, spec)) for panel in panels])
+    seen = np.flatnonzero(np.isfinite(distance_m))
+    detail = np.minimum(_FINEST, _FINEST_AT_M / np.maximum(distance_m[seen], 1e-6))
+    flat = build([_grown(panels[k]) for k in seen], _BuildingLight(lights, stairwells), seed, detail)
+    pieces = [piece for stairs in plan.stairs for piece in stair_pieces(stairs)]
+    shaped = assemble([replace(piece, gain=stairwells.piece_gain(piece)) for piece in pieces], seed)
+    surfaces = gathered([*flat.surfaces, *shaped.surfaces], (*_CELL_M, spec.storey_m), _SMALL_PX)
+    return WorldModel(surfaces, flat.mean_level, np.ones(len(surfaces)))
+
+
+@dataclass(frozen=True)
+class _BuildingLight:
+    """The light of corridors and rooms by the labels of their panels, with the height of the floor.
+
+    All other panels are in the stairwells.
+    """
+
+    rooms: dict[str, tuple[Lighting, float]]
+    stairs: Lamplight
+
+    def gain(self, panel: Panel) -> np.ndarray:
+        """As of ``Light``."""
+        if panel.label not in self.rooms:
+            return self.stairs.gain(panel)
+        light, base_m = self.rooms[panel.label]
+        return light.gain(_raised(panel, -base_m, panel.label))
+
+
+def _raised(panel: Panel, by_m: float, label: str) -> Panel:
+    return replace(panel, corner=panel.corner + np.array([0.0, 0.0, by_m]), label=label)
+
+
+def _grown(panel: Panel) -> Panel:
+    """The panel a little larger: seen along a corridor, neighbours would leave cracks a pixel shows."""
+    corner = panel.corner - _GROWTH_M * (panel.right + panel.down)
+    size = {"width_m": panel.width_m + 2 * _GROWTH_M, "height_m": panel.height_m + 2 * _GROWTH_M}
+    return replace(panel, corner=corner, **size)
+
+
+def _who_see(
+    panel: Panel, lights: dict[str, tuple[Lighting, float]], eyes: np.ndarray, spec: BuildingWorld
+) -> np.ndarray:
+    """Those of the eyes that a panel's floor does not hide; stairwells are open to all."""
+    if panel.label not in lights:
+        return eyes
+    above = eyes[:, 2] - lights[panel.label][1]
+    return eyes[(above > -_SEEN_BELOW_M) & (above < spec.storey_m)]
+
+
+def _eyes(spec: BuildingWorld) -> np.ndarray:
+    """(E, 3) places along the route that eyes pass, half a metre apart in plan."""
+    centre, height = route_nodes(spec)
+    arc = arc_length(centre)
+    at = np.arange(0.0, arc[-1], 0.5)
+    line = np.column_stack([centre, height + _EYE_M])
+    return np.column_stack([np.interp(at, arc, column) for column in line.T])
+
+
+def _distance(panel: Panel, eyes: np.ndarray) -> float:
+    """Metres from the panel to the nearest eye that can see its face; infinite if none can."""
+    before = eyes[(eyes - panel.corner) @ panel.normal > 0]
+    if not len(before):
+        return np.inf
+    off = before - panel.corner
+    u = np.clip(off @ panel.right, 0.0, panel.width_m)
+    v = np.clip(off @ panel.down, 0.0, panel.height_m)
+    nearest = panel.corner + u[:, None] * panel.right + v[:, None] * panel.down
+    return float(np.linalg.norm(before - nearest, axis=1).min())

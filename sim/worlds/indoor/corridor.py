@@ -1,0 +1,208 @@
+"""A corridor with right-angled turns, its walls lined with doors, pilasters, cabinets and ducts."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from scenarios.errors import InputError
+from scenarios.seeds import rng_for
+from scenarios.spec import CorridorWorld
+from sim.worlds.base import Route, WorldModel
+from sim.worlds.build import build
+from sim.worlds.geometry.panels import Box, Fitting, Panel, slab, wall
+from sim.worlds.geometry.route import rounded
+from sim.worlds.indoor.light import Light, lamp_boxes
+from sim.worlds.materials.finishes import FLOOR_FINISHES, WALL_FINISHES
+
+_PANEL_M, _SLAB_M = 1.8, 2.6
+_BEHIND_M, _BEYOND_M = 1.5, 3.0  # corridor behind the start and beyond the end of the route, at least
+_LAMP_SPACING_M = 3.2
+_SIDE_TOWARDS = {(1, 0): "east", (-1, 0): "west", (0, 1): "north", (0, -1): "south"}
+
+
+_FITTINGS = (
+    Fitting("door", 0.95, 2.05, 0.15),
+    Fitting("door", 0.95, 2.05, 0.15),
+    Fitting("concrete", 0.3, 99.0, 0.6),
+    Fitting("cabinet", 0.9, 1.8, 1.0),
+    Fitting("machine", 0.6, 0.9, 0.5, 1.1),
+    Fitting("bookshelf", 0.8, 1.2, 0.8),
+    Fitting("crate", 0.5, 0.5, 1.0),
+)
+
+
+@dataclass(frozen=True)
+class _Leg:
+    """One straight part.
+
+    Attributes:
+        index: from 0 at the start.
+        way: (2,) unit vector along it.
+        walls: left and right wall, each (2, 2): its start and end in plan.
+    """
+
+    index: int
+    way: np.ndarray
+    walls: dict[str, np.ndarray]
+
+    def inward(self, side: str) -> np.ndarray:
+        """(2,) unit vector from a wall into the corridor."""
+        left = np.array([-self.way[1], self.way[0]])
+        return -left if side == "left" else left
+
+    def plan_box(self, side: str, at_m: tuple[float, float], reach_m: float) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper plan corner of a rectangle at a wall, between two distances along it."""
+        start, inward = self.walls[side][0], self.inward(side)
+        ends = np.array([start + at_m[0] * self.way, start + at_m[1] * self.way + reach_m * inward])
+        return ends.min(axis=0), ends.max(axis=0)
+
+    def back(self, side: str) -> str:
+        """The compass side of a box that touches the wall."""
+        x, y = np.rint(-self.inward(side)).astype(int).tolist()
+        return _SIDE_TOWARDS[x, y]
+
+
+def layout(spec: CorridorWorld, seed: int) -> Route:
+    """The open centre line from the origin, its corners rounded within the corridor's width.
+
+    Raises:
+        InputError: too many turns for the length.
+    """
+    centre = rounded(_nodes(spec, seed), radius_m=spec.width_m / 2, closed=False)
+    return Route(centre, spec.width_m / 2 - _longest_reach(spec) - 0.05, False)
+
+
+def build_world(spec: CorridorWorld, seed: int) -> WorldModel:
+    """The corridor with its textures.
+
+    Raises:
+        InputError: too many turns for the length.
+    """
+    rng = rng_for(seed, "world", "corridor")
+    legs = list(_legs(spec, _nodes(spec, seed)))
+    floor = str(rng.choice(FLOOR_FINISHES))
+    panels: list[Panel] = []
+    footprints, lamps = [], []
+    for leg in legs:
+        spots = _lamps(leg)
+        boxes = _fittings(spec, leg, rng) + _duct(spec, leg, rng)
+        boxes += lamp_boxes(spots, spec.height_m, (leg.way[0], leg.way[1]))
+        # Leg by leg: neighbours in the list are neighbours in space, so a renderer can skip what is hidden.
+        panels += _shell(spec, leg, floor, rng)
+        for piece in boxes:
+            panels += piece.panels()
+        footprints += [*(segment[None] for segment in leg.walls.values())]
+        footprints += [piece.outline() for piece in boxes if piece.low[2] == 0]
+        lamps.append(spots)
+    panels += _end_walls(spec, legs, rng)
+    return build(panels, Light(np.concatenate(lamps), np.concatenate(footprints), spec.height_m), seed)
+
+
+def _longest_reach(spec: CorridorWorld) -> float:
+    """How far fittings reach out from a wall, metres."""
+    return min(0.35, 0.14 * spec.width_m)
+
+
+def _nodes(spec: CorridorWorld, seed: int) -> np.ndarray:
+    """(turns + 2, 2) corners of the centre line; turns alternate, so that no leg meets another."""
+    legs = spec.turns + 1
+    mean = spec.length_m / legs
+    if spec.turns and mean < 2.5 * spec.width_m:
+        raise InputError(
+            "world: turns",
+            f"legs of {mean:.1f} m are too short for a corridor {spec.width_m:g} m wide",
+            "use fewer turns or a longer corridor",
+        )
+    rng = rng_for(seed, "world", "corridor", "plan")
+    lengths = 1 + 0.15 * rng.uniform(-1, 1, legs)
+    lengths *= spec.length_m / lengths.sum()
+    sign = float(rng.choice([-1, 1]))
+    ways = np.array([(1.0, 0.0) if k % 2 == 0 else (0.0, sign) for k in range(legs)])
+    return np.vstack([np.zeros(2), np.cumsum(lengths[:, None] * ways, axis=0)])
+
+
+def _legs(spec: CorridorWorld, nodes: np.ndarray) -> Iterator[_Leg]:
+    """The straight parts of the corridor, which reaches beyond both ends of its route."""
+    ways = np.diff(nodes, axis=0)
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    nodes = nodes.copy()
+    nodes[0] -= max(_BEHIND_M, spec.width_m / 2) * ways[0]
+    nodes[-1] += max(_BEYOND_M, spec.width_m / 2) * ways[-1]
+    left = np.column_stack([-ways[:, 1], ways[:, 0]])
+    mitre = np.vstack([left[:1], left[:-1] + left[1:], left[-1:]]) * spec.width_m / 2
+    for k, way in enumerate(ways):
+        ends = slice(k, k + 2)
+        yield _Leg(k, way, {"left": (nodes + mitre)[ends], "right": (nodes - mitre)[ends]})
+
+
+def _shell(spec: CorridorWorld, leg: _Leg, floor: str, rng: np.random.Generator) -> list[Panel]:
+    """Walls, floor and ceiling of a leg; the square at a turn belongs to the leg before it."""
+    z = (0.0, spec.height_m)
+    left, right = leg.walls["left"], leg.walls["right"]
+    panels = wall(left[0], left[1], z, str(rng.choice(WALL_FINISHES)), f"left wall {leg.index}", _PANEL_M)
+    panels += wall(right[1], right[0], z, str(rng.choice(WALL_FINISHES)), f"right wall {leg.index}", _PANEL_M)
+    along = np.array([left @ leg.way, right @ leg.way])
+    # Both walls have begun at the inner corner, which lies farther along; both end at the outer one.
+    start, end = along[:, 0].max(), along[:, 1].max()
+    corners = np.array([left[0] + (start - along[0, 0]) * leg.way, right[0] + (end - along[1, 0]) * leg.way])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    size = (_SLAB_M, _SLAB_M)
+    panels += slab(low, high, 0.0, True, floor, f"floor {leg.index}", size)
+    return panels + slab(low, high, spec.height_m, False, "ceiling", f"ceiling {leg.index}", size)
+
+
+def _end_walls(spec: CorridorWorld, legs: list[_Leg], rng: np.random.Generator) -> list[Panel]:
+    z = (0.0, spec.height_m)
+    first, last = legs[0].walls, legs[-1].walls
+    start = wall(
+        first["right"][0], first["left"][0], z, str(rng.choice(WALL_FINISHES)), "start wall", _PANEL_M
+    )
+    return start + wall(
+        last["left"][1], last["right"][1], z, str(rng.choice(WALL_FINISHES)), "end wall", _PANEL_M
+    )
+
+
+def _fittings(spec: CorridorWorld, leg: _Leg, rng: np.random.Generator) -> list[Box]:
+    """Fittings along both walls at irregular intervals."""
+    found = []
+    for side, (start, end) in leg.walls.items():
+        at, length = rng.uniform(0.4, 1.0), float((end - start) @ leg.way)
+        while True:
+            kind = _FITTINGS[rng.integers(len(_FITTINGS))]
+            if at + kind.width_m > length - 0.4:
+                break
+            reach = kind.reach * _longest_reach(spec)
+            low, high = leg.plan_box(side, (at, at + kind.width_m), reach)
+            top = kind.top_m(spec.height_m)
+            hidden = (leg.back(side), "top") if top == spec.height_m else (leg.back(side),)
+            label = f"{kind.finish} {side} {leg.index},{len(found)}"
+            found.append(Box(np.append(low, kind.foot_m), np.append(high, top), kind.finish, label, hidden))
+            at += kind.width_m + rng.uniform(0.5, 2.2)
+    return found
+
+
+def _duct(spec: CorridorWorld, leg: _Leg, rng: np.random.Generator) -> list[Box]:
+    """A duct under the ceiling along one wall of the leg."""
+    side = str(rng.choice(list(leg.walls)))
+    start, end = leg.walls[side]
+    length, thick = float((end - start) @ leg.way), 0.5 * _longest_reach(spec)
+    pieces = int(np.ceil(length / _PANEL_M))
+    z = (spec.height_m - 0.15 - thick, spec.height_m - 0.15)
+    behind, ahead = (_SIDE_TOWARDS[tuple(np.rint(sign * leg.way).astype(int).tolist())] for sign in (-1, 1))
+    found = []
+    for k in range(pieces):
+        low, high = leg.plan_box(side, (k / pieces * length, (k + 1) / pieces * length), thick)
+        joints = (behind,) * (k > 0) + (ahead,) * (k < pieces - 1)
+        hidden = (leg.back(side), *joints)
+        found.append(
+            Box(np.append(low, z[0]), np.append(high, z[1]), "pipe", f"duct {leg.index},{k}", hidden)
+        )
+    return found
+
+
+def _lamps(leg: _Leg) -> np.ndarray:
+    """(L, 2) plan positions along the middle of the leg."""
+    start, end = (leg.walls["left"][k] + leg.walls["right"][k] for k in (0, 1))
+    count = max(1, round(float(np.linalg.norm(end - start)) / 2 / _LAMP_SPACING_M))
+    return (start + (np.arange(count)[:, None] + 0.5) / count * (end - start)) / 2

@@ -1,0 +1,108 @@
+"""A furnished room: furniture along the walls, an island in the middle, a ring to walk between them."""
+
+import numpy as np
+
+from scenarios.seeds import rng_for
+from scenarios.spec import RoomWorld
+from sim.worlds.base import Route, WorldModel
+from sim.worlds.build import build
+from sim.worlds.geometry.panels import Box, Panel, slab, wall
+from sim.worlds.geometry.route import rounded
+from sim.worlds.indoor.light import Light, lamp_boxes
+from sim.worlds.materials.finishes import FLOOR_FINISHES, WALL_FINISHES
+
+_PANEL_M = 1.9
+_LARGEST_DEPTH_M, _WIDEST_RING_M = 0.6, 2.6
+_HEIGHTS_M = (0.75, 0.9, 1.3, 1.8, 2.1)
+_FURNITURE = ("bookshelf", "cabinet", "machine", "crate")
+
+
+def layout(spec: RoomWorld, seed: int) -> Route:
+    """The closed ring between the furniture at the walls and the island; the same for every seed."""
+    del seed
+    x, y = _half(spec) - _furniture_depth(spec) - _ring_width(spec) / 2
+    corners = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
+    centre = rounded(corners, radius_m=_ring_width(spec) / 2, closed=True)
+    return Route(centre, _ring_width(spec) / 2 - 0.05, True)
+
+
+def build_world(spec: RoomWorld, seed: int) -> WorldModel:
+    """The room with its textures."""
+    rng = rng_for(seed, "world", "room")
+    half = _half(spec)
+    corners = half * [[-1, -1], [-1, 1], [1, 1], [1, -1]]
+    sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    panels: list[Panel] = []
+    for side, (start, end) in enumerate(sides):
+        finish = str(rng.choice(WALL_FINISHES))
+        panels += wall(start, end, (0, spec.height_m), finish, f"wall {side}", _PANEL_M)
+    size = (_PANEL_M, _PANEL_M)
+    panels += slab(-half, half, 0.0, True, str(rng.choice(FLOOR_FINISHES)), "floor", size)
+    panels += slab(-half, half, spec.height_m, False, "ceiling", "ceiling", size)
+    furniture = _along_walls(spec, rng) + _island(spec, rng)
+    lamps = _lamps(spec)
+    for piece in furniture + lamp_boxes(lamps, spec.height_m, (1.0, 0.0)):
+        panels += piece.panels()
+    footprints = np.concatenate([sides, *(piece.outline() for piece in furniture if piece.low[2] == 0)])
+    return build(panels, Light(lamps, footprints, spec.height_m), seed)
+
+
+def _half(spec: RoomWorld) -> np.ndarray:
+    return np.array([spec.length_m, spec.width_m]) / 2
+
+
+def _furniture_depth(spec: RoomWorld) -> float:
+    return min(_LARGEST_DEPTH_M, 0.11 * min(spec.length_m, spec.width_m))
+
+
+def _ring_width(spec: RoomWorld) -> float:
+    return min(_WIDEST_RING_M, 0.26 * min(spec.length_m, spec.width_m))
+
+
+def _lamps(spec: RoomWorld) -> np.ndarray:
+    """(L, 2) plan positions on a grid."""
+    counts = np.maximum(1, np.rint(2 * _half(spec) / 3.5)).astype(int)
+    cells = np.stack(np.meshgrid(*(np.arange(n) for n in counts)), axis=-1).reshape(-1, 2)
+    return (2 * (cells + 0.5) / counts - 1) * _half(spec)
+
+
+def _along_walls(spec: RoomWorld, rng: np.random.Generator) -> list[Box]:
+    """Furniture of all heights with its back to the walls, with gaps."""
+    depth, half = _furniture_depth(spec), _half(spec)
+    pieces = []
+    for side, axis, sign in (("south", 0, -1), ("north", 0, 1), ("west", 1, -1), ("east", 1, 1)):
+        at, stop = -half[axis] + depth + 0.2, half[axis] - depth - 0.3
+        while at < stop - 0.6:
+            wide, deep = min(rng.uniform(0.6, 1.7), stop - at), depth * rng.uniform(0.6, 1.0)
+            back = sign * half[1 - axis]
+            low, high = np.zeros(3), np.full(3, min(spec.height_m - 0.4, float(rng.choice(_HEIGHTS_M))))
+            low[axis], high[axis] = at, at + wide
+            low[1 - axis], high[1 - axis] = sorted((back, back - sign * deep))
+            finish = str(rng.choice(_FURNITURE))
+            pieces.append(Box(low, high, finish, f"{finish} {side} {len(pieces)}", (side,), "crate"))
+            at += wide + rng.uniform(0.1, 1.4)
+    return pieces
+
+
+def _island(spec: RoomWorld, rng: np.random.Generator) -> list[Box]:
+    """Furniture on a grid in the middle of the room, some of it with a crate on top."""
+    reach = _half(spec) - _furniture_depth(spec) - _ring_width(spec)
+    cells = np.maximum(1, np.floor(2 * reach / 1.4)).astype(int)
+    size = 2 * reach / cells
+    pieces = []
+    for cell in np.ndindex(*cells):
+        if rng.random() < 0.25 and cells.prod() > 1:
+            continue
+        extent = size * rng.uniform(0.5, 0.85, 2)
+        corner = -reach + size * cell + (size - extent) * rng.random(2)
+        height = min(spec.height_m - 0.9, float(rng.choice((0.5, 0.8, 1.1, 1.4, 1.9))))
+        finish = str(rng.choice(_FURNITURE))
+        label = f"{finish} island {cell[0]},{cell[1]}"
+        high = np.append(corner + extent, height)
+        pieces.append(Box(np.append(corner, 0.0), high, finish, label, (), "crate"))
+        if rng.random() < 0.5:
+            small = extent * rng.uniform(0.3, 0.6, 2)
+            low = np.append(corner + (extent - small) * rng.random(2), height)
+            high = low + np.append(small, rng.uniform(0.2, 0.45))
+            pieces.append(Box(low, high, "crate", f"{label} load", ("bottom",)))
+    return pieces

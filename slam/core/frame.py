@@ -1,0 +1,127 @@
+"""A frame: its features, and what tracking made of them."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from slam.core._frame_kernels import sort_into_cells
+from slam.core.camera import PinholeCamera
+from slam.core.geometry import ViewGeometry
+from slam.core.snapshot import Unchanging
+
+
+@dataclass(frozen=True)
+class Features:
+    """Features of one image, N rows each, contiguous; octave by octave, the finest first.
+
+    Attributes:
+        xy: (N, 2) float32 pixels of the image as given (distorted), integer = pixel centre.
+        octave: (N,) int32 level of the pyramid.
+        angle_deg: (N,) float32 in [0, 360), from the x axis towards the y axis.
+        response: (N,) float32 contrast of the corner in grey levels.
+        descriptors: (N, 4) uint64.
+    """
+
+    xy: np.ndarray
+    octave: np.ndarray
+    angle_deg: np.ndarray
+    response: np.ndarray
+    descriptors: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+
+@dataclass(frozen=True)
+class FrameFeatures(Unchanging):
+    """The features of one image, ordered by grid cell; never changed after construction.
+
+    Attributes:
+        index: frame number, from 0.
+        stamp_s: time stamp.
+        xy_image: (N, 2) float32 keypoints in the image as taken, px.
+        xy: (N, 2) float64 undistorted keypoints, px.
+        octave: (N,) int32 pyramid level.
+        angle_deg: (N,) float32 orientation.
+        descriptors: (N, 4) uint64 ORB descriptors.
+        cell_start: (cols * rows + 1,) int32, first keypoint of each grid cell, row-major.
+    """
+
+    index: int
+    stamp_s: float
+    xy_image: np.ndarray
+    xy: np.ndarray
+    octave: np.ndarray
+    angle_deg: np.ndarray
+    descriptors: np.ndarray
+    cell_start: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.octave)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays."""
+        arrays = (self.xy_image, self.xy, self.octave, self.angle_deg, self.descriptors, self.cell_start)
+        return sum(a.nbytes for a in arrays)
+
+    def emptied(self) -> "FrameFeatures":
+        """The number and the time stamp of the frame, without its features."""
+        return FrameFeatures(
+            self.index,
+            self.stamp_s,
+            self.xy_image[:0].copy(),
+            self.xy[:0].copy(),
+            self.octave[:0].copy(),
+            self.angle_deg[:0].copy(),
+            self.descriptors[:0].copy(),
+            self.cell_start[:0].copy(),
+        )
+
+    @staticmethod
+    def build(
+        index: int, stamp_s: float, features: Features, camera: PinholeCamera, view: ViewGeometry
+    ) -> "FrameFeatures":
+        """Undistort extracted features and order them by grid cell."""
+        xy = camera.undistort_points(features.xy).astype(np.float64)
+        order, cell_start = sort_into_cells(xy, view)
+        return FrameFeatures(
+            index,
+            stamp_s,
+            features.xy[order],
+            xy[order],
+            features.octave[order],
+            features.angle_deg[order],
+            features.descriptors[order],
+            cell_start,
+        )
+
+
+@dataclass
+class Frame:
+    """One frame under tracking.
+
+    Attributes:
+        features: its features.
+        point: (N,) int32 map point matched to each keypoint, -1 for none.
+        T_cam_map: (4, 4) pose, NaN while unknown.
+        reference_keyframe: the keyframe that shares most map points, -1 while unknown.
+        T_cam_reference: (4, 4) pose relative to that keyframe, NaN while unknown.
+    """
+
+    features: FrameFeatures
+    point: np.ndarray = field(init=False)
+    T_cam_map: np.ndarray = field(default_factory=lambda: np.full((4, 4), np.nan))
+    reference_keyframe: int = -1
+    T_cam_reference: np.ndarray = field(default_factory=lambda: np.full((4, 4), np.nan))
+
+    def __post_init__(self) -> None:
+        self.point = np.full(len(self.features), -1, np.int32)
+
+    def copy(self) -> "Frame":
+        """An independent copy; the features, which never change, are shared."""
+        twin = Frame(
+            self.features, self.T_cam_map.copy(), self.reference_keyframe, self.T_cam_reference.copy()
+        )
+        twin.point[:] = self.point
+        return twin

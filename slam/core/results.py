@@ -1,0 +1,64 @@
+"""What ``process`` says of one frame."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from slam.core.events import TrackingState
+
+
+@dataclass(frozen=True)
+class TrackingResult:
+    """The outcome of one frame.
+
+    Attributes:
+        frame: index of the frame, from 0.
+        stamp_s: its time stamp.
+        state: tracker state after the frame.
+        T_map_cam: (4, 4) camera to map, at this moment; None unless tracking.
+        map_id: the current map.
+        inliers: matches with map points that survive the pose optimisation.
+        matches: matches before it.
+        reason: why the frame is not tracked; empty otherwise.
+        is_keyframe: a keyframe was made from it.
+        keypoints_px: (n, 2) float32 detected features, image pixels.
+        inlier_mask: (n,) bool, features that are inliers of the map.
+        cpu_ms: CPU milliseconds of this thread per tracking stage; with ``other`` they sum up to the whole
+            call, less mapping, loop closing and recovery where these run inside it.
+        ms: wall milliseconds per tracking stage, likewise.
+        mapping_cpu_ms: CPU milliseconds of local mapping run for this frame (0 without a keyframe).
+        loop_cpu_ms: CPU milliseconds of loop closing run for this frame (0 without a keyframe).
+    """
+
+    frame: int
+    stamp_s: float
+    state: TrackingState
+    T_map_cam: np.ndarray | None
+    map_id: int
+    inliers: int
+    matches: int
+    reason: str
+    is_keyframe: bool
+    keypoints_px: np.ndarray
+    inlier_mask: np.ndarray
+    cpu_ms: dict[str, float] = field(default_factory=dict)
+    ms: dict[str, float] = field(default_factory=dict)
+    mapping_cpu_ms: float = 0.0
+    loop_cpu_ms: float = 0.0
+
+
+@dataclass(frozen=True)
+class MapTrajectory:
+    """The final path of one map's frames, in that map's own frame and scale.
+
+    Attributes:
+        map_id: the map.
+        frames: (n,) int frame indices, increasing.
+        stamps_s: (n,) float64.
+        T_map_cam: (n, 4, 4) float64 camera to map.
+    """
+
+    map_id: int
+    frames: np.ndarray
+    stamps_s: np.ndarray
+    T_map_cam: np.ndarray

@@ -1,0 +1,259 @@
+"""Dual-SLAM: at a breakage, save the map, start another, recover backward, fuse.
+
+Source: paper, Sec. II and III, Fig. 3.
+"""
+
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+
+import numpy as np
+
+from slam.config import SlamConfig
+from slam.core import events as ev
+from slam.core.camera import PinholeCamera
+from slam.core.events import TrackingState
+from slam.core.frame import Frame
+from slam.dual.attempts import Attempt, NewMap, RecoveryAttempts
+from slam.dual.buffer import FeatureBuffer
+from slam.dual.config import DualConfig
+from slam.dual.fusion.fuse import Fused, fuse, seam_frame
+from slam.dual.fusion.merge_recovered import graft
+from slam.dual.fusion.place_merging import MapJoiner, turned
+from slam.dual.fusion.rebase import carry_over, refer_to_fused
+from slam.dual.recovery.interface import RecoveryResult
+from slam.dual.restarting import RestartingSlam
+from slam.initialization.initializer import InitialMap
+from slam.loop_closing.map_alignment import Alignment
+from slam.map.map import Map
+from slam.runtime.backend import Adjusted, Change, Corrected, ExecutionMode, Mapped
+from slam.tracking.tracker import TrackingOutcome
+
+
+class DualSlam(RestartingSlam):
+    """Saves and restarts, and makes one map of what the breakages have left.
+
+    One recovery is under way at a time. While it is, no map that it concerns is dropped or taken in by
+    another: a new map that breaks meanwhile is saved, and fused all the same if the recovery succeeds. A map
+    that breaks while its recovery waits for another's end is saved and gets its turn.
+    """
+
+    def __init__(
+        self,
+        camera: PinholeCamera,
+        seed: int = 0,
+        config: SlamConfig | None = None,
+        dual: DualConfig | None = None,
+        mode: ExecutionMode = ExecutionMode.LOCKSTEP,
+    ) -> None:
+        self.dual = dual or DualConfig()
+        return_to = self.dual.relocalization_maps if self.dual.relocalization else 0
+        super().__init__(camera, seed, config, mode, return_to)
+        self._attempts = RecoveryAttempts(self.dual, camera, seed, mode, self._emit_at)
+        self._buffer = FeatureBuffer(self.dual.buffer_s, self.dual.buffer_cap_s, self._attempts.needs_images)
+        self._joiner = MapJoiner(self.dual.joining, seed) if self.dual.joining else None
+        self._new: NewMap | None = None
+        self._recovery_due = False
+        self._waiting: deque[NewMap] = deque()
+
+    @property
+    def settings(self) -> dict:
+        """Every setting in force, those of Dual-SLAM under ``dual``."""
+        return {**super().settings, "dual": asdict(self.dual)}
+
+    @property
+    def buffer(self) -> FeatureBuffer:
+        """The frames that a recovery would go back over."""
+        return self._buffer
+
+    # -- what a breakage means for recovery --------------------------------------------------------------
+
+    def _part_with_map(self, frame: Frame) -> None:
+        """Save the map, unless it is too young to be worth it.
+
+        A new map that breaks before it was fit for recovery is dropped: the frames it had are in the buffer,
+        and the next map's recovery goes back over them too.
+        """
+        attempt = self._attempts.under_way
+        if self._recovery_due and not self._fit_for_recovery():
+            self._drop(frame, "broke_before_recovery")
+        elif self._recovery_due:
+            self._waiting.append(self._begun())
+            self._save(frame)
+        elif attempt is not None and attempt.new_id == self._map_id:
+            self._save(frame)
+        else:
+            super()._part_with_map(frame)
+
+    def _begun(self) -> NewMap:
+        """How the current map has begun; its recovery is taken care of from now on."""
+        new, self._new = self._new, None
+        if new is None:
+            raise RuntimeError("there is no new map to extend")
+        self._recovery_due = False
+        return new
+
+    def _fit_for_recovery(self) -> bool:
+        return len(self.current_map.keyframes()) >= self.dual.start_keyframes
+
+    def _seek_after(self, frame: Frame) -> None:
+        if self._joiner is not None:
+            self._joiner.moved_on()
+        self._recovery_due = self._attempts.possible and bool(self._reachable())
+        self._buffer.frozen = self._recovery_due
+        super()._seek_after(frame)
+
+    def _reachable(self) -> list[int]:
+        """Saved maps that the buffer goes back to, newest first."""
+        return [k for k in self._saved if self._buffer.reaches(_newest_frame(self._maps[k]))]
+
+    def _may_return_to(self) -> Sequence[int]:
+        return () if self._attempts.under_way else super()._may_return_to()
+
+    def _back_in(self, map_id: int) -> None:
+        super()._back_in(map_id)
+        self._recovery_due = self._buffer.frozen = False
+
+    def _start_map(self, initial: InitialMap) -> None:
+        super()._start_map(initial)
+        self._new = NewMap(initial.map, initial.first, initial.second, self._sought_since)
+
+    # -- after every frame -------------------------------------------------------------------------------
+
+    def _after_frame(self, frame: Frame, outcome: TrackingOutcome, image: np.ndarray) -> None:
+        super()._after_frame(frame, outcome, image)
+        self._buffer.append(frame.features, image)
+        self._take_recovered(frame, self._attempts.ended(frame))
+        if self._waiting and not self._attempts.under_way:
+            self._recover(frame, self._waiting.popleft())
+        if not outcome.success or self.state is not TrackingState.TRACKING or self._attempts.under_way:
+            return
+        if not self._recovery_due:
+            self._join_by_place(frame)
+        elif self._fit_for_recovery():
+            self._recover(frame, self._begun())
+
+    def _recover(self, frame: Frame, new: NewMap) -> None:
+        """Set the recovery threads going."""
+        self._backend.drain()
+        self._buffer.frozen = self._recovery_due or bool(self._waiting)
+        older = [k for k in self._saved if k < new.map.map_id]
+        reachable = [self._maps[k] for k in self._reachable() if k in older]
+        if reachable:
+            # What runs beside tracking is not tracking's time, in lockstep neither.
+            with self.timer.apart():
+                self._attempts.begin(frame, new, reachable, self._buffer)
+            self._take_recovered(frame, self._attempts.ended(frame))
+        else:
+            self._attempts.give_up(frame, new.map, older[0])
+
+    def finish(self) -> None:
+        """End of input: recoveries under way or waiting are done to the end, then as in the base.
+
+        Raises:
+            Exception: what a recovery or mapping has raised on its thread.
+        """
+        try:
+            if self._last_frame is not None:
+                self._take_recovered(self._last_frame, self._attempts.rest(self._last_frame))
+                while self._waiting:
+                    self._recover(self._last_frame, self._waiting.popleft())
+                    self._take_recovered(self._last_frame, self._attempts.rest(self._last_frame))
+        finally:
+            self._attempts.close()
+            super().finish()
+
+    # -- fusion ------------------------------------------------------------------------------------------
+
+    def _take_recovered(self, frame: Frame, succeeded: Iterable[tuple[Attempt, RecoveryResult]]) -> None:
+        """Fuse what recovery threads have related, the first of each recovery that has succeeded."""
+        for attempt, result in succeeded:
+            if result.alignment is not None and attempt.new_id in self._maps:
+                self._fuse_recovered(frame, attempt, result, result.alignment)
+
+    def _fuse_recovered(
+        self, frame: Frame, attempt: Attempt, result: RecoveryResult, alignment: Alignment
+    ) -> None:
+        """The new map takes over what the recovery has found before it, and both go into the old map."""
+        self._backend.drain()
+        old, new = self._maps[alignment.old_map_id], self._maps[attempt.new_id]
+        grafted = graft(new, result.map, attempt.keyframes, attempt.points)
+        if grafted is None:
+            self._emit_at(
+                frame, ev.Fusion, new.map_id, old_map_id=old.map_id, new_map_id=new.map_id,
+                by="recovery", accepted=False, scale=alignment.scale, inliers=alignment.inliers,
+                reason="new_map_has_changed",
+            )  # fmt: skip
+            return
+        alignments = [grafted.moved(a, new) for a in (*result.confirming, alignment)]
+        seam = seam_frame(old, alignments)
+        fused = self._fuse(frame, old, new, alignments, "recovery")
+        refer_to_fused(result.frames, grafted.keyframes, fused, alignment.scale)
+        for tracked in result.frames:
+            if tracked.features.index > seam:
+                self._poses.add(old.map_id, tracked)
+
+    def _fuse(self, frame: Frame, old: Map, new: Map, alignments: Sequence[Alignment], by: str) -> Fused:
+        """The old map takes in the new one; whoever was in the new one goes on in the result."""
+        accepted = alignments[-1]
+        fused = fuse(old, new, alignments, self.config.mapping, renewed=by == "recovery")
+        self._poses.join(old.map_id, new.map_id, fused.keyframes, accepted.scale)
+        self._poses.rescale(old.map_id, fused.factor)
+        both = (old.map_id, new.map_id)
+        saved = [k for k in self._saved if k not in both]
+        if self._map_id in both:
+            if self._map_id == new.map_id:
+                self._map_id = old.map_id
+                carry_over(self.tracker, self.mapper, old, fused, accepted.scale)
+            if self._joiner is not None:
+                self._joiner.moved_on()
+        else:  # it is as young as the younger of the two
+            saved.insert(min(map(self._saved.index, both)), old.map_id)
+            self._broken_at[old.map_id] = max((self._broken_at[k] for k in both), key=lambda f: f.index)
+        self._saved = saved
+        self._forget(new.map_id)
+        if self._joiner is not None:
+            self._joiner.forget()
+        self._emit_at(
+            frame, ev.Fusion, old.map_id, old_map_id=old.map_id, new_map_id=new.map_id, by=by,
+            accepted=True, scale=accepted.scale, inliers=accepted.inliers, reason="",
+        )  # fmt: skip
+        return fused
+
+    # -- maps met again ----------------------------------------------------------------------------------
+
+    def _apply(self, change: Change) -> None:
+        super()._apply(change)
+        if self._joiner is None:
+            return
+        if isinstance(change, Mapped) and self._saved:
+            self._joiner.note(change.keyframe)
+        elif isinstance(change, Corrected | Adjusted):
+            self._joiner.forget()
+
+    def _join_by_place(self, frame: Frame) -> None:
+        """Look whether the newest keyframes show a saved map; the map begun first takes in the other."""
+        if self._joiner is None or not self._saved:
+            return
+        current = self.current_map
+        alignments = self._joiner.search(
+            current,
+            [self._maps[k] for k in self._saved],
+            lambda map_id: self._places(map_id).database,
+            self._backend.lock,
+        )
+        if not alignments:
+            return
+        happened = len(self.events)
+        self._backend.drain()
+        if len(self.events) != happened or current.arrays.kf_bad[alignments[-1].new_keyframe]:
+            return  # the map has just been changed: what was found is void
+        saved = self._maps[alignments[-1].old_map_id]
+        if saved.map_id < current.map_id:
+            self._fuse(frame, saved, current, alignments, "place")
+        else:
+            self._fuse(frame, current, saved, [turned(a, current.map_id) for a in alignments], "place")
+
+
+def _newest_frame(map_: Map) -> int:
+    return max(map_.frame_index(int(k)) for k in map_.keyframes())

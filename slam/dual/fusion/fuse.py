@@ -1,0 +1,160 @@
+"""Map fusion: one map out of two that a similarity relates. Source: paper, Sec. III-C, Eq. 2."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.loop_closing.correction import move_points
+from slam.loop_closing.essential_graph import essential_edges
+from slam.loop_closing.map_alignment import Alignment, AlignmentConfig
+from slam.map import _map_kernels as kernels
+from slam.map.map import Map
+from slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
+from slam.matching.guided import fuse_into_keyframe
+from slam.optimization.pose_graph import optimize_pose_graph
+from slam.optimization.sim3 import sim3_decompose, sim3_inverse
+from slam.optimization.sim3_algebra import invert_sim3
+
+
+@dataclass(frozen=True)
+class FusionConfig(AlignmentConfig):
+    """Acceptance of a fusion: of each alignment, and of several together.
+
+    Attributes:
+        max_frame_gap: frames between keyframes of the two maps that may be compared.
+        max_scale_change, max_rotation_deg, max_shift: how far two alignments, at different keyframes of the
+            old map, may differ and still confirm each other; the shift is in median depths.
+        confirmations: alignments that must agree.
+    """
+
+    max_frame_gap: int = 5
+    max_scale_change: float = 0.05
+    max_rotation_deg: float = 2.0
+    max_shift: float = 0.05
+    confirmations: int = 2
+
+
+def agree(old: Map, first: Alignment, second: Alignment, config: FusionConfig) -> bool:
+    """Whether two alignments at different keyframes of the old map tell the same similarity."""
+    if first.old_map_id != second.old_map_id or first.old_keyframe == second.old_keyframe:
+        return False
+    s_1, R_1, _ = sim3_decompose(first.S_old_new)
+    s_2, R_2, _ = sim3_decompose(second.S_old_new)
+    if abs(np.log(s_1 / s_2)) > np.log1p(config.max_scale_change):
+        return False
+    cosine = np.clip((np.trace(R_1.T @ R_2) - 1) / 2, -1, 1)
+    if np.rad2deg(np.arccos(cosine)) > config.max_rotation_deg:
+        return False
+    depth = kernels.median_depth(old.arrays, second.old_keyframe)
+    where = np.append(old.arrays.pt_xyz[second.old_points].mean(0), 1.0)
+    moved = (first.S_old_new @ sim3_inverse(second.S_old_new) @ where)[:3]
+    return bool(np.linalg.norm(moved - where[:3]) <= config.max_shift * depth)
+
+
+@dataclass(frozen=True)
+class Fused:
+    """What became of the new map's rows.
+
+    Attributes:
+        keyframes, points: offsets of its rows in the old map.
+        factor: (n_keyframes,) on lengths about each keyframe of the fused map, from the seam's optimisation.
+    """
+
+    keyframes: int
+    points: int
+    factor: np.ndarray
+
+
+def fuse(
+    old: Map,
+    new: Map,
+    alignments: Sequence[Alignment],
+    mapping: LocalMappingConfig,
+    renewed: bool = True,
+) -> Fused:
+    """Take the new map into the old one, whose frame is kept.
+
+    The new map is placed by the last alignment; where more are given, the essential graph over the seam is
+    optimised with all of them, the old keyframes held.
+
+    Args:
+        old: changed in place.
+        new: moved into the old map's frame in place, then copied.
+        alignments: those that agree; the accepted one last.
+        mapping: settings of the seam's fusion and bundle adjustment.
+        renewed: old keyframes younger than the seam are by-passed: a recovery has covered their frames anew,
+            and they are the ones that the breakage may have corrupted.
+    """
+    accepted = alignments[-1]
+    if renewed:
+        _bypass_younger(old, seam_frame(old, alignments))
+    new.transform(*sim3_decompose(accepted.S_old_new))
+    keyframes, points = old.absorb(new)
+    for k in range(keyframes, old.n_keyframes):
+        if old.parent(k) < 0:
+            old.set_parent(k, accepted.old_keyframe)
+    scale = old.view.scale
+    for alignment in reversed(alignments):
+        theirs = (alignment.new_points + points).astype(np.int32)
+        kernels.replace_points(old.arrays, theirs, alignment.old_points, scale)
+    factor = _settle(old, alignments, keyframes)
+    _fuse_seam(old, accepted.old_keyframe, accepted.new_keyframe + keyframes)
+    LocalMapper(old, mapping).adjust(accepted.new_keyframe + keyframes)
+    return Fused(keyframes, points, factor)
+
+
+def seam_frame(old: Map, alignments: Sequence[Alignment]) -> int:
+    """The youngest frame at which the new map has been found to fit the old one."""
+    return max(old.frame_index(a.old_keyframe) for a in alignments)
+
+
+def _bypass_younger(old: Map, frame: int) -> None:
+    for k in old.keyframes():
+        if old.frame_index(int(k)) > frame and old.parent(int(k)) >= 0:
+            old.cull_keyframe(int(k))
+
+
+def _settle(fused: Map, alignments: Sequence[Alignment], first_new: int) -> np.ndarray:
+    """Optimise the essential graph of the new side over the seam; (n_keyframes,) factor on lengths."""
+    rows = fused.keyframes()
+    bad = fused.arrays.kf_bad
+    standing = [a for a in alignments if not (bad[a.new_keyframe + first_new] or bad[a.old_keyframe])]
+    seam = [(a.new_keyframe + first_new, a.old_keyframe) for a in standing]
+    fused.loop_edges += seam
+    if len(seam) < 2:
+        return np.ones(fused.n_keyframes)
+    T = fused.arrays.kf_T_cam_map
+    inner = essential_edges(fused)
+    inner = inner[inner.min(axis=1) >= first_new]
+    to_placed = alignments[-1].S_old_new
+    measured = [
+        # Both ends by this alignment: the new keyframe stands where the last one has put it.
+        T[i] @ to_placed @ sim3_inverse(a.S_old_new) @ np.linalg.inv(T[j])
+        for (i, j), a in zip(seam, standing, strict=True)
+    ]
+    slot = np.full(fused.n_keyframes, -1)
+    slot[rows] = np.arange(len(rows))
+    result = optimize_pose_graph(
+        T[rows],
+        slot[np.concatenate([inner, np.array(seam)])],
+        np.concatenate([T[inner[:, 0]] @ invert_sim3(T[inner[:, 1]]), measured]),
+        rows < first_new,
+    )
+    S = T[: fused.n_keyframes].copy()
+    S[rows] = result.S_cam_map
+    move_points(fused, T[: fused.n_keyframes].copy(), S)
+    factor = fused.move_keyframes(S)
+    kernels.refresh_geometries(fused.arrays, fused.points(), fused.view.scale)
+    return factor
+
+
+def _fuse_seam(fused: Map, old_keyframe: int, new_keyframe: int) -> None:
+    """Join the duplicates that are left about the seam, both ways."""
+    old_side = [old_keyframe, *fused.neighbours(old_keyframe, 10)]
+    new_side = [new_keyframe, *fused.neighbours(new_keyframe, 10)]
+    for targets, sources in ((new_side, old_side), (old_side, new_side)):
+        points = np.unique(np.concatenate([fused.observed_points(int(k)) for k in sources]))
+        points = points[points >= 0].astype(np.int32)
+        for k in targets:
+            fuse_into_keyframe(fused.arrays, fused.view, int(k), points, 4.0)

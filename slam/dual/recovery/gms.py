@@ -1,0 +1,105 @@
+"""A third recovery thread: ORB matches that motion statistics support, and EPnP, backward.
+
+Source: the method of Dual-SLAM's released code, which matches every frame with the last backward keyframe.
+"""
+
+from dataclasses import dataclass
+
+from slam.core.frame import Frame
+from slam.core.timing import StageTimer
+from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
+from slam.dual.recovery.propagation import propagate
+from slam.mapping.local_mapping import LocalMapper
+from slam.matching.gms import GmsConfig, match_gms
+from slam.tracking.pnp import ransac_pnp
+from slam.tracking.tracker import Tracker, TrackingOutcome, optimize_frame
+
+
+@dataclass(frozen=True)
+class GmsRecoveryConfig(RecoveryConfig):
+    """Settings of the GMS thread.
+
+    Attributes:
+        threshold_factor: of GMS: how much support a match needs from its surroundings.
+        ransac_iterations, ransac_error_px: of the pose.
+        min_pose_inliers: matches that it must agree with.
+        min_inliers: map points of the local map that it must agree with in the end.
+    """
+
+    threshold_factor: float = 6.0
+    ransac_iterations: int = 300
+    ransac_error_px: float = 4.0
+    min_pose_inliers: int = 10
+    min_inliers: int = 20
+
+
+class GmsRecovery:
+    """Frames placed by their GMS matches with the last backward keyframe."""
+
+    name = "gms"
+    needs_images = False
+    # Measured: CPU on one core, 640x480, 1,000 features.
+    cost = RecoveryCost(frame_ms=5.0, keyframe_ms=17.0, alignment_ms=4.0)
+
+    def __init__(self, config: RecoveryConfig | None = None) -> None:
+        self.config = GmsRecoveryConfig.extending(config)
+
+    def run(self, task: RecoveryTask) -> RecoveryResult:
+        """Place the buffered frames newest first, each by its matches with the last keyframe made."""
+        mapper = LocalMapper(task.new_map, self.config.mapping)
+        return propagate(task, self.config, GmsTracker(task, self.config), mapper)
+
+
+class GmsTracker(Tracker):
+    """Places frames by GMS matches with the last keyframe."""
+
+    def __init__(self, task: RecoveryTask, config: GmsRecoveryConfig) -> None:
+        super().__init__(task.new_map, config.tracking, StageTimer())
+        self._gms_config = config
+        self._size_px = task.camera.width_px, task.camera.height_px
+        self._rng = task.rng
+        self._keyframe = task.first.reference_keyframe
+        self.start(task.first, self._keyframe)
+
+    def track(self, frame: Frame) -> TrackingOutcome:
+        """Place the frame by its matches with the last keyframe, then match it with the local map.
+
+        Args:
+            frame: features only; pose, matches and reference keyframe are filled in.
+        """
+        config, m = self._gms_config, self.map
+        last = self._refreshed_last()
+        keyframe = m.live(self._keyframe)
+        points = m.observed_points(keyframe)
+        pairs = match_gms(
+            m.features(keyframe), frame.features, self._size_px, GmsConfig(config.threshold_factor)
+        )
+        pairs = pairs[points[pairs[:, 0]] >= 0]
+        if len(pairs) < config.min_pose_inliers:
+            return TrackingOutcome(False, 0, len(pairs), "too_few_gms_matches")
+        rows, seen = pairs[:, 1], points[pairs[:, 0]]
+        found = ransac_pnp(
+            m.arrays.pt_xyz[seen], frame.features.xy[rows], m.view, self._rng,
+            config.ransac_iterations, config.ransac_error_px, config.min_pose_inliers,
+        )  # fmt: skip
+        if found is None:
+            return TrackingOutcome(False, 0, len(pairs), "no_pose_from_gms_matches")
+        frame.T_cam_map, agree = found
+        frame.point[rows[agree]] = seen[agree]
+        inliers, matches = optimize_frame(frame, m), len(pairs)
+        if inliers >= config.min_pose_inliers:
+            inliers, matches = self._track_local_map(frame)
+        # Beyond a gap the pose has nothing but these matches, and all that comes after rests on it.
+        if inliers < (self.config.cautious_inliers if self._passed_over else config.min_inliers):
+            return TrackingOutcome(False, inliers, matches, "too_few_local_map_inliers")
+        self._accept(frame, last)
+        return TrackingOutcome(True, inliers, matches)
+
+    def pass_over(self, frame: Frame) -> None:
+        """Skip an unusable frame: the next one is matched with the same keyframe."""
+        self._passed_over += 1
+
+    def keyframe_made(self, frame: Frame, keyframe: int) -> None:
+        """Take note that ``frame`` has become ``keyframe``."""
+        super().keyframe_made(frame, keyframe)
+        self._keyframe = keyframe

@@ -1,0 +1,64 @@
+"""Meeting the old maps: alignments where two maps have keyframes of about the same time, confirmed."""
+
+from slam.core.frame import Frame
+from slam.dual.fusion.fuse import FusionConfig, agree
+from slam.dual.recovery.interface import RecoveryTask
+from slam.loop_closing.map_alignment import Alignment, align
+from slam.map.map import Map
+
+
+class Meeting:
+    """Watches for the old maps: aligns where two maps have keyframes of about the same time.
+
+    Attributes:
+        tried: pairs of keyframes compared.
+        confirming: the earlier alignments that agree with the last one.
+    """
+
+    def __init__(self, task: RecoveryTask, config: FusionConfig) -> None:
+        self._task = task
+        self._config = config
+        self._keyframes = [
+            {old.frame_index(int(k)): int(k) for k in old.keyframes()} for old in task.old_maps
+        ]
+        self._found: list[Alignment] = []
+        self._failures: list[str] = []
+        self.tried = 0
+        self.confirming: tuple[Alignment, ...] = ()
+
+    @property
+    def accepted(self) -> Alignment:
+        """The alignment that was confirmed last."""
+        return self._found[-1]
+
+    def possible(self, frame: Frame) -> bool:
+        """Whether an old map has a keyframe of this very frame."""
+        return any(frame.features.index in keyframes for keyframes in self._keyframes)
+
+    def attempt(self, frame: Frame, keyframe: int) -> bool:
+        """Align at this keyframe with every old map that it may meet; True once enough alignments agree."""
+        index = frame.features.index
+        for old, keyframes in zip(self._task.old_maps, self._keyframes, strict=True):
+            near = [f for f in keyframes if abs(f - index) <= self._config.max_frame_gap]
+            if near and self._align(old, keyframes[min(near, key=lambda f: abs(f - index))], keyframe):
+                return True
+        return False
+
+    def _align(self, old: Map, old_keyframe: int, keyframe: int) -> bool:
+        task = self._task
+        self.tried += 1
+        alignment, reason, _ = align(old, task.new_map, old_keyframe, keyframe, task.rng, self._config)
+        if alignment is None:
+            self._failures.append(reason)
+            return False
+        self.confirming = tuple(e for e in self._found if agree(old, e, alignment, self._config))
+        self._found.append(alignment)
+        return len(self.confirming) + 1 >= self._config.confirmations
+
+    def verdict(self) -> tuple[str, str]:
+        """(stage, reason) of a failure to meet."""
+        if self._found:
+            return "sim3", "alignments_do_not_agree" if len(self._found) > 1 else "alignment_not_confirmed"
+        if "sim3" in self._failures:
+            return "sim3", "too_few_inliers"
+        return "overlap", "too_few_common_points" if self._failures else "old_map_not_reached"

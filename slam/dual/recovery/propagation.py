@@ -1,0 +1,56 @@
+"""The way back over the buffer, the same for every kind of recovery thread but for how a frame gets its pose.
+
+Source: paper, Sec. III-B and Algorithm 1.
+"""
+
+from slam.core.frame import Frame
+from slam.dual.recovery.interface import RecoveryConfig, RecoveryResult, RecoveryTask
+from slam.dual.recovery.overlap import Meeting
+from slam.mapping.local_mapping import LocalMapper
+from slam.tracking.tracker import Tracker
+
+
+def propagate(
+    task: RecoveryTask, config: RecoveryConfig, tracker: Tracker, mapper: LocalMapper
+) -> RecoveryResult:
+    """Place the buffered frames newest first, map as forward mapping does, try to meet the old maps.
+
+    Args:
+        task: what is given; its new map is extended in place.
+        config: settings.
+        tracker: places frames in the new map; it stands at the task's first frame.
+        mapper: grows the new map.
+    """
+    result = RecoveryResult(task.new_map)
+    meeting = Meeting(task, config.fusion)
+    unusable_since_s = None
+    for features in task.backward:
+        frame = Frame(features)
+        result.frames_covered += 1
+        outcome = tracker.track(frame)
+        if not outcome.success:
+            result.frames_passed_over += 1
+            if unusable_since_s is None:
+                unusable_since_s = features.stamp_s
+            if unusable_since_s - features.stamp_s >= config.max_unusable_s:
+                result.stage, result.reason = "propagation", outcome.reason
+                return result
+            tracker.pass_over(frame)
+            continue
+        unusable_since_s = None
+        result.inliers = outcome.inliers
+        result.frames.append(frame)
+        if meeting.possible(frame) or tracker.wants_keyframe(frame, outcome.inliers):
+            keyframe = mapper.insert(frame)
+            result.keyframes_made += 1
+            tracker.keyframe_made(frame, keyframe)
+            met = meeting.attempt(frame, keyframe)
+            result.alignments_tried = meeting.tried
+            if met:
+                result.success = True
+                result.alignment = meeting.accepted
+                result.confirming = meeting.confirming
+                result.inliers = meeting.accepted.inliers
+                return result
+    result.stage, result.reason = meeting.verdict()
+    return result

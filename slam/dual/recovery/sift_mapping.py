@@ -1,0 +1,162 @@
+"""Local mapping of ORB features on poses that SIFT features hold as well.
+
+Source: paper, Algorithm 1, line 20: bundle adjustment and reconstruction with ORB features on SIFT's poses.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.features.sift import SiftFrame
+from slam.map import _map_kernels as kernels
+from slam.map.map import MIN_OBSERVATIONS, Map
+from slam.mapping._local_problem import local_problem
+from slam.mapping._triangulation_search import new_points
+from slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
+from slam.optimization.bundle_adjustment import local_bundle_adjust
+
+_MIN_VIEWS = 3  # of a SIFT feature: two agree on any place along their epipolar line
+_HELD = 2  # of the keyframes made last, the oldest, which hold place and scale for the others
+
+
+class SiftMapper(LocalMapper):
+    """Local mapping that knows the SIFT features of the keyframes made last.
+
+    They take part in bundle adjustment, and points are sought between those keyframes even if they share
+    none: through a stretch and beyond it where no ORB features are found again, that is how the map goes on.
+
+    Args:
+        map_: the map.
+        config: settings.
+        first: the view that recovery starts from, of keyframe 0.
+        latest: gives the view that is being made a keyframe.
+        kept: how many keyframes' SIFT features are kept.
+        paired: among how many of them points are sought.
+    """
+
+    def __init__(
+        self,
+        map_: Map,
+        config: LocalMappingConfig,
+        first: SiftFrame,
+        latest: Callable[[], SiftFrame],
+        kept: int,
+        paired: int,
+    ) -> None:
+        super().__init__(map_, config)
+        self._latest = latest
+        self._kept = kept
+        self._paired = paired
+        self._views: dict[int, SiftFrame] = {0: first}
+
+    def adjust_keyframes(self, free: np.ndarray) -> None:
+        """Bundle adjustment of the keyframes marked in ``free``, of those made last, and of their points.
+
+        Args:
+            free: (n_keyframes,) bool.
+        """
+        m, a, view = self.map, self.map.arrays, self.map.view
+        made = [k for k in self._views if not a.kf_bad[k]]
+        free = free.copy()
+        free[made] = True
+        free[made[: min(_HELD, len(made) - 1)]] = False
+        cameras, points, obs_camera, obs_point, obs_keypoint = local_problem(
+            a, m.n_keyframes, m.n_points, free, self.config.fixed
+        )
+        cameras = np.concatenate([cameras, np.setdiff1d(made, cameras)]).astype(np.int64)
+        fixed = ~free[cameras]
+        if not fixed.any():
+            fixed[0] = True
+        sift = self._sift_problem(cameras)
+        if not len(points) and not len(sift.xyz):
+            return
+        count = len(obs_camera)
+        result, good = local_bundle_adjust(
+            a.kf_T_cam_map[cameras],
+            fixed,
+            np.concatenate([a.pt_xyz[points], sift.xyz]),
+            np.concatenate([obs_camera, sift.camera]),
+            np.concatenate([obs_point, len(points) + sift.point]),
+            np.concatenate([a.kp_xy[obs_keypoint], sift.xy]),
+            np.concatenate([view.inv_sigma2[a.kp_octave[obs_keypoint]], sift.inv_sigma2]),
+            view.fx, view.fy, view.cx, view.cy,
+        )  # fmt: skip
+        a.kf_T_cam_map[cameras[~fixed]] = result.T_cam_map[~fixed]
+        a.pt_xyz[points] = result.points[: len(points)]
+        kernels.erase_observations(a, obs_keypoint[~good[:count]], MIN_OBSERVATIONS)
+        kernels.refresh_geometries(a, points, view.scale)
+        xyz = result.points[len(points) :][sift.point]
+        for c in np.unique(sift.camera):
+            own, seen = sift.camera == c, self._views[int(cameras[c])]
+            seen.set_places(sift.row[own], xyz[own], result.T_cam_map[c])
+            seen.forget(sift.row[own & ~good[count:]])
+
+    # -- steps -------------------------------------------------------------------------------------------
+
+    def _create_points(self, keyframe: int) -> None:
+        """Triangulate matches with covisible keyframes, and with those made last."""
+        self._views[keyframe] = self._latest()
+        for old in list(self._views)[: -self._kept]:
+            del self._views[old]
+        super()._create_points(keyframe)
+        depth = self._views[keyframe].depth
+        covisible = set(self.map.neighbours(keyframe, self.config.neighbours).tolist())
+        for other in list(self._views)[-1 - self._paired : -1]:
+            if other not in covisible and not self.map.arrays.kf_bad[other]:
+                created = self._triangulate_at(keyframe, other, depth)
+                self._young = np.concatenate([self._young, created])
+
+    def _triangulate_at(self, keyframe: int, other: int, depth: float) -> np.ndarray:
+        """Rows of the points found between two keyframes, none of which need have any, at about ``depth``."""
+        m, config = self.map, self.config
+        between = m.T_cam_map(keyframe) @ np.linalg.inv(m.T_cam_map(other))
+        if depth <= 0 or np.linalg.norm(between[:3, 3]) < config.min_baseline * depth:
+            return np.empty(0, np.int64)
+        own, theirs, xyz = new_points(
+            m.arrays, m.view, keyframe, other, config.min_depth * depth,
+            float(np.cos(np.deg2rad(config.min_parallax_deg))), config.descriptor_ratio,
+        )  # fmt: skip
+        first = m.reserve_points(len(own))
+        kernels.create_points(m.arrays, first, xyz, own, theirs, m.view.scale)
+        return np.arange(first, first + len(own))
+
+    def _sift_problem(self, cameras: np.ndarray) -> "_SiftProblem":
+        """What the SIFT features seen from ``cameras`` (C,), keyframe rows, add to a bundle adjustment."""
+        seen = [
+            (c, self._views[int(k)], self.map.T_cam_map(int(k)))
+            for c, k in enumerate(cameras)
+            if k in self._views
+        ]
+        track = np.concatenate([v.track for _, v, _ in seen])
+        row = np.concatenate([np.arange(len(v.track)) for _, v, _ in seen])
+        camera = np.concatenate([np.full(len(v.track), c) for c, v, _ in seen])
+        places = np.concatenate([v.places(np.arange(len(v.track)), T) for _, v, T in seen])
+        names, point, counts = np.unique(track, return_inverse=True, return_counts=True)
+        xyz = np.full((len(names), 3), np.nan)
+        # Of several places of a feature the one of the keyframe made last is left standing.
+        made = np.argsort(cameras[camera], kind="stable")
+        made = made[np.isfinite(places[made, 0])]
+        xyz[point[made]] = places[made]
+        use = (counts >= _MIN_VIEWS) & np.isfinite(xyz[:, 0])
+        keep = use[point]
+        return _SiftProblem(
+            camera[keep],
+            row[keep],
+            (np.cumsum(use) - 1)[point[keep]],
+            xyz[use],
+            np.concatenate([v.xy for _, v, _ in seen])[keep],
+            np.concatenate([v.inv_sigma2 for _, v, _ in seen])[keep],
+        )
+
+
+@dataclass(frozen=True)
+class _SiftProblem:
+    """Observations (n,) of SIFT features, camera by camera, and the places of their points (p, 3)."""
+
+    camera: np.ndarray
+    row: np.ndarray
+    point: np.ndarray
+    xyz: np.ndarray
+    xy: np.ndarray
+    inv_sigma2: np.ndarray

@@ -1,0 +1,209 @@
+"""ORB features spread over the image: FAST corners on a pyramid, rotated BRIEF descriptors."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from slam.core.frame import Features
+from slam.features._fast_kernels import corner_contrast, select_corners
+from slam.features._orb_kernels import BORDER_PX, descriptors, orientations
+from slam.features._spread_kernels import spread_corners
+
+# As OpenCV's ORB blurs: rounds otherwise than cv2.GaussianBlur here and there, and takes half the time.
+_BLUR = cv2.getGaussianKernel(7, 2)
+
+
+@dataclass(frozen=True)
+class OrbConfig:
+    """What the extractor looks for.
+
+    Attributes:
+        n_features: most features per image.
+        n_levels: levels of the pyramid.
+        scale_factor: ratio of the sizes of neighbouring levels.
+        fast_threshold: contrast, in grey levels, that a corner must exceed.
+        fast_min_threshold: the same in cells where no corner exceeds ``fast_threshold``.
+        cell_px: side of these cells, in pixels of each level.
+    """
+
+    n_features: int = 1000
+    n_levels: int = 8
+    scale_factor: float = 1.2
+    fast_threshold: int = 20
+    fast_min_threshold: int = 7
+    cell_px: int = 30
+
+    def __post_init__(self) -> None:
+        """Raise ValueError naming the first field that is out of range."""
+        checks = {
+            "n_features": self.n_features >= 1,
+            "n_levels": 1 <= self.n_levels <= 32,
+            "scale_factor": 1 < self.scale_factor <= 4,
+            "fast_threshold": 1 <= self.fast_threshold <= 254,
+            "fast_min_threshold": 1 <= self.fast_min_threshold <= self.fast_threshold,
+            "cell_px": self.cell_px >= 4,
+        }
+        for name, holds in checks.items():
+            if not holds:
+                raise ValueError(f"OrbConfig.{name} is out of range: {getattr(self, name)}")
+
+    @cached_property
+    def scales(self) -> np.ndarray:
+        """(n_levels,) float64: pixels of the image per pixel of each level, nominal."""
+        return self.scale_factor ** np.arange(self.n_levels)
+
+
+@dataclass(frozen=True)
+class _Level:
+    image: np.ndarray  # (h, w) uint8
+    blurred: np.ndarray  # (h, w) uint8
+    xs: np.ndarray  # candidate corners
+    ys: np.ndarray
+    contrasts: np.ndarray
+    pixel: np.ndarray = field(repr=False)  # (2,) float64: pixels of the image per pixel, x and y
+
+
+class OrbExtractor:
+    """Extracts ORB features from images of one size.
+
+    An instance owns its buffers: use one per thread. What it returns is never overwritten.
+    """
+
+    def __init__(self, width_px: int, height_px: int, config: OrbConfig | None = None) -> None:
+        """Allocate the buffers.
+
+        Args:
+            width_px: width of the images.
+            height_px: height of the images.
+            config: defaults to ``OrbConfig()``.
+
+        Raises:
+            ValueError: the image is too small to hold the neighbourhood of one feature.
+        """
+        least = 2 * BORDER_PX + 1
+        if width_px < least or height_px < least:
+            raise ValueError(
+                f"image of {width_px}x{height_px} px is too small for ORB: least is {least}x{least}"
+            )
+        self.config = config or OrbConfig()
+        self._shape = (height_px, width_px)
+        self._levels = [self._allocate(scale) for scale in self.config.scales]
+        self._contrast = np.zeros(height_px * width_px, np.uint8)
+
+    def __deepcopy__(self, memo: dict) -> "OrbExtractor":
+        """Another extractor of the same settings: buffers hold nothing between two images."""
+        return OrbExtractor(self._shape[1], self._shape[0], self.config)
+
+    def _allocate(self, scale: float) -> _Level:
+        height, width = (max(round(size / scale), 1) for size in self._shape)
+        # Of each 2x2 block at most one pixel is a local maximum.
+        most = ((height + 1) // 2) * ((width + 1) // 2)
+        return _Level(
+            image=np.zeros((height, width), np.uint8),
+            blurred=np.zeros((height, width), np.uint8),
+            xs=np.empty(most, np.int32),
+            ys=np.empty(most, np.int32),
+            contrasts=np.empty(most, np.uint8),
+            pixel=np.array([self._shape[1] / width, self._shape[0] / height]),
+        )
+
+    def extract(self, image: np.ndarray) -> Features:
+        """Features of an image; few or none where it shows few corners.
+
+        Args:
+            image: (height_px, width_px) uint8.
+
+        Raises:
+            ValueError: the image has another shape or type.
+        """
+        self._check(image)
+        self._build_pyramid(image)
+        n_corners = [self._detect(level) for level in self._levels]
+        quotas = share_out(self.config.n_features, self.config.scale_factor, n_corners)
+        parts = [
+            self._describe(octave, level, n, quota)
+            for octave, (level, n, quota) in enumerate(zip(self._levels, n_corners, quotas, strict=True))
+        ]
+        return Features(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+    def _check(self, image: np.ndarray) -> None:
+        if not isinstance(image, np.ndarray) or image.dtype != np.uint8:
+            raise ValueError(
+                f"image must be a uint8 array, is {getattr(image, 'dtype', type(image).__name__)}"
+            )
+        if image.shape != self._shape:
+            raise ValueError(f"image must have shape {self._shape}, has {image.shape}")
+
+    def _build_pyramid(self, image: np.ndarray) -> None:
+        np.copyto(self._levels[0].image, image)
+        for finer, coarser in zip(self._levels, self._levels[1:], strict=False):
+            height, width = coarser.image.shape
+            cv2.resize(finer.image, (width, height), dst=coarser.image, interpolation=cv2.INTER_LINEAR)
+
+    def _detect(self, level: _Level) -> int:
+        height, width = level.image.shape
+        corner_contrast(level.image, BORDER_PX - 1, self._contrast)
+        return select_corners(
+            self._contrast,
+            height,
+            width,
+            BORDER_PX,
+            np.uint8(self.config.fast_threshold),
+            np.uint8(self.config.fast_min_threshold),
+            self.config.cell_px,
+            level.xs,
+            level.ys,
+            level.contrasts,
+        )
+
+    def _describe(self, octave: int, level: _Level, n_corners: int, quota: int) -> tuple[np.ndarray, ...]:
+        height, width = level.image.shape
+        xs, ys, contrasts = level.xs[:n_corners], level.ys[:n_corners], level.contrasts[:n_corners]
+        chosen = spread_corners(xs, ys, contrasts, height, width, quota)
+        xs, ys, contrasts = xs[chosen], ys[chosen], contrasts[chosen]
+        if len(chosen):
+            cv2.sepFilter2D(
+                level.image, -1, _BLUR, _BLUR, dst=level.blurred, borderType=cv2.BORDER_REFLECT_101
+            )
+        angles = orientations(level.image, xs, ys)
+        # The exact inverse of cv2.resize: integers are pixel centres, and levels have whole sizes.
+        xy = ((np.stack([xs, ys], axis=1) + 0.5) * level.pixel - 0.5).astype(np.float32)
+        return (
+            xy,
+            np.full(len(chosen), octave, np.int32),
+            angles,
+            contrasts.astype(np.float32),
+            descriptors(level.blurred, xs, ys, angles),
+        )
+
+
+def share_out(n_features: int, scale_factor: float, n_corners: list[int]) -> list[int]:
+    """Features per level: a geometric series; what a level cannot fill goes to those that can.
+
+    Args:
+        n_features: total wanted.
+        scale_factor: ratio of the series.
+        n_corners: corners found on each level, the finest first.
+
+    Returns:
+        Features per level, at most ``n_corners``, in sum ``n_features`` or all corners.
+    """
+    quotas = [0] * len(n_corners)
+    open_levels = [k for k, n in enumerate(n_corners) if n]
+    left = n_features
+    while left and open_levels:
+        weights = [scale_factor**-k for k in open_levels]
+        total, spare = sum(weights), left
+        for k, weight in zip(open_levels, weights, strict=True):
+            # The weights that remain share what remains, so that the rounded shares add up.
+            share = min(round(spare * weight / total), left, n_corners[k] - quotas[k])
+            quotas[k] += share
+            left -= share
+        still_open = [k for k in open_levels if quotas[k] < n_corners[k]]
+        if spare == left:  # fewer features than levels: the finest that can take them
+            quotas[still_open[0]] += 1
+            left -= 1
+        open_levels = still_open
+    return quotas

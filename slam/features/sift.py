@@ -1,0 +1,254 @@
+"""SIFT features of a frame, and the places of some of them in space."""
+
+import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numba import njit
+from scipy.spatial import cKDTree
+
+from slam.core.camera import PinholeCamera
+from slam.core.frame import Frame
+from slam.core.geometry import ViewGeometry
+from slam.optimization._triangulation import triangulate
+
+# Standard deviation of SIFT's finest level, px; a keypoint's size is twice its own.
+_FINEST_SIGMA_PX = 1.6
+_kept: ContextVar[dict | None] = ContextVar("kept", default=None)
+
+
+@dataclass
+class SiftFrame:
+    """A frame's SIFT features.
+
+    Attributes:
+        frame: the frame, placed or to be.
+        xy: (n, 2) undistorted keypoints, px.
+        inv_sigma2: (n,) information of each keypoint, 1/px².
+        descriptors: (n, 128) uint8.
+        xyz_cam: (n, 3) places in the frame's camera, NaN where unknown.
+        track: (n,) int64 what each shows, the same number in every frame; -1 until the frame is placed.
+        seen_from: (n,) int32 the placed frame, by its number among them, in which each feature was first
+            seen.
+        seen_at: (n, 2) where, undistorted, px.
+    """
+
+    frame: Frame
+    xy: np.ndarray
+    inv_sigma2: np.ndarray
+    descriptors: np.ndarray
+    xyz_cam: np.ndarray = field(init=False)
+    track: np.ndarray = field(init=False)
+    seen_from: np.ndarray = field(init=False)
+    seen_at: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        n = len(self.xy)
+        self.xyz_cam = np.full((n, 3), np.nan)
+        self.track = np.full(n, -1, np.int64)
+        self.seen_from = np.full(n, -1, np.int32)
+        self.seen_at = self.xy.copy()
+
+    @property
+    def known(self) -> np.ndarray:
+        """(n,) bool: which features have a place."""
+        return np.isfinite(self.xyz_cam[:, 0])
+
+    @property
+    def depth(self) -> float:
+        """Median depth of the features that have a place, 0 without any."""
+        return float(np.median(self.xyz_cam[self.known, 2])) if self.known.any() else 0.0
+
+    def follow(self, rows: np.ndarray, other: "SiftFrame", theirs: np.ndarray) -> None:
+        """Features ``rows`` show what features ``theirs`` of another frame show."""
+        self.track[rows] = other.track[theirs]
+        self.seen_from[rows], self.seen_at[rows] = other.seen_from[theirs], other.seen_at[theirs]
+
+    def forget(self, rows: np.ndarray) -> None:
+        """Take features ``rows`` for new ones."""
+        self.track[rows], self.seen_from[rows] = -1, -1
+        self.xyz_cam[rows], self.seen_at[rows] = np.nan, self.xy[rows]
+
+    def set_places(self, rows: np.ndarray, xyz: np.ndarray, T_cam_map: np.ndarray) -> None:
+        """Give features ``rows`` their places ``xyz`` (k, 3), frame map."""
+        self.xyz_cam[rows] = xyz @ T_cam_map[:3, :3].T + T_cam_map[:3, 3]
+
+    def places(self, rows: np.ndarray, T_cam_map: np.ndarray) -> np.ndarray:
+        """(k, 3) places of features ``rows``, frame map."""
+        return (self.xyz_cam[rows] - T_cam_map[:3, 3]) @ T_cam_map[:3, :3]
+
+
+def detect(
+    image: np.ndarray, frame: Frame, camera: PinholeCamera, n_features: int, contrast: float
+) -> SiftFrame:
+    """SIFT features of an image.
+
+    Args:
+        image: (H, W) uint8.
+        frame: the frame that it is of.
+        camera: what it was taken with.
+        n_features: the most that are kept, strongest first.
+        contrast: what a feature must have, a share of the range of grey.
+
+    Source: Lowe, "Distinctive image features from scale-invariant keypoints", 2004.
+    """
+    kept = _kept.get()
+    if kept is None:
+        return SiftFrame(frame, *_features(image, camera, n_features, contrast))
+    key = (hashlib.sha256(image.data).digest(), image.shape, camera, n_features, contrast)
+    if key not in kept:
+        kept[key] = _features(image, camera, n_features, contrast)
+    return SiftFrame(frame, *kept[key])
+
+
+@contextmanager
+def features_kept() -> Iterator[None]:
+    """While it lasts, the features of an image are found once: for branches over the same frames.
+
+    They are about 150 kB per image.
+    """
+    token = _kept.set({})
+    try:
+        yield
+    finally:
+        _kept.reset(token)
+
+
+def _features(
+    image: np.ndarray, camera: PinholeCamera, n_features: int, contrast: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places, information and descriptors, none of which is ever written to."""
+    keypoints, descriptors = cv2.SIFT_create(
+        nfeatures=n_features, contrastThreshold=contrast
+    ).detectAndCompute(image, None)
+    if descriptors is None:
+        return np.empty((0, 2)), np.empty(0), np.empty((0, 128), np.uint8)
+    xy = camera.undistort_points(np.array([k.pt for k in keypoints], np.float32)).astype(np.float64)
+    sigma = np.array([k.size for k in keypoints]) / (2 * _FINEST_SIGMA_PX)
+    return xy, 1.0 / np.maximum(sigma, 1.0) ** 2, descriptors.astype(np.uint8)
+
+
+def match(a: SiftFrame, b: SiftFrame, ratio: float) -> np.ndarray:
+    """(k, 2) rows of ``a`` and ``b`` that are each other's nearest by descriptor, and clearly so.
+
+    Args:
+        a, b: the frames.
+        ratio: the nearest must be nearer than ``ratio`` times the second nearest (Lowe's test).
+    """
+    if not len(a.xy) or not len(b.xy):
+        return np.empty((0, 2), np.int64)
+    nearest, best2, second2, nearest_back = _nearest(a.descriptors, b.descriptors)
+    rows = np.arange(len(a.xy))
+    keep = (nearest_back[nearest] == rows) & (best2 < ratio**2 * second2)
+    return np.column_stack([rows[keep], nearest[keep]])
+
+
+@njit(cache=True, nogil=True)
+def _nearest(a, b):
+    """Of each row of a (n, 128) uint8 the nearest of b, its squared distance and the second's; and back."""
+    n, m = len(a), len(b)
+    far = np.int32(2**31 - 1)
+    nearest, nearest_back = np.zeros(n, np.int64), np.zeros(m, np.int64)
+    best2, second2, back2 = np.full(n, far), np.full(n, far), np.full(m, far)
+    for i in range(n):
+        for j in range(m):
+            distance2 = np.int32(0)
+            for k in range(128):
+                d = np.int32(a[i, k]) - np.int32(b[j, k])
+                distance2 += d * d
+            if distance2 < best2[i]:
+                second2[i], best2[i], nearest[i] = best2[i], distance2, j
+            elif distance2 < second2[i]:
+                second2[i] = distance2
+            if distance2 < back2[j]:
+                back2[j], nearest_back[j] = distance2, i
+    return nearest, best2, second2, nearest_back
+
+
+def take_depth_from_points(
+    sift: SiftFrame,
+    xyz: np.ndarray,
+    xy: np.ndarray,
+    T_cam_map: np.ndarray,
+    view: ViewGeometry,
+    radius_px: float,
+) -> None:
+    """Place features that have no place yet at the depth of the map point seen nearest to them.
+
+    Args:
+        sift: changed in place.
+        xyz: (m, 3) map points that the frame sees.
+        xy: (m, 2) where, undistorted, px.
+        T_cam_map: (4, 4) the frame's pose.
+        view: intrinsics.
+        radius_px: nothing farther away is taken.
+    """
+    rows = np.flatnonzero(~sift.known)
+    if not len(rows) or not len(xyz):
+        return
+    distance, nearest = cKDTree(xy).query(sift.xy[rows], distance_upper_bound=radius_px)
+    rows, nearest = rows[np.isfinite(distance)], nearest[np.isfinite(distance)]
+    depth = xyz[nearest] @ T_cam_map[2, :3] + T_cam_map[2, 3]
+    rows, depth = rows[depth > 0], depth[depth > 0]
+    sift.xyz_cam[rows] = depth[:, None] * rays(sift.xy[rows], view)
+
+
+def rays(xy: np.ndarray, view: ViewGeometry) -> np.ndarray:
+    """(n, 3) directions of undistorted pixels (n, 2) in the camera, of depth one."""
+    return np.column_stack([(xy - (view.cx, view.cy)) / (view.fx, view.fy), np.ones(len(xy))])
+
+
+@njit(cache=True, nogil=True)
+def triangulate_pairs(T_1, rays_1, T_2, rays_2, tolerance2, min_parallax_cosine):
+    """Points from pairs of views.
+
+    Args:
+        T_1: (n, 4, 4) float64 poses of the first views.
+        rays_1: (n, 3) directions in their cameras, of depth one.
+        T_2: (4, 4) pose of the second view.
+        rays_2: (n, 3) directions in its camera.
+        tolerance2: (n,) squared reprojection error at depth one that is accepted.
+        min_parallax_cosine: rays closer than this give no point.
+
+    Returns:
+        points (n, 3), NaN where there is none; disagrees (n,) bool, where two rays do not meet.
+    """
+    n = len(rays_1)
+    xyz = np.full((n, 3), np.nan)
+    disagrees = np.zeros(n, np.bool_)
+    for i in range(n):
+        dot, norm_1, norm_2 = 0.0, 0.0, 0.0
+        for r in range(3):
+            ray_1 = T_1[i, 0, r] * rays_1[i, 0] + T_1[i, 1, r] * rays_1[i, 1] + T_1[i, 2, r] * rays_1[i, 2]
+            ray_2 = T_2[0, r] * rays_2[i, 0] + T_2[1, r] * rays_2[i, 1] + T_2[2, r] * rays_2[i, 2]
+            dot += ray_1 * ray_2
+            norm_1 += ray_1 * ray_1
+            norm_2 += ray_2 * ray_2
+        if dot > min_parallax_cosine * np.sqrt(norm_1 * norm_2):
+            continue
+        x, y, z = triangulate(T_1[i], T_2, rays_1[i, 0], rays_1[i, 1], rays_2[i, 0], rays_2[i, 1])
+        if not np.isfinite(x):
+            disagrees[i] = True
+            continue
+        if (
+            _error2(T_1[i], x, y, z, rays_1[i]) > tolerance2[i]
+            or _error2(T_2, x, y, z, rays_2[i]) > tolerance2[i]
+        ):
+            disagrees[i] = True
+            continue
+        xyz[i, 0], xyz[i, 1], xyz[i, 2] = x, y, z
+    return xyz, disagrees
+
+
+@njit(cache=True, nogil=True)
+def _error2(T, x, y, z, ray):
+    depth = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+    if depth <= 0.0:
+        return np.inf
+    du = (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / depth - ray[0]
+    dv = (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / depth - ray[1]
+    return du * du + dv * dv

@@ -1,0 +1,178 @@
+"""Refinement of a relative pose over what all matches say.
+
+A match speaks against a motion in two ways: its keypoints lie off each other's epipolar lines, or they lie on
+them the wrong way along, so that no point in front of both cameras explains them and the nearest that does is
+at infinity. Both are errors in pixels and make one cost. It tells the mirrored motion from the true one, and
+takes a point behind a camera no more seriously than it is clearly behind.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from slam.initialization._two_view_errors import motion_errors, normal_equations
+from slam.optimization._cholesky import factor, solve, whole_rows
+from slam.optimization._se3 import so3_exp
+
+TUKEY = 4.685
+"""Errors of more sigmas count no more; this loses 5 % of efficiency under normal noise."""
+
+_PARAMETERS = 5
+_DAMPING = 1e-3
+_RETRIES = 6
+_CONVERGED = 1e-5
+_PRIOR = 1e-2
+"""Information on each parameter before any match, 1/rad²: next to none, but equations are never singular."""
+
+
+class RefinedMotion(NamedTuple):
+    """A relative pose at a minimum of its robust cost.
+
+    Attributes:
+        T_2_1: (4, 4) camera 1 to camera 2, translation of unit length.
+        errors: (N, 2) off the epipolar line and behind the cameras, in sigmas.
+        costs: (N,) what each match adds to the cost, ``TUKEY**2 / 3`` at the most.
+        information: (5, 5), or (3, 3) where the direction was kept, on the steps of ``moved``, 1/rad²; right
+            if the noise given was.
+    """
+
+    T_2_1: np.ndarray
+    errors: np.ndarray
+    costs: np.ndarray
+    information: np.ndarray
+
+    @property
+    def cost(self) -> float:
+        """Sum of the costs."""
+        return float(self.costs.sum())
+
+
+def refined(
+    T_2_1: np.ndarray,
+    rays_1: np.ndarray,
+    rays_2: np.ndarray,
+    sigma: np.ndarray,
+    *,
+    widest: float = 1.0,
+    iterations: int = 20,
+    turn_only: bool = False,
+) -> RefinedMotion:
+    """The minimum of the robust cost of all matches next to a motion.
+
+    Args:
+        T_2_1: (4, 4) motion to start from, translation of unit length.
+        rays_1, rays_2: (N, 2) normalised keypoints.
+        sigma: (N,) their noise, normalised units.
+        widest: the first iteration takes errors seriously that are so many times too large, the next half
+            as many, and so on down to one: the larger, the farther away a minimum is found.
+        iterations: cap.
+        turn_only: keep the direction of the translation.
+    """
+    free = 3 if turn_only else _PARAMETERS
+    matches = np.empty((5, len(sigma)))
+    matches[:2], matches[2:4], matches[4] = rays_1.T, rays_2.T, sigma
+    T, errors, costs, information = refine_motion(T_2_1, matches, float(widest), iterations, free)
+    return RefinedMotion(T, errors.T, costs, information)
+
+
+@njit(cache=True, nogil=True)
+def tangent(t):
+    """Two unit vectors at right angles to each other and to the direction ``t``."""
+    axis = np.zeros(3)
+    axis[np.argmin(np.abs(t))] = 1.0
+    u = np.cross(t, axis)
+    u /= np.sqrt((u * u).sum())
+    return u, np.cross(t, u)
+
+
+@njit(cache=True, nogil=True)
+def moved(R, t, step):
+    """The motion turned by ``step[:3]`` from the left and its direction moved by ``step[3:]``, rad."""
+    u, v = tangent(t)
+    direction = t + step[3] * u + step[4] * v
+    return so3_exp(step[0], step[1], step[2]) @ R, direction / np.sqrt((direction * direction).sum())
+
+
+@njit(cache=True, nogil=True)
+def _damped_step(H, g, damping, free, step):
+    """Fill ``step[:free]``; False where the equations cannot be solved."""
+    A = np.empty((free, free))
+    for p in range(free):
+        A[p, : p + 1] = H[p, : p + 1]
+        A[p, p] += damping * H[p, p] + _PRIOR
+        step[p] = -g[p]
+    rows = whole_rows(free)
+    if not factor(A, rows):
+        return False
+    solve(A, rows, step[:free])
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _errors_and_costs(R, t, matches):
+    n = matches.shape[1]
+    errors, costs, c2 = np.empty((2, n)), np.empty(n), TUKEY**2
+    motion_errors(R, t, matches, errors)
+    for i in range(n):
+        left = max(1.0 - (errors[0, i] ** 2 + errors[1, i] ** 2) / c2, 0.0)
+        costs[i] = c2 / 3.0 * (1.0 - left * left * left)
+    return errors, costs
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def refine_motion(T_2_1, matches, widest, iterations, free):
+    """Levenberg-Marquardt over the robust cost of all matches; arguments as for :func:`refined`.
+
+    Every step is tried together with the equations of the next one: most steps are taken.
+
+    Args:
+        matches: (5, N).
+        free: 5, or 3 to keep the direction.
+
+    Returns:
+        Motion (4, 4), errors (2, N), costs (N,), information (free, free).
+    """
+    R, t = T_2_1[:3, :3].copy(), T_2_1[:3, 3].copy()
+    H, g, step = np.zeros((_PARAMETERS, _PARAMETERS)), np.empty(_PARAMETERS), np.zeros(_PARAMETERS)
+    H_new, g_new = np.zeros((_PARAMETERS, _PARAMETERS)), np.empty(_PARAMETERS)
+    c2_next = (TUKEY * max(widest, 1.0)) ** 2
+    u, v = tangent(t)
+    cost, _ = normal_equations(R, t, u, v, matches, c2_next, c2_next, H, g)
+    damping = _DAMPING
+    for _ in range(iterations):
+        final = widest <= 1.0
+        widest *= 0.5
+        c2, c2_next = c2_next, (TUKEY * max(widest, 1.0)) ** 2
+        gain = 0.0
+        for _retry in range(_RETRIES):
+            solved = _damped_step(H, g, damping, free, step)
+            damping *= 10.0
+            if not solved:
+                continue
+            R_new, t_new = moved(R, t, step)
+            u, v = tangent(t_new)
+            cost_new, cost_next = normal_equations(R_new, t_new, u, v, matches, c2, c2_next, H_new, g_new)
+            gain = cost - cost_new
+            if gain > 0.0:
+                R, t, cost = R_new, t_new, cost_next
+                H, H_new, g, g_new = H_new, H, g_new, g
+                damping = max(0.01 * damping, 1e-9)
+                break
+        if final and gain < _CONVERGED * cost:
+            break
+        if not gain > 0.0:
+            u, v = tangent(t)
+            cost, _ = normal_equations(R, t, u, v, matches, c2_next, c2_next, H, g)
+    if c2_next > TUKEY**2:
+        u, v = tangent(t)
+        normal_equations(R, t, u, v, matches, TUKEY**2, TUKEY**2, H, g)
+    information = np.empty((free, free))
+    for p in range(free):
+        for q in range(p + 1):
+            information[p, q] = information[q, p] = H[p, q]
+        information[p, p] += _PRIOR
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, t
+    errors, costs = _errors_and_costs(R, t, matches)
+    return T, errors, costs, information

@@ -1,0 +1,228 @@
+"""Two-view reconstruction: relative pose and first points from matches alone.
+
+A homography (planar or distant scene) and an essential matrix (general scene) are estimated in parallel.
+Over a short baseline both explain the matches equally well and neither's motion is near the truth. So their
+motions are only where the search starts for every motion that explains the matches. The best is accepted
+where its points are seen under enough parallax and no truly different one explains the matches about as well:
+neither another minimum (ambiguous) nor a motion on the same slope (ill conditioned).
+
+Source: two models and the parallax: Mur-Artal, Montiel, Tardós, "ORB-SLAM", 2015, section IV.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from slam.initialization import _two_view_models as models
+from slam.initialization._two_view_refinement import RefinedMotion
+from slam.initialization._two_view_search import motions_around, search_motions
+
+Reason = Literal[
+    "", "too_few_matches", "no_model", "low_parallax", "few_points", "ambiguous", "ill_conditioned"
+]
+Model = Literal["homography", "essential"]
+
+_CHI2_1DOF = 3.841
+_ROUNDING = 1e-9
+_LINE_SIGMAS = 5.0
+"""Keypoints that scatter less than this about a line do not tell one motion from another."""
+
+_MAX_ERROR_SIGMAS = 2.0
+"""Largest distance between a triangulated point's reprojection and its keypoint."""
+
+
+@dataclass(frozen=True)
+class TwoViewConfig:
+    """Settings of two-view reconstruction.
+
+    Attributes:
+        sigma_px: nominal noise of a keypoint, an upper bound: it decides which matches belong to a motion.
+            How sure they make it is told by the noise that they turn out to have.
+        min_matches: fewer matches are not tried.
+        min_points: triangulated points that a reconstruction must have.
+        min_parallax_deg: angle of rays that ``min_points`` points must reach.
+        far_parallax_deg: points under less are taken for too far away to triangulate.
+        homography_share: share of the homography in the scores from which the scene is called flat.
+        rival_angle_deg: a motion whose direction is so far from the best one's is another motion.
+        min_lead_sigmas: standard deviations by which the best motion must explain the matches better than
+            any other; more than three, as it is asked of frame after frame until one passes.
+        ransac_threshold_px: largest distance to the model of an inlier in RANSAC.
+        ransac_iterations: cap on the samples.
+        ransac_confidence: probability with which RANSAC should find the model.
+    """
+
+    sigma_px: float = 1.0
+    min_matches: int = 100
+    min_points: int = 50
+    min_parallax_deg: float = 1.0
+    far_parallax_deg: float = 0.3
+    homography_share: float = 0.38
+    rival_angle_deg: float = 20.0
+    min_lead_sigmas: float = 3.5
+    ransac_threshold_px: float = 1.5
+    ransac_iterations: int = 2000
+    ransac_confidence: float = 0.999
+
+
+@dataclass(frozen=True)
+class TwoViewResult:
+    """Relative pose and points of two views.
+
+    Attributes:
+        success: whether the reconstruction is to be trusted; if not, pose and points are empty of meaning.
+        reason: why not.
+        model: the geometry that explained the matches better, None where neither was tried or found.
+        T_2_1: (4, 4) camera 1 to camera 2, translation of unit length.
+        points: (N, 3) in the frame of camera 1, units of the baseline; NaN where not triangulated.
+        triangulated: (N,) bool.
+        parallax_deg: angle of rays that ``min_points`` of the matches reach.
+        score_h, score_e: scores of homography and essential matrix, higher is better.
+    """
+
+    success: bool
+    reason: Reason
+    model: Model | None
+    T_2_1: np.ndarray
+    points: np.ndarray
+    triangulated: np.ndarray
+    parallax_deg: float
+    score_h: float
+    score_e: float
+
+
+def two_view_reconstruction(
+    pixels_1: np.ndarray,
+    pixels_2: np.ndarray,
+    K: np.ndarray,
+    rng: np.random.Generator,
+    config: TwoViewConfig | None = None,
+    scale: np.ndarray | None = None,
+) -> TwoViewResult:
+    """Relative pose of two views and the points they share, or the reason why there are none.
+
+    Args:
+        pixels_1: (N, 2) undistorted keypoints of view 1, px.
+        pixels_2: (N, 2) the keypoints of view 2 matched with them, px.
+        K: (3, 3) camera matrix of both.
+        rng: source of the sampling; the same state gives the same result.
+        config: settings, the defaults if None.
+        scale: (N,) noise of each match in units of ``sigma_px``, such as the scale of its pyramid level;
+            one if None.
+
+    Raises:
+        ValueError: the views have different numbers of keypoints, or not all are finite, or a scale is
+            missing or not positive.
+    """
+    config = config or TwoViewConfig()
+    pixels_1, pixels_2, scale = _validated(pixels_1, pixels_2, scale)
+    failure = _failure(len(pixels_1))
+    if len(pixels_1) < config.min_matches:
+        return replace(failure, reason="too_few_matches")
+    K = np.ascontiguousarray(K, np.float64)
+    K_inv = np.linalg.inv(K)
+    sigma_px = config.sigma_px * scale
+    H, E = models.estimate_models(
+        pixels_1, pixels_2, K, int(rng.integers(2**31)),
+        config.ransac_threshold_px, config.ransac_confidence, config.ransac_iterations,
+    )  # fmt: skip
+    F = None if E is None else K_inv.T @ E @ K_inv
+    score_h, _ = models.homography_score(H, pixels_1, pixels_2, sigma_px)
+    score_e, _ = models.epipolar_score(F, pixels_1, pixels_2, sigma_px)
+    failure = replace(failure, score_h=score_h, score_e=score_e)
+    if score_h + score_e <= 0.0:
+        return replace(failure, reason="no_model")
+    flat = score_h >= config.homography_share * (score_h + score_e)
+    failure = replace(failure, model="homography" if flat else "essential")
+    starts = [] if H is None else models.homography_motions(H, K)
+    starts += [] if E is None else models.essential_motions(E)
+    if not starts:
+        # A homography without translation: the camera turned on the spot.
+        return replace(failure, reason="low_parallax")
+    return _best_motion(starts, pixels_1, pixels_2, K, sigma_px, failure, config)
+
+
+def _validated(
+    pixels_1: np.ndarray, pixels_2: np.ndarray, scale: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    pixels_1 = np.ascontiguousarray(pixels_1, np.float64).reshape(-1, 2)
+    pixels_2 = np.ascontiguousarray(pixels_2, np.float64).reshape(-1, 2)
+    scale = np.ones(len(pixels_1)) if scale is None else np.ascontiguousarray(scale, np.float64)
+    if pixels_1.shape != pixels_2.shape or not np.isfinite(pixels_1.sum() + pixels_2.sum()):
+        raise ValueError(f"matches are not pairs of finite pixels: {len(pixels_1)} and {len(pixels_2)} rows")
+    if scale.shape != (len(pixels_1),) or not (scale > 0.0).all():
+        raise ValueError(f"not one positive scale for each of {len(pixels_1)} matches")
+    return pixels_1, pixels_2, scale
+
+
+def _best_motion(
+    starts: list[np.ndarray],
+    pixels_1: np.ndarray,
+    pixels_2: np.ndarray,
+    K: np.ndarray,
+    sigma_px: np.ndarray,
+    failure: TwoViewResult,
+    config: TwoViewConfig,
+) -> TwoViewResult:
+    """Search for all motions, triangulate under the best, and judge it."""
+    focal, centre = np.array([K[0, 0], K[1, 1]]), K[:2, 2]
+    rays_1, rays_2 = (np.ascontiguousarray((pixels - centre) / focal) for pixels in (pixels_1, pixels_2))
+    sigma = sigma_px / focal.mean()
+    (best, *others), noise = search_motions(starts, rays_1, rays_2, sigma)
+    inliers = noise**2 * (best.errors**2).sum(axis=1) <= _CHI2_1DOF
+    if inliers.sum() < config.min_points:
+        return replace(failure, reason="few_points")
+    tried = models.try_motion(
+        best.T_2_1, pixels_1, pixels_2, inliers, K, _MAX_ERROR_SIGMAS * sigma_px, config.far_parallax_deg
+    )
+    parallax_deg = float(np.sort(tried.parallax_deg[inliers])[-config.min_points])
+    reason: Reason = ""
+    if parallax_deg < config.min_parallax_deg:
+        reason = "low_parallax"
+    elif tried.triangulated.sum() < config.min_points:
+        reason = "few_points"
+    elif any(_rivals(best, other, config) for other in others):
+        reason = "ambiguous"
+    elif _in_line(pixels_1[inliers], config) or _in_line(pixels_2[inliers], config):
+        reason = "ill_conditioned"
+    else:
+        around = motions_around(best, config.rival_angle_deg, rays_1, rays_2, noise * sigma)
+        if any(_rivals(best, other, config) for other in around):
+            reason = "ill_conditioned"
+    if reason:
+        return replace(failure, reason=reason, parallax_deg=parallax_deg)
+    return replace(
+        failure,
+        success=True,
+        T_2_1=tried.T_2_1,
+        points=tried.points,
+        triangulated=tried.triangulated,
+        parallax_deg=parallax_deg,
+    )
+
+
+def _in_line(pixels: np.ndarray, config: TwoViewConfig) -> bool:
+    scatter = np.linalg.svd(pixels - pixels.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(pixels))
+    return bool(scatter < _LINE_SIGMAS * config.sigma_px)
+
+
+def _rivals(best: RefinedMotion, other: RefinedMotion, config: TwoViewConfig) -> bool:
+    """Whether another, truly different motion explains the matches not significantly worse than the best.
+
+    The lead must stand out from the scatter of what the matches say, which is measured and so holds whatever
+    the noise, and where they all say the same, from the noise itself.
+
+    Source: Vuong, "Likelihood ratio tests for model selection and non-nested hypotheses", 1989.
+    """
+    cosine = best.T_2_1[:3, 3] @ other.T_2_1[:3, 3]
+    if cosine > np.cos(np.deg2rad(config.rival_angle_deg)) + _ROUNDING:
+        return False
+    lead = other.costs - best.costs
+    scatter = max(np.sqrt(len(lead)) * lead.std(), config.min_lead_sigmas)
+    return bool(lead.sum() < config.min_lead_sigmas * scatter)
+
+
+def _failure(n: int) -> TwoViewResult:
+    return TwoViewResult(
+        False, "", None, np.eye(4), np.full((n, 3), np.nan), np.zeros(n, np.bool_), 0.0, 0.0, 0.0
+    )

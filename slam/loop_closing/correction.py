@@ -1,0 +1,142 @@
+"""What a loop changes: the similarity spread over the map, duplicates joined.
+
+Source: Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, section VII.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.loop_closing.essential_graph import optimize_essential_graph
+from slam.map import _map_kernels as kernels
+from slam.map.map import Map
+from slam.matching.guided import fuse_into_keyframe
+from slam.optimization.sim3_algebra import invert_sim3
+
+# Window of the search for duplicates, px on level 0: the seam is known to a few pixels.
+_FUSE_RADIUS_PX = 4.0
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A place seen again: the keyframe, as the map about the loop keyframe would place it.
+
+    Attributes:
+        keyframe, loop_keyframe: rows.
+        S_cam_map: (4, 4) similarity that takes points about the loop keyframe to the keyframe's camera, in
+            the lengths of the keyframe's own surroundings.
+        rows: (n,) keypoints of the keyframe, from 0, that show points of the loop's side.
+        points: (n,) int32 those points.
+    """
+
+    keyframe: int
+    loop_keyframe: int
+    S_cam_map: np.ndarray
+    rows: np.ndarray
+    points: np.ndarray
+
+
+def correct_loop(map_: Map, loop: Loop, loop_points: np.ndarray) -> np.ndarray:
+    """Close a loop: correct the keyframe's surroundings, join both sides, optimise the essential graph.
+
+    Args:
+        map_: changed in place.
+        loop: what was found.
+        loop_points: (q,) int32 points of the loop's side, to be looked for in the corrected keyframes.
+
+    Returns:
+        (n_keyframes,) factor on the lengths about each keyframe.
+    """
+    a, n = map_.arrays, map_.n_keyframes
+    group = np.append(map_.neighbours(loop.keyframe, n), loop.keyframe)
+    before = a.covisibility[group, :n] > 0
+    T_before = a.kf_T_cam_map[:n].copy()
+    moved = _move_group(map_, group, loop)
+    _join(map_, group, loop, loop_points)
+    S_start = T_before.copy()
+    correction = np.linalg.inv(loop.S_cam_map) @ T_before[loop.keyframe]
+    S_start[group] = T_before[group] @ invert_sim3(correction[None])
+    edges = _new_edges(map_, group, before, loop)
+    a.kf_T_cam_map[:n] = T_before
+    S = optimize_essential_graph(map_, S_start, edges, loop.loop_keyframe)
+    move_points(map_, S_start, S, moved)
+    factor = map_.move_keyframes(S)
+    map_.loop_edges += [(int(i), int(j)) for i, j in edges]
+    kernels.refresh_geometries(a, map_.points(), map_.view.scale)
+    return factor
+
+
+def _move_group(map_: Map, group: np.ndarray, loop: Loop) -> np.ndarray:
+    """Put the keyframes about the loop, and the points that they see, where the loop says.
+
+    Returns:
+        (n_points,) int32 the keyframe of the group with which a point has moved, -1 for none.
+    """
+    a = map_.arrays
+    D = np.linalg.inv(loop.S_cam_map) @ a.kf_T_cam_map[loop.keyframe]
+    moved = np.full(map_.n_points, -1, np.int32)
+    for k in group:
+        points = map_.observed_points(int(k))
+        moved[points[points >= 0]] = k
+    rows = np.flatnonzero(moved >= 0)
+    mine = a.pt_reference[rows]
+    in_group = np.isin(mine, group)
+    moved[rows[in_group]] = mine[in_group]
+    a.pt_xyz[rows] = a.pt_xyz[rows] @ D[:3, :3].T + D[:3, 3]
+    scale = np.cbrt(np.linalg.det(D[:3, :3]))
+    R = D[:3, :3] / scale
+    for k in group:
+        T = a.kf_T_cam_map[k]
+        R_new = T[:3, :3] @ R.T
+        T[:3, 3] = scale * T[:3, 3] - R_new @ D[:3, 3]
+        T[:3, :3] = R_new
+    kernels.refresh_geometries(a, rows, map_.view.scale)
+    return moved
+
+
+def _join(map_: Map, group: np.ndarray, loop: Loop, loop_points: np.ndarray) -> None:
+    """The points matched across the loop become one, then all of the loop's are looked for in the group."""
+    a, scale = map_.arrays, map_.view.scale
+    rows = map_.keypoints(loop.keyframe).start + loop.rows
+    for row, point in zip(rows, loop.points, strict=True):
+        own = a.kp_point[row]
+        if own >= 0:
+            kernels.replace_point(a, own, point, scale)
+        elif not a.pt_bad[point] and kernels.add_observation(a, row, point):
+            kernels.refresh_point(a, point, scale)
+    for k in group:
+        candidates = loop_points.copy()
+        kernels.resolve_points(a, candidates)
+        fuse_into_keyframe(a, map_.view, int(k), np.unique(candidates[candidates >= 0]), _FUSE_RADIUS_PX)
+
+
+def _new_edges(map_: Map, group: np.ndarray, before: np.ndarray, loop: Loop) -> np.ndarray:
+    """(L, 2) int32 pairs that share points only since both sides are one, the loop itself among them."""
+    n = map_.n_keyframes
+    now = map_.arrays.covisibility[group, :n] > 0
+    other = np.ones(n, bool)
+    other[group] = False
+    pairs = [(int(group[i]), int(j)) for i, j in np.argwhere(now & ~before & other)]
+    pairs.append((loop.keyframe, loop.loop_keyframe))
+    return np.array(sorted(set(pairs)), np.int32)
+
+
+def move_points(map_: Map, S_start: np.ndarray, S: np.ndarray, moved: np.ndarray | None = None) -> None:
+    """Points follow the keyframe that they refer to.
+
+    Args:
+        map_: points are changed in place.
+        S_start, S: (n_keyframes, 4, 4) similarities of the keyframes before and after.
+        moved: (n_points,) keyframe that a point follows instead, -1 for none.
+    """
+    a = map_.arrays
+    points = map_.points()
+    reference = np.array([map_.live(int(k)) for k in a.pt_reference[points]], int)
+    if moved is not None:
+        instead = moved[points] >= 0
+        reference[instead] = moved[points[instead]]
+    by_reference = invert_sim3(S[map_.keyframes()]) @ S_start[map_.keyframes()]
+    slot = np.full(map_.n_keyframes, -1)
+    slot[map_.keyframes()] = np.arange(len(by_reference))
+    D = by_reference[slot[reference]]
+    a.pt_xyz[points] = np.einsum("nij,nj->ni", D[:, :3, :3], a.pt_xyz[points]) + D[:, :3, 3]

@@ -1,0 +1,135 @@
+"""Loop closing: is this keyframe a place seen before, and by which similarity has the map drifted since?
+
+Source: Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, section VII.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from slam.loop_closing._alignment_kernels import match_across
+from slam.loop_closing.correction import Loop
+from slam.loop_closing.map_alignment import Alignment, AlignmentConfig, align
+from slam.map.map import Map
+from slam.optimization.sim3 import sim3_decompose, sim3_inverse
+from slam.places.recognition import KeyframeDatabase
+
+
+@dataclass(frozen=True)
+class LoopClosingConfig:
+    """Acceptance of a loop.
+
+    Attributes:
+        min_gap: keyframes between two loops, and before the first.
+        consistency: keyframes in a row whose candidates must belong together.
+        alignment: of the similarity between the two ends; more inliers than in an ordinary match are not
+            asked for, since the search over the loop's surroundings decides.
+        radius_px: window of that search, on level 0.
+        min_matches: points of the loop's surroundings found in the keyframe.
+        adjustment_iterations: of global bundle adjustment after a loop.
+    """
+
+    min_gap: int = 10
+    consistency: int = 3
+    alignment: AlignmentConfig = field(
+        default_factory=lambda: AlignmentConfig(
+            min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20
+        )
+    )
+    radius_px: float = 10.0
+    min_matches: int = 40
+    adjustment_iterations: int = 10
+
+
+@dataclass(frozen=True)
+class _Candidates:
+    """A place that may have been seen again: a candidate and its neighbours, and for how many keyframes."""
+
+    keyframes: frozenset[int]
+    count: int
+
+
+class LoopDetector:
+    """Watches the keyframes of one map for places seen before."""
+
+    def __init__(self, map_: Map, database: KeyframeDatabase, config: LoopClosingConfig) -> None:
+        self.map = map_
+        self.config = config
+        self._database = database
+        self._groups: list[_Candidates] = []
+        self._last_loop = 0
+
+    def detect(self, keyframe: int, rng: np.random.Generator) -> tuple[Loop, np.ndarray] | None:
+        """Look for a loop at a new keyframe, which the database need not hold yet.
+
+        Args:
+            keyframe: row; its covisibility is settled.
+            rng: stream of the RANSAC.
+
+        Returns:
+            The loop and (q,) int32 the points of its surroundings; None where there is none.
+        """
+        if keyframe - self._last_loop < self.config.min_gap or self.map.arrays.kf_bad[keyframe]:
+            return None
+        for candidate in self._consistent(keyframe):
+            found = self._verify(keyframe, candidate, rng)
+            if found is not None:
+                self._last_loop, self._groups = keyframe, []
+                return found
+        return None
+
+    def _consistent(self, keyframe: int) -> list[int]:
+        """Candidates whose surroundings were candidates at the keyframes before too."""
+        groups, accepted = [], []
+        for candidate in self._database.loop_candidates(keyframe):
+            mine = frozenset(int(k) for k in self.map.neighbours(candidate, self.map.n_keyframes)) | {
+                candidate
+            }
+            count = 1 + max((g.count for g in self._groups if g.keyframes & mine), default=0)
+            groups.append(_Candidates(mine, count))
+            if count >= self.config.consistency:
+                accepted.append(candidate)
+        self._groups = groups
+        return accepted
+
+    def _verify(
+        self, keyframe: int, candidate: int, rng: np.random.Generator
+    ) -> tuple[Loop, np.ndarray] | None:
+        """A similarity between the two keyframes that enough of the candidate's surroundings agree with."""
+        m = self.map
+        alignment, _, _ = align(m, m, candidate, keyframe, rng, self.config.alignment)
+        if alignment is None:
+            return None
+        S_cam_map = m.T_cam_map(keyframe) @ sim3_inverse(alignment.S_old_new)
+        around = self._surroundings(candidate)
+        rows, points = self._extended(keyframe, alignment, S_cam_map, around)
+        if len(points) < self.config.min_matches:
+            return None
+        return Loop(keyframe, candidate, S_cam_map, rows, points), around
+
+    def _surroundings(self, candidate: int) -> np.ndarray:
+        """(q,) int32 points that the candidate and its neighbours see."""
+        keyframes = [candidate, *self.map.neighbours(candidate, self.map.n_keyframes)]
+        points = np.unique(np.concatenate([self.map.observed_points(int(k)) for k in keyframes]))
+        return points[points >= 0].astype(np.int32)
+
+    def _extended(
+        self, keyframe: int, alignment: Alignment, S_cam_map: np.ndarray, around: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Keypoints (by index in the keyframe) and the points of the surroundings that they show."""
+        m = self.map
+        own = m.observed_points(keyframe)
+        row_of = {int(p): i for i, p in enumerate(own) if p >= 0}
+        rows = np.array([row_of[int(p)] for p in alignment.new_points], int)
+        taken = np.zeros(len(own), np.bool_)
+        taken[rows] = True
+        candidates = np.setdiff1d(around, alignment.old_points).astype(np.int32)
+        scale, _, _ = sim3_decompose(S_cam_map)
+        matched = match_across(
+            m.arrays, candidates, S_cam_map, scale, m.arrays, m.view, keyframe, taken, self.config.radius_px
+        )
+        hit = matched >= 0
+        return (
+            np.concatenate([rows, matched[hit]]),
+            np.concatenate([alignment.old_points, candidates[hit]]).astype(np.int32),
+        )

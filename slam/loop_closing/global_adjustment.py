@@ -1,0 +1,128 @@
+"""Global bundle adjustment of a map that may grow meanwhile.
+
+Source: Mur-Artal, Tardos, "ORB-SLAM2", 2017, section III-C: what was not adjusted follows along the spanning
+tree.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.map import _map_kernels as kernels
+from slam.map._map_kernels import MapArrays
+from slam.map.map import MIN_OBSERVATIONS, Map
+from slam.mapping._local_problem import local_problem
+from slam.optimization.global_bundle_adjustment import global_bundle_adjust
+from slam.optimization.pose import CHI2_2DOF
+
+
+@dataclass(frozen=True)
+class GlobalAdjustment:
+    """What global bundle adjustment made of a map as it stood.
+
+    Attributes:
+        keyframes: (C,) rows.
+        T_cam_map: (C, 4, 4) their poses.
+        points: (P,) rows.
+        xyz: (P, 3) the points.
+        outliers: (n, 2) keyframe, and index of its keypoint from 0, of the observations that do not agree.
+        of_points: (n,) int32 the points that they were taken for.
+    """
+
+    keyframes: np.ndarray
+    T_cam_map: np.ndarray
+    points: np.ndarray
+    xyz: np.ndarray
+    outliers: np.ndarray
+    of_points: np.ndarray
+
+
+def adjust_globally(map_: Map, iterations: int = 10, apart: bool = False) -> GlobalAdjustment | None:
+    """Bundle adjustment of all keyframes and points; the map itself is left unchanged.
+
+    Args:
+        map_: not written to meanwhile.
+        iterations: steps at most.
+        apart: work in a process of its own, so that other threads can go on.
+
+    Returns:
+        The adjustment; None where there is nothing to adjust.
+    """
+    a, view = map_.arrays, map_.view
+    free = ~a.kf_bad[: map_.n_keyframes]
+    cameras, points, obs_camera, obs_point, obs_keypoint = local_problem(
+        a, map_.n_keyframes, map_.n_points, free, 0
+    )
+    if len(cameras) < 2 or not len(points):
+        return None
+    result = global_bundle_adjust(
+        a.kf_T_cam_map[cameras], a.pt_xyz[points], obs_camera, obs_point, a.kp_xy[obs_keypoint],
+        a.kp_octave[obs_keypoint], 1.0 / np.sqrt(view.inv_sigma2),
+        view.fx, view.fy, view.cx, view.cy, iterations, apart,
+    )  # fmt: skip
+    rows = obs_keypoint[~(result.chi2 <= CHI2_2DOF)]
+    observers = a.kp_keyframe[rows]
+    outliers = np.stack([observers, rows - a.kf_start[observers]], axis=1)
+    return GlobalAdjustment(
+        cameras, result.T_cam_map, points, result.points, outliers, a.kp_point[rows].copy()
+    )
+
+
+def apply_adjustment(map_: Map, adjustment: GlobalAdjustment) -> None:
+    """Move the map to its adjusted state; keyframes and points that have come since follow their parents.
+
+    Args:
+        map_: the map that was adjusted, or the one that it has grown into since.
+        adjustment: what came of it.
+    """
+    a = map_.arrays
+    before = {int(k): a.kf_T_cam_map[k].copy() for k in map_.keyframes()}
+    adjusted = dict(zip(map(int, adjustment.keyframes), adjustment.T_cam_map, strict=True))
+    after: dict[int, np.ndarray] = {}
+    for k in before:
+        _place(map_, k, before, adjusted, after)
+    points = map_.points()
+    known = np.isin(points, adjustment.points)
+    for p in points[~known]:
+        k = map_.live(int(a.pt_reference[p]))
+        D = np.linalg.inv(after[k]) @ before[k]
+        a.pt_xyz[p] = D[:3, :3] @ a.pt_xyz[p] + D[:3, 3]
+    still = ~a.pt_bad[adjustment.points]
+    a.pt_xyz[adjustment.points[still]] = adjustment.xyz[still]
+    for k, T in after.items():
+        a.kf_T_cam_map[k] = T
+    kernels.erase_observations(a, _still_observed(a, adjustment), MIN_OBSERVATIONS)
+    kernels.refresh_geometries(a, map_.points(), map_.view.scale)
+
+
+def _still_observed(a: MapArrays, adjustment: GlobalAdjustment) -> np.ndarray:
+    """(n,) int32 keypoint rows of the outliers that are observations to this day."""
+    keyframe, index = adjustment.outliers.T
+    live = ~a.kf_bad[keyframe]
+    rows = a.kf_start[keyframe[live]] + index[live]
+    return rows[a.kp_point[rows] == adjustment.of_points[live]].astype(np.int32)
+
+
+def _place(
+    map_: Map,
+    keyframe: int,
+    before: dict[int, np.ndarray],
+    adjusted: dict[int, np.ndarray],
+    after: dict[int, np.ndarray],
+) -> None:
+    """Find a keyframe's new pose: its own, or kept to that of its nearest adjusted ancestor."""
+    chain = [keyframe]
+    while chain[-1] not in adjusted and chain[-1] not in after:
+        parent = map_.parent(chain[-1])
+        if parent < 0:
+            after[chain[-1]] = before[chain[-1]]
+            break
+        chain.append(map_.live(parent))
+    for k in reversed(chain):
+        if k in after:
+            continue
+        if k in adjusted:
+            after[k] = adjusted[k]
+        else:
+            parent = map_.live(map_.parent(k))
+            after[k] = before[k] @ np.linalg.inv(before[parent]) @ after[parent]

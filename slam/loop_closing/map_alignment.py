@@ -1,0 +1,174 @@
+"""The similarity between two maps, or two ends of one, as seen by one keyframe of each.
+
+Source: Horn, 1987; Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, section VII-B.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.loop_closing._alignment_kernels import match_across
+from slam.map.map import Map
+from slam.matching.brute_force import match_brute_force, rotation_consistent
+from slam.matching.guided import NEAR
+from slam.optimization.sim3 import optimize_sim3, ransac_sim3, sim3_decompose, sim3_matrix
+
+
+@dataclass(frozen=True)
+class AlignmentConfig:
+    """Acceptance of an alignment.
+
+    Attributes:
+        min_candidates: 3D-3D matches by descriptor, below which there is no overlap.
+        min_inliers: inliers of the RANSAC similarity.
+        min_share: their least share of the candidates; a corrupted map matches but does not fit.
+        min_matches: inliers after guided extension and refinement.
+    """
+
+    min_candidates: int = 25
+    min_inliers: int = 20
+    min_share: float = 0.5
+    min_matches: int = 40
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """A similarity between two maps, as seen by one pair of keyframes.
+
+    Attributes:
+        S_old_new: (4, 4) similarity from the new map to the old one.
+        scale: its scale.
+        old_map_id: the old map.
+        old_keyframe, new_keyframe: the pair.
+        old_points, new_points: (n,) int32 points that it identifies.
+        inliers: how many.
+    """
+
+    S_old_new: np.ndarray
+    scale: float
+    old_map_id: int
+    old_keyframe: int
+    new_keyframe: int
+    old_points: np.ndarray
+    new_points: np.ndarray
+
+    @property
+    def inliers(self) -> int:
+        """Points that the two maps share under this similarity."""
+        return len(self.old_points)
+
+
+def align(
+    old: Map,
+    new: Map,
+    old_keyframe: int,
+    new_keyframe: int,
+    rng: np.random.Generator,
+    config: AlignmentConfig,
+) -> tuple[Alignment | None, str, int]:
+    """The similarity between two maps from one keyframe of each.
+
+    Candidates are 3D-3D matches by ORB descriptor between two keyframes close in time; RANSAC over Horn's
+    closed form finds the similarity, guided search both ways extends it, a refinement over the reprojection
+    errors both ways finishes it.
+
+    Returns:
+        The alignment or None, the reason where there is none (``overlap`` or ``sim3``), matches in the end.
+    """
+    a, b = old.arrays, new.arrays
+    old_rows, new_rows = _matches(old, new, old_keyframe, new_keyframe)
+    if len(old_rows) < config.min_candidates:
+        return None, "overlap", len(old_rows)
+    solution = ransac_sim3(
+        *_in_cameras(old, new, old_keyframe, new_keyframe, old_rows, new_rows),
+        *_intrinsics(old),
+        rng,
+        min_inliers=config.min_inliers,
+    )
+    inliers = int(solution.inliers.sum()) if solution.success else 0
+    if inliers < config.min_inliers or inliers < config.min_share * len(old_rows):
+        return None, "sim3", inliers
+    keep = solution.inliers
+    guess = (solution.s, solution.R, solution.t)
+    old_rows, new_rows = _extended(
+        old, new, old_keyframe, new_keyframe, old_rows[keep], new_rows[keep], sim3_matrix(*guess)
+    )
+    refined = optimize_sim3(
+        *guess,
+        *_in_cameras(old, new, old_keyframe, new_keyframe, old_rows, new_rows),
+        *_intrinsics(old),
+    )
+    keep = refined.inliers
+    if int(keep.sum()) < config.min_matches:
+        return None, "sim3", int(keep.sum())
+    S = sim3_matrix(refined.s, refined.R, refined.t)
+    S_old_new = np.linalg.inv(old.T_cam_map(old_keyframe)) @ S @ new.T_cam_map(new_keyframe)
+    return (
+        Alignment(
+            S_old_new,
+            float(refined.s),
+            old.map_id,
+            old_keyframe,
+            new_keyframe,
+            a.kp_point[old_rows[keep]].copy(),
+            b.kp_point[new_rows[keep]].copy(),
+        ),
+        "",
+        int(keep.sum()),
+    )
+
+
+def _matches(old: Map, new: Map, old_keyframe: int, new_keyframe: int) -> tuple[np.ndarray, np.ndarray]:
+    """Keypoint rows of both maps, with points, that match by descriptor."""
+    a, b = old.arrays, new.arrays
+    rows_a = old.keypoints(old_keyframe).start + np.flatnonzero(old.observed_points(old_keyframe) >= 0)
+    rows_b = new.keypoints(new_keyframe).start + np.flatnonzero(new.observed_points(new_keyframe) >= 0)
+    if not len(rows_a) or not len(rows_b):
+        return rows_a[:0], rows_b[:0]
+    pairs = match_brute_force(a.kp_descriptor[rows_a], b.kp_descriptor[rows_b], NEAR, 0.75)
+    pairs = pairs[rotation_consistent(a.kp_angle[rows_a], b.kp_angle[rows_b], pairs)]
+    return rows_a[pairs[:, 0]], rows_b[pairs[:, 1]]
+
+
+def _in_cameras(
+    old: Map, new: Map, old_keyframe: int, new_keyframe: int, old_rows: np.ndarray, new_rows: np.ndarray
+) -> tuple[np.ndarray, ...]:
+    """Points in their keyframe's camera frame, pixels and variances of matched keypoints, old then new."""
+    sides = []
+    for m, k, rows in ((old, old_keyframe, old_rows), (new, new_keyframe, new_rows)):
+        T = m.T_cam_map(k)
+        xyz = m.arrays.pt_xyz[m.arrays.kp_point[rows]] @ T[:3, :3].T + T[:3, 3]
+        sides.append((xyz, m.arrays.kp_xy[rows], 1.0 / m.view.inv_sigma2[m.arrays.kp_octave[rows]]))
+    (xyz_1, px_1, var_1), (xyz_2, px_2, var_2) = sides
+    return xyz_1, xyz_2, px_1, px_2, var_1, var_2
+
+
+def _intrinsics(m: Map) -> tuple[float, float, float, float]:
+    return m.view.fx, m.view.fy, m.view.cx, m.view.cy
+
+
+def _extended(
+    old: Map,
+    new: Map,
+    old_keyframe: int,
+    new_keyframe: int,
+    old_rows: np.ndarray,
+    new_rows: np.ndarray,
+    S_oldcam_newcam: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Add the matches that a guided search of the new keyframe's points in the old keyframe finds."""
+    first_old, first_new = old.keypoints(old_keyframe).start, new.keypoints(new_keyframe).start
+    free_new = new.observed_points(new_keyframe) >= 0
+    free_new[new_rows - first_new] = False
+    candidates_rows = np.flatnonzero(free_new)
+    candidates = new.observed_points(new_keyframe)[candidates_rows]
+    taken = old.observed_points(old_keyframe) < 0
+    taken[old_rows - first_old] = True
+    S = S_oldcam_newcam @ new.T_cam_map(new_keyframe)
+    scale, _, _ = sim3_decompose(S)
+    matched = match_across(new.arrays, candidates, S, scale, old.arrays, old.view, old_keyframe, taken, 7.5)
+    hit = matched >= 0
+    return (
+        np.concatenate([old_rows, matched[hit] + first_old]),
+        np.concatenate([new_rows, candidates_rows[hit] + first_new]),
+    )

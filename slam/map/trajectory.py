@@ -1,0 +1,90 @@
+"""Frame poses kept relative to their keyframes, so that they follow the map."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.core.frame import Frame
+from slam.core.results import MapTrajectory
+from slam.core.snapshot import Unchanging
+from slam.map.map import Map
+
+
+@dataclass(frozen=True)
+class _Pose(Unchanging):
+    stamp_s: float
+    keyframe: int
+    T_cam_keyframe: np.ndarray
+
+
+class FramePoses:
+    """The poses of all tracked frames, per map."""
+
+    def __init__(self) -> None:
+        self._poses: dict[int, dict[int, _Pose]] = {}
+
+    def add(self, map_id: int, frame: Frame) -> None:
+        """Record a tracked frame; a later record of the same frame in the same map takes its place."""
+        if not np.isfinite(frame.T_cam_reference).all():
+            raise ValueError("the frame has no pose")
+        self._poses.setdefault(map_id, {})[frame.features.index] = _Pose(
+            frame.features.stamp_s, frame.reference_keyframe, frame.T_cam_reference.copy()
+        )
+
+    def drop(self, map_id: int) -> None:
+        """Forget the frames of a map."""
+        self._poses.pop(map_id, None)
+
+    def count(self, map_id: int) -> int:
+        """Tracked frames of a map."""
+        return len(self._poses.get(map_id, {}))
+
+    def rescale(self, map_id: int, factor: np.ndarray) -> None:
+        """Follow a map whose lengths have changed by ``factor`` (n_keyframes,) about each keyframe."""
+        poses = self._poses.get(map_id, {})
+        for index, pose in poses.items():
+            if factor[pose.keyframe] != 1.0:
+                T = pose.T_cam_keyframe.copy()
+                T[:3, 3] *= factor[pose.keyframe]
+                poses[index] = _Pose(pose.stamp_s, pose.keyframe, T)
+
+    def join(self, map_id: int, other_id: int, keyframe_offset: int, scale: float) -> None:
+        """Hand the frames of another map, now absorbed, to this one; frames it has itself stay as they are.
+
+        Args:
+            map_id: the absorbing map.
+            other_id: the absorbed one, forgotten afterwards.
+            keyframe_offset: added to the other map's keyframe rows.
+            scale: factor on the other map's lengths.
+        """
+        own = self._poses.setdefault(map_id, {})
+        for index, pose in self._poses.pop(other_id, {}).items():
+            T = pose.T_cam_keyframe.copy()
+            T[:3, 3] *= scale
+            own.setdefault(index, _Pose(pose.stamp_s, pose.keyframe + keyframe_offset, T))
+
+    def trajectory(self, map_id: int, map_: Map) -> MapTrajectory:
+        """The path of a map's frames as the map stands now."""
+        poses = self._poses.get(map_id, {})
+        frames = sorted(poses)
+        T_map_cam = np.empty((len(frames), 4, 4))
+        for i, index in enumerate(frames):
+            pose = poses[index]
+            T_map_cam[i] = np.linalg.inv(pose.T_cam_keyframe @ map_.T_cam_map(pose.keyframe))
+        stamps = np.array([poses[index].stamp_s for index in frames])
+        return MapTrajectory(map_id, np.array(frames, int), stamps, T_map_cam)
+
+
+def keyframe_trajectory(map_: Map) -> MapTrajectory:
+    """The keyframes of a map in order of time.
+
+    Where maps were fused, the frame at which they met is a keyframe of both; it is given once.
+    """
+    by_frame = {map_.frame_index(int(k)): int(k) for k in map_.keyframes()}
+    rows = [by_frame[index] for index in sorted(by_frame)]
+    return MapTrajectory(
+        map_.map_id,
+        np.array([map_.frame_index(k) for k in rows], int),
+        np.array([map_.features(k).stamp_s for k in rows]),
+        np.array([np.linalg.inv(map_.T_cam_map(k)) for k in rows]).reshape(-1, 4, 4),
+    )

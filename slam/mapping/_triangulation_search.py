@@ -1,0 +1,175 @@
+"""New map points of a keyframe: epipolar search in its neighbours, triangulation, tests."""
+
+import numpy as np
+from numba import njit
+
+from slam.features._hamming import hamming256
+from slam.matching.guided import NEAR
+from slam.optimization._triangulation import triangulate
+
+
+@njit(cache=True, nogil=True)
+def fundamental(T_1, T_2, view):
+    """(3, 3) F with x_2ᵀ F x_1 = 0 for pixels of two views with poses ``T_cam_map``."""
+    R = np.ascontiguousarray(T_2[:3, :3]) @ np.ascontiguousarray(T_1[:3, :3].T)
+    t = T_2[:3, 3] - R @ np.ascontiguousarray(T_1[:3, 3])
+    skew = np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
+    K_inv = np.array(
+        [[1 / view.fx, 0.0, -view.cx / view.fx], [0.0, 1 / view.fy, -view.cy / view.fy], [0.0, 0.0, 1.0]]
+    )
+    return K_inv.T.copy() @ (skew @ R) @ K_inv
+
+
+@njit(cache=True, nogil=True)
+def new_points(m, view, keyframe, neighbour, min_depth, min_parallax_cosine, ratio):
+    """Match free keypoints of two keyframes along epipolar lines and triangulate them.
+
+    Args:
+        m: MapArrays.
+        view: ViewGeometry.
+        keyframe, neighbour: rows.
+        min_depth: nothing nearer to ``keyframe`` is looked for.
+        min_parallax_cosine: rays closer than this are not triangulated.
+        ratio: best over second best descriptor distance at the most.
+
+    Returns:
+        keypoints of ``keyframe`` (n,) int32 and of ``neighbour`` (n,) int32 (rows of the keypoint arrays),
+        points (n, 3).
+    """
+    T_1, T_2 = m.kf_T_cam_map[keyframe], m.kf_T_cam_map[neighbour]
+    F = fundamental(T_1, T_2, view)
+    R_1 = np.ascontiguousarray(T_1[:3, :3])
+    R_2 = np.ascontiguousarray(T_2[:3, :3])
+    centre_1 = -R_1.T.copy() @ np.ascontiguousarray(T_1[:3, 3])
+    centre_2 = -R_2.T.copy() @ np.ascontiguousarray(T_2[:3, 3])
+    R_21 = R_2 @ R_1.T.copy()
+    t_21 = R_2 @ centre_1 + T_2[:3, 3]
+    epipole_x, epipole_y, has_epipole = 0.0, 0.0, t_21[2] > 1e-9
+    if has_epipole:
+        epipole_x, epipole_y = view.fx * t_21[0] / t_21[2] + view.cx, view.fy * t_21[1] / t_21[2] + view.cy
+    size = m.kf_start[keyframe + 1] - m.kf_start[keyframe]
+    rows_1 = np.empty(size, np.int32)
+    rows_2 = np.empty(size, np.int32)
+    points = np.empty((size, 3), np.float64)
+    first = m.kf_start[neighbour]
+    kp_xy, kp_octave, kp_descriptor, kp_point = m.kp_xy, m.kp_octave, m.kp_descriptor, m.kp_point
+    cells = m.kf_cells[neighbour]
+    used = np.zeros(m.kf_start[neighbour + 1] - first, np.bool_)
+    n = 0
+    for a in range(m.kf_start[keyframe], m.kf_start[keyframe + 1]):
+        if m.kp_point[a] >= 0:
+            continue
+        x, y = m.kp_xy[a, 0], m.kp_xy[a, 1]
+        la = F[0, 0] * x + F[0, 1] * y + F[0, 2]
+        lb = F[1, 0] * x + F[1, 1] * y + F[1, 2]
+        lc = F[2, 0] * x + F[2, 1] * y + F[2, 2]
+        if la * la + lb * lb < 1e-18:
+            continue
+        xn, yn = (x - view.cx) / view.fx, (y - view.cy) / view.fy
+        dx = R_21[0, 0] * xn + R_21[0, 1] * yn + R_21[0, 2]
+        dy = R_21[1, 0] * xn + R_21[1, 1] * yn + R_21[1, 2]
+        dz = R_21[2, 0] * xn + R_21[2, 1] * yn + R_21[2, 2]
+        if dz < 1e-3:
+            continue
+        # The stretch of the epipolar line between the nearest depth allowed and infinity.
+        near = max(min_depth, (1e-3 * min_depth - t_21[2]) / dz)
+        nz = near * dz + t_21[2]
+        x_0 = view.fx * (near * dx + t_21[0]) / nz + view.cx
+        y_0 = view.fy * (near * dy + t_21[1]) / nz + view.cy
+        x_1, y_1 = view.fx * dx / dz + view.cx, view.fy * dy / dz + view.cy
+        found = _best_on_line(
+            kp_xy, kp_octave, kp_descriptor, kp_point, m.kp_octave[a], m.kp_descriptor[a], cells, first, used,
+            view, la, lb, lc, x_0, y_0, x_1, y_1, has_epipole, epipole_x, epipole_y, ratio,
+        )  # fmt: skip
+        if found < 0:
+            continue
+        b = first + found
+        ok, px, py, pz = _triangulated(m, view, T_1, T_2, centre_1, centre_2, a, b, min_parallax_cosine)
+        if ok:
+            used[found] = True
+            rows_1[n], rows_2[n] = a, b
+            points[n, 0], points[n, 1], points[n, 2] = px, py, pz
+            n += 1
+    return rows_1[:n].copy(), rows_2[:n].copy(), points[:n].copy()
+
+
+@njit(cache=True, nogil=True)
+def _best_on_line(
+    kp_xy, kp_octave, kp_descriptor, kp_point, octave, descriptor, cells, first, used,
+    view, la, lb, lc, x_0, y_0, x_1, y_1, has_epipole, epipole_x, epipole_y, ratio,
+):  # fmt: skip
+    """The free keypoint near a stretch of a line whose descriptor is nearest.
+
+    Takes arrays, not the map: this is called for every keypoint, and a tuple of arrays is dear to pass.
+    """
+    norm = la * la + lb * lb
+    margin = 1.96 * view.scale[-1]
+    c0 = max(int(np.floor((min(x_0, x_1) - margin - view.x_min) / view.cell)), 0)
+    c1 = min(int(np.floor((max(x_0, x_1) + margin - view.x_min) / view.cell)), view.cols - 1)
+    r0 = max(int(np.floor((min(y_0, y_1) - margin - view.y_min) / view.cell)), 0)
+    r1 = min(int(np.floor((max(y_0, y_1) + margin - view.y_min) / view.cell)), view.rows - 1)
+    best, second, found = NEAR + 1, 257, -1
+    for r in range(r0, r1 + 1):
+        if c0 > c1:
+            break
+        for i in range(cells[r * view.cols + c0], cells[r * view.cols + c1 + 1]):
+            b = first + i
+            if used[i] or kp_point[b] >= 0 or abs(octave - kp_octave[b]) > 2:
+                continue
+            x, y = kp_xy[b, 0], kp_xy[b, 1]
+            d_line = la * x + lb * y + lc
+            if d_line * d_line * view.inv_sigma2[kp_octave[b]] > 3.84 * norm:
+                continue
+            if has_epipole:
+                # Near the epipole hardly any baseline is seen.
+                ex, ey = x - epipole_x, y - epipole_y
+                if ex * ex + ey * ey < 100.0 * view.scale[kp_octave[b]]:
+                    continue
+            d = hamming256(descriptor, kp_descriptor[b])
+            if d < best:
+                second, best, found = best, d, i
+            elif d < second:
+                second = d
+    return found if best <= ratio * second else -1
+
+
+@njit(cache=True, nogil=True)
+def _triangulated(m, view, T_1, T_2, centre_1, centre_2, a, b, min_parallax_cosine):
+    """Triangulate one match; whether it passes, and the point."""
+    xn1, yn1 = (m.kp_xy[a, 0] - view.cx) / view.fx, (m.kp_xy[a, 1] - view.cy) / view.fy
+    xn2, yn2 = (m.kp_xy[b, 0] - view.cx) / view.fx, (m.kp_xy[b, 1] - view.cy) / view.fy
+    dot = 0.0
+    for r in range(3):
+        ray_1 = T_1[0, r] * xn1 + T_1[1, r] * yn1 + T_1[2, r]
+        ray_2 = T_2[0, r] * xn2 + T_2[1, r] * yn2 + T_2[2, r]
+        dot += ray_1 * ray_2
+    cosine = dot / np.sqrt((xn1 * xn1 + yn1 * yn1 + 1) * (xn2 * xn2 + yn2 * yn2 + 1))
+    if cosine > min_parallax_cosine or cosine <= 0:
+        return False, 0.0, 0.0, 0.0
+    px, py, pz = triangulate(T_1, T_2, xn1, yn1, xn2, yn2)
+    if not (np.isfinite(px) and np.isfinite(py) and np.isfinite(pz)):
+        return False, 0.0, 0.0, 0.0
+    if not _reprojects(T_1, view, px, py, pz, m.kp_xy[a], view.inv_sigma2[m.kp_octave[a]]):
+        return False, 0.0, 0.0, 0.0
+    if not _reprojects(T_2, view, px, py, pz, m.kp_xy[b], view.inv_sigma2[m.kp_octave[b]]):
+        return False, 0.0, 0.0, 0.0
+    d1 = np.sqrt((px - centre_1[0]) ** 2 + (py - centre_1[1]) ** 2 + (pz - centre_1[2]) ** 2)
+    d2 = np.sqrt((px - centre_2[0]) ** 2 + (py - centre_2[1]) ** 2 + (pz - centre_2[2]) ** 2)
+    # Farther away means coarser seen: distances and pyramid levels must tell the same story.
+    seen = view.scale[m.kp_octave[a]] / view.scale[m.kp_octave[b]]
+    slack = 1.5 * np.exp(view.log_scale)
+    if d2 / d1 * slack < seen or d2 / d1 > seen * slack:
+        return False, 0.0, 0.0, 0.0
+    return True, px, py, pz
+
+
+@njit(cache=True, nogil=True)
+def _reprojects(T, view, px, py, pz, xy, inv_sigma2):
+    z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+    if z <= 0:
+        return False
+    x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
+    y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
+    du = view.fx * x / z + view.cx - xy[0]
+    dv = view.fy * y / z + view.cy - xy[1]
+    return (du * du + dv * dv) * inv_sigma2 <= 5.991

@@ -1,0 +1,184 @@
+"""Local mapping: what happens to the map when it is given a keyframe."""
+
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.core.frame import Frame
+from slam.map import _map_kernels as kernels
+from slam.map.map import MIN_OBSERVATIONS, Map
+from slam.mapping._local_problem import local_problem
+from slam.mapping._triangulation_search import new_points
+from slam.matching.guided import fuse_into_keyframe
+from slam.optimization.bundle_adjustment import local_bundle_adjust
+
+
+@dataclass(frozen=True)
+class LocalMappingConfig:
+    """Settings of local mapping.
+
+    Attributes:
+        neighbours: covisible keyframes used for triangulation and fusion.
+        min_baseline: least baseline over median depth for triangulation.
+        min_depth: depth, over the median depth, from which new points are looked for.
+        min_parallax_deg: least angle between the rays of a new point.
+        descriptor_ratio: best over second best descriptor distance along the epipolar line.
+        window: keyframes that local bundle adjustment moves, the new one included.
+        fixed: cap on the fixed keyframes about them.
+        min_found_share: a young point found in less than this share of the frames that should see it goes.
+        redundancy: a keyframe is dropped when more than this share of its points is well seen elsewhere.
+    """
+
+    neighbours: int = 10
+    min_baseline: float = 0.01
+    min_depth: float = 0.1
+    min_parallax_deg: float = 1.15
+    descriptor_ratio: float = 0.8
+    window: int = 20
+    fixed: int = 40
+    min_found_share: float = 0.25
+    redundancy: float = 0.9
+
+
+class LocalMapper:
+    """Grows and refines one map, keyframe by keyframe.
+
+    Args:
+        map_: the map.
+        config: settings.
+        lock: held while the map is read or written, step by step and never while a problem is solved, so
+            that who tracks in the map at the same time waits for a few milliseconds at the most.
+    """
+
+    def __init__(
+        self, map_: Map, config: LocalMappingConfig, lock: AbstractContextManager | None = None
+    ) -> None:
+        self.map = map_
+        self.config = config
+        self.lock = lock or nullcontext()
+        self._young = np.empty(0, np.int64)
+
+    def insert(self, frame: Frame) -> int:
+        """Make a keyframe of a tracked frame and let the map grow from it.
+
+        Returns:
+            Its row in the map.
+        """
+        with self.lock:
+            kernels.resolve_points(self.map.arrays, frame.point)
+            keyframe = self.map.add_keyframe(frame, self.map.live(frame.reference_keyframe))
+            self._cull_young_points(keyframe)
+        self._create_points(keyframe)
+        self._fuse_neighbours(keyframe)
+        self.adjust(keyframe)
+        with self.lock:
+            self._cull_keyframes(keyframe)
+        return keyframe
+
+    def adjust(self, keyframe: int) -> None:
+        """Local bundle adjustment about a keyframe: its best neighbours move, their other observers hold."""
+        m = self.map
+        free = np.zeros(m.n_keyframes, np.bool_)
+        free[keyframe] = True
+        free[m.neighbours(keyframe, self.config.window - 1)] = True
+        self.adjust_keyframes(free)
+
+    def adjust_keyframes(self, free: np.ndarray) -> None:
+        """Bundle adjustment of the keyframes marked in ``free`` (n_keyframes,) bool and all their points.
+
+        Where nothing else holds the gauge, the oldest of them is held.
+        """
+        m, a, view = self.map, self.map.arrays, self.map.view
+        with self.lock:
+            cameras, points, obs_camera, obs_point, obs_keypoint = local_problem(
+                a, m.n_keyframes, m.n_points, free, self.config.fixed
+            )
+            T_cam_map, xyz = a.kf_T_cam_map[cameras], a.pt_xyz[points]
+        fixed = ~free[cameras]
+        if not fixed.any():
+            fixed[0] = True
+        if fixed.all() or not len(points):
+            return
+        result, good = local_bundle_adjust(
+            T_cam_map, fixed, xyz, obs_camera, obs_point,
+            a.kp_xy[obs_keypoint], view.inv_sigma2[a.kp_octave[obs_keypoint]],
+            view.fx, view.fy, view.cx, view.cy,
+        )  # fmt: skip
+        with self.lock:
+            a.kf_T_cam_map[cameras[~fixed]] = result.T_cam_map[~fixed]
+            a.pt_xyz[points] = result.points
+            kernels.erase_observations(a, obs_keypoint[~good], MIN_OBSERVATIONS)
+            kernels.refresh_geometries(a, points, view.scale)
+
+    def rebase(self, map_: Map) -> None:
+        """Go on in a map that has absorbed this mapper's; young points are let be, their ages are lost."""
+        self.map = map_
+        self._young = np.empty(0, np.int64)
+
+    # -- steps -------------------------------------------------------------------------------------------
+
+    def _cull_young_points(self, keyframe: int) -> None:
+        """Drop points that are rarely found, or that no third keyframe has taken up in time."""
+        a, p = self.map.arrays, self._young
+        p = p[~a.pt_bad[p]]
+        age = keyframe - a.pt_first_keyframe[p]
+        rare = a.pt_found[p] < self.config.min_found_share * a.pt_visible[p]
+        lonely = (age >= 2) & (a.pt_observations[p] <= 2)
+        kernels.remove_points(a, p[rare | lonely])
+        self._young = p[~(rare | lonely) & (age < 3)]
+
+    def _create_points(self, keyframe: int) -> None:
+        """Triangulate matches with covisible keyframes."""
+        nearest = self.config.min_depth * kernels.median_depth(self.map.arrays, keyframe)
+        created = []
+        for neighbour in self.map.neighbours(keyframe, self.config.neighbours):
+            with self.lock:
+                created.append(self._triangulate(keyframe, int(neighbour), nearest))
+        self._young = np.concatenate([self._young, *created])
+
+    def _triangulate(self, keyframe: int, neighbour: int, nearest: float) -> np.ndarray:
+        """Rows of the points found between two keyframes."""
+        m, a, config = self.map, self.map.arrays, self.config
+        baseline = np.linalg.norm(_centre(a.kf_T_cam_map[neighbour]) - _centre(a.kf_T_cam_map[keyframe]))
+        depth = kernels.median_depth(a, neighbour)
+        if depth <= 0 or baseline < config.min_baseline * depth:
+            return np.empty(0, np.int64)
+        cosine = float(np.cos(np.deg2rad(config.min_parallax_deg)))
+        own, theirs, xyz = new_points(
+            a, m.view, keyframe, neighbour, nearest, cosine, config.descriptor_ratio
+        )
+        first = m.reserve_points(len(own))
+        kernels.create_points(m.arrays, first, xyz, own, theirs, m.view.scale)
+        return np.arange(first, first + len(own))
+
+    def _fuse_neighbours(self, keyframe: int) -> None:
+        """Join duplicates between the keyframe and its neighbours, first and second."""
+        m, a = self.map, self.map.arrays
+        first = m.neighbours(keyframe, self.config.neighbours)
+        second = [k for n in first for k in m.neighbours(int(n), 5)]
+        targets = [int(k) for k in dict.fromkeys([*first, *second]) if k != keyframe]
+        own = m.observed_points(keyframe)
+        for target in targets:
+            with self.lock:
+                fuse_into_keyframe(a, m.view, target, own[own >= 0], 3.0)
+        with self.lock:
+            theirs = [m.observed_points(target) for target in targets]
+            if theirs:
+                candidates = np.unique(np.concatenate(theirs))
+                fuse_into_keyframe(a, m.view, keyframe, candidates[candidates >= 0], 3.0)
+            own = m.observed_points(keyframe)
+            kernels.refresh_points(a, own[own >= 0], m.view.scale)
+
+    def _cull_keyframes(self, keyframe: int) -> None:
+        """Drop neighbours whose points are nearly all seen as well by three others."""
+        m = self.map
+        for k in m.neighbours(keyframe, 40):
+            if m.parent(int(k)) < 0:
+                continue
+            if kernels.redundant_share(m.arrays, int(k)) > self.config.redundancy:
+                m.cull_keyframe(int(k))
+
+
+def _centre(T_cam_map: np.ndarray) -> np.ndarray:
+    return -T_cam_map[:3, :3].T @ T_cam_map[:3, 3]

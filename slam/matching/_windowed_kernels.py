@@ -1,0 +1,104 @@
+"""Windowed matching of two whole frames, pyramid level by pyramid level."""
+
+import numpy as np
+from numba import njit
+
+from slam.features._hamming import popcount64
+from slam.matching.guided import NEAR, keep_common_rotation
+
+
+@njit(cache=True, nogil=True)
+def _on_level(level, octave, xy, descriptors, cell_start):
+    """The keypoints of one pyramid level, in their order: rows, pixels, descriptors, and their grid."""
+    count = 0
+    for i in range(len(octave)):
+        count += octave[i] == level
+    rows = np.empty(count, np.int32)
+    level_xy = np.empty((count, 2), np.float64)
+    level_descriptors = np.empty((count, 4), np.uint64)
+    level_start = np.zeros(len(cell_start), np.int32)
+    k = 0
+    for cell in range(len(cell_start) - 1):
+        for i in range(cell_start[cell], cell_start[cell + 1]):
+            if octave[i] != level:
+                continue
+            rows[k] = i
+            level_xy[k] = xy[i]
+            level_descriptors[k] = descriptors[i]
+            k += 1
+        level_start[cell + 1] = k
+    return rows, level_xy, level_descriptors, level_start
+
+
+@njit(cache=True, nogil=True)
+def _nearest_on_level(view, xy, descriptors, cell_start, u, v, radius, query, ratio):
+    """The keypoint of one level within a window whose descriptor is nearest: (place or -1, bits).
+
+    What :func:`slam.matching.guided.nearest_in_window` finds, without looking at levels.
+    """
+    best, second, found = 257, 257, -1
+    if u + radius < view.x_min or v + radius < view.y_min:
+        return found, best
+    c0 = max(int((u - radius - view.x_min) / view.cell), 0)
+    c1 = min(int((u + radius - view.x_min) / view.cell), view.cols - 1)
+    r0 = max(int((v - radius - view.y_min) / view.cell), 0)
+    r1 = min(int((v + radius - view.y_min) / view.cell), view.rows - 1)
+    q0, q1, q2, q3 = query[0], query[1], query[2], query[3]
+    for r in range(r0, r1 + 1):
+        for i in range(
+            np.uint64(cell_start[r * view.cols + c0]), np.uint64(cell_start[r * view.cols + c1 + 1])
+        ):
+            if abs(xy[i, 0] - u) > radius or abs(xy[i, 1] - v) > radius:
+                continue
+            d = popcount64(descriptors[i, 0] ^ q0) + popcount64(descriptors[i, 1] ^ q1)
+            d += popcount64(descriptors[i, 2] ^ q2) + popcount64(descriptors[i, 3] ^ q3)
+            if d < best:
+                best, second, found = d, best, np.int64(i)
+            elif d < second:
+                second = d
+    if second < 257 and best > ratio * second:
+        return -1, 257
+    return found, best
+
+
+@njit(cache=True, nogil=True)
+def match_for_initialization(xy_1, octave_1, angle_1, descriptors_1, around, view, xy_2, octave_2, angle_2,
+                             descriptors_2, cell_start_2, radius, max_octave, ratio):  # fmt: skip
+    """Windowed one-to-one matches between two frames, fine pyramid levels only.
+
+    Matches stay on their level. Windows are wide, and a level at a time only its own keypoints are met in
+    them, a fraction of all.
+
+    Args:
+        xy_1, octave_1, angle_1, descriptors_1: the first frame.
+        around: (N, 2) float64 where to look for each of its keypoints in the second, px.
+        view: ViewGeometry.
+        xy_2, octave_2, angle_2, descriptors_2, cell_start_2: the second frame.
+        radius: half side of the window, px.
+        max_octave: coarsest level used.
+        ratio: best over second best distance at the most.
+
+    Returns:
+        (N,) int32 row in the second frame, -1 for none; count.
+    """
+    n = len(octave_1)
+    matched = np.full(n, -1, np.int32)
+    turn = np.zeros(n, np.float64)
+    for level in range(max_octave + 1):
+        rows, xy, descriptors, cell_start = _on_level(level, octave_2, xy_2, descriptors_2, cell_start_2)
+        owner = np.full(len(rows), -1, np.int32)
+        owner_distance = np.full(len(rows), 257, np.int64)
+        for j in range(n):
+            if octave_1[j] != level:
+                continue
+            i, d = _nearest_on_level(
+                view, xy, descriptors, cell_start, around[j, 0], around[j, 1], radius, descriptors_1[j], ratio
+            )
+            if i < 0 or d > NEAR or d >= owner_distance[i]:
+                continue
+            if owner[i] >= 0:
+                matched[owner[i]] = -1
+            owner[i], owner_distance[i] = j, d
+            matched[j] = rows[i]
+            turn[j] = angle_1[j] - angle_2[rows[i]]
+    return matched, keep_common_rotation(matched, turn)

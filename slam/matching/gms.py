@@ -1,0 +1,70 @@
+"""Matching of two whole images: nearest descriptors, kept where their neighbours move along with them.
+
+Source: Bian, Lin, Matsushita, Yeung, Nguyen, Cheng, "GMS: grid-based motion statistics for fast, ultra-robust
+feature correspondence", 2017, as OpenCV has it.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from slam.core.frame import FrameFeatures
+from slam.matching.brute_force import match_brute_force
+
+_ANY_DISTANCE = 256
+_ANY_RATIO = 1e3
+
+
+@dataclass(frozen=True)
+class GmsConfig:
+    """Settings of GMS.
+
+    Attributes:
+        threshold_factor: how much support of its neighbourhood a match needs; the publication's alpha.
+        max_octave: matches of keypoints on coarser pyramid levels are left out, though they lend support.
+        with_rotation: also try images turned by multiples of 45 degrees, at 8 times the cost.
+        with_scale: also try images scaled by factors of sqrt(2) up to 2, at 5 times the cost.
+    """
+
+    threshold_factor: float = 6.0
+    max_octave: int = 7
+    with_rotation: bool = False
+    with_scale: bool = False
+
+
+def match_gms(
+    a: FrameFeatures,
+    b: FrameFeatures,
+    size_px: tuple[int, int],
+    config: GmsConfig | None = None,
+) -> np.ndarray:
+    """Match two frames wherever their keypoints have moved to.
+
+    Args:
+        a, b: the frames.
+        size_px: width and height of their images.
+        config: settings, the defaults if None.
+
+    Returns:
+        (K, 2) int32 rows (keypoint of A, keypoint of B), by keypoint of A; no keypoint occurs twice. Empty
+        where either frame is.
+    """
+    config = config or GmsConfig()
+    # No test of each match by itself: a repeated pattern's matches are told apart by their neighbours.
+    nearest = match_brute_force(a.descriptors, b.descriptors, _ANY_DISTANCE, _ANY_RATIO)
+    if not len(nearest):
+        return nearest
+    # The grid is laid over the image as taken, which no keypoint lies outside of.
+    kept = cv2.xfeatures2d.matchGMS(
+        size_px,
+        size_px,
+        cv2.KeyPoint.convert(a.xy_image),
+        cv2.KeyPoint.convert(b.xy_image),
+        [cv2.DMatch(i, j, 0.0) for i, j in nearest.tolist()],
+        withRotation=config.with_rotation,
+        withScale=config.with_scale,
+        thresholdFactor=config.threshold_factor,
+    )
+    pairs = np.array([(m.queryIdx, m.trainIdx) for m in kept], np.int32).reshape(-1, 2)
+    return pairs[a.octave[pairs[:, 0]] <= config.max_octave]

@@ -1,0 +1,111 @@
+"""How initialisation matches a frame with its reference frame: one interface, several ways."""
+
+from typing import Literal, Protocol
+
+import numpy as np
+
+from slam.core.camera import PinholeCamera
+from slam.core.frame import FrameFeatures
+from slam.core.geometry import ViewGeometry
+from slam.matching._windowed_kernels import match_for_initialization
+from slam.matching.gms import GmsConfig, match_gms
+
+MatcherKind = Literal["windowed", "gms"]
+
+
+class InitialMatcher(Protocol):
+    """Matches frame after frame with one reference frame."""
+
+    def start(self, reference: FrameFeatures) -> None:
+        """Take a new reference frame."""
+        ...
+
+    def match(self, frame: FrameFeatures) -> np.ndarray:
+        """Match the next frame with the reference frame.
+
+        Returns:
+            (K, 2) int rows (keypoint of the reference frame, keypoint of the frame), by the former; no
+            keypoint occurs twice.
+
+        Raises:
+            RuntimeError: there is no reference frame yet.
+        """
+        ...
+
+
+class WindowedMatcher:
+    """Looks for each keypoint near where it was last seen: cheap, and right while nothing moves far.
+
+    Source: Mur-Artal, Montiel, Tardós, "ORB-SLAM", 2015, section IV.
+    """
+
+    def __init__(self, view: ViewGeometry, radius_px: float, max_octave: int, ratio: float) -> None:
+        """Settings as of InitializationConfig."""
+        self._view = view
+        self._radius_px = radius_px
+        self._max_octave = max_octave
+        self._ratio = ratio
+        self._reference: FrameFeatures | None = None
+        self._around = np.empty((0, 2))
+
+    def start(self, reference: FrameFeatures) -> None:
+        """Take a new reference frame."""
+        self._reference = reference
+        self._around = reference.xy.copy()
+
+    def match(self, frame: FrameFeatures) -> np.ndarray:
+        """Match the next frame with the reference frame; see InitialMatcher."""
+        a, b = _given(self._reference), frame
+        matched, _ = match_for_initialization(
+            a.xy, a.octave, a.angle_deg, a.descriptors, self._around, self._view,
+            b.xy, b.octave, b.angle_deg, b.descriptors, b.cell_start,
+            self._radius_px, self._max_octave, self._ratio,
+        )  # fmt: skip
+        rows = np.flatnonzero(matched >= 0)
+        pairs = np.column_stack([rows, matched[rows]])
+        self.follow(pairs, frame)
+        return pairs
+
+    def follow(self, pairs: np.ndarray, frame: FrameFeatures) -> None:
+        """Look next about where these keypoints, (K, 2) as of ``match``, are in a frame."""
+        self._around[pairs[:, 0]] = frame.xy[pairs[:, 1]]
+
+
+class GmsMatcher:
+    """Looks near where each keypoint was last seen, on every pyramid level, and for the rest by GMS.
+
+    GMS finds keypoints wherever they went, but not those that move otherwise than what is around them: the
+    near ones, which have the most parallax. These are found about where they last were.
+
+    Source: GMS for initialisation: Huang et al., "Dual-SLAM", 2020, section III-D.
+    """
+
+    def __init__(
+        self, camera: PinholeCamera, view: ViewGeometry, radius_px: float, ratio: float, config: GmsConfig
+    ) -> None:
+        """Settings as of InitializationConfig."""
+        self._near = WindowedMatcher(view, radius_px, config.max_octave, ratio)
+        self._size_px = (camera.width_px, camera.height_px)
+        self._config = config
+        self._reference: FrameFeatures | None = None
+
+    def start(self, reference: FrameFeatures) -> None:
+        """Take a new reference frame."""
+        self._reference = reference
+        self._near.start(reference)
+
+    def match(self, frame: FrameFeatures) -> np.ndarray:
+        """Match the next frame with the reference frame; see InitialMatcher."""
+        reference = _given(self._reference)
+        near = self._near.match(frame)
+        far = match_gms(reference, frame, self._size_px, self._config)
+        far = far[~np.isin(far[:, 0], near[:, 0]) & ~np.isin(far[:, 1], near[:, 1])]
+        self._near.follow(far, frame)
+        pairs = np.concatenate([near, far])
+        return pairs[np.argsort(pairs[:, 0])]
+
+
+def _given(reference: FrameFeatures | None) -> FrameFeatures:
+    if reference is None:
+        raise RuntimeError("no reference frame")
+    return reference

@@ -1,0 +1,228 @@
+"""Kernels of place recognition: a tree of descriptors, and an inverted file."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from slam.features._hamming import hamming
+
+
+class Tree(NamedTuple):
+    """A vocabulary tree; node 0 is the root, the children of a node are consecutive.
+
+    Attributes:
+        descriptor: (N, 4) uint64 centre of each node.
+        first_child: (N,) int32.
+        n_children: (N,) int32, 0 for a word.
+        word: (N,) int32 number of the word, -1 for inner nodes.
+        weight: (W,) float64 inverse document frequency of each word.
+    """
+
+    descriptor: np.ndarray
+    first_child: np.ndarray
+    n_children: np.ndarray
+    word: np.ndarray
+    weight: np.ndarray
+
+
+class InvertedFile(NamedTuple):
+    """For every word the keyframes that show it, in one block of entries each.
+
+    Attributes:
+        start: (W,) int64 first entry of each word's block.
+        length: (W,) int32 entries in use.
+        capacity: (W,) int32 entries of the block.
+        keyframe: (E,) int32.
+        weight: (E,) float64 weight of the word in that keyframe.
+    """
+
+    start: np.ndarray
+    length: np.ndarray
+    capacity: np.ndarray
+    keyframe: np.ndarray
+    weight: np.ndarray
+
+
+@njit(cache=True, nogil=True)
+def descend(tree, descriptors, level):
+    """Word of each descriptor, and the node of ``level`` on the way to it (the word where that is higher).
+
+    Args:
+        tree: Tree.
+        descriptors: (n, 4) uint64.
+        level: steps below the root.
+
+    Returns:
+        words (n,) int32, nodes (n,) int32.
+    """
+    n = descriptors.shape[0]
+    words = np.empty(n, np.int32)
+    nodes = np.empty(n, np.int32)
+    for i in range(n):
+        node, depth = 0, 0
+        nodes[i] = 0
+        while tree.n_children[node] > 0:
+            first = tree.first_child[node]
+            best, least = first, 257
+            for child in range(first, first + tree.n_children[node]):
+                distance = hamming(descriptors, i, tree.descriptor, child)
+                if distance < least:
+                    best, least = child, distance
+            node = best
+            depth += 1
+            if depth <= level:
+                nodes[i] = node
+        words[i] = tree.word[node]
+    return words, nodes
+
+
+@njit(cache=True, nogil=True)
+def file_words(inverted, end, keyframe, words, weights):
+    """Enter a keyframe's words; a block that is full moves to the end, with twice the room.
+
+    Args:
+        inverted: InvertedFile, with enough entries from ``end`` on.
+        end: first entry that belongs to no block.
+        keyframe: row.
+        words, weights: its bag of words.
+
+    Returns:
+        The end after that.
+    """
+    for i in range(len(words)):
+        w = words[i]
+        count = inverted.length[w]
+        if count == inverted.capacity[w]:
+            old = inverted.start[w]
+            inverted.keyframe[end : end + count] = inverted.keyframe[old : old + count]
+            inverted.weight[end : end + count] = inverted.weight[old : old + count]
+            inverted.start[w] = end
+            inverted.capacity[w] = grown(count)
+            end += inverted.capacity[w]
+        entry = inverted.start[w] + count
+        inverted.keyframe[entry] = keyframe
+        inverted.weight[entry] = weights[i]
+        inverted.length[w] = count + 1
+    return end
+
+
+@njit(cache=True, nogil=True)
+def grown(capacity):
+    """Room of a block that has outgrown its own."""
+    return max(4, 2 * capacity)
+
+
+@njit(cache=True, nogil=True)
+def room_needed(inverted, words):
+    """Entries that :func:`file_words` would take from the end at the most."""
+    need = 0
+    for w in words:
+        if inverted.length[w] == inverted.capacity[w]:
+            need += grown(inverted.capacity[w])
+    return need
+
+
+@njit(cache=True, nogil=True)
+def remove_words(inverted, keyframe, words):
+    """Take a keyframe's words out; the last entry of each block fills the gap."""
+    for w in words:
+        last = inverted.start[w] + inverted.length[w] - 1
+        entry = inverted.start[w]
+        while inverted.keyframe[entry] != keyframe:
+            entry += 1
+        inverted.keyframe[entry] = inverted.keyframe[last]
+        inverted.weight[entry] = inverted.weight[last]
+        inverted.length[w] -= 1
+
+
+@njit(cache=True, nogil=True)
+def look_up(inverted, n_keyframes, words, weights):
+    """Compare one image with every keyframe.
+
+    Args:
+        inverted: InvertedFile.
+        n_keyframes: rows of the answer.
+        words, weights: the image's bag of words, weights positive with sum 1.
+
+    Returns:
+        common (n_keyframes,) int32 words in common; score (n_keyframes,) float64, 1 for the same bag.
+    """
+    common = np.zeros(n_keyframes, np.int32)
+    score = np.zeros(n_keyframes, np.float64)
+    for i in range(len(words)):
+        start = inverted.start[words[i]]
+        for entry in range(start, start + inverted.length[words[i]]):
+            k = inverted.keyframe[entry]
+            common[k] += 1
+            # 1 - |a - b| / 2 of two vectors of norm 1 is the sum of the lesser of each pair.
+            score[k] += min(weights[i], inverted.weight[entry])
+    return common, score
+
+
+@njit(cache=True, nogil=True)
+def score_groups(eligible, score, covisibility, group_size):
+    """Score candidates together with what is about them.
+
+    Args:
+        eligible: (K,) bool candidates.
+        score: (K,) float64.
+        covisibility: (C, C) int32, C >= K.
+        group_size: the most covisible keyframes of a candidate that form its group.
+
+    Returns:
+        total (K,) float64 sum of the scores of the group's candidates; best (K,) int32 the group's candidate
+        with the highest score. Zero and -1 for those not eligible.
+    """
+    n = len(eligible)
+    total = np.zeros(n, np.float64)
+    best = np.full(n, -1, np.int32)
+    for k in range(n):
+        if not eligible[k]:
+            continue
+        total[k] = score[k]
+        best[k] = k
+        shared = covisibility[k, :n]
+        order = np.argsort(-shared, kind="mergesort")
+        for j in order[:group_size]:
+            if shared[j] == 0:
+                break
+            if eligible[j]:
+                total[k] += score[j]
+                if score[j] > score[best[k]]:
+                    best[k] = j
+    return total, best
+
+
+@njit(cache=True, nogil=True)
+def match_in_nodes(descriptors_a, nodes_a, rows_a, descriptors_b, order_b, start_b, max_distance, ratio):
+    """Nearest neighbours among the features of the same node.
+
+    Args:
+        descriptors_a, nodes_a: (n, 4) uint64 and (n,) int32 of one image.
+        rows_a: (q,) int rows of it to match.
+        descriptors_b: (m, 4) uint64 of the other.
+        order_b: (m,) its rows, ordered by node.
+        start_b: (nodes + 1,) where each node starts in ``order_b``.
+        max_distance: bits.
+        ratio: best over second best distance at the most.
+
+    Returns:
+        (m,) int32 row of A for each of B, -1 for none.
+    """
+    owner = np.full(descriptors_b.shape[0], -1, np.int32)
+    owner_distance = np.full(descriptors_b.shape[0], 257, np.int64)
+    for i in rows_a:
+        node = nodes_a[i]
+        best, second, found = 257, 257, -1
+        for s in range(start_b[node], start_b[node + 1]):
+            j = order_b[s]
+            distance = hamming(descriptors_a, i, descriptors_b, j)
+            if distance < best:
+                best, second, found = distance, best, j
+            elif distance < second:
+                second = distance
+        if found >= 0 and best <= max_distance and best < ratio * second and best < owner_distance[found]:
+            owner[found] = i
+            owner_distance[found] = best
+    return owner

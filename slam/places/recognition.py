@@ -1,0 +1,259 @@
+"""Place recognition: which keyframes may show what this image shows.
+
+Source: Galvez-Lopez, Tardos, "Bags of Binary Words for Fast Place Recognition in Image Sequences", 2012;
+candidates as in Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, sections V-C and VII-A.
+"""
+
+import json
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from slam.core.frame import FrameFeatures
+from slam.core.snapshot import Unchanging
+from slam.map.map import Map
+from slam.matching.brute_force import rotation_consistent
+from slam.places import _vocabulary_kernels as kernels
+from slam.places._vocabulary_kernels import InvertedFile, Tree
+
+VOCABULARY_FILE = Path(__file__).parent / "data" / "vocabulary.npz"
+
+_DIRECT_LEVEL = 2
+"""Level of the nodes within which features are matched: about ten features of an image in each."""
+_COMMON_SHARE = 0.8
+_TOTAL_SHARE = 0.75
+_GROUP_SIZE = 10
+
+
+@dataclass(frozen=True)
+class BowVector(Unchanging):
+    """The bag of words of one image.
+
+    Attributes:
+        words: (m,) int32 words that occur, increasing.
+        weights: (m,) float64 their weights (term frequency times inverse document frequency), sum 1.
+        nodes: (n,) int32 node of every feature, for guided matching.
+    """
+
+    words: np.ndarray
+    weights: np.ndarray
+    nodes: np.ndarray
+
+    def score(self, other: "BowVector") -> float:
+        """Likeness of two images: 1 for the same bag, 0 without a word in common."""
+        _, mine, theirs = np.intersect1d(self.words, other.words, assume_unique=True, return_indices=True)
+        return float(np.minimum(self.weights[mine], other.weights[theirs]).sum())
+
+
+_EMPTY_BAG = BowVector(np.empty(0, np.int32), np.empty(0), np.empty(0, np.int32))
+
+
+class Vocabulary(Unchanging):
+    """A tree of ORB descriptors whose leaves are words.
+
+    Attributes:
+        tree: its arrays.
+        provenance: what it was trained on.
+    """
+
+    def __init__(self, tree: Tree, provenance: dict) -> None:
+        self.tree = tree
+        self.provenance = provenance
+
+    @property
+    def n_words(self) -> int:
+        """Number of words."""
+        return len(self.tree.weight)
+
+    def transform(self, descriptors: np.ndarray) -> BowVector:
+        """The bag of words of an image.
+
+        Args:
+            descriptors: (n, 4) uint64.
+        """
+        word, nodes = kernels.descend(self.tree, np.ascontiguousarray(descriptors), _DIRECT_LEVEL)
+        weight = np.bincount(word, minlength=self.n_words) * self.tree.weight
+        words = np.flatnonzero(weight)
+        weights = weight[words] / weight[words].sum() if len(words) else np.empty(0)
+        return BowVector(words.astype(np.int32), weights, nodes)
+
+    def save(self, path: Path) -> None:
+        """Write the vocabulary as an .npz file; the same vocabulary gives the same bytes."""
+        arrays = self.tree._replace(weight=self.tree.weight.astype(np.float32))._asdict()
+        np.savez_compressed(path, provenance=np.array(json.dumps(self.provenance)), **arrays)
+
+    @staticmethod
+    def load(path: Path) -> "Vocabulary":
+        """Read what :meth:`save` has written.
+
+        Raises:
+            ValueError: the file is something else.
+        """
+        with np.load(path) as data:
+            try:
+                tree = Tree(*(data[name] for name in Tree._fields))
+                provenance = json.loads(str(data["provenance"]))
+            except KeyError as error:
+                raise ValueError(f"{path} is not a vocabulary: {error}") from error
+        return Vocabulary(tree._replace(weight=tree.weight.astype(np.float64)), provenance)
+
+
+@cache
+def shipped_vocabulary() -> Vocabulary:
+    """The vocabulary that comes with the package, read once."""
+    return Vocabulary.load(VOCABULARY_FILE)
+
+
+class KeyframeDatabase:
+    """The keyframes of one map by the words they show.
+
+    It follows its map by itself: whoever asks for candidates gets them from the keyframes that the map has
+    then. Until somebody asks, keyframes cost nothing here.
+
+    Args:
+        map_: the map.
+        vocabulary: the words; those that come with the package where None.
+    """
+
+    def __init__(self, map_: Map, vocabulary: Vocabulary | None = None) -> None:
+        self.map = map_
+        self.vocabulary = vocabulary or shipped_vocabulary()
+        self._bows: list[BowVector] = []
+        self._filed: list[bool] = []
+        n = self.vocabulary.n_words
+        self._file = InvertedFile(
+            np.zeros(n, np.int64), np.zeros(n, np.int32), np.zeros(n, np.int32),
+            np.empty(0, np.int32), np.empty(0),
+        )  # fmt: skip
+        self._end = 0
+
+    def __len__(self) -> int:
+        """Keyframes on file."""
+        return sum(self._filed)
+
+    def bow(self, keyframe: int) -> BowVector:
+        """The bag of words of a keyframe that is on file."""
+        return self._bows[keyframe]
+
+    def add(self) -> None:
+        """File the next keyframe of the map."""
+        keyframe = len(self._bows)
+        bow = self.vocabulary.transform(self.map.features(keyframe).descriptors)
+        self._reserve(kernels.room_needed(self._file, bow.words))
+        self._end = kernels.file_words(self._file, self._end, keyframe, bow.words, bow.weights)
+        self._bows.append(bow)
+        self._filed.append(True)
+
+    def erase(self, keyframe: int) -> None:
+        """Take a keyframe off file; nothing is done where it is off already."""
+        if self._filed[keyframe]:
+            kernels.remove_words(self._file, keyframe, self._bows[keyframe].words)
+            self._filed[keyframe] = False
+            self._bows[keyframe] = _EMPTY_BAG
+
+    def update(self) -> None:
+        """File the keyframes that the map has gained, erase those it has culled."""
+        for _ in range(len(self._bows), self.map.n_keyframes):
+            self.add()
+        bad = self.map.arrays.kf_bad[: self.map.n_keyframes]
+        for k in np.flatnonzero(bad & np.array(self._filed, np.bool_)):
+            self.erase(int(k))
+
+    def query(self, bow: BowVector) -> tuple[np.ndarray, np.ndarray]:
+        """Compare an image with every keyframe on file.
+
+        Returns:
+            Per row: (n,) int32 words in common, (n,) float64 score as :meth:`BowVector.score`.
+        """
+        return kernels.look_up(self._file, len(self._bows), bow.words, bow.weights)
+
+    def relocalization_candidates(self, bow: BowVector) -> list[int]:
+        """Keyframes of the map that may show what an image shows, the best first."""
+        self.update()
+        common, score = self.query(bow)
+        return self._best_groups(common, score, common > 0)
+
+    def loop_candidates(self, keyframe: int) -> list[int]:
+        """Keyframes that may show the same place as this one and are not its neighbours, the best first.
+
+        A candidate is at least as like the keyframe as the least like of its neighbours. Without neighbours
+        there are none.
+        """
+        self.update()
+        neighbours = self.map.neighbours(keyframe, self.map.n_keyframes)
+        if not len(neighbours):
+            return []
+        common, score = self.query(self._bows[keyframe])
+        elsewhere = common > 0
+        elsewhere[neighbours] = False
+        elsewhere[keyframe] = False
+        common[~elsewhere] = 0
+        return self._best_groups(common, score, elsewhere & (score >= score[neighbours].min()))
+
+    def _best_groups(self, common: np.ndarray, score: np.ndarray, possible: np.ndarray) -> list[int]:
+        """The best keyframe of each group of covisible keyframes that together score well."""
+        likeness = common * self._discount
+        eligible = possible & (likeness > _COMMON_SHARE * likeness.max(initial=0.0))
+        total, best = kernels.score_groups(eligible, score, self.map.arrays.covisibility, _GROUP_SIZE)
+        good = np.flatnonzero(eligible & (total > _TOTAL_SHARE * total.max(initial=0.0)))
+        good = good[np.argsort(-total[good], kind="stable")]
+        return list(dict.fromkeys(best[good].tolist()))
+
+    @property
+    def _discount(self) -> np.ndarray:
+        """(n,) of keyframes with more words than usual: they have more in common with any image.
+
+        The first two of a map, found among many features, would shut out all others.
+        """
+        words = np.array([len(bow.words) for bow in self._bows])
+        usual = np.median(words[words > 0]) if words.any() else 1.0
+        return np.minimum(1.0, usual / np.maximum(words, 1))
+
+    def _reserve(self, entries: int) -> None:
+        """Make room for that many more entries."""
+        f = self._file
+        have, need = len(f.keyframe), self._end + entries
+        if need > have:
+            more = max(need, 2 * have) - have
+            self._file = f._replace(
+                keyframe=np.concatenate([f.keyframe, np.empty(more, np.int32)]),
+                weight=np.concatenate([f.weight, np.empty(more)]),
+            )
+
+
+def match_by_bow(
+    features_a: FrameFeatures,
+    bow_a: BowVector,
+    rows_a: np.ndarray,
+    features_b: FrameFeatures,
+    bow_b: BowVector,
+    max_distance: int,
+    ratio: float,
+) -> np.ndarray:
+    """Match two images without any idea of where the match should be, within the nodes of the vocabulary.
+
+    Args:
+        features_a, bow_a: one image.
+        rows_a: (q,) int its features to match.
+        features_b, bow_b: the other.
+        max_distance: a match differs in at most this many bits.
+        ratio: the nearest must be nearer than this times the second nearest of the same node.
+
+    Returns:
+        (k, 2) int32 rows (index in A, index in B), by index in B; no index occurs twice, and all turn by
+        about the same angle.
+    """
+    order = np.argsort(bow_b.nodes, kind="stable")
+    last = int(max(bow_a.nodes.max(initial=0), bow_b.nodes.max(initial=0)))
+    start = np.searchsorted(bow_b.nodes[order], np.arange(last + 2))
+    owner = kernels.match_in_nodes(
+        features_a.descriptors, bow_a.nodes, np.asarray(rows_a, np.int64), features_b.descriptors,
+        order, start, int(max_distance), float(ratio),
+    )  # fmt: skip
+    matched = np.flatnonzero(owner >= 0)
+    pairs = np.stack([owner[matched], matched], axis=1).astype(np.int32)
+    if not len(pairs):
+        return pairs
+    return pairs[rotation_consistent(features_a.angle_deg, features_b.angle_deg, pairs)]

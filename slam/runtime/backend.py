@@ -1,0 +1,206 @@
+"""What happens to a keyframe behind tracking's back: local mapping, then loop closing.
+
+One code for two ways of running it. In lockstep each keyframe is dealt with before the next frame is taken.
+Threaded, mapping and loop closing have a thread each; they change the map step by step under a lock, and
+what concerns more than the map (poses of frames, the tracker, events) is handed to the tracking thread, which
+applies it between two frames.
+"""
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from slam.core.frame import Frame
+from slam.core.timing import StageTimer
+from slam.loop_closing.correction import Loop, correct_loop
+from slam.loop_closing.detection import LoopDetector
+from slam.loop_closing.global_adjustment import GlobalAdjustment, adjust_globally
+from slam.map.map import Map
+from slam.mapping.local_mapping import LocalMapper
+from slam.runtime.worker import Worker
+
+
+class ExecutionMode(StrEnum):
+    """How tracking, mapping and loop closing share time."""
+
+    LOCKSTEP = "lockstep"
+    THREADED = "threaded"
+
+
+@dataclass(frozen=True)
+class KeyframeTask:
+    """A frame that is to become a keyframe.
+
+    Attributes:
+        frame: as tracked; mapping works on a copy of it.
+        mapper, detector: of its map.
+        rng: stream of loop detection.
+    """
+
+    frame: Frame
+    mapper: LocalMapper
+    detector: LoopDetector
+    rng: np.random.Generator
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """The frame has become a keyframe, and the map has grown from it."""
+
+    frame: Frame
+    keyframe: int
+    cpu_ms: float
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """A loop was found; ``twin`` is the map as it should be, ``factor`` see :func:`correct_loop`."""
+
+    task: KeyframeTask
+    loop: Loop
+    twin: Map
+    factor: np.ndarray
+    cpu_ms: float
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """Global bundle adjustment after a loop has ended."""
+
+    task: KeyframeTask
+    loop: Loop
+    adjustment: GlobalAdjustment
+    cpu_ms: float
+
+
+@dataclass(frozen=True)
+class Searched:
+    """Loop detection has found nothing."""
+
+    cpu_ms: float
+
+
+Change = Mapped | Corrected | Adjusted | Searched
+
+
+@dataclass
+class _Pending:
+    change: Change
+    applied: threading.Event = field(default_factory=threading.Event)
+
+
+class Backend:
+    """Deals with keyframes in the order in which they come.
+
+    Args:
+        apply: told of every change, always on the thread that calls into this object.
+        mode: see the module.
+
+    Attributes:
+        lock: to be held by whoever reads the map while mapping may run.
+    """
+
+    def __init__(self, apply: Callable[[Change], None], mode: ExecutionMode) -> None:
+        threaded = mode is ExecutionMode.THREADED
+        self.mode = mode
+        self.lock: AbstractContextManager = threading.RLock() if threaded else nullcontext()
+        self._apply = apply
+        # Held while the map's keyframes and points may come and go.
+        self._gate: AbstractContextManager = threading.Lock() if threaded else nullcontext()
+        self._pending: deque[_Pending] = deque()
+        self._news = threading.Event() if threaded else None
+        self._workers = (Worker("mapping"), Worker("loop closing")) if threaded else None
+
+    @property
+    def idle(self) -> bool:
+        """Whether mapping would begin with a keyframe at once."""
+        return self._workers is None or self._workers[0].pending == 0
+
+    def submit(self, task: KeyframeTask) -> None:
+        """Make a keyframe, let the map grow, look for a loop and close it.
+
+        Raises:
+            Exception: what an earlier task has raised on its thread.
+        """
+        self._on(0, lambda: self._map(task))
+
+    def collect(self) -> None:
+        """Apply what the threads have handed over since the last call; nothing in lockstep."""
+        while self._pending:
+            pending = self._pending.popleft()
+            self._apply(pending.change)
+            pending.applied.set()
+
+    def drain(self) -> None:
+        """Wait until every keyframe has been dealt with, and apply what comes of it."""
+        if self._workers is None or self._news is None:
+            return
+        while any(worker.pending for worker in self._workers):
+            self._news.wait(0.002)
+            self._news.clear()
+            self.collect()
+        for worker in self._workers:
+            worker.drain()
+        self.collect()
+
+    def close(self) -> None:
+        """Wait for what is left and end the threads."""
+        self.drain()
+        for worker in self._workers or ():
+            worker.close()
+
+    # -- on the threads ----------------------------------------------------------------------------------
+
+    def _on(self, worker: int, job: Callable[[], None]) -> None:
+        if self._workers is None:
+            job()
+        else:
+            self._workers[worker].submit(job)
+
+    def _map(self, task: KeyframeTask) -> None:
+        timer = StageTimer()
+        with timer("mapping"), self._gate:
+            keyframe = task.mapper.insert(task.frame.copy())
+        self._hand_over(Mapped(task.frame, keyframe, timer.cpu_ms["mapping"]))
+        self._on(1, lambda: self._close_loop(task, keyframe))
+
+    def _close_loop(self, task: KeyframeTask, keyframe: int) -> None:
+        map_, timer = task.mapper.map, StageTimer()
+        with timer("detect"), self.lock:
+            found = task.detector.detect(keyframe, task.rng)
+        if found is None:
+            self._hand_over(Searched(timer.cpu_ms["detect"]))
+            return
+        loop, around = found
+        with self._gate:
+            with timer("detect"):
+                twin = self._twin(map_)
+                factor = correct_loop(twin, loop, around)
+            self._hand_over(Corrected(task, loop, twin, factor, timer.cpu_ms["detect"]), wait=True)
+        timer = StageTimer()
+        with timer("adjust"):
+            adjustment = adjust_globally(
+                self._twin(map_), task.detector.config.adjustment_iterations, apart=self._news is not None
+            )
+        if adjustment is not None:
+            with self._gate:
+                self._hand_over(Adjusted(task, loop, adjustment, timer.cpu_ms["adjust"]), wait=True)
+
+    def _twin(self, map_: Map) -> Map:
+        with self.lock:
+            return map_.copy()
+
+    def _hand_over(self, change: Change, wait: bool = False) -> None:
+        if self._news is None:
+            self._apply(change)
+            return
+        pending = _Pending(change)
+        self._pending.append(pending)
+        self._news.set()
+        if wait:
+            pending.applied.wait()

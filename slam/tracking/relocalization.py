@@ -1,0 +1,162 @@
+"""Relocalization: find again, from one frame alone, a place that the map knows.
+
+Source: Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, section V-C.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from slam.core.frame import Frame
+from slam.map.map import Map
+from slam.matching import guided as matching
+from slam.places.recognition import BowVector, KeyframeDatabase, match_by_bow
+from slam.tracking.pnp import ransac_pnp
+from slam.tracking.tracker import optimize_frame
+
+
+@dataclass(frozen=True)
+class RelocalizationConfig:
+    """Thresholds of relocalization.
+
+    Attributes:
+        candidates: the most keyframes tried per frame, the likeliest first.
+        ratio: best over second best descriptor distance of an unguided match.
+        min_matches: unguided matches with a keyframe's points, below which it is not tried.
+        ransac_iterations, ransac_error_px: of the pose from three points; level 0.
+        min_pose_inliers: matches that agree with a pose, below which it is not believed.
+        radii_px: windows of the two guided searches about points on level 0 seen off their mean direction.
+        min_inliers: map matches that survive pose optimisation, for the place to be accepted.
+        local_map_keyframes: cap on the local map searched.
+    """
+
+    candidates: int = 5
+    ratio: float = 0.75
+    min_matches: int = 15
+    ransac_iterations: int = 300
+    ransac_error_px: float = 5.0
+    min_pose_inliers: int = 10
+    radii_px: tuple[float, ...] = (10.0, 3.0)
+    min_inliers: int = 50
+    local_map_keyframes: int = 20
+
+
+@dataclass(frozen=True)
+class RelocalizationOutcome:
+    """What came of one frame.
+
+    Attributes:
+        success: the frame has a pose in the map, matches and a reference keyframe.
+        keyframe: the candidate that led there, -1 for none.
+        inliers: map matches of the pose; of the best attempt where all failed.
+        matches: matches of that attempt, before its last pose optimisation.
+        reason: why it failed, by the attempt that came farthest; empty on success.
+    """
+
+    success: bool
+    keyframe: int
+    inliers: int
+    matches: int
+    reason: str = ""
+
+
+_FAILURES = ("no_candidates", "too_few_bow_matches", "no_pose", "too_few_pose_inliers", "too_few_inliers")
+
+
+class Relocalizer:
+    """Places single frames in one map."""
+
+    def __init__(self, map_: Map, database: KeyframeDatabase, config: RelocalizationConfig) -> None:
+        self.map = map_
+        self.config = config
+        self._database = database
+
+    def relocalize(self, frame: Frame, rng: np.random.Generator) -> RelocalizationOutcome:
+        """Try the likeliest keyframes in turn.
+
+        Args:
+            frame: features only; pose, matches and reference keyframe are filled in where it succeeds, and
+                left unknown where it does not.
+            rng: stream of the RANSAC.
+        """
+        bow = self._database.vocabulary.transform(frame.features.descriptors)
+        farthest = RelocalizationOutcome(False, -1, 0, 0, "no_candidates")
+        for keyframe in self._database.relocalization_candidates(bow)[: self.config.candidates]:
+            outcome = self._try(frame, bow, keyframe, rng)
+            if outcome.success:
+                return outcome
+            farthest = max(farthest, outcome, key=_progress)
+        frame.point[:] = -1
+        frame.T_cam_map = np.full((4, 4), np.nan)
+        return farthest
+
+    # -- steps -------------------------------------------------------------------------------------------
+
+    def _try(
+        self, frame: Frame, bow: BowVector, keyframe: int, rng: np.random.Generator
+    ) -> RelocalizationOutcome:
+        """Unguided matches, a pose from three of them, guided matches."""
+        rows, points = self._match(frame, bow, keyframe)
+        matches = len(rows)
+        if matches < self.config.min_matches:
+            return RelocalizationOutcome(False, keyframe, 0, matches, "too_few_bow_matches")
+        found = ransac_pnp(
+            self.map.arrays.pt_xyz[points], frame.features.xy[rows], self.map.view, rng,
+            self.config.ransac_iterations, self.config.ransac_error_px, self.config.min_pose_inliers,
+            cv2.SOLVEPNP_AP3P, 0.99,
+        )  # fmt: skip
+        if found is None:
+            return RelocalizationOutcome(False, keyframe, 0, matches, "no_pose")
+        frame.T_cam_map, agree = found
+        frame.point[:] = -1
+        frame.point[rows[agree]] = points[agree]
+        inliers = optimize_frame(frame, self.map)
+        if inliers < self.config.min_pose_inliers:
+            return RelocalizationOutcome(False, keyframe, inliers, matches, "too_few_pose_inliers")
+        for radius_px in self.config.radii_px:
+            if inliers >= self.config.min_inliers:
+                break
+            matches, inliers = self._search(frame, radius_px)
+        if inliers < self.config.min_inliers:
+            return RelocalizationOutcome(False, keyframe, inliers, matches, "too_few_inliers")
+        self._hang(frame)
+        return RelocalizationOutcome(True, keyframe, inliers, matches)
+
+    def _match(self, frame: Frame, bow: BowVector, keyframe: int) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of the frame and the map points of the keyframe that they look like."""
+        observed = self.map.observed_points(keyframe)
+        pairs = match_by_bow(
+            self.map.features(keyframe),
+            self._database.bow(keyframe),
+            np.flatnonzero(observed >= 0),
+            frame.features,
+            bow,
+            matching.NEAR,
+            self.config.ratio,
+        )
+        return pairs[:, 1], observed[pairs[:, 0]]
+
+    def _search(self, frame: Frame, radius_px: float) -> tuple[int, int]:
+        """Look for all of the local map about the pose, and refine it; (matches, inliers)."""
+        m, f = self.map, frame.features
+        _, candidates = matching.collect_local_map(
+            m.arrays, m.n_keyframes, m.n_points, frame.point, self.config.local_map_keyframes
+        )
+        matching.match_local_points(
+            m.arrays, m.view, frame.T_cam_map, candidates,
+            f.xy, f.octave, f.descriptors, f.cell_start, frame.point, radius_px / 4.0, 0.9, False,
+        )  # fmt: skip
+        matches = int((frame.point >= 0).sum())
+        return matches, optimize_frame(frame, m)
+
+    def _hang(self, frame: Frame) -> None:
+        """Refer the frame to the keyframe that shares most of its points."""
+        m = self.map
+        keyframes, _ = matching.collect_local_map(m.arrays, m.n_keyframes, m.n_points, frame.point, 1)
+        frame.reference_keyframe = int(keyframes[0])
+        frame.T_cam_reference = frame.T_cam_map @ np.linalg.inv(m.T_cam_map(frame.reference_keyframe))
+
+
+def _progress(outcome: RelocalizationOutcome) -> tuple[int, int]:
+    return _FAILURES.index(outcome.reason), outcome.inliers

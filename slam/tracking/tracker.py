@@ -1,0 +1,297 @@
+"""Tracking: the pose of every frame from its matches with the map."""
+
+from copy import copy
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.core.frame import Frame
+from slam.core.timing import StageTimer
+from slam.map._map_kernels import count_observed, resolve_points
+from slam.map.map import Map
+from slam.matching import guided as matching
+from slam.optimization.pose import optimize_pose
+from slam.places.recognition import match_by_bow, shipped_vocabulary
+
+
+@dataclass(frozen=True)
+class TrackingConfig:
+    """Thresholds of the tracker.
+
+    Attributes:
+        search_radius_px: window about a point predicted from the last frame, level 0; doubled once.
+        gap_radius_px: the same once frames have been passed over, for all of the local map; doubled twice.
+        min_motion_matches, min_motion_inliers: below, the motion model gives way to the reference keyframe.
+        reference_ratio: best over second best descriptor distance of a match with the reference keyframe.
+        min_reference_matches: below, the reference keyframe is given up too.
+        min_inliers: map matches that survive pose optimisation, below which tracking is lost.
+        cautious_inliers, cautious_s: the same, for so long after a relocalization.
+        min_share: share of the map matches that must survive it, below which the frame is refused; 0 for any.
+        local_map_keyframes: cap on the local map.
+        keyframe_share: a keyframe is made when inliers fall below this share of the reference's points.
+        keyframe_interval_s: least time between keyframes.
+    """
+
+    search_radius_px: float = 15.0
+    gap_radius_px: float = 20.0
+    min_motion_matches: int = 20
+    min_motion_inliers: int = 10
+    reference_ratio: float = 0.8
+    min_reference_matches: int = 15
+    min_inliers: int = 30
+    cautious_inliers: int = 50
+    cautious_s: float = 1.0
+    min_share: float = 0.0
+    local_map_keyframes: int = 80
+    keyframe_share: float = 0.9
+    keyframe_interval_s: float = 0.1
+
+
+@dataclass(frozen=True)
+class TrackingOutcome:
+    """What tracking made of a frame: success, counts, and why it failed."""
+
+    success: bool
+    inliers: int
+    matches: int
+    reason: str = ""
+
+
+class Tracker:
+    """Tracks frames, in order of time or against it, in one map.
+
+    Attributes:
+        last: the last tracked frame.
+        velocity: T_cam_last of the last step, None where unknown.
+    """
+
+    def __init__(self, map_: Map, config: TrackingConfig, timer: StageTimer) -> None:
+        self.map = map_
+        self.config = config
+        self.timer = timer
+        self.last: Frame | None = None
+        self.velocity: np.ndarray | None = None
+        self._local_points = np.empty(0, np.int32)
+        self._last_keyframe_stamp_s = -np.inf
+        self._passed_over = 0
+        self._cautious_until_s = -np.inf
+
+    def start(self, frame: Frame, keyframe: int, velocity: np.ndarray | None = None) -> None:
+        """Begin from a frame whose pose and matches are known."""
+        self.last = frame
+        self.velocity = velocity
+        self.keyframe_made(frame, keyframe)
+
+    def keyframe_requested(self, frame: Frame) -> None:
+        """Take note that ``frame`` is to become a keyframe: the next one has to wait its time."""
+        self._last_keyframe_stamp_s = frame.features.stamp_s
+
+    def resume(self, frame: Frame) -> None:
+        """Go on from a frame that was found without this tracker's help, as if at rest."""
+        self.last, self.velocity = frame, np.eye(4)
+        self._passed_over = 0
+        self._last_keyframe_stamp_s = frame.features.stamp_s
+        self._cautious_until_s = frame.features.stamp_s + self.config.cautious_s
+
+    def corrected(self, factor: np.ndarray) -> None:
+        """Follow a map whose lengths have changed by ``factor`` (n_keyframes,) about each keyframe."""
+        if self.last is None:
+            return
+        own = factor[self.last.reference_keyframe]
+        self.last.T_cam_reference = self.last.T_cam_reference.copy()
+        self.last.T_cam_reference[:3, 3] *= own
+        if self.velocity is not None:
+            self.velocity = self.velocity.copy()
+            self.velocity[:3, 3] *= own
+        self._refreshed_last()
+
+    def keyframe_made(self, frame: Frame, keyframe: int) -> None:
+        """Take note that ``frame`` has become ``keyframe``: it owns the points that mapping found in it."""
+        frame.point[:] = self.map.observed_points(keyframe)
+        frame.reference_keyframe = keyframe
+        frame.T_cam_reference = np.eye(4)
+        frame.T_cam_map = self.map.T_cam_map(keyframe)
+        self._last_keyframe_stamp_s = frame.features.stamp_s
+
+    def rebase(self, map_: Map, last: Frame) -> None:
+        """Go on in a map that has absorbed this tracker's; ``last`` is already expressed in it."""
+        self.map = map_
+        self.last = last
+        last.T_cam_map = last.T_cam_reference @ map_.T_cam_map(last.reference_keyframe)
+
+    def track(self, frame: Frame) -> TrackingOutcome:
+        """Estimate the pose of the next frame and match it with the local map.
+
+        Args:
+            frame: features only; pose, matches and reference keyframe are filled in.
+        """
+        last = self._refreshed_last()
+        with self.timer("predict"):
+            if self._passed_over:
+                found = self._track_across_gap(frame, last)
+            else:
+                found = self._track_with_motion_model(frame, last)
+            if not found:
+                found = self._track_reference_keyframe(frame, last)
+        if not found:
+            return TrackingOutcome(False, 0, int((frame.point >= 0).sum()), "too_few_matches_with_last_frame")
+        with self.timer("local_map"):
+            inliers, matches = self._track_local_map(frame)
+        cautious = frame.features.stamp_s < self._cautious_until_s
+        if inliers < (self.config.cautious_inliers if cautious else self.config.min_inliers):
+            return TrackingOutcome(False, inliers, matches, "too_few_local_map_inliers")
+        if inliers < self.config.min_share * matches:
+            return TrackingOutcome(False, inliers, matches, "too_many_outliers")
+        self._accept(frame, last)
+        return TrackingOutcome(True, inliers, matches)
+
+    def pass_over(self, frame: Frame) -> None:
+        """Skip an unusable frame: the last pose is carried on by the motion model.
+
+        It is a copy that is carried: the last tracked frame keeps the pose that was estimated for it.
+        """
+        last = self.last = copy(self._refreshed_last())
+        self._passed_over += 1
+        if self.velocity is not None:
+            last.T_cam_map = self.velocity @ last.T_cam_map
+            last.T_cam_reference = last.T_cam_map @ np.linalg.inv(self.map.T_cam_map(last.reference_keyframe))
+
+    def wants_keyframe(self, frame: Frame, inliers: int) -> bool:
+        """Whether the map should grow here: fewer known points in view than where it grew last."""
+        if abs(frame.features.stamp_s - self._last_keyframe_stamp_s) < self.config.keyframe_interval_s - 1e-6:
+            return False
+        known = count_observed(
+            self.map.arrays, frame.reference_keyframe, 3 if self.map.n_keyframes > 2 else 2
+        )
+        return inliers < self.config.keyframe_share * known
+
+    # -- steps -------------------------------------------------------------------------------------------
+
+    def _refreshed_last(self) -> Frame:
+        """The last frame, moved along with its reference keyframe and freed of dropped points."""
+        last = self.last
+        if last is None:
+            raise RuntimeError("the tracker has not been started")
+        last.T_cam_map = last.T_cam_reference @ self.map.T_cam_map(last.reference_keyframe)
+        resolve_points(self.map.arrays, last.point)
+        return last
+
+    def _track_with_motion_model(self, frame: Frame, last: Frame) -> bool:
+        if self.velocity is None:
+            return False
+        predicted = np.ascontiguousarray(self.velocity @ last.T_cam_map)
+        count = 0
+        for widen in (1.0, 2.0):
+            count = self._match_last(frame, last, predicted, widen * self.config.search_radius_px)
+            if count >= self.config.min_motion_matches:
+                break
+        if count < self.config.min_motion_matches:
+            return False
+        frame.T_cam_map = predicted
+        return optimize_frame(frame, self.map) >= self.config.min_motion_inliers
+
+    def _track_across_gap(self, frame: Frame, last: Frame) -> bool:
+        """Look for the local map ever wider, about the pose carried on and about the last reference keyframe.
+
+        A pose that many frames have been carried over may be far off, and the few points of a plane then
+        agree with a wrong one. The keyframe's is sound, being adjusted with others. Of the two ways to set
+        out, that with more inliers counts.
+        """
+        if self.velocity is None:
+            return False
+        m = self.map
+        starts = self.velocity @ last.T_cam_map, m.T_cam_map(m.live(last.reference_keyframe))
+        _, candidates = matching.collect_local_map(
+            m.arrays, m.n_keyframes, m.n_points, last.point, self.config.local_map_keyframes
+        )
+        for radius_px in self.config.gap_radius_px * np.array([1.0, 2.0, 4.0]):
+            found = [self._place_about(frame, np.ascontiguousarray(T), candidates, radius_px) for T in starts]
+            best = max(found, key=lambda placed: placed[0])
+            if best[0] >= self.config.min_motion_matches:
+                _, frame.T_cam_map, frame.point = best
+                return True
+        return False
+
+    def _place_about(
+        self, frame: Frame, T_cam_map: np.ndarray, candidates: np.ndarray, radius_px: float
+    ) -> tuple[int, np.ndarray, np.ndarray]:
+        """Inliers, pose and matches of the frame with points looked for where a pose would show them."""
+        m, f = self.map, frame.features
+        frame.point, frame.T_cam_map = np.full(len(f), -1, np.int32), T_cam_map
+        _, count = matching.match_local_points(
+            m.arrays, m.view, T_cam_map, candidates,
+            f.xy, f.octave, f.descriptors, f.cell_start, frame.point, radius_px / 4.0, 0.8, False,
+        )  # fmt: skip
+        inliers = optimize_frame(frame, m) if count >= self.config.min_motion_matches else 0
+        return inliers, frame.T_cam_map, frame.point
+
+    def _match_last(self, frame: Frame, last: Frame, predicted: np.ndarray, radius_px: float) -> int:
+        f, g = frame.features, last.features
+        frame.point, count = matching.match_last_frame(
+            self.map.arrays, self.map.view, predicted, last.point, g.octave, g.angle_deg,
+            f.xy, f.octave, f.angle_deg, f.descriptors, f.cell_start, radius_px,
+        )  # fmt: skip
+        return count
+
+    def _track_reference_keyframe(self, frame: Frame, last: Frame) -> bool:
+        """Match with the points of the reference keyframe by their words, wherever they are in the image."""
+        f = frame.features
+        k = self.map.live(last.reference_keyframe)
+        reference = self.map.features(k)
+        points = self.map.observed_points(k)
+        rows = np.flatnonzero(points >= 0)
+        frame.point[:] = -1
+        if not len(rows) or not len(f):
+            return False
+        vocabulary = shipped_vocabulary()
+        pairs = match_by_bow(
+            reference, vocabulary.transform(reference.descriptors), rows,
+            f, vocabulary.transform(f.descriptors), matching.NEAR, self.config.reference_ratio,
+        )  # fmt: skip
+        if len(pairs) < self.config.min_reference_matches:
+            return False
+        frame.point[pairs[:, 1]] = points[pairs[:, 0]]
+        frame.T_cam_map = last.T_cam_map.copy()
+        return optimize_frame(frame, self.map) >= self.config.min_motion_inliers
+
+    def _track_local_map(self, frame: Frame) -> tuple[int, int]:
+        """Match the frame with its local map; (inliers, matches)."""
+        m, f = self.map, frame.features
+        keyframes, self._local_points = matching.collect_local_map(
+            m.arrays, m.n_keyframes, m.n_points, frame.point, self.config.local_map_keyframes
+        )
+        if not len(keyframes):
+            return 0, 0
+        matching.match_local_points(
+            m.arrays, m.view, frame.T_cam_map, self._local_points,
+            f.xy, f.octave, f.descriptors, f.cell_start, frame.point, 1.0, 0.8, True,
+        )  # fmt: skip
+        matches = int((frame.point >= 0).sum())
+        inliers = optimize_frame(frame, self.map)
+        frame.reference_keyframe = int(keyframes[0])
+        return inliers, matches
+
+    def _accept(self, frame: Frame, last: Frame) -> None:
+        a = self.map.arrays
+        a.pt_found[frame.point[frame.point >= 0]] += 1
+        frame.T_cam_reference = frame.T_cam_map @ np.linalg.inv(self.map.T_cam_map(frame.reference_keyframe))
+        if not self._passed_over:
+            self.velocity = frame.T_cam_map @ np.linalg.inv(last.T_cam_map)
+        self._passed_over = 0
+        self.last = frame
+
+
+def optimize_frame(frame: Frame, map_: Map) -> int:
+    """Refine a frame's pose on the map points matched to it, and let go of those that do not fit; inliers."""
+    rows = np.flatnonzero(frame.point >= 0)
+    f, view = frame.features, map_.view
+    pose, inlier = optimize_pose(
+        frame.T_cam_map,
+        map_.arrays.pt_xyz[frame.point[rows]],
+        f.xy[rows],
+        view.inv_sigma2[f.octave[rows]],
+        view.fx, view.fy, view.cx, view.cy,
+    )  # fmt: skip
+    frame.T_cam_map = pose
+    frame.point[rows[~inlier]] = -1
+    return int(inlier.sum())

@@ -1,0 +1,119 @@
+"""A driver that is ended in the midst of its units: what has ended is kept, and the next one goes on."""
+
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from os import killpg
+from pathlib import Path
+
+import psutil
+import pytest
+from unit_fakes import MadeUp, made_up_record, rows_of
+
+from experiments.campaign.ledger import LEDGER_FILE, Ledger
+from experiments.eq1.record_table import normalise
+from experiments.eq1.records import decided
+from experiments.eq1.spec import load_spec
+from scenarios.errors import InputError
+
+# A shell has what it starts in the background ignore interrupts.
+HEARING = f"""
+import signal, sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})
+signal.signal(signal.SIGINT, signal.default_int_handler)
+"""
+DRIVER = """
+from pathlib import Path
+from experiments.campaign.worker_pool import CrewSettings, open_crew
+from experiments.campaign.runner import run_experiment
+from unit_fakes import MadeUp, made_up_unit
+if __name__ == "__main__":
+    plan = MadeUp({"slow-0.05": 200})
+    run_experiment(plan, Path(sys.argv[1]), lambda: open_crew(CrewSettings(workers=2), made_up_unit))
+"""
+DSLAB = """
+if __name__ == "__main__":
+    import experiments.eq1.trial
+    from experiments.cli import main
+    from unit_fakes import slow_unit
+    experiments.eq1.trial.run_unit = slow_unit
+    main()
+"""
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def command(tmp_path):
+    """Makes a program from its text; its command line."""
+
+    def made(program, *arguments):
+        script = tmp_path / "program.py"
+        script.write_text(HEARING + program)
+        return [sys.executable, str(script), *map(str, arguments)]
+
+    return made
+
+
+def rows_so_far(folder, plan):
+    """How many there are, none while the ledger is being made."""
+    try:
+        return len(rows_of(folder, plan))
+    except InputError:
+        return 0
+
+
+def ended_midway(command, how, folder, plan):
+    """Ends a driver after some of its units; its exit code and what it said. Nothing of it lives on."""
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as driver:
+        deadline_s = time.monotonic() + 120
+        while rows_so_far(folder, plan) < 5:
+            assert time.monotonic() < deadline_s and driver.poll() is None
+            time.sleep(0.1)
+        processes = psutil.Process(driver.pid).children(recursive=True)
+        if how is signal.SIGKILL:
+            driver.kill()
+        else:
+            killpg(driver.pid, how)  # as a terminal does
+        _, said = driver.communicate(timeout=60)
+    _, alive = psutil.wait_procs(processes, timeout=30)
+    assert alive == []
+    return driver.returncode, said
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT], ids=["kill-9", "ctrl-c"])
+def test_a_driver_that_is_ended_loses_the_units_under_way_only(run_made_up, command, tmp_path, how):
+    plan, folder = MadeUp({"slow-0.05": 200}), tmp_path / "x"
+    _, said = ended_midway(command(DRIVER, folder), how, folder, plan)
+    if how is signal.SIGINT:
+        assert said.strip().splitlines()[-1] == "KeyboardInterrupt" and said.count("Traceback") == 1
+    before = rows_of(folder, plan)
+    assert 5 <= len(before) < 200
+    tally = run_made_up(plan, folder=folder)
+    assert tally.ended_here == 200 - len(before) and tally.retries == 0
+    assert all(row in rows_of(folder, plan) for row in before)
+
+
+def test_ctrl_c_on_the_command_is_two_lines_and_exit_130_and_the_same_command_goes_on(command, tmp_path):
+    spec, folder = load_spec("smoke").model_copy(update={"units": 100}), tmp_path / "x"
+    run = command(DSLAB, "experiment", "run", "smoke", "--out", folder, "--units", 100, "--workers", 2)
+    code, said = ended_midway(run, signal.SIGINT, folder, spec)
+    assert code == 130
+    assert said.splitlines() == [
+        f"{folder} keeps the units that have ended: run the same command again",
+        "interrupted: nothing half-written is left",
+    ]
+    with sqlite3.connect(folder / LEDGER_FILE) as file:
+        assert file.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
+    file.close()
+    with Ledger.open(folder, spec, read_only=True) as ledger:
+        kept = ledger.rows()
+    assert 5 <= len(kept) < 200
+    for row in kept:
+        assert decided(row) == decided(normalise(made_up_record(spec.unit(row["cell"], row["index"])), 2))
+    again = subprocess.run(run, capture_output=True, text=True, timeout=300, check=True)
+    assert "200 of 200 units" in again.stdout
+    with Ledger.open(folder, spec, read_only=True) as ledger:
+        rows = ledger.rows()
+    # With the times that they took: none was run again.
+    assert len(rows) == 200 and all(row in rows for row in kept)

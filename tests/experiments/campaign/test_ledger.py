@@ -1,0 +1,182 @@
+"""The ledger keeps every row that was written, of one spec only, in one order, with one schema."""
+
+import sqlite3
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from unit_fakes import MadeUp, made_up_record
+
+from experiments.campaign.folder_lock import sole_driver
+from experiments.campaign.ledger import LEDGER_FILE, Ledger
+from experiments.eq1.record_table import data_frame, normalise
+from experiments.eq1.records import columns, decided, empty_record
+from scenarios.errors import InputError
+
+PLAN = MadeUp({"b": 3, "a": 2})
+
+
+def record_of(plan, cell, index):
+    return normalise(made_up_record(plan.unit(cell, index)), len(plan.threads)) | {"attempts": 1}
+
+
+def fill(folder, order):
+    with Ledger.open(folder, PLAN) as ledger:
+        for cell, index in order:
+            ledger.add(record_of(PLAN, cell, index))
+
+
+def test_rows_come_back_as_they_were_in_the_order_of_the_spec(tmp_path):
+    fill(tmp_path, [("a", 1), ("b", 2), ("b", 0), ("a", 0)])
+    with Ledger.open(tmp_path, PLAN) as ledger:
+        rows = ledger.rows()
+        assert [(r["cell"], r["index"]) for r in rows] == [("b", 0), ("b", 2), ("a", 0), ("a", 1)]
+        for row in rows:
+            wanted = record_of(PLAN, row["cell"], row["index"])
+            assert decided(row) == decided(wanted)
+            assert ledger.record(row["unit_id"]) == row
+        assert ledger.record("no such") is None
+
+
+def test_the_table_has_nullable_types_with_and_without_rows(tmp_path):
+    kinds = {"bool": "boolean", "int": "Int64", "float": "Float64", "text": "string"}
+    wanted = {name: kinds[kind] for name, kind in columns(2).items()}
+    with Ledger.open(tmp_path, PLAN) as ledger:
+        assert {n: str(t) for n, t in ledger.records().dtypes.items()} == wanted
+        for index in range(3):
+            ledger.add(record_of(PLAN, "b", index))
+        table = ledger.records()
+    assert {n: str(t) for n, t in table.dtypes.items()} == wanted
+    assert list(table.columns) == list(columns(2)) and len(table) == 3
+    assert table["world_seed"].tolist() == [PLAN.unit("b", i).world_seed for i in range(3)]
+
+
+def test_another_spec_is_refused_in_one_line_and_changes_nothing(tmp_path):
+    fill(tmp_path, [("a", 0)])
+    before = (tmp_path / LEDGER_FILE).read_bytes()
+    for read_only in (False, True):
+        with pytest.raises(InputError, match=r"holds units of another spec .*; choose a new folder"):
+            Ledger.open(tmp_path, replace(PLAN, root_seed=1), read_only=read_only)
+    assert (tmp_path / LEDGER_FILE).read_bytes() == before
+
+
+def test_a_unit_is_written_once(tmp_path):
+    with Ledger.open(tmp_path, PLAN) as ledger:
+        ledger.add(record_of(PLAN, "a", 0))
+        with pytest.raises(sqlite3.IntegrityError):
+            ledger.add(record_of(PLAN, "a", 0))
+        assert len(ledger.rows()) == 1
+
+
+def test_errors_are_apart_from_the_units_and_those_given_up_can_be_due_again(tmp_path):
+    unit = PLAN.unit("a", 0)
+    with Ledger.open(tmp_path, PLAN) as ledger:
+        for attempt in (1, 2):
+            ledger.add_error(unit, attempt, "tcp://x", "no GL", "where")
+        assert ledger.rows() == []
+        assert [(e["cell"], e["index"], e["attempt"], e["message"]) for e in ledger.errors()] == [
+            ("a", 0, 1, "no GL"), ("a", 0, 2, "no GL"),
+        ]  # fmt: skip
+        ledger.add(normalise(empty_record(unit) | {"message": "no GL", "attempts": 4}, 2))
+        ledger.add(record_of(PLAN, "b", 0))
+        assert ledger.forget_errors() == 1
+        assert [r["cell"] for r in ledger.rows()] == ["b"] and len(ledger.errors()) == 2
+
+
+def add_many(ledger):
+    for index in range(100):
+        ledger.add(record_of(PLAN, "a", index))
+
+
+def test_a_full_disk_is_one_line_and_leaves_the_rows(tmp_path):
+    with Ledger.open(tmp_path, PLAN) as ledger:
+        ledger.add(record_of(PLAN, "b", 0))
+        pages = ledger._connection.execute("PRAGMA page_count").fetchone()[0]
+        ledger._connection.execute(f"PRAGMA max_page_count = {pages}")
+        with pytest.raises(InputError, match=r"ledger.sqlite: the disk is full; free some space"):
+            add_many(ledger)
+        kept = len(ledger.rows())
+    with Ledger.open(tmp_path, PLAN) as ledger:
+        assert len(ledger.rows()) == kept >= 1
+        ledger.add(record_of(PLAN, "a", 100))
+
+
+@pytest.mark.parametrize("content", [b"no database at all" * 100, b""])
+def test_a_file_that_is_no_ledger_is_refused_or_made_one(tmp_path, content):
+    (tmp_path / LEDGER_FILE).write_bytes(content)
+    if content:
+        with pytest.raises(InputError, match="is not a ledger; choose a new folder"):
+            Ledger.open(tmp_path, PLAN)
+    else:
+        assert Ledger.open(tmp_path, PLAN).rows() == []
+
+
+def test_a_missing_ledger_cannot_be_read_and_is_not_made(tmp_path):
+    with pytest.raises(InputError, match=r"has no ledger.sqlite"):
+        Ledger.open(tmp_path, PLAN, read_only=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_it_can_be_read_while_it_is_written(tmp_path):
+    with Ledger.open(tmp_path, PLAN) as writing:
+        writing.add(record_of(PLAN, "a", 0))
+        with Ledger.open(tmp_path, PLAN, read_only=True) as reading:
+            assert len(reading.rows()) == 1
+            writing.add(record_of(PLAN, "a", 1))
+            assert len(reading.rows()) == 2
+            with pytest.raises(InputError, match="cannot be used"):
+                reading.add(record_of(PLAN, "b", 0))
+
+
+def test_what_was_added_outlives_kill_9(tmp_path):
+    script = (
+        "import os, sys; sys.path[:0] = sys.argv[2:]; from pathlib import Path\n"
+        "from test_ledger import PLAN, record_of; from experiments.campaign.ledger import Ledger\n"
+        "ledger = Ledger.open(Path(sys.argv[1]), PLAN)\n"
+        "for index in range(3): ledger.add(record_of(PLAN, 'b', index))\n"
+        "os.kill(os.getpid(), 9)"
+    )
+    here = Path(__file__).parent
+    done = subprocess.run([sys.executable, "-c", script, tmp_path, here, here.parent], check=False)
+    assert done.returncode == -9
+    with Ledger.open(tmp_path, PLAN, read_only=True) as ledger:
+        assert [r["index"] for r in ledger.rows()] == [0, 1, 2]
+
+
+def test_one_driver_at_a_time_and_the_next_after_kill_9(tmp_path):
+    script = (
+        "import sys, time; from pathlib import Path\n"
+        "from experiments.campaign.folder_lock import sole_driver\n"
+        "with sole_driver(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
+    )
+    with subprocess.Popen([sys.executable, "-c", script, tmp_path], stdout=subprocess.PIPE) as other:
+        assert other.stdout.readline() == b"held\n"
+        with pytest.raises(InputError, match="another run is at work in this folder"), sole_driver(tmp_path):
+            pass
+        other.kill()
+    with sole_driver(tmp_path):
+        pass
+
+
+@pytest.mark.parametrize(
+    "change", [{"severity": "much"}, {"index": 1.5}, {"breakage": 2}, {"cell": 3}, {"surprise": 1}]
+)
+def test_a_record_of_wrong_form_is_refused(change):
+    with pytest.raises(ValueError, match=next(iter(change))):
+        normalise(made_up_record(PLAN.unit("a", 0)) | change, 2)
+
+
+def test_numbers_that_are_none_are_null():
+    record = made_up_record(PLAN.unit("a", 0)) | {"base_ate_m": float("nan"), "dual_ate_m": float("inf")}
+    plain = normalise(record, 2)
+    assert plain["base_ate_m"] is None and plain["dual_ate_m"] is None
+    assert data_frame([plain], 2)["base_ate_m"].tolist() == [pd.NA]
+
+
+def test_a_ledger_that_is_being_made_is_told_of(tmp_path):
+    (tmp_path / LEDGER_FILE).touch()
+    with pytest.raises(InputError, match="holds nothing yet; ask again once the run has begun"):
+        Ledger.open(tmp_path, MadeUp({"ok": 1}), read_only=True)

@@ -1,0 +1,123 @@
+"""The command line: help, exit codes, one line per fault, JSON on the last line."""
+
+import json
+import subprocess
+import sys
+import time
+
+import pytest
+from slam_fakes import fake_factory, make_sequence
+
+from experiments.runs import execution, sources
+from scenarios.errors import InputError
+
+COMMANDS = [
+    ["demo"], ["doctor"], ["warmup"], ["render"], ["run"], ["view"], ["bench"], ["bench", "sim"],
+    ["bench", "slam"], ["bench", "experiment"], ["experiment", "run"], ["experiment", "fuzz"],
+    ["experiment", "status"], ["experiment", "power"], ["experiment", "replay"], ["experiment", "export"],
+    ["experiment", "report"], ["experiment", "schema"], ["vocabulary", "train"], ["paper"],
+]  # fmt: skip
+
+
+@pytest.fixture
+def made_up(monkeypatch):
+    """`dslab run anything` runs the fake over the made-up sequence."""
+    sequence = make_sequence()
+    monkeypatch.setattr(sources, "open_sequence", lambda source, seed, show, **options: sequence)
+    monkeypatch.setattr(
+        execution, "system_factory", lambda mode="lockstep", dual=None: fake_factory(sequence, breaks_at=160)
+    )
+    return sequence
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_every_command_has_help_with_an_example(dslab, command):
+    code, out, _ = dslab(*command, "--help")
+    assert code == 0
+    assert f"dslab {' '.join(command)}" in out.split("Options")[0].split("Usage:")[1].split("\n", 1)[1]
+
+
+def test_help_loads_nothing_heavy():
+    script = "import sys, experiments.cli; print(*sorted(m.split('.')[0] for m in sys.modules))"
+    started = time.process_time()
+    loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert time.process_time() - started < 1
+    heavy = {"numpy", "scipy", "cv2", "numba", "mujoco", "rerun", "pyarrow", "matplotlib", "pydantic"}
+    assert not heavy & set(loaded.stdout.split())
+
+
+def test_run_prints_the_summary_as_the_last_line(dslab, made_up, tmp_path):
+    code, out, _ = dslab("run", "x", "--out", str(tmp_path / "r"), "--json", "--seed", "4")
+    assert code == 0
+    summary = json.loads(out.splitlines()[-1])
+    assert summary == json.loads((tmp_path / "r" / "summary.json").read_text())
+    assert summary["seed"] == 4 and summary["breakages"] == 1
+
+
+def test_run_prints_a_table_for_people(dslab, made_up, tmp_path):
+    code, out, _ = dslab("run", "x", "--out", str(tmp_path / "r"), "--system", "dual")
+    assert code == 0
+    assert "1 / 1" in out and "91.7 %" in out
+
+
+def test_a_taken_folder_is_one_line_and_exit_2(dslab, made_up, tmp_path):
+    (tmp_path / "x").write_text("")
+    code, out, err = dslab("run", "x", "--out", str(tmp_path))
+    assert (code, out) == (2, "")
+    assert err.startswith(f"error: {tmp_path}: already holds files; ") and err.count("\n") == 1
+
+
+@pytest.mark.parametrize("source", ["no-such-scenario", "no/such/folder", "missing.yaml"])
+def test_an_unknown_source_is_one_line_and_exit_2(dslab, tmp_path, source):
+    code, _, err = dslab("run", source, "--out", str(tmp_path / "r"))
+    assert code == 2
+    assert err.startswith(f"error: {source}: ") and err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interruption_is_one_line_and_exit_130(dslab, monkeypatch, made_up, tmp_path):
+    def interrupted(*_, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sources, "open_sequence", interrupted)
+    code, _, err = dslab("run", "x", "--out", str(tmp_path / "r"))
+    assert code == 130
+    assert err.strip().splitlines() == ["interrupted: nothing half-written is left"]
+
+
+def test_a_wrong_option_is_a_usage_error(dslab):
+    code, _, err = dslab("run", "x", "--sistem", "dual")
+    assert code == 2 and "--sistem" in err
+
+
+def test_a_missing_recording_is_one_line_and_exit_2(dslab, tmp_path):
+    code, _, err = dslab("view", str(tmp_path))
+    assert code == 2 and "no such recording" in err
+
+
+def test_doctor_without_gl_reports_the_rest_and_exits_2(dslab, monkeypatch):
+    def none() -> dict:
+        raise InputError("GL", "no headless OpenGL here", "install libegl1")
+
+    monkeypatch.setattr("sim.rendering.gl_context.gl_info", none)
+    code, out, err = dslab("doctor")
+    assert code == 2
+    assert "numpy" in out and "cores" in out and "kernel cache" in out
+    assert err.startswith("error: GL: ") and err.count("\n") == 1
+
+
+def test_bench_pools_the_runs(dslab, monkeypatch, made_up):
+    monkeypatch.setattr("slam.warmup.warm_up", lambda progress: None)
+    code, out, _ = dslab("bench", "x", "--runs", "2", "--json")
+    figures = json.loads(out.splitlines()[-1])
+    assert code == 0
+    assert figures["stages"]["extract"]["frames"] == 600
+    assert figures["mapping_cpu_ms_median"] == 20.0
+
+
+@pytest.mark.parametrize("arguments", [["x"], ["slam", "x"], ["--seed", "3", "x"]], ids=" ".join)
+def test_bench_without_a_command_is_that_of_the_tracker(dslab, monkeypatch, made_up, arguments):
+    monkeypatch.setattr("slam.warmup.warm_up", lambda progress: None)
+    code, out, _ = dslab("bench", *arguments, "--json")
+    assert code == 0
+    assert json.loads(out.splitlines()[-1])["system"] == "base"

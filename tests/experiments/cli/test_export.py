@@ -1,0 +1,192 @@
+"""``dslab export``: the same sequence in every form, and one line for every fault."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from experiments.cli import app
+from experiments.runs.sources import open_sequence
+from scenarios.errors import InputError
+from sim.io.euroc_reader import load_euroc_imu
+from sim.sensors.imu import GRAVITY_MPS2
+
+SPEC = """
+name: trial
+duration_s: 1
+world: {kind: room}
+camera: {width_px: 96, height_px: 64, fx_px: 70, fy_px: 70, cx_px: 47.5, cy_px: 31.5, fps: 20, %s}
+segments: [{kind: motion_blur, start_s: 0.4, duration_s: 0.3, exposure_s: 0.04}]
+"""
+FISHEYE = "distortion: {model: equidistant, k1: -0.01, k2: 0.02}"
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path_factory, monkeypatch):
+    monkeypatch.setenv("DSLAB_CACHE_DIR", str(tmp_path_factory.getbasetemp() / "export-cache"))
+
+
+@pytest.fixture
+def scenario(tmp_path) -> str:
+    (tmp_path / "trial.yaml").write_text(SPEC % "noise_sigma: 1")
+    return str(tmp_path / "trial.yaml")
+
+
+def export(*arguments: str) -> None:
+    result = CliRunner().invoke(app, ["export", *arguments])
+    if result.exception:
+        raise result.exception
+
+
+@pytest.mark.parametrize("form", ["tum", "kitti", "euroc"])
+def test_an_exported_scenario_is_the_scenario(scenario, tmp_path, form):
+    export(scenario, "--seed", "3", "--format", form, "--out", str(tmp_path / "out"))
+    rendered, read = open_sequence(scenario, 3), open_sequence(str(tmp_path / "out"))
+    assert read.camera == rendered.camera and len(read) == 20
+    for index in range(20):
+        np.testing.assert_array_equal(read.frames[index], rendered.frames[index])
+    np.testing.assert_allclose(read.stamps_s, rendered.stamps_s, atol=5.1e-10, rtol=0)
+    np.testing.assert_allclose(read.T_world_cam, rendered.T_world_cam, atol=1e-8)
+    assert read.segments == rendered.segments and read.meta["seed"] == 3
+
+
+def test_a_distorted_camera_passes_from_the_scenario_through_the_files(tmp_path):
+    (tmp_path / "fisheye.yaml").write_text(SPEC % FISHEYE)
+    export(str(tmp_path / "fisheye.yaml"), "--format", "euroc", "--out", str(tmp_path / "euroc"))
+    export(str(tmp_path / "euroc"), "--format", "tum", "--out", str(tmp_path / "tum"))
+    first, last = open_sequence(str(tmp_path / "fisheye.yaml")), open_sequence(str(tmp_path / "tum"))
+    assert last.camera == first.camera and first.camera.model == "equidistant"
+    np.testing.assert_array_equal(last.frames[7], first.frames[7])
+
+
+def dslab(*arguments: str) -> str:
+    result = CliRunner().invoke(app, list(arguments))
+    if result.exception:
+        raise result.exception
+    # Long lines are wrapped.
+    return " ".join(result.output.split())
+
+
+def test_inertial_readings_follow_the_scenario_s_motion(scenario, tmp_path):
+    export(scenario, "--format", "euroc", "--imu", "--out", str(tmp_path / "out"))
+    readings = load_euroc_imu(tmp_path / "out")
+    sequence = open_sequence(str(tmp_path / "out"))
+    assert readings.stamps_s[0] == 0 and readings.stamps_s[-1] == pytest.approx(sequence.stamps_s[-1])
+    R = sequence.T_world_cam[::10, :3, :3] @ readings.model.T_cam_imu[:3, :3]
+    force = np.einsum("nij,nj->ni", R, readings.accel_mps2[::100])
+    assert np.abs(force - [0, 0, 9.81]).max() < 3
+    export(scenario, "--format", "euroc", "--imu", "--out", str(tmp_path / "again"))
+    again = load_euroc_imu(tmp_path / "again")
+    np.testing.assert_array_equal(again.gyro_radps, readings.gyro_radps)
+    np.testing.assert_array_equal(again.accel_mps2, readings.accel_mps2)
+
+
+@pytest.mark.parametrize("command", ["render", "export"])
+def test_a_scenario_with_a_sensor_becomes_a_folder_whose_readings_integrate_to_its_truth(tmp_path, command):
+    spec = SPEC % "noise_sigma: 1" + "imu: {preset: perfect, rate_hz: 400}\n"
+    spec = spec.replace("}]", "}, {kind: fast_rotation, start_s: 0.2, duration_s: 0.6, rate_degps: 90}]")
+    (tmp_path / "flight.yaml").write_text(spec)
+    out = tmp_path / "out"
+    text = dslab(
+        command, str(tmp_path / "flight.yaml"), "--seed", "4", "--format", "euroc", "--out", str(out)
+    )
+    assert "imu0" in text
+    sequence, readings = open_sequence(str(out)), load_euroc_imu(out)
+    assert readings.model.rate_hz == 400 and readings.model.accel_walk == 0
+    truth = np.loadtxt(out / "mav0/state_groundtruth_estimate0/data.csv", delimiter=",")
+    T_world_imu = sequence.T_world_cam @ readings.model.T_cam_imu
+    dt = 1 / 400
+    R, p, v = T_world_imu[0, :3, :3], T_world_imu[0, :3, 3].copy(), truth[0, 8:11].copy()
+    path = [p.copy()]
+    for k in range(len(readings.stamps_s) - 1):
+        turn = Rotation.from_rotvec((readings.gyro_radps[k] + readings.gyro_radps[k + 1]) / 2 * dt)
+        R_next = R @ turn.as_matrix()
+        a = (R @ readings.accel_mps2[k] + R_next @ readings.accel_mps2[k + 1]) / 2 + GRAVITY_MPS2
+        p, v, R = p + v * dt + a * dt * dt / 2, v + a * dt, R_next
+        path.append(p.copy())
+    assert np.linalg.norm(T_world_imu[-1, :3, 3] - T_world_imu[0, :3, 3]) > 0.3
+    errors_m = np.linalg.norm(np.array(path)[::20] - T_world_imu[:, :3, 3], axis=1)
+    assert len(errors_m) == 20 and errors_m.max() < 0.001
+    relative = Rotation.from_matrix(R.T @ T_world_imu[-1, :3, :3])
+    assert np.rad2deg(relative.magnitude()) < 0.01
+
+
+def test_a_sensor_changes_no_frame_and_is_told_to_be_left_out_elsewhere(scenario, tmp_path):
+    spec = (tmp_path / "trial.yaml").read_text()
+    (tmp_path / "imu.yaml").write_text(spec + "imu: {preset: realsense}\n")
+    text = dslab("render", str(tmp_path / "imu.yaml"), "--out", str(tmp_path / "tum"))
+    assert "inertial readings are left out, use --format euroc" in text
+    with_imu, without = open_sequence(str(tmp_path / "tum")), open_sequence(scenario)
+    for index in range(20):
+        np.testing.assert_array_equal(with_imu.frames[index], without.frames[index])
+    text = dslab(
+        "export", str(tmp_path / "imu.yaml"), "--format", "euroc", "--no-imu", "--out", str(tmp_path / "e")
+    )
+    assert "imu0" not in text and load_euroc_imu(tmp_path / "e") is None
+
+
+def test_depth_is_written_where_it_is_asked_for_or_there(scenario, tmp_path):
+    tum, again, euroc = (str(tmp_path / name) for name in ("tum", "again", "euroc"))
+    export(scenario, "--format", "tum", "--depth", "--out", tum)
+    export(tum, "--format", "tum", "--out", again)
+    first, second = open_sequence(tum), open_sequence(again)
+    for index in (0, 11, 19):
+        assert first.depths[index].max() > 0.5
+        np.testing.assert_array_equal(second.depths[index], first.depths[index])
+    assert "depth images are left out" in dslab("export", tum, "--format", "euroc", "--out", euroc)
+    with pytest.raises(InputError, match="kitti has no depth images; use --format tum"):
+        export(scenario, "--format", "kitti", "--depth", "--out", str(tmp_path / "no"))
+    with pytest.raises(InputError, match="no depth images"):
+        export(euroc, "--format", "tum", "--depth", "--out", str(tmp_path / "no"))
+    assert not (tmp_path / "no").exists()
+
+
+SEGMENTS = (
+    "moving_objects:start_s=0.2,duration_s=0.5,share=0.3",
+    "rain:start_s=0.2,duration_s=0.6,rate_mmph=50",
+)
+
+
+@pytest.mark.parametrize("form", ["tum", "kitti", "euroc"])
+def test_a_degraded_folder_keeps_its_form_and_all_that_it_held(tmp_path, form):
+    (tmp_path / "trial.yaml").write_text(SPEC % "noise_sigma: 1" + "imu: {preset: euroc}\n")
+    source, out = str(tmp_path / "source"), str(tmp_path / "out")
+    more = ["--depth"] if form == "tum" else []
+    dslab("render", str(tmp_path / "trial.yaml"), "--format", form, *more, "--out", source)
+    options = [word for text in SEGMENTS for word in ("--segment", text)]
+    text = dslab("degrade", source, *options, "--out", out)
+    assert f"20 frames in {form} form" in text
+    before, after = open_sequence(source), open_sequence(out)
+    assert after.camera == before.camera
+    np.testing.assert_array_equal(after.stamps_s, before.stamps_s)
+    np.testing.assert_allclose(after.T_world_cam, before.T_world_cam, atol=1e-8)
+    kinds = [segment.kind for segment in after.segments]
+    assert kinds == ["motion_blur", "moving_objects", "rain"]
+    masks = {segment.kind: segment.mask(20) for segment in after.segments}
+    np.testing.assert_array_equal(np.flatnonzero(masks["rain"]), np.arange(4, 16))
+    changed = [not np.array_equal(a, b) for a, b in zip(after.frames, before.frames, strict=True)]
+    np.testing.assert_array_equal(changed, masks["rain"] | masks["moving_objects"])
+    assert {"rain_veil", "foreign_share", "blur_px"} <= set(after.frame_truth)
+    if form == "tum":
+        np.testing.assert_array_equal(after.depths[7], before.depths[7])
+    if form == "euroc":
+        first, second = load_euroc_imu(tmp_path / "source"), load_euroc_imu(tmp_path / "out")
+        np.testing.assert_array_equal(second.stamps_s, first.stamps_s)
+        np.testing.assert_array_equal(second.gyro_radps, first.gyro_radps)
+        np.testing.assert_array_equal(second.accel_mps2, first.accel_mps2)
+        np.testing.assert_allclose(second.model.T_cam_imu, first.model.T_cam_imu, atol=1e-12)
+
+
+def test_faults_are_one_line_and_leave_nothing(scenario, tmp_path):
+    out = str(tmp_path / "out")
+    with pytest.raises(InputError, match="kitti has no inertial readings; use --format euroc"):
+        export(scenario, "--format", "kitti", "--imu", "--out", out)
+    (tmp_path / "fisheye.yaml").write_text(SPEC % FISHEYE)
+    with pytest.raises(InputError, match="rectified"):
+        export(str(tmp_path / "fisheye.yaml"), "--format", "kitti", "--out", out)
+    assert not (tmp_path / "out").exists()
+    export(scenario, "--format", "tum", "--out", out)
+    with pytest.raises(InputError, match="no continuous motion"):
+        export(out, "--format", "euroc", "--imu", "--out", str(tmp_path / "more"))
+    with pytest.raises(InputError, match="not empty"):
+        export(scenario, "--format", "tum", "--out", out)

@@ -1,0 +1,195 @@
+"""Experiment specs: cells and units are what the file says, seeds are common, every fault is one line."""
+
+import jsonschema
+import pytest
+import yaml
+
+from experiments.eq1.spec import ExperimentSpec, load_spec, preset_names
+from experiments.eq1.spec_schema import json_schema
+from scenarios.errors import InputError
+
+VALIDATOR = jsonschema.Draft202012Validator(json_schema())
+SPEC = """\
+name: two
+root_seed: 5
+bases:
+  passage:
+    world: {kind: corridor, length_m: {uniform: [30, 60]}, turns: {uniform: [0, 3]}}
+    trajectory: {max_speed_mps: {uniform: [0.5, 1.5]}, gaze_deg: {choice: [0, 90]}}
+  hall:
+    family: clean-room
+    camera: {fps: 15}
+degradations:
+  - kind: motion_blur
+    dose: exposure_s
+    doses: [0.1, 0.2]
+    begins_s: {uniform: [0, 1]}
+    acts_s: 0.7
+  - kind: fast_rotation
+    dose: rate_degps
+    doses: [60]
+    severities: [1]
+    fields: {axis: {choice: [yaw, pitch]}}
+systems: [dual, dual+]
+threads: [orb, {kind: orb, seed: 1}, sift]
+lead_in_s: 4
+exposed_s: 3
+tail_s: 5
+units: 8
+units_per_world: 4
+stopping: {quantity: pr2, half_width: 0.1, min_units: 4}
+"""
+
+
+@pytest.fixture
+def spec(tmp_path) -> ExperimentSpec:
+    return load(tmp_path, SPEC)
+
+
+def load(folder, text: str) -> ExperimentSpec:
+    path = folder / "spec.yaml"
+    path.write_text(text)
+    return load_spec(path)
+
+
+def test_cells_are_every_combination_by_name(spec):
+    images = ["motion_blur/1", "motion_blur/2", "fast_rotation/1"]
+    expected = [f"{b}/{i}/{s}" for b in ("passage", "hall") for i in images for s in ("dual", "dual+")]
+    assert spec.cell_names() == expected
+    assert [spec.units_of(cell) for cell in expected] == [8] * 12
+
+
+def test_a_unit_says_all_that_decides_it(spec):
+    unit = spec.unit("passage/motion_blur/2/dual+", 6)
+    assert (unit.kind, unit.severity, unit.index, unit.system) == ("motion_blur", 0.2, 6, "dual+")
+    assert [(t.kind, t.seed) for t in unit.threads] == [("orb", 0), ("orb", 1), ("sift", 0)]
+    assert (unit.onset_s, unit.exposed_s, unit.scenario.duration_s) == (4, 3, 12)
+    (segment,) = unit.scenario.segments
+    assert 4 <= segment.start_s <= 5 and segment.duration_s == 0.7 and segment.exposure_s == 0.2
+    assert (unit.scenario.seed, unit.scenario.world_seed) == (unit.nuisance_seed, unit.world_seed)
+    assert isinstance(unit.scenario.world.turns, int)
+    assert spec.unit("passage/fast_rotation/1/dual", 0).severity == 1
+    last = spec.unit("passage/fast_rotation/1/dual", 0).scenario.segments[0]
+    assert (last.start_s, last.end_s) == (4, 7)  # it acts for all of the exposed segment
+    assert spec.unit("hall/motion_blur/1/dual", 0).scenario.world.kind == "room"
+    assert spec.unit("hall/motion_blur/1/dual", 0).scenario.camera.fps == 15
+
+
+def test_an_index_means_the_same_world_path_and_noise_in_every_cell(spec):
+    for index in (0, 3, 9):
+        units = [spec.unit(cell, index) for cell in spec.cell_names() if cell.startswith("passage")]
+        for part in ("world", "trajectory", "camera", "seed", "world_seed"):
+            assert len({str(getattr(u.scenario, part)) for u in units}) == 1, part
+        blurred = [u.scenario.segments[0] for u in units if u.kind == "motion_blur"]
+        assert len({(s.start_s, s.duration_s) for s in blurred}) == 1
+
+
+def test_units_that_share_a_world_are_clusters_and_differ_in_all_else(spec):
+    units = [spec.unit("passage/motion_blur/1/dual", i) for i in range(8)]
+    worlds = [(u.world_seed, str(u.scenario.world)) for u in units]
+    assert worlds[:4] == worlds[:1] * 4 and worlds[4:] == worlds[4:5] * 4 and worlds[0] != worlds[4]
+    assert len({u.nuisance_seed for u in units}) == 8
+    assert len({u.scenario.trajectory.max_speed_mps for u in units}) == 8
+    assert len({u.unit_id for u in units}) == 8
+
+
+def test_a_unit_does_not_depend_on_what_else_there_is(spec, tmp_path):
+    alone = yaml.safe_load(SPEC)
+    alone["degradations"] = alone["degradations"][1:]
+    alone |= {"units": 100, "description": "more of them"}
+    other = load(tmp_path, yaml.safe_dump(alone))
+    cell = "passage/fast_rotation/1/dual"
+    assert other.unit(cell, 3) == spec.unit(cell, 3)
+
+
+def test_the_hash_is_of_what_decides_units(spec):
+    def changed(**fields):
+        return spec.model_validate({**spec.model_dump(), **fields}).content_hash
+
+    assert changed(units=99, stopping=None, description="x") == spec.content_hash
+    for fields in ({"root_seed": 6}, {"tail_s": 6}, {"threads": ("orb",), "stopping": None}):
+        assert changed(**fields) != spec.content_hash
+
+
+def test_the_written_spec_reads_back(spec, tmp_path):
+    again = load(tmp_path, spec.as_yaml())
+    assert again == spec and again.content_hash == spec.content_hash
+    assert again.unit("hall/motion_blur/2/dual", 1) == spec.unit("hall/motion_blur/2/dual", 1)
+
+
+def test_a_family_may_be_taken_member_by_member_or_as_a_whole(tmp_path):
+    text = SPEC.replace("family: clean-room\n    camera: {fps: 15}", "{family: small, each_member: true}")
+    text = text.replace("hall:\n    {", "hall: {")
+    spec = load(tmp_path, text)
+    assert "hall-warehouse/motion_blur/1/dual" in spec.cell_names()
+    assert spec.unit("hall-warehouse/motion_blur/1/dual", 0).scenario.world.kind == "warehouse"
+    whole = load(tmp_path, text.replace(", each_member: true", ""))
+    kinds = {whole.unit("hall/motion_blur/1/dual", 4 * i).scenario.world.kind for i in range(12)}
+    assert len(kinds) > 3
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("units: 8", "unitz: 8", ":26: unitz: unknown key; use units (did you mean that?)"),
+        ("kind: motion_blur", "kind: motion_blurr", ":11: degradations[0].kind: unknown kind 'motion_blurr'"),
+        (
+            "dose: exposure_s",
+            "dose: exposure",
+            ":11: degradations[0]: dose: a segment of kind motion_blur has no",
+        ),
+        ("doses: [0.1, 0.2]", "doses: [0.1, 2]", ":13: degradations[0].doses[1]: 2.0 is not valid"),
+        ("doses: [0.1, 0.2]", "doses: [0.1, 0.1]", ":11: degradations[0]: two doses are told by the same"),
+        ("axis: {choice: [yaw, pitch]}", "axis: up", ":20: degradations[1].fields.axis: 'up' is not valid"),
+        ("length_m: {uniform: [30, 60]}", "length_m: 3", ":5: bases.passage.world.length_m: 3 is not valid"),
+        ("{uniform: [30, 60]}", "{uniform: [30]}", ":5: bases.passage.world.length_m: uniform [30] has no"),
+        (
+            "begins_s: {uniform: [0, 1]}",
+            "begins_s: soon",
+            ":14: degradations[0].begins_s: 'soon' is",
+        ),
+        ("begins_s: {uniform: [0, 1]}", "begins_s: 3", ":15: degradations[0].acts_s: 0.0 is not valid"),
+        ("threads: [orb,", "threads: [gps,", "unknown recovery thread 'gps'; use gms or orb or sift"),
+        ("{kind: orb, seed: 1}", "orb", "two threads are the same; give those of one kind different seeds"),
+        ("quantity: pr2", "quantity: pr4", "stopping.quantity pr4 is of no thread"),
+        ("family: clean-room", "family: clean-rome", ":7: bases.hall: there is no family clean-rome"),
+        ("systems: [dual, dual+]", "systems: [base]", ":21: systems[0]: 'base' is not valid"),
+        ("units_per_world: 4", "units_per_world: 0", ":27: units_per_world: 0 is not valid"),
+    ],
+)
+def test_every_fault_is_one_line_with_file_and_field(tmp_path, old, new, told):
+    assert old in SPEC
+    with pytest.raises(InputError) as caught:
+        load(tmp_path, SPEC.replace(old, new, 1))
+    line = str(caught.value)
+    assert "\n" not in line and line.startswith(str(tmp_path / "spec.yaml")) and told in line
+
+
+def test_unknown_names_are_guessed(spec):
+    with pytest.raises(InputError, match=r"no such experiment; use smoke \(did you mean"):
+        load_spec("smok")
+    with pytest.raises(InputError, match="no such cell; use hall/motion_blur/1/dual"):
+        spec.unit("hall/motion_blur/1", 0)
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_presets_are_valid_and_say_what_they_are(name):
+    spec = load_spec(name)
+    assert spec.name == name and spec.description
+    text = (load_spec.__globals__["PRESET_DIR"] / f"{name}.yaml").read_text()
+    VALIDATOR.validate(yaml.safe_load(text))
+
+
+def test_the_presets_are_all_there():
+    wanted = {"smoke", "eq1-quick", "eq1-full", "direction", "conditioning", "init", "timeline", "tables"}
+    assert wanted <= set(preset_names())
+
+
+@pytest.mark.slow
+def test_the_schema_refuses_what_the_loader_refuses():
+    jsonschema.Draft202012Validator.check_schema(json_schema())
+    VALIDATOR.validate(yaml.safe_load(SPEC))
+    for old, new in (("units: 8", "unitz: 8"), ("length_m: {uniform: [30, 60]}", "length_m: 3"),
+                     ("kind: motion_blur", "kind: mud"), ("begins_s: {uniform: [0, 1]}", "begins_s: soon"),
+                     ("threads: [orb,", "threads: [gps,")):  # fmt: skip
+        assert not VALIDATOR.is_valid(yaml.safe_load(SPEC.replace(old, new, 1)))

@@ -1,0 +1,209 @@
+"""One unit: what is declared, audited and void; branches are what runs from the start are."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from unit_scenes import END, FRAMES, ONSET, made_up, run, unit
+
+from experiments.eq1 import trial
+from experiments.eq1.arms import CpuClock, Exposure, dual_config, run_crossing, run_free, run_lead_in
+from experiments.eq1.records import columns, decided, thread_column
+from experiments.runs.execution import execute, slam_camera, system_factory
+from scenarios.errors import InputError
+from slam.core.events import RecoveryEnd
+from slam.factory import build_system
+
+BROKEN = made_up(range(85, 91))
+
+
+@pytest.fixture(scope="module")
+def broken():
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        return run(monkeypatch, BROKEN, unit("orb,sift"))
+
+
+def told(record, arm, thread, *names):
+    return tuple(record[thread_column(arm, thread, name)] for name in names)
+
+
+def trace(record):
+    """All that a run has said, bit for bit, but for the CPU times."""
+    events = [{k: v for k, v in e.record().items() if k != "cpu_ms"} for e in record.events]
+    paths = [(p.map_id, p.frames.tobytes(), p.T_map_cam.tobytes()) for p in record.trajectories]
+    poses = [None if r.T_map_cam is None else r.T_map_cam.tobytes() for r in record.results]
+    states = [(r.frame, r.state, r.map_id, r.inliers) for r in record.results]
+    return json.dumps(events), paths, poses, states
+
+
+# -- outcomes ------------------------------------------------------------------------------------------------
+
+
+def test_a_breakage_that_both_threads_cross(broken):
+    assert broken["outcome"] == "completed" and broken["message"] == ""
+    assert (broken["onset_frame"], broken["end_frame"]) == (ONSET, END)
+    assert (broken["breakage"], broken["breakage_frame"]) == (True, 85)
+    assert (broken["declaration_delay_s"], broken["silent_failure"]) == (0.0, False)
+    # Half of what it knew is still in view: the base finds its place again, and has broken all the same.
+    assert (broken["relocalized"], broken["base_failure"], broken["dual_relocalized"]) == (True, False, False)
+    for thread in (1, 2):
+        assert told(broken, "free", thread, "failed", "declared", "false", "stage") == (
+            False,
+            True,
+            False,
+            None,
+        )
+        scale_error, seam_m, frames = told(
+            broken, "free", thread, "scale_error", "seam_error_m", "frames_covered"
+        )
+        assert abs(scale_error) < 0.05 and seam_m < 0.1 and 5 < frames < 40
+    assert (broken["d1"], broken["d2"], broken["dual_failure"]) == (False, False, False)
+    assert broken["base_share_tracked"] < broken["dual_share_tracked"]
+    assert broken["dual_path_share"] > 0.9
+    assert broken["dual_end_error_m"] < 0.2
+    assert broken["reinit_frame"] > 91 and 6 < broken["free_frames_to_cross"] < 20
+
+
+def test_the_crossing_arm_crosses_all_of_the_segment(broken):
+    assert broken["cross_reinit_frame"] > END
+    assert broken["cross_frames_to_cross"] > END - ONSET
+    for thread in (1, 2):
+        assert told(broken, "cross", thread, "failed", "declared", "false") == (False, True, False)
+        assert told(broken, "cross", thread, "frames_covered") > told(
+            broken, "free", thread, "frames_covered"
+        )
+
+
+def test_without_a_breakage_nothing_of_the_free_arm_s_recovery_is_said(monkeypatch):
+    record = run(monkeypatch, made_up())
+    assert (record["breakage"], record["silent_failure"], record["base_failure"]) == (False, False, False)
+    assert (record["d1"], record["d2"], record["dual_failure"]) == (False, False, False)
+    free = [name for name in record if name.startswith("free_")]
+    assert {record[name] for name in (*free, "reinit", "relocalized", "breakage_frame")} == {None}
+    assert told(record, "cross", 1, "failed") == (False,)
+    assert record["dual_share_tracked"] >= record["base_share_tracked"] > 0.95
+
+
+def test_a_new_map_that_never_stands_is_a_failure_of_every_thread(monkeypatch):
+    record = run(monkeypatch, made_up(range(85, FRAMES)))
+    assert (record["breakage"], record["reinit"], record["cross_reinit"]) == (True, False, False)
+    for arm in ("free", "cross"):
+        for thread in (1, 2):
+            assert told(record, arm, thread, "failed", "stage", "reason") == (True, "no_reinit", "no_new_map")
+    assert (record["d1"], record["d2"], record["dual_failure"]) == (True, True, True)
+
+
+def test_a_false_recovery_fails_by_the_audit(monkeypatch):
+    lying = BROKEN.T_world_cam.copy()
+    lying[END:, 0, 3] += 5.0  # the truth is elsewhere after the segment
+    record = run(monkeypatch, replace(BROKEN, T_world_cam=lying), unit("orb", arms=("crossing",)))
+    assert told(record, "cross", 1, "failed", "declared", "false", "stage") == (True, True, True, "audit")
+    assert told(record, "cross", 1, "seam_error_m")[0] > 3
+    assert record["breakage"] is None and record["d1"] is None  # the free arm was not run
+
+
+@pytest.mark.parametrize(
+    ("blank", "why"),
+    [
+        ((range(40, 46),), "broke in the lead-in"),
+        ((range(50),), "tracked for"),
+        ((range(75),), "not tracking at the onset"),
+    ],
+)
+def test_an_unhealthy_lead_in_voids_the_unit(monkeypatch, blank, why):
+    record = run(monkeypatch, made_up(*blank))
+    assert record["outcome"] == "void" and why in record["void_reason"]
+    assert record["breakage"] is None and record["d1"] is None and record["cross_r1_failed"] is None
+
+
+def test_a_map_too_young_to_be_kept_voids_the_unit(monkeypatch):
+    config = build_system("dual", slam_camera(BROKEN.camera)).config
+    many = replace(config, min_map_keyframes=50)
+    monkeypatch.setattr(
+        "experiments.eq1.arms.build_system", lambda *a, **k: build_system(*a, **k, config=many)
+    )
+    record = run(monkeypatch, BROKEN)
+    assert record["outcome"] == "void" and "keyframes only" in record["void_reason"]
+
+
+def test_what_goes_wrong_in_the_programs_is_an_infrastructure_error(monkeypatch):
+    def refuse(*_):
+        raise InputError("GL", "no headless OpenGL here", "install libegl1")
+
+    monkeypatch.setattr(trial, "_render", refuse)
+    record = trial.run_unit(unit())
+    assert record["outcome"] == "infrastructure_error" and "libegl1" in record["message"]
+    monkeypatch.setattr("experiments.eq1.arms.run_lead_in", None)
+    record = run(monkeypatch, made_up(frames=ONSET + 3))  # ends within the exposed segment
+    assert record["outcome"] == "infrastructure_error" and "arms.py" in record["message"]
+    assert record["d1"] is None and record["wall_s"] > 0
+
+
+# -- records -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_two_runs_give_the_same_record_but_for_the_times(broken, monkeypatch):
+    again = run(monkeypatch, BROKEN, unit("orb,sift"))
+    assert decided(again) == decided(broken)
+    assert decided(broken).keys() < broken.keys()
+
+
+def test_every_record_has_the_same_columns_of_plain_values(broken, monkeypatch):
+    records = [broken, run(monkeypatch, made_up(range(70)), unit("orb,sift"))]
+    for record in records:
+        assert list(record) == list(columns(2))
+        for name, kind in columns(2).items():
+            plain = {"bool": bool, "int": int, "float": (int, float), "text": str}[kind]
+            assert record[name] is None or type(record[name]) in np.atleast_1d(plain), name
+    json.dumps(records, allow_nan=False)
+
+
+@pytest.mark.slow
+def test_a_recording_of_base_and_dual_can_be_had(monkeypatch, tmp_path):
+    path = tmp_path / "unit.rrd"
+    record = run(monkeypatch, BROKEN, unit("orb", arms=("crossing",)), recording=path)
+    assert record["outcome"] == "completed" and path.stat().st_size > 100_000
+
+
+# -- branches and modes --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "sequence",
+    [pytest.param(BROKEN, id="broken"), pytest.param(made_up(), id="whole", marks=pytest.mark.slow)],
+)
+def test_branches_are_what_runs_from_the_start_are(sequence):
+    of = unit()
+    exposure, clock = Exposure.of(of, sequence), CpuClock()
+    lead_in = run_lead_in(of, sequence, exposure, clock).save()
+    free, crossing = run_free(lead_in, of), run_crossing(lead_in, exposure)
+    build = system_factory(dual=dual_config(of))
+    for kind, branched in (("base", free.base), ("dual", free.dual)):
+        assert trace(branched) == trace(execute(sequence, kind, of.nuisance_seed, build=build))
+    whole = run_lead_in(of, sequence, exposure, clock)
+    whole.system.cut()
+    whole.feed(END + 1)
+    whole.system.restart()
+    whole.feed(FRAMES)
+    whole.finish()
+
+    def ends(course):
+        found = [e.record() for e in course.system.events if isinstance(e, RecoveryEnd)]
+        return [{k: v for k, v in e.items() if k not in ("frame", "stamp_s", "cpu_ms")} for e in found]
+
+    assert ends(crossing) == ends(whole) and len(ends(whole)) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("blank", [range(85, 91), range(80, 103)], ids=["crossed", "not crossed"])
+def test_both_modes_give_the_same_failure_for_every_n(monkeypatch, blank):
+    sequence = made_up(blank)
+    record = run(monkeypatch, sequence, unit("orb,gms", arms=("free",)))
+    for n, kinds in ((1, "orb"), (2, "orb,gms")):
+        config = dual_config(unit(kinds), exhaustive=False)
+        shipped = execute(sequence, "dual", 2, build=system_factory(dual=config))
+        ends = [e for e in shipped.events if isinstance(e, RecoveryEnd)]
+        assert record[f"d{n}"] is not any(e.success for e in ends)
+        assert len(ends) == (1 if ends[0].success else n)

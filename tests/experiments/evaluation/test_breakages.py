@@ -1,0 +1,154 @@
+"""Breakages are tied to their segment and to what followed."""
+
+import numpy as np
+import pytest
+from slam_fakes import make_sequence
+
+from experiments.evaluation.breakages import breakage_outcomes, segment_of_frame, segments_of_frame
+from slam.core import events as ev
+
+SEQUENCE = make_sequence()
+STAMPS = list(SEQUENCE.stamps_s)
+
+
+def outcomes(*events):
+    return breakage_outcomes(events, SEQUENCE.segments, STAMPS)
+
+
+def at(frame: int) -> dict:
+    return {"frame": frame, "stamp_s": frame / 30}
+
+
+def broke(frame: int, map_id: int = 0) -> ev.Breakage:
+    return ev.Breakage(**at(frame), map_id=map_id, reason="few_inliers", inliers=3)
+
+
+def fused(
+    frame: int, old: int = 0, accepted: bool = True, by: str = "recovery", new: int | None = None
+) -> ev.Fusion:
+    return ev.Fusion(
+        **at(frame),
+        map_id=old,
+        old_map_id=old,
+        new_map_id=old + 1 if new is None else new,
+        by=by,
+        accepted=accepted,
+        scale=1.0,
+        inliers=9,
+        reason="why",
+    )
+
+
+@pytest.mark.parametrize(
+    ("frame", "segment"), [(149, None), (150, 0), (180, 0), (195, 0), (196, None), (299, None)]
+)
+def test_a_frame_is_the_segments_until_half_a_second_after_it(frame, segment):
+    assert segment_of_frame(frame, frame / 30, SEQUENCE.segments, STAMPS) == segment
+
+
+def test_a_fusion_mends_the_breakage_of_its_old_map():
+    (one,) = outcomes(broke(160), fused(220))
+    assert one.recovered and one.failure_reason == ""
+    assert one.segment == 0
+
+
+def test_a_map_met_again_is_healed_and_not_recovered():
+    (one,) = outcomes(broke(160), fused(280, by="place"))
+    assert one.joined is not None and one.healed and not one.recovered and one.failure_reason == ""
+
+
+def test_a_fusion_belongs_to_the_last_breakage_before_it():
+    first, second = outcomes(broke(160), fused(220), broke(240), fused(280))
+    assert first.fusion.frame == 220 and second.fusion.frame == 280
+    assert first.until_frame == 240 and second.until_frame is None
+
+
+def test_a_fusion_of_another_map_mends_nothing():
+    (one,) = outcomes(broke(160), fused(220, old=3))
+    assert not one.recovered
+
+
+def test_a_map_that_a_recovery_went_past_is_bridged():
+    """A map begun within a blur that breaks at once: the next one's recovery may reach the map before it."""
+    first, second = outcomes(broke(160), broke(175, map_id=1), fused(220, new=2))
+    assert first.recovered and first.bridged is None
+    assert second.bridged.frame == 220 and not second.healed
+    assert second.failure_reason == "a recovery went past it, to an older map"
+
+
+@pytest.mark.parametrize("other", [{"accepted": False}, {"by": "place"}, {"old": 1}, {"new": 1}])
+def test_nothing_else_bridges_a_map(other):
+    assert outcomes(broke(175, map_id=1), fused(220, **({"new": 2} | other)))[0].bridged is None
+
+
+def test_a_map_is_not_bridged_by_the_recovery_of_a_later_breakage():
+    """The old map was found again in between: it broke anew, after the young one had."""
+    _, young, again = outcomes(broke(160), broke(175, map_id=1), found(200), broke(240), fused(280, new=2))
+    assert young.bridged is None and again.recovered
+
+
+def found(frame: int, map_id: int = 0) -> ev.Relocalized:
+    return ev.Relocalized(**at(frame), map_id=map_id, keyframe=10, inliers=60, frames_lost=40, lost_s=1.3)
+
+
+def test_a_relocalization_heals_the_breakage_of_its_map_and_is_no_recovery():
+    (one,) = outcomes(broke(160), found(200))
+    assert one.healed and not one.recovered and one.failure_reason == ""
+    assert one.relocalized.frame == 200
+    (other,) = outcomes(broke(160), found(200, map_id=1))
+    assert not other.healed and other.relocalized is None
+
+
+def test_a_relocalization_belongs_to_the_last_breakage_before_it():
+    first, second = outcomes(broke(160), found(200), broke(220))
+    assert first.healed and first.until_frame == 220
+    assert not second.healed and second.failure_reason == "no_reinit"
+
+
+def test_a_refused_fusion_is_a_failure_with_its_reason():
+    done = ev.ReinitDone(**at(200), map_id=1, frames_taken=40)
+    (one,) = outcomes(broke(160), done, fused(220, accepted=False))
+    assert not one.recovered
+    assert one.failure_reason == "fusion: why"
+
+
+def test_the_reason_of_a_dropped_map_is_told():
+    dropped = ev.MapDropped(**at(160), map_id=0, reason="too_few_keyframes", keyframes=3)
+    (one,) = outcomes(broke(160), dropped)
+    assert one.failure_reason == "map dropped: too_few_keyframes"
+
+
+def test_a_breakage_without_a_new_map_is_no_reinit():
+    (one,) = outcomes(broke(160))
+    assert one.failure_reason == "no_reinit"
+    done = ev.ReinitDone(**at(200), map_id=1, frames_taken=40)
+    (one,) = outcomes(broke(160), done)
+    assert one.reinit_frame == 200 and one.failure_reason == "no recovery was run"
+
+
+def test_overlapping_grace_goes_to_the_later_segment():
+    later = make_sequence(segment=(185, 190)).segments[0]
+    assert segment_of_frame(187, 187 / 30, [*SEQUENCE.segments, later], np.arange(300) / 30) == 1
+
+
+def test_a_breakage_is_of_all_segments_over_one_another_and_named_after_the_last_that_began():
+    fog, blur, early = (
+        make_sequence(segment=span).segments[0] for span in ((100, 200), (150, 170), (20, 90))
+    )
+    segments, stamps = [early, fog, blur], np.arange(300) / 30
+    at_s = {frame: (frame, frame / 30, segments, stamps) for frame in (95, 103, 120, 160, 180, 190, 210)}
+    found = {frame: (segment_of_frame(*of), segments_of_frame(*of)) for frame, of in at_s.items()}
+    assert found[120] == (1, (1,))
+    assert found[160] == (2, (1, 2))
+    # The blur is over, but for the time that declaring takes.
+    assert found[180] == (2, (1, 2)) and found[190] == (1, (1,)) and found[210] == (1, (1,))
+    # A segment that had ended before has no part.
+    assert found[95] == (0, (0,)) and found[103] == (1, (1,))
+    (one,) = breakage_outcomes([broke(160)], segments, stamps)
+    assert one.segment == 2 and one.segments == (1, 2)
+
+
+def test_segments_that_begin_on_one_frame_both_have_the_breakage():
+    twins = [make_sequence(segment=span).segments[0] for span in ((150, 170), (150, 160))]
+    assert segments_of_frame(155, 155 / 30, twins, np.arange(300) / 30) == (0, 1)
+    assert segment_of_frame(155, 155 / 30, twins, np.arange(300) / 30) == 0

@@ -1,0 +1,159 @@
+"""Accuracy figures: known answers, invariances, and agreement with evo."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from slam_fakes import circle
+
+from experiments.evaluation.alignment import Similarity, Undefined
+from experiments.evaluation.metrics import PosePairs, associate, ate, coverage, path_length_m, rpe
+from slam.core.results import MapTrajectory
+
+S = Similarity(0.3, Rotation.from_euler("xyz", [0.4, 1.0, -2.0]).as_matrix(), np.array([3.0, -1, 7]))
+
+
+def noisy_pairs(seed: int = 0, n: int = 200, noise_m: float = 0.02, noise_deg: float = 0.5) -> PosePairs:
+    """A true circle and its noisy estimate at another scale and place, with frames missing."""
+    rng = np.random.default_rng(seed)
+    truth = circle(n)
+    T = truth.copy()
+    T[:, :3, 3] += rng.normal(0, noise_m, (n, 3))
+    T[:, :3, :3] = (
+        T[:, :3, :3] @ Rotation.from_rotvec(np.radians(rng.normal(0, noise_deg, (n, 3)))).as_matrix()
+    )
+    keep = np.flatnonzero(rng.random(n) > 0.1)
+    return PosePairs(keep, S.poses(T[keep]), truth[keep])
+
+
+def test_ate_of_a_perfect_estimate_at_any_scale_is_zero():
+    truth = circle(50)
+    result = ate(PosePairs(np.arange(50), S.poses(truth), truth))
+    assert result.rmse_m < 1e-12
+    assert result.alignment.scale == pytest.approx(1 / 0.3)
+
+
+def test_ate_of_one_displaced_pose_is_the_known_value():
+    n, off = 1000, 0.5
+    truth = circle(n)
+    estimate = truth.copy()
+    estimate[500, 2, 3] += off
+    # One pose of many hardly moves the alignment.
+    result = ate(PosePairs(np.arange(n), estimate, truth))
+    assert result.rmse_m == pytest.approx(off / np.sqrt(n), rel=0.02)
+    assert result.max_m == pytest.approx(off, rel=0.02)
+    assert result.median_m < 0.01 * off
+
+
+def test_se3_alignment_keeps_the_scale_error():
+    truth = circle(50)
+    estimate = truth.copy()
+    estimate[:, :3, 3] *= 1.1
+    pairs = PosePairs(np.arange(50), estimate, truth)
+    assert ate(pairs).rmse_m < 1e-12
+    assert ate(pairs, with_scale=False).rmse_m > 0.1
+
+
+def test_rpe_of_a_constant_turn_error_is_that_turn():
+    truth = circle(100)
+    estimate = truth.copy()
+    turn = Rotation.from_rotvec(np.radians(np.arange(100)[:, None] * [0, 0.2, 0])).as_matrix()
+    estimate[:, :3, :3] = truth[:, :3, :3] @ turn
+    result = rpe(PosePairs(np.arange(100), estimate, truth), 10, "frames")
+    assert result.pairs == 90
+    assert result.rotation_rmse_deg == pytest.approx(2.0, rel=1e-6)
+
+
+def test_rpe_in_frames_uses_only_steps_posed_at_both_ends():
+    truth = circle(20)
+    frames = np.array([0, 1, 2, 7, 8, 12])
+    pairs = PosePairs(frames, truth[frames], truth[frames])
+    assert rpe(pairs, 5, "frames").pairs == 2  # 2-7, 7-12
+    assert isinstance(rpe(pairs, 15, "frames"), Undefined)
+
+
+def test_nothing_is_made_up_for_degenerate_input():
+    truth = circle(50)
+    for few in (0, 1, 2):
+        pairs = PosePairs(np.arange(few), truth[:few], truth[:few])
+        assert isinstance(ate(pairs), Undefined)
+        assert isinstance(rpe(pairs, 5, "frames"), Undefined)
+        assert isinstance(rpe(pairs, 5.0, "metres"), Undefined)
+
+
+def test_frames_without_truth_are_left_out():
+    truth = circle(30)
+    truth[10:20] = np.nan
+    stamps = np.arange(30) / 30
+    pairs = associate(MapTrajectory(0, np.arange(30), stamps, circle(30)), stamps, truth)
+    assert set(pairs.frames) == {*range(10), *range(20, 30)}
+    assert ate(pairs).rmse_m < 1e-12
+
+
+def test_an_estimate_of_another_sequence_is_refused():
+    stamps = np.arange(30) / 30
+    with pytest.raises(ValueError, match="time stamps"):
+        associate(MapTrajectory(0, np.arange(30), stamps + 0.01, circle(30)), stamps, circle(30))
+    with pytest.raises(ValueError, match="of a sequence"):
+        associate(MapTrajectory(0, np.array([30]), np.array([1.0]), circle(1)), stamps, circle(30))
+
+
+def test_coverage_counts_steps_between_consecutive_posed_frames():
+    T = np.tile(np.eye(4), (11, 1, 1))
+    T[:, 0, 3] = np.arange(11)
+    covered = coverage(np.array([0, 1, 2, 5, 6, 10]), T)
+    assert covered.path_m == pytest.approx(3.0)
+    assert covered.share == pytest.approx(0.3)
+    T[3] = np.nan
+    assert path_length_m(T) == pytest.approx(8.0)
+
+
+# -- evo as the oracle -------------------------------------------------------------------------------------
+
+
+def evo_trajectories(pairs: PosePairs):
+    trajectory = pytest.importorskip("evo.core.trajectory")
+    make = trajectory.PoseTrajectory3D
+    stamps = pairs.frames / 30
+    return make(poses_se3=list(pairs.T_world_cam), timestamps=stamps), make(
+        poses_se3=list(pairs.T_map_cam), timestamps=stamps
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("with_scale", [True, False])
+def test_ate_agrees_with_evo(seed, with_scale):
+    evo_metrics = pytest.importorskip("evo.core.metrics")
+    pairs = noisy_pairs(seed)
+    reference, estimate = evo_trajectories(pairs)
+    estimate.align(reference, correct_scale=with_scale)
+    ape = evo_metrics.APE(evo_metrics.PoseRelation.translation_part)
+    ape.process_data((reference, estimate))
+    ours, theirs = ate(pairs, with_scale), ape.get_all_statistics()
+    assert ours.rmse_m == pytest.approx(theirs["rmse"], rel=1e-9)
+    assert ours.median_m == pytest.approx(theirs["median"], rel=1e-9)
+    assert ours.max_m == pytest.approx(theirs["max"], rel=1e-9)
+
+
+@pytest.mark.parametrize(("delta", "unit"), [(10, "frames"), (0.5, "metres")])
+def test_rpe_agrees_with_evo(delta, unit):
+    evo_metrics = pytest.importorskip("evo.core.metrics")
+    pairs = noisy_pairs(7)
+    # evo counts poses, not frames: without gaps the two are the same.
+    pairs = PosePairs(np.arange(len(pairs)), pairs.T_map_cam, pairs.T_world_cam)
+    scale = ate(pairs).alignment.scale
+    reference, estimate = evo_trajectories(pairs)
+    estimate.scale(scale)
+    ours = rpe(pairs, delta, unit, scale)
+    for relation, value in (
+        (evo_metrics.PoseRelation.translation_part, ours.translation_rmse_m),
+        (evo_metrics.PoseRelation.rotation_angle_deg, ours.rotation_rmse_deg),
+    ):
+        theirs = evo_metrics.RPE(
+            relation,
+            delta=delta,
+            delta_unit=evo_metrics.Unit.frames if unit == "frames" else evo_metrics.Unit.meters,
+            all_pairs=unit == "frames",
+            pairs_from_reference=True,
+        )
+        theirs.process_data((reference, estimate))
+        assert value == pytest.approx(theirs.get_statistic(evo_metrics.StatisticsType.rmse), rel=1e-9)

@@ -1,0 +1,197 @@
+"""Random scenarios through the systems: what goes wrong is told, and nothing goes wrong."""
+
+import json
+import sys
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from experiments import cli
+from experiments.fuzz.fuzzing import (
+    FuzzUnit,
+    empty_row,
+    failed,
+    fuzz_run,
+    fuzz_unit,
+    replay_command,
+    run_fuzz,
+)
+from scenarios.loading import load_scenario
+from scenarios.random_scenarios import random_scenario
+from sim.sensors.camera import Intrinsics
+from sim.sequence import Sequence
+from slam.factory import build_system
+from slam.warmup import CAMERA, toy_frames
+
+UNIT = FuzzUnit(4, ("base", "dual"))
+
+
+@pytest.fixture(scope="module")
+def sequence():
+    """A second of a made-up sequence."""
+    images, stamps_s, T_world_cam = zip(*toy_frames(30, step_m=0.05), strict=True)
+    fields = asdict(CAMERA)
+    return Sequence(
+        "toy", Intrinsics(**fields), np.array(stamps_s), np.array(images), np.array(T_world_cam),
+        depths=None, segments=(), meta={},
+    )  # fmt: skip
+
+
+def spoilt(at, spoil):
+    """What makes systems that are spoilt at one frame."""
+
+    def build(kind, camera, seed):
+        system = build_system(kind, camera, seed)
+        process = system.process
+
+        def processed(image, stamp_s):
+            if system.frames == at:
+                spoil(system)
+            return process(image, stamp_s)
+
+        system.process = processed
+        return system
+
+    return build
+
+
+def test_a_run_that_is_sound(sequence):
+    row = fuzz_run(UNIT, "base", random_scenario(4), sequence)
+    assert (row["outcome"], row["message"], row["traceback"], row["stage"]) == ("ok", "", "", "")
+    assert (row["frames"], row["maps"], row["breakages"], row["fusions"]) == (30, 1, 0, 0)
+    assert 10 < row["tracked"] < 30 and len(row["digest"]) == 16 and row["slam_cpu_s"] > 0
+    again = fuzz_run(UNIT, "base", random_scenario(4), sequence)
+    assert again["digest"] == row["digest"]
+
+
+def test_an_exception_is_told_with_its_frame_and_traceback(sequence):
+    def spoil(system):
+        raise ZeroDivisionError("told to")
+
+    row = fuzz_run(UNIT, "base", random_scenario(4), sequence, spoilt(7, spoil))
+    assert (row["outcome"], row["stage"]) == ("exception", "frame 7")
+    assert row["message"] == "ZeroDivisionError: told to" and "in processed" in row["traceback"]
+    assert row["frames"] is None and list(row) == list(empty_row(UNIT, "base"))
+
+
+@pytest.mark.parametrize("at", [29, 12])
+def test_a_broken_invariant_is_told(sequence, at):
+    def spoil(system):
+        system.current_map.loop_edges.append((0, 10_000))
+
+    row = fuzz_run(UNIT, "base", random_scenario(4), sequence, spoilt(at, spoil))
+    assert row["outcome"] == "invariant_broken"
+    assert "a loop edge of a keyframe that does not exist" in row["message"]
+
+
+def test_frames_that_cannot_be_rendered_are_told(monkeypatch):
+    def broken(scenario, cache_dir):
+        raise RuntimeError("no light")
+
+    monkeypatch.setattr("experiments.fuzz.fuzzing.render_sequence", broken)
+    rows = list(fuzz_unit(UNIT))
+    assert [(r["system"], r["outcome"], r["stage"]) for r in rows] == [
+        ("base", "exception", "render"), ("dual", "exception", "render"),
+    ]  # fmt: skip
+
+
+# -- many --------------------------------------------------------------------------------------------------
+
+
+def scripted(unit):
+    """A unit that is soon done; of seed 2 one system fails, of seed 3 one takes the process with it."""
+    for kind in unit.systems:
+        row = empty_row(unit, kind) | {"outcome": "ok", "frames": 150, "slam_cpu_s": 0.1 * unit.seed}
+        if (unit.seed, kind) == (2, "dual"):
+            row |= {
+                "outcome": "exception",
+                "message": "KeyError: 3",
+                "traceback": "in here",
+                "stage": "frame 9",
+            }
+        if (unit.seed, kind) == (3, "base"):
+            sys.exit(4)
+        yield row
+
+
+UNITS = [FuzzUnit(seed, ("base", "dual")) for seed in range(5)]
+
+
+@pytest.fixture(scope="module")
+def outputs(tmp_path_factory):
+    """Rows and folders of one process and of two."""
+    folder = tmp_path_factory.mktemp("fuzz")
+    rows = [run_fuzz(UNITS, folder / f"{n}", workers=n, job=scripted) for n in (1, 2)]
+    return rows, [folder / "1", folder / "2"]
+
+
+@pytest.mark.slow
+def test_every_run_has_a_row_in_order_whatever_becomes_of_its_process(outputs):
+    (rows, _), (folder, _) = outputs
+    assert [(r["seed"], r["system"]) for r in rows] == [(s, k) for s in range(5) for k in ("base", "dual")]
+    bad = {(r["seed"], r["system"]): (r["outcome"], r["message"]) for r in failed(rows)}
+    assert bad == {
+        (2, "dual"): ("exception", "KeyError: 3"),
+        (3, "base"): ("process_died", "the process has died, exit code 4"),
+    }
+    written = [json.loads(line) for line in (folder / "units.jsonl").read_text().splitlines()]
+    assert [(r["seed"], r["outcome"]) for r in written] == [(r["seed"], r["outcome"]) for r in rows]
+    times = [json.loads(line) for line in (folder / "times.jsonl").read_text().splitlines()]
+    assert [t["slam_cpu_s"] for t in times[::2]] == pytest.approx([0, 0.1, 0.2, None, 0.4], nan_ok=True)
+
+
+@pytest.mark.slow
+def test_the_table_does_not_depend_on_the_number_of_processes(outputs):
+    one, two = ((folder / "units.jsonl").read_bytes() for folder in outputs[1])
+    assert one == two
+
+
+@pytest.mark.slow
+def test_what_failed_is_there_to_be_run_again(outputs):
+    (rows, _), (folder, _) = outputs
+    assert sorted(p.name for p in (folder / "failed").iterdir()) == ["2.yaml", "3.yaml"]
+    assert load_scenario(folder / "failed" / "2.yaml") == random_scenario(2)
+    command = replay_command(failed(rows)[0])
+    assert command.startswith("dslab experiment fuzz --start 2 --units 1 --system dual ")
+
+
+def dslab(monkeypatch, capsys, *arguments):
+    monkeypatch.setattr(sys, "argv", ["dslab", "experiment", "fuzz", *arguments])
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    captured = capsys.readouterr()
+    return caught.value.code or 0, captured.out, captured.err
+
+
+@pytest.mark.slow
+def test_the_command_counts_and_fails_where_a_run_has(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr("experiments.fuzz.fuzzing.fuzz_unit", scripted)
+    code, out, _ = dslab(monkeypatch, capsys, "--units", "2", "--out", str(tmp_path / "a"))
+    assert code == 0 and "4 runs" in out and "replay" not in out
+    code, out, _ = dslab(
+        monkeypatch, capsys, "--start", "2", "--units", "1", "--system", "dual", "--out", str(tmp_path / "b")
+    )
+    assert code == 1
+    assert "seed 2, dual: exception at frame 9: KeyError: 3" in out and "in here" in out
+    assert "again: dslab experiment fuzz --start 2 --units 1 --system dual --mode lockstep" in out
+    assert (tmp_path / "b" / "units.jsonl").is_file()
+
+
+@pytest.mark.parametrize("systems", ["bass", "base,base", ""])
+def test_systems_that_are_none_are_refused(monkeypatch, capsys, tmp_path, systems):
+    code, _, err = dslab(monkeypatch, capsys, "--system", systems, "--out", str(tmp_path / "a"))
+    assert code == 2 and "base,dual" in err and not (tmp_path / "a").exists()
+
+
+# -- the systems -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seeds", [range(10), range(10, 20)], ids=["0-9", "10-19"])
+def test_the_systems_come_through_twenty_random_scenarios(tmp_path, seeds):
+    # Dual-SLAM is the base and more.
+    units = [FuzzUnit(seed, ("base", "dual") if seed % 5 == 0 else ("dual",)) for seed in seeds]
+    rows = run_fuzz(units, tmp_path / "out")
+    assert len(rows) == 12 and failed(rows) == []
+    assert sum(row["breakages"] for row in rows) > 8 and sum(row["fusions"] for row in rows) > 0

@@ -1,0 +1,160 @@
+"""The lanes of a recording say what the events and results say, and nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+from slam_fakes import CAMERA, fake_factory, make_sequence
+
+from experiments.evaluation.frame_outcomes import Fate, fates, known_from
+from experiments.evaluation.scene import lay_out
+from experiments.recording.lanes import Lane, segment_lane, system_lanes
+from experiments.recording.paths import RunPaths, strips
+from experiments.runs.execution import RunRecord, execute
+from slam.core import events as ev
+from slam.core.results import MapTrajectory
+
+BREAKS, NEW_MAP = 160, 180
+
+
+def run(kind: str = "dual", **script) -> RunRecord:
+    sequence = make_sequence()
+    return execute(sequence, kind, 0, build=fake_factory(sequence, breaks_at=BREAKS, **script))
+
+
+def recovered(record: RunRecord, first: int, last: int) -> RunRecord:
+    """The run with poses for some more frames in the end, as a recovery leaves them."""
+    main = record.trajectories[0]
+    alike = np.linalg.inv(main.T_map_cam[0])
+    frames = np.union1d(main.frames, np.arange(first, last + 1))
+    truth = record.sequence.T_world_cam
+    known = dict(zip(main.frames, main.T_map_cam, strict=True))
+    poses = np.array([known.get(f, truth[f] @ alike) for f in frames])
+    whole = MapTrajectory(main.map_id, frames, record.sequence.stamps_s[frames], poses)
+    return replace(record, trajectories=(whole, *record.trajectories[1:]))
+
+
+def with_events(record: RunRecord, *events: ev.Event) -> RunRecord:
+    return replace(record, events=events)
+
+
+def lane(record: RunRecord, name: str) -> Lane:
+    (found,) = [x for x in system_lanes(record) if x.name == name]
+    return found
+
+
+def at(frame: int) -> dict:
+    return {"frame": frame, "stamp_s": frame / CAMERA.fps, "map_id": 1}
+
+
+def start(frame: int, thread: int) -> ev.RecoveryStart:
+    return ev.RecoveryStart(**at(frame), thread=thread, method="orb", old_map_id=0, buffered_frames=9)
+
+
+def end(frame: int, thread: int, success: bool) -> ev.RecoveryEnd:
+    return ev.RecoveryEnd(
+        **at(frame), thread=thread, method="orb", old_map_id=0, success=success,
+        stage="" if success else "overlap", reason="", frames_covered=5, frames_passed_over=0, inliers=3,
+        cpu_ms=1.0,
+    )  # fmt: skip
+
+
+def test_the_state_of_the_base():
+    state = lane(run("base", relocalizes_after=50), "state")
+    assert state.changes == [
+        (0, "initialising"), (5, "tracking"), (BREAKS, "lost"), (BREAKS + 1, "relocalizing"),
+        (BREAKS + 50, "tracking"),
+    ]  # fmt: skip
+    assert set(state.colors) == {value for _, value in state.changes}
+
+
+def test_the_state_names_the_map_where_there_are_several():
+    state = lane(run(recovers=False), "state")
+    assert [value for _, value in state.changes] == [
+        "initialising", "tracking, map 0", "initialising", "tracking, map 1",
+    ]  # fmt: skip
+
+
+def test_marks_of_events_end_and_give_way():
+    marks = lane(run(), "events")
+    # 24 of 300 frames each.
+    assert marks.changes == [
+        (BREAKS, "breakage"), (NEW_MAP, "fused"), (204, ""),
+    ]  # fmt: skip
+    record = run()
+    refused = replace(record.events[-1], frame=105, accepted=False)
+    close = with_events(
+        record,
+        ev.Breakage(**at(100), reason="", inliers=0),
+        ev.MapDropped(**at(100), reason="", keyframes=2),
+        refused,
+        ev.Breakage(**at(290), reason="", inliers=0),
+    )
+    assert lane(close, "events").changes == [
+        (100, "breakage, map dropped"), (105, "fusion refused"), (129, ""), (290, "breakage"),
+    ]  # fmt: skip
+
+
+def test_recovery_threads_have_a_lane_each_from_start_to_end():
+    record = with_events(
+        run(), start(170, 1), end(200, 1, False), start(200, 2), end(260, 2, True), start(290, 1)
+    )
+    assert lane(record, "recovery_1").changes == [
+        (170, "orb at work"), (200, "failed: overlap"), (224, ""), (290, "orb at work"),
+    ]  # fmt: skip
+    assert lane(record, "recovery_2").changes == [(200, "orb at work"), (260, "succeeded"), (284, "")]
+    assert not [x for x in system_lanes(run("base")) if x.name.startswith("recovery")]
+
+
+def test_a_recovery_within_one_frame_shows_how_it_ended():
+    record = with_events(run(), start(200, 1), end(200, 1, True))
+    assert lane(record, "recovery_1").changes == [(200, "succeeded"), (224, "")]
+
+
+def test_the_outcome_is_what_each_frame_was_worth_in_the_end():
+    record = recovered(run(), BREAKS + 6, NEW_MAP - 1)
+    assert lane(record, "outcome").changes == [
+        (0, "no pose"), (5, "pose"), (BREAKS, "no pose"), (BREAKS + 6, "pose by recovery"), (NEW_MAP, "pose"),
+    ]  # fmt: skip
+
+
+def test_frames_placed_by_initialisation_are_not_recovered():
+    assert fates(recovered(run(), 2, 4))[:6] == [Fate.NONE, Fate.NONE, *[Fate.TRACKED] * 4]
+
+
+def test_frames_of_a_dropped_map_have_no_pose():
+    record = run(recovers=False)
+    found = fates(replace(record, trajectories=record.trajectories[:1]))
+    assert found[100] is Fate.TRACKED and found[250] is Fate.NONE
+
+
+def test_a_recovered_frame_is_known_from_the_fusion_on():
+    record = recovered(run(), BREAKS, NEW_MAP - 1)
+    assert known_from(record.events, 300)[[0, BREAKS, NEW_MAP, NEW_MAP + 1]].tolist() == [180, 180, 180, 300]
+    paths = RunPaths(record, lay_out(record))
+    assert paths.recovered_strips(NEW_MAP - 1) == [] and len(paths.lost_strips(NEW_MAP - 1)) == 1
+    (green,) = paths.recovered_strips(NEW_MAP)
+    assert 20 <= len(green) <= 21 and paths.lost_strips(NEW_MAP) == []
+
+
+def test_marks_stand_where_the_camera_was():
+    record = run()
+    marks = RunPaths(record, lay_out(record)).marks()
+    assert [(m.frame, m.words, m.broke) for m in marks] == [
+        (BREAKS, "breakage", True),
+        (NEW_MAP, "fused", False),
+    ]
+    np.testing.assert_allclose(marks[0].position, record.sequence.T_world_cam[BREAKS, :3, 3])
+
+
+def test_segments_over_one_another_share_the_lane():
+    record = run()
+    assert segment_lane(record).changes == [(0, ""), (150, "low texture"), (181, "")]
+
+
+def test_a_path_is_cut_where_frames_are_missing_and_thinned():
+    frames = np.array([0, 1, 2, 5, 6])
+    cut = strips(frames, np.arange(15.0).reshape(5, 3))
+    assert [len(np.unique(piece, axis=0)) for piece in cut] == [3, 2]
+    long = strips(np.arange(5000), np.random.default_rng(0).normal(size=(5000, 3)))
+    assert len(long) == 1 and len(long[0]) <= 602
+    assert strips(np.empty(0, int), np.empty((0, 3))) == []

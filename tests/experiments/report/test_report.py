@@ -1,0 +1,343 @@
+"""The report of an experiment: its figures are those of the table, its page shows them and stands alone."""
+
+import errno
+import json
+import re
+import shutil
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+from typing import get_type_hints
+
+import numpy as np
+import pandas as pd
+import pytest
+from html_page import Page
+from report_fakes import FakeSpec, fake_table
+from slam_fakes import fake_factory, make_sequence
+
+from experiments.eq1.units import ThreadChoice
+from experiments.report import recordings, write
+from experiments.report.content import report_content
+from experiments.report.page import report_html
+from experiments.report.paths_file import add_paths, paths_of, read_paths
+from experiments.report.plots.calibration import draw_calibration
+from experiments.report.plots.draw import Plot
+from experiments.report.plots.paths import draw_paths
+from experiments.report.wording import percent
+from experiments.report.write import write_files, write_report
+from experiments.runs.execution import execute
+from experiments.statistics.analysis import AnalysisSettings
+from scenarios.errors import InputError
+
+PLOT = Plot("dependence", "A plot.", b"<svg xmlns='http://www.w3.org/2000/svg'/>", b"png", 10, 10)
+QUICK = AnalysisSettings(draws=200, replicates=59)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> SimpleNamespace:
+    """A report of three cells, n = 1 and 2, with its files."""
+    folder = tmp_path_factory.mktemp("a report's folder")
+    spec = FakeSpec(doses=1)
+    table = fake_table(spec, seed=0, hardness=1.5)
+    report = report_content(spec, table, folder, QUICK)
+    write_files(report, folder)
+    read = json.loads((folder / "report.json").read_text())
+    html = (folder / "report.html").read_text()
+    return SimpleNamespace(folder=folder, spec=spec, table=table, report=read, html=html, page=Page(html))
+
+
+def completed_of(made, cell: str) -> pd.DataFrame:
+    table = made.table
+    return table[(table["cell"] == cell) & (table["outcome"] == "completed")]
+
+
+def test_figures_are_those_of_the_table(made):
+    assert {cell["cell"] for cell in made.report["analysis"]["cells"]} == set(made.spec.cell_names())
+    for cell in made.report["analysis"]["cells"]:
+        units = completed_of(made, cell["cell"])
+        assert cell["completed"] == len(units)
+        assert cell["p0"]["events"] == units["breakage"].sum()
+        assert cell["p0"]["estimate"] == units["breakage"].mean()
+        for thread in cell["threads"]:
+            assert thread["pr"]["events"] == units[f"cross_r{thread['thread']}_failed"].sum()
+        for level in cell["levels"]:
+            assert level["measured"]["events"] == units[f"d{level['n']}"].sum()
+            predicted = units["breakage"].mean()
+            for j in range(1, level["n"] + 1):
+                predicted *= units[f"cross_r{j}_failed"].mean()
+            assert level["predicted"]["value"] == pytest.approx(predicted, rel=0.5, abs=0.02)
+
+
+def test_units_are_all_accounted_for(made):
+    units = made.report["units"]
+    assert units["planned"] == units["recorded"] == len(made.table) == 120
+    assert units["completed"] + units["void"] + units["errors"] == 120
+    aside = made.report["set_aside"]
+    assert len(aside["void"]) == units["void"] == (made.table["outcome"] == "void").sum() > 0
+    assert len(aside["errors"]) == units["errors"] > 0
+    assert sum(aside["void_reasons"].values()) == units["void"]
+
+
+def test_every_recovery_of_table_3_is_a_success_or_a_failure(made):
+    rows = made.report["tables"]["table_3"]
+    assert [row["family"] for row in rows] == ["low_texture", "motion_blur", "fast_rotation", "all"]
+    for row in rows:
+        assert row["needs_recovery"] == row["failure"] + row["success"]
+        assert row["success"] == sum(row["with_thread"])
+    done = made.table[made.table["outcome"] == "completed"]
+    assert rows[-1]["failure"] == done["dual_failure"].fillna(False).sum()
+    assert rows[-1]["trials"] == len(done)
+    second = made.report["tables"]["table_2"][-1]
+    assert second["reduction_of_breakage"] == 1 - rows[-1]["failure"] / rows[-1]["needs_recovery"]
+
+
+def test_time_of_recovery_counts_only_threads_that_the_system_would_run(made):
+    done = made.table[(made.table["outcome"] == "completed") & made.table["reinit"].fillna(False)]
+    first = done["free_r1_cpu_ms"]
+    second = done["free_r2_cpu_ms"].where(~done["free_r1_declared"], 0)
+    mean_s = float((first + second).mean()) / 1e3
+    assert made.report["tables"]["table_3"][-1]["mean_recovery_cpu_s"] == pytest.approx(mean_s)
+
+
+def test_every_failed_unit_is_listed_with_its_command(made):
+    done = made.table[made.table["outcome"] == "completed"]
+    false = [f"{arm}_r{j}_false" for arm in ("free", "cross") for j in (1, 2)]
+    failed = done[["d1", "silent_failure", *false]].fillna(False).any(axis=1)
+    listed = {unit["unit_id"]: unit for unit in made.report["failures"]}
+    assert list(listed) == list(done[failed]["unit_id"])
+    for unit_id, unit in listed.items():
+        # The folder's name holds blanks and an apostrophe.
+        assert unit["command"].startswith("dslab experiment replay '/")
+        assert unit["command"].endswith(f" {unit_id} --rerun {unit_id}.rrd")
+        assert unit_id in made.html
+    words = " ".join(w for unit in listed.values() for w in unit["what"])
+    assert "dual failure (n = 1, 2)" in words and "silent failure" in words and "false recovery" in words
+
+
+def test_the_page_says_first_that_the_verdict_is_withdrawn(made):
+    text = made.page.text
+    verdict = made.report["verdict"]
+    assert text.index(verdict["headline"]) < text.index("Predicted and measured", text.index("Skip to") + 400)
+    for level in verdict["levels"]:
+        assert sum(level["counts"].values()) == 3
+        assert level["told"] in text
+    for mark in made.report["calibration"]:
+        assert f'<span class="verdict {mark["verdict"]}">' in made.html
+        share = mark["measured"]
+        assert f"{percent(share['estimate'])} {share['events']} of {share['units']}" in text
+
+
+def test_the_page_stands_alone(made):
+    assert not re.search(r"https?:|<script|@import|url\(", made.html)
+    ids = [attrs["id"] for _, attrs in made.page.elements if "id" in attrs]
+    assert len(ids) == len(set(ids))
+    for tag, attrs in made.page.elements:
+        for name in ("href", "src"):
+            target = attrs.get(name)
+            if target is None or target.startswith("data:"):
+                continue
+            if target.startswith("#"):
+                assert target[1:] in ids
+            else:
+                assert (made.folder / target).is_file(), f"<{tag}> leads to {target}"
+        if "aria-labelledby" in attrs:
+            assert attrs["aria-labelledby"] in ids
+
+
+def test_the_page_is_made_for_all(made):
+    tags = [tag for tag, _ in made.page.elements]
+    assert tags.count("h1") == 1 and tags.count("main") == 1
+    levels = [int(tag[1]) for tag in tags if re.fullmatch(r"h[1-6]", tag)]
+    assert all(after <= before + 1 for before, after in pairwise(levels))
+    assert tags.count("caption") == tags.count("table") > 10
+    assert all(attrs.get("alt") for tag, attrs in made.page.elements if tag == "img")
+    assert all("scope" in attrs for tag, attrs in made.page.elements if tag == "th")
+    assert ("html", {"lang": "en"}) in made.page.elements
+
+
+def test_the_plots_are_there_as_png_and_svg(made):
+    wanted = {"calibration", "dependence", "dose_response", "heterogeneity", "timeline", "end_errors"}
+    files = {path.name for path in (made.folder / "plots").iterdir()}
+    assert files == {f"{name}.{form}" for name in wanted for form in ("png", "svg")}
+    assert sum(tag == "img" for tag, _ in made.page.elements) == len(wanted)
+    assert sorted(path.name for path in made.folder.iterdir()) == ["plots", "report.html", "report.json"]
+
+
+def test_the_same_records_give_the_same_report(made, tmp_path):
+    write_files(made.report, tmp_path)
+    assert (tmp_path / "report.html").read_text() == made.html
+    assert (tmp_path / "report.json").read_text() == (made.folder / "report.json").read_text()
+    for plot in (tmp_path / "plots").iterdir():
+        assert plot.read_bytes() == (made.folder / "plots" / plot.name).read_bytes()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("units", [0, 7])
+def test_an_unfinished_experiment_has_a_report(tmp_path, units):
+    spec = FakeSpec(doses=1)
+    report = report_content(spec, fake_table(spec, units=units), tmp_path, QUICK)
+    text = Page(write_files(report, tmp_path).read_text()).text
+    assert f"{120 - 3 * units} of 120 planned units missing" in text
+    if units == 0:
+        assert report["verdict"]["tests_headline"] == "Nothing can be said yet: no unit is completed."
+        assert report["failures"] == []
+
+
+def test_one_thread_and_two_systems_and_no_crossing_arm(tmp_path):
+    spec = FakeSpec(doses=1, units=12, threads=(ThreadChoice(kind="orb"),), systems=("dual", "dual+"))
+    table = fake_table(spec)
+    for name in [name for name in table.columns if name.startswith("cross_")]:
+        table[name] = pd.Series(pd.NA, index=table.index, dtype=table[name].dtype)
+    report = report_content(spec, table, tmp_path, QUICK)
+    assert "dual+" in report_html(report, {})
+    systems = [(row["system"], row["family"]) for row in report["tables"]["table_2"]]
+    assert len(systems) == 8 and ("dual+", "all") in systems
+    assert draw_calibration(report) is None
+
+
+def test_records_of_several_states_of_the_code_are_warned_of(tmp_path):
+    spec = FakeSpec(doses=1, units=4)
+    table = pd.concat([fake_table(spec, units=2), fake_table(spec, units=2, code="0ld")], ignore_index=True)
+    report = report_content(spec, table, tmp_path, QUICK)
+    assert any("2 states of the sources" in warning for warning in report["warnings"])
+    assert report["sources"]["code"] == {"0ld": 6, "c0de": 6}
+
+
+def test_text_of_others_is_escaped(tmp_path):
+    spec = FakeSpec(doses=1, units=6, name="<i>x</i>")
+    table = fake_table(spec)
+    table["breakage_reason"] = table["breakage_reason"].mask(
+        table["breakage"].fillna(False), "<b>few</b> & less"
+    )
+    html = report_html(report_content(spec, table, tmp_path, QUICK), {})
+    assert "<i>" not in html and "<b>few" not in html
+    assert "&lt;b&gt;few&lt;/b&gt; &amp; less" in html
+
+
+@pytest.fixture
+def folder(made, tmp_path, monkeypatch) -> Path:
+    """A folder that `read_experiment` knows, with the figures of the made report and one plot."""
+    reader = SimpleNamespace(read_experiment=lambda where: (made.spec, made.table))
+    monkeypatch.setitem(sys.modules, "experiments.campaign.folder", reader)
+    monkeypatch.setattr(
+        write, "report_content", lambda spec, table, where: json.loads(json.dumps(made.report))
+    )
+    monkeypatch.setattr(write, "draw_plots", lambda report, where: {"dependence": PLOT})
+    return tmp_path
+
+
+def test_recordings_are_made_once_and_linked(made, folder, monkeypatch):
+    recorded = []
+
+    def record_runs(unit, sequence, path):
+        recorded.append((unit.cell, unit.index, sequence))
+        path.write_bytes(b"rrd")
+        return "runs"
+
+    monkeypatch.setattr("experiments.eq1.trial.record_runs", record_runs, raising=False)
+    monkeypatch.setattr("sim.sequence_rendering.render_sequence", lambda scenario: scenario.frame_count)
+    monkeypatch.setattr(recordings, "paths_of", lambda runs: {"truth": np.zeros((4, 3))})
+    told = []
+    page = write_report(folder, recordings=3, progress=lambda done, total: told.append((done, total)))
+    first = made.report["failures"][:3]
+    assert recorded == [(unit["cell"], unit["index"], made.spec.frames) for unit in first]
+    assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    places = [f"recordings/{unit['unit_id']}.rrd" for unit in first]
+    links = [attrs.get("href") for tag, attrs in Page(page.read_text()).elements if tag == "a"]
+    assert [link for link in links if link.startswith("recordings/")] == places
+    assert {f"recordings/{path.name}" for path in (folder / "recordings").iterdir()} == set(places)
+    assert list(read_paths(folder)) == [unit["unit_id"] for unit in first]
+    write_report(folder, recordings=2)
+    assert len(recorded) == 3
+
+
+def test_a_report_replaces_the_earlier_one_wholly(folder):
+    (folder / "plots").mkdir()
+    (folder / "plots" / "old.png").write_bytes(b"")
+    assert write_report(folder) == folder / "report.html"
+    assert not (folder / "plots" / "old.png").exists()
+    assert sorted(path.name for path in folder.iterdir()) == ["plots", "report.html", "report.json"]
+
+
+def test_a_full_disk_leaves_the_earlier_report(folder, monkeypatch):
+    (folder / "report.html").write_text("earlier")
+
+    def replace(source, target):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(write.os, "replace", replace)
+    with pytest.raises(InputError, match="the disk is full"):
+        write_report(folder)
+    assert (folder / "report.html").read_text() == "earlier"
+    assert not [path.name for path in folder.iterdir() if ".partial" in path.name]
+
+
+def test_paths_are_kept_and_shown(made, tmp_path):
+    along = np.linspace(0, 20, 50)
+    truth = np.column_stack([along, np.sin(along), np.ones(50)])
+    add_paths(tmp_path, "b", {"truth": truth, "base": truth[:20]})
+    add_paths(tmp_path, "a", {"truth": truth})
+    add_paths(tmp_path, "b", {"truth": truth, "base": truth[:30]})
+    paths = read_paths(tmp_path)
+    assert {unit: {k: len(path) for k, path in own.items()} for unit, own in paths.items()} == {
+        "b": {"truth": 50, "base": 30},
+        "a": {"truth": 50},
+    }
+    figure = draw_paths(paths, {"b": "cell 0"})
+    assert figure is not None and figure.axes[0].get_title() == "cell 0"
+    # From above: the two axes in which the path extends.
+    assert np.array_equal(figure.axes[0].lines[0].get_xydata(), truth[:, :2])
+    assert "paths from above" in report_html(made.report, {"paths": PLOT})
+    assert read_paths(tmp_path / "elsewhere") == {}
+
+
+def test_the_path_of_a_broken_run_ends_where_it_broke():
+    sequence = make_sequence()
+    build = fake_factory(sequence, breaks_at=220)
+    paths = paths_of([execute(sequence, kind, 0, build=build) for kind in ("base", "dual")])
+    truth = sequence.T_world_cam[:, :3, 3]
+    assert np.array_equal(paths["truth"], truth.astype(np.float32))
+    known = {which: np.isfinite(paths[which]).all(axis=1) for which in ("base", "dual")}
+    assert known["base"][219] and not known["base"][220:].any() and known["dual"][260:].all()
+    for which, where in known.items():
+        np.testing.assert_allclose(paths[which][where], truth[where], atol=1e-5)
+
+
+def test_a_unit_run_again_gives_its_runs_back():
+    trial = pytest.importorskip("experiments.eq1.trial")
+    if not hasattr(trial, "record_runs"):
+        pytest.skip("no trial of units yet")
+    assert get_type_hints(trial.record_runs)["return"] not in (None, type(None))
+
+
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium")
+def test_a_browser_shows_every_plot_without_complaint(made, tmp_path):
+    watch = """<script>
+        let missing = 0;
+        addEventListener('error', () => { missing += 1; }, true);
+        addEventListener('load', () => {
+            for (const part of document.querySelectorAll('details')) part.open = true;
+            const shown = [...document.images].filter(image =>
+                image.naturalWidth > 0 && image.getBoundingClientRect().height > 100).length;
+            const wide = document.documentElement.scrollWidth - document.documentElement.clientWidth;
+            document.title = `${shown} shown, ${missing} missing, ${wide} beyond the edge`;
+        });
+    </script>"""
+    copy = tmp_path / "watched.html"
+    copy.write_text(made.html.replace("<head>", "<head>" + watch))
+    plots = sum(tag == "img" for tag, _ in made.page.elements)
+    for width in (400, 1400):
+        done = subprocess.run(
+            [
+                "chromium", "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
+                "--disable-background-networking", f"--user-data-dir={tmp_path / 'profile'}",
+                "--enable-logging=stderr", f"--window-size={width},900", "--virtual-time-budget=5000",
+                "--dump-dom", copy.as_uri(),
+            ],
+            capture_output=True, text=True, timeout=60, check=True,
+        )  # fmt: skip
+        assert "CONSOLE" not in done.stderr
+        assert f"<title>{plots} shown, 0 missing, 0 beyond the edge</title>" in done.stdout

@@ -1,0 +1,152 @@
+"""The SLAM itself run threaded, and its map written for other tools."""
+
+import json
+from dataclasses import asdict, replace
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+from slam_fakes import fake_factory, make_sequence
+
+from experiments.result_folder import run_sequence
+from experiments.runs import execution, sources
+from experiments.runs.execution import system_factory
+from experiments.runs.map_files import write_maps
+from experiments.runs.pacing import RealTime
+from experiments.runs.sources import open_sequence
+from sim.io.forms import Form, write_sequence
+from sim.sensors.camera import Intrinsics
+from sim.sequence import Sequence
+from slam.warmup import CAMERA, toy_frames
+
+
+@pytest.fixture(scope="module")
+def sequence():
+    images, stamps_s, poses = zip(*toy_frames(70, step_m=0.05), strict=True)
+    return Sequence(
+        name="toy",
+        camera=Intrinsics(**asdict(CAMERA)),
+        stamps_s=np.array(stamps_s),
+        frames=images,
+        T_world_cam=np.array(poses),
+        depths=None,
+        segments=(),
+        meta={},
+        image_names=tuple(f"shots/{i:03d}.png" for i in range(70)),
+    )
+
+
+@pytest.fixture(scope="module")
+def summary(sequence, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run") / "r"
+    return run_sequence(sequence, "base", 0, folder, maps=True), folder
+
+
+def test_the_mode_is_recorded(summary):
+    assert summary[0]["config"]["mode"] == "lockstep"
+
+
+@pytest.mark.parametrize("paced", [False, True])
+def test_a_threaded_run_tracks_and_says_so(sequence, summary, tmp_path, paced):
+    pace = RealTime(sequence) if paced else None
+    threaded = run_sequence(sequence, "base", 0, tmp_path / "r", build=system_factory("threaded"), pace=pace)
+    assert threaded["config"]["mode"] == "threaded"
+    assert threaded["frames"] + threaded["dropped_frames"] == len(sequence)
+    assert paced or threaded["dropped_frames"] == 0
+    # How many frames are in time depends on the machine, what becomes of the map does not.
+    if not paced:
+        assert threaded["tracked"] >= 0.9 * summary[0]["tracked"]
+        assert threaded["ate_share_of_path"] < 0.02
+
+
+def test_the_map_reads_back_with_its_images(sequence, summary):
+    figures, folder = summary
+    model = pycolmap.Reconstruction(folder / "map")
+    assert model.num_reg_images() == figures["keyframes"]
+    assert model.num_points3D() == figures["map_points"]
+    assert {image.name for image in model.images.values()} <= set(sequence.image_names)
+    # The points have the grey of the images: the boards are textured.
+    assert np.std([point.color[0] for point in model.points3D.values()]) > 10
+    assert (folder / "map" / "points.ply").read_bytes().startswith(b"ply")
+
+
+class _Two:
+    """The same map under two numbers."""
+
+    def __init__(self, map_):
+        self._map = map_
+
+    def maps(self):
+        return [0, 3]
+
+    def map(self, map_id):
+        return self._map
+
+
+def test_several_maps_have_a_folder_each(sequence, tmp_path):
+    system = system_factory()("base", CAMERA, 0)
+    for image, stamp_s in zip(sequence.frames, sequence.stamps_s, strict=True):
+        system.process(image, float(stamp_s))
+    write_maps(tmp_path / "map", _Two(system.map(0)), replace(sequence, image_names=()))
+    assert {p.name for p in (tmp_path / "map").iterdir()} == {"0", "3"}
+    model = pycolmap.Reconstruction(tmp_path / "map" / "3")
+    assert all(image.name == f"{int(image.name[:6]):06d}.png" for image in model.images.values())
+
+
+def test_nothing_is_recorded_in_real_time(sequence, tmp_path):
+    with pytest.raises(ValueError, match="recording"):
+        run_sequence(sequence, "base", 0, tmp_path / "r", recording=True, pace=RealTime(sequence))
+
+
+@pytest.mark.parametrize(
+    ("form", "first"),
+    [(Form.TUM, "rgb/000000.png"), (Form.KITTI, "image_0/000000.png"), (Form.EUROC, "mav0/cam0/data/")],
+)
+def test_images_are_named_as_in_the_folder(tmp_path, form, first):
+    write_sequence(make_sequence(5, segment=None), tmp_path / "s", form)
+    loaded = open_sequence(str(tmp_path / "s"))
+    assert loaded.image_names[0].startswith(first)
+    for name, frame in zip(loaded.image_names, loaded.frames, strict=True):
+        np.testing.assert_array_equal(cv2.imread(str(tmp_path / "s" / name), cv2.IMREAD_GRAYSCALE), frame)
+
+
+@pytest.fixture
+def dslab(dslab, monkeypatch):
+    """Runs the command on a few frames of the made-up sequence, through the fake."""
+    few = make_sequence(12, segment=None)
+    monkeypatch.setattr("slam.warmup.warm_up", lambda progress: None)
+    monkeypatch.setattr(sources, "open_sequence", lambda source, seed, show, **options: few)
+    monkeypatch.setattr(execution, "system_factory", lambda mode="lockstep", dual=None: fake_factory(few))
+    return dslab
+
+
+def test_bench_in_real_time_counts_what_was_dropped(dslab):
+    code, out, _ = dslab("bench", "x", "--mode", "threaded", "--real-time", "--runs", "2", "--json")
+    figures = json.loads(out.splitlines()[-1])
+    assert code == 0 and figures["mode"] == "threaded"
+    assert len(figures["dropped_frames"]) == 2
+    assert figures["frames"] == 12
+
+
+def test_run_in_real_time_is_warm_and_counts_what_was_dropped(dslab, tmp_path, monkeypatch):
+    warmed = []
+    monkeypatch.setattr("slam.warmup.warm_up", warmed.append)
+    code, out, _ = dslab("run", "x", "--out", tmp_path / "r", "--mode", "threaded", "--real-time", "--json")
+    summary = json.loads(out.splitlines()[-1])
+    assert code == 0 and summary["frames"] + summary["dropped_frames"] == 12
+    assert len(warmed) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "starts"),
+    [
+        (["--real-time"], "error: --real-time: the mode is lockstep; add --mode threaded"),
+        (["--real-time", "--mode", "threaded", "--rerun"], "error: --rerun: a recording takes time"),
+    ],
+)
+def test_options_that_exclude_each_other_are_one_line_and_exit_2(dslab, tmp_path, arguments, starts):
+    code, out, err = dslab("run", "x", "--out", tmp_path / "r", *arguments)
+    assert (code, out) == (2, "")
+    assert err.startswith(starts) and err.count("\n") == 1
+    assert not (tmp_path / "r").exists()

@@ -1,0 +1,47 @@
+"""Kinds of world told apart, and shares whose sample are the worlds."""
+
+from itertools import permutations
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from experiments.statistics.distinct_rows import product_over_distinct_rows
+from experiments.statistics.kinds_of_world import kinds_of_world, share_by_world
+
+RECORDS = Path(__file__).resolve().parents[3] / "docs" / "eq1-quick" / "units.parquet"
+
+
+@pytest.mark.parametrize("columns", [1, 2, 3, 4])
+def test_the_product_over_distinct_rows_is_the_mean_over_all_choices(columns):
+    x = np.random.default_rng(columns).integers(0, 2, (6, columns))
+    choices = [np.prod([x[row, c] for c, row in enumerate(rows)]) for rows in permutations(range(6), columns)]
+    assert product_over_distinct_rows(x) == pytest.approx(np.mean(choices))
+
+
+def test_too_few_rows_have_no_product():
+    assert product_over_distinct_rows(np.ones((1, 2))) is None
+
+
+def test_the_first_run_is_explained_by_its_kinds_of_world():
+    found = kinds_of_world(pd.read_parquet(RECORDS), 2)
+    assert len(found.mixed) == 9 and found.worlds == 15 and found.units == 522
+    assert [level.predicted_by_kind for level in found.levels] == pytest.approx([0.241, 0.190], abs=0.001)
+    assert [level.predicted_by_cell for level in found.levels] == pytest.approx([0.170, 0.085], abs=0.001)
+    rows = [row for row in found.rows if row.world == "room" and not row.cell.startswith("fast")]
+    assert (sum(row.breakages for row in rows), sum(row.units for row in rows)) == (1, 120)
+
+
+def test_an_interval_over_worlds_covers_where_one_over_units_does_not():
+    rng = np.random.default_rng(1)
+    covered, runs = 0, 300
+    for _ in range(runs):
+        hard = np.repeat(rng.beta(1, 1, 30), 20)
+        share = share_by_world(rng.random(600) < hard, pd.Series(np.repeat(np.arange(30), 20)))
+        covered += share.low <= 0.5 <= share.high
+    assert covered / runs > 0.91
+
+
+def test_of_nothing_there_is_no_share():
+    assert share_by_world(np.zeros(0, bool), pd.Series([], dtype=int)) is None

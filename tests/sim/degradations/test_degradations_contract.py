@@ -1,0 +1,136 @@
+"""What every kind of degradation promises, proved on rendered worlds."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from degradation_worlds import (
+    DURATION_S,
+    SEVERITIES,
+    START_S,
+    WORLDS,
+    digest,
+    mean_inliers,
+    segment,
+    small_scenario,
+    small_studio,
+)
+from scipy.stats import spearmanr
+
+from sim.degradations.registry import DEGRADATIONS, IMAGE_KINDS
+from sim.degradations.tone import map_light
+from sim.frame_plan import camera_intrinsics, plan_shoot
+from sim.rendering.lens_renderer import lens_renderer
+from sim.sequence_rendering import render_sequence
+
+SEED = 4
+# Kinds in which something is drawn.
+RANDOM = {"low_light", "moving_objects", "lens_dirt", "rain", "frame_drops", "time_jitter"}
+
+
+@pytest.fixture(scope="module")
+def render(tmp_path_factory):
+    studio, cache = small_studio(), tmp_path_factory.mktemp("cache")
+
+    def render(world, *segments, seed=SEED, cache_dir=None, **more):
+        scenario = small_scenario(world, *segments, **more)
+        return render_sequence(scenario, seed, cache_dir=cache_dir or cache, depth=True, studio=studio)
+
+    return render
+
+
+def test_every_kind_has_severities_to_be_tested_with():
+    assert set(SEVERITIES) == set(DEGRADATIONS)
+
+
+@pytest.mark.parametrize("kind", DEGRADATIONS)
+@pytest.mark.parametrize("world", WORLDS)
+def test_no_severity_is_no_change_and_matches_get_fewer_with_severity(render, world, kind):
+    sequences = [render(world, segment(kind, **severity)) for severity in SEVERITIES[kind]]
+    clean = render(world)
+    assert digest(sequences[0]) == digest(clean)
+    assert sequences[0].segments[0].first_frame == -1
+    # Two frames that are bent alike match each other: a rolling shutter shows against straight ones.
+    known = clean if kind == "rolling_shutter" else None
+    inliers = np.array([mean_inliers(sequence, known) for sequence in sequences])
+    assert spearmanr(range(5), inliers).statistic <= -0.8, inliers
+    assert inliers[-1] < 0.7 * inliers[0], inliers
+
+
+@pytest.mark.parametrize("kind", DEGRADATIONS)
+def test_the_same_seed_gives_the_same_bytes_and_another_other_ones(render, kind, tmp_path):
+    worst = segment(kind, **SEVERITIES[kind][3])
+    first = render("corridor", worst)
+    assert digest(render("corridor", worst, cache_dir=tmp_path)) == digest(first)
+    if kind in RANDOM:
+        # In one and the same clean sequence, the segment moved by a hair draws other numbers.
+        moved = render("corridor", {**worst, "start_s": START_S - 1e-3})
+        assert digest(moved) != digest(first)
+
+
+@pytest.mark.parametrize("kind", DEGRADATIONS)
+def test_the_truth_says_which_frames_it_acts_on(render, kind):
+    clean = render("corridor", camera={**small_scenario("corridor").camera.model_dump(), "noise_sigma": 0})
+    sequence = render(
+        "corridor",
+        segment(kind, **SEVERITIES[kind][4]),
+        camera={**small_scenario("corridor").camera.model_dump(), "noise_sigma": 0},
+    )
+    truth = sequence.segments[0]
+    assert truth.kind == kind
+    assert 0 <= truth.first_frame <= truth.last_frame < len(sequence)
+    measure = sequence.frame_truth[truth.measure]
+    assert measure.shape == (len(sequence),)
+    assert measure[truth.first_frame] >= truth.threshold
+    if kind in IMAGE_KINDS:
+        inside = (sequence.stamps_s >= START_S - 1e-9) & (sequence.stamps_s < START_S + DURATION_S - 1e-9)
+        changed = [not np.array_equal(a, b) for a, b in zip(sequence.frames, clean.frames, strict=True)]
+        np.testing.assert_array_equal(changed, inside)
+        np.testing.assert_array_equal(measure > 0, inside)
+
+
+@pytest.mark.parametrize("kind", IMAGE_KINDS)
+def test_a_ramp_rises_and_falls_and_a_segment_may_follow_at_once(render, kind):
+    severity = SEVERITIES[kind][4]
+    ramped = {"kind": kind, "start_s": 0.2, "duration_s": 0.4, "ramp_s": 0.2, **severity}
+    sequence = render("room", ramped, {"kind": kind, "start_s": 0.6, "duration_s": 0.2, **severity})
+    measure = sequence.frame_truth[sequence.segments[0].measure]
+    assert measure[4] == 0 and (measure[[5, 11]] < measure[8]).all()
+    assert measure[8] == pytest.approx(measure[12], rel=0.5)
+    first, second = sequence.segments
+    assert 4 < first.first_frame <= 8 <= first.last_frame < 12
+    assert (second.first_frame, second.last_frame) == (12, 15)
+
+
+def test_a_distorting_lens_bends_the_frame_after_the_light_s_way_to_it(render):
+    lens = {"model": "radtan", "k1": -0.2, "k2": 0.03}
+    camera = {
+        **small_scenario("room").camera.model_dump(),
+        "noise_sigma": 0,
+        "exposure_s": 0,
+        "distortion": lens,
+    }
+    sequence = render("room", segment("over_exposure", stops=1), camera=camera)
+    scenario, studio = small_scenario("room", camera=camera), small_studio()
+    shoot, world = plan_shoot(scenario, SEED, studio, lambda step, done, total: None)
+    renderer = lens_renderer(partial(studio.renderer, world), camera_intrinsics(scenario.camera))
+    for frame, stops in ((2, 0), (6, 1)):
+        gray, depth_m = renderer.render(shoot.motion.T_world_cam(shoot.stamps_s[frame]))
+        np.testing.assert_array_equal(sequence.depths[frame], depth_m)
+        expected = map_light(gray, partial(np.multiply, 2.0**stops))
+        np.testing.assert_array_equal(sequence.frames[frame], expected)
+    assert sequence.frames[2].shape == (180, 240)
+
+
+def test_a_second_severity_renders_nothing_again(render, tmp_path):
+    steps: list[str] = []
+    for transmission in (0.5, 0.1):
+        steps.clear()
+        render_sequence(
+            small_scenario("room", segment("covered_lens", transmission=transmission)),
+            SEED,
+            cache_dir=tmp_path,
+            studio=small_studio(),
+            progress=lambda step, done, total: steps.append(step),
+        )
+    assert set(steps) == {"filming"}

@@ -1,0 +1,182 @@
+"""Segments over one another: whichever order they are declared in, and what the truth says of each."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from degradation_worlds import SEVERITIES, digest, small_scenario, small_studio
+from io_sequences import Stack, make_sequence
+
+from scenarios.segment_text import SEGMENT_MODELS
+from sim.degradations.base import Shoot, Stage
+from sim.degradations.chain import ImageChain
+from sim.degradations.recorded_sequences import degrade_sequence
+from sim.degradations.registry import DEGRADATIONS, IMAGE_KINDS, SHOOT_KINDS, in_order_of_action
+from sim.io.forms import Form, load_sequence, write_sequence
+from sim.motion.spline import PoseSpline
+from sim.sensors.camera import Intrinsics
+from sim.sequence_rendering import render_sequence
+
+CAMERA = Intrinsics(160, 120, 120.0, 120.0, 79.5, 59.5, 30.0)
+STAGES = tuple(Stage)
+
+
+def declared(kind: str, start_s: float, duration_s: float, level: int = 2) -> dict:
+    return {"kind": kind, "start_s": start_s, "duration_s": duration_s, **SEVERITIES[kind][level]}
+
+
+MIXED = [
+    declared("fast_rotation", 0.45, 0.3),
+    declared("pure_rotation", 0.1, 0.3, 1),
+    declared("low_texture", 0.2, 0.5),
+    declared("motion_blur", 0.3, 0.3),
+    declared("time_jitter", 0.2, 0.4),
+    declared("frame_drops", 0.2, 0.4, 1),
+    declared("fog", 0.2, 0.3),
+    declared("rain", 0.2, 0.4),
+    declared("moving_objects", 0.25, 0.4, 1),
+    declared("low_light", 0.3, 0.3),
+    declared("over_exposure", 0.35, 0.2, 1),
+    declared("jpeg", 0.2, 0.3),
+    declared("jpeg", 0.5, 0.2, 3),
+]
+
+
+@pytest.fixture(scope="module")
+def render(tmp_path_factory):
+    studio = small_studio()
+
+    def render(segments, name: str):
+        cache = tmp_path_factory.mktemp(name)
+        return render_sequence(small_scenario("corridor", *segments), 3, cache_dir=cache, studio=studio)
+
+    return render
+
+
+def test_the_order_of_declaration_changes_nothing(render):
+    first = render(MIXED, "first")
+    other = render(MIXED[::-1], "other")
+    assert digest(other) == digest(first)
+    assert other.segments == first.segments
+    assert list(other.frame_truth) == list(first.frame_truth)
+    for name, values in first.frame_truth.items():
+        np.testing.assert_array_equal(other.frame_truth[name], values)
+    assert [s.start_s for s in first.segments] == sorted(s["start_s"] for s in MIXED)
+
+
+def test_segments_that_begin_together_have_a_truth_each_which_is_that_of_each_alone(render):
+    kinds = ("fog", "low_light", "jpeg", "fast_rotation")
+    together = [declared(kind, 0.2, 0.2 + 0.1 * i) for i, kind in enumerate(kinds)]
+    composed = render(together, "composed")
+    by_kind = {truth.kind: truth for truth in composed.segments}
+    assert set(by_kind) == set(kinds)
+    for segment in together:
+        alone = render([segment], "alone")
+        assert by_kind[segment["kind"]] == alone.segments[0]
+        mask = by_kind[segment["kind"]].mask(len(composed))
+        if segment["kind"] in IMAGE_KINDS:
+            inside = np.abs(composed.stamps_s - 0.2 - segment["duration_s"] / 2 + 1e-6)
+            np.testing.assert_array_equal(mask, inside < segment["duration_s"] / 2)
+    # The swing stands still where it turns.
+    swing = by_kind["fast_rotation"]
+    assert len(swing.runs) == 2 and swing.mask(16).sum() < swing.last_frame - swing.first_frame + 1
+
+
+@pytest.mark.parametrize("form", [Form.TUM, Form.KITTI, Form.EUROC])
+def test_segments_over_one_another_pass_through_the_files(render, tmp_path, form):
+    composed = render([declared("fog", 0.2, 0.4), declared("jpeg", 0.2, 0.3)], "files")
+    write_sequence(composed, tmp_path / "out", form)
+    read = load_sequence(tmp_path / "out")
+    assert read.segments == composed.segments
+    for a, b in zip(read.segments, composed.segments, strict=True):
+        np.testing.assert_array_equal(a.mask(16), b.mask(16))
+
+
+def chain_input() -> tuple[Stack, np.ndarray, np.ndarray, PoseSpline]:
+    rng = np.random.default_rng(5)
+    images = Stack(rng.integers(0, 256, (12, 120, 160), dtype=np.uint8))
+    knots = np.arange(-1, 3, 0.1)
+    walk = PoseSpline(knots, np.outer(knots, [0.5, 0.1, 0]), np.outer(knots, [0.1, 0, 0.2]))
+    return images, np.full((120, 160), 3.0, np.float32), np.arange(12) / 10, walk
+
+
+def test_the_whole_is_its_parts_one_after_the_other():
+    images, depth_m, stamps_s, walk = chain_input()
+    segments = [
+        SEGMENT_MODELS[kind](**declared(kind, 0.1 + 0.03 * i, 0.7), ramp_s=0.1)
+        for i, kind in enumerate(reversed(IMAGE_KINDS))
+    ]
+    frame = np.arange(12)
+    chain = ImageChain(segments, CAMERA, stamps_s, frame, 7)
+    parts = [ImageChain([s], CAMERA, stamps_s, frame, 7) for s in in_order_of_action(segments)]
+    stages = [DEGRADATIONS[s.kind].stage for s in in_order_of_action(segments)]
+    assert all(a <= b for a, b in pairwise(stages))
+    for index, image in enumerate(images):
+        expected = image
+        for part in parts:
+            expected = part.apply(expected, index, STAGES, depth_m, walk)
+        np.testing.assert_array_equal(chain.apply(image, index, STAGES, depth_m, walk), expected)
+    whole = chain.truths()
+    for part in parts:
+        ((segment, (truth, measure)),) = part.truths().items()
+        assert whole[segment][0] == truth
+        np.testing.assert_array_equal(whole[segment][1], measure)
+
+
+def test_footage_degraded_twice_is_footage_degraded_at_once(tmp_path):
+    images, _, stamps_s, _ = chain_input()
+    sequence = replace(
+        make_sequence(),
+        camera=CAMERA,
+        stamps_s=stamps_s + 1e3,
+        frames=images,
+        T_world_cam=None,
+        depths=None,
+        segments=(),
+        frame_truth={},
+    )
+    drops = SEGMENT_MODELS["moving_objects"](**declared("moving_objects", 0.2, 0.6))
+    dark = SEGMENT_MODELS["low_light"](**declared("low_light", 0.2, 0.4))
+    folders = [tmp_path / name for name in ("once", "first", "second")]
+    for folder in folders:
+        folder.mkdir()
+    once = degrade_sequence(sequence, [dark, drops], 3, folders[0])
+    first = degrade_sequence(sequence, [drops], 3, folders[1])
+    second = degrade_sequence(first, [dark], 3, folders[2])
+    for a, b in zip(once.frames, second.frames, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert sorted(once.segments, key=lambda s: s.kind) == sorted(second.segments, key=lambda s: s.kind)
+    for name, values in once.frame_truth.items():
+        np.testing.assert_array_equal(second.frame_truth[name], values)
+
+
+def walk_past_walls(**more) -> Shoot:
+    """Ten surfaces, each of which fills the view for a second."""
+    stamps_s = np.arange(300) / 30
+    share = np.maximum(0, 1 - np.abs(stamps_s[:, None] - (np.arange(10) + 0.5)))
+    walk = chain_input()[3]
+    return Shoot(stamps_s, walk, np.full(300, 0.004), np.ones(10), share.astype(np.float32), **more)
+
+
+def test_a_swing_keeps_its_time_when_the_camera_stops_before_it():
+    stop = SEGMENT_MODELS["pure_rotation"](**declared("pure_rotation", 0.2, 0.5))
+    swing = SEGMENT_MODELS["fast_rotation"](**declared("fast_rotation", 1.0, 0.5))
+    shoot = walk_past_walls()
+    for segment in in_order_of_action([swing, stop]):
+        shoot = SHOOT_KINDS[segment.kind].apply(shoot, segment)
+    at_s = np.linspace(0.9, 1.6, 50)
+    without = SHOOT_KINDS["pure_rotation"].apply(walk_past_walls(), stop).motion.T_world_cam(at_s)
+    turned = np.abs(shoot.motion.T_world_cam(at_s) - without).max(axis=(1, 2)) > 1e-9
+    np.testing.assert_array_equal(turned, (at_s > 1.0) & (at_s < 1.5))
+
+
+def test_dropped_frames_do_not_move_the_walls_that_are_faded():
+    faded = SEGMENT_MODELS["low_texture"](kind="low_texture", start_s=4, duration_s=2, contrast=0.1)
+    drops = SEGMENT_MODELS["frame_drops"](kind="frame_drops", start_s=3, duration_s=4, share=0.9)
+    kind = SHOOT_KINDS["low_texture"]
+    shoot = kind.apply(walk_past_walls(), faded)
+    whole = kind.measure(shoot, faded, np.zeros(300))
+    fewer = SHOOT_KINDS["frame_drops"].apply(shoot, drops)
+    part = kind.measure(fewer, faded, np.zeros(len(fewer.frame)))
+    np.testing.assert_array_equal(part, whole[fewer.frame])

@@ -1,0 +1,253 @@
+"""A map grown forward takes over what its copy has grown backward."""
+
+import numpy as np
+import pytest
+from slam_scenes import CAMERA, FPS, PointWorld, pose_error, rigid, tracked_in, walk
+
+from slam.dual.fusion.merge_recovered import graft
+from slam.dual.recovery.interface import RecoveryConfig, RecoveryTask
+from slam.dual.recovery.orb import OrbRecovery
+from slam.map._map_kernels import add_observation
+from slam.map.invariants import check_map
+from slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
+from slam.optimization.sim3 import sim3_decompose, sim3_inverse, sim3_matrix
+
+OLD = range(0, 35, 5)  # frames that are the old map's keyframes
+FIRST, LAST = 45, 65  # frames of the new map when it is copied
+SCALE = 0.5
+MOVED = rigid((1.0, -2.0, 0.5), (10, -20, 15))
+# What the map's gauge does between the copy and the graft.
+DRIFT = (1.1, rigid(rotvec_deg=(3, 5, -2))[:3, :3], np.array([0.4, -0.3, 0.2]))
+
+
+@pytest.fixture(scope="module")
+def world():
+    return PointWorld(seed=31)
+
+
+@pytest.fixture(scope="module")
+def sightings(world):
+    rng = np.random.default_rng(32)
+    return [world.see(i, walk(i), rng, noise_px=0.4, bits=8) for i in range(86)]
+
+
+def in_new_map(T_cam_world):
+    """A pose of the world in the new map's frame and scale."""
+    T = T_cam_world @ np.linalg.inv(MOVED)
+    T[:3, 3] = SCALE * T_cam_world[:3, 3] - T[:3, :3] @ MOVED[:3, 3]
+    return T
+
+
+@pytest.fixture(scope="module")
+def begun(world, sightings):
+    """The new map as it is copied, and its points by those of the world."""
+    seen = [sightings[i] for i in range(FIRST, LAST + 1, 5)]
+    built, point_of = world.map_of(seen, np.random.default_rng(34), noise=0.005, map_id=1)
+    built.transform(SCALE, MOVED[:3, :3], MOVED[:3, 3])
+    return built, point_of
+
+
+@pytest.fixture(scope="module")
+def recovered(world, sightings, begun):
+    """What a recovery makes of the copy: grown backward to the old map."""
+    old, _ = world.map_of([sightings[i] for i in OLD], np.random.default_rng(33), noise=0.005)
+    built, point_of = begun
+    copy = built.copy()
+    first = tracked_in(copy, point_of, sightings[FIRST], 0, copy.T_cam_map(0))
+    step = copy.T_cam_map(0) @ np.linalg.inv(in_new_map(sightings[FIRST + 1].T_cam_world))
+    backward = tuple(sightings[i].frame.features for i in range(FIRST - 1, -1, -1))
+    result = OrbRecovery(RecoveryConfig()).run(
+        RecoveryTask(copy, first, backward, [old], step, np.random.default_rng(0), CAMERA, lambda i: None)
+    )
+    assert result.success and result.confirming and len(result.frames) > 10 * result.keyframes_made / FPS
+    return result
+
+
+@pytest.fixture(scope="module")
+def grown(sightings, begun):
+    """The same map, grown forward meanwhile, its gauge and scale no longer what they were."""
+    built, point_of = begun
+    forward = built.copy()
+    mapper = LocalMapper(forward, LocalMappingConfig())
+    for i in range(LAST + 5, 86, 5):
+        T = in_new_map(sightings[i].T_cam_world)
+        mapper.insert(tracked_in(forward, point_of, sightings[i], forward.n_keyframes - 1, T))
+    forward.transform(*DRIFT)
+    return forward
+
+
+@pytest.fixture
+def grafted(grown, recovered, begun):
+    """The map after the graft, where the copy went, and both as they were before."""
+    forward, copy = grown.copy(), recovered.map.copy()
+    rows = begun[0].n_keyframes, begun[0].n_points
+    done = graft(forward, recovered.map.copy(), *rows)
+    assert done is not None
+    return forward, done, grown, copy, rows
+
+
+S_DRIFT = sim3_matrix(*DRIFT)
+
+
+def test_the_map_is_sound_and_has_the_keyframes_of_both(grafted):
+    m, done, grown, copy, (keyframes, _) = grafted
+    check_map(m)
+    assert (done.keyframes, done.points) == (grown.n_keyframes, grown.n_points)
+    frames = sorted(m.frame_index(int(k)) for k in m.keyframes())
+    backward = [copy.frame_index(int(k)) for k in copy.keyframes() if k >= keyframes]
+    assert len(backward) >= 2
+    assert frames == sorted([*backward, *(grown.frame_index(int(k)) for k in grown.keyframes())])
+    assert [k for k in range(m.n_keyframes) if m.parent(k) < 0] == [0]
+
+
+def test_the_change_of_gauge_and_scale_meanwhile_is_followed(grafted, sightings):
+    m, done, _, _, _ = grafted
+    assert sim3_decompose(done.S_map_copy)[0] == pytest.approx(DRIFT[0], rel=0.01)
+    s, R, t = DRIFT
+    for k in m.keyframes():
+        T = in_new_map(sightings[m.frame_index(int(k))].T_cam_world)
+        T_now = T.copy()
+        T_now[:3, :3] = T[:3, :3] @ R.T
+        T_now[:3, 3] = s * T[:3, 3] - T_now[:3, :3] @ t
+        distance, angle = pose_error(m.T_cam_map(int(k)), T_now)
+        assert distance < 0.04 * s and angle < 0.4, m.frame_index(int(k))
+
+
+def test_no_point_that_both_had_is_lost(grafted):
+    m, done, grown, copy, (_, points) = grafted
+    both = ~grown.arrays.pt_bad[:points] & ~copy.arrays.pt_bad[:points]
+    assert both.sum() > 200
+    assert not m.arrays.pt_bad[:points][both].any()
+    assert m.arrays.pt_bad[done.points : done.points + points][both].all()
+    np.testing.assert_array_equal(m.arrays.pt_xyz[:points][both], grown.arrays.pt_xyz[:points][both])
+
+
+def test_the_observations_of_both_are_kept(grafted):
+    m, done, grown, copy, (keyframes, _) = grafted
+    kept = observed = 0
+    for k in range(grown.n_keyframes):
+        before = grown.observed_points(k) >= 0
+        assert (m.observed_points(k) >= 0)[before].all(), "what the map itself observed"
+    for k in range(copy.n_keyframes):
+        if k < keyframes and grown.arrays.kf_bad[k]:
+            continue
+        after = m.observed_points(k if k < keyframes else done.keyframes + k) >= 0
+        before = copy.observed_points(k) >= 0
+        kept += (after & before).sum()
+        observed += before.sum()
+    assert kept > 0.98 * observed
+    # New and old parts are connected through what the first keyframe sees, as they were in the copy.
+    for k in range(keyframes, copy.n_keyframes):
+        shared = m.arrays.covisibility[0, done.keyframes + k]
+        assert shared >= 0.9 * copy.arrays.covisibility[0, k]
+
+
+def test_the_alignment_moves_along(grafted, recovered, sightings):
+    """It takes the map as it is now to the old one, whose frame is the world's."""
+    m, done, _, _, _ = grafted
+    for alignment in (*recovered.confirming, recovered.alignment):
+        moved = done.moved(alignment, m)
+        assert moved.scale == pytest.approx(1 / (SCALE * DRIFT[0]), rel=0.01)
+        T_cam_map = m.T_cam_map(moved.new_keyframe)
+        seen_from = moved.S_old_new @ np.linalg.inv(T_cam_map)
+        frame = m.frame_index(moved.new_keyframe)
+        centre = np.linalg.inv(sightings[frame].T_cam_world)[:3, 3]
+        assert np.linalg.norm(seen_from[:3, 3] - centre) < 0.06
+        assert not m.arrays.pt_bad[moved.new_points].any()
+        assert moved.inliers > 0.95 * alignment.inliers
+        expected = alignment.S_old_new @ sim3_inverse(done.S_map_copy)
+        np.testing.assert_allclose(moved.S_old_new, expected, atol=1e-9)
+
+
+def test_frames_that_hang_on_a_keyframe_which_the_copy_has_culled_stay_in_place(grown, recovered, begun):
+    forward, copy = grown.copy(), recovered.map.copy()
+    for k in (1, 2):
+        copy.cull_keyframe(k)
+    backward = begun[0].n_keyframes + 1
+    copy.cull_keyframe(backward)
+    before = {k: copy.T_cam_map(k) for k in (1, 2, backward)}
+    done = graft(forward, copy, begun[0].n_keyframes, begun[0].n_points)
+    assert done is not None
+    check_map(forward)
+    for k, T in before.items():
+        S = T @ sim3_inverse(done.S_map_copy)
+        expected = S.copy()
+        expected[:3] *= sim3_decompose(done.S_map_copy)[0]
+        distance, angle = pose_error(forward.T_cam_map(done.keyframes + k), expected)
+        assert distance < 0.03 and angle < 0.3
+
+
+def test_points_that_each_has_found_in_the_same_keypoint_are_one(grown, recovered, begun):
+    forward, copy = grown.copy(), recovered.map.copy()
+    rows = begun[0].n_keyframes, begun[0].n_points
+    backward = rows[0]
+
+    def free(m, k):
+        return np.flatnonzero(m.observed_points(k) < 0)
+
+    row = int(np.intersect1d(free(forward, 0), free(copy, 0))[0])
+    own = forward.create_point(np.array([0.0, 0.0, 3.0]), forward.keypoints(0).start + row)
+    add_observation(forward.arrays, forward.keypoints(1).start + int(free(forward, 1)[0]), own)
+    theirs = copy.create_point(np.array([0.0, 0.0, 3.0]), copy.keypoints(0).start + row)
+    seen = int(free(copy, backward)[0])
+    add_observation(copy.arrays, copy.keypoints(backward).start + seen, theirs)
+    done = graft(forward, copy, *rows)
+    assert done is not None
+    check_map(forward)
+    assert forward.observed_points(0)[row] == own
+    assert forward.observed_points(done.keyframes + backward)[seen] == own
+    assert forward.arrays.pt_replaced[done.points + theirs] == own
+
+
+def test_keyframes_that_the_map_has_culled_do_not_come_back(grown, recovered, begun):
+    forward = grown.copy()
+    for k in (2, 3):
+        forward.cull_keyframe(k)
+    done = graft(forward, recovered.map.copy(), begun[0].n_keyframes, begun[0].n_points)
+    assert done is not None
+    check_map(forward)
+    points = begun[0].n_points
+    both = shared(grown, recovered.map, points)
+    both &= ~forward.arrays.pt_bad[:points]
+    assert forward.arrays.pt_bad[done.points : done.points + points][both].all(), "no point comes back either"
+    frame = forward.frame_index(2)
+    assert frame not in [forward.frame_index(int(k)) for k in forward.keyframes()]
+    distance, angle = pose_error(forward.T_cam_map(done.keyframes + 2), grown.T_cam_map(2))
+    assert distance < 0.03 and angle < 0.3
+
+
+def test_too_little_left_in_common_is_refused_and_nothing_done(grown, recovered, begun):
+    forward, copy = grown.copy(), recovered.map.copy()
+    forward.arrays.pt_bad[: begun[0].n_points] = True
+    before, theirs = forward.copy(), copy.copy()
+    assert graft(forward, copy, begun[0].n_keyframes, begun[0].n_points) is None
+    for one, other in ((forward, before), (copy, theirs)):
+        assert one.n_keyframes == other.n_keyframes
+        for x, y in zip(one.arrays, other.arrays, strict=True):
+            np.testing.assert_array_equal(x, y)
+
+
+def test_points_as_good_as_at_infinity_do_not_turn_the_map(grown, recovered, begun):
+    forward, copy = grown.copy(), recovered.map.copy()
+    both = np.flatnonzero(shared(forward, copy, begun[0].n_points))
+    far = both[:: len(both) // 5]
+    rng = np.random.default_rng(35)
+    for arrays in (forward.arrays, copy.arrays):  # how far is anybody's guess
+        arrays.pt_xyz[far] *= 1e6 * rng.uniform(0.5, 2.0, (len(far), 1))
+    done = graft(forward, copy, begun[0].n_keyframes, begun[0].n_points)
+    assert done is not None
+    expected = graft(grown.copy(), recovered.map.copy(), begun[0].n_keyframes, begun[0].n_points)
+    np.testing.assert_allclose(done.S_map_copy, expected.S_map_copy, atol=2e-3)
+
+
+def test_points_on_a_line_do_not_tell_how_the_map_has_moved(grown, recovered, begun):
+    forward, copy = grown.copy(), recovered.map.copy()
+    both = shared(forward, copy, begun[0].n_points)
+    for arrays in (forward.arrays, copy.arrays):
+        arrays.pt_xyz[: len(both)][both] = np.linspace(1.0, 2.0, both.sum())[:, None] * [1.0, 2.0, 3.0]
+    assert graft(forward, copy, begun[0].n_keyframes, begun[0].n_points) is None
+
+
+def shared(forward, copy, points):
+    """Which points the map and its copy both still have."""
+    return ~forward.arrays.pt_bad[:points] & ~copy.arrays.pt_bad[:points]

@@ -1,0 +1,113 @@
+"""A saved map whose recovery has failed is joined when its place is seen again, and only then."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from dual_scenes import CONFIG, MENDED, RECOVERY_ONLY, STEP_M, dual, of, scale_between
+from slam_scenes import blanked, errors_m, feed, kinds, rms, toy
+
+from slam.core.events import TrackingState
+from slam.dual.dual_slam import DualSlam
+from slam.dual.fusion.fuse import FusionConfig
+from slam.dual.recovery.interface import RecoveryConfig
+from slam.dual.recovery.registry import ThreadSpec
+from slam.map.invariants import check_map
+from slam.warmup import CAMERA
+
+# Recovery gives up at the first frame that it cannot use: only the place is left.
+BY_PLACE = replace(
+    RECOVERY_ONLY,
+    threads=(ThreadSpec("orb", 0, RecoveryConfig(max_unusable_s=0.0)),),
+    joining=FusionConfig(),
+)
+
+
+@pytest.fixture(scope="module")
+def joined():
+    """What the saved map has seen is still in view after the breakage."""
+    images, stamps_s, T_world_cam = toy(130, 0, STEP_M)
+    system = dual(BY_PLACE)
+    results = feed(system, blanked(images, range(50, 56)), stamps_s)
+    return system, results, T_world_cam
+
+
+def test_a_map_met_again_is_fused_by_place(joined):
+    system, results, _ = joined
+    assert kinds(system) == ["initialized", *MENDED]
+    (end,) = of(system, "recovery_end")
+    assert (end.success, end.stage) == (False, "propagation")
+    (fusion,) = of(system, "fusion")
+    assert (fusion.by, fusion.accepted, fusion.reason) == ("place", True, "")
+    assert (fusion.map_id, fusion.old_map_id, fusion.new_map_id) == (0, 0, 1)
+    assert system.maps() == [0] and system.current_map_id == 0
+    assert results[-1].state is TrackingState.TRACKING
+    assert all(r.state is TrackingState.TRACKING for r in results[fusion.frame :])
+
+
+def test_it_has_one_scale_and_frame_then(joined):
+    system, results, T_world_cam = joined
+    (path,) = system.trajectories()
+    assert rms(errors_m(path, T_world_cam)[0]) < 0.05
+    before, after = (scale_between(path, T_world_cam, *side) for side in ((0, 49), (70, 129)))
+    assert before / after == pytest.approx(1, abs=0.05)
+    at = dict(zip(path.frames.tolist(), path.T_map_cam, strict=True))
+    for r in results[of(system, "fusion")[0].frame :]:
+        assert np.linalg.norm(r.T_map_cam[:3, 3] - at[r.frame][:3, 3]) < 0.03
+
+
+def test_nothing_of_the_saved_map_is_by_passed(joined):
+    """No recovery has covered those frames anew."""
+    system, _, _ = joined
+    frames = system.trajectories()[0].frames.tolist()
+    assert set(range(10, 50)) <= set(frames)
+    keyframes = system.keyframe_trajectories()[0].frames
+    assert ((keyframes > 40) & (keyframes < 50)).any()
+
+
+def test_another_place_is_never_taken_for_it():
+    (here, stamps_s, _), (there, _, _) = toy(120, 0, STEP_M), toy(120, 7, STEP_M)
+    system = dual(BY_PLACE)
+    feed(system, blanked([*here[:56], *there[56:]], range(50, 56)), stamps_s)
+    assert "fusion" not in kinds(system)
+    assert sorted(system.maps()) == [0, 1]
+
+
+def test_it_may_be_switched_off():
+    images, stamps_s, _ = toy(100, 0, STEP_M)
+    system = dual(replace(BY_PLACE, joining=None))
+    feed(system, blanked(images, range(50, 56)), stamps_s)
+    assert "fusion" not in kinds(system)
+
+
+class BackToTheFirst(DualSlam):
+    """A system that, once two maps are saved, looks for itself in the first of them."""
+
+    def _may_return_to(self):
+        return self._saved[1:]
+
+
+def test_back_in_an_older_map_it_is_that_one_which_takes_in_the_newer():
+    """Recognised in the first map while the second is saved, the camera comes to what the second has seen."""
+    images, _, T_world_cam = toy(130, 0, STEP_M)
+    _, stamps_s, _ = toy(150, 0, STEP_M)
+    order = [*range(100), *range(45, 95)]
+    system = BackToTheFirst(CAMERA, 0, CONFIG, replace(BY_PLACE, joining=None))
+    shown = blanked([images[i] for i in order], range(50, 56), range(97, 100))
+    joining = dual(BY_PLACE)._joiner
+    for i, (image, stamp_s) in enumerate(zip(shown, stamps_s, strict=True)):
+        if i == 100:  # until now the two would have met
+            system._joiner = joining
+        system.process(image, float(stamp_s))
+    system.finish()
+    check_map(system.current_map)
+    (back,) = of(system, "relocalized")
+    assert back.map_id == 0
+    (fusion,) = of(system, "fusion")
+    assert (fusion.by, fusion.map_id, fusion.old_map_id, fusion.new_map_id) == ("place", 0, 0, 1)
+    assert system.maps() == [0] and system.current_map_id == 0 and system._saved == []
+    assert system.state is TrackingState.TRACKING
+    (path,) = system.trajectories()
+    assert len(path.frames) > 130
+    truth = T_world_cam[order]
+    assert rms(errors_m(path, truth)[0]) < 0.05

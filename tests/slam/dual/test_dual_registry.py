@@ -1,0 +1,140 @@
+"""Recovery threads by name, and what holds for every kind of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recovery_scenes import BLIND, blind_scene, same_map
+
+from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult
+from slam.dual.recovery.registry import RECOVERY_KINDS, ThreadSpec, build_thread, parse_threads
+from slam.map.invariants import check_map
+
+KINDS = tuple(RECOVERY_KINDS)
+
+# -- names ---------------------------------------------------------------------------------------------------
+
+
+def test_threads_are_named_in_order():
+    assert [(t.kind, t.seed) for t in parse_threads("orb,sift, gms")] == [("orb", 0), ("sift", 0), ("gms", 0)]
+    assert parse_threads("") == ()
+
+
+def test_a_kind_named_twice_has_two_seeds():
+    assert [t.seed for t in parse_threads("sift,orb,sift")] == [0, 0, 1]
+
+
+@pytest.mark.parametrize("text", ["orb,surf", "ORB", "orb,", ","])
+def test_an_unknown_kind_is_told_with_those_that_there_are(text):
+    with pytest.raises(ValueError, match=r"^unknown recovery thread '.*': one of orb, sift, gms$"):
+        parse_threads(text)
+
+
+def test_a_specification_checks_its_kind():
+    with pytest.raises(ValueError, match="one of orb, sift, gms"):
+        ThreadSpec("icp")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_thread_is_what_its_specification_says(kind):
+    thread = build_thread(ThreadSpec(kind))
+    assert thread.name == kind
+    assert thread.needs_images == (kind == "sift")
+    assert thread.config.max_unusable_s == RecoveryConfig().max_unusable_s
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_shared_settings_reach_every_kind(kind):
+    thread = build_thread(ThreadSpec(kind, config=RecoveryConfig(max_unusable_s=0.7)))
+    assert thread.config.max_unusable_s == 0.7
+    own = replace(thread.config, max_unusable_s=0.3)
+    assert build_thread(ThreadSpec(kind, config=own)).config is own
+
+
+@pytest.mark.parametrize("limit_s", [-1.0, float("nan")])
+def test_a_limit_that_is_none_is_refused(limit_s):
+    with pytest.raises(ValueError, match="max_unusable_s"):
+        RecoveryConfig(max_unusable_s=limit_s)
+
+
+def test_the_cost_of_a_recovery_is_that_of_its_steps():
+    result = RecoveryResult(blind_scene().task.new_map)
+    result.frames_covered, result.keyframes_made, result.alignments_tried = 10, 3, 2
+    assert RecoveryCost(5.0, 20.0, 4.0).seconds(result) == pytest.approx(0.118)
+
+
+# -- every kind ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def crossed(request):
+    """The kind, what it made of the blind stretch, and the old map as it was before."""
+    untouched = [m.copy() for m in blind_scene().task.old_maps]
+    return request.param, blind_scene().run(request.param), untouched
+
+
+def test_the_old_map_is_met_across_blind_frames(crossed):
+    _, result, _ = crossed
+    assert result.success and (result.stage, result.reason) == ("", "")
+    assert result.frames_passed_over >= len(BLIND)
+    assert abs(blind_scene().scale_error(result)) < 0.03
+    assert result.inliers == result.alignment.inliers >= 40
+    assert result.keyframes_made >= 2 and result.alignments_tried >= 2
+    check_map(result.map)
+
+
+def test_every_frame_placed_is_where_it_was(crossed):
+    errors = blind_scene().errors_m(crossed[1])
+    assert not set(errors) & set(BLIND)
+    assert min(errors) < BLIND.start and max(errors.values()) < 0.05
+
+
+def test_the_old_maps_stay_as_they_were(crossed):
+    assert all(same_map(a, b) for a, b in zip(blind_scene().task.old_maps, crossed[2], strict=True))
+
+
+def test_the_same_seed_recovers_the_same(crossed):
+    kind, result, _ = crossed
+    again = blind_scene().run(kind)
+    assert same_map(again.map, result.map)
+    assert again.alignment.S_old_new.tobytes() == result.alignment.S_old_new.tobytes()
+    for a, b in zip(again.frames, result.frames, strict=True):
+        assert a.T_cam_map.tobytes() == b.T_cam_map.tobytes() and a.point.tobytes() == b.point.tobytes()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_unusable_frame_at_all_may_be_passed_over(kind):
+    """The paper's way: the first one ends it."""
+    result = blind_scene().run(kind, RecoveryConfig(max_unusable_s=0.0))
+    assert (result.success, result.stage, result.frames_passed_over) == (False, "propagation", 1)
+    assert result.reason.startswith("too_few")
+    assert result.frames_covered == blind_scene().task.first.features.index - BLIND.stop + 1
+    check_map(result.map)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_any_number_of_unusable_frames_may_be_passed_over(kind):
+    """The released code's way: nothing is ever given up, and the end of the buffer is reached."""
+    scene = blind_scene()
+    everything = range(scene.task.first.features.index)
+    result = scene.run(kind, RecoveryConfig(max_unusable_s=float("inf")), everything)
+    assert (result.success, result.stage, result.reason) == (False, "overlap", "old_map_not_reached")
+    assert result.frames_covered == result.frames_passed_over == len(scene.task.backward)
+    limited = scene.run(kind, RecoveryConfig(max_unusable_s=0.5), everything)
+    assert (limited.success, limited.stage) == (False, "propagation")
+    assert limited.frames_covered == limited.frames_passed_over == 16
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_old_map_of_another_scene_is_not_met(kind):
+    scene = blind_scene()
+    old = scene.task.old_maps[0].copy()
+    rng = np.random.default_rng(0)
+    old.arrays.kp_descriptor[:] = rng.integers(0, 2**63, old.arrays.kp_descriptor.shape)
+    short = [f for f in scene.task.backward if f.index > BLIND.start - 12]
+    task = replace(scene.again(), old_maps=[old], backward=short)
+    result = build_thread(ThreadSpec(kind)).run(task)
+    assert (result.success, result.stage, result.reason) == (False, "overlap", "too_few_common_points")
+    assert result.alignments_tried > 0

@@ -1,0 +1,145 @@
+"""Recovery beside tracking, on a thread of its own."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+from dual_scenes import MENDED, STEP_M, of, scale_between, with_own_threads
+from slam_scenes import blanked, errors_m, kinds, rms, toy
+
+from slam.core.events import TrackingState
+from slam.dual.recovery.interface import RecoveryConfig, RecoveryResult
+from slam.dual.recovery.orb import OrbRecovery
+from slam.dual.recovery.scheduler import Recoveries
+from slam.map.invariants import check_map
+from slam.runtime.backend import ExecutionMode
+
+BLANK = range(50, 56)
+PATIENCE_S = 60.0
+
+
+class Waiting(OrbRecovery):
+    """A recovery thread that begins only when it is let."""
+
+    def __init__(self):
+        super().__init__(RecoveryConfig())
+        self.begun, self.let = threading.Event(), threading.Event()
+        self.on = ""
+
+    def run(self, task):
+        self.on = threading.current_thread().name
+        self.begun.set()
+        assert self.let.wait(PATIENCE_S)
+        return super().run(task)
+
+
+class Breaking:
+    """A recovery thread in which something goes wrong."""
+
+    name = "breaking"
+    needs_images = False
+    cost = OrbRecovery.cost
+
+    def run(self, task):
+        raise ZeroDivisionError("in the recovery thread")
+
+
+def threaded(threads, **config):
+    return with_own_threads(threads, ExecutionMode.THREADED, **config)
+
+
+def feed_in_time(system, first, last, until=None):
+    """Feed frames of the toy sequence, with the time between them that a keyframe needs."""
+    images, stamps_s, _ = toy(150, 0, STEP_M)
+    images = blanked(images, BLANK)
+    results = []
+    for i in range(first, last):
+        results.append(system.process(images[i], float(stamps_s[i])))
+        give_up_s = time.monotonic() + PATIENCE_S
+        while not system._backend.idle and time.monotonic() < give_up_s:
+            time.sleep(0.002)
+        if until is not None and until():
+            break
+    return results
+
+
+def test_a_held_up_recovery_holds_up_no_frame_and_the_end_waits_for_it():
+    before = set(threading.enumerate())
+    thread = Waiting()
+    system = threaded([thread])
+    results = feed_in_time(system, 0, 130)
+    assert thread.begun.is_set() and thread.on == "recovery"
+    start = of(system, "recovery_start")[0].frame
+    assert len(results) - start > 20
+    assert all(r.state is TrackingState.TRACKING and r.map_id == 1 for r in results[start:])
+    assert of(system, "recovery_end") == []
+    thread.let.set()
+    system.finish()
+    assert set(threading.enumerate()) == before
+    assert kinds(system) == ["initialized", *MENDED]
+    assert system.maps() == [0] and of(system, "fusion")[0].frame == 129
+    check_map(system.current_map)
+    (path,) = system.trajectories()
+    T_world_cam = toy(150, 0, STEP_M)[2]
+    assert rms(errors_m(path, T_world_cam)[0]) < 0.06
+    before, after = (scale_between(path, T_world_cam, *side) for side in ((0, 49), (56, 129)))
+    assert before / after == pytest.approx(1, abs=0.05)
+
+
+def test_the_same_story_ends_in_one_fused_map_that_is_tracked_in():
+    thread = Waiting()
+    thread.let.set()
+    system = threaded([thread])
+    results = feed_in_time(system, 0, 120)
+    give_up_s = time.monotonic() + PATIENCE_S
+    while not of(system, "fusion") and time.monotonic() < give_up_s and len(results) < 149:
+        time.sleep(0.1)
+        results += feed_in_time(system, len(results), len(results) + 1)
+    fused = of(system, "fusion")[0].frame
+    system.finish()
+    assert kinds(system) == ["initialized", *MENDED]
+    assert system.maps() == [0] and system.current_map_id == 0
+    assert all(r.state is TrackingState.TRACKING and r.map_id == 0 for r in results[fused:])
+    check_map(system.current_map)
+    frames = system.trajectories()[0].frames
+    assert frames[0] < 5 and frames[-1] == len(results) - 1
+    assert len(set(range(frames[0], len(results))) - set(frames.tolist()) - set(BLANK)) < 5
+    assert rms(errors_m(system.trajectories()[0], toy(150, 0, STEP_M)[2])[0]) < 0.06
+
+
+def test_what_goes_wrong_in_a_recovery_reaches_who_feeds_frames():
+    before = set(threading.enumerate())
+    system = threaded([Breaking()])
+    with pytest.raises(ZeroDivisionError, match="in the recovery thread"):
+        feed_in_time(system, 0, 150)
+    assert of(system, "recovery_start"), "not before it has begun"
+    with pytest.raises(ZeroDivisionError, match="in the recovery thread"):
+        system.finish()
+    assert set(threading.enumerate()) <= before
+
+
+def test_outcomes_are_told_of_as_they_come():
+    """The second thread still runs when the first one's failure is known."""
+
+    class Ending:
+        def __init__(self, name, success, gate=None):
+            self.name, self.success, self.gate = name, success, gate
+            self.cost = OrbRecovery.cost
+
+        def run(self, task):
+            assert self.gate is None or self.gate.wait(PATIENCE_S)
+            return RecoveryResult(task, success=self.success)
+
+    gate = threading.Event()
+    recoveries = Recoveries(ExecutionMode.THREADED, exhaustive=False)
+    threads = [Ending("one", False), Ending("two", True, gate), Ending("three", True)]
+    recoveries.start(threads, [None] * 3, 0.0)
+    heard, give_up_s = [], time.monotonic() + PATIENCE_S
+    while not heard and time.monotonic() < give_up_s:
+        heard += list(recoveries.ended(0.0))
+    assert [(o.number, o.is_last) for o in heard] == [(1, False)]
+    gate.set()
+    assert [(o.name, o.is_last) for o in recoveries.rest()] == [("two", True)]
+    assert list(recoveries.ended(np.inf)) == []
+    recoveries.close()

@@ -1,0 +1,111 @@
+import cv2
+import numpy as np
+import pytest
+
+from slam.features._fast_kernels import corner_contrast, select_corners
+
+CIRCLE = [
+    *((0, 3), (1, 3), (2, 2), (3, 1), (3, 0), (3, -1), (2, -2), (1, -3)),
+    *((0, -3), (-1, -3), (-2, -2), (-3, -1), (-3, 0), (-3, 1), (-2, 2), (-1, 3)),
+]
+IMAGES = ("noise", "smooth", "binary", "extremes")
+
+
+def make_image(kind, height=90, width=131):
+    rng = np.random.default_rng(3)
+    noise = rng.integers(0, 256, (height, width), dtype=np.uint8)
+    if kind == "smooth":
+        return cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 2), None, 0, 255, cv2.NORM_MINMAX)
+    if kind == "binary":
+        return (cv2.GaussianBlur(noise, (0, 0), 2) > 127).astype(np.uint8) * 200 + 20
+    if kind == "extremes":
+        return (noise > 127).astype(np.uint8) * 255
+    return noise
+
+
+def slow_contrast(image):
+    """The definition: the best arc of nine, over all sixteen arcs and both signs."""
+    height, width = image.shape
+    inner = image[3:-3, 3:-3].astype(int)
+    ring = np.stack([image[3 + v : height - 3 + v, 3 + u : width - 3 + u] for u, v in CIRCLE]) - inner
+    arcs = np.stack([np.roll(ring, -k, axis=0)[:9] for k in range(16)])
+    return np.maximum(np.maximum(arcs.min(axis=1).max(axis=0), (-arcs).min(axis=1).max(axis=0)), 0)
+
+
+def contrast_of(image, margin=3):
+    out = np.full(image.size, 77, np.uint8)
+    corner_contrast(image, margin, out)
+    return out.reshape(image.shape)
+
+
+def corners_of(image, border=4, threshold=20, min_threshold=20, cell_px=30):
+    height, width = image.shape
+    most = image.size // 4 + height + width
+    xs, ys, contrasts = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.uint8)
+    flat = contrast_of(image, border - 1).ravel()
+    n = select_corners(
+        flat, height, width, border, np.uint8(threshold), np.uint8(min_threshold), cell_px, xs, ys, contrasts
+    )
+    return list(zip(xs[:n].tolist(), ys[:n].tolist(), contrasts[:n].tolist(), strict=True))
+
+
+@pytest.mark.parametrize("kind", IMAGES)
+def test_contrast_equals_the_slow_twin(kind):
+    image = make_image(kind)
+    assert np.array_equal(contrast_of(image)[3:-3, 3:-3], slow_contrast(image))
+
+
+def test_contrast_leaves_the_margin_alone():
+    out = contrast_of(make_image("noise"), margin=5)
+    out[5:-5, 5:-5] = 77
+    assert (out == 77).all()
+
+
+def test_contrast_of_an_image_without_an_inside_is_nothing():
+    assert (contrast_of(np.zeros((6, 6), np.uint8)) == 77).all()
+    assert corners_of(np.zeros((8, 8), np.uint8)) == []
+
+
+@pytest.mark.parametrize("kind", IMAGES)
+@pytest.mark.parametrize("threshold", [1, 7, 20, 60])
+def test_corners_and_scores_equal_those_of_opencv(kind, threshold):
+    image = make_image(kind)
+    height, width = image.shape
+    theirs = {
+        (round(k.pt[0]), round(k.pt[1]), round(k.response))
+        for k in cv2.FastFeatureDetector_create(threshold, True).detect(image)
+        if 4 <= k.pt[0] < width - 4 and 4 <= k.pt[1] < height - 4
+    }
+    ours = corners_of(image, threshold=threshold, min_threshold=threshold)
+    # OpenCV's score is the greatest threshold that is passed, one less than the contrast.
+    assert {(x, y, contrast - 1) for x, y, contrast in ours} == theirs
+    assert kind == "binary" or len(ours) > 3 or threshold == 60
+    assert len(ours) == len(theirs)
+
+
+@pytest.mark.parametrize("cell_px", [9, 30, 1000])
+def test_weak_corners_only_fill_cells_without_strong_ones(cell_px):
+    image = make_image("smooth", 150, 220)
+    image[:, 110:] = 110 + image[:, 110:] // 8  # half of it faint
+    border, threshold, min_threshold = 18, 30, 4
+    everything = corners_of(image, border, min_threshold, min_threshold, cell_px)
+    n, rows = 220 - 2 * border, 150 - 2 * border
+    n_cells, n_bands = max(n // cell_px, 1), max(rows // cell_px, 1)
+    starts = [border + rows * b // n_bands for b in range(n_bands)]
+
+    def cell(corner):
+        band = sum(corner[1] >= start for start in starts) - 1
+        return band, (corner[0] - border) * n_cells // n
+
+    strong = {cell(c) for c in everything if c[2] > threshold}
+    expected = [c for c in everything if c[2] > threshold or cell(c) not in strong]
+    found = corners_of(image, border, threshold, min_threshold, cell_px)
+    assert found == expected
+    assert strong and len(found) < len(everything)
+    assert any(c[2] <= threshold for c in found) == (cell_px < 1000)
+
+
+def test_corners_keep_clear_of_the_border():
+    xs, ys = np.array([c[:2] for c in corners_of(make_image("noise"), border=18)]).T
+    assert xs.min() >= 18 and xs.max() < 131 - 18 and ys.min() >= 18 and ys.max() < 90 - 18
+    assert 18 in xs and 131 - 19 in xs and 18 in ys and 90 - 19 in ys

@@ -1,0 +1,270 @@
+"""Two views are reconstructed where they tell the motion, and refused for the right reason elsewhere."""
+
+import numpy as np
+import pytest
+from two_view_scenes import K, direction_error_deg, project, rigid, rotation_error_deg, scene
+
+from slam.initialization._two_view_refinement import RefinedMotion
+from slam.initialization.two_view import TwoViewConfig, _rivals, two_view_reconstruction
+
+
+def reconstruct(pixels_1, pixels_2, config=None, seed=1):
+    return two_view_reconstruction(pixels_1, pixels_2, K, np.random.default_rng(seed), config)
+
+
+@pytest.mark.parametrize("baseline", [0.2, 0.4])
+@pytest.mark.parametrize(
+    ("kind", "model", "least"),
+    [
+        ("general", "essential", 12),
+        ("corner", None, 7),
+        ("wall", "homography", 4),
+        ("plane", "homography", 0),
+    ],
+)
+def test_scenes_are_reconstructed_and_none_wrongly(kind, model, least, baseline):
+    successes = 0
+    for seed in range(12):
+        T, points, u, v, wrong = scene(kind, seed, baseline=baseline)
+        result = reconstruct(u, v)
+        assert model is None or result.model == model
+        if not result.success:
+            assert result.reason in {"ambiguous", "ill_conditioned", "low_parallax"}
+            continue
+        successes += 1
+        assert result.reason == ""
+        assert rotation_error_deg(result.T_2_1, T) < 0.8
+        assert direction_error_deg(result.T_2_1[:3, 3], T[:3, 3]) < 8.0
+        assert np.linalg.norm(result.T_2_1[:3, 3]) == pytest.approx(1.0)
+        found = result.triangulated
+        assert found.sum() >= 100 and found[:wrong].mean() < 0.1
+        np.testing.assert_array_equal(found, np.isfinite(result.points).all(axis=1))
+        scale = (points[:, 2] / result.points[:, 2])[wrong:][found[wrong:]]
+        assert np.median(np.abs(scale / np.median(scale) - 1)) < 0.1
+        assert np.median(scale) == pytest.approx(baseline, rel=0.3)
+        assert result.parallax_deg > 1.0
+    assert successes >= least
+
+
+def test_the_direction_is_better_for_every_match():
+    """The motion is that of all matches: its errors are what the noise leaves open, no more."""
+    errors = []
+    for seed in range(10):
+        T, _, u, v, _ = scene("general", seed)
+        errors.append(direction_error_deg(reconstruct(u, v).T_2_1[:3, 3], T[:3, 3]))
+    assert np.median(errors) < 0.7 and max(errors) < 2.0
+
+
+def test_noisier_matches_count_less_where_told():
+    def errors(told):
+        found = []
+        for seed in range(8):
+            T, _, u, v, _ = scene("general", seed, outliers=0.0, noise=0.3)
+            scale = np.where(np.arange(len(u)) % 3 > 0, 6.0, 1.0)
+            rng = np.random.default_rng(seed)
+            u, v = (p + 0.3 * (scale[:, None] - 1) * rng.normal(size=p.shape) for p in (u, v))
+            rng = np.random.default_rng(1)
+            result = two_view_reconstruction(
+                u, v, K, rng, TwoViewConfig(min_lead_sigmas=0.0), scale if told else None
+            )
+            found.append(direction_error_deg(result.T_2_1[:3, 3], T[:3, 3]))
+        return np.median(found)
+
+    assert errors(told=True) < 0.7 * errors(told=False)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_pure_rotation_is_refused_for_its_parallax(seed, noise):
+    _, _, u, v, _ = scene("rotation", seed, noise=noise)
+    result = reconstruct(u, v)
+    assert not result.success
+    assert result.reason == "low_parallax"
+    assert result.parallax_deg <= 0.01 + 0.6 * noise
+    assert not result.triangulated.any() and np.isnan(result.points).all()
+
+
+@pytest.mark.parametrize("seed", [2, 4, 5])
+@pytest.mark.parametrize("turn_deg", [0.5, 0.6])
+def test_a_small_turn_among_keypoints_on_whole_pixels_is_not_taken_for_a_move(seed, turn_deg):
+    """Most rows stay what they were by rounding, as in a move sideways."""
+    rng, n = np.random.default_rng(seed), 2000
+    scale = 1.2 ** rng.integers(0, 8, n)
+    rays = np.column_stack([rng.uniform([20, 20], [620, 460], (n, 2)), np.ones(n)]) @ np.linalg.inv(K).T
+    points = rays * rng.uniform(2, 8, (n, 1))
+    turned = rigid([0.0, 0.0, 0.0], [0.0, np.deg2rad(turn_deg), 0.0])
+    u, v = (
+        np.round(project(T, points) / scale[:, None] + rng.normal(0, 0.1, (n, 2))) * scale[:, None]
+        for T in (np.eye(4), turned)
+    )
+    config = TwoViewConfig(min_parallax_deg=0.6)
+    result = two_view_reconstruction(u, v, K, np.random.default_rng(0), config, scale)
+    assert (result.success, result.reason) == (False, "low_parallax")
+
+
+def test_standing_still_is_refused_for_its_parallax():
+    _, _, u, _, _ = scene("rotation", n=200)
+    result = reconstruct(u, u.copy())
+    assert (result.success, result.reason) == (False, "low_parallax")
+
+
+def test_too_little_parallax_is_refused_by_the_bound_given():
+    T, _, u, v, _ = scene("general", baseline=0.2)
+    result = reconstruct(u, v)
+    assert result.success
+    assert rotation_error_deg(result.T_2_1, T) < 1.0
+    bound = result.parallax_deg + 0.1
+    refused = reconstruct(u, v, TwoViewConfig(min_parallax_deg=bound))
+    assert (refused.success, refused.reason) == (False, "low_parallax")
+    assert refused.parallax_deg == result.parallax_deg
+
+
+def test_a_plane_with_two_explanations_is_refused():
+    """On the way towards a tilted plane, a second plane and motion explain the views as well."""
+    _, points, u, _, _ = scene("plane", outliers=0.0)
+    T = rigid([0.0, 0.0, -0.5], [0.0, 0.0, 0.0])
+    v = project(T, points) + np.random.default_rng(0).normal(0, 0.3, u.shape)
+    result = reconstruct(u, v)
+    assert (result.model, result.success, result.reason) == ("homography", False, "ambiguous")
+    assert reconstruct(u, v, TwoViewConfig(min_lead_sigmas=0.0)).success
+
+
+def test_a_plane_with_some_points_before_it_has_one_explanation():
+    """What tells the two motions of a plane from each other is any structure besides the plane."""
+    T = rigid([0.0, 0.0, -0.5], [0.0, 0.0, 0.0])
+    for share, reason in ((0.0, "ambiguous"), (0.3, "")):
+        _, points, u, _, _ = scene("plane", outliers=0.0)
+        before = np.arange(len(points)) < share * len(points)
+        points = np.where(before[:, None], 0.6 * points, points)
+        v = project(T, points) + np.random.default_rng(0).normal(0, 0.3, u.shape)
+        result = reconstruct(u, v)
+        assert result.reason == reason
+    assert direction_error_deg(result.T_2_1[:3, 3], T[:3, 3]) < 2.0
+
+
+def test_a_direction_that_the_matches_leave_open_is_refused():
+    """Under little parallax a sideways move and a turn look alike; more noise leaves more open."""
+    reasons = []
+    for noise in (0.2, 1.5, 4.0):
+        _, _, u, v, _ = scene("general", 3, outliers=0.0, baseline=0.3, noise=noise)
+        config = TwoViewConfig(sigma_px=4.0, min_parallax_deg=0.0, min_points=20)
+        reasons.append(reconstruct(u, v, config).reason)
+    assert reasons[0] == ""
+    assert reasons[-1] in {"ambiguous", "ill_conditioned"}
+
+
+class TestRivals:
+    CONFIG = TwoViewConfig(rival_angle_deg=20.0, min_lead_sigmas=3.5)
+
+    def motion(self, angle_deg, costs):
+        angle = np.deg2rad(angle_deg)
+        T = rigid([np.cos(angle), np.sin(angle), 0.0], [0.0, 0.0, 0.0])
+        return RefinedMotion(T, np.zeros((len(costs), 2)), np.asarray(costs, float), np.eye(5))
+
+    def rivals(self, angle_deg, best, other):
+        return _rivals(self.motion(0.0, best), self.motion(angle_deg, other), self.CONFIG)
+
+    def test_a_motion_that_explains_as_much_is_a_rival_unless_it_is_the_same(self):
+        costs = np.random.default_rng(0).chisquare(1, 200)
+        assert self.rivals(180.0, costs, costs)
+        assert self.rivals(20.0, costs, costs)
+        assert not self.rivals(19.0, costs, costs)
+
+    def test_a_lead_that_a_few_matches_make_is_none(self):
+        best = np.random.default_rng(1).chisquare(1, 200)
+        for count, rival in ((3, True), (60, False)):
+            other = best.copy()
+            other[:count] = 7.3
+            assert self.rivals(90.0, best, other) == rival
+
+    def test_a_lead_must_exceed_its_scatter(self):
+        rng = np.random.default_rng(2)
+        best = np.full(400, 4.0)
+        lead = rng.normal(0, 2, 400)
+        lead -= lead.mean()
+        for sigmas, rival in ((2.0, True), (5.0, False)):
+            assert self.rivals(90.0, best, best + lead + sigmas * lead.std() / np.sqrt(400)) == rival
+
+    def test_a_lead_far_below_the_noise_is_none_however_regular(self):
+        best = np.zeros(300)
+        assert self.rivals(90.0, best, best + 1e-3)
+        assert not self.rivals(90.0, best, best + 1.0)
+
+
+@pytest.mark.parametrize("n", [0, 1, 7, 99])
+def test_few_matches_are_refused(n):
+    _, _, u, v, _ = scene("general")
+    result = reconstruct(u[:n], v[:n])
+    assert (result.success, result.reason, result.model) == (False, "too_few_matches", None)
+    assert result.points.shape == (n, 3) and result.triangulated.shape == (n,)
+
+
+def test_matches_without_a_geometry_are_refused():
+    rng = np.random.default_rng(0)
+    result = reconstruct(*(rng.uniform([0, 0], [640, 480], (200, 2)) for _ in range(2)))
+    assert not result.success
+    assert result.reason in {"no_model", "few_points", "ambiguous", "low_parallax"}
+
+
+@pytest.mark.parametrize("spread", [0.0, 600.0])
+@pytest.mark.parametrize("slope", [0.0, 0.5, -0.75])
+@pytest.mark.parametrize("noise", [0.0, 0.2, 0.5])
+def test_matches_on_a_point_or_a_line_are_refused(spread, slope, noise):
+    rng = np.random.default_rng(0)
+    x = 20 + spread * rng.random(150)
+    u = np.column_stack([x, 50 + slope * x]) + rng.normal(0, noise, (150, 2))
+    for shift in ((0.0, 0.0), (10.0, 0.0), (40.0, 0.0), (-25.0, 27.0)):
+        v = u + shift + rng.normal(0, noise, (150, 2))
+        assert not reconstruct(u, v).success
+
+
+@pytest.mark.parametrize("seed", [2, 18, 26, 113, 152, 184])
+def test_matches_on_a_line_are_refused_though_a_wild_motion_fits_them(seed):
+    """Large turns that bring the scene next to the camera; picked out of many lines."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(100, 300))
+    x = 20 + 600 * rng.random(n)
+    y = 240 + rng.uniform(-1, 1) * (x - 320)
+    u = np.column_stack([x, y]) + rng.normal(0, rng.choice([0, 0.2, 0.5, 1.0]), (n, 2))
+    v = u + rng.uniform(-40, 40, 2)
+    v += rng.normal(0, rng.choice([0, 0.2, 0.5]), (n, 2))
+    assert not reconstruct(u, v).success
+
+
+def test_points_are_kept_up_to_the_nominal_noise_however_good_most_matches_are():
+    T, _, u, v, _ = scene("general", outliers=0.0, noise=0.1)
+    worse = np.arange(len(u)) % 4 == 0
+    v[worse] += np.random.default_rng(0).uniform(-0.9, 0.9, (worse.sum(), 2))
+    result = reconstruct(u, v)
+    assert direction_error_deg(result.T_2_1[:3, 3], T[:3, 3]) < 1.0
+    assert result.triangulated[worse].mean() > 0.9
+
+
+def test_too_few_points_are_refused():
+    _, _, u, v, _ = scene("general", n=120)
+    assert reconstruct(u, v, TwoViewConfig(min_points=110)).reason == "few_points"
+
+
+def test_same_seed_same_bits():
+    _, _, u, v, _ = scene("general", n=150)
+    first, second = reconstruct(u, v, seed=5), reconstruct(u, v, seed=5)
+    np.testing.assert_array_equal(first.T_2_1, second.T_2_1)
+    np.testing.assert_array_equal(first.points, second.points)
+    assert (first.score_h, first.score_e) == (second.score_h, second.score_e)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_matches_that_are_no_pairs_of_pixels_are_refused(bad):
+    _, _, u, v, _ = scene("general")
+    with pytest.raises(ValueError, match="pairs"):
+        reconstruct(u, v[:-1])
+    v[3, 0] = bad
+    with pytest.raises(ValueError, match="finite"):
+        reconstruct(u, v)
+
+
+@pytest.mark.parametrize("scale", [np.ones(3), np.zeros(300), np.full(300, np.nan)])
+def test_scales_that_are_none_are_refused(scale):
+    _, _, u, v, _ = scene("general")
+    with pytest.raises(ValueError, match="scale"):
+        two_view_reconstruction(u, v, K, np.random.default_rng(0), None, scale)

@@ -1,0 +1,176 @@
+"""The map keeps its invariants under every operation, and observation lists say what the owner says."""
+
+import numpy as np
+import pytest
+from slam_scenes import FPS, VIEW, random_map
+
+from slam.map import _map_kernels as kernels
+from slam.map.invariants import check_map
+from slam.map.map import MIN_OBSERVATIONS
+
+
+def test_invariants_hold_after_random_edits():
+    rng = np.random.default_rng(1)
+    m = random_map(rng)
+    check_map(m)
+    for _ in range(150):
+        good = m.points()
+        if len(good) < 4:
+            break
+        edit = rng.integers(4)
+        if edit == 0:
+            kernels.remove_point(m.arrays, rng.choice(good))
+        elif edit == 1:
+            kernels.replace_point(m.arrays, *rng.choice(good, 2, replace=False), VIEW.scale)
+        elif edit == 2:
+            rows = np.flatnonzero(m.arrays.kp_point[: m.arrays.kf_start[m.n_keyframes]] >= 0)
+            kernels.erase_observation(m.arrays, rng.choice(rows), MIN_OBSERVATIONS)
+        else:
+            kernels.add_observation(m.arrays, rng.integers(0, m.arrays.kf_start[6]), rng.choice(good))
+        check_map(m)
+
+
+def test_check_notices_a_broken_association():
+    m = random_map(np.random.default_rng(2))
+    row = np.flatnonzero(m.arrays.kp_point[: m.arrays.kf_start[m.n_keyframes]] >= 0)[0]
+    m.arrays.kp_point[row] = -1
+    with pytest.raises(AssertionError):
+        check_map(m)
+
+
+def test_a_keyframe_observes_a_point_once():
+    m = random_map(np.random.default_rng(3))
+    p = int(m.points()[0])
+    keyframe = int(m.arrays.kp_keyframe[m.arrays.pt_head[p]])
+    free = m.keypoints(keyframe).start + np.flatnonzero(m.observed_points(keyframe) < 0)[0]
+    assert not kernels.add_observation(m.arrays, free, p)
+    check_map(m)
+
+
+def test_replacement_is_followed_by_frames():
+    m = random_map(np.random.default_rng(4))
+    a, b, c, d = (int(p) for p in m.points()[:4])
+    kernels.replace_point(m.arrays, a, b, VIEW.scale)
+    kernels.replace_point(m.arrays, b, c, VIEW.scale)
+    kernels.remove_point(m.arrays, d)
+    frame_points = np.array([a, b, c, d, -1], np.int32)
+    kernels.resolve_points(m.arrays, frame_points)
+    assert frame_points.tolist() == [c, c, c, -1, -1]
+
+
+def test_a_culled_keyframe_follows_its_parent():
+    m = random_map(np.random.default_rng(5))
+    before = m.T_cam_map(3) @ np.linalg.inv(m.T_cam_map(2))
+    m.cull_keyframe(3)
+    check_map(m)
+    assert m.parent(4) == 2
+    m.arrays.kf_T_cam_map[2, :3, 3] += (1.0, 2.0, 3.0)
+    np.testing.assert_allclose(m.T_cam_map(3), before @ m.T_cam_map(2), atol=1e-12)
+
+
+def test_a_culled_keyframe_lets_go_of_its_features():
+    m = random_map(np.random.default_rng(5))
+    kept, others = m.features(3), [m.features(k) for k in (2, 4)]
+    m.cull_keyframe(3)
+    gone = m.features(3)
+    assert (gone.index, gone.stamp_s) == (kept.index, kept.stamp_s) == (m.frame_index(3), 3 / FPS)
+    assert len(gone) == 0 and gone.nbytes == 0 and len(kept) > 0
+    assert all(array.base is None for array in (gone.xy, gone.xy_image, gone.descriptors, gone.cell_start))
+    assert [m.features(k) for k in (2, 4)] == others
+
+
+def test_transform_moves_points_and_cameras_together():
+    rng = np.random.default_rng(6)
+    m = random_map(rng)
+    m.cull_keyframe(2)
+    p = m.points()
+    seen_before = [m.arrays.pt_xyz[p] @ m.T_cam_map(k)[:3, :3].T + m.T_cam_map(k)[:3, 3] for k in range(6)]
+    Q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    Q *= np.linalg.det(Q)
+    m.transform(2.5, Q, np.array([1.0, -2.0, 0.5]))
+    for k in range(6):
+        seen = m.arrays.pt_xyz[p] @ m.T_cam_map(k)[:3, :3].T + m.T_cam_map(k)[:3, 3]
+        np.testing.assert_allclose(seen, 2.5 * seen_before[k], atol=1e-9)
+
+
+def test_absorb_keeps_both_maps_whole():
+    rng = np.random.default_rng(7)
+    a, b = random_map(rng), random_map(rng, keyframes=5, points=60, map_id=1)
+    b.cull_keyframe(2)
+    xyz_b, T_b = b.arrays.pt_xyz[b.points()].copy(), [b.T_cam_map(k) for k in range(5)]
+    count = len(a.points()) + len(b.points())
+    keyframes, points = a.absorb(b)
+    check_map(a)
+    check_map(b)
+    assert len(a.points()) == count
+    np.testing.assert_array_equal(a.arrays.pt_xyz[b.points() + points], xyz_b)
+    for k in range(5):
+        np.testing.assert_array_equal(a.T_cam_map(k + keyframes), T_b[k])
+
+
+def test_a_copy_is_independent():
+    m = random_map(np.random.default_rng(8))
+    twin = m.copy()
+    kernels.remove_point(twin.arrays, int(twin.points()[0]))
+    twin.cull_keyframe(3)
+    check_map(m)
+    check_map(twin)
+    assert len(m.keyframes()) == len(twin.keyframes()) + 1
+
+
+def test_the_representative_descriptor_has_the_least_median_distance():
+    rng = np.random.default_rng(9)
+    m = random_map(rng, keyframes=8, points=40)
+    for p in m.points():
+        rows, e = [], int(m.arrays.pt_head[p])
+        while e >= 0:
+            rows.append(e)
+            e = int(m.arrays.kp_next[e])
+        kernels.refresh_point(m.arrays, int(p), VIEW.scale)
+        d = m.arrays.kp_descriptor[rows]
+        distance = np.bitwise_count(d[:, None] ^ d[None]).sum(-1)
+        medians = np.sort(distance, 1)[:, (len(rows) - 1) // 2]
+        chosen = [int(np.bitwise_count(x ^ m.arrays.pt_descriptor[p]).sum()) for x in d].index(0)
+        assert medians[chosen] == medians.min() or len(rows) == 2
+
+
+def arrays_of(m):
+    return [array.tobytes() for array in m.arrays]
+
+
+def test_points_are_replaced_in_order_as_one_by_one():
+    """Chains and repetitions included; -1 leaves a point alone."""
+    rng = np.random.default_rng(6)
+    at_once = random_map(rng)
+    one_by_one = at_once.copy()
+    olds = rng.choice(at_once.points(), 40).astype(np.int32)
+    news = np.where(rng.random(40) < 0.2, -1, rng.choice(at_once.points(), 40)).astype(np.int32)
+    kernels.replace_points(at_once.arrays, olds, news, VIEW.scale)
+    for old, new in zip(olds.tolist(), news.tolist(), strict=True):
+        if new >= 0:
+            kernels.replace_point(one_by_one.arrays, old, new, VIEW.scale)
+    assert arrays_of(at_once) == arrays_of(one_by_one)
+    check_map(at_once)
+
+
+def test_a_keyframe_takes_over_points_as_one_by_one():
+    """Into free keypoints they go, where it has one already the two become it."""
+    rng = np.random.default_rng(7)
+    at_once = random_map(rng)
+    one_by_one = at_once.copy()
+    keyframe, start = 2, at_once.keypoints(2).start
+    count = len(at_once.observed_points(keyframe))
+    points = np.where(rng.random(count) < 0.5, -1, rng.choice(at_once.points(), count)).astype(np.int32)
+    kernels.take_over(at_once.arrays, keyframe, points, VIEW.scale)
+    own = one_by_one.observed_points(keyframe)
+    joined = 0
+    for row in np.flatnonzero(points >= 0).tolist():
+        point = int(points[row])
+        if own[row] >= 0:
+            joined += 1
+            kernels.replace_point(one_by_one.arrays, point, int(own[row]), VIEW.scale)
+        elif kernels.add_observation(one_by_one.arrays, start + row, point):
+            kernels.refresh_point(one_by_one.arrays, point, VIEW.scale)
+    assert joined > 3
+    assert arrays_of(at_once) == arrays_of(one_by_one)
+    check_map(at_once)

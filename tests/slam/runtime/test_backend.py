@@ -1,0 +1,167 @@
+"""Mapping and loop closing behind tracking, in lockstep and on threads of their own."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+from slam_scenes import blanked, errors_m, feed, kinds, rms, toy
+
+from slam.core.events import TrackingState
+from slam.factory import build_system
+from slam.loop_closing.correction import Loop
+from slam.loop_closing.global_adjustment import GlobalAdjustment
+from slam.map.invariants import check_map
+from slam.runtime.backend import ExecutionMode
+from slam.warmup import CAMERA
+
+COUNT, STEP_M = 90, 0.05
+THREADED = ExecutionMode.THREADED
+
+
+def fed_in_time(system, images, stamps_s, pause_s=0.02):
+    """Frames with a little time between them, as a camera leaves it."""
+    results = []
+    for image, stamp_s in zip(images, stamps_s, strict=True):
+        results.append(system.process(image, float(stamp_s)))
+        time.sleep(pause_s)
+    system.finish()
+    return results
+
+
+@pytest.fixture(scope="module")
+def sequence():
+    return toy(COUNT, step_m=STEP_M)
+
+
+def test_threads_track_and_map_as_lockstep_does(sequence):
+    images, stamps_s, T_world_cam = sequence
+    before = set(threading.enumerate())
+    system = build_system("base", CAMERA, 0, mode=THREADED)
+    results = fed_in_time(system, images, stamps_s)
+    assert set(threading.enumerate()) == before
+    assert kinds(system) == ["initialized"]
+    start = system.events[0].frame
+    assert all(r.state is TrackingState.TRACKING for r in results[start:])
+    check_map(system.current_map)
+    assert len(system.current_map.keyframes()) >= 5
+    errors, _ = errors_m(system.trajectories()[0], T_world_cam)
+    assert rms(errors) < 0.05
+    assert sum(r.mapping_cpu_ms for r in results) > 0
+
+
+def test_tracking_does_not_wait_for_mapping(sequence, monkeypatch):
+    """A mapper that takes its time holds up no frame; frames that would be keyframes meanwhile are not."""
+    images, stamps_s, _ = sequence
+    system = build_system("base", CAMERA, 0, mode=THREADED)
+    gate, inside = threading.Event(), threading.Event()
+    frames = zip(images, stamps_s, strict=True)
+    while system.state is not TrackingState.TRACKING:
+        system.process(*next(frames))
+    insert = system.mapper.insert
+
+    def slowly(frame):
+        inside.set()
+        gate.wait(20)
+        return insert(frame)
+
+    monkeypatch.setattr(system.mapper, "insert", slowly)
+    asked = 0
+    for _ in range(12):
+        result = system.process(*next(frames))
+        assert result.state is TrackingState.TRACKING
+        asked += result.is_keyframe
+    assert inside.is_set() and asked == 1
+    gate.set()
+    system.finish()
+    check_map(system.current_map)
+
+
+def test_what_goes_wrong_on_a_thread_reaches_the_caller(sequence, monkeypatch):
+    images, stamps_s, _ = sequence
+    system = build_system("base", CAMERA, 0, mode=THREADED)
+
+    def fail(frame):
+        raise ZeroDivisionError("in the mapper")
+
+    def go_on():
+        for image, stamp_s in zip(images, stamps_s, strict=True):
+            system.process(image, float(stamp_s))
+            if system.state is TrackingState.TRACKING:
+                monkeypatch.setattr(system.mapper, "insert", fail)
+        system.finish()
+
+    with pytest.raises(ZeroDivisionError, match="in the mapper"):
+        go_on()
+
+
+def test_a_breakage_waits_for_mapping_and_leaves_a_whole_map(sequence):
+    images, stamps_s, _ = sequence
+    for kind in ("base", "dual"):
+        system = build_system(kind, CAMERA, 0, mode=THREADED)
+        fed_in_time(system, blanked(images, range(60, 64)), stamps_s, pause_s=0.0)
+        assert "breakage" in kinds(system)
+        for map_id in system.maps():
+            check_map(system.map(map_id))
+
+
+def test_a_snapshot_is_of_lockstep_only(sequence):
+    system = build_system("base", CAMERA, 0, mode=THREADED)
+    with pytest.raises(RuntimeError, match="lockstep"):
+        system.snapshot()
+    system.finish()
+
+
+# -- a loop --------------------------------------------------------------------------------------------------
+
+
+def drifted(scale):
+    """A detector's finding: the newest keyframe is where it is, but in lengths off by ``scale``."""
+
+    def detect(self, keyframe, rng):
+        if keyframe < 6 or self._last_loop:
+            return None
+        self._last_loop = keyframe
+        S = self.map.T_cam_map(keyframe).copy()
+        centre = np.linalg.inv(S)[:3, 3]
+        S[:3, :3] *= scale
+        S[:3, 3] = -S[:3, :3] @ centre
+        nothing = np.empty(0, np.int32)
+        return Loop(keyframe, 0, S, nothing.astype(int), nothing), nothing
+
+    return detect
+
+
+@pytest.mark.parametrize("mode", list(ExecutionMode))
+def test_a_loop_is_taken_in_and_tracking_goes_on(sequence, monkeypatch, mode):
+    images, stamps_s, _ = sequence
+    monkeypatch.setattr("slam.loop_closing.detection.LoopDetector.detect", drifted(1.25))
+    monkeypatch.setattr(
+        "slam.runtime.backend.adjust_globally", lambda map_, iterations, apart: _as_it_is(map_)
+    )
+    system = build_system("base", CAMERA, 0, mode=mode)
+    feeding = fed_in_time if mode is THREADED else feed
+    results = feeding(system, images, stamps_s)
+    assert kinds(system) == ["initialized", "loop_closed", "map_adjusted"]
+    closed = system.events[1]
+    assert closed.scale == pytest.approx(0.8) and closed.loop_keyframe == system.current_map.frame_index(0)
+    assert all(r.state is TrackingState.TRACKING for r in results[system.events[0].frame :])
+    assert sum(r.loop_cpu_ms for r in results) > closed.cpu_ms
+    check_map(system.current_map)
+    # Steps of frames shrink towards the loop as the lengths about their keyframes do, and none jumps.
+    path = system.trajectories()[0]
+    steps = np.linalg.norm(np.diff(path.T_map_cam[:, :3, 3], axis=0), axis=1) / np.diff(path.frames)
+    assert steps.max() < 3 * np.median(steps)
+
+
+def _as_it_is(map_):
+    rows, points = map_.keyframes(), map_.points()
+    nothing = np.empty(0, np.int32)
+    return GlobalAdjustment(
+        rows,
+        map_.arrays.kf_T_cam_map[rows],
+        points,
+        map_.arrays.pt_xyz[points],
+        np.empty((0, 2), int),
+        nothing,
+    )

@@ -1,0 +1,77 @@
+"""The background thread: order, waiting, and errors that come back."""
+
+import threading
+
+import pytest
+
+from slam.runtime.worker import Worker
+
+
+@pytest.fixture
+def worker():
+    w = Worker("test")
+    yield w
+    w.close()
+
+
+def test_jobs_run_in_order_on_a_thread_of_their_own(worker):
+    done = []
+    for i in range(50):
+        worker.submit(lambda i=i: done.append((i, threading.current_thread().name)))
+    worker.drain()
+    assert done == [(i, "test") for i in range(50)]
+    assert worker.pending == 0
+
+
+def test_pending_counts_what_waits_and_what_runs(worker):
+    gate, started = threading.Event(), threading.Event()
+
+    def held():
+        started.set()
+        gate.wait()
+
+    worker.submit(held)
+    worker.submit(lambda: None)
+    started.wait()
+    assert worker.pending == 2
+    gate.set()
+    worker.drain()
+    assert worker.pending == 0
+
+
+def test_an_error_comes_back_to_who_waits_and_to_who_goes_on(worker):
+    def fail():
+        raise ZeroDivisionError("in the job")
+
+    worker.submit(fail)
+    with pytest.raises(ZeroDivisionError, match="in the job"):
+        worker.drain()
+    with pytest.raises(ZeroDivisionError):
+        worker.submit(lambda: None)
+
+
+def test_closing_drops_what_waits():
+    w, done = Worker("test"), []
+    gate, started = threading.Event(), threading.Event()
+
+    def held():
+        started.set()
+        gate.wait()
+
+    w.submit(held)
+    w.submit(lambda: done.append(1))
+    started.wait()
+    threading.Timer(0.05, gate.set).start()
+    w.close()
+    assert done == []
+
+
+def test_an_error_can_be_asked_for_without_waiting(worker):
+    def fail():
+        raise ZeroDivisionError("in a job")
+
+    worker.check()
+    worker.submit(fail)
+    worker._thread.join(10)
+    with pytest.raises(ZeroDivisionError, match="in a job"):
+        worker.check()

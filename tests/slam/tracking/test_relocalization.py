@@ -1,0 +1,233 @@
+"""Relocalization: a frame alone is placed in a map that knows the place, and in no other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from slam_scenes import (
+    VIEW,
+    PointWorld,
+    blanked,
+    errors_m,
+    feed,
+    fingerprint,
+    kinds,
+    pose_error,
+    rigid,
+    rms,
+    toy,
+    walk,
+)
+
+from slam.config import default_config
+from slam.core.events import Breakage, Relocalized, TrackingState
+from slam.dual.config import DualConfig
+from slam.factory import build_system
+from slam.map.map import Map
+from slam.places.recognition import KeyframeDatabase
+from slam.places.training import train_vocabulary
+from slam.tracking.relocalization import RelocalizationConfig, Relocalizer
+from slam.warmup import CAMERA
+
+STEP_M = 0.05
+
+
+def rng():
+    return np.random.default_rng(0)
+
+
+# -- one frame, in a world whose every point is known --------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def known():
+    world, r = PointWorld(points=5000), np.random.default_rng(1)
+    seen = [world.see(i, walk(i), r, noise_px=0.5, bits=6) for i in range(0, 80, 8)]
+    built, point_of = world.map_of(seen, r)
+    vocabulary = train_vocabulary([s.frame.features.descriptors for s in seen], 8, 3, 0)
+    return world, built, point_of, vocabulary
+
+
+def relocalizer(known, **config):
+    return Relocalizer(known[1], KeyframeDatabase(known[1], known[3]), RelocalizationConfig(**config))
+
+
+def look(known, T_cam_world, share=0.7):
+    return known[0].see(500, T_cam_world, np.random.default_rng(7), noise_px=0.5, bits=6, share=share)
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 8.0])
+@pytest.mark.parametrize("at", [4, 37, 61])
+def test_a_frame_beside_the_path_gets_its_pose(known, at, turn_deg):
+    T = rigid((0.1, -0.1, 0.15), (0, turn_deg, 0)) @ walk(at)
+    sighting = look(known, T)
+    frame = sighting.again()
+    outcome = relocalizer(known).relocalize(frame, rng())
+    assert outcome.success and outcome.reason == ""
+    assert outcome.inliers == (frame.point >= 0).sum() >= 50 and outcome.matches >= outcome.inliers
+    distance, angle_deg = pose_error(frame.T_cam_map, T)
+    assert distance < 0.03 and angle_deg < 0.3
+    matched = np.flatnonzero(frame.point >= 0)
+    right = frame.point[matched] == known[2][sighting.ids[matched]]
+    assert right.mean() > 0.98
+    m = known[1]
+    T_back = frame.T_cam_reference @ m.T_cam_map(frame.reference_keyframe)
+    assert pose_error(T_back, frame.T_cam_map) == pytest.approx((0, 0), abs=1e-6)
+    votes = [np.isin(frame.point[matched], m.observed_points(k)).sum() for k in range(m.n_keyframes)]
+    assert votes[frame.reference_keyframe] == max(votes)
+
+
+def test_points_in_a_plane_will_do():
+    """A wall, squarely before the camera: the pose of a plane has two solutions to choose from."""
+    world, r = PointWorld(seed=3), np.random.default_rng(1)
+    world.xyz[:, 2] = 5.0
+    seen = [world.see(i, walk(i), r, noise_px=0.5, bits=6) for i in range(0, 60, 8)]
+    built, _ = world.map_of(seen, r)
+    vocabulary = train_vocabulary([s.frame.features.descriptors for s in seen], 8, 3, 0)
+    frame = world.see(500, walk(30), r, noise_px=0.5, bits=6).again()
+    found = Relocalizer(built, KeyframeDatabase(built, vocabulary), RelocalizationConfig())
+    assert found.relocalize(frame, rng()).success
+    distance, angle_deg = pose_error(frame.T_cam_map, walk(30))
+    assert distance < 0.05 and angle_deg < 0.6
+
+
+def test_another_world_is_not_taken_for_this_one(known):
+    other = PointWorld(seed=99, points=5000)
+    for i in range(0, 80, 10):
+        frame = other.see(i, walk(i), np.random.default_rng(i)).again()
+        outcome = relocalizer(known).relocalize(frame, rng())
+        assert not outcome.success and outcome.reason
+        assert (frame.point == -1).all() and np.isnan(frame.T_cam_map).all()
+        assert frame.reference_keyframe == -1
+
+
+def test_the_guided_search_finds_what_the_unguided_does_not(known):
+    frame = look(known, walk(37)).again()
+    outcome = relocalizer(known, radii_px=()).relocalize(frame, rng())
+    unguided = outcome.inliers
+    assert unguided >= 10
+    outcome = relocalizer(known, min_inliers=unguided + 1).relocalize(frame, rng())
+    assert outcome.success and outcome.inliers > 1.3 * unguided
+
+
+@pytest.mark.parametrize(
+    ("config", "reason"),
+    [
+        ({"candidates": 0}, "no_candidates"),
+        ({"min_matches": 10_000}, "too_few_bow_matches"),
+        ({"min_pose_inliers": 10_000}, "no_pose"),
+        ({"min_inliers": 10_000}, "too_few_inliers"),
+    ],
+)
+def test_the_reason_is_that_of_the_attempt_that_came_farthest(known, config, reason):
+    frame = look(known, walk(37)).again()
+    outcome = relocalizer(known, **config).relocalize(frame, rng())
+    assert not outcome.success and outcome.reason == reason
+    assert (outcome.inliers > 0) is (reason == "too_few_inliers")
+
+
+def test_a_frame_of_nothing_and_a_map_of_nothing(known):
+    sighting = known[0].see(500, rigid((0, 0, -1000)), rng(), clutter=0)
+    assert len(sighting.frame.features) == 0
+    assert relocalizer(known).relocalize(sighting.again(), rng()).reason == "no_candidates"
+    empty = Map(0, VIEW)
+    nowhere = Relocalizer(empty, KeyframeDatabase(empty, known[3]), RelocalizationConfig())
+    assert nowhere.relocalize(look(known, walk(37)).again(), rng()).reason == "no_candidates"
+
+
+# -- the system, on images -----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def there_and_back():
+    """The camera passes, shows nothing, and is back where it was half a second before."""
+    images, stamps_s, T_world_cam = toy(100, step_m=STEP_M)
+    order = [*range(80), *range(80, 90), *range(60, 85)]
+    shown = blanked([images[i] for i in order], range(80, 90))
+    stamps_s = np.arange(len(order)) / CAMERA.fps
+    return shown, stamps_s, T_world_cam[order]
+
+
+@pytest.fixture(scope="module")
+def healed(there_and_back):
+    images, stamps_s, _ = there_and_back
+    system = build_system("base", CAMERA, 0)
+    return system, feed(system, images, stamps_s)
+
+
+def test_the_base_goes_on_in_its_map_when_it_sees_a_known_place(healed, there_and_back):
+    system, results = healed
+    assert kinds(system)[:3] == ["initialized", "breakage", "relocalized"]
+    _, broken, found = system.events[:3]
+    assert isinstance(broken, Breakage) and isinstance(found, Relocalized)
+    assert broken.frame == 80 and 90 <= found.frame <= 92
+    assert found.frames_lost == found.frame - 80
+    assert found.lost_s == pytest.approx(found.frames_lost / CAMERA.fps)
+    assert found.map_id == 0 and found.inliers >= 50
+    assert 40 <= found.keyframe < 80
+    assert results[found.frame].inliers == found.inliers and results[found.frame].reason == ""
+    assert all(r.state is TrackingState.TRACKING for r in results[found.frame :])
+    (path,) = system.trajectories()
+    assert set(range(found.frame, 115)) <= set(path.frames.tolist())
+    errors, _ = errors_m(path, there_and_back[2])
+    assert rms(errors) < 0.03 and errors.max() < 0.1
+
+
+def test_every_transition_has_its_reason_and_its_counts(healed):
+    system, results = healed
+    found = system.events[2]
+    assert results[80].state is TrackingState.LOST and results[80].reason == system.events[1].reason
+    for r in results[81 : found.frame]:
+        assert r.state is TrackingState.RELOCALIZING and r.T_map_cam is None
+        assert r.reason and r.inliers <= r.matches and not r.inlier_mask.any()
+        assert "relocalize" in r.cpu_ms
+    # Nothing is looked for while there is tracking.
+    assert all("relocalize" not in r.cpu_ms for r in results[:81] + results[found.frame + 1 :])
+
+
+def test_the_same_seed_relocalizes_the_same(healed, there_and_back):
+    images, stamps_s, _ = there_and_back
+    again = build_system("base", CAMERA, 0)
+    feed(again, images, stamps_s, check=False)
+    assert fingerprint(again) == fingerprint(healed[0])
+
+
+def test_a_different_place_is_not_accepted(there_and_back):
+    images, stamps_s, _ = there_and_back
+    elsewhere, _, _ = toy(60, seed=5, step_m=STEP_M)
+    system = build_system("base", CAMERA, 0)
+    results = feed(system, [*images[:90], *elsewhere], np.arange(150) / CAMERA.fps, check=False)
+    assert kinds(system) == ["initialized", "breakage"]
+    assert all(r.state is TrackingState.RELOCALIZING and r.reason for r in results[81:])
+    # Back in the known place it is found, however long that took.
+    feed(system, images[65:75], 6.0 + stamps_s[:10], check=False)
+    assert kinds(system)[-1] == "relocalized" and system.events[-1].frames_lost >= 70
+
+
+@pytest.mark.parametrize(("cautious_s", "again"), [(0.2, True), (0.0, False)])
+def test_for_a_time_after_relocalization_tracking_asks_for_more(there_and_back, cautious_s, again):
+    images, stamps_s, _ = there_and_back
+    config = default_config(CAMERA)
+    tracking = replace(config.tracking, cautious_inliers=10_000, cautious_s=cautious_s)
+    system = build_system("base", CAMERA, 0, replace(config, tracking=tracking))
+    results = feed(system, images[:93], stamps_s[:93], check=False)
+    found = next(e for e in system.events if e.kind == "relocalized")
+    after = [e for e in system.events if e.frame > found.frame]
+    assert bool(after) is again
+    if again:
+        assert (after[0].kind, after[0].frame) == ("breakage", found.frame + 1)
+        assert after[0].reason == "too_few_local_map_inliers" and after[0].inliers >= 50
+        assert results[found.frame + 1].state is TrackingState.LOST
+
+
+def test_dual_slam_looks_in_its_saved_map_while_it_seeks_another(there_and_back):
+    images, stamps_s, _ = there_and_back
+    system = build_system("dual", CAMERA, 0)
+    results = feed(system, images, stamps_s, check=False)
+    (found,) = [e for e in system.events if isinstance(e, Relocalized)]
+    assert kinds(system) == ["initialized", "breakage", "map_saved", "reinit_start", "relocalized"]
+    assert (found.map_id, system.maps(), system.current_map_id) == (0, [0], 0)
+    assert all(r.map_id == 0 and r.state is TrackingState.TRACKING for r in results[found.frame :])
+    without = build_system("dual", CAMERA, 0, dual=DualConfig(relocalization=False))
+    feed(without, images, stamps_s, check=False)
+    assert "relocalized" not in kinds(without)

@@ -1,0 +1,362 @@
+"""The tracker predicts, falls back, gives up for a reason, and does all of it in either direction of time."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from slam_scenes import FPS, PointWorld, Sighting, pose_error, rigid, tracked_in, walk
+
+from slam.core.frame import Frame, FrameFeatures
+from slam.core.timing import StageTimer
+from slam.map.invariants import check_map
+from slam.tracking.tracker import Tracker, TrackingConfig
+
+LAST = 40
+NO_FALLBACK = TrackingConfig(min_reference_matches=10**6)
+
+
+@pytest.fixture(scope="module")
+def world():
+    return PointWorld(seed=1)
+
+
+@pytest.fixture(scope="module")
+def sightings(world):
+    """What a walking camera sees, with the noise of real features."""
+    rng = np.random.default_rng(2)
+    return [world.see(i, walk(i), rng, noise_px=0.5, bits=8) for i in range(LAST + 1)]
+
+
+@pytest.fixture
+def known(world, sightings):
+    """A fresh map of the whole way, true to a few millimetres, and its map point for each world point."""
+    return world.map_of(sightings[::5], np.random.default_rng(3), noise=0.004)
+
+
+def started(known, sighting, velocity=None, config=None):
+    """A tracker that has just tracked a keyframe's sighting."""
+    built, point_of = known
+    keyframe = sighting.frame.features.index // 5
+    tracker = Tracker(built, config or TrackingConfig(), StageTimer())
+    tracker.start(tracked_in(built, point_of, sighting, keyframe), keyframe, velocity)
+    return tracker
+
+
+def step_between(a: Sighting, b: Sighting):
+    return b.T_cam_world @ np.linalg.inv(a.T_cam_world)
+
+
+def far(outcome_frame, sighting, most_m=0.02, most_deg=0.3):
+    distance, angle = pose_error(outcome_frame.T_cam_map, sighting.T_cam_world)
+    return distance > most_m or angle > most_deg
+
+
+def nothing(index):
+    """A frame without features."""
+    empty = np.empty((0, 2), np.float32)
+    cells = np.zeros(41 * 31 + 1, np.int32)
+    return Frame(
+        FrameFeatures(
+            index, index / FPS, empty, empty.astype(float), np.empty(0, np.int32), np.empty(0, np.float32),
+            np.empty((0, 4), np.uint64), cells,
+        )
+    )  # fmt: skip
+
+
+# -- every frame ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", [range(1, LAST + 1), range(LAST - 1, -1, -1)], ids=["forward", "backward"])
+def test_a_walk_is_tracked_in_either_direction_of_time(known, sightings, order):
+    start = sightings[order[0] - 1 if order.step > 0 else order[0] + 1]
+    tracker = started(known, start)
+    _, point_of = known
+    for i in order:
+        frame = sightings[i].again()
+        outcome = tracker.track(frame)
+        assert outcome.success and outcome.reason == ""
+        assert not far(frame, sightings[i])
+        rows = np.flatnonzero(frame.point >= 0)
+        assert outcome.inliers == len(rows) <= outcome.matches
+        expected = point_of[sightings[i].ids]
+        expected[sightings[i].ids < 0] = -1
+        assert (frame.point[rows] == expected[rows]).mean() > 0.99
+        assert len(rows) > 0.85 * (expected >= 0).sum()
+        assert frame.reference_keyframe == pytest.approx(i / 5, abs=2)
+    check_map(known[0])
+
+
+def test_both_directions_track_equally_well(known, sightings):
+    errors = []
+    for order in (range(1, LAST + 1), range(LAST - 1, -1, -1)):
+        tracker = started(known, sightings[order[0] - order.step])
+        poses = []
+        for i in order:
+            frame = sightings[i].again()
+            assert tracker.track(frame).success
+            poses.append(pose_error(frame.T_cam_map, sightings[i].T_cam_world))
+        errors.append(np.array(poses).mean(0))
+    np.testing.assert_allclose(errors[0], errors[1], rtol=0.35)
+
+
+def test_a_pose_is_kept_relative_to_the_reference_keyframe(known, sightings):
+    """What mapping does to the reference keyframe between frames, the last frame follows."""
+    built, _ = known
+    tracker = started(known, sightings[0], step_between(sightings[0], sightings[1]))
+    for i in (1, 2):
+        frame = sightings[i].again()
+        tracker.track(frame)
+        np.testing.assert_allclose(
+            frame.T_cam_reference @ built.T_cam_map(frame.reference_keyframe), frame.T_cam_map, atol=1e-12
+        )
+    whole = rigid((1.0, -2.0, 0.5), (10, 20, -15))
+    built.transform(1.0, whole[:3, :3], whole[:3, 3])
+    tracker.config = NO_FALLBACK
+    frame = sightings[3].again()
+    assert tracker.track(frame).success
+    moved = Sighting(frame, sightings[3].ids, sightings[3].T_cam_world @ np.linalg.inv(whole))
+    assert not far(frame, moved)
+
+
+def test_seen_points_are_counted_as_visible_and_found(known, sightings):
+    a = known[0].arrays
+    visible, found = a.pt_visible.copy(), a.pt_found.copy()
+    frame = sightings[1].again()
+    started(known, sightings[0]).track(frame)
+    tracked = np.zeros(len(a.pt_found), bool)
+    tracked[frame.point[frame.point >= 0]] = True
+    np.testing.assert_array_equal(a.pt_found - found, tracked)
+    assert (a.pt_visible - visible)[tracked].all()
+    assert (a.pt_visible - visible).sum() > tracked.sum()
+
+
+# -- prediction ----------------------------------------------------------------------------------------------
+
+
+def test_the_velocity_is_the_last_step(known, sightings):
+    tracker = started(known, sightings[0])
+    assert tracker.velocity is None
+    for i in (1, 2):
+        assert tracker.track(sightings[i].again()).success
+    assert max(pose_error(tracker.velocity, step_between(sightings[1], sightings[2]))) < 0.2
+
+
+def test_the_motion_model_is_what_finds_a_frame_far_off(known, sightings):
+    """A step of 100 px or so is found by prediction alone, and is not found where the camera was."""
+    step = step_between(sightings[0], sightings[16])
+    frame = sightings[16].again()
+    assert started(known, sightings[0], step, NO_FALLBACK).track(frame).success
+    assert not far(frame, sightings[16])
+    outcome = started(known, sightings[0], np.eye(4), NO_FALLBACK).track(sightings[16].again())
+    assert not outcome.success
+
+
+@pytest.mark.parametrize("velocity", [None, rigid((1.5, 0, 0))], ids=["unknown", "wrong"])
+def test_the_reference_keyframe_stands_in_for_the_motion_model(known, sightings, velocity):
+    frame = sightings[8].again()
+    assert started(known, sightings[0], velocity).track(frame).success
+    assert not far(frame, sightings[8])
+    assert not started(known, sightings[0], velocity, NO_FALLBACK).track(sightings[8].again()).success
+
+
+def test_a_culled_reference_keyframe_is_stood_in_for_by_its_parent(known, sightings):
+    built, _ = known
+    tracker = started(known, sightings[10])
+    built.cull_keyframe(2)
+    frame = sightings[11].again()
+    assert tracker.track(frame).success
+    assert not far(frame, sightings[11])
+    assert frame.reference_keyframe != 2
+
+
+# -- giving up -----------------------------------------------------------------------------------------------
+
+
+def test_a_foreign_scene_is_not_tracked_and_changes_nothing(known, sightings):
+    foreign = PointWorld(seed=99).see(1, walk(1), np.random.default_rng(0))
+    tracker = started(known, sightings[0], np.eye(4))
+    last, velocity = tracker.last, tracker.velocity
+    outcome = tracker.track(foreign.frame)
+    assert not outcome.success and outcome.inliers == 0
+    assert outcome.reason == "too_few_matches_with_last_frame"
+    assert tracker.last is last and tracker.velocity is velocity
+    assert tracker.track(sightings[1].again()).success
+
+
+def test_a_frame_without_features_is_not_tracked(known, sightings):
+    outcome = started(known, sightings[0], np.eye(4)).track(nothing(1))
+    assert (outcome.success, outcome.inliers, outcome.matches) == (False, 0, 0)
+    assert outcome.reason == "too_few_matches_with_last_frame"
+
+
+def test_too_few_points_in_the_local_map_are_told_apart(known, sightings):
+    """Enough for the prediction, too few to trust the pose; one more than the least is enough."""
+    config = TrackingConfig()
+    for count, success in ((config.min_inliers - 5, False), (config.min_inliers + 10, True)):
+        whole, f = sightings[1], sightings[1].frame.features
+        shown = np.flatnonzero((whole.ids >= 0) & (known[1][whole.ids] >= 0))
+        near = known[0].observed_points(0)
+        keep = shown[np.isin(known[1][whole.ids[shown]], near)][:: len(shown) // 60][:count]
+        rows = np.sort(keep)
+        cells = np.searchsorted(rows, f.cell_start).astype(np.int32)
+        few = FrameFeatures(
+            1, 1 / FPS, f.xy_image[rows], f.xy[rows], f.octave[rows], f.angle_deg[rows],
+            f.descriptors[rows], cells,
+        )  # fmt: skip
+        outcome = started(known, sightings[0], step_between(sightings[0], whole)).track(Frame(few))
+        assert outcome.success is success
+        assert outcome.reason == ("" if success else "too_few_local_map_inliers")
+        assert outcome.matches >= outcome.inliers >= 20
+
+
+# -- gaps ----------------------------------------------------------------------------------------------------
+
+
+def track_until(tracker, sightings, stop):
+    for i in range(1, stop):
+        assert tracker.track(sightings[i].again()).success
+
+
+@pytest.mark.parametrize("gap", [4, 12])
+def test_tracking_resumes_across_a_gap(known, sightings, gap):
+    """Passed-over frames carry the pose on; without that the camera is sought where it was."""
+    carried, stuck = started(known, sightings[0]), started(known, sightings[0])
+    for tracker in (carried, stuck):
+        track_until(tracker, sightings, 8)
+        tracker.config = replace(NO_FALLBACK, gap_radius_px=5.0)
+    for i in range(8, 8 + gap):
+        assert not carried.track(nothing(i)).success
+        carried.pass_over(nothing(i))
+    assert not far(carried.last, sightings[7 + gap], most_m=0.1, most_deg=1.5)
+    frame = sightings[8 + gap].again()
+    assert carried.track(frame).success
+    assert not far(frame, sightings[8 + gap])
+    assert stuck.track(sightings[8 + gap].again()).success is (gap < 5)
+    after = sightings[9 + gap].again()
+    assert carried.track(after).success
+    assert not far(after, sightings[9 + gap])
+
+
+def test_a_gap_is_searched_ever_wider(known, sightings):
+    """A turn that the motion model could not foresee is found in a wide window, not in a narrow one."""
+    for radius_px, success in ((1.0, False), (20.0, True)):
+        tracker = started(known, sightings[0], np.eye(4), replace(NO_FALLBACK, gap_radius_px=radius_px))
+        for i in range(1, 10):
+            tracker.pass_over(nothing(i))
+        frame = sightings[10].again()
+        assert tracker.track(frame).success is success
+        assert far(frame, sightings[10]) is not success
+
+
+def test_the_velocity_outlives_a_gap(known, sightings):
+    """The step over the gap is no velocity: that of the frames before it goes on."""
+    tracker = started(known, sightings[0])
+    track_until(tracker, sightings, 8)
+    before = np.array(tracker.velocity)
+    for i in range(8, 16):
+        tracker.pass_over(nothing(i))
+    assert tracker.track(sightings[16].again()).success
+    np.testing.assert_array_equal(tracker.velocity, before)
+    assert tracker.track(sightings[17].again()).success
+    assert max(pose_error(tracker.velocity, step_between(sightings[16], sightings[17]))) < 0.2
+
+
+def test_passing_over_leaves_the_tracked_frame_as_it_was(known, sightings):
+    """The frame before a gap has been handed out: its own pose is not to be carried on with the tracker's."""
+    tracker = started(known, sightings[0])
+    track_until(tracker, sightings, 7)
+    frame = sightings[7].again()
+    assert tracker.track(frame).success
+    T_cam_map, T_cam_reference = frame.T_cam_map.copy(), frame.T_cam_reference.copy()
+    for i in range(8, 14):
+        tracker.pass_over(nothing(i))
+    np.testing.assert_allclose(frame.T_cam_map, T_cam_map, atol=1e-12)
+    np.testing.assert_allclose(frame.T_cam_reference, T_cam_reference, atol=1e-12)
+
+
+def test_passing_over_without_a_velocity_stays_in_place(known, sightings):
+    tracker = started(known, sightings[0])
+    for i in range(1, 5):
+        tracker.pass_over(nothing(i))
+    frame = sightings[5].again()
+    assert tracker.track(frame).success
+    assert not far(frame, sightings[5])
+
+
+# -- keyframes -----------------------------------------------------------------------------------------------
+
+
+def test_a_keyframe_is_wanted_where_fewer_points_are_known_and_not_too_soon(known, sightings):
+    config = TrackingConfig()
+    tracker = started(known, sightings[20])
+    for i, stamp_frames in ((21, 1), (24, 4), (16, 4)):
+        frame = sightings[i].again()
+        outcome = tracker.track(frame)
+        assert outcome.success
+        late = stamp_frames / FPS >= config.keyframe_interval_s - 1e-6
+        # Either direction of time: what counts is the distance from the last keyframe.
+        assert tracker.wants_keyframe(frame, 0) is late
+        assert not tracker.wants_keyframe(frame, 10**6)
+
+
+def test_a_new_keyframe_becomes_the_reference_and_gives_its_points(known, sightings):
+    built, point_of = known
+    tracker = started(known, sightings[0])
+    frame = sightings[3].again()
+    assert tracker.track(frame).success
+    row = built.add_keyframe(tracked_in(built, point_of, sightings[3], 0), 0)
+    tracker.keyframe_made(frame, row)
+    np.testing.assert_array_equal(frame.point, built.observed_points(row))
+    assert frame.reference_keyframe == row
+    np.testing.assert_array_equal(frame.T_cam_map, built.T_cam_map(row))
+    # A keyframe has just been made: none is wanted at once.
+    assert not tracker.wants_keyframe(frame, 0)
+
+
+def test_tracking_goes_on_in_a_map_that_has_absorbed_its_own(world, known, sightings):
+    """Rows shift, the scale is that of the other map, and the next frame is tracked as if nothing were."""
+    built, _ = known
+    tracker = started(known, sightings[20])
+    for i in (21, 22):
+        last = sightings[i].again()
+        assert tracker.track(last).success
+    other, _ = world.map_of(sightings[:4], np.random.default_rng(4))
+    whole = rigid((1.0, 0.3, -0.5), (5, -10, 20))
+    built.transform(2.0, whole[:3, :3], whole[:3, 3])
+    keyframes, points = other.absorb(built)
+    last.reference_keyframe += keyframes
+    last.point[last.point >= 0] += points
+    last.T_cam_reference[:3, 3] *= 2.0
+    assert tracker.velocity is not None
+    tracker.velocity[:3, 3] *= 2.0
+    tracker.rebase(other, last)
+    frame = sightings[23].again()
+    assert tracker.track(frame).success
+    truth = sightings[23].T_cam_world @ np.linalg.inv(whole)
+    truth[:3, 3] = 2 * sightings[23].T_cam_world[:3, 3] - truth[:3, :3] @ whole[:3, 3]
+    distance, angle = pose_error(frame.T_cam_map, truth)
+    assert distance < 0.04 and angle < 0.3
+
+
+def test_a_gap_that_was_entered_on_a_wrong_turn_is_got_over(known, sightings):
+    """The last pose before a gap may be poor, and what was carried on from it far off by its end."""
+    turn = rigid(np.zeros(3), rotvec_deg=(0.0, 4.0, 0.0))
+    tracker = started(known, sightings[0], turn, NO_FALLBACK)
+    for i in range(1, 12):
+        tracker.pass_over(nothing(i))
+    assert far(tracker.last, sightings[11], most_m=0.1, most_deg=20.0)
+    frame = sightings[12].again()
+    assert tracker.track(frame).success
+    assert not far(frame, sightings[12])
+
+
+def test_a_pose_that_many_matches_deny_is_refused_where_a_share_is_asked(known, sightings):
+    """Half of the keypoints displaced, within the search windows: their points are matched and do not fit."""
+    features = sightings[1].frame.features
+    off = 3.2 * known[0].view.scale[features.octave] * np.sin(np.arange(len(features)) * np.pi / 2)
+    displaced = replace(features, xy=features.xy + np.stack([0 * off, off], axis=1))
+    for share, reason in ((0.0, ""), (0.7, "too_many_outliers")):
+        tracker = started(known, sightings[0], np.eye(4), TrackingConfig(min_share=share))
+        outcome = tracker.track(Frame(displaced))
+        assert (outcome.success, outcome.reason) == (not reason, reason)
+        assert 30 <= outcome.inliers < 0.7 * outcome.matches
