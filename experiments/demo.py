@@ -5,7 +5,7 @@ from collections.abc import Sequence as Many
 from pathlib import Path
 
 from experiments.evaluation.summary import summarise
-from experiments.pictures.run_picture import draw_demo
+from experiments.pictures.run_picture import draw_runs
 from experiments.result_folder import RECORDING_FILE, write_run
 from experiments.runs.execution import RunRecord, SystemFactory, SystemKind, execute
 from experiments.runs.files import to_json
@@ -63,6 +63,6 @@ def run_demo(
             own.mkdir()
             summaries[kind] = summarise(record)
             write_run(own, record, summaries[kind])
-        draw_demo(folder / PICTURE_FILE, sequence, records)
+        draw_runs(folder / PICTURE_FILE, sequence, records)
         (folder / MARKER_FILE).write_text(to_json(summaries, indent=2) + "\n", encoding="utf-8")
     return summaries

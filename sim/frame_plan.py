@@ -1,4 +1,4 @@
-"""From a scenario to its frames: the plan of the shoot, the sharp frames, what happens to each of them."""
+"""From a scenario to its frames: the frame plan, the clean frames, what is done to each."""
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -10,11 +10,11 @@ from typing import Protocol
 import numpy as np
 
 from scenarios.spec import Camera, Scenario, World
-from sim.degradations.base import Shoot, Stage
+from sim.degradations.base import FramePlan, Stage
 from sim.degradations.chain import ImageChain
-from sim.degradations.registry import SHOOT_KINDS, in_order_of_action
-from sim.degradations.repeated_texture import papered
-from sim.degradations.scattering import Veil
+from sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
+from sim.degradations.repeated_texture import with_repeated_texture
+from sim.degradations.scattering import Scattering
 from sim.io.raw import RawFrames, RawWriter
 from sim.motion import plan_motion
 from sim.motion.base import Motion
@@ -30,14 +30,14 @@ from sim.worlds.base import Route, WorldModel
 Progress = Callable[[str, int, int], None]
 """Called with the name of the step, frames done and frames in all."""
 
-Survey = Callable[[Shoot], np.ndarray]
+Survey = Callable[[FramePlan], np.ndarray]
 """(N, S) float32 share of the view that each surface of the world fills in each frame of a shoot."""
 
 _SURVEY_WIDTH_PX = 80
 
 
 @dataclass(frozen=True)
-class Studio:
+class RenderBackend:
     """What renders: the worlds and the renderer behind their interfaces.
 
     Attributes:
@@ -55,7 +55,7 @@ class Studio:
     renderer_name: str = DEFAULT_RENDERER
 
 
-def studio_with(renderer: str) -> Studio:
+def render_backend(renderer: str) -> RenderBackend:
     """The worlds of ``sim.worlds``, rendered by one of ``sim.rendering.renderers``.
 
     Raises:
@@ -64,7 +64,7 @@ def studio_with(renderer: str) -> Studio:
     from sim.rendering.gl_context import gl_info
     from sim.worlds import layout
 
-    return Studio(layout, _world, load_renderer(renderer), gl_info, renderer)
+    return RenderBackend(layout, _world, load_renderer(renderer), gl_info, renderer)
 
 
 @lru_cache(maxsize=1)
@@ -78,9 +78,9 @@ def _world(spec: World, seed: int) -> WorldModel:
     return world
 
 
-def mujoco_studio() -> Studio:
+def mujoco_backend() -> RenderBackend:
     """The worlds of ``sim.worlds``, rendered by MuJoCo."""
-    return studio_with("mujoco")
+    return render_backend("mujoco")
 
 
 def camera_intrinsics(camera: Camera) -> Intrinsics:
@@ -100,30 +100,34 @@ def camera_intrinsics(camera: Camera) -> Intrinsics:
     )
 
 
-def plan_shoot(scenario: Scenario, seed: int, studio: Studio, progress: Progress) -> tuple[Shoot, WorldModel]:
+def plan_frames(
+    scenario: Scenario, seed: int, backend: RenderBackend, progress: Progress
+) -> tuple[FramePlan, WorldModel]:
     """Everything that decides the frames, with every segment applied, and the world as it is seen."""
-    world = studio.build_world(scenario.world, world_seed(scenario, seed))
-    survey = partial(_survey, world=world, camera=scenario.camera, studio=studio, progress=progress)
-    shoot = plan_in_world(scenario, seed, studio, len(world.surfaces), survey)
-    return shoot, replace(papered(world, shoot.texture_of, shoot.period_m), contrast=shoot.contrast)
+    world = backend.build_world(scenario.world, world_seed(scenario, seed))
+    survey = partial(_survey, world=world, camera=scenario.camera, backend=backend, progress=progress)
+    plan = plan_in_world(scenario, seed, backend, len(world.surfaces), survey)
+    return plan, replace(with_repeated_texture(world, plan.texture_of, plan.period_m), contrast=plan.contrast)
 
 
-def plan_in_world(scenario: Scenario, seed: int, studio: Studio, surfaces: int, survey: Survey) -> Shoot:
+def plan_in_world(
+    scenario: Scenario, seed: int, backend: RenderBackend, surfaces: int, survey: Survey
+) -> FramePlan:
     """The plan alone, of a world that need not be built.
 
     Args:
         scenario: what happens.
         seed: root seed.
-        studio: for the route.
+        backend: for the route.
         surfaces: their number, S.
         survey: asked once if a segment acts on the world.
     """
     camera = scenario.camera
     stamps_s = np.arange(scenario.frame_count) / camera.fps
-    shoot = Shoot(
+    plan = FramePlan(
         stamps_s=stamps_s,
         motion=plan_motion(
-            studio.layout(scenario.world, world_seed(scenario, seed)),
+            backend.layout(scenario.world, world_seed(scenario, seed)),
             scenario.trajectory,
             scenario.duration_s,
             seed,
@@ -133,14 +137,14 @@ def plan_in_world(scenario: Scenario, seed: int, studio: Studio, surfaces: int, 
         view_share=np.zeros((len(stamps_s), 0), np.float32),
         seed=seed,
     )
-    acting = in_order_of_action(s for s in scenario.segments if s.kind in SHOOT_KINDS)
+    acting = in_order_of_action(s for s in scenario.segments if s.kind in FRAME_PLAN_KINDS)
     for stage in Stage:
-        segments = [s for s in acting if SHOOT_KINDS[s.kind].stage is stage]
+        segments = [s for s in acting if FRAME_PLAN_KINDS[s.kind].stage is stage]
         if stage is Stage.WORLD and segments:
-            shoot = replace(shoot, view_share=survey(shoot))
+            plan = replace(plan, view_share=survey(plan))
         for segment in segments:
-            shoot = SHOOT_KINDS[segment.kind].apply(shoot, segment)
-    return shoot
+            plan = FRAME_PLAN_KINDS[segment.kind].apply(plan, segment)
+    return plan
 
 
 def world_seed(scenario: Scenario, seed: int) -> int:
@@ -148,15 +152,15 @@ def world_seed(scenario: Scenario, seed: int) -> int:
     return seed if scenario.world_seed is None else scenario.world_seed
 
 
-def plan_path(scenario: Scenario, seed: int, studio: Studio) -> Motion:
+def plan_path(scenario: Scenario, seed: int, backend: RenderBackend) -> Motion:
     """The camera's motion alone, with the segments that act on it; nothing is built or rendered."""
-    acting = (s for s in scenario.segments if s.kind in SHOOT_KINDS)
-    turning = tuple(s for s in acting if SHOOT_KINDS[s.kind].stage is Stage.MOTION)
+    acting = (s for s in scenario.segments if s.kind in FRAME_PLAN_KINDS)
+    turning = tuple(s for s in acting if FRAME_PLAN_KINDS[s.kind].stage is Stage.MOTION)
     moved = scenario.model_copy(update={"segments": turning})
-    return plan_in_world(moved, seed, studio, 0, lambda shoot: shoot.view_share).motion
+    return plan_in_world(moved, seed, backend, 0, lambda plan: plan.view_share).motion
 
 
-class Plates(Protocol):
+class CleanFrames(Protocol):
     """Sharp frames of an ideal camera, which every segment but those of motion and world leaves alone."""
 
     def __call__(self, frame: int, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -165,42 +169,44 @@ class Plates(Protocol):
 
 
 @contextmanager
-def rendered_plates(world: WorldModel, camera: Camera, studio: Studio) -> Iterator[Plates]:
-    """Plates rendered as they are asked for, through the world's air."""
+def rendered_clean_frames(world: WorldModel, camera: Camera, backend: RenderBackend) -> Iterator[CleanFrames]:
+    """CleanFrames rendered as they are asked for, through the world's air."""
     ideal = ideal_camera(camera_intrinsics(camera))
-    renderer = studio.renderer(world, ideal)
+    renderer = backend.renderer(world, ideal)
     haze = world.haze
-    veil = Veil(ideal, haze.airlight_level) if haze else None
+    scattering = Scattering(ideal, haze.airlight_level) if haze else None
 
-    def plate(frame: int, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def clean_frame(frame: int, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         gray, depth_m = renderer.render(T_world_cam)
-        if veil and haze:
-            gray, _ = veil.drawn(gray, depth_m, haze.extinction_per_m)
+        if scattering and haze:
+            gray, _ = scattering.drawn(gray, depth_m, haze.extinction_per_m)
         return gray, depth_m
 
     try:
-        yield plate
+        yield clean_frame
     finally:
         renderer.close()
 
 
-def stored_plates(folder: Path) -> Plates:
-    """Plates that ``store_plates`` has written."""
+def stored_clean_frames(folder: Path) -> CleanFrames:
+    """CleanFrames that ``store_clean_frames`` has written."""
     grays, depths = RawFrames(folder / "gray.npy"), RawFrames(folder / "depth.npy")
     return lambda frame, T_world_cam: (grays[frame], depths[frame])
 
 
-def store_plates(folder: Path, shoot: Shoot, plates: Plates, camera: Camera, progress: Progress) -> None:
-    """Write the plates of a shoot, and its survey, into a folder."""
+def store_clean_frames(
+    folder: Path, plan: FramePlan, clean_frames: CleanFrames, camera: Camera, progress: Progress
+) -> None:
+    """Write the clean frames of a plan, and its survey, into a folder."""
     ideal = ideal_camera(camera_intrinsics(camera))
-    shape = (len(shoot.stamps_s), ideal.height_px, ideal.width_px)
-    np.save(folder / "view_share.npy", shoot.view_share)
+    shape = (len(plan.stamps_s), ideal.height_px, ideal.width_px)
+    np.save(folder / "view_share.npy", plan.view_share)
     with (
         RawWriter(folder / "gray.npy", shape, np.uint8) as grays,
         RawWriter(folder / "depth.npy", shape, np.float32) as depths,
     ):
-        for frame, T_world_cam in enumerate(shoot.motion.T_world_cam(shoot.stamps_s)):
-            gray, depth_m = plates(frame, T_world_cam)
+        for frame, T_world_cam in enumerate(plan.motion.T_world_cam(plan.stamps_s)):
+            gray, depth_m = clean_frames(frame, T_world_cam)
             grays.append(gray)
             depths.append(depth_m)
             progress("rendering", frame + 1, shape[0])
@@ -211,10 +217,10 @@ def ideal_camera(camera: Intrinsics) -> Intrinsics:
     return camera if camera.is_pinhole else Lens(camera).ideal
 
 
-def film(
+def expose_frames(
     folder: Path,
-    shoot: Shoot,
-    plates: Plates,
+    plan: FramePlan,
+    clean_frames: CleanFrames,
     camera: Camera,
     chain: ImageChain,
     depth: bool,
@@ -225,7 +231,7 @@ def film(
     Args:
         folder: gets ``gray.npy`` and, with ``depth``, ``depth.npy``.
         shoot: with every segment applied.
-        plates: the sharp frames.
+        clean_frames: the sharp frames.
         camera: of the scenario.
         chain: the image-space segments.
         depth: keep depth images too.
@@ -237,9 +243,9 @@ def film(
     own = camera_intrinsics(camera)
     lens = None if own.is_pinhole else Lens(own)
     ideal = lens.ideal if lens else own
-    count, size = len(shoot.stamps_s), (camera.height_px, camera.width_px)
-    noise = SensorNoise(size, camera.noise_sigma, shoot.seed)
-    T_world_mid, T_mid_open, T_mid_close = _shutter_poses(shoot)
+    count, size = len(plan.stamps_s), (camera.height_px, camera.width_px)
+    noise = SensorNoise(size, camera.noise_sigma, plan.seed)
+    T_world_mid, T_mid_open, T_mid_close = _shutter_poses(plan)
     blur_px = np.zeros(count)
     with ExitStack() as files:
         grays = files.enter_context(RawWriter(folder / "gray.npy", (count, *size), np.uint8))
@@ -248,11 +254,11 @@ def film(
             if depth
             else None
         )
-        for index, frame in enumerate(shoot.frame.tolist()):
-            image, depth_m = plates(frame, T_world_mid[index])
-            image = chain.apply(image, index, (Stage.SCENE,), depth_m, shoot.motion)
+        for index, frame in enumerate(plan.frame.tolist()):
+            image, depth_m = clean_frames(frame, T_world_mid[index])
+            image = chain.apply(image, index, (Stage.SCENE,), depth_m, plan.motion)
             image, blur_px[index] = expose(image, depth_m, ideal, T_mid_open[index], T_mid_close[index])
-            image = chain.apply(image, index, (Stage.READOUT,), depth_m, shoot.motion)
+            image = chain.apply(image, index, (Stage.READOUT,), depth_m, plan.motion)
             if lens:
                 image, depth_m = lens.distort(image), lens.distort_depth(depth_m)
             image = chain.apply(image, index, (Stage.LENS, Stage.SENSOR))
@@ -263,18 +269,18 @@ def film(
     return blur_px
 
 
-def _shutter_poses(shoot: Shoot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _shutter_poses(plan: FramePlan) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(N, 4, 4) each: camera to world mid-exposure; camera at opening, at closing to mid-exposure."""
-    half_s = shoot.exposure_s / 2
-    T_world_mid = shoot.motion.T_world_cam(shoot.stamps_s)
+    half_s = plan.exposure_s / 2
+    T_world_mid = plan.motion.T_world_cam(plan.stamps_s)
     T_mid_world = np.linalg.inv(T_world_mid)
-    T_mid_open = T_mid_world @ shoot.motion.T_world_cam(shoot.stamps_s - half_s)
-    T_mid_close = T_mid_world @ shoot.motion.T_world_cam(shoot.stamps_s + half_s)
+    T_mid_open = T_mid_world @ plan.motion.T_world_cam(plan.stamps_s - half_s)
+    T_mid_close = T_mid_world @ plan.motion.T_world_cam(plan.stamps_s + half_s)
     return T_world_mid, T_mid_open, T_mid_close
 
 
 def _survey(
-    shoot: Shoot, world: WorldModel, camera: Camera, studio: Studio, progress: Progress
+    plan: FramePlan, world: WorldModel, camera: Camera, backend: RenderBackend, progress: Progress
 ) -> np.ndarray:
     """See ``Survey``; the frames are seen in small."""
     scale = _SURVEY_WIDTH_PX / camera.width_px
@@ -287,9 +293,9 @@ def _survey(
         cx=(camera.cx_px + 0.5) * scale - 0.5,
         cy=(camera.cy_px + 0.5) * scale - 0.5,
     )
-    poses = shoot.motion.T_world_cam(shoot.stamps_s)
+    poses = plan.motion.T_world_cam(plan.stamps_s)
     shares = np.zeros((len(poses), len(world.surfaces)), np.float32)
-    renderer = lens_renderer(partial(studio.renderer, world), small)
+    renderer = lens_renderer(partial(backend.renderer, world), small)
     try:
         for frame, T_world_cam in enumerate(poses):
             ids = renderer.render_surface_ids(T_world_cam)

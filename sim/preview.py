@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from scenarios.spec import Scenario
-from sim.degradations.base import Shoot
+from sim.degradations.base import FramePlan
 from sim.degradations.chain import ImageChain
 from sim.frame_plan import (
-    Studio,
+    RenderBackend,
     camera_intrinsics,
-    film,
+    expose_frames,
     ideal_camera,
-    mujoco_studio,
-    plan_shoot,
-    rendered_plates,
+    mujoco_backend,
+    plan_frames,
+    rendered_clean_frames,
 )
 from sim.io.raw import RawFrames
 from sim.worlds.base import WorldModel
@@ -31,15 +31,15 @@ class Preview:
         scenario: what happens; its seed is the sequence's.
         shoot: the whole plan, with every segment applied.
         world: as the camera sees it.
-        studio: what renders.
+        backend: what renders.
     """
 
     scenario: Scenario
-    shoot: Shoot
+    plan: FramePlan
     world: WorldModel
-    studio: Studio
+    backend: RenderBackend
 
-    def film(self, indices: Many[int]) -> tuple[list[np.ndarray], np.ndarray]:
+    def expose_frames(self, indices: Many[int]) -> tuple[list[np.ndarray], np.ndarray]:
         """The very frames that the whole sequence has at some places.
 
         This holds because a frame depends on the plan, its own number and its own time, never on the frames
@@ -51,9 +51,9 @@ class Preview:
         Returns:
             K images (H, W) uint8, and (K,) float64 median length of their motion blur, pixels.
         """
-        kept = np.zeros(len(self.shoot.stamps_s), bool)
+        kept = np.zeros(len(self.plan.stamps_s), bool)
         kept[list(indices)] = True
-        part, camera, seed = self.shoot.only(kept), self.scenario.camera, self.scenario.seed
+        part, camera, seed = self.plan.only(kept), self.scenario.camera, self.scenario.seed
         own = camera_intrinsics(camera)
         chain = ImageChain(
             self.scenario.segments,
@@ -66,23 +66,25 @@ class Preview:
         )
         with (
             tempfile.TemporaryDirectory(prefix="dslab-") as folder,
-            rendered_plates(self.world, camera, self.studio) as plates,
+            rendered_clean_frames(self.world, camera, self.backend) as clean_frames,
         ):
-            blur_px = film(Path(folder), part, plates, camera, chain, False, lambda step, done, total: None)
+            blur_px = expose_frames(
+                Path(folder), part, clean_frames, camera, chain, False, lambda step, done, total: None
+            )
             frames = RawFrames(Path(folder) / "gray.npy")
             return [frames[k] for k in range(len(frames))], blur_px
 
 
-def preview(scenario: Scenario, studio: Studio | None = None) -> Preview:
+def preview(scenario: Scenario, backend: RenderBackend | None = None) -> Preview:
     """Plan a sequence and build its world.
 
     Args:
         scenario: what happens, with its own seed.
-        studio: what renders; None for MuJoCo.
+        backend: what renders; None for MuJoCo.
 
     Raises:
         InputError: no GL, or the world's sizes do not fit.
     """
-    studio = studio or mujoco_studio()
-    shoot, world = plan_shoot(scenario, scenario.seed, studio, lambda step, done, total: None)
-    return Preview(scenario, shoot, world, studio)
+    backend = backend or mujoco_backend()
+    plan, world = plan_frames(scenario, scenario.seed, backend, lambda step, done, total: None)
+    return Preview(scenario, plan, world, backend)

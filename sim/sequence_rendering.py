@@ -17,23 +17,23 @@ import sim
 from scenarios.segments import ImageSegment
 from scenarios.spec import Scenario
 from sim.cache import FolderCache, content_key
-from sim.degradations.base import Shoot, Stage
+from sim.degradations.base import FramePlan, Stage
 from sim.degradations.chain import ImageChain
 from sim.degradations.registry import DEGRADATIONS, in_order_of_action
 from sim.degradations.truths import truths_of
 from sim.frame_plan import (
     Progress,
-    Studio,
+    RenderBackend,
     camera_intrinsics,
-    film,
+    expose_frames,
     ideal_camera,
-    mujoco_studio,
+    mujoco_backend,
+    plan_frames,
     plan_in_world,
-    plan_shoot,
-    rendered_plates,
-    store_plates,
-    stored_plates,
-    studio_with,
+    render_backend,
+    rendered_clean_frames,
+    store_clean_frames,
+    stored_clean_frames,
 )
 from sim.io.raw import RawFrames
 from sim.io.tum import claim_output_dir, write_tum
@@ -41,12 +41,12 @@ from sim.sequence import SegmentTruth, Sequence
 
 __all__ = [
     "Progress",
-    "Studio",
+    "RenderBackend",
     "camera_intrinsics",
-    "mujoco_studio",
-    "plan_shoot",
+    "mujoco_backend",
+    "plan_frames",
+    "render_backend",
     "render_sequence",
-    "studio_with",
 ]
 
 _PACKAGES = (
@@ -69,7 +69,7 @@ def render_sequence(
     cache_dir: Path | None = None,
     depth: bool = False,
     progress: Progress | None = None,
-    studio: Studio | None = None,
+    backend: RenderBackend | None = None,
 ) -> Sequence:
     """Render a scenario, or take it from the cache.
 
@@ -84,25 +84,25 @@ def render_sequence(
         cache_dir: folder of the cache; None for the default one.
         depth: keep depth images too.
         progress: told of every frame.
-        studio: what renders; None for MuJoCo.
+        backend: what renders; None for MuJoCo.
 
     Raises:
         InputError: no GL, the world's sizes do not fit, a folder cannot be written, the disk is full.
     """
     seed = scenario.seed if seed is None else seed
-    studio = studio or mujoco_studio()
+    backend = backend or mujoco_backend()
     progress = progress or (lambda step, done, total: None)
     if out_dir is not None:
         claim_output_dir(out_dir)
-    meta = _provenance(scenario, seed, studio)
+    meta = _provenance(scenario, seed, backend)
     store = FolderCache(cache_dir)
     # Inertial readings change no frame.
-    filmed = _provenance(scenario.model_copy(update={"imu": None}), seed, studio)
+    filmed = _provenance(scenario.model_copy(update={"imu": None}), seed, backend)
     key = content_key({"depth": depth, "sources": _source_hash(), **filmed})
     entry = store.find(key)
     if entry is None:
         with store.create(key) as folder:
-            _render_into(folder, scenario, seed, depth, studio, store, progress)
+            _render_into(folder, scenario, seed, depth, backend, store, progress)
         entry = store.root / key
     sequence = _open(entry, scenario, meta)
     if out_dir is not None:
@@ -115,69 +115,71 @@ def _render_into(
     scenario: Scenario,
     seed: int,
     depth: bool,
-    studio: Studio,
+    backend: RenderBackend,
     store: FolderCache,
     progress: Progress,
 ) -> None:
     """Write the frames and the truth of a sequence into a folder of the cache."""
     camera = scenario.camera
     if any(isinstance(segment, ImageSegment) for segment in scenario.segments):
-        entry = _plates(scenario, seed, studio, store, progress)
+        entry = _clean_frames_of(scenario, seed, backend, store, progress)
         view_share = np.load(entry / "view_share.npy")
-        shoot = plan_in_world(scenario, seed, studio, view_share.shape[1], lambda shoot: view_share)
-        plates = nullcontext(stored_plates(entry))
+        plan = plan_in_world(scenario, seed, backend, view_share.shape[1], lambda plan: view_share)
+        clean_frames = nullcontext(stored_clean_frames(entry))
     else:
-        shoot, world = plan_shoot(scenario, seed, studio, progress)
-        plates = rendered_plates(world, camera, studio)
+        plan, world = plan_frames(scenario, seed, backend, progress)
+        clean_frames = rendered_clean_frames(world, camera, backend)
     own = camera_intrinsics(camera)
     chain = ImageChain(
         scenario.segments,
         own,
-        shoot.stamps_s,
-        shoot.frame,
+        plan.stamps_s,
+        plan.frame,
         seed,
-        exposure_s=shoot.exposure_s,
+        exposure_s=plan.exposure_s,
         ideal=ideal_camera(own),
     )
-    with plates as source:
-        blur_px = film(folder, shoot, source, camera, chain, depth, progress)
-    _write_truth(folder, scenario, shoot, chain, blur_px)
+    with clean_frames as source:
+        blur_px = expose_frames(folder, plan, source, camera, chain, depth, progress)
+    _write_truth(folder, scenario, plan, chain, blur_px)
 
 
-def _plates(scenario: Scenario, seed: int, studio: Studio, store: FolderCache, progress: Progress) -> Path:
+def _clean_frames_of(
+    scenario: Scenario, seed: int, backend: RenderBackend, store: FolderCache, progress: Progress
+) -> Path:
     """The folder of a scenario's sharp frames: rendered once for all that is done to them in image space."""
     kept = [s for s in scenario.segments if DEGRADATIONS[s.kind].stage in (Stage.MOTION, Stage.WORLD)]
     calm = scenario.model_copy(
         update={
-            "name": "plates",
+            "name": "clean_frames",
             "description": "",
             "imu": None,
             "segments": tuple(in_order_of_action(kept)),
             "camera": scenario.camera.model_copy(update={"exposure_s": 0.0, "noise_sigma": 0.0}),
         }
     )
-    key = content_key({"plates": True, "sources": _source_hash(), **_provenance(calm, seed, studio)})
+    key = content_key({"clean_frames": True, "sources": _source_hash(), **_provenance(calm, seed, backend)})
     entry = store.find(key)
     if entry is None:
-        shoot, world = plan_shoot(calm, seed, studio, progress)
+        plan, world = plan_frames(calm, seed, backend, progress)
         with (
             store.create(key) as folder,
-            rendered_plates(world, calm.camera, studio) as plates,
+            rendered_clean_frames(world, calm.camera, backend) as clean_frames,
         ):
-            store_plates(folder, shoot, plates, calm.camera, progress)
+            store_clean_frames(folder, plan, clean_frames, calm.camera, progress)
         entry = store.root / key
     return entry
 
 
 def _write_truth(
-    folder: Path, scenario: Scenario, shoot: Shoot, chain: ImageChain, blur_px: np.ndarray
+    folder: Path, scenario: Scenario, plan: FramePlan, chain: ImageChain, blur_px: np.ndarray
 ) -> None:
-    truths, measured = truths_of(scenario.segments, shoot, chain, blur_px)
+    truths, measured = truths_of(scenario.segments, plan, chain, blur_px)
     # Every frame is exposed and blurred a little, segment or not.
-    columns = {**measured, "exposure_s": shoot.exposure_s, "blur_px": blur_px}
+    columns = {**measured, "exposure_s": plan.exposure_s, "blur_px": blur_px}
     (folder / "segments.json").write_text(json.dumps([asdict(truth) for truth in truths]))
-    np.save(folder / "stamps_s.npy", shoot.stamps_s + shoot.stamp_error_s)
-    np.save(folder / "T_world_cam.npy", shoot.motion.T_world_cam(shoot.stamps_s))
+    np.save(folder / "stamps_s.npy", plan.stamps_s + plan.stamp_error_s)
+    np.save(folder / "T_world_cam.npy", plan.motion.T_world_cam(plan.stamps_s))
     np.savez(folder / "frame_truth.npz", **columns)
 
 
@@ -200,14 +202,14 @@ def _open(entry: Path, scenario: Scenario, meta: dict[str, Any]) -> Sequence:
     )
 
 
-def _provenance(scenario: Scenario, seed: int, studio: Studio) -> dict[str, Any]:
+def _provenance(scenario: Scenario, seed: int, backend: RenderBackend) -> dict[str, Any]:
     """What the frames depend on, as JSON-like data."""
     return {
         "spec": scenario.model_copy(update={"seed": seed}).model_dump(mode="json"),
         "seed": seed,
         "versions": {"python": platform.python_version(), **_versions()},
-        "renderer": studio.renderer_name,
-        "gl": studio.gl_info(),
+        "renderer": backend.renderer_name,
+        "gl": backend.gl_info(),
         "stamps": "centre of the exposure",
         "poses": "camera (x right, y down, z forward) to world (z up), metres, at the stamp",
     }

@@ -9,14 +9,14 @@ from experiments.evaluation import metrics
 from experiments.evaluation.alignment import Undefined
 from experiments.evaluation.summary import is_tracked
 from experiments.runs.execution import RunRecord
-from experiments.runs.foreign_systems import PeerRun
+from experiments.runs.foreign_systems import ForeignRun
 from sim.sequence import Sequence
 from slam.core.results import MapTrajectory
 
 FIGURES = ("cpu_ms_median", "ate_m", "share_tracked", "share_with_pose", "first_tracked_frame")
 
 
-def compare(sequence: Sequence, ours: Many[RunRecord], peers: Many[PeerRun]) -> dict[str, Any]:
+def compare(sequence: Sequence, ours: Many[RunRecord], peers: Many[ForeignRun]) -> dict[str, Any]:
     """Medians over the runs of both, their ratios, and every run.
 
     Args:
@@ -33,7 +33,7 @@ def compare(sequence: Sequence, ours: Many[RunRecord], peers: Many[PeerRun]) -> 
     rows = [
         {"run": number, "system": name, **row}
         for number, (record, peer) in enumerate(zip(ours, peers, strict=True))
-        for name, row in (("ours", _our_row(record, sequence)), ("peer", _peer_row(peer, sequence)))
+        for name, row in (("ours", _our_row(record, sequence)), ("peer", _foreign_row(peer, sequence)))
     ]
     medians = {
         name: {figure: _median([r[figure] for r in rows if r["system"] == name]) for figure in FIGURES}
@@ -60,7 +60,7 @@ def _our_row(record: RunRecord, all_frames: Sequence) -> dict[str, Any]:
     }
 
 
-def _peer_row(run: PeerRun, all_frames: Sequence) -> dict[str, Any]:
+def _foreign_row(run: ForeignRun, all_frames: Sequence) -> dict[str, Any]:
     ate_m, reason = _ate(run.trajectory, all_frames)
     return {
         "cpu_ms_median": run.cpu_ms_median,

@@ -11,7 +11,7 @@ import psutil
 
 from experiments.campaign.schedule import Experiment
 from experiments.campaign.unit_job import Job
-from experiments.campaign.worker_pool import Crew, CrewSettings, embedded_crew
+from experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings, embedded_worker_pool
 from experiments.eq1.records import Outcome
 from experiments.eq1.units import UnitSpec
 from experiments.runs.provenance import usable_cores
@@ -78,24 +78,24 @@ def _lap(experiment: Experiment, units: int, workers: int, job: Job, progress: P
     first = [experiment.unit(cells[0], 10_000 + k) for k in range(workers)]
     step = f"{workers} worker{'s' if workers > 1 else ''}"
     with tempfile.TemporaryDirectory(prefix="dslab-") as folder:
-        settings = CrewSettings(workers=workers, cache_dir=Path(folder))
-        with embedded_crew(settings, job) as crew:
-            _run(crew, first, lambda done: progress(f"{step}, loading", done, workers))
+        settings = WorkerPoolSettings(workers=workers, cache_dir=Path(folder))
+        with embedded_worker_pool(settings, job) as pool:
+            _run(pool, first, lambda done: progress(f"{step}, loading", done, workers))
             began_s, began_cpu_s = time.perf_counter(), _cpu_s()
-            records = _run(crew, chosen, lambda done: progress(step, done, units))
+            records = _run(pool, chosen, lambda done: progress(step, done, units))
             wall_s, cpu_s = time.perf_counter() - began_s, _cpu_s() - began_cpu_s
     well = [r for r in records if r is not None and r["outcome"] != Outcome.INFRASTRUCTURE_ERROR]
     render_s, slam_s = (sum(r[name] or 0.0 for r in well) for name in ("render_s", "slam_s"))
     return Lap(workers, len(well), wall_s, cpu_s, render_s, slam_s)
 
 
-def _run(crew: Crew, units: list[UnitSpec], told: Callable[[int], None]) -> list[dict[str, Any] | None]:
+def _run(pool: WorkerPool, units: list[UnitSpec], told: Callable[[int], None]) -> list[dict[str, Any] | None]:
     waiting, records = list(units), []
     told(0)
     while len(records) < len(units):
-        for worker in crew.free()[: len(waiting)]:
-            crew.start(waiting.pop(0), worker)
-        records += [ended.record for ended in crew.wait(1.0)]
+        for worker in pool.free()[: len(waiting)]:
+            pool.start(waiting.pop(0), worker)
+        records += [ended.record for ended in pool.wait(1.0)]
         told(len(records))
     return records
 

@@ -165,16 +165,16 @@ def _prepare_render(
 ) -> Work:
     """Clean frames one after the other along a scenario's path, each process on a stretch of its own."""
     from scenarios.loading import load_scenario
-    from sim.frame_plan import plan_shoot, studio_with
+    from sim.frame_plan import plan_frames, render_backend
 
-    scenario, studio = load_scenario(name), studio_with(renderer_name)
+    scenario, backend = load_scenario(name), render_backend(renderer_name)
     if length_m is not None:
         scenario = scenario.model_copy(
             update={"world": scenario.world.model_copy(update={"length_m": length_m})}
         )
-    shoot, world = plan_shoot(scenario, scenario.seed, studio, lambda step, done, total: None)
-    renderer = studio.renderer(world, _intrinsics())
-    poses = shoot.motion.T_world_cam(shoot.stamps_s)
+    plan, world = plan_frames(scenario, scenario.seed, backend, lambda step, done, total: None)
+    renderer = backend.renderer(world, _intrinsics())
+    poses = plan.motion.T_world_cam(plan.stamps_s)
     start = index * len(poses) // processes
     renderer.render(poses[start])
 
@@ -188,14 +188,14 @@ def _prepare_render(
 
 def _prepare_degrade(index: int, frames: int, exposure_s: float, cache: Path, renderer: str) -> Work:
     """Fog, defocus, low light and sensor noise on every frame of a corridor that is in the cache."""
-    from sim.sequence_rendering import render_sequence, studio_with
+    from sim.sequence_rendering import render_backend, render_sequence
 
-    studio = studio_with(renderer)
+    backend = render_backend(renderer)
     # Each process has frames of its own in the cache, and a severity that is not yet in it.
     cache_dir, seconds = cache / str(index), max(1.0, frames / 30)
     first, second = (_degraded(seconds, exposure_s, light) for light in (0.2, 0.1))
-    render_sequence(first, index, cache_dir=cache_dir, studio=studio)
-    return lambda: len(render_sequence(second, index, cache_dir=cache_dir, studio=studio))
+    render_sequence(first, index, cache_dir=cache_dir, backend=backend)
+    return lambda: len(render_sequence(second, index, cache_dir=cache_dir, backend=backend))
 
 
 def _degraded(seconds: float, exposure_s: float, illumination: float):
@@ -229,14 +229,14 @@ def _alone(measure: Callable[[str], dict[str, float]], renderer: str) -> dict[st
 def _build_large_city(renderer: str) -> dict[str, float]:
     """Seconds to build a city of a kilometre, and to load it into a renderer; peak memory of both."""
     from scenarios.worlds import CityWorld
-    from sim.frame_plan import studio_with
+    from sim.frame_plan import render_backend
 
-    studio = studio_with(renderer)
-    studio.build_world(CityWorld(length_m=100, turns=0), 0)  # compiles what is compiled
+    backend = render_backend(renderer)
+    backend.build_world(CityWorld(length_m=100, turns=0), 0)  # compiles what is compiled
     started_s, started_cpu_s = time.perf_counter(), time.process_time()
-    world = studio.build_world(CityWorld(length_m=LARGE_CITY_M), 0)
+    world = backend.build_world(CityWorld(length_m=LARGE_CITY_M), 0)
     built_s, built_cpu_s = time.perf_counter(), time.process_time()
-    studio.renderer(world, _intrinsics())
+    backend.renderer(world, _intrinsics())
     return {
         "build_s": built_s - started_s,
         "build_cpu_s": built_cpu_s - started_cpu_s,

@@ -7,7 +7,7 @@ import numpy as np
 from experiments.evaluation.summary import is_tracked, stage_times, time_figures
 from experiments.runs import execution
 from experiments.runs.execution import Mode, RunRecord, SystemFactory, SystemKind, execute
-from experiments.runs.foreign_systems import Peer, PeerRun
+from experiments.runs.foreign_systems import ForeignRun, ForeignSystem
 from experiments.runs.pacing import RealTime
 from sim.sequence import Sequence
 
@@ -21,7 +21,7 @@ def bench(
     build: SystemFactory | None = None,
     mode: Mode = "lockstep",
     real_time: bool = False,
-    peer: Peer | None = None,
+    peer: ForeignSystem | None = None,
 ) -> dict:
     """Run a system several times over the same frames; the times of all runs are pooled.
 
@@ -51,7 +51,7 @@ def bench(
         warm_up(show)
         build = execution.system_factory(mode)
     records: list[RunRecord] = []
-    peer_runs: list[PeerRun] = []
+    peer_runs: list[ForeignRun] = []
     for run in range(runs):
         title = f"run {run + 1} of {runs}"
         records.append(

@@ -10,7 +10,7 @@ from experiments.campaign.folder import read_spec
 from experiments.campaign.ledger import Ledger
 from experiments.campaign.schedule import Experiment
 from experiments.campaign.unit_job import Job
-from experiments.campaign.worker_pool import CrewSettings, embedded_crew
+from experiments.campaign.worker_pool import WorkerPoolSettings, embedded_worker_pool
 from experiments.eq1.records import decided
 from experiments.eq1.units import UnitSpec
 from scenarios.errors import InputError
@@ -37,7 +37,11 @@ class Replay:
 
 
 def replay(
-    folder: Path, name: str, job: Job, settings: CrewSettings | None = None, recording: Path | None = None
+    folder: Path,
+    name: str,
+    job: Job,
+    settings: WorkerPoolSettings | None = None,
+    recording: Path | None = None,
 ) -> Replay:
     """Run a unit of an experiment again.
 
@@ -55,12 +59,12 @@ def replay(
     with Ledger.open(folder, spec, read_only=True) as ledger:
         rows = {row["unit_id"]: row for row in ledger.rows()}
     unit = find_unit(spec, rows, name)
-    with embedded_crew(settings or CrewSettings(), job) as crew:
+    with embedded_worker_pool(settings or WorkerPoolSettings(), job) as pool:
         ended = []
         while not ended:
-            for worker in crew.free()[:1] if not crew.busy else ():
-                crew.start(unit, worker, recording)
-            ended = crew.wait(1.0)
+            for worker in pool.free()[:1] if not pool.busy else ():
+                pool.start(unit, worker, recording)
+            ended = pool.wait(1.0)
     record = ended[0].record
     if record is None:
         raise InputError(f"unit {unit.unit_id}", ended[0].message, "see `dslab experiment status`")

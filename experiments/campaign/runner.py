@@ -15,7 +15,7 @@ from experiments.campaign.folder_lock import sole_driver
 from experiments.campaign.ledger import Ledger
 from experiments.campaign.schedule import Experiment, Record, Schedule, StoppingRule
 from experiments.campaign.unit_job import is_infrastructure_error
-from experiments.campaign.worker_pool import Crew, Ended
+from experiments.campaign.worker_pool import Ended, WorkerPool
 from experiments.eq1.record_table import normalise
 from experiments.eq1.records import Outcome, dual_column, empty_record
 from experiments.eq1.units import UnitSpec
@@ -58,7 +58,7 @@ Show = Callable[[Tally], None]
 def run_experiment(
     experiment: Experiment,
     folder: Path,
-    open_crew: Callable[[], AbstractContextManager[Crew]],
+    open_worker_pool: Callable[[], AbstractContextManager[WorkerPool]],
     rule: StoppingRule | None = None,
     retry_errors: bool = False,
     show: Show | None = None,
@@ -68,7 +68,7 @@ def run_experiment(
     Args:
         experiment: its spec.
         folder: absent, empty, or that of an earlier run of the same spec, which is gone on with.
-        open_crew: gets the workers together, asked only where there is something to do.
+        open_worker_pool: gets the workers together, asked only where there is something to do.
         rule: when a cell has units enough, None to run every budget to its end.
         retry_errors: try units again that were given up for infrastructure errors.
         show: told where the run stands, at least as each unit ends.
@@ -86,8 +86,8 @@ def run_experiment(
         check_units(experiment, rows, folder)
         run = _Run(ledger, Schedule(experiment, rows, rule), dual_column(len(experiment.threads)), show)
         if not run.schedule.complete:
-            with open_crew() as crew:
-                run.work(crew)
+            with open_worker_pool() as pool:
+                run.work(pool)
         return run.tally(0)
 
 
@@ -119,17 +119,17 @@ class _Run:
         self._failed: dict[str, int] = {}
         self._retries = self._ended_here = 0
 
-    def work(self, crew: Crew) -> None:
+    def work(self, pool: WorkerPool) -> None:
         """Run what is left to do."""
         while not self.schedule.complete:
-            for worker in crew.free():
+            for worker in pool.free():
                 unit = self._due.popleft() if self._due else self.schedule.next()
                 if unit is None:
                     break
-                crew.start(unit, worker)
-            self._show(self.tally(crew.busy))
-            for ended in crew.wait(_TICK_S):
-                self._settle(ended)
+                pool.start(unit, worker)
+            self._show(self.tally(pool.busy))
+            for ended in pool.wait(_TICK_S):
+                self._optimize_seam(ended)
 
     def tally(self, workers: int) -> Tally:
         """Where it stands."""
@@ -148,7 +148,7 @@ class _Run:
             workers=workers,
         )
 
-    def _settle(self, ended: Ended) -> None:
+    def _optimize_seam(self, ended: Ended) -> None:
         """Write down what became of a unit, and whether it is tried again."""
         unit = ended.unit
         tried = self._failed.get(unit.unit_id, 0) + 1

@@ -38,7 +38,7 @@ _REPORT_CHARACTERS = 16_000
 
 
 @dataclass(frozen=True)
-class CrewSettings:
+class WorkerPoolSettings:
     """What runs the units.
 
     Attributes:
@@ -84,8 +84,8 @@ class _Post:
     absent_since_s: float | None = None
 
 
-class Crew:
-    """Workers, each at one unit or none. Made by :func:`open_crew`.
+class WorkerPool:
+    """Workers, each at one unit or none. Made by :func:`open_worker_pool`.
 
     Args:
         client: of the cluster.
@@ -99,7 +99,7 @@ class Crew:
         self,
         client: "Client",
         job: Job,
-        settings: CrewSettings,
+        settings: WorkerPoolSettings,
         reports: Path | None = None,
         replace_lost: Callable[[], None] | None = None,
     ) -> None:
@@ -226,14 +226,14 @@ class Crew:
 
 
 @contextmanager
-def open_crew(settings: CrewSettings, job: Job) -> Iterator[Crew]:
+def open_worker_pool(settings: WorkerPoolSettings, job: Job) -> Iterator[WorkerPool]:
     """The crew that the settings ask for."""
-    with (embedded_crew if settings.scheduler is None else remote_crew)(settings, job) as crew:
-        yield crew
+    with (embedded_worker_pool if settings.scheduler is None else remote_worker_pool)(settings, job) as pool:
+        yield pool
 
 
 @contextmanager
-def embedded_crew(settings: CrewSettings, job: Job) -> Iterator[Crew]:
+def embedded_worker_pool(settings: WorkerPoolSettings, job: Job) -> Iterator[WorkerPool]:
     """Spawned processes of this machine, reached over loopback only; ended with the block.
 
     A process that ends is replaced by its nanny; where that fails, by another nanny.
@@ -281,7 +281,7 @@ def embedded_crew(settings: CrewSettings, job: Job) -> Iterator[Crew]:
                 "this machine",
                 "run `dslab doctor`, give fewer --workers, or wait until it is less busy",
             )
-            yield Crew(client, job, settings, Path(folder), lambda: cluster.scale(settings.workers))
+            yield WorkerPool(client, job, settings, Path(folder), lambda: cluster.scale(settings.workers))
         except BaseException:
             # What is under way is lost: no need to wait until it notices.
             _kill(cluster)
@@ -289,7 +289,7 @@ def embedded_crew(settings: CrewSettings, job: Job) -> Iterator[Crew]:
 
 
 @contextmanager
-def remote_crew(settings: CrewSettings, job: Job) -> Iterator[Crew]:
+def remote_worker_pool(settings: WorkerPoolSettings, job: Job) -> Iterator[WorkerPool]:
     """The workers of a scheduler, as many as there are at any time.
 
     Raises:
@@ -305,7 +305,7 @@ def remote_crew(settings: CrewSettings, job: Job) -> Iterator[Crew]:
         raise InputError(address, f"no scheduler answers ({type(error).__name__})", remedy) from error
     with client:
         _await(client, 1, address, remedy)
-        yield Crew(client, job, settings)
+        yield WorkerPool(client, job, settings)
 
 
 def _await(client: Any, workers: int, where: str, remedy: str) -> None:

@@ -85,7 +85,7 @@ def slam_command(
     """
     from experiments.benchmarks.tracker import bench
     from experiments.runs.files import plain
-    from experiments.runs.foreign_systems import check_command, open_peer
+    from experiments.runs.foreign_systems import check_command, open_foreign_system
     from experiments.runs.sources import open_sequence
 
     check_real_time(real_time, mode)
@@ -95,7 +95,9 @@ def slam_command(
     single_threaded_opencv()
     with progress_bars() as show:
         sequence = open_sequence(source, seed, show, renderer=renderer)
-        with open_peer(peer, source, sequence, show) if peer is not None else nullcontext() as opened:
+        with (
+            open_foreign_system(peer, source, sequence, show) if peer is not None else nullcontext() as opened
+        ):
             figures = bench(
                 sequence,
                 system.value,

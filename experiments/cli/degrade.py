@@ -44,13 +44,13 @@ def degrade_command(
     """
     from experiments.runs.sources import open_imu
     from scenarios.segment_text import parse_segment
-    from sim.degradations.recorded_sequences import check_footage, degrade_sequence
+    from sim.degradations.recorded_sequences import check_recorded_sequence, degrade_sequence
     from sim.io.folders import claim_output_dir
     from sim.io.forms import Form, detect_form, load_sequence, sequence_folder, write_sequence
 
     segments = [parse_segment(text) for text in segment]
     sequence = load_sequence(source)
-    check_footage(sequence, segments)
+    check_recorded_sequence(sequence, segments)
     found = detect_form(sequence_folder(source))
     target = Form(form.value) if form else Form.TUM if found is Form.TUM_MONO else found
     readings = open_imu(str(source), sequence.stamps_s) if target is Form.EUROC else None

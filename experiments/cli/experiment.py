@@ -70,7 +70,7 @@ def run_command(
     """
     from experiments.campaign.runner import run_experiment
     from experiments.campaign.stopping import stopping_rule
-    from experiments.campaign.worker_pool import CrewSettings, open_crew
+    from experiments.campaign.worker_pool import WorkerPoolSettings, open_worker_pool
     from experiments.eq1.spec import load_spec
     from experiments.eq1.trial import run_unit
     from experiments.runs.provenance import usable_cores
@@ -78,7 +78,7 @@ def run_command(
     spec = load_spec(experiment)
     if units is not None:
         spec = _with_units(spec, units)
-    settings = CrewSettings(
+    settings = WorkerPoolSettings(
         workers=workers or usable_cores(),
         scheduler=scheduler,
         timeout_s=timeout,
@@ -88,7 +88,7 @@ def run_command(
     try:
         with experiment_progress(spec.name) as show:
             tally = run_experiment(
-                spec, out_dir, lambda: open_crew(settings, run_unit), rule, retry_errors, show
+                spec, out_dir, lambda: open_worker_pool(settings, run_unit), rule, retry_errors, show
             )
     except KeyboardInterrupt:
         err.print(f"{out_dir} keeps the units that have ended: run the same command again", soft_wrap=True)
@@ -192,11 +192,11 @@ def replay_command(
     `dslab experiment replay out/smoke low_texture/2:7 --rerun unit.rrd`
     """
     from experiments.campaign.replay import replay
-    from experiments.campaign.worker_pool import CrewSettings
+    from experiments.campaign.worker_pool import WorkerPoolSettings
     from experiments.eq1.trial import run_unit
     from experiments.runs.files import plain
 
-    settings = CrewSettings(timeout_s=timeout, memory_mb=memory or None)
+    settings = WorkerPoolSettings(timeout_s=timeout, memory_mb=memory or None)
     with progress_bars() as show:
         show(f"unit {unit}", 0, 1)
         done = replay(folder, unit, run_unit, settings, None if rerun is None else rerun.absolute())

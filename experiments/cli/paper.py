@@ -64,7 +64,7 @@ def _write(figures: dict[str, Any], out_dir: Path) -> None:
 
 
 def _print(rows: list[Row]) -> None:
-    from experiments.report.wording import ends, ends_percent, number, p_value, percent
+    from experiments.report.describe import ends, ends_percent, number, p_value, percent
 
     def counted(name: str) -> Callable[[Row], str]:
         def words(row: Row) -> str:

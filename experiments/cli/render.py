@@ -52,19 +52,19 @@ def render_command(
     from sim.io.folders import claim_output_dir
     from sim.io.forms import Form, write_sequence
     from sim.rendering.renderers import DEFAULT_RENDERER
-    from sim.sequence_rendering import render_sequence, studio_with
+    from sim.sequence_rendering import render_backend, render_sequence
 
     what = load_scenario(scenario, seed)
     if depth and form is not FormatChoice.TUM:
         raise InputError("--depth", f"the form {form} has no depth images", "use --format tum")
-    studio = studio_with(renderer or DEFAULT_RENDERER)
+    backend = render_backend(renderer or DEFAULT_RENDERER)
     claim_output_dir(out)
     started_s = time.monotonic()
     # Beside the result, where there is room for it.
     scratch = tempfile.TemporaryDirectory(prefix=".dslab-", dir=out.parent) if no_cache else nullcontext()
     with scratch as folder, progress_bar() as told:
         cache_dir = Path(folder) if folder else None
-        sequence = render_sequence(what, cache_dir=cache_dir, depth=depth, progress=told, studio=studio)
+        sequence = render_sequence(what, cache_dir=cache_dir, depth=depth, progress=told, backend=backend)
         readings = open_imu(scenario, sequence.stamps_s, seed) if form is FormatChoice.EUROC else None
         write_sequence(sequence, out, Form(form.value), readings, depth, told)
     for segment in sequence.segments:

@@ -26,15 +26,15 @@ def list_scenarios() -> None:
 
     A family's members are named FAMILY/MEMBER; the bare name leaves the member to the seed.
     """
+    from scenarios.describe_family import describe_members, describe_parameters
     from scenarios.families import library_names, load_family
-    from scenarios.family_wording import members_in_words, parameters_in_words
 
     table = Table("family", "members", "drawn by the seed", show_lines=True)
     for name in library_names():
         family = load_family(name)
         what = f"[bold]{name}[/bold]\n{family.description}"
-        drawn = [f"{field}: {words}" for field, words in parameters_in_words(family).items()]
-        table.add_row(what, members_in_words(family) or "-", "\n".join(drawn) or "-")
+        drawn = [f"{field}: {words}" for field, words in describe_parameters(family).items()]
+        table.add_row(what, describe_members(family) or "-", "\n".join(drawn) or "-")
     Console().print(table)
 
 

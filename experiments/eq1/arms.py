@@ -88,7 +88,7 @@ class CpuClock:
             self.seconds += time.process_time() - started
 
 
-class Course:
+class BranchRun:
     """A system on its way through a sequence, with all that it has said.
 
     Args:
@@ -150,11 +150,11 @@ class Course:
         with self._clock.running():
             self.system.finish()
 
-    def save(self) -> "SavedCourse":
+    def save(self) -> "SavedBranch":
         """What any number of courses can go on from."""
         with self._clock.running():
             snapshot = self.system.snapshot()
-        return SavedCourse(snapshot, self.sequence, self._clock, tuple(self.results))
+        return SavedBranch(snapshot, self.sequence, self._clock, tuple(self.results))
 
     def record(self, kind: str, seed: int) -> RunRecord:
         """The record of the finished course, its time being that of all courses by this clock."""
@@ -166,7 +166,7 @@ class Course:
 
 
 @dataclass(frozen=True)
-class SavedCourse:
+class SavedBranch:
     """A course as it stood between two frames."""
 
     snapshot: Snapshot
@@ -179,18 +179,18 @@ class SavedCourse:
         """Frames fed until then."""
         return len(self.results)
 
-    def resume(self) -> Course:
+    def resume(self) -> BranchRun:
         """A course that goes on from here."""
         with self.clock.running():
             system = self.snapshot.restore()
-        return Course(system, self.sequence, self.clock, self.results)
+        return BranchRun(system, self.sequence, self.clock, self.results)
 
-    def resume_as_base(self) -> Course:
+    def resume_as_base(self) -> BranchRun:
         """As the base system would go on from here."""
-        course = self.resume()
-        if isinstance(course.system, RestartingSlam):
-            course.system = course.system.as_base()
-        return course
+        branch = self.resume()
+        if isinstance(branch.system, RestartingSlam):
+            branch.system = branch.system.as_base()
+        return branch
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ class FreeArm:
 
     Attributes:
         base, dual: the two runs, from the first frame to the last.
-        begun: see Course, of the dual.
+        begun: see BranchRun, of the dual.
     """
 
     base: RunRecord
@@ -214,19 +214,19 @@ def dual_config(unit: UnitSpec, exhaustive: bool = True) -> DualConfig:
     the credit for it.
     """
     threads = tuple(ThreadSpec(thread.kind, thread.seed) for thread in unit.threads)
-    return DualConfig(threads=threads, exhaustive=exhaustive, relocalization=False, joining=None)
+    return DualConfig(threads=threads, exhaustive=exhaustive, relocalization=False, place_merging=None)
 
 
-def run_lead_in(unit: UnitSpec, sequence: Sequence, exposure: Exposure, clock: CpuClock) -> Course:
+def run_lead_in(unit: UnitSpec, sequence: Sequence, exposure: Exposure, clock: CpuClock) -> BranchRun:
     """The lead-in, which all arms share: up to the onset, without its frame."""
     camera = slam_camera(sequence.camera)
     system = build_system(unit.system, camera, unit.nuisance_seed, dual=dual_config(unit))
-    course = Course(system, sequence, clock)
-    course.feed(exposure.onset_frame)
-    return course
+    branch = BranchRun(system, sequence, clock)
+    branch.feed(exposure.onset_frame)
+    return branch
 
 
-def run_free(lead_in: SavedCourse, unit: UnitSpec) -> FreeArm:
+def run_free(lead_in: SavedBranch, unit: UnitSpec) -> FreeArm:
     """Base and Dual-SLAM to the end.
 
     Up to the first breakage the two are alike bit for bit and run as one; the base then goes on from
@@ -240,26 +240,26 @@ def run_free(lead_in: SavedCourse, unit: UnitSpec) -> FreeArm:
             saved = dual.save()
         dual.step()
     base = saved.resume_as_base() if dual.is_broken else None
-    for course in filter(None, (base, dual)):
-        course.feed(len(course.sequence))
-        course.finish()
+    for branch in filter(None, (base, dual)):
+        branch.feed(len(branch.sequence))
+        branch.finish()
     record = dual.record(unit.system, seed)
     base_record = replace(record, system_kind="base") if base is None else base.record("base", seed)
     return FreeArm(base_record, record, dual.begun)
 
 
-def run_crossing(lead_in: SavedCourse, exposure: Exposure) -> Course:
+def run_crossing(lead_in: SavedBranch, exposure: Exposure) -> BranchRun:
     """Every recovery thread over the whole exposed segment, whether or not tracking fails in it.
 
     The course ends as soon as a recovery has started and its threads have run.
     """
-    course = lead_in.resume()
-    system = course.system
+    branch = lead_in.resume()
+    system = branch.system
     assert isinstance(system, RestartingSlam)
     system.cut()
-    course.feed(exposure.end_frame + 1)
+    branch.feed(exposure.end_frame + 1)
     system.restart()
-    while not (course.at_end or course.begun):
-        course.step()
-    course.finish()
-    return course
+    while not (branch.at_end or branch.begun):
+        branch.step()
+    branch.finish()
+    return branch

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.eq1.arms import Course, Exposure, FreeArm
+from experiments.eq1.arms import BranchRun, Exposure, FreeArm
 from experiments.eq1.records import dual_column, thread_column
 from experiments.eq1.recovery_judging import Reference, judge_recovery
 from experiments.evaluation import metrics
@@ -54,10 +54,10 @@ def judge_free(arm: FreeArm, reference: Reference) -> dict[str, Any]:
     return row | _whole(recovery.columns, threads)
 
 
-def judge_crossing(course: Course, reference: Reference) -> dict[str, Any]:
+def judge_crossing(branch: BranchRun, reference: Reference) -> dict[str, Any]:
     """What became of every recovery thread in the crossing arm."""
     exposure = reference.exposure
-    recovery = judge_recovery("cross", course.system.events, course.begun, exposure.end_frame, reference)
+    recovery = judge_recovery("cross", branch.system.events, branch.begun, exposure.end_frame, reference)
     return {
         "cross_reinit": recovery.reinit_frame is not None,
         "cross_reinit_frame": recovery.reinit_frame,

@@ -55,7 +55,7 @@ class ExperimentSpec(Strict):
     stopping: Stopping | None = None
 
     @model_validator(mode="after")
-    def _hangs_together(self) -> "ExperimentSpec":
+    def _check_consistency(self) -> "ExperimentSpec":
         for name in ("systems", "arms", "degradations"):
             items = getattr(self, name)
             told = [getattr(item, "kind", item) for item in items]

@@ -61,7 +61,7 @@ class Base(Strict):
         return {name: part for name in ("world", "trajectory", "camera") if (part := getattr(self, name))}
 
     @model_validator(mode="after")
-    def _has_a_world(self) -> "Base":
+    def _check_world(self) -> "Base":
         if self.family is None and not self.world:
             raise ValueError("it has no world, give world or family")
         members = ()
@@ -91,7 +91,7 @@ class Degradation(Strict):
     )
 
     @model_validator(mode="after")
-    def _told_apart(self) -> "Degradation":
+    def _check_distinct(self) -> "Degradation":
         if self.severities is not None and len(self.severities) != len(self.doses):
             raise ValueError(
                 f"{len(self.severities)} severities for {len(self.doses)} doses, give one per dose"

@@ -7,7 +7,15 @@ from typing import Any
 
 import cv2
 
-from experiments.eq1.arms import Course, CpuClock, Exposure, dual_config, run_crossing, run_free, run_lead_in
+from experiments.eq1.arms import (
+    BranchRun,
+    CpuClock,
+    Exposure,
+    dual_config,
+    run_crossing,
+    run_free,
+    run_lead_in,
+)
 from experiments.eq1.conditioning import judge_pairs
 from experiments.eq1.judging import judge_crossing, judge_free
 from experiments.eq1.lead_in import lead_in_fault
@@ -86,12 +94,12 @@ def _judged(unit: UnitSpec, sequence: Sequence, clock: CpuClock) -> dict[str, An
         "onset_frame": exposure.onset_frame,
         "end_frame": exposure.end_frame,
     }
-    course = run_lead_in(unit, sequence, exposure, clock)
-    fault = _lead_in_fault(course, exposure)
+    branch = run_lead_in(unit, sequence, exposure, clock)
+    fault = _lead_in_fault(branch, exposure)
     if fault is not None:
         return row | {"outcome": Outcome.VOID.value, "void_reason": fault}
-    lead_in = course.save()
-    reference = Reference(sequence, exposure, _current_path(course), unit.kind, len(unit.threads))
+    lead_in = branch.save()
+    reference = Reference(sequence, exposure, _current_path(branch), unit.kind, len(unit.threads))
     with features_kept():
         if "free" in unit.arms:
             row |= judge_free(run_free(lead_in, unit), reference)
@@ -102,9 +110,9 @@ def _judged(unit: UnitSpec, sequence: Sequence, clock: CpuClock) -> dict[str, An
     return row | {"outcome": Outcome.COMPLETED.value}
 
 
-def _lead_in_fault(course: Course, exposure: Exposure) -> str | None:
-    system = course.system
-    fault = lead_in_fault(course.results, system.events, course.sequence, exposure.onset_frame)
+def _lead_in_fault(branch: BranchRun, exposure: Exposure) -> str | None:
+    system = branch.system
+    fault = lead_in_fault(branch.results, system.events, branch.sequence, exposure.onset_frame)
     if fault is None:
         keyframes = len(system.current_map.keyframes())
         if keyframes <= system.config.min_map_keyframes:
@@ -112,10 +120,10 @@ def _lead_in_fault(course: Course, exposure: Exposure) -> str | None:
     return fault
 
 
-def _current_path(course: Course) -> MapTrajectory:
+def _current_path(branch: BranchRun) -> MapTrajectory:
     """The poses of the lead-in as its map stands now."""
-    current = course.system.current_map_id
-    return next(path for path in course.system.trajectories() if path.map_id == current)
+    current = branch.system.current_map_id
+    return next(path for path in branch.system.trajectories() if path.map_id == current)
 
 
 def _message(error: Exception) -> str:

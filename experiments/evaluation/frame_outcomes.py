@@ -10,7 +10,7 @@ from experiments.runs.execution import RunRecord
 from slam.core.events import Breakage, Event, Fusion
 
 
-class Fate(Enum):
+class FrameOutcome(Enum):
     """Whether a frame has a pose in the end, and since when."""
 
     TRACKED = "tracked"
@@ -18,7 +18,7 @@ class Fate(Enum):
     NONE = "none"
 
 
-def fates(record: RunRecord) -> list[Fate]:
+def frame_outcomes(record: RunRecord) -> list[FrameOutcome]:
     """One per frame.
 
     A frame from a breakage on that was not tracked when it came and has a pose in the end owes it to the
@@ -27,7 +27,7 @@ def fates(record: RunRecord) -> list[Fate]:
     """
     posed = posed_frames(record)
     first = min((e.frame for e in record.events if isinstance(e, Breakage)), default=len(posed))
-    return [_fate(bool(posed[r.frame]), is_tracked(r) or r.frame < first) for r in record.results]
+    return [_frame_outcome(bool(posed[r.frame]), is_tracked(r) or r.frame < first) for r in record.results]
 
 
 def posed_frames(record: RunRecord) -> np.ndarray:
@@ -38,10 +38,10 @@ def posed_frames(record: RunRecord) -> np.ndarray:
     return posed
 
 
-def _fate(posed: bool, at_once: bool) -> Fate:
+def _frame_outcome(posed: bool, at_once: bool) -> FrameOutcome:
     if not posed:
-        return Fate.NONE
-    return Fate.TRACKED if at_once else Fate.RECOVERED
+        return FrameOutcome.NONE
+    return FrameOutcome.TRACKED if at_once else FrameOutcome.RECOVERED
 
 
 def known_from(events: Sequence[Event], frames: int) -> np.ndarray:

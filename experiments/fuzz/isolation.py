@@ -55,28 +55,28 @@ def run_isolated(
             to do of its item, None for nothing.
     """
     waiting = deque(items)
-    crew: list[_Worker] = []
+    pool: list[_Worker] = []
     with tempfile.TemporaryDirectory(prefix="dslab-") as folder:
         try:
-            while waiting or any(worker.item is not None for worker in crew):
-                while waiting and len(crew) < workers:
-                    crew.append(_Worker(job, timeout_s, Path(folder)))
-                for worker in crew:
+            while waiting or any(worker.item is not None for worker in pool):
+                while waiting and len(pool) < workers:
+                    pool.append(_Worker(job, timeout_s, Path(folder)))
+                for worker in pool:
                     if worker.item is None and waiting:
                         worker.take(waiting.popleft())
-                busy = [worker for worker in crew if worker.item is not None]
+                busy = [worker for worker in pool if worker.item is not None]
                 ready = connection.wait([worker.pipe for worker in busy])
                 for worker in [w for w in busy if w.pipe in ready]:
                     try:
                         yield from worker.rows()
                     except EOFError:
-                        crew.remove(worker)
+                        pool.remove(worker)
                         rows, left = after_death(worker.bury())
                         yield from rows
                         if left is not None:
                             waiting.appendleft(left)
         finally:
-            for worker in crew:
+            for worker in pool:
                 worker.end()
 
 

@@ -9,10 +9,10 @@ from experiments.gallery.markup import Element, document, el
 from experiments.gallery.plan_map import LEVEL_M, height_colour, plan_map
 from experiments.gallery.sheet import Sheet, Thumb
 from experiments.gallery.timeline import segment_table, timeline
+from scenarios.describe import describe_camera, describe_kind, describe_motion, describe_world, measured
+from scenarios.describe_family import describe_distribution, describe_parameter, parameter_label
 from scenarios.families import Family
-from scenarios.family_wording import drawn_words, parameter_label, parameter_words
 from scenarios.segment_text import SEGMENT_MODELS
-from scenarios.wording import camera_words, kind_words, measured, motion_words, world_words
 
 _STYLE = Path(__file__).with_name("style.css")
 _SHOWN_BLUR_PX = 2.0
@@ -152,8 +152,11 @@ def _parameters(entry: Entry) -> Element:
         return el("p", "No parameter is drawn: seeds differ in world, path and noise.", class_="none")
     rows: dict[tuple[str, ...], None] = {}
     for place, distribution in family.parameters.items():
-        drawn = (drawn_words(place, distribution, family.written, sheet.scenario) or "–" for sheet in sheets)
-        rows[(parameter_label(place, family.written), parameter_words(place, distribution), *drawn)] = None
+        drawn = (
+            describe_distribution(place, distribution, family.written, sheet.scenario) or "–"
+            for sheet in sheets
+        )
+        rows[(parameter_label(place, family.written), describe_parameter(place, distribution), *drawn)] = None
     names = ("parameter", "drawn", *(f"seed {sheet.scenario.seed}" for sheet in sheets))
     table = el(
         "table",
@@ -171,7 +174,7 @@ def _parameters(entry: Entry) -> Element:
 
 def _sheet(sheet: Sheet, is_open: bool) -> Element:
     scenario = sheet.scenario
-    kinds = ", ".join(kind_words(s.kind) for s in scenario.segments) or "no segment"
+    kinds = ", ".join(describe_kind(s.kind) for s in scenario.segments) or "no segment"
     return el(
         "details",
         el("summary", f"Seed {scenario.seed}: {kinds}"),
@@ -196,7 +199,7 @@ def _shot(sheet: Sheet, number: int, thumb: Thumb) -> Element:
     kind = None if thumb.segment is None else sheet.scenario.segments[thumb.segment].kind
     words = [f"{thumb.stamp_s:.2f} s"]
     if kind:
-        words.append(kind_words(kind))
+        words.append(describe_kind(kind))
     if thumb.blur_px >= _SHOWN_BLUR_PX:
         words.append(f"blur {thumb.blur_px:.2g} px")
     what = f"Frame {thumb.frame} of {sheet.scenario.name}, seed {sheet.scenario.seed}, at {', '.join(words)}"
@@ -227,9 +230,9 @@ def _map(sheet: Sheet) -> Element:
 def _facts(sheet: Sheet) -> Element:
     scenario, track = sheet.scenario, sheet.track
     facts = {
-        "world": world_words(scenario),
-        "motion": motion_words(scenario),
-        "camera": camera_words(scenario),
+        "world": describe_world(scenario),
+        "motion": describe_motion(scenario),
+        "camera": describe_camera(scenario),
         "duration": f"{scenario.duration_s:g} s, {sheet.frames} frames",
         "path": f"{measured(track.length_m)} m, up and down by {measured(track.climb_m)} m",
         "fastest": f"{measured(track.speed_mps.max())} m/s, {measured(track.rate_degps.max())} °/s",

@@ -8,7 +8,7 @@ import numpy as np
 
 from experiments.gallery.markup import Element, el, points
 from experiments.gallery.sheet import Sheet
-from scenarios.wording import kind_words, measured
+from scenarios.describe import describe_kind, measured
 from sim.worlds.geometry.route import arc_length
 
 LEVEL_M = 1.0
@@ -53,7 +53,7 @@ def height_colour(share: float) -> str:
 
 
 def _in_words(sheet: Sheet) -> str:
-    kinds = [kind_words(segment.kind) for segment in sheet.scenario.segments]
+    kinds = [describe_kind(segment.kind) for segment in sheet.scenario.segments]
     marked = f", with the segments {', '.join(kinds)}" if kinds else ""
     return f"Path of {sheet.scenario.name} from above, {measured(sheet.track.length_m)} m{marked}"
 
@@ -88,7 +88,7 @@ def _segments(sheet: Sheet) -> list[Element]:
     return [
         el(
             "polyline",
-            el("title", kind_words(segment.kind)),
+            el("title", describe_kind(segment.kind)),
             points=points(sheet.map_frame.place(path_m[:, :2])),
             class_=f"segment {segment.kind}",
         )

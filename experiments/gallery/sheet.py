@@ -9,10 +9,10 @@ import numpy as np
 from experiments.gallery.outline import MapFrame, draw_outline, frame_of
 from scenarios.segments import SegmentBase
 from scenarios.spec import Scenario
-from sim.degradations.base import Shoot
+from sim.degradations.base import FramePlan
 from sim.motion.base import Motion
 from sim.preview import Preview, preview
-from sim.sequence_rendering import Studio
+from sim.sequence_rendering import RenderBackend
 
 THUMB_PIXELS = 60_000
 """Size of a thumbnail, whatever the shape of the frames."""
@@ -91,30 +91,30 @@ class Sheet:
     outline_file: str
 
 
-def make_sheet(scenario: Scenario, frames: int, folder: Path, studio: Studio | None = None) -> Sheet:
+def make_sheet(scenario: Scenario, frames: int, folder: Path, backend: RenderBackend | None = None) -> Sheet:
     """Plan a sequence, film some of its frames, write their thumbnails and the outline of its world.
 
     Args:
         scenario: what happens, with its own seed.
         frames: how many frames; more where there are more segments.
         folder: of the gallery; the pictures go into one of its folders.
-        studio: what renders; None for MuJoCo.
+        backend: what renders; None for MuJoCo.
 
     Raises:
         InputError: no GL, or the world's sizes do not fit.
     """
-    look = preview(scenario, studio)
+    look = preview(scenario, backend)
     pictures = f"pictures/{scenario.name.replace('/', '.')}/seed-{scenario.seed}"
     (folder / pictures).mkdir(parents=True)
     thumbs = _thumbs(look, frames, folder, pictures)
-    track = _track(look.shoot.motion, scenario)
+    track = _track(look.plan.motion, scenario)
     map_frame = frame_of(track.position_m[:, :2])
     outline_file = f"{pictures}/outline.png"
     _write(folder / outline_file, draw_outline(look.world, track.position_m[:, 2], map_frame))
-    return Sheet(scenario, len(look.shoot.stamps_s), thumbs, track, map_frame, outline_file)
+    return Sheet(scenario, len(look.plan.stamps_s), thumbs, track, map_frame, outline_file)
 
 
-def chosen_frames(shoot: Shoot, segments: tuple[SegmentBase, ...], count: int) -> list[int]:
+def chosen_frames(plan: FramePlan, segments: tuple[SegmentBase, ...], count: int) -> list[int]:
     """Frames spread over a sequence, one in the middle of every segment among them; rising, no two alike.
 
     Args:
@@ -124,11 +124,11 @@ def chosen_frames(shoot: Shoot, segments: tuple[SegmentBase, ...], count: int) -
     """
     middles = set()
     for segment in segments:
-        inside = np.flatnonzero(shoot.within(segment))
+        inside = np.flatnonzero(plan.within(segment))
         if len(inside):
-            from_middle_s = np.abs(shoot.stamps_s[inside] - (segment.start_s + segment.end_s) / 2)
+            from_middle_s = np.abs(plan.stamps_s[inside] - (segment.start_s + segment.end_s) / 2)
             middles.add(int(inside[np.argmin(from_middle_s)]))
-    spread = np.unique(np.linspace(0, len(shoot.stamps_s) - 1, count).round().astype(int)).tolist()
+    spread = np.unique(np.linspace(0, len(plan.stamps_s) - 1, count).round().astype(int)).tolist()
     # Each middle takes the place of the nearest frame of the even spread.
     for middle in sorted(middles):
         if spread:
@@ -137,23 +137,23 @@ def chosen_frames(shoot: Shoot, segments: tuple[SegmentBase, ...], count: int) -
 
 
 def _thumbs(look: Preview, count: int, folder: Path, pictures: str) -> tuple[Thumb, ...]:
-    segments, shoot = look.scenario.segments, look.shoot
-    chosen = chosen_frames(shoot, segments, count)
-    images, blur_px = look.film(chosen)
+    segments, plan = look.scenario.segments, look.plan
+    chosen = chosen_frames(plan, segments, count)
+    images, blur_px = look.expose_frames(chosen)
     thumbs = []
     for place, (frame, image) in enumerate(zip(chosen, images, strict=True)):
         small = _thumbnail(image)
         file = f"{pictures}/frame-{place + 1:02}.jpg"
         _write(folder / file, small)
-        T_world_cam = shoot.motion.T_world_cam(float(shoot.stamps_s[frame]))
+        T_world_cam = plan.motion.T_world_cam(float(plan.stamps_s[frame]))
         thumbs.append(
             Thumb(
                 file=file,
                 width_px=small.shape[1],
                 height_px=small.shape[0],
                 frame=frame,
-                stamp_s=float(shoot.stamps_s[frame]),
-                segment=next((k for k, s in enumerate(segments) if shoot.within(s)[frame]), None),
+                stamp_s=float(plan.stamps_s[frame]),
+                segment=next((k for k, s in enumerate(segments) if plan.within(s)[frame]), None),
                 blur_px=float(blur_px[place]),
                 position_m=T_world_cam[:3, 3],
                 gaze=T_world_cam[:2, 2],

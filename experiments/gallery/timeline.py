@@ -7,7 +7,7 @@ import numpy as np
 from experiments.gallery.markup import Element, el, points
 from experiments.gallery.plan_map import LEVEL_M
 from experiments.gallery.sheet import Sheet
-from scenarios.wording import kind_words, measured, severity_words, span_words
+from scenarios.describe import describe_kind, describe_severity, describe_span, measured
 
 _WIDTH, _HEIGHT = 1000.0, 36.0
 _MOST_TICKS = 8
@@ -40,9 +40,9 @@ def segment_table(sheet: Sheet) -> Element:
     rows = [
         el(
             "tr",
-            el("td", el("span", class_=f"swatch {s.kind}"), kind_words(s.kind)),
-            el("td", span_words(s)),
-            el("td", severity_words(s)),
+            el("td", el("span", class_=f"swatch {s.kind}"), describe_kind(s.kind)),
+            el("td", describe_span(s)),
+            el("td", describe_severity(s)),
         )
         for s in sheet.scenario.segments
     ]
@@ -61,7 +61,7 @@ def _bars(sheet: Sheet) -> Element:
             "span",
             class_=f"bar {s.kind}",
             style=f"left:{100 * s.start_s / duration_s:.2f}%;width:{100 * s.duration_s / duration_s:.2f}%",
-            title=f"{kind_words(s.kind)}, {span_words(s)}, {severity_words(s)}",
+            title=f"{describe_kind(s.kind)}, {describe_span(s)}, {describe_severity(s)}",
         )
         for s in sheet.scenario.segments
     ]

@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from experiments.evaluation.breakages import BreakageOutcome, breakage_outcomes
-from experiments.evaluation.frame_outcomes import Fate, fates
+from experiments.evaluation.frame_outcomes import FrameOutcome, frame_outcomes
 from experiments.evaluation.scene import Scene, lay_out
 from experiments.runs.execution import RunRecord, SystemKind
 from sim.sequence import Sequence
@@ -19,7 +19,7 @@ _SEGMENT_COLORS = {"low_texture": "#e8cf8a", "motion_blur": "#c9b3e6", "fast_rot
 _SAMPLES = 5
 
 
-def draw_demo(path: Path, sequence: Sequence, records: dict[SystemKind, RunRecord]) -> None:
+def draw_runs(path: Path, sequence: Sequence, records: dict[SystemKind, RunRecord]) -> None:
     """Write the picture.
 
     Paths are the final ones of each map, aligned to the truth for display only; green is what a recovery has
@@ -68,7 +68,7 @@ def _draw_paths(
     ground = [i for i in range(3) if scene.up[i] == 0]
     if scene.T_world_cam is not None:
         _draw_truth(axes, record.sequence, scene.T_world_cam[:, ground, 3])
-    recovered = np.array([fate is Fate.RECOVERED for fate in fates(record)], bool)
+    recovered = np.array([outcome is FrameOutcome.RECOVERED for outcome in frame_outcomes(record)], bool)
     for rank, trajectory in enumerate(scene.final.values()):
         frames = len(trajectory.frames)
         label = (
@@ -114,7 +114,9 @@ def _draw_truth(axes: Axes, sequence: Sequence, path: np.ndarray) -> None:
 def _headline(record: RunRecord, outcomes: list[BreakageOutcome]) -> str:
     recovered = sum(o.recovered for o in outcomes)
     relocalized = sum(o.relocalized is not None for o in outcomes)
-    posed = sum(fate is not Fate.NONE for fate in fates(record)) / max(1, len(record.results))
+    posed = sum(outcome is not FrameOutcome.NONE for outcome in frame_outcomes(record)) / max(
+        1, len(record.results)
+    )
     return (
         f"{record.system_kind}: {posed:.0%} of the frames, {len(outcomes)} breakage(s), "
         f"{recovered} recovered, {relocalized} relocalized"

@@ -8,11 +8,11 @@ import rerun as rr
 
 from experiments.evaluation.scene import Scene
 from experiments.recording import palette
+from experiments.recording.describe import describe_event
 from experiments.recording.lanes import Lane, system_lanes
 from experiments.recording.palette import Color
 from experiments.recording.paths import RunPaths
 from experiments.recording.stream import Stream, part
-from experiments.recording.words import describe_event
 from experiments.runs.execution import RunRecord
 from sim.sequence import Sequence
 

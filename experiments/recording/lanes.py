@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from experiments.evaluation.frame_outcomes import Fate, fates
+from experiments.evaluation.frame_outcomes import FrameOutcome, frame_outcomes
 from experiments.evaluation.summary import is_tracked
 from experiments.recording import palette
 from experiments.recording.palette import Color
@@ -151,13 +151,13 @@ def _failure(event: RecoveryEnd) -> tuple[str, Color]:
 
 def _ends(record: RunRecord) -> Lane:
     words = {
-        Fate.TRACKED: ("pose", palette.TRACKED),
-        Fate.RECOVERED: ("pose by recovery", palette.RECOVERED),
-        Fate.NONE: ("no pose", palette.LOST),
+        FrameOutcome.TRACKED: ("pose", palette.TRACKED),
+        FrameOutcome.RECOVERED: ("pose by recovery", palette.RECOVERED),
+        FrameOutcome.NONE: ("no pose", palette.LOST),
     }
     lane = Lane("outcome")
-    for frame, fate in enumerate(fates(record)):
-        lane.add(frame, *words[fate])
+    for frame, outcome in enumerate(frame_outcomes(record)):
+        lane.add(frame, *words[outcome])
     return lane
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.evaluation.frame_outcomes import Fate, fates, known_from
+from experiments.evaluation.frame_outcomes import FrameOutcome, frame_outcomes, known_from
 from experiments.evaluation.scene import Scene
 from experiments.evaluation.summary import is_tracked
 from experiments.runs.execution import RunRecord
@@ -44,7 +44,7 @@ class RunPaths:
         self._scene = scene
         n = len(record.results)
         self._tracked = np.array([is_tracked(r) for r in record.results], bool)
-        self._recovered = np.array([f is Fate.RECOVERED for f in fates(record)], bool)
+        self._recovered = np.array([f is FrameOutcome.RECOVERED for f in frame_outcomes(record)], bool)
         self._known_from = known_from(record.events, n)
         self._placed = np.full((n, 3), np.nan)
         for trajectory in reversed(list(scene.final.values())):

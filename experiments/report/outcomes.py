@@ -74,7 +74,7 @@ def failures(table: pd.DataFrame, threads: int, folder: Path) -> list[dict[str, 
                     "world_seed": as_data(row["world_seed"]),
                     "what": what,
                     "breakage_reason": as_data(row["breakage_reason"]) or "",
-                    "threads": _thread_fates(row, threads),
+                    "threads": _thread_failures(row, threads),
                     "command": f"dslab experiment replay {place} {unit} --rerun {unit}.rrd",
                     "recording": None,
                 }
@@ -92,13 +92,13 @@ def _what_failed(row: pd.Series, threads: int) -> list[str]:
     return [*what, "silent failure"] if _said(row["silent_failure"]) else what
 
 
-def _thread_fates(row: pd.Series, threads: int) -> list[dict[str, Any]]:
-    fates = []
+def _thread_failures(row: pd.Series, threads: int) -> list[dict[str, Any]]:
+    failed = []
     for thread in range(1, threads + 1):
         if _said(row[thread_column("free", thread, "failed")]):
             stage, reason = (row[thread_column("free", thread, name)] for name in ("stage", "reason"))
-            fates.append({"thread": thread, "stage": as_data(stage) or "", "reason": as_data(reason) or ""})
-    return fates
+            failed.append({"thread": thread, "stage": as_data(stage) or "", "reason": as_data(reason) or ""})
+    return failed
 
 
 def _said(value: Any) -> bool:

@@ -6,9 +6,9 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from experiments.report.describe import FILTERS
 from experiments.report.paper_figures import PAPER
 from experiments.report.plots.draw import Plot
-from experiments.report.wording import FILTERS
 
 _TEMPLATES = Path(__file__).with_name("templates")
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from experiments.report.wording import figure_of, number, p_value, percent, plural, proportion, share_of
+from experiments.report.describe import figure_of, number, p_value, percent, plural, proportion, share_of
 
 VERDICTS = ("consistent", "optimistic", "pessimistic", "undecided")
 

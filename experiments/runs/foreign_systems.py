@@ -28,7 +28,7 @@ _TUM_NAMES = ["stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
 
 
 @dataclass(frozen=True)
-class PeerRun:
+class ForeignRun:
     """What a peer left of one run.
 
     Attributes:
@@ -44,8 +44,8 @@ class PeerRun:
     trajectory: MapTrajectory | None
 
 
-class Peer:
-    """A program to compare with, on one sequence; see :func:`open_peer`.
+class ForeignSystem:
+    """A program to compare with, on one sequence; see :func:`open_foreign_system`.
 
     Args:
         command: its words, without the two folders.
@@ -58,7 +58,7 @@ class Peer:
         self._command, self._sequence = command, sequence
         self._sequence_dir, self._scratch = sequence_dir, scratch
 
-    def run(self) -> PeerRun:
+    def run(self) -> ForeignRun:
         """Run the program once; its output is shown only in part, where it fails.
 
         Raises:
@@ -76,13 +76,13 @@ class Peer:
             said = lines[-1].strip() if lines else "no message"
             problem = f"ended with exit code {ended.returncode}: {said}"
             raise InputError(where, problem, "run it by hand on a sequence folder")
-        return read_peer_run(out_dir, self._sequence)
+        return read_foreign_run(out_dir, self._sequence)
 
 
 @contextmanager
-def open_peer(
+def open_foreign_system(
     command: str, source: str, sequence: Sequence, progress: Callable[[str, int, int], None] | None = None
-) -> Iterator[Peer]:
+) -> Iterator[ForeignSystem]:
     """A peer and the folder it is to read, for the length of the block.
 
     Args:
@@ -101,7 +101,7 @@ def open_peer(
         if not (folder.is_dir() and detect_form(folder) is Form.TUM):
             folder = scratch / "sequence"
             write_sequence(sequence, folder, Form.TUM, progress=progress)
-        yield Peer(words, sequence, folder.resolve(), scratch)
+        yield ForeignSystem(words, sequence, folder.resolve(), scratch)
 
 
 def check_command(command: str) -> list[str]:
@@ -117,7 +117,7 @@ def check_command(command: str) -> list[str]:
     return words
 
 
-def read_peer_run(out_dir: Path, sequence: Sequence) -> PeerRun:
+def read_foreign_run(out_dir: Path, sequence: Sequence) -> ForeignRun:
     """Read what a peer has left of a run over a sequence.
 
     Raises:
@@ -133,7 +133,7 @@ def read_peer_run(out_dir: Path, sequence: Sequence) -> PeerRun:
         raise InputError(f"{path}: frames", problem, "count every frame that was given")
     tracked = _count(path, summary, "tracked", frames)
     has_first = summary.get("first_tracked_frame") is not None
-    return PeerRun(
+    return ForeignRun(
         cpu_ms_median=_number(path, summary, "cpu_ms_median"),
         tracked=tracked,
         first_tracked_frame=_count(path, summary, "first_tracked_frame", frames - 1) if has_first else None,

@@ -51,10 +51,10 @@ def open_sequence(
         raise InputError(
             source, "no such folder", "check the path, or name a scenario (dslab scenarios list)"
         )
-    from sim.sequence_rendering import render_sequence, studio_with
+    from sim.sequence_rendering import render_backend, render_sequence
 
-    studio = studio_with(renderer) if renderer is not None else None
-    return render_sequence(load_scenario(source, seed), depth=depth, progress=progress, studio=studio)
+    backend = render_backend(renderer) if renderer is not None else None
+    return render_sequence(load_scenario(source, seed), depth=depth, progress=progress, backend=backend)
 
 
 def open_imu(
@@ -83,14 +83,14 @@ def open_imu(
             raise InputError(f"--imu: {source}", problem, "name a scenario, or leave out --imu")
         return None if readings is None else (readings, None)
     from scenarios.loading import load_scenario
-    from sim.frame_plan import mujoco_studio, plan_path
+    from sim.frame_plan import mujoco_backend, plan_path
     from sim.sensors.imu import ImuModel, record_imu
 
     scenario = load_scenario(source, seed)
     if scenario.imu is None and not wanted:
         return None
     model = ImuModel.of_spec(scenario.imu) if scenario.imu else None
-    return record_imu(plan_path(scenario, scenario.seed, mujoco_studio()), stamps_s, scenario.seed, model)
+    return record_imu(plan_path(scenario, scenario.seed, mujoco_backend()), stamps_s, scenario.seed, model)
 
 
 def _image_names(folder: Path) -> tuple[str, ...]:

@@ -1,9 +1,9 @@
 """What a degradation is: parameters in physical units and a pure ``apply`` on what decides the frames.
 
-The first family of kinds acts on a ``Shoot``, before a pixel is rendered: on the motion, then on the world's
-textures, then on the shutter, then on which frames there are and what their stamps say. The second family
-acts on the images (``sim.degradations.image``). Every kind measures, frame by frame, how much it truly acts,
-which gives a segment's true onset and end.
+The first family of kinds acts on a ``FramePlan``, before a pixel is rendered: on the motion, then on the
+world's textures, then on the shutter, then on which frames there are and what their stamps say. The
+second family acts on the images (``sim.degradations.image``). Every kind measures, frame by frame, how much
+it truly acts, which gives a segment's true onset and end.
 """
 
 from dataclasses import dataclass, field, replace
@@ -45,7 +45,7 @@ def streams_of(seed: int, segment: SegmentBase, *names: str | int) -> np.random.
 
 
 @dataclass(frozen=True)
-class Shoot:
+class FramePlan:
     """Everything that decides the frames before they are rendered.
 
     Attributes:
@@ -91,7 +91,7 @@ class Shoot:
             seen = self.view_share.max(axis=0) > 0
             object.__setattr__(self, "moment_s", np.where(seen, moment_s, np.nan))
 
-    def only(self, kept: np.ndarray) -> "Shoot":
+    def only(self, kept: np.ndarray) -> "FramePlan":
         """The shoot with some frames alone; ``kept`` is (N,) bool."""
         names = ("stamps_s", "exposure_s", "view_share", "frame", "stamp_error_s")
         return replace(self, **{name: getattr(self, name)[kept] for name in names})
@@ -126,11 +126,11 @@ class Degradation(Protocol[SegmentT_contra]):
         """Severity parameters drawn from the range over which this kind goes from harmless to fatal."""
         ...
 
-    def apply(self, shoot: Shoot, segment: SegmentT_contra) -> Shoot:
+    def apply(self, plan: FramePlan, segment: SegmentT_contra) -> FramePlan:
         """The shoot with the segment in it; the given one is left as it was."""
         ...
 
-    def measure(self, shoot: Shoot, segment: SegmentT_contra, blur_px: np.ndarray) -> np.ndarray:
+    def measure(self, plan: FramePlan, segment: SegmentT_contra, blur_px: np.ndarray) -> np.ndarray:
         """(N,) float64: how much the segment acts on each frame.
 
         Args:
@@ -162,12 +162,12 @@ def true_runs(acts: np.ndarray, within: np.ndarray) -> tuple[tuple[int, int], ..
 
 
 def segment_truth(
-    degradation: Degradation[Segment], shoot: Shoot, segment: Segment, blur_px: np.ndarray
+    degradation: Degradation[Segment], plan: FramePlan, segment: Segment, blur_px: np.ndarray
 ) -> tuple[SegmentTruth, np.ndarray]:
     """The segment's truth and its (N,) measure per frame."""
-    measure = degradation.measure(shoot, segment, blur_px)
+    measure = degradation.measure(plan, segment, blur_px)
     threshold = degradation.threshold(segment)
-    return truth_of(segment, degradation.measure_name, measure, threshold, shoot.within(segment)), measure
+    return truth_of(segment, degradation.measure_name, measure, threshold, plan.within(segment)), measure
 
 
 def truth_of(

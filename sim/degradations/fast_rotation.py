@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scenarios.spec import FastRotation
-from sim.degradations.base import Shoot, Stage
+from sim.degradations.base import FramePlan, Stage
 from sim.motion.base import Motion
 
 # The camera's x is right, y down, z forward: a yaw to the right, a pitch upward, a roll to the right.
@@ -78,13 +78,13 @@ class FastRotationDegradation:
         """Peak rate and axis."""
         return {"rate_degps": float(rng.uniform(40, 400)), "axis": str(rng.choice(list(AXES)))}
 
-    def apply(self, shoot: Shoot, segment: FastRotation) -> Shoot:
+    def apply(self, plan: FramePlan, segment: FastRotation) -> FramePlan:
         """See ``Degradation``."""
-        return replace(shoot, motion=_swung(shoot.motion, segment))
+        return replace(plan, motion=_swung(plan.motion, segment))
 
-    def measure(self, shoot: Shoot, segment: FastRotation, blur_px: np.ndarray) -> np.ndarray:
+    def measure(self, plan: FramePlan, segment: FastRotation, blur_px: np.ndarray) -> np.ndarray:
         """(N,) angular rate of the swing alone, without the path's own, deg/s."""
-        return np.abs(np.rad2deg(_swung(shoot.motion, segment).swing_rate_radps(shoot.stamps_s)))
+        return np.abs(np.rad2deg(_swung(plan.motion, segment).swing_rate_radps(plan.stamps_s)))
 
     def threshold(self, segment: FastRotation) -> float:
         """A tenth of the peak rate; at the turning point the rate passes through zero."""

@@ -7,14 +7,14 @@ import numpy as np
 from scenarios.segments import Fog
 from sim.degradations.base import Stage
 from sim.degradations.image import Filter, ImageDegradation, Streams, View
-from sim.degradations.scattering import Veil
+from sim.degradations.scattering import Scattering
 from sim.sensors.camera import Intrinsics
 
 HALF_THE_LIGHT = 0.5
 
 
 class FogDegradation(ImageDegradation[Fog]):
-    """A veil that comes and goes; see ``Veil``."""
+    """A veil that comes and goes; see ``Scattering``."""
 
     kind: ClassVar[str] = "fog"
     stage: ClassVar[Stage] = Stage.SCENE
@@ -27,7 +27,7 @@ class FogDegradation(ImageDegradation[Fog]):
 
     def prepare(self, segment: Fog, camera: Intrinsics, streams: Streams) -> Filter:
         """See ``ImageDegradation``."""
-        veil = Veil(camera, segment.airlight_level)
+        scattering = Scattering(camera, segment.airlight_level)
 
         def fog(image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
             extinction = view.strength * segment.extinction_per_m
@@ -35,7 +35,7 @@ class FogDegradation(ImageDegradation[Fog]):
                 return image, 0.0
             if view.depth_m is None:
                 raise ValueError("fog needs depth")
-            return veil.drawn(image, view.depth_m, extinction)
+            return scattering.drawn(image, view.depth_m, extinction)
 
         return fog
 

@@ -5,7 +5,7 @@ from typing import ClassVar
 import numpy as np
 
 from scenarios.segments import FrameDrops
-from sim.degradations.base import Shoot, Stage, streams_of
+from sim.degradations.base import FramePlan, Stage, streams_of
 
 
 class FrameDropsDegradation:
@@ -22,18 +22,18 @@ class FrameDropsDegradation:
         """Share, uniform."""
         return {"share": float(rng.uniform(0.2, 1))}
 
-    def apply(self, shoot: Shoot, segment: FrameDrops) -> Shoot:
+    def apply(self, plan: FramePlan, segment: FrameDrops) -> FramePlan:
         """See ``Degradation``."""
-        inside = np.flatnonzero(shoot.within(segment))[:-1]
-        order = streams_of(shoot.seed, segment).permutation(len(inside))
-        kept = np.ones(len(shoot.stamps_s), bool)
+        inside = np.flatnonzero(plan.within(segment))[:-1]
+        order = streams_of(plan.seed, segment).permutation(len(inside))
+        kept = np.ones(len(plan.stamps_s), bool)
         kept[inside[order[: round(segment.share * len(inside))]]] = False
-        return shoot.only(kept)
+        return plan.only(kept)
 
-    def measure(self, shoot: Shoot, segment: FrameDrops, blur_px: np.ndarray) -> np.ndarray:
+    def measure(self, plan: FramePlan, segment: FrameDrops, blur_px: np.ndarray) -> np.ndarray:
         """(N,) frames that are missing just before each frame of the segment."""
-        missing = np.diff(shoot.frame, prepend=-1) - 1
-        return np.where(shoot.within(segment), missing, 0).astype(float)
+        missing = np.diff(plan.frame, prepend=-1) - 1
+        return np.where(plan.within(segment), missing, 0).astype(float)
 
     def threshold(self, segment: FrameDrops) -> float:
         """One frame."""

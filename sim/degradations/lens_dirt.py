@@ -44,8 +44,8 @@ class LensDirtDegradation(ImageDegradation[LensDirt]):
             coarse = (max(1, camera.width_px // _SMEAR), max(1, camera.height_px // _SMEAR))
             smeared = cv2.resize(light, coarse, interpolation=cv2.INTER_AREA)
             smeared = cv2.resize(smeared, (camera.width_px, camera.height_px), interpolation=cv2.INTER_LINEAR)
-            veil = np.float32(_PASSING) * smeared - light
-            return encode(light + np.float32(view.strength) * cover * veil), view.strength * dirty_share
+            scattering = np.float32(_PASSING) * smeared - light
+            return encode(light + np.float32(view.strength) * cover * scattering), view.strength * dirty_share
 
         return dirty
 

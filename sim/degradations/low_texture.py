@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from scenarios.segments import LowTexture, SegmentBase
-from sim.degradations.base import Shoot, Stage, during
+from sim.degradations.base import FramePlan, Stage, during
 
 HALF_THE_VIEW = 0.5
 
@@ -25,22 +25,22 @@ class LowTextureDegradation:
         """Contrast, uniform in its logarithm: matches fall off with log contrast between .5 and .05."""
         return {"contrast": float(np.exp(rng.uniform(np.log(0.02), np.log(0.5))))}
 
-    def apply(self, shoot: Shoot, segment: LowTexture) -> Shoot:
+    def apply(self, plan: FramePlan, segment: LowTexture) -> FramePlan:
         """See ``Degradation``."""
-        contrast = np.where(passed(shoot, segment), shoot.contrast * segment.contrast, shoot.contrast)
-        return replace(shoot, contrast=contrast)
+        contrast = np.where(passed(plan, segment), plan.contrast * segment.contrast, plan.contrast)
+        return replace(plan, contrast=contrast)
 
-    def measure(self, shoot: Shoot, segment: LowTexture, blur_px: np.ndarray) -> np.ndarray:
+    def measure(self, plan: FramePlan, segment: LowTexture, blur_px: np.ndarray) -> np.ndarray:
         """(N,) share of the view that the segment's surfaces fill."""
         if segment.contrast == 1:
-            return np.zeros(len(shoot.stamps_s))
-        return shoot.view_share[:, passed(shoot, segment)].sum(axis=1, dtype=float)
+            return np.zeros(len(plan.stamps_s))
+        return plan.view_share[:, passed(plan, segment)].sum(axis=1, dtype=float)
 
     def threshold(self, segment: LowTexture) -> float:
         """Half of the view."""
         return HALF_THE_VIEW
 
 
-def passed(shoot: Shoot, segment: SegmentBase) -> np.ndarray:
+def passed(plan: FramePlan, segment: SegmentBase) -> np.ndarray:
     """(S,) bool: surfaces whose moment lies in the segment."""
-    return during(segment, shoot.moment_s)
+    return during(segment, plan.moment_s)

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from scenarios.spec import MotionBlur
-from sim.degradations.base import Shoot, Stage
+from sim.degradations.base import FramePlan, Stage
 
 # Corners survive a shorter smear.
 FELT_PX = 4.0
@@ -23,14 +23,14 @@ class MotionBlurDegradation:
         """Exposure, uniform in its logarithm."""
         return {"exposure_s": float(np.exp(rng.uniform(np.log(0.01), np.log(0.3))))}
 
-    def apply(self, shoot: Shoot, segment: MotionBlur) -> Shoot:
+    def apply(self, plan: FramePlan, segment: MotionBlur) -> FramePlan:
         """See ``Degradation``."""
-        exposure_s = np.where(shoot.within(segment), segment.exposure_s, shoot.exposure_s)
-        return replace(shoot, exposure_s=exposure_s)
+        exposure_s = np.where(plan.within(segment), segment.exposure_s, plan.exposure_s)
+        return replace(plan, exposure_s=exposure_s)
 
-    def measure(self, shoot: Shoot, segment: MotionBlur, blur_px: np.ndarray) -> np.ndarray:
+    def measure(self, plan: FramePlan, segment: MotionBlur, blur_px: np.ndarray) -> np.ndarray:
         """(N,) median smear of the segment's frames, pixels; 0 elsewhere."""
-        return np.where(shoot.within(segment), blur_px, 0.0)
+        return np.where(plan.within(segment), blur_px, 0.0)
 
     def threshold(self, segment: MotionBlur) -> float:
         """A smear that corners do not survive unharmed."""

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from scenarios.segments import PureRotation
-from sim.degradations.base import Shoot, Stage
+from sim.degradations.base import FramePlan, Stage
 from sim.degradations.fast_rotation import AXES, PEAK, SwungMotion
 from sim.motion.base import Motion
 
@@ -87,19 +87,19 @@ class PureRotationDegradation:
         """Angle and axis."""
         return {"angle_deg": float(rng.uniform(15, 120)), "axis": str(rng.choice(list(AXES)))}
 
-    def apply(self, shoot: Shoot, segment: PureRotation) -> Shoot:
+    def apply(self, plan: FramePlan, segment: PureRotation) -> FramePlan:
         """See ``Degradation``."""
         if segment.angle_deg == 0:
-            return shoot
+            return plan
         braking_s = BRAKING * segment.duration_s
         paused = PausedMotion(
-            shoot.motion, segment.start_s, segment.duration_s, braking_s, segment.start_s == 0
+            plan.motion, segment.start_s, segment.duration_s, braking_s, segment.start_s == 0
         )
-        return replace(shoot, motion=_turned(paused, segment))
+        return replace(plan, motion=_turned(paused, segment))
 
-    def measure(self, shoot: Shoot, segment: PureRotation, blur_px: np.ndarray) -> np.ndarray:
+    def measure(self, plan: FramePlan, segment: PureRotation, blur_px: np.ndarray) -> np.ndarray:
         """(N,) rate at which the resting camera turns, deg/s."""
-        return np.abs(np.rad2deg(_turned(shoot.motion, segment).swing_rate_radps(shoot.stamps_s)))
+        return np.abs(np.rad2deg(_turned(plan.motion, segment).swing_rate_radps(plan.stamps_s)))
 
     def threshold(self, segment: PureRotation) -> float:
         """A tenth of the peak rate; at the turning point the rate passes through zero."""

@@ -10,9 +10,9 @@ import numpy as np
 
 from scenarios.errors import InputError
 from scenarios.segments import Segment, self_overlap
-from sim.degradations.base import Shoot, Stage, true_runs
+from sim.degradations.base import FramePlan, Stage, true_runs
 from sim.degradations.chain import ImageChain
-from sim.degradations.registry import IMAGE_KINDS, SHOOT_KINDS, in_order_of_action
+from sim.degradations.registry import FRAME_PLAN_KINDS, IMAGE_KINDS, in_order_of_action
 from sim.degradations.truths import truths_of
 from sim.io.raw import RawFrames, RawWriter
 from sim.sequence import ChosenFrames, SegmentTruth, Sequence
@@ -29,24 +29,26 @@ class _NoMotion:
     velocity_mps = rate_radps = T_world_cam
 
 
-def footage_kinds(depth: bool) -> list[str]:
+def recorded_sequence_kinds(depth: bool) -> list[str]:
     """The kinds that need neither a world nor, without ``depth``, depth images."""
-    timing = [kind for kind, d in SHOOT_KINDS.items() if d.stage is Stage.TIMING]
+    timing = [kind for kind, d in FRAME_PLAN_KINDS.items() if d.stage is Stage.TIMING]
     images = [kind for kind, d in IMAGE_KINDS.items() if not d.needs_motion and (depth or not d.needs_depth)]
     return timing + images
 
 
-def check_footage(sequence: Sequence, segments: Many[Segment]) -> None:
+def check_recorded_sequence(sequence: Sequence, segments: Many[Segment]) -> None:
     """See that segments can act on a sequence that exists already.
 
     Raises:
         InputError: a kind needs what the sequence lacks, a segment ends after it, or two overlap.
     """
-    kinds = footage_kinds(sequence.depths is not None)
+    kinds = recorded_sequence_kinds(sequence.depths is not None)
     length_s = float(sequence.stamps_s[-1] - sequence.stamps_s[0]) + 1 / sequence.camera.fps
     for segment in segments:
         if segment.kind not in kinds:
-            lacking = "a folder with depth images" if segment.kind in footage_kinds(True) else "a world"
+            lacking = (
+                "a folder with depth images" if segment.kind in recorded_sequence_kinds(True) else "a world"
+            )
             problem = f"{segment.kind} needs {lacking}"
             raise InputError(sequence.name, problem, f"use one of {', '.join(kinds)}")
         if segment.end_s > length_s + 1e-6:
@@ -74,31 +76,31 @@ def degrade_sequence(
 
     Args:
         sequence: any; its frames are read one by one.
-        segments: of the kinds of ``footage_kinds``.
+        segments: of the kinds of ``recorded_sequence_kinds``.
         seed: root seed of what is random in them.
         scratch: folder for the frames, to be kept as long as the result is used.
         progress: told of every frame.
 
     Raises:
-        InputError: as ``check_footage``, or a frame cannot be read.
+        InputError: as ``check_recorded_sequence``, or a frame cannot be read.
     """
-    check_footage(sequence, segments)
-    shoot = _plan(sequence, segments, seed)
+    check_recorded_sequence(sequence, segments)
+    plan = _plan(sequence, segments, seed)
     known_s = sequence.frame_truth.get("exposure_s")
-    exposure_s = None if known_s is None else known_s[shoot.frame]
-    chain = ImageChain(segments, sequence.camera, shoot.stamps_s, shoot.frame, seed, exposure_s=exposure_s)
+    exposure_s = None if known_s is None else known_s[plan.frame]
+    chain = ImageChain(segments, sequence.camera, plan.stamps_s, plan.frame, seed, exposure_s=exposure_s)
     size = (sequence.camera.height_px, sequence.camera.width_px)
-    with RawWriter(scratch / "gray.npy", (len(shoot.frame), *size), np.uint8) as grays:
-        for index, frame in enumerate(shoot.frame.tolist()):
+    with RawWriter(scratch / "gray.npy", (len(plan.frame), *size), np.uint8) as grays:
+        for index, frame in enumerate(plan.frame.tolist()):
             depth_m = sequence.depths[frame] if sequence.depths is not None else None
             grays.append(chain.apply(sequence.frames[frame], index, _STAGES, depth_m))
             if progress:
-                progress("degrading", index + 1, len(shoot.frame))
-    truths, columns = _truths(sequence, segments, shoot, chain)
-    kept = shoot.frame
+                progress("degrading", index + 1, len(plan.frame))
+    truths, columns = _truths(sequence, segments, plan, chain)
+    kept = plan.frame
     return replace(
         sequence,
-        stamps_s=sequence.stamps_s[kept] + shoot.stamp_error_s,
+        stamps_s=sequence.stamps_s[kept] + plan.stamp_error_s,
         frames=RawFrames(scratch / "gray.npy"),
         T_world_cam=None if sequence.T_world_cam is None else sequence.T_world_cam[kept],
         depths=None if sequence.depths is None else ChosenFrames(sequence.depths, kept),
@@ -111,24 +113,26 @@ def degrade_sequence(
     )
 
 
-def _plan(sequence: Sequence, segments: Many[Segment], seed: int) -> Shoot:
+def _plan(sequence: Sequence, segments: Many[Segment], seed: int) -> FramePlan:
     """The shoot that would have given the sequence, with what the segments do to its frames and stamps."""
     stamps_s = sequence.stamps_s - sequence.stamps_s[0]
     count = len(stamps_s)
-    shoot = Shoot(stamps_s, _NoMotion(), np.zeros(count), np.empty(0), np.zeros((count, 0), np.float32), seed)
+    plan = FramePlan(
+        stamps_s, _NoMotion(), np.zeros(count), np.empty(0), np.zeros((count, 0), np.float32), seed
+    )
     for segment in in_order_of_action(segments):
-        if segment.kind in SHOOT_KINDS:
-            shoot = SHOOT_KINDS[segment.kind].apply(shoot, segment)
-    return shoot
+        if segment.kind in FRAME_PLAN_KINDS:
+            plan = FRAME_PLAN_KINDS[segment.kind].apply(plan, segment)
+    return plan
 
 
 def _truths(
-    sequence: Sequence, segments: Many[Segment], shoot: Shoot, chain: ImageChain
+    sequence: Sequence, segments: Many[Segment], plan: FramePlan, chain: ImageChain
 ) -> tuple[tuple[SegmentTruth, ...], dict[str, np.ndarray]]:
     """Truths of the segments there were and there are, and the columns of both."""
-    truths = [_renumbered(truth, shoot.frame) for truth in sequence.segments]
-    columns = {name: values[shoot.frame] for name, values in sequence.frame_truth.items()}
-    added, measured = truths_of(segments, shoot, chain, np.zeros(len(shoot.frame)))
+    truths = [_renumbered(truth, plan.frame) for truth in sequence.segments]
+    columns = {name: values[plan.frame] for name, values in sequence.frame_truth.items()}
+    added, measured = truths_of(segments, plan, chain, np.zeros(len(plan.frame)))
     for name, measure in measured.items():
         columns[name] = np.maximum(columns.get(name, 0.0), measure)
     return (*truths, *added), columns

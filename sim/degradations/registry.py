@@ -55,7 +55,9 @@ _ALL: tuple[Degradation[Any] | ImageDegradation[Any], ...] = (
 IMAGE_KINDS: dict[str, ImageDegradation[Any]] = {d.kind: d for d in _ALL if isinstance(d, ImageDegradation)}
 """The kinds that act on images."""
 
-SHOOT_KINDS: dict[str, Degradation[Any]] = {d.kind: d for d in _ALL if not isinstance(d, ImageDegradation)}
+FRAME_PLAN_KINDS: dict[str, Degradation[Any]] = {
+    d.kind: d for d in _ALL if not isinstance(d, ImageDegradation)
+}
 """The kinds that act before a frame is rendered, or on which frames there are."""
 
 DEGRADATIONS: dict[str, Degradation[Any] | ImageDegradation[Any]] = {d.kind: d for d in _ALL}

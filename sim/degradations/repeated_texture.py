@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from scenarios.segments import RepeatedTexture
-from sim.degradations.base import Shoot, Stage
+from sim.degradations.base import FramePlan, Stage
 from sim.degradations.low_texture import passed
 from sim.worlds.base import Surface, WorldModel
 
@@ -25,26 +25,26 @@ class RepeatedTextureDegradation:
         """Share of the surfaces, uniform."""
         return {"share": float(rng.uniform(0.3, 1))}
 
-    def apply(self, shoot: Shoot, segment: RepeatedTexture) -> Shoot:
+    def apply(self, plan: FramePlan, segment: RepeatedTexture) -> FramePlan:
         """See ``Degradation``."""
-        repeated = _most_seen(shoot, segment)
-        texture_of, period_m = shoot.texture_of.copy(), shoot.period_m.copy()
+        repeated = _most_seen(plan, segment)
+        texture_of, period_m = plan.texture_of.copy(), plan.period_m.copy()
         texture_of[repeated], period_m[repeated] = repeated[:1], segment.period_m
-        return replace(shoot, texture_of=texture_of, period_m=period_m)
+        return replace(plan, texture_of=texture_of, period_m=period_m)
 
-    def measure(self, shoot: Shoot, segment: RepeatedTexture, blur_px: np.ndarray) -> np.ndarray:
+    def measure(self, plan: FramePlan, segment: RepeatedTexture, blur_px: np.ndarray) -> np.ndarray:
         """(N,) share of the view that the papered surfaces fill."""
-        return shoot.view_share[:, passed(shoot, segment) & (shoot.period_m > 0)].sum(axis=1, dtype=float)
+        return plan.view_share[:, passed(plan, segment) & (plan.period_m > 0)].sum(axis=1, dtype=float)
 
     def threshold(self, segment: RepeatedTexture) -> float:
         """Half of the view."""
         return HALF_THE_VIEW
 
 
-def _most_seen(shoot: Shoot, segment: RepeatedTexture) -> np.ndarray:
+def _most_seen(plan: FramePlan, segment: RepeatedTexture) -> np.ndarray:
     """Indices of the surfaces, most seen first, that fill the stated share of what is passed."""
-    found = np.flatnonzero(passed(shoot, segment))
-    seen = shoot.view_share[shoot.within(segment)][:, found].sum(axis=0, dtype=float)
+    found = np.flatnonzero(passed(plan, segment))
+    seen = plan.view_share[plan.within(segment)][:, found].sum(axis=0, dtype=float)
     order = np.argsort(-seen, kind="stable")
     if not len(found) or segment.share == 0:
         return found[:0]
@@ -52,7 +52,7 @@ def _most_seen(shoot: Shoot, segment: RepeatedTexture) -> np.ndarray:
     return found[order[: int(np.searchsorted(reached, segment.share - 1e-9)) + 1]]
 
 
-def papered(world: WorldModel, texture_of: np.ndarray, period_m: np.ndarray) -> WorldModel:
+def with_repeated_texture(world: WorldModel, texture_of: np.ndarray, period_m: np.ndarray) -> WorldModel:
     """The world with surfaces that repeat a square patch, in its true size, over all their texture.
 
     Args:

@@ -10,7 +10,7 @@ from sim.sensors.exposure import srgb_to_linear
 _VERY_FAR_M = 1e4
 
 
-class Veil:
+class Scattering:
     """Light ``J`` at distance ``d`` becomes ``J t + A (1 - t)`` with ``t = exp(-extinction d)``.
 
     Pixels without depth are taken as very far. Source: Koschmieder's law.

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from scenarios.segments import TimeJitter
-from sim.degradations.base import Shoot, Stage, streams_of
+from sim.degradations.base import FramePlan, Stage, streams_of
 
 FELT_SHARE = 0.1
 # Of the way to the neighbouring frame's true time: two such errors cannot change the order of stamps.
@@ -24,18 +24,18 @@ class TimeJitterDegradation:
         """Standard deviation, uniform in its logarithm."""
         return {"sigma_s": float(np.exp(rng.uniform(np.log(0.001), np.log(0.03))))}
 
-    def apply(self, shoot: Shoot, segment: TimeJitter) -> Shoot:
+    def apply(self, plan: FramePlan, segment: TimeJitter) -> FramePlan:
         """See ``Degradation``."""
         # Drawn for every frame that there ever was: dropping some changes no other's error.
-        errors = streams_of(shoot.seed, segment).standard_normal(int(shoot.frame[-1]) + 1)
-        gaps_s = np.diff(shoot.stamps_s, prepend=-np.inf, append=np.inf)
+        errors = streams_of(plan.seed, segment).standard_normal(int(plan.frame[-1]) + 1)
+        gaps_s = np.diff(plan.stamps_s, prepend=-np.inf, append=np.inf)
         room_s = _FARTHEST * np.minimum(gaps_s[:-1], gaps_s[1:])
-        error_s = np.clip(segment.sigma_s * errors[shoot.frame], -room_s, room_s)
-        return replace(shoot, stamp_error_s=np.where(shoot.within(segment), error_s, shoot.stamp_error_s))
+        error_s = np.clip(segment.sigma_s * errors[plan.frame], -room_s, room_s)
+        return replace(plan, stamp_error_s=np.where(plan.within(segment), error_s, plan.stamp_error_s))
 
-    def measure(self, shoot: Shoot, segment: TimeJitter, blur_px: np.ndarray) -> np.ndarray:
+    def measure(self, plan: FramePlan, segment: TimeJitter, blur_px: np.ndarray) -> np.ndarray:
         """(N,) size of the error of each of the segment's stamps, seconds."""
-        return np.where(shoot.within(segment), np.abs(shoot.stamp_error_s), 0.0)
+        return np.where(plan.within(segment), np.abs(plan.stamp_error_s), 0.0)
 
     def threshold(self, segment: TimeJitter) -> float:
         """A tenth of the standard deviation."""

@@ -5,14 +5,14 @@ from collections.abc import Sequence as Many
 import numpy as np
 
 from scenarios.segments import Segment
-from sim.degradations.base import Shoot, segment_truth
+from sim.degradations.base import FramePlan, segment_truth
 from sim.degradations.chain import ImageChain
-from sim.degradations.registry import SHOOT_KINDS, in_order_of_action
+from sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
 from sim.sequence import SegmentTruth
 
 
 def truths_of(
-    segments: Many[Segment], shoot: Shoot, chain: ImageChain, blur_px: np.ndarray
+    segments: Many[Segment], plan: FramePlan, chain: ImageChain, blur_px: np.ndarray
 ) -> tuple[list[SegmentTruth], dict[str, np.ndarray]]:
     """Truths by start, those of one start in the order in which they act, and the columns of their measures.
 
@@ -30,7 +30,7 @@ def truths_of(
     columns: dict[str, np.ndarray] = {}
     for segment in sorted(in_order_of_action(segments), key=lambda segment: segment.start_s):
         truth, measure = of_images.get(segment) or segment_truth(
-            SHOOT_KINDS[segment.kind], shoot, segment, blur_px
+            FRAME_PLAN_KINDS[segment.kind], plan, segment, blur_px
         )
         truths.append(truth)
         columns[truth.measure] = np.maximum(columns.get(truth.measure, 0.0), measure)

@@ -148,13 +148,13 @@ class _Part:
         for eye in self._scene.camera:
             eye.pos = T_world_cam[:3, 3]
             eye.forward, eye.up = T_world_cam[:3, 2], -T_world_cam[:3, 1]
-        self._hide_what_is_out_of_sight(T_world_cam)
+        self._hide_invisible(T_world_cam)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = ids
         self._scene.flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = ids
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
         mujoco.mjr_render(self._viewport, self._scene, self._mjr)
 
-    def _hide_what_is_out_of_sight(self, T_world_cam: np.ndarray) -> None:
+    def _hide_invisible(self, T_world_cam: np.ndarray) -> None:
         """MuJoCo draws every geom that has a type; the others cost nothing."""
         centres = (self._centres - T_world_cam[:3, 3]) @ T_world_cam[:3, :3]
         shown = self._frustum.touches(centres, self._radii_m + 1e-3)

@@ -14,7 +14,7 @@ from slam.dual.buffer import FeatureBuffer
 from slam.dual.config import DualConfig
 from slam.dual.recovery.interface import RecoveryResult, RecoveryTask
 from slam.dual.recovery.registry import build_thread
-from slam.dual.recovery.scheduler import Recoveries, ThreadOutcome
+from slam.dual.recovery.scheduler import RecoveryScheduler, ThreadOutcome
 from slam.loop_closing.map_alignment import Alignment
 from slam.map.map import Map
 from slam.runtime.backend import ExecutionMode
@@ -80,7 +80,7 @@ class RecoveryAttempts:
         self._mode = mode
         self._emit = emit
         self._threads = [(build_thread(spec), spec.seed) for spec in config.threads]
-        self._recoveries = Recoveries(mode, config.exhaustive)
+        self._recoveries = RecoveryScheduler(mode, config.exhaustive)
 
     @property
     def possible(self) -> bool:

@@ -19,7 +19,7 @@ class DualConfig:
         exhaustive: every thread is run to its end, also after one has succeeded; the first success counts.
         relocalization: while a new map is sought, frames are looked for in the saved maps too.
         relocalization_maps: how many of them, the last saved first.
-        joining: acceptance of a saved map that is met again after its recovery has failed; None for never.
+        place_merging: acceptance of a saved map recognised after its recovery has failed; None for never.
     """
 
     buffer_s: float = 10.0
@@ -29,4 +29,4 @@ class DualConfig:
     exhaustive: bool = False
     relocalization: bool = True
     relocalization_maps: int = 2
-    joining: FusionConfig | None = field(default_factory=FusionConfig)
+    place_merging: FusionConfig | None = field(default_factory=FusionConfig)

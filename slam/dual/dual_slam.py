@@ -18,9 +18,9 @@ from slam.dual.attempts import Attempt, NewMap, RecoveryAttempts
 from slam.dual.buffer import FeatureBuffer
 from slam.dual.config import DualConfig
 from slam.dual.fusion.fuse import Fused, fuse, seam_frame
-from slam.dual.fusion.merge_recovered import graft
-from slam.dual.fusion.place_merging import MapJoiner, turned
-from slam.dual.fusion.rebase import carry_over, refer_to_fused
+from slam.dual.fusion.merge_recovered import merge_recovered
+from slam.dual.fusion.place_merging import PlaceMerger, turned
+from slam.dual.fusion.rebase import rebase_frames, rebase_tracking
 from slam.dual.recovery.interface import RecoveryResult
 from slam.dual.restarting import RestartingSlam
 from slam.initialization.initializer import InitialMap
@@ -51,7 +51,7 @@ class DualSlam(RestartingSlam):
         super().__init__(camera, seed, config, mode, return_to)
         self._attempts = RecoveryAttempts(self.dual, camera, seed, mode, self._emit_at)
         self._buffer = FeatureBuffer(self.dual.buffer_s, self.dual.buffer_cap_s, self._attempts.needs_images)
-        self._joiner = MapJoiner(self.dual.joining, seed) if self.dual.joining else None
+        self._place_merger = PlaceMerger(self.dual.place_merging, seed) if self.dual.place_merging else None
         self._new: NewMap | None = None
         self._recovery_due = False
         self._waiting: deque[NewMap] = deque()
@@ -97,8 +97,8 @@ class DualSlam(RestartingSlam):
         return len(self.current_map.keyframes()) >= self.dual.start_keyframes
 
     def _seek_after(self, frame: Frame) -> None:
-        if self._joiner is not None:
-            self._joiner.moved_on()
+        if self._place_merger is not None:
+            self._place_merger.moved_on()
         self._recovery_due = self._attempts.possible and bool(self._reachable())
         self._buffer.frozen = self._recovery_due
         super()._seek_after(frame)
@@ -129,7 +129,7 @@ class DualSlam(RestartingSlam):
         if not outcome.success or self.state is not TrackingState.TRACKING or self._attempts.under_way:
             return
         if not self._recovery_due:
-            self._join_by_place(frame)
+            self._merge_by_place(frame)
         elif self._fit_for_recovery():
             self._recover(frame, self._begun())
 
@@ -177,18 +177,18 @@ class DualSlam(RestartingSlam):
         """The new map takes over what the recovery has found before it, and both go into the old map."""
         self._backend.drain()
         old, new = self._maps[alignment.old_map_id], self._maps[attempt.new_id]
-        grafted = graft(new, result.map, attempt.keyframes, attempt.points)
-        if grafted is None:
+        merged = merge_recovered(new, result.map, attempt.keyframes, attempt.points)
+        if merged is None:
             self._emit_at(
                 frame, ev.Fusion, new.map_id, old_map_id=old.map_id, new_map_id=new.map_id,
                 by="recovery", accepted=False, scale=alignment.scale, inliers=alignment.inliers,
                 reason="new_map_has_changed",
             )  # fmt: skip
             return
-        alignments = [grafted.moved(a, new) for a in (*result.confirming, alignment)]
+        alignments = [merged.moved(a, new) for a in (*result.confirming, alignment)]
         seam = seam_frame(old, alignments)
         fused = self._fuse(frame, old, new, alignments, "recovery")
-        refer_to_fused(result.frames, grafted.keyframes, fused, alignment.scale)
+        rebase_frames(result.frames, merged.keyframes, fused, alignment.scale)
         for tracked in result.frames:
             if tracked.features.index > seam:
                 self._poses.add(old.map_id, tracked)
@@ -204,16 +204,16 @@ class DualSlam(RestartingSlam):
         if self._map_id in both:
             if self._map_id == new.map_id:
                 self._map_id = old.map_id
-                carry_over(self.tracker, self.mapper, old, fused, accepted.scale)
-            if self._joiner is not None:
-                self._joiner.moved_on()
+                rebase_tracking(self.tracker, self.mapper, old, fused, accepted.scale)
+            if self._place_merger is not None:
+                self._place_merger.moved_on()
         else:  # it is as young as the younger of the two
             saved.insert(min(map(self._saved.index, both)), old.map_id)
             self._broken_at[old.map_id] = max((self._broken_at[k] for k in both), key=lambda f: f.index)
         self._saved = saved
         self._forget(new.map_id)
-        if self._joiner is not None:
-            self._joiner.forget()
+        if self._place_merger is not None:
+            self._place_merger.forget()
         self._emit_at(
             frame, ev.Fusion, old.map_id, old_map_id=old.map_id, new_map_id=new.map_id, by=by,
             accepted=True, scale=accepted.scale, inliers=accepted.inliers, reason="",
@@ -224,19 +224,19 @@ class DualSlam(RestartingSlam):
 
     def _apply(self, change: Change) -> None:
         super()._apply(change)
-        if self._joiner is None:
+        if self._place_merger is None:
             return
         if isinstance(change, Mapped) and self._saved:
-            self._joiner.note(change.keyframe)
+            self._place_merger.note(change.keyframe)
         elif isinstance(change, Corrected | Adjusted):
-            self._joiner.forget()
+            self._place_merger.forget()
 
-    def _join_by_place(self, frame: Frame) -> None:
+    def _merge_by_place(self, frame: Frame) -> None:
         """Look whether the newest keyframes show a saved map; the map begun first takes in the other."""
-        if self._joiner is None or not self._saved:
+        if self._place_merger is None or not self._saved:
             return
         current = self.current_map
-        alignments = self._joiner.search(
+        alignments = self._place_merger.search(
             current,
             [self._maps[k] for k in self._saved],
             lambda map_id: self._places(map_id).database,

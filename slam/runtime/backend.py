@@ -179,19 +179,19 @@ class Backend:
         loop, around = found
         with self._gate:
             with timer("detect"):
-                twin = self._twin(map_)
+                twin = self._copy_of(map_)
                 factor = correct_loop(twin, loop, around)
             self._hand_over(Corrected(task, loop, twin, factor, timer.cpu_ms["detect"]), wait=True)
         timer = StageTimer()
         with timer("adjust"):
             adjustment = adjust_globally(
-                self._twin(map_), task.detector.config.adjustment_iterations, apart=self._news is not None
+                self._copy_of(map_), task.detector.config.adjustment_iterations, apart=self._news is not None
             )
         if adjustment is not None:
             with self._gate:
                 self._hand_over(Adjusted(task, loop, adjustment, timer.cpu_ms["adjust"]), wait=True)
 
-    def _twin(self, map_: Map) -> Map:
+    def _copy_of(self, map_: Map) -> Map:
         with self.lock:
             return map_.copy()
 

@@ -120,7 +120,7 @@ class Relocalizer:
             matches, inliers = self._search(frame, radius_px)
         if inliers < self.config.min_inliers:
             return RelocalizationOutcome(False, keyframe, inliers, matches, "too_few_inliers")
-        self._hang(frame)
+        self._set_reference(frame)
         return RelocalizationOutcome(True, keyframe, inliers, matches)
 
     def _match(self, frame: Frame, bow: BowVector, keyframe: int) -> tuple[np.ndarray, np.ndarray]:
@@ -150,7 +150,7 @@ class Relocalizer:
         matches = int((frame.point >= 0).sum())
         return matches, optimize_frame(frame, m)
 
-    def _hang(self, frame: Frame) -> None:
+    def _set_reference(self, frame: Frame) -> None:
         """Refer the frame to the keyframe that shares most of its points."""
         m = self.map
         keyframes, _ = matching.collect_local_map(m.arrays, m.n_keyframes, m.n_points, frame.point, 1)

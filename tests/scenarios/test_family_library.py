@@ -4,8 +4,8 @@ from itertools import pairwise
 
 import pytest
 
+from scenarios.describe_family import describe_members, describe_parameters
 from scenarios.families import LIBRARY_DIR, family_names, library_names, load_family
-from scenarios.family_wording import members_in_words, parameters_in_words
 from scenarios.loading import dump_yaml, load_scenario
 from scenarios.spec import Scenario
 from sim.worlds import layout
@@ -120,12 +120,12 @@ def test_the_walks_have_the_camera_of_tum_mono_at_20_to_50_frames():
 
 
 def test_families_are_told_in_words():
-    words = parameters_in_words(load_family("mixed"))
+    words = describe_parameters(load_family("mixed"))
     assert words["segments"] == "low_texture, motion_blur or fast_rotation"
     assert words["segments.contrast"] == "0.05 to 0.5 (log)"
     assert words["world.turns"] == "1, 2 or 3"
-    assert members_in_words(load_family("kitti-like")) == "11: 00 to 10"
-    assert members_in_words(load_family("loop")) == "5: room, warehouse, building, city, field"
+    assert describe_members(load_family("kitti-like")) == "11: 00 to 10"
+    assert describe_members(load_family("loop")) == "5: room, warehouse, building, city, field"
     assert (
-        members_in_words(load_family("stressed")) == "" and parameters_in_words(load_family("stressed")) == {}
+        describe_members(load_family("stressed")) == "" and describe_parameters(load_family("stressed")) == {}
     )

@@ -9,7 +9,7 @@ import numpy as np
 from scenarios.spec import Scenario
 from sim.degradations.base import Stage
 from sim.degradations.registry import DEGRADATIONS
-from sim.frame_plan import Studio, mujoco_studio
+from sim.frame_plan import RenderBackend, mujoco_backend
 from sim.sequence import Sequence
 
 START_S, DURATION_S = 0.2, 0.4
@@ -65,9 +65,9 @@ def segment(kind: str, **severity) -> dict:
     return {"kind": kind, "start_s": START_S, "duration_s": DURATION_S, **severity}
 
 
-def small_studio() -> Studio:
+def small_backend() -> RenderBackend:
     """The real worlds and renderer; worlds are built once, with coarse textures, renderers kept."""
-    real = mujoco_studio()
+    real = mujoco_backend()
     worlds, renderers = {}, {}
 
     def build_world(spec, seed):
@@ -95,7 +95,7 @@ def small_studio() -> Studio:
         def close(self) -> None:
             pass
 
-    return Studio(real.layout, build_world, Kept, real.gl_info)
+    return RenderBackend(real.layout, build_world, Kept, real.gl_info)
 
 
 def digest(sequence: Sequence) -> str:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scenarios.spec import Scenario
-from sim.degradations.registry import DEGRADATIONS, IMAGE_KINDS, SHOOT_KINDS
+from sim.degradations.registry import DEGRADATIONS, FRAME_PLAN_KINDS, IMAGE_KINDS
 from sim.preview import preview
 from sim.sequence_rendering import render_sequence
 
@@ -42,7 +42,7 @@ def with_segments(kinds: list[str], camera: dict) -> Scenario:
     ("kinds", "camera"),
     [
         (list(DEGRADATIONS), {**CAMERA, "distortion": {"model": "radtan", "k1": -0.05}}),
-        (list(SHOOT_KINDS), CAMERA),
+        (list(FRAME_PLAN_KINDS), CAMERA),
     ],
     ids=["every kind, a distorting lens", "no kind on images"],
 )
@@ -51,10 +51,10 @@ def test_some_frames_are_those_of_the_whole_sequence(kinds, camera, tmp_path):
     whole = render_sequence(scenario, cache_dir=tmp_path)
     look = preview(scenario)
     # Every third frame, so that no frame is filmed after its neighbour, and every segment has some.
-    indices = list(range(1, len(look.shoot.stamps_s), 3))
-    assert all(look.shoot.within(segment)[indices].any() for segment in scenario.segments)
-    images, blur_px = look.film(indices)
-    assert len(whole) == len(look.shoot.stamps_s)
+    indices = list(range(1, len(look.plan.stamps_s), 3))
+    assert all(look.plan.within(segment)[indices].any() for segment in scenario.segments)
+    images, blur_px = look.expose_frames(indices)
+    assert len(whole) == len(look.plan.stamps_s)
     for index, image in zip(indices, images, strict=True):
         assert np.array_equal(image, whole.frames[index]), f"frame {index}"
     np.testing.assert_array_equal(blur_px, whole.frame_truth["blur_px"][indices])

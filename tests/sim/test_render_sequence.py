@@ -15,7 +15,7 @@ from small_world import CAMERA, CORRIDOR
 from scenarios.errors import InputError
 from scenarios.spec import Scenario
 from sim.io.tum import load_sequence
-from sim.sequence_rendering import Studio, mujoco_studio, render_sequence
+from sim.sequence_rendering import RenderBackend, mujoco_backend, render_sequence
 from sim.worlds.base import Route, Surface, WorldModel
 
 SPEC = {
@@ -63,11 +63,11 @@ class FakeRenderer:
         pass
 
 
-def fake_studio() -> Studio:
+def fake_backend() -> RenderBackend:
     blank = Surface(
         np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32), np.zeros((3, 2)), np.zeros((1, 1), np.uint8), ""
     )
-    return Studio(
+    return RenderBackend(
         layout=lambda spec, seed: Route(np.array([[0.0, 0], [10, 0]]), 0.4, False),
         build_world=lambda spec, seed: WorldModel([blank] * 10, 128.0, np.ones(10)),
         renderer=FakeRenderer,
@@ -81,7 +81,7 @@ def digest(sequence) -> str:
 
 @pytest.fixture
 def rendered(tmp_path):
-    return render_sequence(SCENARIO, 1, cache_dir=tmp_path / "cache", studio=fake_studio())
+    return render_sequence(SCENARIO, 1, cache_dir=tmp_path / "cache", backend=fake_backend())
 
 
 def test_frames_stamps_and_poses_are_complete(rendered):
@@ -114,9 +114,9 @@ def test_the_segments_act_on_the_frames(rendered):
 
 def test_the_frame_shows_the_true_pose_at_the_centre_of_its_exposure(rendered):
     calm = Scenario.model_validate({**SPEC, "segments": []})
-    world = replace(fake_studio().build_world(None, 0), contrast=np.ones(10))
+    world = replace(fake_backend().build_world(None, 0), contrast=np.ones(10))
     sequence = render_sequence(
-        calm, 1, cache_dir=Path(str(rendered.frames._stack.filename)).parents[1], studio=fake_studio()
+        calm, 1, cache_dir=Path(str(rendered.frames._stack.filename)).parents[1], backend=fake_backend()
     )
     for frame in (0, 17, 39):
         sharp, _ = FakeRenderer(world, sequence.camera).render(sequence.T_world_cam[frame])
@@ -130,7 +130,7 @@ def test_a_second_call_takes_the_frames_from_the_cache(tmp_path, rendered):
 
     steps: list[str] = []
     again = render_sequence(
-        SCENARIO, 1, cache_dir=tmp_path / "cache", studio=replace(fake_studio(), renderer=nobody),
+        SCENARIO, 1, cache_dir=tmp_path / "cache", backend=replace(fake_backend(), renderer=nobody),
         progress=lambda step, done, total: steps.append(step),
     )  # fmt: skip
     assert digest(again) == digest(rendered)
@@ -139,7 +139,7 @@ def test_a_second_call_takes_the_frames_from_the_cache(tmp_path, rendered):
 
 
 def test_seed_spec_and_depth_make_other_entries(tmp_path, rendered):
-    options = {"cache_dir": tmp_path / "cache", "studio": fake_studio()}
+    options = {"cache_dir": tmp_path / "cache", "studio": fake_backend()}
     assert digest(render_sequence(SCENARIO, 2, **options)) != digest(rendered)
     quiet = Scenario.model_validate({**SPEC, "camera": {**CAMERA, "noise_sigma": 0}})
     assert digest(render_sequence(quiet, 1, **options)) != digest(rendered)
@@ -156,14 +156,14 @@ def test_a_corrupt_entry_is_rendered_again(tmp_path, rendered, caplog):
     data[-5] ^= 0xFF
     stack.write_bytes(bytes(data))
     with caplog.at_level(logging.WARNING):
-        again = render_sequence(SCENARIO, 1, cache_dir=tmp_path / "cache", studio=fake_studio())
+        again = render_sequence(SCENARIO, 1, cache_dir=tmp_path / "cache", backend=fake_backend())
     assert "corrupt" in caplog.text
     assert digest(again) == before
 
 
 def test_the_written_folder_is_the_sequence(tmp_path):
     out = tmp_path / "out"
-    options = {"cache_dir": tmp_path / "cache", "studio": fake_studio()}
+    options = {"cache_dir": tmp_path / "cache", "studio": fake_backend()}
     sequence = render_sequence(SCENARIO, 1, out_dir=out, **options)
     read = load_sequence(out)
     assert digest(read) == digest(sequence)
@@ -182,7 +182,7 @@ def test_a_full_disk_is_an_input_error_and_leaves_no_half_entry(tmp_path, monkey
 
     monkeypatch.setattr(RawWriter, "append", full)
     with pytest.raises(InputError, match="No space left"):
-        render_sequence(SCENARIO, 1, cache_dir=tmp_path / "cache", studio=fake_studio())
+        render_sequence(SCENARIO, 1, cache_dir=tmp_path / "cache", backend=fake_backend())
     assert list((tmp_path / "cache").iterdir()) == []
 
 
@@ -202,6 +202,6 @@ def test_same_seed_same_bytes_in_another_process(tmp_path):
     command = [sys.executable, "-c", _IN_ANOTHER_PROCESS, json.dumps(spec), str(tmp_path / "theirs")]
     other = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
     own = render_sequence(
-        Scenario.model_validate(spec), 5, cache_dir=tmp_path / "own", studio=mujoco_studio()
+        Scenario.model_validate(spec), 5, cache_dir=tmp_path / "own", backend=mujoco_backend()
     )
     assert digest(own) == other.stdout.strip()

@@ -27,7 +27,7 @@ CONFIG = replace(default_config(CAMERA), min_map_keyframes=3)
 
 # Most of what is tested is recovery: in a scene that is still in view, place
 # recognition would be there first.
-RECOVERY_ONLY = DualConfig(threads=(ThreadSpec("orb"),), relocalization=False, joining=None)
+RECOVERY_ONLY = DualConfig(threads=(ThreadSpec("orb"),), relocalization=False, place_merging=None)
 
 
 def dual(config=RECOVERY_ONLY, mode=ExecutionMode.LOCKSTEP):

@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from experiments.report.conditioning import QUANTITY_WORDS
+from experiments.report.describe import number
 from experiments.report.plots.style import BLUE, GREEN, GREY, ORANGE, PURPLE, bars, log_ticks, new_figure
-from experiments.report.wording import number
 
 _COLOURS = (BLUE, ORANGE, GREEN, PURPLE)
 

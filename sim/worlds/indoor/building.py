@@ -52,7 +52,9 @@ def build_world(spec: BuildingWorld, seed: int) -> WorldModel:
             panels += raised
     for stairs in plan.stairs:
         panels += stair_panels(stairs, plan.clear_m, rng_for(seed, "world", "building", stairs.name))
-    distance_m = np.array([_distance(panel, _who_see(panel, lights, eyes, spec)) for panel in panels])
+    distance_m = np.array(
+        [_distance(panel, _surfaces_seen_by(panel, lights, eyes, spec)) for panel in panels]
+    )
     seen = np.flatnonzero(np.isfinite(distance_m))
     detail = np.minimum(_FINEST, _FINEST_AT_M / np.maximum(distance_m[seen], 1e-6))
     flat = build([_grown(panels[k]) for k in seen], _BuildingLight(lights, stairwells), seed, detail)
@@ -91,7 +93,7 @@ def _grown(panel: Panel) -> Panel:
     return replace(panel, corner=corner, **size)
 
 
-def _who_see(
+def _surfaces_seen_by(
     panel: Panel, lights: dict[str, tuple[Lighting, float]], eyes: np.ndarray, spec: BuildingWorld
 ) -> np.ndarray:
     """Those of the eyes that a panel's floor does not hide; stairwells are open to all."""

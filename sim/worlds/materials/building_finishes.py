@@ -95,7 +95,7 @@ def lamp(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
 def _wall_details(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     """Wear, what hangs on the wall, and the skirting and cornice that run on over every panel."""
     _weather(image, scale, rng)
-    _hang(image, scale, rng)
+    _set_reference(image, scale, rng)
     skirting, cornice = max(2, round(_SKIRTING_M * scale)), max(2, round(_CORNICE_M * scale))
     image[-skirting:], image[:cornice] = 62, 190
     image[-skirting:][:1], image[:cornice][-1:] = 185, 70
@@ -121,7 +121,7 @@ _LARGE = (
 _SMALL = (motifs.vent, motifs.picture, motifs.poster)
 
 
-def _hang(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
+def _set_reference(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     """Mostly one large thing about eye height, small ones above and below, cables between."""
     width, height = image.shape[1] / scale, image.shape[0] / scale
     if rng.random() < 0.5:

@@ -98,7 +98,7 @@ def fuse(
     for alignment in reversed(alignments):
         theirs = (alignment.new_points + points).astype(np.int32)
         kernels.replace_points(old.arrays, theirs, alignment.old_points, scale)
-    factor = _settle(old, alignments, keyframes)
+    factor = _optimize_seam(old, alignments, keyframes)
     _fuse_seam(old, accepted.old_keyframe, accepted.new_keyframe + keyframes)
     LocalMapper(old, mapping).adjust(accepted.new_keyframe + keyframes)
     return Fused(keyframes, points, factor)
@@ -115,7 +115,7 @@ def _bypass_younger(old: Map, frame: int) -> None:
             old.cull_keyframe(int(k))
 
 
-def _settle(fused: Map, alignments: Sequence[Alignment], first_new: int) -> np.ndarray:
+def _optimize_seam(fused: Map, alignments: Sequence[Alignment], first_new: int) -> np.ndarray:
     """Optimise the essential graph of the new side over the seam; (n_keyframes,) factor on lengths."""
     rows = fused.keyframes()
     bad = fused.arrays.kf_bad

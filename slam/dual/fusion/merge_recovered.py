@@ -16,7 +16,7 @@ _MIN_SHARED = 20
 
 
 @dataclass(frozen=True)
-class Grafted:
+class MergedRecovery:
     """Where the copy has gone.
 
     Attributes:
@@ -44,7 +44,7 @@ class Grafted:
         )
 
 
-def graft(grown: Map, copy: Map, keyframes: int, points: int) -> Grafted | None:
+def merge_recovered(grown: Map, copy: Map, keyframes: int, points: int) -> MergedRecovery | None:
     """Take over the rows that a copy of this map has gained since it was made.
 
     The rows that both had then are one again, as this map has them now.
@@ -74,7 +74,7 @@ def graft(grown: Map, copy: Map, keyframes: int, points: int) -> Grafted | None:
         _let_go(grown, twin)
         grown.set_parent(twin, grown.live(k))
         grown.cull_keyframe(twin)
-    return Grafted(K, P, S)
+    return MergedRecovery(K, P, S)
 
 
 def _similarity(grown: Map, copy: Map, points: int) -> np.ndarray | None:

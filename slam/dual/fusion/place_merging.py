@@ -16,7 +16,7 @@ _CANDIDATES = 2  # likeliest keyframes of a saved map that are compared with a n
 _WAITING = 3  # newest keyframes that are looked for in saved maps, when that has had to wait
 
 
-class MapJoiner:
+class PlaceMerger:
     """Compares keyframes of the current map with the saved maps, as loop closing does within one map.
 
     Args:

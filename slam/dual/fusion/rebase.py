@@ -10,7 +10,7 @@ from slam.mapping.local_mapping import LocalMapper
 from slam.tracking.tracker import Tracker
 
 
-def carry_over(tracker: Tracker, mapper: LocalMapper, old: Map, fused: Fused, scale: float) -> None:
+def rebase_tracking(tracker: Tracker, mapper: LocalMapper, old: Map, fused: Fused, scale: float) -> None:
     """Go on in the map that has absorbed the one tracked in.
 
     Args:
@@ -34,7 +34,7 @@ def carry_over(tracker: Tracker, mapper: LocalMapper, old: Map, fused: Fused, sc
     mapper.rebase(old)
 
 
-def refer_to_fused(frames: Sequence[Frame], keyframes: int, fused: Fused, scale: float) -> None:
+def rebase_frames(frames: Sequence[Frame], keyframes: int, fused: Fused, scale: float) -> None:
     """Refer the frames that a recovery has tracked to the fused map.
 
     Args:

@@ -1,4 +1,4 @@
-"""Meeting the old maps: alignments where two maps have keyframes of about the same time, confirmed."""
+"""Overlap the old maps: alignments where two maps have keyframes of about the same time, confirmed."""
 
 from slam.core.frame import Frame
 from slam.dual.fusion.fuse import FusionConfig, agree
@@ -7,7 +7,7 @@ from slam.loop_closing.map_alignment import Alignment, align
 from slam.map.map import Map
 
 
-class Meeting:
+class Overlap:
     """Watches for the old maps: aligns where two maps have keyframes of about the same time.
 
     Attributes:

@@ -5,7 +5,7 @@ Source: paper, Sec. III-B and Algorithm 1.
 
 from slam.core.frame import Frame
 from slam.dual.recovery.interface import RecoveryConfig, RecoveryResult, RecoveryTask
-from slam.dual.recovery.overlap import Meeting
+from slam.dual.recovery.overlap import Overlap
 from slam.mapping.local_mapping import LocalMapper
 from slam.tracking.tracker import Tracker
 
@@ -22,7 +22,7 @@ def propagate(
         mapper: grows the new map.
     """
     result = RecoveryResult(task.new_map)
-    meeting = Meeting(task, config.fusion)
+    overlap = Overlap(task, config.fusion)
     unusable_since_s = None
     for features in task.backward:
         frame = Frame(features)
@@ -40,17 +40,17 @@ def propagate(
         unusable_since_s = None
         result.inliers = outcome.inliers
         result.frames.append(frame)
-        if meeting.possible(frame) or tracker.wants_keyframe(frame, outcome.inliers):
+        if overlap.possible(frame) or tracker.wants_keyframe(frame, outcome.inliers):
             keyframe = mapper.insert(frame)
             result.keyframes_made += 1
             tracker.keyframe_made(frame, keyframe)
-            met = meeting.attempt(frame, keyframe)
-            result.alignments_tried = meeting.tried
+            met = overlap.attempt(frame, keyframe)
+            result.alignments_tried = overlap.tried
             if met:
                 result.success = True
-                result.alignment = meeting.accepted
-                result.confirming = meeting.confirming
-                result.inliers = meeting.accepted.inliers
+                result.alignment = overlap.accepted
+                result.confirming = overlap.confirming
+                result.inliers = overlap.accepted.inliers
                 return result
-    result.stage, result.reason = meeting.verdict()
+    result.stage, result.reason = overlap.verdict()
     return result

@@ -35,7 +35,7 @@ class ThreadOutcome:
     is_last: bool
 
 
-class Recoveries:
+class RecoveryScheduler:
     """Runs the recovery threads.
 
     Args:

@@ -164,7 +164,7 @@ class SiftTracker(Tracker):
             return TrackingOutcome(False, points, matches, "too_few_inliers")
         if alone:
             frame.point[:] = -1
-        self._hang(frame, reference.frame)
+        self._set_reference(frame, reference.frame)
         self._accept(frame, reference.frame)
         wrong = np.zeros(len(sift.xy), np.bool_)
         wrong[placed[~agree, 1]] = True
@@ -209,7 +209,7 @@ class SiftTracker(Tracker):
             agree = inlier[matches:]
         return agree, int((frame.point >= 0).sum()), matches
 
-    def _hang(self, frame: Frame, reference: Frame) -> None:
+    def _set_reference(self, frame: Frame, reference: Frame) -> None:
         """Refer the frame to the keyframe that shares most of its points, or to its predecessor's."""
         m = self.map
         keyframes, _ = matching.collect_local_map(m.arrays, m.n_keyframes, m.n_points, frame.point, 1)

@@ -25,12 +25,12 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 """
 DRIVER = """
 from pathlib import Path
-from experiments.campaign.worker_pool import CrewSettings, open_crew
+from experiments.campaign.worker_pool import WorkerPoolSettings, open_worker_pool
 from experiments.campaign.runner import run_experiment
 from unit_fakes import MadeUp, made_up_unit
 if __name__ == "__main__":
-    plan = MadeUp({"slow-0.05": 200})
-    run_experiment(plan, Path(sys.argv[1]), lambda: open_crew(CrewSettings(workers=2), made_up_unit))
+    plan, settings = MadeUp({"slow-0.05": 200}), WorkerPoolSettings(workers=2)
+    run_experiment(plan, Path(sys.argv[1]), lambda: open_worker_pool(settings, made_up_unit))
 """
 DSLAB = """
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from experiments.campaign.folder_lock import sole_driver
 from experiments.campaign.ledger import LEDGER_FILE
 from experiments.campaign.runner import run_experiment
 from experiments.campaign.stopping import NarrowEnough
-from experiments.campaign.worker_pool import Crew, CrewSettings, open_crew
+from experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings, open_worker_pool
 from experiments.eq1.records import decided
 from experiments.eq1.spec import Stopping
 from scenarios.errors import InputError
@@ -24,19 +24,19 @@ PLAN = MadeUp({"ok": 40, "slow-0.01": 40})
 RULE = NarrowEnough(Stopping(quantity="p0", half_width=0.3, min_units=10))
 
 
-class OneWorker(Crew):
+class OneWorker(WorkerPool):
     """Sees the first worker only."""
 
     def workers(self):
         return super().workers()[:1]
 
 
-def test_one_worker_and_two_give_the_same_rows_with_a_stopping_rule(shared_crew, tmp_path):
-    for kind in (OneWorker, Crew):
-        crew = kind(shared_crew._client, made_up_unit, CrewSettings(workers=2))
-        tally = run_experiment(PLAN, tmp_path / kind.__name__, lambda crew=crew: nullcontext(crew), RULE)
+def test_one_worker_and_two_give_the_same_rows_with_a_stopping_rule(shared_pool, tmp_path):
+    for kind in (OneWorker, WorkerPool):
+        pool = kind(shared_pool._client, made_up_unit, WorkerPoolSettings(workers=2))
+        tally = run_experiment(PLAN, tmp_path / kind.__name__, lambda pool=pool: nullcontext(pool), RULE)
         assert tally.done == tally.total < 80
-    one, two = (rows_of(tmp_path / kind.__name__, PLAN) for kind in (OneWorker, Crew))
+    one, two = (rows_of(tmp_path / kind.__name__, PLAN) for kind in (OneWorker, WorkerPool))
     assert one == two
     assert all(row == decided(made_up_record(PLAN.unit(row["cell"], row["index"]))) for row in one)
 
@@ -132,33 +132,33 @@ def test_a_full_disk_ends_the_run_in_one_line_and_the_next_goes_on(run_made_up, 
     assert [row for row in rows_of(folder, plan) if row in kept] == kept
 
 
-def test_a_scheduler_somewhere_else_gives_the_same(shared_crew, tmp_path):
-    address = shared_crew._client.scheduler.address
-    settings = CrewSettings(scheduler=address)
+def test_a_scheduler_somewhere_else_gives_the_same(shared_pool, tmp_path):
+    address = shared_pool._client.scheduler.address
+    settings = WorkerPoolSettings(scheduler=address)
     plan = MadeUp({"ok": 5})
-    tally = run_experiment(plan, tmp_path / "x", lambda: open_crew(settings, made_up_unit))
+    tally = run_experiment(plan, tmp_path / "x", lambda: open_worker_pool(settings, made_up_unit))
     assert tally.done == 5
     assert rows_of(tmp_path / "x", plan) == [decided(made_up_record(plan.unit("ok", i))) for i in range(5)]
 
 
 def test_a_scheduler_that_is_not_there_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setattr(crews, "_CONNECT_S", 1.0)
-    settings = CrewSettings(scheduler="tcp://127.0.0.1:9")
+    settings = WorkerPoolSettings(scheduler="tcp://127.0.0.1:9")
     with pytest.raises(InputError, match=r"tcp://127.0.0.1:9: no scheduler answers .*; start one with"):
-        run_experiment(MadeUp({"ok": 1}), tmp_path / "x", lambda: open_crew(settings, made_up_unit))
+        run_experiment(MadeUp({"ok": 1}), tmp_path / "x", lambda: open_worker_pool(settings, made_up_unit))
 
 
-def test_nothing_listens_beyond_this_machine(shared_crew):
+def test_nothing_listens_beyond_this_machine(shared_pool):
     me = psutil.Process()
     for process in (me, *me.children(recursive=True)):
         for connection in process.net_connections():
             assert connection.status != "LISTEN" or connection.laddr.ip == "127.0.0.1"
 
 
-def test_numbers_are_summed_by_one_thread(shared_crew):
+def test_numbers_are_summed_by_one_thread(shared_pool):
     names = list(crews.SINGLE_THREADED)
-    found = shared_crew._client.run(lambda: [os.environ.get(name) for name in names])
+    found = shared_pool._client.run(lambda: [os.environ.get(name) for name in names])
     assert all(values == ["1"] * len(names) for values in found.values())
     import cv2
 
-    assert set(shared_crew._client.run(cv2.getNumThreads).values()) == {1}
+    assert set(shared_pool._client.run(cv2.getNumThreads).values()) == {1}

@@ -9,15 +9,15 @@ from dask import config
 from unit_fakes import MadeUp, made_up_record, made_up_unit, rendered_unit
 
 from experiments.campaign import runner
-from experiments.campaign import worker_pool as crew
+from experiments.campaign import worker_pool as pool
 from experiments.campaign.ledger import Ledger
-from experiments.campaign.worker_pool import CrewSettings, embedded_crew
+from experiments.campaign.worker_pool import WorkerPoolSettings, embedded_worker_pool
 from experiments.eq1.record_table import normalise
 from experiments.eq1.records import decided
 from scenarios.errors import InputError
 
 LOST = "distributed.deploy.lost-worker-timeout"
-pytestmark = pytest.mark.usefixtures("shared_crew")
+pytestmark = pytest.mark.usefixtures("shared_pool")
 
 
 @pytest.fixture
@@ -97,7 +97,7 @@ def test_a_unit_that_eats_memory_is_ended(run_made_up, tmp_path, one_try):
 
 @pytest.mark.slow
 def test_a_worker_that_answers_no_more_is_ended(run_made_up, tmp_path, one_try, monkeypatch):
-    monkeypatch.setattr(crew, "_LATE_S", 2.0)
+    monkeypatch.setattr(pool, "_LATE_S", 2.0)
     plan = MadeUp({"stop": 1, "ok": 4})
     run_made_up(plan, timeout_s=2.0)
     rows, errors = outcomes(tmp_path / "x", plan)
@@ -109,8 +109,8 @@ def test_a_worker_that_answers_no_more_is_ended(run_made_up, tmp_path, one_try, 
 def test_workers_that_their_nanny_does_not_bring_back_are_replaced(tmp_path):
     plan = MadeUp({"crash-1": 1, "ok": 2})
     (tmp_path / "tries").mkdir()
-    settings = CrewSettings(workers=1, cache_dir=tmp_path / "tries")
-    with embedded_crew(settings, made_up_unit) as alone, config.set({LOST: "100ms"}):
+    settings = WorkerPoolSettings(workers=1, cache_dir=tmp_path / "tries")
+    with embedded_worker_pool(settings, made_up_unit) as alone, config.set({LOST: "100ms"}):
         tally = runner.run_experiment(plan, tmp_path / "x", lambda: nullcontext(alone))
     # The next unit may have been given to the worker that is gone.
     assert (tally.done, tally.errors) == (3, 0) and tally.retries in (1, 2)
@@ -134,13 +134,13 @@ def test_a_corrupt_cached_sequence_is_rendered_again(run_made_up, tmp_path):
 
 
 @pytest.mark.slow
-def test_workers_that_are_killed_are_replaced(run_made_up, shared_crew, tmp_path):
+def test_workers_that_are_killed_are_replaced(run_made_up, shared_pool, tmp_path):
     plan = MadeUp({"slow-0.3": 8})
     killed = []
 
     def kill_one(tally):
         if tally.workers and len(killed) < 2 and tally.ended_here >= 2 * len(killed):
-            victim = next(iter(shared_crew._client.run(os.getpid).values()))
+            victim = next(iter(shared_pool._client.run(os.getpid).values()))
             killed.append(victim)
             os.kill(victim, signal.SIGKILL)
 
@@ -157,4 +157,4 @@ def test_workers_that_do_not_come_up_are_told_of():
             raise TimeoutError
 
     with pytest.raises(InputError, match=r"this machine: has had fewer than 3 workers for 120 s; wait"):
-        crew._await(Nobody(), 3, "this machine", "wait")
+        pool._await(Nobody(), 3, "this machine", "wait")

@@ -12,7 +12,7 @@ from unit_fakes import made_up_record, made_up_unit
 from experiments.campaign.folder import TABLE_FILE, export, read_experiment
 from experiments.campaign.ledger import LEDGER_FILE
 from experiments.campaign.runner import Tally
-from experiments.campaign.worker_pool import Crew
+from experiments.campaign.worker_pool import WorkerPool
 from experiments.cli.experiment_progress import estimates_text, pace_text
 from experiments.eq1.records import columns, decided
 
@@ -20,16 +20,16 @@ COMMANDS = ["run", "status", "power", "replay", "export", "report", "schema"]
 
 
 @pytest.fixture
-def smoke(dslab, shared_crew, monkeypatch, tmp_path):
+def smoke(dslab, shared_pool, monkeypatch, tmp_path):
     """Runs `dslab experiment` with made-up units; its folder holds three units per cell of smoke."""
-    shared = shared_crew._client
+    shared = shared_pool._client
 
     @contextmanager
     def opened(settings, job):
-        yield Crew(shared, job, settings, tmp_path)
+        yield WorkerPool(shared, job, settings, tmp_path)
 
-    monkeypatch.setattr("experiments.campaign.worker_pool.open_crew", opened)
-    monkeypatch.setattr("experiments.campaign.replay.embedded_crew", opened)
+    monkeypatch.setattr("experiments.campaign.worker_pool.open_worker_pool", opened)
+    monkeypatch.setattr("experiments.campaign.replay.embedded_worker_pool", opened)
     monkeypatch.setattr("experiments.eq1.trial.run_unit", made_up_unit)
     code, out, _ = dslab("experiment", "run", "smoke", "--out", tmp_path / "s", "--units", "3")
     assert code == 0 and f"next: dslab experiment report {tmp_path / 's'}" in out

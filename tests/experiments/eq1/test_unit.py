@@ -189,8 +189,8 @@ def test_branches_are_what_runs_from_the_start_are(sequence):
     whole.feed(FRAMES)
     whole.finish()
 
-    def ends(course):
-        found = [e.record() for e in course.system.events if isinstance(e, RecoveryEnd)]
+    def ends(branch):
+        found = [e.record() for e in branch.system.events if isinstance(e, RecoveryEnd)]
         return [{k: v for k, v in e.items() if k not in ("frame", "stamp_s", "cpu_ms")} for e in found]
 
     assert ends(crossing) == ends(whole) and len(ends(whole)) == 2

@@ -13,28 +13,28 @@ from experiments.gallery.sheet import Sheet, Thumb, Track, chosen_frames
 from experiments.gallery.timeline import timeline
 from scenarios.segment_text import parse_segment
 from scenarios.spec import Scenario
-from sim.degradations.base import Shoot
+from sim.degradations.base import FramePlan
 from sim.degradations.frame_drops import FrameDropsDegradation
 from sim.worlds.base import Surface, WorldModel
 
 
-def shoot_of(frames: int) -> Shoot:
+def shoot_of(frames: int) -> FramePlan:
     """Ten frames per second along no path."""
     none = np.zeros(frames)
-    return Shoot(np.arange(frames) / 10, None, none, np.empty(0), np.empty((frames, 0), np.float32))  # pyright: ignore
+    return FramePlan(np.arange(frames) / 10, None, none, np.empty(0), np.empty((frames, 0), np.float32))  # pyright: ignore
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 9, 40])
 def test_every_segment_has_a_frame_and_the_rest_is_spread(count):
-    shoot = shoot_of(300)
+    plan = shoot_of(300)
     segments = tuple(
         parse_segment(f"fog:start_s={t},duration_s=0.4,extinction_per_m=1") for t in (3, 3.5, 20)
     )
-    chosen = chosen_frames(shoot, segments, count)
+    chosen = chosen_frames(plan, segments, count)
     assert chosen == sorted(set(chosen))
     assert len(chosen) == max(count, len(segments))
-    assert all(shoot.within(segment)[chosen].any() for segment in segments)
-    assert chosen_frames(shoot, (), count) == np.linspace(0, 299, count).round().astype(int).tolist()
+    assert all(plan.within(segment)[chosen].any() for segment in segments)
+    assert chosen_frames(plan, (), count) == np.linspace(0, 299, count).round().astype(int).tolist()
     if count >= 9:
         assert np.diff(chosen).max() < 2 * 300 / (count - 1)
 
@@ -45,10 +45,10 @@ def test_a_sequence_of_few_frames_shows_each_once():
 
 def test_frames_are_chosen_among_those_that_were_not_dropped():
     segment = parse_segment("frame_drops:start_s=3,duration_s=1,share=1")
-    shoot = FrameDropsDegradation().apply(shoot_of(100), segment)  # pyright: ignore
-    chosen = chosen_frames(shoot, (segment,), 4)
+    plan = FrameDropsDegradation().apply(shoot_of(100), segment)  # pyright: ignore
+    chosen = chosen_frames(plan, (segment,), 4)
     # The segment's last frame always stays.
-    assert shoot.frame[chosen].tolist().count(39) == 1
+    assert plan.frame[chosen].tolist().count(39) == 1
 
 
 def box(low: tuple, high: tuple) -> Surface:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from slam_fakes import CAMERA, fake_factory, make_sequence
 
-from experiments.evaluation.frame_outcomes import Fate, fates, known_from
+from experiments.evaluation.frame_outcomes import FrameOutcome, frame_outcomes, known_from
 from experiments.evaluation.scene import lay_out
 from experiments.recording.lanes import Lane, segment_lane, system_lanes
 from experiments.recording.paths import RunPaths, strips
@@ -118,13 +118,17 @@ def test_the_outcome_is_what_each_frame_was_worth_in_the_end():
 
 
 def test_frames_placed_by_initialisation_are_not_recovered():
-    assert fates(recovered(run(), 2, 4))[:6] == [Fate.NONE, Fate.NONE, *[Fate.TRACKED] * 4]
+    assert frame_outcomes(recovered(run(), 2, 4))[:6] == [
+        FrameOutcome.NONE,
+        FrameOutcome.NONE,
+        *[FrameOutcome.TRACKED] * 4,
+    ]
 
 
 def test_frames_of_a_dropped_map_have_no_pose():
     record = run(recovers=False)
-    found = fates(replace(record, trajectories=record.trajectories[:1]))
-    assert found[100] is Fate.TRACKED and found[250] is Fate.NONE
+    found = frame_outcomes(replace(record, trajectories=record.trajectories[:1]))
+    assert found[100] is FrameOutcome.TRACKED and found[250] is FrameOutcome.NONE
 
 
 def test_a_recovered_frame_is_known_from_the_fusion_on():

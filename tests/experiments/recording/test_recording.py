@@ -12,7 +12,7 @@ from slam_fakes import CAMERA, FakeSystem, fake_factory, make_sequence
 
 from experiments.evaluation.scene import lay_out
 from experiments.recording import Recording
-from experiments.recording.words import describe_event
+from experiments.recording.describe import describe_event
 from experiments.result_folder import run_sequence
 from experiments.runs.execution import execute
 from slam.core.events import PlacedKeyframe, RecoveryEnd

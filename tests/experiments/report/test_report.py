@@ -21,12 +21,12 @@ from slam_fakes import fake_factory, make_sequence
 from experiments.eq1.units import ThreadChoice
 from experiments.report import recordings, write
 from experiments.report.content import report_content
+from experiments.report.describe import percent
 from experiments.report.page import report_html
 from experiments.report.paths_file import add_paths, paths_of, read_paths
 from experiments.report.plots.calibration import draw_calibration
 from experiments.report.plots.draw import Plot
 from experiments.report.plots.paths import draw_paths
-from experiments.report.wording import percent
 from experiments.report.write import write_files, write_report
 from experiments.runs.execution import execute
 from experiments.statistics.analysis import AnalysisSettings

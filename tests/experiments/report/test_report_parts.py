@@ -3,11 +3,11 @@
 import pytest
 from report_fakes import FakeSpec, fake_table
 
+from experiments.report.describe import counts, figure_of, number, p_value, percent, proportion, share_of
 from experiments.report.outcomes import taxonomy, unit_counts
 from experiments.report.plots.calibration import draw_calibration
 from experiments.report.plots.trials import base_parts, dual_parts
 from experiments.report.verdict import verdict
-from experiments.report.wording import counts, figure_of, number, p_value, percent, proportion, share_of
 
 PROFILE = {
     "breakage": True,

@@ -11,7 +11,7 @@ from slam_fakes import FakeSystem, fake_factory, make_sequence
 
 from experiments.benchmarks.tracker import bench
 from experiments.runs import execution, sources
-from experiments.runs.foreign_systems import open_peer
+from experiments.runs.foreign_systems import open_foreign_system
 from scenarios.errors import InputError
 from sim.io.tum import write_tum
 
@@ -52,7 +52,7 @@ def command(tmp_path, script, *options):
 
 
 def compared(sequence, source, peer_command, runs=2, build=None):
-    with open_peer(peer_command, str(source), sequence) as peer:
+    with open_foreign_system(peer_command, str(source), sequence) as peer:
         return bench(sequence, "base", runs, build=build or fake_factory(sequence, noise_m=0.01), peer=peer)[
             "comparison"
         ]
@@ -127,7 +127,7 @@ def test_without_truth_there_is_no_ate_and_no_fault(sequence, tmp_path):
     )
     np.savetxt(tmp_path / "poses.txt", poses)
     script = PEER.replace('seq / "groundtruth.txt"', repr(str(tmp_path / "poses.txt")))
-    with open_peer(command(tmp_path, script, "--first=0", tmp_path / "log"), "x", blind) as peer:
+    with open_foreign_system(command(tmp_path, script, "--first=0", tmp_path / "log"), "x", blind) as peer:
         found = bench(blind, "base", 1, build=fake_factory(sequence), peer=peer)["comparison"]
     assert found["ours"]["ate_m"] is found["peer"]["ate_m"] is found["ratio"]["ate_m"] is None
     assert found["ate_reasons"] == ["no ground truth"]

@@ -12,14 +12,14 @@ from degradation_worlds import (
     digest,
     mean_inliers,
     segment,
+    small_backend,
     small_scenario,
-    small_studio,
 )
 from scipy.stats import spearmanr
 
 from sim.degradations.registry import DEGRADATIONS, IMAGE_KINDS
 from sim.degradations.tone import map_light
-from sim.frame_plan import camera_intrinsics, plan_shoot
+from sim.frame_plan import camera_intrinsics, plan_frames
 from sim.rendering.lens_renderer import lens_renderer
 from sim.sequence_rendering import render_sequence
 
@@ -30,11 +30,11 @@ RANDOM = {"low_light", "moving_objects", "lens_dirt", "rain", "frame_drops", "ti
 
 @pytest.fixture(scope="module")
 def render(tmp_path_factory):
-    studio, cache = small_studio(), tmp_path_factory.mktemp("cache")
+    backend, cache = small_backend(), tmp_path_factory.mktemp("cache")
 
     def render(world, *segments, seed=SEED, cache_dir=None, **more):
         scenario = small_scenario(world, *segments, **more)
-        return render_sequence(scenario, seed, cache_dir=cache_dir or cache, depth=True, studio=studio)
+        return render_sequence(scenario, seed, cache_dir=cache_dir or cache, depth=True, backend=backend)
 
     return render
 
@@ -111,11 +111,11 @@ def test_a_distorting_lens_bends_the_frame_after_the_light_s_way_to_it(render):
         "distortion": lens,
     }
     sequence = render("room", segment("over_exposure", stops=1), camera=camera)
-    scenario, studio = small_scenario("room", camera=camera), small_studio()
-    shoot, world = plan_shoot(scenario, SEED, studio, lambda step, done, total: None)
-    renderer = lens_renderer(partial(studio.renderer, world), camera_intrinsics(scenario.camera))
+    scenario, backend = small_scenario("room", camera=camera), small_backend()
+    plan, world = plan_frames(scenario, SEED, backend, lambda step, done, total: None)
+    renderer = lens_renderer(partial(backend.renderer, world), camera_intrinsics(scenario.camera))
     for frame, stops in ((2, 0), (6, 1)):
-        gray, depth_m = renderer.render(shoot.motion.T_world_cam(shoot.stamps_s[frame]))
+        gray, depth_m = renderer.render(plan.motion.T_world_cam(plan.stamps_s[frame]))
         np.testing.assert_array_equal(sequence.depths[frame], depth_m)
         expected = map_light(gray, partial(np.multiply, 2.0**stops))
         np.testing.assert_array_equal(sequence.frames[frame], expected)
@@ -130,7 +130,7 @@ def test_a_second_severity_renders_nothing_again(render, tmp_path):
             small_scenario("room", segment("covered_lens", transmission=transmission)),
             SEED,
             cache_dir=tmp_path,
-            studio=small_studio(),
+            backend=small_backend(),
             progress=lambda step, done, total: steps.append(step),
         )
     assert set(steps) == {"filming"}

@@ -5,7 +5,7 @@ from functools import partial
 import cv2
 import numpy as np
 import pytest
-from degradation_worlds import small_scenario, small_studio
+from degradation_worlds import small_backend, small_scenario
 
 from scenarios.segment_text import SEGMENT_MODELS
 from sim.degradations.base import streams_of
@@ -15,7 +15,7 @@ from sim.degradations.low_light import noise_table
 from sim.degradations.registry import IMAGE_KINDS
 from sim.degradations.rolling_shutter import row_maps
 from sim.degradations.tone import DECODE, decode, encode
-from sim.frame_plan import camera_intrinsics, plan_shoot, rendered_plates
+from sim.frame_plan import camera_intrinsics, plan_frames, rendered_clean_frames
 from sim.sensors.camera import Intrinsics
 from sim.sensors.exposure import linear_to_srgb, srgb_to_linear
 
@@ -133,14 +133,14 @@ def test_fog_takes_and_gives_light_by_koschmieders_law():
     depth_m = np.full((120, 160), 3.0, np.float32)
     depth_m[:, 80:] = 0
     fog = make("fog", extinction_per_m=0.5, airlight_level=180)
-    out, veil = fog(texture(), at(depth_m=depth_m))
+    out, scattering = fog(texture(), at(depth_m=depth_m))
     for row, column in ((60, 79), (0, 0), (119, 10)):
         ray = np.linalg.norm([(column - 79.5) / 120, (row - 59.5) / 120, 1])
         passing = np.exp(-0.5 * 3 * ray)
         light = light_of(texture()[row, column]) * passing + light_of(180) * (1 - passing)
         assert out[row, column] == pytest.approx(255 * linear_to_srgb(light), abs=0.6)
     assert (out[:, 80:] == 180).all()
-    assert 0.5 + 0.5 * (1 - np.exp(-1.5)) < veil < 1
+    assert 0.5 + 0.5 * (1 - np.exp(-1.5)) < scattering < 1
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
@@ -184,13 +184,13 @@ def test_jpeg_is_the_encoder_of_its_quality():
 @pytest.mark.parametrize("kind", IMAGE_KINDS)
 def test_the_given_image_and_depth_stay_as_they_are(kind):
     strong = IMAGE_KINDS[kind].sample(np.random.default_rng(1))
-    shoot, _ = plan_shoot(small_scenario("room"), 1, small_studio(), lambda step, done, total: None)
+    plan, _ = plan_frames(small_scenario("room"), 1, small_backend(), lambda step, done, total: None)
     image, depth_m = texture(), np.full((120, 160), 2.0, np.float32)
     image.setflags(write=False)
     before = depth_m.copy()
     filtered = make(kind, **strong)
-    first, _ = filtered(image, at(depth_m=depth_m, motion=shoot.motion))
-    second, _ = filtered(image, at(depth_m=depth_m, motion=shoot.motion))
+    first, _ = filtered(image, at(depth_m=depth_m, motion=plan.motion))
+    second, _ = filtered(image, at(depth_m=depth_m, motion=plan.motion))
     np.testing.assert_array_equal(image, texture())
     np.testing.assert_array_equal(depth_m, before)
     np.testing.assert_array_equal(first, second)
@@ -198,17 +198,17 @@ def test_the_given_image_and_depth_stay_as_they_are(kind):
 
 
 def test_every_row_of_a_rolling_shutter_is_the_row_of_a_frame_at_its_own_time():
-    scenario, studio = small_scenario("room"), small_studio()
+    scenario, backend = small_scenario("room"), small_backend()
     camera, readout_s, stamp_s = camera_intrinsics(scenario.camera), 0.25, 0.4
-    shoot, world = plan_shoot(scenario, 1, studio, lambda step, done, total: None)
+    plan, world = plan_frames(scenario, 1, backend, lambda step, done, total: None)
     rolling = make("rolling_shutter", camera=camera, readout_s=readout_s)
-    with rendered_plates(world, scenario.camera, studio) as plates:
-        middle, depth_m = plates(0, shoot.motion.T_world_cam(stamp_s))
-        out, shift_px = rolling(middle, at(stamp_s, depth_m=depth_m, motion=shoot.motion))
+    with rendered_clean_frames(world, scenario.camera, backend) as clean_frames:
+        middle, depth_m = clean_frames(0, plan.motion.T_world_cam(stamp_s))
+        out, shift_px = rolling(middle, at(stamp_s, depth_m=depth_m, motion=plan.motion))
         errors, without = [], []
         for row in range(4, camera.height_px, 12):
             row_s = stamp_s + readout_s * (row / (camera.height_px - 1) - 0.5)
-            truth = plates(0, shoot.motion.T_world_cam(row_s))[0][row, 20:-20].astype(int)
+            truth = clean_frames(0, plan.motion.T_world_cam(row_s))[0][row, 20:-20].astype(int)
             errors.append(np.median(np.abs(out[row, 20:-20] - truth)))
             without.append(np.median(np.abs(middle[row, 20:-20] - truth)))
     assert shift_px > 4

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from scenarios import spec
 from scenarios.seeds import rng_for
-from sim.degradations.base import Shoot, segment_truth, true_runs
-from sim.degradations.registry import DEGRADATIONS, SHOOT_KINDS
+from sim.degradations.base import FramePlan, segment_truth, true_runs
+from sim.degradations.registry import DEGRADATIONS, FRAME_PLAN_KINDS
 from sim.motion.walker import plan_walk
 from sim.sensors.noise import SensorNoise
 from sim.worlds.base import Route
@@ -21,12 +21,12 @@ SEGMENT_TYPES = {
 }
 
 
-def make_shoot() -> Shoot:
+def make_shoot() -> FramePlan:
     """A straight walk past ten surfaces, each of which fills the view for one second."""
     stamps_s = np.arange(FRAMES) / FPS
     route = Route(np.array([[0.0, 0], [30, 0]]), 1.0, False)
     share = np.maximum(0, 1 - np.abs(stamps_s[:, None] - (np.arange(10) + 0.5)))
-    return Shoot(
+    return FramePlan(
         stamps_s=stamps_s,
         motion=plan_walk(route, spec.Trajectory(), 10, 0),
         exposure_s=np.full(FRAMES, 0.004),
@@ -51,15 +51,15 @@ def test_sampled_severities_are_valid_and_repeat_with_the_seed(kind):
     assert len({str(segment.severity) for segment in drawn}) == 20
 
 
-@pytest.mark.parametrize("kind", SHOOT_KINDS)
+@pytest.mark.parametrize("kind", FRAME_PLAN_KINDS)
 def test_apply_leaves_the_given_shoot_as_it_was_and_acts_within_the_segment(kind):
-    shoot, segment = make_shoot(), make_segment(kind)
-    before = replace(shoot, exposure_s=shoot.exposure_s.copy(), contrast=shoot.contrast.copy())
-    poses = shoot.motion.T_world_cam(shoot.stamps_s)
-    degraded = DEGRADATIONS[kind].apply(shoot, segment)
-    np.testing.assert_array_equal(shoot.exposure_s, before.exposure_s)
-    np.testing.assert_array_equal(shoot.contrast, before.contrast)
-    np.testing.assert_array_equal(shoot.motion.T_world_cam(shoot.stamps_s), poses)
+    plan, segment = make_shoot(), make_segment(kind)
+    before = replace(plan, exposure_s=plan.exposure_s.copy(), contrast=plan.contrast.copy())
+    poses = plan.motion.T_world_cam(plan.stamps_s)
+    degraded = DEGRADATIONS[kind].apply(plan, segment)
+    np.testing.assert_array_equal(plan.exposure_s, before.exposure_s)
+    np.testing.assert_array_equal(plan.contrast, before.contrast)
+    np.testing.assert_array_equal(plan.motion.T_world_cam(plan.stamps_s), poses)
 
     truth, measure = segment_truth(DEGRADATIONS[kind], degraded, segment, np.full(FRAMES, 20.0))
     assert measure.shape == (len(degraded.stamps_s),)
@@ -81,10 +81,10 @@ def test_low_texture_fades_the_surfaces_that_are_passed_in_its_time():
 
 
 def test_a_surface_that_is_never_seen_is_not_faded():
-    shoot = make_shoot()
+    plan = make_shoot()
     segment = spec.LowTexture(kind="low_texture", start_s=0, duration_s=0.4, contrast=0.1)
-    share = shoot.view_share * (np.arange(10) != 7)
-    unseen = replace(shoot, view_share=share, moment_s=np.empty(0))
+    share = plan.view_share * (np.arange(10) != 7)
+    unseen = replace(plan, view_share=share, moment_s=np.empty(0))
     assert DEGRADATIONS["low_texture"].apply(unseen, segment).contrast[7] == 1
 
 
@@ -96,8 +96,8 @@ def test_motion_blur_opens_the_shutter_for_the_frames_of_the_segment_only():
 
 
 def test_blur_that_nobody_feels_acts_on_no_frame():
-    shoot, segment = make_shoot(), make_segment("motion_blur", exposure_s=0.1)
-    truth, _ = segment_truth(DEGRADATIONS["motion_blur"], shoot, segment, np.full(FRAMES, 0.5))
+    plan, segment = make_shoot(), make_segment("motion_blur", exposure_s=0.1)
+    truth, _ = segment_truth(DEGRADATIONS["motion_blur"], plan, segment, np.full(FRAMES, 0.5))
     assert (truth.first_frame, truth.last_frame) == (-1, -1)
 
 

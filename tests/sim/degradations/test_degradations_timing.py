@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from scenarios.segments import FrameDrops, PureRotation, RepeatedTexture, TimeJitter
 from scenarios.spec import Trajectory
-from sim.degradations.base import Shoot, segment_truth
+from sim.degradations.base import FramePlan, segment_truth
 from sim.degradations.registry import DEGRADATIONS
-from sim.degradations.repeated_texture import papered, px_per_m
+from sim.degradations.repeated_texture import px_per_m, with_repeated_texture
 from sim.motion.walker import plan_walk
 from sim.worlds.base import Route, Surface, WorldModel
 
@@ -18,26 +18,26 @@ TIMES = {"start_s": 2.0, "duration_s": 1.0}
 
 
 @pytest.fixture(scope="module")
-def shoot() -> Shoot:
+def plan() -> FramePlan:
     """Five seconds at 30 frames per second."""
     route = Route(np.array([[0.0, 0], [30, 0]]), 1.0, False)
     stamps_s = np.arange(150) / 30
     motion = plan_walk(route, Trajectory(), 5, 0)
-    return Shoot(
+    return FramePlan(
         stamps_s, motion, np.full(150, 0.004), np.ones(4), np.full((150, 4), 0.25, np.float32), seed=3
     )
 
 
-def apply(shoot: Shoot, segment) -> Shoot:
-    return DEGRADATIONS[segment.kind].apply(shoot, segment)
+def apply(plan: FramePlan, segment) -> FramePlan:
+    return DEGRADATIONS[segment.kind].apply(plan, segment)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.7, 1.0])
-def test_the_share_of_the_frames_is_missing_and_the_others_keep_their_numbers(shoot, share):
+def test_the_share_of_the_frames_is_missing_and_the_others_keep_their_numbers(plan, share):
     segment = FrameDrops(kind="frame_drops", share=share, **TIMES)
-    dropped = apply(shoot, segment)
+    dropped = apply(plan, segment)
     assert 150 - len(dropped.frame) == round(share * 29)
-    np.testing.assert_array_equal(dropped.stamps_s, shoot.stamps_s[dropped.frame])
+    np.testing.assert_array_equal(dropped.stamps_s, plan.stamps_s[dropped.frame])
     assert set(np.setdiff1d(np.arange(150), dropped.frame)) <= set(range(60, 89))
     assert dropped.view_share.shape == (len(dropped.frame), 4)
     truth, measure = segment_truth(
@@ -51,33 +51,33 @@ def test_the_share_of_the_frames_is_missing_and_the_others_keep_their_numbers(sh
         assert truth.first_frame == -1
 
 
-def test_more_drops_are_the_same_and_others(shoot):
-    few, many = (apply(shoot, FrameDrops(kind="frame_drops", share=s, **TIMES)).frame for s in (0.2, 0.6))
+def test_more_drops_are_the_same_and_others(plan):
+    few, many = (apply(plan, FrameDrops(kind="frame_drops", share=s, **TIMES)).frame for s in (0.2, 0.6))
     assert set(many) < set(few)
 
 
-def test_drops_back_to_back_all_count(shoot):
+def test_drops_back_to_back_all_count(plan):
     one = FrameDrops(kind="frame_drops", share=0.5, **TIMES)
     two = one.model_copy(update={"start_s": 3.0})
-    both = apply(apply(shoot, one), two)
+    both = apply(apply(plan, one), two)
     assert 150 - len(both.frame) == 2 * round(0.5 * 29)
     measures = [DEGRADATIONS["frame_drops"].measure(both, s, np.empty(0)).sum() for s in (one, two)]
     assert measures == [14, 14]
 
 
-def test_stamps_err_by_the_sigma_and_keep_their_order(shoot):
-    small = apply(shoot, TimeJitter(kind="time_jitter", sigma_s=0.002, start_s=0, duration_s=5))
+def test_stamps_err_by_the_sigma_and_keep_their_order(plan):
+    small = apply(plan, TimeJitter(kind="time_jitter", sigma_s=0.002, start_s=0, duration_s=5))
     assert small.stamp_error_s.std() == pytest.approx(0.002, rel=0.2)
-    wild = apply(shoot, TimeJitter(kind="time_jitter", sigma_s=1.0, **TIMES))
+    wild = apply(plan, TimeJitter(kind="time_jitter", sigma_s=1.0, **TIMES))
     assert (np.diff(wild.stamps_s + wild.stamp_error_s) > 0).all()
     np.testing.assert_array_equal(np.flatnonzero(wild.stamp_error_s), np.arange(60, 90))
-    np.testing.assert_array_equal(wild.stamps_s, shoot.stamps_s)
-    assert (shoot.stamp_error_s == 0).all()
+    np.testing.assert_array_equal(wild.stamps_s, plan.stamps_s)
+    assert (plan.stamp_error_s == 0).all()
 
 
 @pytest.mark.parametrize("axis", ["yaw", "pitch", "roll"])
-def test_the_camera_turns_on_the_spot_and_goes_on_where_it_was(shoot, axis):
-    motion = apply(shoot, PureRotation(kind="pure_rotation", angle_deg=70, axis=axis, **TIMES)).motion
+def test_the_camera_turns_on_the_spot_and_goes_on_where_it_was(plan, axis):
+    motion = apply(plan, PureRotation(kind="pure_rotation", angle_deg=70, axis=axis, **TIMES)).motion
     rest_s = np.linspace(2.15, 2.85, 301)
     T = motion.T_world_cam(rest_s)
     assert np.ptp(T[:, :3, 3], axis=0).max() < 1e-9
@@ -87,27 +87,27 @@ def test_the_camera_turns_on_the_spot_and_goes_on_where_it_was(shoot, axis):
     later_s = np.array([3.0, 3.7, 4.4])
     cost_s = 0.85  # the stop, and half of braking and setting off
     np.testing.assert_allclose(
-        motion.T_world_cam(later_s), shoot.motion.T_world_cam(later_s - cost_s), atol=1e-9
+        motion.T_world_cam(later_s), plan.motion.T_world_cam(later_s - cost_s), atol=1e-9
     )
-    np.testing.assert_allclose(motion.T_world_cam(1.9), shoot.motion.T_world_cam(1.9))
+    np.testing.assert_allclose(motion.T_world_cam(1.9), plan.motion.T_world_cam(1.9))
 
 
-def test_from_the_first_frame_on_the_camera_is_at_rest_before_it_sets_off(shoot):
-    motion = apply(shoot, PureRotation(kind="pure_rotation", angle_deg=70, start_s=0, duration_s=1)).motion
+def test_from_the_first_frame_on_the_camera_is_at_rest_before_it_sets_off(plan):
+    motion = apply(plan, PureRotation(kind="pure_rotation", angle_deg=70, start_s=0, duration_s=1)).motion
     at_s = np.linspace(0, 0.85, 200)
-    assert (motion.T_world_cam(at_s)[:, :3, 3] == shoot.motion.T_world_cam(0.0)[:3, 3]).all()
+    assert (motion.T_world_cam(at_s)[:, :3, 3] == plan.motion.T_world_cam(0.0)[:3, 3]).all()
     assert (motion.velocity_mps(at_s) == 0).all() and np.linalg.norm(motion.velocity_mps(0.99)) > 0
     later_s = np.array([1.0, 1.7, 2.4])
     cost_s = 0.925  # the stop, and half of setting off
     np.testing.assert_allclose(
-        motion.T_world_cam(later_s), shoot.motion.T_world_cam(later_s - cost_s), atol=1e-9
+        motion.T_world_cam(later_s), plan.motion.T_world_cam(later_s - cost_s), atol=1e-9
     )
 
 
 @pytest.mark.parametrize("start_s", [0.0, 2.0])
-def test_the_stopping_motion_has_its_own_derivatives(shoot, start_s):
+def test_the_stopping_motion_has_its_own_derivatives(plan, start_s):
     segment = PureRotation(kind="pure_rotation", angle_deg=40, start_s=start_s, duration_s=1)
-    motion = apply(shoot, segment).motion
+    motion = apply(plan, segment).motion
     stamps_s, step_s = start_s + np.linspace(-0.1, 1.1, 400), 1e-4
     before, after = (motion.T_world_cam(stamps_s + d) for d in (-step_s / 2, step_s / 2))
     np.testing.assert_allclose(motion.velocity_mps(stamps_s), (after - before)[:, :3, 3] / step_s, atol=1e-5)
@@ -115,8 +115,8 @@ def test_the_stopping_motion_has_its_own_derivatives(shoot, start_s):
     np.testing.assert_allclose(motion.rate_radps(stamps_s), turn / step_s, atol=1e-5)
 
 
-def test_no_turn_is_no_stop(shoot):
-    assert apply(shoot, PureRotation(kind="pure_rotation", angle_deg=0, **TIMES)) is shoot
+def test_no_turn_is_no_stop(plan):
+    assert apply(plan, PureRotation(kind="pure_rotation", angle_deg=0, **TIMES)) is plan
 
 
 def wall(width_m: float, height_m: float, scale: float, seed: int) -> Surface:
@@ -131,23 +131,23 @@ def test_papered_walls_repeat_one_patch_in_its_true_size():
     fine, coarse = wall(4, 3, 100, 0), wall(2, 3, 50, 1)
     assert px_per_m(coarse) == pytest.approx(50)
     world = WorldModel([fine, coarse], 118.0, np.ones(2))
-    out = papered(world, np.array([0, 0]), np.array([0.0, 0.4]))
+    out = with_repeated_texture(world, np.array([0, 0]), np.array([0.0, 0.4]))
     assert out.surfaces[0] is fine
     texture = out.surfaces[1].texture
     assert texture.shape == coarse.texture.shape
     np.testing.assert_array_equal(texture[:, 20:], texture[:, :-20])
     np.testing.assert_array_equal(texture[20:], texture[:-20])
     assert texture[:20, :20].std() > 10
-    assert papered(world, np.array([0, 1]), np.zeros(2)) is world
+    assert with_repeated_texture(world, np.array([0, 1]), np.zeros(2)) is world
 
 
-def test_the_most_seen_surfaces_are_papered_until_they_fill_the_share(shoot):
+def test_the_most_seen_surfaces_are_papered_until_they_fill_the_share(plan):
     seen = np.zeros((150, 4), np.float32)
     seen[60:90] = [0.1, 0.5, 0.3, 0]
     seen[10, 3] = 0.9
     for share, expected in ((0, []), (0.5, [1]), (0.8, [1, 2]), (1, [0, 1, 2])):
         segment = RepeatedTexture(kind="repeated_texture", share=share, period_m=0.3, **TIMES)
-        papered_shoot = apply(replace(shoot, view_share=seen, moment_s=np.empty(0)), segment)
+        papered_shoot = apply(replace(plan, view_share=seen, moment_s=np.empty(0)), segment)
         np.testing.assert_array_equal(np.flatnonzero(papered_shoot.period_m), expected)
         assert (papered_shoot.texture_of[expected] == 1).all()
         measure = DEGRADATIONS["repeated_texture"].measure(papered_shoot, segment, np.empty(0))

@@ -5,14 +5,14 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from degradation_worlds import SEVERITIES, digest, small_scenario, small_studio
+from degradation_worlds import SEVERITIES, digest, small_backend, small_scenario
 from io_sequences import Stack, make_sequence
 
 from scenarios.segment_text import SEGMENT_MODELS
-from sim.degradations.base import Shoot, Stage
+from sim.degradations.base import FramePlan, Stage
 from sim.degradations.chain import ImageChain
 from sim.degradations.recorded_sequences import degrade_sequence
-from sim.degradations.registry import DEGRADATIONS, IMAGE_KINDS, SHOOT_KINDS, in_order_of_action
+from sim.degradations.registry import DEGRADATIONS, FRAME_PLAN_KINDS, IMAGE_KINDS, in_order_of_action
 from sim.io.forms import Form, load_sequence, write_sequence
 from sim.motion.spline import PoseSpline
 from sim.sensors.camera import Intrinsics
@@ -45,11 +45,11 @@ MIXED = [
 
 @pytest.fixture(scope="module")
 def render(tmp_path_factory):
-    studio = small_studio()
+    backend = small_backend()
 
     def render(segments, name: str):
         cache = tmp_path_factory.mktemp(name)
-        return render_sequence(small_scenario("corridor", *segments), 3, cache_dir=cache, studio=studio)
+        return render_sequence(small_scenario("corridor", *segments), 3, cache_dir=cache, backend=backend)
 
     return render
 
@@ -151,32 +151,32 @@ def test_footage_degraded_twice_is_footage_degraded_at_once(tmp_path):
         np.testing.assert_array_equal(second.frame_truth[name], values)
 
 
-def walk_past_walls(**more) -> Shoot:
+def walk_past_walls(**more) -> FramePlan:
     """Ten surfaces, each of which fills the view for a second."""
     stamps_s = np.arange(300) / 30
     share = np.maximum(0, 1 - np.abs(stamps_s[:, None] - (np.arange(10) + 0.5)))
     walk = chain_input()[3]
-    return Shoot(stamps_s, walk, np.full(300, 0.004), np.ones(10), share.astype(np.float32), **more)
+    return FramePlan(stamps_s, walk, np.full(300, 0.004), np.ones(10), share.astype(np.float32), **more)
 
 
 def test_a_swing_keeps_its_time_when_the_camera_stops_before_it():
     stop = SEGMENT_MODELS["pure_rotation"](**declared("pure_rotation", 0.2, 0.5))
     swing = SEGMENT_MODELS["fast_rotation"](**declared("fast_rotation", 1.0, 0.5))
-    shoot = walk_past_walls()
+    plan = walk_past_walls()
     for segment in in_order_of_action([swing, stop]):
-        shoot = SHOOT_KINDS[segment.kind].apply(shoot, segment)
+        plan = FRAME_PLAN_KINDS[segment.kind].apply(plan, segment)
     at_s = np.linspace(0.9, 1.6, 50)
-    without = SHOOT_KINDS["pure_rotation"].apply(walk_past_walls(), stop).motion.T_world_cam(at_s)
-    turned = np.abs(shoot.motion.T_world_cam(at_s) - without).max(axis=(1, 2)) > 1e-9
+    without = FRAME_PLAN_KINDS["pure_rotation"].apply(walk_past_walls(), stop).motion.T_world_cam(at_s)
+    turned = np.abs(plan.motion.T_world_cam(at_s) - without).max(axis=(1, 2)) > 1e-9
     np.testing.assert_array_equal(turned, (at_s > 1.0) & (at_s < 1.5))
 
 
 def test_dropped_frames_do_not_move_the_walls_that_are_faded():
     faded = SEGMENT_MODELS["low_texture"](kind="low_texture", start_s=4, duration_s=2, contrast=0.1)
     drops = SEGMENT_MODELS["frame_drops"](kind="frame_drops", start_s=3, duration_s=4, share=0.9)
-    kind = SHOOT_KINDS["low_texture"]
-    shoot = kind.apply(walk_past_walls(), faded)
-    whole = kind.measure(shoot, faded, np.zeros(300))
-    fewer = SHOOT_KINDS["frame_drops"].apply(shoot, drops)
+    kind = FRAME_PLAN_KINDS["low_texture"]
+    plan = kind.apply(walk_past_walls(), faded)
+    whole = kind.measure(plan, faded, np.zeros(300))
+    fewer = FRAME_PLAN_KINDS["frame_drops"].apply(plan, drops)
     part = kind.measure(fewer, faded, np.zeros(len(fewer.frame)))
     np.testing.assert_array_equal(part, whole[fewer.frame])

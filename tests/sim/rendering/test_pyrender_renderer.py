@@ -12,7 +12,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from scenarios.errors import InputError
 from scenarios.loading import load_scenario
 from scenarios.spec import Scenario
-from sim.frame_plan import studio_with
+from sim.frame_plan import render_backend
 from sim.motion import plan_motion
 from sim.rendering.mujoco_renderer import MujocoRenderer
 from sim.rendering.pyrender_renderer import PyrenderRenderer
@@ -178,7 +178,7 @@ STRESSED = {
 def test_a_stressed_sequence_is_the_same_by_either_and_says_by_which(tmp_path):
     scenario = Scenario.model_validate(STRESSED)
     sequences = [
-        render_sequence(scenario, 2, cache_dir=tmp_path, depth=True, studio=studio_with(name))
+        render_sequence(scenario, 2, cache_dir=tmp_path, depth=True, backend=render_backend(name))
         for name in ("mujoco", "pyrender")
     ]
     assert [s.meta["renderer"] for s in sequences] == ["mujoco", "pyrender"]

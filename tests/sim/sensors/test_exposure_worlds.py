@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from scenarios.worlds import CityWorld, CorridorWorld, RoomWorld
-from sim.frame_plan import mujoco_studio
+from sim.frame_plan import mujoco_backend
 from sim.sensors.camera import Intrinsics
 from sim.sensors.exposure import expose, linear_to_srgb, srgb_to_linear
 
@@ -29,14 +29,14 @@ LEAST_DB = 40.0
 @pytest.fixture(params=WORLDS, scope="module")
 def stage(request):
     """A world's renderer and a pose a third along its route, looking ahead."""
-    studio, spec = mujoco_studio(), WORLDS[request.param]
-    line = studio.layout(spec, SEED).centre_m
+    backend, spec = mujoco_backend(), WORLDS[request.param]
+    line = backend.layout(spec, SEED).centre_m
     at = len(line) // 3
     forward = np.append(line[at + 1] - line[at], 0) / np.linalg.norm(line[at + 1] - line[at])
     T_world_cam = np.eye(4)
     T_world_cam[:3, :3] = np.column_stack([np.cross([0, 0, -1], forward), [0, 0, -1], forward])
     T_world_cam[:3, 3] = [*line[at], EYE_M]
-    renderer = studio.renderer(studio.build_world(spec, SEED), CAMERA)
+    renderer = backend.renderer(backend.build_world(spec, SEED), CAMERA)
     yield renderer, T_world_cam
     renderer.close()
 

@@ -3,14 +3,14 @@
 import numpy as np
 from degradation_worlds import small_scenario
 
-from sim.frame_plan import mujoco_studio, plan_shoot
+from sim.frame_plan import mujoco_backend, plan_frames
 
 
 def shot(world_seed, seed):
     scenario = small_scenario("corridor").model_copy(update={"world_seed": world_seed})
-    shoot, world = plan_shoot(scenario, seed, mujoco_studio(), lambda step, done, total: None)
+    plan, world = plan_frames(scenario, seed, mujoco_backend(), lambda step, done, total: None)
     textures = b"".join(surface.texture.tobytes() + surface.vertices.tobytes() for surface in world.surfaces)
-    return textures, shoot.motion.T_world_cam(shoot.stamps_s)
+    return textures, plan.motion.T_world_cam(plan.stamps_s)
 
 
 def test_units_that_share_a_world_seed_share_the_world_and_nothing_else():

@@ -6,9 +6,9 @@ import pytest
 from scenarios.seeds import rng_for
 from scenarios.spec import Camera
 from scenarios.worlds import MotorwayWorld, Outdoors, RoomWorld
-from sim.degradations.scattering import Veil
+from sim.degradations.scattering import Scattering
 from sim.degradations.tone import DECODE
-from sim.frame_plan import mujoco_studio, rendered_plates
+from sim.frame_plan import mujoco_backend, rendered_clean_frames
 from sim.sensors.camera import Intrinsics
 from sim.worlds import build_world
 from sim.worlds.ambience import dimmed, hazed
@@ -78,8 +78,8 @@ class TestHaze:
         world = hazed(wall(distance_m), Outdoors(haze_m=haze_m))
         T = np.eye(4)
         T[:3, :3] = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
-        with rendered_plates(world, self.CAMERA, mujoco_studio()) as plates:
-            return float(np.ptp(DECODE[plates(0, T)[0][22:42, 22:42]]))
+        with rendered_clean_frames(world, self.CAMERA, mujoco_backend()) as clean_frames:
+            return float(np.ptp(DECODE[clean_frames(0, T)[0][22:42, 22:42]]))
 
     def test_at_the_visibility_two_percent_of_the_contrast_is_left(self):
         share = self.contrast(300.0, 300.0) / self.contrast(300.0, None)
@@ -93,11 +93,11 @@ class TestHaze:
         assert hazed(world, Outdoors()) is world
 
     def test_the_veil_keeps_what_is_at_no_distance_and_hides_what_is_at_none_known(self):
-        veil = Veil(Intrinsics(8, 6, 9.0, 9.0, 3.5, 2.5, 30.0), 200.0)
+        scattering = Scattering(Intrinsics(8, 6, 9.0, 9.0, 3.5, 2.5, 30.0), 200.0)
         image = np.full((6, 8), 40, np.uint8)
-        near, share = veil.drawn(image, np.full((6, 8), 1e-3, np.float32), 0.5)
+        near, share = scattering.drawn(image, np.full((6, 8), 1e-3, np.float32), 0.5)
         assert (near == 40).all() and share < 0.01
-        nowhere, share = veil.drawn(image, np.zeros((6, 8), np.float32), 0.5)
+        nowhere, share = scattering.drawn(image, np.zeros((6, 8), np.float32), 0.5)
         assert (nowhere == 200).all() and share > 0.99
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from slam_scenes import CAMERA, FPS, PointWorld, pose_error, rigid, tracked_in, walk
 
-from slam.dual.fusion.merge_recovered import graft
+from slam.dual.fusion.merge_recovered import merge_recovered
 from slam.dual.recovery.interface import RecoveryConfig, RecoveryTask
 from slam.dual.recovery.orb import OrbRecovery
 from slam.map._map_kernels import add_observation
@@ -77,11 +77,11 @@ def grown(sightings, begun):
 
 
 @pytest.fixture
-def grafted(grown, recovered, begun):
+def merged(grown, recovered, begun):
     """The map after the graft, where the copy went, and both as they were before."""
     forward, copy = grown.copy(), recovered.map.copy()
     rows = begun[0].n_keyframes, begun[0].n_points
-    done = graft(forward, recovered.map.copy(), *rows)
+    done = merge_recovered(forward, recovered.map.copy(), *rows)
     assert done is not None
     return forward, done, grown, copy, rows
 
@@ -89,8 +89,8 @@ def grafted(grown, recovered, begun):
 S_DRIFT = sim3_matrix(*DRIFT)
 
 
-def test_the_map_is_sound_and_has_the_keyframes_of_both(grafted):
-    m, done, grown, copy, (keyframes, _) = grafted
+def test_the_map_is_sound_and_has_the_keyframes_of_both(merged):
+    m, done, grown, copy, (keyframes, _) = merged
     check_map(m)
     assert (done.keyframes, done.points) == (grown.n_keyframes, grown.n_points)
     frames = sorted(m.frame_index(int(k)) for k in m.keyframes())
@@ -100,8 +100,8 @@ def test_the_map_is_sound_and_has_the_keyframes_of_both(grafted):
     assert [k for k in range(m.n_keyframes) if m.parent(k) < 0] == [0]
 
 
-def test_the_change_of_gauge_and_scale_meanwhile_is_followed(grafted, sightings):
-    m, done, _, _, _ = grafted
+def test_the_change_of_gauge_and_scale_meanwhile_is_followed(merged, sightings):
+    m, done, _, _, _ = merged
     assert sim3_decompose(done.S_map_copy)[0] == pytest.approx(DRIFT[0], rel=0.01)
     s, R, t = DRIFT
     for k in m.keyframes():
@@ -113,8 +113,8 @@ def test_the_change_of_gauge_and_scale_meanwhile_is_followed(grafted, sightings)
         assert distance < 0.04 * s and angle < 0.4, m.frame_index(int(k))
 
 
-def test_no_point_that_both_had_is_lost(grafted):
-    m, done, grown, copy, (_, points) = grafted
+def test_no_point_that_both_had_is_lost(merged):
+    m, done, grown, copy, (_, points) = merged
     both = ~grown.arrays.pt_bad[:points] & ~copy.arrays.pt_bad[:points]
     assert both.sum() > 200
     assert not m.arrays.pt_bad[:points][both].any()
@@ -122,8 +122,8 @@ def test_no_point_that_both_had_is_lost(grafted):
     np.testing.assert_array_equal(m.arrays.pt_xyz[:points][both], grown.arrays.pt_xyz[:points][both])
 
 
-def test_the_observations_of_both_are_kept(grafted):
-    m, done, grown, copy, (keyframes, _) = grafted
+def test_the_observations_of_both_are_kept(merged):
+    m, done, grown, copy, (keyframes, _) = merged
     kept = observed = 0
     for k in range(grown.n_keyframes):
         before = grown.observed_points(k) >= 0
@@ -142,9 +142,9 @@ def test_the_observations_of_both_are_kept(grafted):
         assert shared >= 0.9 * copy.arrays.covisibility[0, k]
 
 
-def test_the_alignment_moves_along(grafted, recovered, sightings):
+def test_the_alignment_moves_along(merged, recovered, sightings):
     """It takes the map as it is now to the old one, whose frame is the world's."""
-    m, done, _, _, _ = grafted
+    m, done, _, _, _ = merged
     for alignment in (*recovered.confirming, recovered.alignment):
         moved = done.moved(alignment, m)
         assert moved.scale == pytest.approx(1 / (SCALE * DRIFT[0]), rel=0.01)
@@ -166,7 +166,7 @@ def test_frames_that_hang_on_a_keyframe_which_the_copy_has_culled_stay_in_place(
     backward = begun[0].n_keyframes + 1
     copy.cull_keyframe(backward)
     before = {k: copy.T_cam_map(k) for k in (1, 2, backward)}
-    done = graft(forward, copy, begun[0].n_keyframes, begun[0].n_points)
+    done = merge_recovered(forward, copy, begun[0].n_keyframes, begun[0].n_points)
     assert done is not None
     check_map(forward)
     for k, T in before.items():
@@ -191,7 +191,7 @@ def test_points_that_each_has_found_in_the_same_keypoint_are_one(grown, recovere
     theirs = copy.create_point(np.array([0.0, 0.0, 3.0]), copy.keypoints(0).start + row)
     seen = int(free(copy, backward)[0])
     add_observation(copy.arrays, copy.keypoints(backward).start + seen, theirs)
-    done = graft(forward, copy, *rows)
+    done = merge_recovered(forward, copy, *rows)
     assert done is not None
     check_map(forward)
     assert forward.observed_points(0)[row] == own
@@ -203,7 +203,7 @@ def test_keyframes_that_the_map_has_culled_do_not_come_back(grown, recovered, be
     forward = grown.copy()
     for k in (2, 3):
         forward.cull_keyframe(k)
-    done = graft(forward, recovered.map.copy(), begun[0].n_keyframes, begun[0].n_points)
+    done = merge_recovered(forward, recovered.map.copy(), begun[0].n_keyframes, begun[0].n_points)
     assert done is not None
     check_map(forward)
     points = begun[0].n_points
@@ -220,7 +220,7 @@ def test_too_little_left_in_common_is_refused_and_nothing_done(grown, recovered,
     forward, copy = grown.copy(), recovered.map.copy()
     forward.arrays.pt_bad[: begun[0].n_points] = True
     before, theirs = forward.copy(), copy.copy()
-    assert graft(forward, copy, begun[0].n_keyframes, begun[0].n_points) is None
+    assert merge_recovered(forward, copy, begun[0].n_keyframes, begun[0].n_points) is None
     for one, other in ((forward, before), (copy, theirs)):
         assert one.n_keyframes == other.n_keyframes
         for x, y in zip(one.arrays, other.arrays, strict=True):
@@ -234,9 +234,9 @@ def test_points_as_good_as_at_infinity_do_not_turn_the_map(grown, recovered, beg
     rng = np.random.default_rng(35)
     for arrays in (forward.arrays, copy.arrays):  # how far is anybody's guess
         arrays.pt_xyz[far] *= 1e6 * rng.uniform(0.5, 2.0, (len(far), 1))
-    done = graft(forward, copy, begun[0].n_keyframes, begun[0].n_points)
+    done = merge_recovered(forward, copy, begun[0].n_keyframes, begun[0].n_points)
     assert done is not None
-    expected = graft(grown.copy(), recovered.map.copy(), begun[0].n_keyframes, begun[0].n_points)
+    expected = merge_recovered(grown.copy(), recovered.map.copy(), begun[0].n_keyframes, begun[0].n_points)
     np.testing.assert_allclose(done.S_map_copy, expected.S_map_copy, atol=2e-3)
 
 
@@ -245,7 +245,7 @@ def test_points_on_a_line_do_not_tell_how_the_map_has_moved(grown, recovered, be
     both = shared(forward, copy, begun[0].n_points)
     for arrays in (forward.arrays, copy.arrays):
         arrays.pt_xyz[: len(both)][both] = np.linspace(1.0, 2.0, both.sum())[:, None] * [1.0, 2.0, 3.0]
-    assert graft(forward, copy, begun[0].n_keyframes, begun[0].n_points) is None
+    assert merge_recovered(forward, copy, begun[0].n_keyframes, begun[0].n_points) is None
 
 
 def shared(forward, copy, points):

@@ -19,7 +19,7 @@ from slam.warmup import CAMERA
 BY_PLACE = replace(
     RECOVERY_ONLY,
     threads=(ThreadSpec("orb", 0, RecoveryConfig(max_unusable_s=0.0)),),
-    joining=FusionConfig(),
+    place_merging=FusionConfig(),
 )
 
 
@@ -75,7 +75,7 @@ def test_another_place_is_never_taken_for_it():
 
 def test_it_may_be_switched_off():
     images, stamps_s, _ = toy(100, 0, STEP_M)
-    system = dual(replace(BY_PLACE, joining=None))
+    system = dual(replace(BY_PLACE, place_merging=None))
     feed(system, blanked(images, range(50, 56)), stamps_s)
     assert "fusion" not in kinds(system)
 
@@ -92,12 +92,12 @@ def test_back_in_an_older_map_it_is_that_one_which_takes_in_the_newer():
     images, _, T_world_cam = toy(130, 0, STEP_M)
     _, stamps_s, _ = toy(150, 0, STEP_M)
     order = [*range(100), *range(45, 95)]
-    system = BackToTheFirst(CAMERA, 0, CONFIG, replace(BY_PLACE, joining=None))
+    system = BackToTheFirst(CAMERA, 0, CONFIG, replace(BY_PLACE, place_merging=None))
     shown = blanked([images[i] for i in order], range(50, 56), range(97, 100))
-    joining = dual(BY_PLACE)._joiner
+    merger = dual(BY_PLACE)._place_merger
     for i, (image, stamp_s) in enumerate(zip(shown, stamps_s, strict=True)):
         if i == 100:  # until now the two would have met
-            system._joiner = joining
+            system._place_merger = merger
         system.process(image, float(stamp_s))
     system.finish()
     check_map(system.current_map)

@@ -11,7 +11,7 @@ from slam_scenes import blanked, errors_m, kinds, rms, toy
 from slam.core.events import TrackingState
 from slam.dual.recovery.interface import RecoveryConfig, RecoveryResult
 from slam.dual.recovery.orb import OrbRecovery
-from slam.dual.recovery.scheduler import Recoveries
+from slam.dual.recovery.scheduler import RecoveryScheduler
 from slam.map.invariants import check_map
 from slam.runtime.backend import ExecutionMode
 
@@ -132,7 +132,7 @@ def test_outcomes_are_told_of_as_they_come():
             return RecoveryResult(task, success=self.success)
 
     gate = threading.Event()
-    recoveries = Recoveries(ExecutionMode.THREADED, exhaustive=False)
+    recoveries = RecoveryScheduler(ExecutionMode.THREADED, exhaustive=False)
     threads = [Ending("one", False), Ending("two", True, gate), Ending("three", True)]
     recoveries.start(threads, [None] * 3, 0.0)
     heard, give_up_s = [], time.monotonic() + PATIENCE_S

@@ -22,13 +22,13 @@ _UNITS = {
 _BARE_UNITS = {"stops": " stops", "fps": " frames/s"}
 
 
-def field_words(name: str, value: Any) -> str:
+def describe_field(name: str, value: Any) -> str:
     """A field of a scenario: ``exposure 0.25 s`` of ``exposure_s`` and 0.25."""
     label, unit = label_and_unit(name)
     return f"{plain(value)}{unit}" if name in _BARE_UNITS else f"{label} {plain(value)}{unit}"
 
 
-def kind_words(kind: str) -> str:
+def describe_kind(kind: str) -> str:
     """A kind of segment, world or carrier as one reads it."""
     return kind.replace("_", " ")
 
@@ -47,32 +47,32 @@ def measured(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
-def severity_words(segment: SegmentBase) -> str:
+def describe_severity(segment: SegmentBase) -> str:
     """How bad a segment is, in physical units."""
     return ", ".join(
-        field_words(name, value)
+        describe_field(name, value)
         for name, value in segment.severity.items()
         if not (name == "ramp_s" and not value)
     )
 
 
-def span_words(segment: SegmentBase) -> str:
+def describe_span(segment: SegmentBase) -> str:
     """When a segment is."""
     return f"{segment.start_s:.4g} to {segment.end_s:.4g} s"
 
 
-def world_words(scenario: Scenario) -> str:
+def describe_world(scenario: Scenario) -> str:
     """The world and its sizes."""
     return _with_fields(scenario.world.kind, scenario.world.model_dump(exclude={"kind"}))
 
 
-def motion_words(scenario: Scenario) -> str:
+def describe_motion(scenario: Scenario) -> str:
     """The carrier and its limits; what is 0 is left out."""
     fields = scenario.trajectory.model_dump(exclude={"kind"})
     return _with_fields(scenario.trajectory.kind, {name: value for name, value in fields.items() if value})
 
 
-def camera_words(scenario: Scenario) -> str:
+def describe_camera(scenario: Scenario) -> str:
     """The camera."""
     camera = scenario.camera
     parts = [
@@ -96,4 +96,4 @@ def label_and_unit(name: str) -> tuple[str, str]:
 
 
 def _with_fields(kind: str, fields: dict[str, Any]) -> str:
-    return ", ".join([kind_words(kind), *(field_words(name, value) for name, value in fields.items())])
+    return ", ".join([describe_kind(kind), *(describe_field(name, value) for name, value in fields.items())])

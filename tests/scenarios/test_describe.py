@@ -2,18 +2,18 @@
 
 import pytest
 
+from scenarios.describe import describe_severity
+from scenarios.describe_family import describe_distribution, describe_parameter, parameter_label
 from scenarios.distributions import LogUniform, Uniform, parse_distribution
 from scenarios.families import load_family
-from scenarios.family_wording import drawn_words, parameter_label, parameter_words
 from scenarios.segment_text import parse_segment
-from scenarios.wording import severity_words
 
 
 def test_severities_have_their_units():
-    assert severity_words(parse_segment("fog:start_s=1,duration_s=2,extinction_per_m=0.5,ramp_s=0.5")) == (
+    assert describe_severity(parse_segment("fog:start_s=1,duration_s=2,extinction_per_m=0.5,ramp_s=0.5")) == (
         "ramp 0.5 s, extinction 0.5 /m, airlight level 190"
     )
-    assert severity_words(parse_segment("over_exposure:start_s=1,duration_s=2,stops=3")) == "3 stops"
+    assert describe_severity(parse_segment("over_exposure:start_s=1,duration_s=2,stops=3")) == "3 stops"
 
 
 @pytest.mark.parametrize(
@@ -27,7 +27,7 @@ def test_severities_have_their_units():
     ],
 )  # fmt: skip
 def test_distributions_in_words(place, node, words):
-    assert parameter_words(place, parse_distribution(node)) == words
+    assert describe_parameter(place, parse_distribution(node)) == words
 
 
 def test_what_was_drawn_is_told_only_of_the_option_it_was_drawn_in(tmp_path):
@@ -47,7 +47,9 @@ segments:
         scenario = family.sample(seed)
         (segment,) = scenario.segments
         told = {
-            parameter_label(place, family.written): drawn_words(place, drawn, family.written, scenario)
+            parameter_label(place, family.written): describe_distribution(
+                place, drawn, family.written, scenario
+            )
             for place, drawn in family.parameters.items()
             if isinstance(drawn, Uniform | LogUniform)
         }

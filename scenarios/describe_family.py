@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
+from scenarios.describe import describe_kind, label_and_unit, plain
 from scenarios.distributions import (
     Choice,
     Distribution,
@@ -15,14 +16,13 @@ from scenarios.distributions import (
 )
 from scenarios.families import Family
 from scenarios.spec import Scenario
-from scenarios.wording import kind_words, label_and_unit, plain
 
 _PART = re.compile(r"[^.\[\]]+")
 # The step from a choice to one of its options, in a parameter's place.
 _OPTION = re.compile(r"\.choice\[\d+\]")
 
 
-def members_in_words(family: Family) -> str:
+def describe_members(family: Family) -> str:
     """How many members there are and which, a row of numbers by its ends; empty if there are none."""
     members = family.members
     if not members:
@@ -32,7 +32,7 @@ def members_in_words(family: Family) -> str:
     return f"{len(members)}: {', '.join(members)}"
 
 
-def parameters_in_words(family: Family) -> dict[str, str]:
+def describe_parameters(family: Family) -> dict[str, str]:
     """What is drawn, by field, over all members: the whole range of numbers and everything to choose from.
 
     Fields are named without indices: ``segments.contrast``.
@@ -60,12 +60,12 @@ def parameter_label(place: str, written: dict[str, Any]) -> str:
         words += f", option {options[-1]}"
     if len(names) == 1:
         return words
-    holder = f"segment {int(names[1]) + 1}" if names[0] == "segments" else kind_words(names[0])
-    said = f", {kind_words(kind)}" if isinstance(kind, str) and names[0] != "trajectory" else ""
+    holder = f"segment {int(names[1]) + 1}" if names[0] == "segments" else describe_kind(names[0])
+    said = f", {describe_kind(kind)}" if isinstance(kind, str) and names[0] != "trajectory" else ""
     return f"{holder}{said}" + (f": {words}" if not words.isdigit() else "")
 
 
-def parameter_words(place: str, distribution: Distribution) -> str:
+def describe_parameter(place: str, distribution: Distribution) -> str:
     """A distribution with its unit, which the last name of its place tells."""
     _, unit = label_and_unit(_last_name(place))
     if isinstance(distribution, Uniform):
@@ -75,7 +75,9 @@ def parameter_words(place: str, distribution: Distribution) -> str:
     return _choice_words(distribution, unit)
 
 
-def drawn_words(place: str, distribution: Distribution, written: dict[str, Any], scenario: Scenario) -> str:
+def describe_distribution(
+    place: str, distribution: Distribution, written: dict[str, Any], scenario: Scenario
+) -> str:
     """What a scenario drew for a parameter; empty where another option was drawn than the one it is in.
 
     Args:
@@ -95,9 +97,11 @@ def drawn_words(place: str, distribution: Distribution, written: dict[str, Any],
     if _OPTION.search(place) and not (_may_be(distribution, value) and _written_kind(place, written) == kind):
         return ""
     if isinstance(value, dict):
-        return kind_words(str(value.get("kind", "")))
+        return describe_kind(str(value.get("kind", "")))
     if isinstance(value, list):
-        return ", ".join(kind_words(v["kind"]) if isinstance(v, dict) else plain(v) for v in value) or "none"
+        return (
+            ", ".join(describe_kind(v["kind"]) if isinstance(v, dict) else plain(v) for v in value) or "none"
+        )
     return plain(value) + label_and_unit(_last_name(place))[1]
 
 
@@ -182,9 +186,9 @@ def _option_words(option: Any, unit: str, number: int) -> str:
         inner = parse_distribution(option)
         if isinstance(inner, Choice):
             return f"option {number}, one of {len(inner.options)}"
-        return parameter_words("", inner) + unit
+        return describe_parameter("", inner) + unit
     if isinstance(option, dict):
-        return kind_words(str(option.get("kind", ", ".join(map(str, option)))))
+        return describe_kind(str(option.get("kind", ", ".join(map(str, option)))))
     if isinstance(option, list):
         return " then ".join(_option_words(part, "", k) for k, part in enumerate(option, 1)) or "none"
     return plain(option) + unit
