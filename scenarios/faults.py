@@ -1,12 +1,14 @@
 """What pydantic finds wrong with a scenario, as one line: where, what, and what to do about it."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from difflib import get_close_matches
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 
 from scenarios.errors import InputError
+from scenarios.kinds import models_in
 from scenarios.spec import Scenario
 from scenarios.yaml_file import Location
 
@@ -58,16 +60,15 @@ def field_annotation(location: Location, data: Any) -> Any:
         location: of the field.
         data: the scenario as plain data, by whose kinds the models are told apart.
     """
-    annotation: Any = Scenario
+    found: Any = Scenario
     for part in location:
         if not isinstance(part, int):
-            model = _model_of(data, annotation)
-            field = model.model_fields.get(part) if model else None
-            if field is None:
+            model = _model_of(data, found)
+            found = model.model_fields.get(part) if model else None
+            if found is None:
                 return None
-            annotation = field.annotation
         data = data[part]
-    return annotation
+    return found.annotation if isinstance(found, FieldInfo) else found
 
 
 def _told(fault: Any, extra_keys: tuple[str, ...], root: type[BaseModel]) -> tuple[Location, str, str]:
@@ -98,7 +99,7 @@ def _resolve(loc: Location, root: type[BaseModel]) -> tuple[type[BaseModel], Loc
             continue
         plain.append(part)
         if isinstance(part, str) and part in model.model_fields:
-            models = list(_models_in(model.model_fields[part].annotation))
+            models = list(models_in(model.model_fields[part]))
             candidates = models if len(models) > 1 else []
             model = models[0] if len(models) == 1 else model
     return model, tuple(plain)
@@ -106,7 +107,7 @@ def _resolve(loc: Location, root: type[BaseModel]) -> tuple[type[BaseModel], Loc
 
 def _model_of(data: Any, annotation: Any) -> type[BaseModel] | None:
     """The model of a mapping, by its kind where there are several."""
-    models = list(_models_in(annotation))
+    models = list(models_in(annotation))
     if not isinstance(data, dict) or not models:
         return None
     if len(models) == 1:
@@ -115,13 +116,6 @@ def _model_of(data: Any, annotation: Any) -> type[BaseModel] | None:
     return next((m for m in models if kind in get_args(m.model_fields["kind"].annotation)), None)
 
 
-def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for argument in get_args(annotation):
-        yield from _models_in(argument)
-
-
 def _kinds(location: Location, root: type[BaseModel]) -> list[str]:
-    field = root.model_fields[str(location[0])].annotation
-    return [str(kind) for m in _models_in(field) for kind in get_args(m.model_fields["kind"].annotation)]
+    field = root.model_fields[str(location[0])]
+    return [str(kind) for m in models_in(field) for kind in get_args(m.model_fields["kind"].annotation)]

@@ -1,8 +1,10 @@
 """The motions of a spec."""
 
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
+from pydantic_core import PydanticCustomError
 
 from scenarios.strict import Strict, with_defaults_of
 
@@ -34,12 +36,56 @@ KINDS: dict[str, dict[str, float]] = {
 }
 """Kinds of carrier: the fields that they set."""
 
-_OF_KIND = {
+_OF_KIND: dict[str, tuple[str, ...]] = {
     "walk": (),
     "handheld": ("shake_deg", "step_hz"),
     "car": ("shake_deg", "max_accel_mps2"),
     "drone": ("max_accel_mps2", "gust_mps"),
 }
+
+
+_OWN_FIELDS = ("shake_deg", "step_hz", "max_accel_mps2", "gust_mps")
+
+
+def add_motion_kind(kind: str, defaults: Mapping[str, float], fields: tuple[str, ...] = ()) -> None:
+    """Make a kind of motion known to scenarios; ``sim.register_motion`` also says how it moves.
+
+    Args:
+        kind: its name.
+        defaults: fields of the trajectory that the kind sets.
+        fields: those of shake_deg, step_hz, max_accel_mps2 and gust_mps that the kind has.
+
+    Raises:
+        ValueError: the kind is taken, or a field is unknown.
+    """
+    if kind in KINDS:
+        raise ValueError(f"there is a motion of kind {kind!r} already: name yours differently")
+    unknown = [name for name in defaults if name not in Trajectory.model_fields or name == "kind"]
+    unknown += [name for name in fields if name not in _OWN_FIELDS]
+    if unknown:
+        raise ValueError(f"a trajectory has no field {unknown[0]!r}")
+    KINDS[kind] = dict(defaults)
+    _OF_KIND[kind] = fields
+
+
+def _known_kind(kind: str) -> str:
+    if kind not in KINDS:
+        expected = " or ".join(filter(None, (", ".join(map(repr, [*KINDS][:-1])), repr([*KINDS][-1]))))
+        raise PydanticCustomError("literal_error", "Input should be {expected}", {"expected": expected})
+    return kind
+
+
+class _MotionKinds(WithJsonSchema):
+    """The JSON Schema of the kinds known at the time of asking."""
+
+    def __init__(self) -> None:
+        super().__init__({})
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
+        return {"type": "string", "enum": [*KINDS]}
+
+
+MotionKind = Annotated[str, AfterValidator(_known_kind), _MotionKinds()]
 
 
 class Trajectory(Strict):
@@ -48,9 +94,7 @@ class Trajectory(Strict):
     ``gaze`` is where the camera looks relative to the direction of travel: 0 ahead, 90 to the left wall.
     """
 
-    kind: Literal["walk", "handheld", "car", "drone"] = Field(
-        "walk", description="the carrier; it sets the defaults of the other fields"
-    )
+    kind: MotionKind = Field("walk", description="the carrier; it sets the defaults of the other fields")
     max_speed_mps: float = Field(0.9, gt=0, le=60)
     max_rate_degps: float = Field(40.0, gt=0, le=400)
     gaze_deg: float = Field(0.0, ge=-180, le=180)
@@ -73,7 +117,7 @@ class Trajectory(Strict):
     @model_validator(mode="after")
     def _of_the_kind(self) -> "Trajectory":
         own = _OF_KIND[self.kind]
-        for name in ("shake_deg", "step_hz", "max_accel_mps2", "gust_mps"):
+        for name in _OWN_FIELDS:
             if getattr(self, name) and name not in own:
                 kinds = ", ".join(kind for kind, names in _OF_KIND.items() if name in names)
                 raise ValueError(f"a {self.kind} has no {name}, set kind to one of: {kinds}")

@@ -1,17 +1,12 @@
 """A segment as one word of a command line: ``low_light:start_s=2,duration_s=1,illumination=0.1``."""
 
-from typing import Any, get_args
+from typing import Any
 
 from pydantic import ValidationError
 
 from scenarios.errors import InputError
 from scenarios.faults import guess, problem_and_remedy
-from scenarios.segments import Segment, SegmentBase
-
-SEGMENT_MODELS: dict[str, type[SegmentBase]] = {
-    get_args(model.model_fields["kind"].annotation)[0]: model for model in get_args(get_args(Segment)[0])
-}
-"""The model of every kind of segment."""
+from scenarios.segments import SEGMENT_KINDS, SegmentBase
 
 
 def parse_segment(text: str) -> SegmentBase:
@@ -22,14 +17,14 @@ def parse_segment(text: str) -> SegmentBase:
     """
     kind, _, rest = text.partition(":")
     kind = kind.strip()
-    if kind not in SEGMENT_MODELS:
-        kinds = list(SEGMENT_MODELS)
+    if kind not in SEGMENT_KINDS:
+        kinds = list(SEGMENT_KINDS)
         raise InputError(
             f"segment {text!r}",
             f"unknown kind {kind!r}",
             f"use {guess(kind, kinds)}one of {', '.join(kinds)}",
         )
-    model = SEGMENT_MODELS[kind]
+    model = SEGMENT_KINDS[kind]
     values: dict[str, Any] = {"kind": kind}
     for part in filter(None, (part.strip() for part in rest.split(","))):
         key, equals, value = (piece.strip() for piece in part.partition("="))

@@ -5,10 +5,11 @@ Segments of different kinds may lie over one another in time; those of one kind 
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from scenarios.kinds import Kinds
 from scenarios.strict import Strict
 
 Axis = Literal["yaw", "pitch", "roll"]
@@ -193,27 +194,54 @@ class Jpeg(ImageSegment):
     quality: float = Field(ge=0, le=100, description="libjpeg's scale; 100 stands for no encoder at all")
 
 
-Segment = Annotated[
-    LowTexture
-    | RepeatedTexture
-    | MotionBlur
-    | FastRotation
-    | PureRotation
-    | FrameDrops
-    | TimeJitter
-    | Fog
-    | MovingObjects
-    | RollingShutter
-    | Defocus
-    | LensDirt
-    | Rain
-    | CoveredLens
-    | LowLight
-    | OverExposure
-    | AutoExposureLag
-    | Jpeg,
-    Field(discriminator="kind"),
-]
+SEGMENT_KINDS: Kinds[SegmentBase] = Kinds(
+    "segment",
+    (
+        LowTexture,
+        RepeatedTexture,
+        MotionBlur,
+        FastRotation,
+        PureRotation,
+        FrameDrops,
+        TimeJitter,
+        Fog,
+        MovingObjects,
+        RollingShutter,
+        Defocus,
+        LensDirt,
+        Rain,
+        CoveredLens,
+        LowLight,
+        OverExposure,
+        AutoExposureLag,
+        Jpeg,
+    ),
+)
+"""The model of every kind of segment, by kind; ``sim.register_degradation`` adds one."""
+
+if TYPE_CHECKING:
+    Segment = (
+        LowTexture
+        | RepeatedTexture
+        | MotionBlur
+        | FastRotation
+        | PureRotation
+        | FrameDrops
+        | TimeJitter
+        | Fog
+        | MovingObjects
+        | RollingShutter
+        | Defocus
+        | LensDirt
+        | Rain
+        | CoveredLens
+        | LowLight
+        | OverExposure
+        | AutoExposureLag
+        | Jpeg
+    )
+else:
+    Segment = Annotated[SegmentBase, SEGMENT_KINDS]
 
 
 def self_overlap(segments: Sequence[SegmentBase]) -> tuple[int, int] | None:

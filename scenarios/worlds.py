@@ -1,19 +1,24 @@
 """The worlds of a spec, one model per kind."""
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from scenarios.kinds import Kinds
 from scenarios.strict import Strict
 
 
-class Lamps(Strict):
+class WorldBase(Strict):
+    """Base of the models of worlds; each has a literal ``kind``."""
+
+
+class Lamps(WorldBase):
     """Light under a roof. The camera's exposure stays what it was: where it is dim, its frames are dark."""
 
     lamp_level: float = Field(1.0, ge=0.05, le=1.6, description="light of all lamps, relative to the usual")
 
 
-class Outdoors(Strict):
+class Outdoors(WorldBase):
     """Light and air under the sky."""
 
     sky: Literal["clear", "overcast"] = Field("clear", description="overcast: no sun and no cast shadows")
@@ -98,7 +103,15 @@ class BuildingWorld(Lamps):
     )
 
 
-World = Annotated[
-    RoomWorld | CorridorWorld | BuildingWorld | CityWorld | MotorwayWorld | FieldWorld | WarehouseWorld,
-    Field(discriminator="kind"),
-]
+WORLD_KINDS: Kinds[WorldBase] = Kinds(
+    "world",
+    (RoomWorld, CorridorWorld, BuildingWorld, CityWorld, MotorwayWorld, FieldWorld, WarehouseWorld),
+)
+"""The model of every kind of world, by kind; ``sim.register_world`` adds one."""
+
+if TYPE_CHECKING:
+    World = (
+        RoomWorld | CorridorWorld | BuildingWorld | CityWorld | MotorwayWorld | FieldWorld | WarehouseWorld
+    )
+else:
+    World = Annotated[WorldBase, WORLD_KINDS]

@@ -14,6 +14,7 @@ import numpy as np
 
 import scenarios
 import sim
+from scenarios.extensions import extension_digests
 from scenarios.segments import ImageSegment
 from scenarios.spec import Scenario
 from sim.cache import FolderCache, content_key
@@ -98,7 +99,7 @@ def render_sequence(
     store = FolderCache(cache_dir)
     # Inertial readings change no frame.
     filmed = _provenance(scenario.model_copy(update={"imu": None}), seed, backend)
-    key = content_key({"depth": depth, "sources": _source_hash(), **filmed})
+    key = content_key({"depth": depth, "sources": _sources(), **filmed})
     entry = store.find(key)
     if entry is None:
         with store.create(key) as folder:
@@ -158,7 +159,7 @@ def _clean_frames_of(
             "camera": scenario.camera.model_copy(update={"exposure_s": 0.0, "noise_sigma": 0.0}),
         }
     )
-    key = content_key({"clean_frames": True, "sources": _source_hash(), **_provenance(calm, seed, backend)})
+    key = content_key({"clean_frames": True, "sources": _sources(), **_provenance(calm, seed, backend)})
     entry = store.find(key)
     if entry is None:
         plan, world = plan_frames(calm, seed, backend, progress)
@@ -236,3 +237,8 @@ def _source_hash() -> str:
             digest.update(path.relative_to(root).as_posix().encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()
+
+
+def _sources() -> dict[str, str]:
+    """Digests of the sources of the packages and of the registered extensions."""
+    return {"packages": _source_hash(), **extension_digests()}

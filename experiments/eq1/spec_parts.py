@@ -1,6 +1,6 @@
 """The parts of an experiment's spec: bases, degradations, threads, the stopping rule."""
 
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -8,19 +8,18 @@ from experiments.eq1.units import ThreadChoice
 from scenarios.distributions import is_distribution
 from scenarios.errors import InputError
 from scenarios.families import load_family
-from scenarios.segments import Segment
+from scenarios.segments import SEGMENT_KINDS
 from scenarios.strict import Strict
-
-SEVERITIES = {
-    str(get_args(model.model_fields["kind"].annotation)[0]): [
-        name for name in model.model_fields if name not in ("kind", "start_s", "duration_s", "ramp_s")
-    ]
-    for model in get_args(get_args(Segment)[0])
-}
-"""Of every kind of segment the fields that say how bad it is."""
 
 Node = dict[str, Any]
 """A part of a scenario, in which anything may be a distribution, or a distribution itself."""
+
+
+def severity_fields(kind: str) -> list[str]:
+    """Fields of a kind of segment that say how bad it is; empty for an unknown kind."""
+    model = SEGMENT_KINDS.get(kind)
+    times = ("kind", "start_s", "duration_s", "ramp_s")
+    return [name for name in model.model_fields if name not in times] if model else []
 
 
 def _as_choice(data: Any) -> Any:
@@ -99,8 +98,8 @@ class Degradation(Strict):
         told = self.severities or self.doses
         if len(set(told)) < len(told):
             raise ValueError("two doses are told by the same number, make them differ")
-        severities = SEVERITIES.get(self.kind)
-        if severities is not None and self.dose not in severities:
+        severities = severity_fields(self.kind)
+        if severities and self.dose not in severities:
             known = " or ".join(severities)
             raise ValueError(f"dose: a segment of kind {self.kind} has no {self.dose}, use {known}")
         taken = [name for name in ("kind", "start_s", "duration_s", self.dose) if name in self.fields]

@@ -3,8 +3,8 @@
 from typing import Any
 
 from experiments.eq1.spec import ExperimentSpec
-from experiments.eq1.spec_parts import SEVERITIES
 from scenarios import schema as scenario_schema
+from scenarios.segments import SEGMENT_KINDS
 from slam.dual.recovery.registry import RECOVERY_KINDS
 
 _PARTS = ("world", "trajectory", "camera")
@@ -24,7 +24,7 @@ def json_schema() -> dict[str, Any]:
     number = {"anyOf": [{"type": "number", "minimum": 0}, {"$ref": "#/$defs/Distribution"}]}
     for name in ("begins_s", "acts_s"):
         degradation[name] = {"description": degradation[name]["description"], **number}
-    degradation["kind"] = {**degradation["kind"], "enum": sorted(SEVERITIES)}
+    degradation["kind"] = {**degradation["kind"], "enum": sorted(SEGMENT_KINDS)}
     # A thread may be given by the name of its kind alone.
     thread = {"anyOf": [{"enum": sorted(RECOVERY_KINDS)}, {"$ref": "#/$defs/ThreadChoice"}]}
     schema["properties"]["threads"]["items"] = thread

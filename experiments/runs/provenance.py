@@ -1,12 +1,15 @@
 """Where a result comes from: the code's commit, versions, the machine."""
 
 import hashlib
+import json
 import os
 import platform
 import subprocess
 from functools import cache
 from importlib import metadata
 from pathlib import Path
+
+from scenarios.extensions import extension_digests, source_digest
 
 DISTRIBUTION = "dual-slam-lab"
 _REPORTED = (
@@ -33,9 +36,23 @@ def commit() -> str | None:
     return head + ("-dirty" if _git(folder, "status", "--porcelain") else "")
 
 
-@cache
 def code_hash() -> str:
-    """Hash of all that makes images and poses: the sources and the data files of scenarios, sim and slam."""
+    """Hash of all that makes images and poses: scenarios, sim and slam with their data, and extensions."""
+    from slam.dual.recovery.registry import RECOVERY_KINDS
+
+    extensions = extension_digests() | {
+        f"recovery thread: {kind}": source_digest(thread)
+        for kind, thread in RECOVERY_KINDS.items()
+        if not thread.__module__.startswith("slam.")
+    }
+    own = _package_hash()
+    if not extensions:
+        return own
+    return hashlib.sha256(json.dumps([own, sorted(extensions.items())]).encode()).hexdigest()[:16]
+
+
+@cache
+def _package_hash() -> str:
     digest = hashlib.sha256()
     root = Path(__file__).resolve().parents[2]
     for package in ("scenarios", "sim", "slam"):

@@ -1,4 +1,4 @@
-"""Every kind of degradation: a new one is one file and one line here.
+"""Degradations by kind.
 
 Segments that lie over one another act in a fixed order, in whichever they are declared: by ``Stage`` (motion,
 world, shutter, timing; then on the light's way from the surfaces to the file), within a stage by the order of
@@ -8,9 +8,11 @@ the list below, and segments of one kind by their start.
 from collections.abc import Iterable
 from typing import Any, TypeVar
 
-from scenarios.segments import SegmentBase
+from scenarios.extensions import note_extension
+from scenarios.kinds import kind_of
+from scenarios.segments import SEGMENT_KINDS, ImageSegment, SegmentBase
 from sim.degradations.auto_exposure_lag import AutoExposureLagDegradation
-from sim.degradations.base import Degradation
+from sim.degradations.base import Degradation, Stage
 from sim.degradations.covered_lens import CoveredLensDegradation
 from sim.degradations.defocus import DefocusDegradation
 from sim.degradations.fast_rotation import FastRotationDegradation
@@ -63,15 +65,46 @@ FRAME_PLAN_KINDS: dict[str, Degradation[Any]] = {
 DEGRADATIONS: dict[str, Degradation[Any] | ImageDegradation[Any]] = {d.kind: d for d in _ALL}
 """Every kind."""
 
-_RANK = {kind: rank for rank, kind in enumerate(DEGRADATIONS)}
 _SegmentT = TypeVar("_SegmentT", bound=SegmentBase)
 
 
 def in_order_of_action(segments: Iterable[_SegmentT]) -> list[_SegmentT]:
     """The segments in the order in which they act."""
+    ranks = {kind: rank for rank, kind in enumerate(DEGRADATIONS)}
 
     def place(segment: _SegmentT) -> tuple[int, int, float]:
         kind = str(getattr(segment, "kind", ""))
-        return DEGRADATIONS[kind].stage, _RANK[kind], segment.start_s
+        return DEGRADATIONS[kind].stage, ranks[kind], segment.start_s
 
     return sorted(segments, key=place)
+
+
+def register_degradation(
+    model: type[SegmentBase], degradation: Degradation[Any] | ImageDegradation[Any]
+) -> None:
+    """Add a kind of degradation, to be named as ``segments: [{kind: ...}]`` in scenarios.
+
+    Within its stage it acts after the kinds that are there.
+
+    Args:
+        model: its fields in a scenario, with ``kind: Literal["name"]``: a subclass of
+            ``scenarios.ImageSegment`` for one that acts on images, else of ``scenarios.SegmentBase``.
+        degradation: an ``ImageDegradation``, or a ``Degradation`` that changes the frame plan.
+
+    Raises:
+        ValueError: model and degradation do not go together, or the kind is taken.
+    """
+    acts_on_images = isinstance(degradation, ImageDegradation)
+    if acts_on_images != issubclass(model, ImageSegment):
+        raise ValueError(f"{model.__name__}: a degradation of images and an ImageSegment go together")
+    if acts_on_images != (degradation.stage >= Stage.SCENE):
+        raise ValueError(f"{degradation.kind}: stage {degradation.stage.name} is not one of its family's")
+    if kind_of(model) != degradation.kind:
+        raise ValueError(f"the model is of kind {kind_of(model)!r}, the degradation of {degradation.kind!r}")
+    kind = SEGMENT_KINDS.add(model)
+    DEGRADATIONS[kind] = degradation
+    if isinstance(degradation, ImageDegradation):
+        IMAGE_KINDS[kind] = degradation
+    else:
+        FRAME_PLAN_KINDS[kind] = degradation
+    note_extension(f"degradation: {kind}", degradation)

@@ -1,15 +1,17 @@
-"""Motions by kind of carrier. A new one is one file with a plan function and one line here."""
+"""Motions by kind."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
-from scenarios.motions import Trajectory
+from scenarios.extensions import note_extension
+from scenarios.motions import Trajectory, add_motion_kind
+from sim.motion.base import Motion
 from sim.motion.car import plan_car
 from sim.motion.spline import PoseSpline
 from sim.motion.walker import plan_handheld, plan_walk
 from sim.worlds.base import Route
 
 
-def plan_motion(route: Route, trajectory: Trajectory, duration_s: float, seed: int) -> PoseSpline:
+def plan_motion(route: Route, trajectory: Trajectory, duration_s: float, seed: int) -> Motion:
     """The motion of the trajectory's carrier along a route.
 
     Args:
@@ -28,9 +30,36 @@ def _plan_drone(route: Route, trajectory: Trajectory, duration_s: float, seed: i
     return plan_drone(route, trajectory, duration_s, seed)
 
 
-_PLANS: dict[str, Callable[[Route, Trajectory, float, int], PoseSpline]] = {
+MotionPlan = Callable[[Route, Trajectory, float, int], Motion]
+"""A route, a trajectory, a duration and a seed to the motion along the route."""
+
+_PLANS: dict[str, MotionPlan] = {
     "walk": plan_walk,
     "handheld": plan_handheld,
     "car": plan_car,
     "drone": _plan_drone,
 }
+
+
+def register_motion(
+    kind: str,
+    plan: MotionPlan,
+    *,
+    defaults: Mapping[str, float] | None = None,
+    fields: tuple[str, ...] = (),
+) -> None:
+    """Add a kind of motion, to be named as ``trajectory: {kind: ...}`` in scenarios.
+
+    Args:
+        kind: its name.
+        plan: makes the motion from a route, the trajectory, the duration in seconds and the root seed; the
+            same arguments must give the same motion.
+        defaults: fields of the trajectory that the kind sets.
+        fields: those of shake_deg, step_hz, max_accel_mps2 and gust_mps that the kind has.
+
+    Raises:
+        ValueError: the kind is taken, or a field is unknown.
+    """
+    add_motion_kind(kind, defaults or {}, fields)
+    _PLANS[kind] = plan
+    note_extension(f"motion: {kind}", plan)

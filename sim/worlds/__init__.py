@@ -1,13 +1,28 @@
-"""Worlds by kind. A new world is one file with ``layout`` and ``build_world`` and one line here."""
+"""Worlds by kind."""
 
-from scenarios.worlds import Lamps, Outdoors, World
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from scenarios.extensions import note_extension
+from scenarios.worlds import WORLD_KINDS, Lamps, Outdoors, World, WorldBase
 from sim.worlds.ambience import dimmed, hazed
 from sim.worlds.base import Route, WorldModel
 from sim.worlds.country import field, motorway
 from sim.worlds.indoor import building, corridor, room, warehouse
 from sim.worlds.town import city
 
-WORLDS = {
+
+class WorldMaker(Protocol):
+    """A kind of world: a route through it, and itself. The same spec and seed must give the same bytes."""
+
+    @property
+    def layout(self) -> Callable[[Any, int], Route]: ...
+    @property
+    def build_world(self) -> Callable[[Any, int], WorldModel]: ...
+
+
+WORLDS: dict[str, WorldMaker] = {
     "room": room,
     "corridor": corridor,
     "building": building,
@@ -16,7 +31,7 @@ WORLDS = {
     "field": field,
     "warehouse": warehouse,
 }
-"""Modules by kind, each with ``layout`` and ``build_world``."""
+"""Makers by kind: modules with ``layout`` and ``build_world``, and what was registered."""
 
 
 def layout(spec: World, seed: int) -> Route:
@@ -44,3 +59,30 @@ def build_world(spec: World, seed: int) -> WorldModel:
     if isinstance(spec, Outdoors):
         world = hazed(world, spec)
     return world
+
+
+@dataclass(frozen=True)
+class _Registered:
+    layout: Callable[[Any, int], Route]
+    build_world: Callable[[Any, int], WorldModel]
+
+
+def register_world(
+    model: type[WorldBase],
+    layout: Callable[[Any, int], Route],
+    build_world: Callable[[Any, int], WorldModel],
+) -> None:
+    """Add a kind of world, to be named as ``world: {kind: ...}`` in scenarios.
+
+    Args:
+        model: its fields in a scenario, with ``kind: Literal["name"]``; derived from ``scenarios.Lamps`` or
+            ``scenarios.Outdoors`` it gets their light and haze.
+        layout: gives the route through the world from the validated fields and a seed; cheap.
+        build_world: gives the textured surfaces, likewise.
+
+    Raises:
+        ValueError: the model has no literal kind, or the kind is taken.
+    """
+    kind = WORLD_KINDS.add(model)
+    WORLDS[kind] = _Registered(layout, build_world)
+    note_extension(f"world: {kind}", build_world)

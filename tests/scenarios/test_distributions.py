@@ -13,7 +13,7 @@ from scenarios.distributions import (
     is_distribution,
     parse_distribution,
 )
-from scenarios.faults import _models_in
+from scenarios.kinds import models_in
 from scenarios.seeds import rng_for
 from scenarios.spec import Scenario
 
@@ -104,5 +104,5 @@ def test_no_field_of_a_scenario_is_called_like_a_distribution():
         model = waiting.pop()
         seen.add(model)
         assert not {*KEYS, "weights", "members"} & set(model.model_fields)
-        waiting += [m for f in model.model_fields.values() for m in _models_in(f.annotation) if m not in seen]
+        waiting += [m for f in model.model_fields.values() for m in models_in(f) if m not in seen]
     assert len(seen) > 20

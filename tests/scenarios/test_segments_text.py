@@ -3,8 +3,8 @@
 import pytest
 
 from scenarios.errors import InputError
-from scenarios.segment_text import SEGMENT_MODELS, parse_segment
-from scenarios.segments import Jpeg, LowLight
+from scenarios.segment_text import parse_segment
+from scenarios.segments import SEGMENT_KINDS, Jpeg, LowLight
 
 
 def test_a_word_gives_the_segment_with_its_defaults():
@@ -15,12 +15,12 @@ def test_a_word_gives_the_segment_with_its_defaults():
 
 
 def test_every_kind_can_be_named():
-    for kind in SEGMENT_MODELS:
+    for kind in SEGMENT_KINDS:
         with pytest.raises(InputError, match="is missing"):
             parse_segment(kind)
 
 
-@pytest.mark.parametrize("model", SEGMENT_MODELS.values(), ids=list(SEGMENT_MODELS))
+@pytest.mark.parametrize("model", SEGMENT_KINDS.values(), ids=list(SEGMENT_KINDS))
 def test_every_field_says_its_unit_or_what_it_means(model):
     for name, field in model.model_fields.items():
         if name not in ("kind", "start_s", "duration_s", "axis"):

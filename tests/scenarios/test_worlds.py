@@ -1,14 +1,12 @@
 """Worlds and motions as scenario files name them."""
 
-from typing import get_args
-
 import pytest
 
 from scenarios.errors import InputError
 from scenarios.loading import dump_yaml, load_scenario
-from scenarios.worlds import CityWorld, World
+from scenarios.worlds import WORLD_KINDS, CityWorld
 
-KINDS = [model.model_fields["kind"].default for model in get_args(get_args(World)[0])]
+KINDS = list(WORLD_KINDS)
 CARRIERS = ("walk", "handheld", "car", "drone")
 
 

@@ -1,4 +1,4 @@
-"""Recovery threads by name: a new kind is a file of its own and a line here."""
+"""Recovery threads by name."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,11 +8,29 @@ from slam.dual.recovery.interface import RecoveryConfig, RecoveryThread
 from slam.dual.recovery.orb import OrbRecovery
 from slam.dual.recovery.sift import SiftRecovery
 
-RECOVERY_KINDS: dict[str, Callable[[RecoveryConfig | None], RecoveryThread]] = {
-    "orb": OrbRecovery,
-    "sift": SiftRecovery,
-    "gms": GmsRecovery,
-}
+RecoveryFactory = Callable[[RecoveryConfig | None], RecoveryThread]
+"""Makes a thread from its settings; from None with its defaults."""
+
+RECOVERY_KINDS: dict[str, RecoveryFactory] = {"orb": OrbRecovery, "sift": SiftRecovery, "gms": GmsRecovery}
+"""Factories by kind; :func:`register_recovery_thread` adds one."""
+
+
+def register_recovery_thread(kind: str, factory: RecoveryFactory) -> None:
+    """Add a kind of recovery thread, to be named in ``ThreadSpec`` and ``dslab run --recovery``.
+
+    Args:
+        kind: its name, in small letters, digits and underscores.
+        factory: makes a thread from its settings, or with its defaults from None. It is called with a
+            subclass of ``RecoveryConfig`` where settings are given.
+
+    Raises:
+        ValueError: the name is no name, or taken.
+    """
+    if not (kind.isidentifier() and kind.islower()):
+        raise ValueError(f"{kind!r} is no name for a recovery thread: use small letters, digits and _")
+    if RECOVERY_KINDS.get(kind, factory) is not factory:
+        raise ValueError(f"there is a recovery thread {kind!r} already: name yours differently")
+    RECOVERY_KINDS[kind] = factory
 
 
 @dataclass(frozen=True)
@@ -36,12 +54,12 @@ class ThreadSpec:
 
 
 def build_thread(spec: ThreadSpec) -> RecoveryThread:
-    """The thread that a specification asks for."""
+    """Build the thread of a specification."""
     return RECOVERY_KINDS[spec.kind](spec.config)
 
 
 def parse_threads(text: str) -> tuple[ThreadSpec, ...]:
-    """Threads from their kinds in order, such as ``"orb,sift"``; no text, no threads.
+    """Parse threads from their kinds in order, such as ``"orb,sift"``; no text, no threads.
 
     A kind that comes again has a seed of its own.
 

@@ -1,7 +1,6 @@
 """Every kind of degradation: pure, measured, and what it promises; sensor noise."""
 
 from dataclasses import replace
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -9,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from scenarios import spec
 from scenarios.seeds import rng_for
+from scenarios.segments import SEGMENT_KINDS
 from sim.degradations.base import FramePlan, segment_truth, true_runs
 from sim.degradations.registry import DEGRADATIONS, FRAME_PLAN_KINDS
 from sim.motion.walker import plan_walk
@@ -16,9 +16,6 @@ from sim.sensors.noise import SensorNoise
 from sim.worlds.base import Route
 
 FPS, FRAMES = 30.0, 300
-SEGMENT_TYPES = {
-    get_args(t.model_fields["kind"].annotation)[0]: t for t in get_args(get_args(spec.Segment)[0])
-}
 
 
 def make_shoot() -> FramePlan:
@@ -37,11 +34,11 @@ def make_shoot() -> FramePlan:
 
 def make_segment(kind: str, seed: int = 0, **severity):
     drawn = {**DEGRADATIONS[kind].sample(rng_for(seed, kind)), **severity}
-    return SEGMENT_TYPES[kind](kind=kind, start_s=4.0, duration_s=2.0, **drawn)
+    return SEGMENT_KINDS[kind](kind=kind, start_s=4.0, duration_s=2.0, **drawn)
 
 
 def test_every_kind_of_segment_has_its_degradation():
-    assert set(DEGRADATIONS) == set(SEGMENT_TYPES)
+    assert set(DEGRADATIONS) == set(SEGMENT_KINDS)
 
 
 @pytest.mark.parametrize("kind", DEGRADATIONS)

@@ -8,7 +8,7 @@ import pytest
 from degradation_worlds import SEVERITIES, digest, small_backend, small_scenario
 from io_sequences import Stack, make_sequence
 
-from scenarios.segment_text import SEGMENT_MODELS
+from scenarios.segments import SEGMENT_KINDS
 from sim.degradations.base import FramePlan, Stage
 from sim.degradations.chain import ImageChain
 from sim.degradations.recorded_sequences import degrade_sequence
@@ -104,7 +104,7 @@ def chain_input() -> tuple[Stack, np.ndarray, np.ndarray, PoseSpline]:
 def test_the_whole_is_its_parts_one_after_the_other():
     images, depth_m, stamps_s, walk = chain_input()
     segments = [
-        SEGMENT_MODELS[kind](**declared(kind, 0.1 + 0.03 * i, 0.7), ramp_s=0.1)
+        SEGMENT_KINDS[kind](**declared(kind, 0.1 + 0.03 * i, 0.7), ramp_s=0.1)
         for i, kind in enumerate(reversed(IMAGE_KINDS))
     ]
     frame = np.arange(12)
@@ -136,8 +136,8 @@ def test_footage_degraded_twice_is_footage_degraded_at_once(tmp_path):
         segments=(),
         frame_truth={},
     )
-    drops = SEGMENT_MODELS["moving_objects"](**declared("moving_objects", 0.2, 0.6))
-    dark = SEGMENT_MODELS["low_light"](**declared("low_light", 0.2, 0.4))
+    drops = SEGMENT_KINDS["moving_objects"](**declared("moving_objects", 0.2, 0.6))
+    dark = SEGMENT_KINDS["low_light"](**declared("low_light", 0.2, 0.4))
     folders = [tmp_path / name for name in ("once", "first", "second")]
     for folder in folders:
         folder.mkdir()
@@ -160,8 +160,8 @@ def walk_past_walls(**more) -> FramePlan:
 
 
 def test_a_swing_keeps_its_time_when_the_camera_stops_before_it():
-    stop = SEGMENT_MODELS["pure_rotation"](**declared("pure_rotation", 0.2, 0.5))
-    swing = SEGMENT_MODELS["fast_rotation"](**declared("fast_rotation", 1.0, 0.5))
+    stop = SEGMENT_KINDS["pure_rotation"](**declared("pure_rotation", 0.2, 0.5))
+    swing = SEGMENT_KINDS["fast_rotation"](**declared("fast_rotation", 1.0, 0.5))
     plan = walk_past_walls()
     for segment in in_order_of_action([swing, stop]):
         plan = FRAME_PLAN_KINDS[segment.kind].apply(plan, segment)
@@ -172,8 +172,8 @@ def test_a_swing_keeps_its_time_when_the_camera_stops_before_it():
 
 
 def test_dropped_frames_do_not_move_the_walls_that_are_faded():
-    faded = SEGMENT_MODELS["low_texture"](kind="low_texture", start_s=4, duration_s=2, contrast=0.1)
-    drops = SEGMENT_MODELS["frame_drops"](kind="frame_drops", start_s=3, duration_s=4, share=0.9)
+    faded = SEGMENT_KINDS["low_texture"](kind="low_texture", start_s=4, duration_s=2, contrast=0.1)
+    drops = SEGMENT_KINDS["frame_drops"](kind="frame_drops", start_s=3, duration_s=4, share=0.9)
     kind = FRAME_PLAN_KINDS["low_texture"]
     plan = kind.apply(walk_past_walls(), faded)
     whole = kind.measure(plan, faded, np.zeros(300))
