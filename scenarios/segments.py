@@ -16,6 +16,8 @@ Axis = Literal["yaw", "pitch", "roll"]
 
 
 class SegmentBase(Strict):
+    """Base of the models of segments; each has a literal ``kind``."""
+
     start_s: float = Field(ge=0)
     duration_s: float = Field(gt=0)
 

@@ -16,6 +16,12 @@ class SlamConfig:
     """Settings of the base system, one group per component.
 
     Attributes:
+        orb: extraction of features.
+        initialization: the first map, from two views.
+        tracking: poses of frames, and the choice of keyframes.
+        mapping: new points, their culling, local bundle adjustment.
+        loops: detection and correction of loops.
+        relocalization: poses of frames after tracking was lost.
         initial_features: features of a frame while a map is sought, over those of a tracked one, as far as
             the image has room for them: small steps show parallax in few of them.
         min_map_keyframes: a map that breaks with no more keyframes is dropped instead of kept.

@@ -5,13 +5,14 @@ import sys
 
 import typer
 
-from experiments.cli import bench, demo, doctor, experiment, run, view, vocabulary, warmup
+from experiments.cli import bench, config, demo, doctor, experiment, run, view, vocabulary, warmup
 from experiments.cli.console import err
 from experiments.cli.degrade import degrade_command
 from experiments.cli.export import export_command
 from experiments.cli.paper import paper_command
 from experiments.cli.render import render_command
 from experiments.cli.scenarios import app as scenarios_app
+from experiments.plugins import load_plugins
 from scenarios.errors import InputError
 
 app = typer.Typer(
@@ -27,6 +28,7 @@ app.command("demo")(demo.demo_command)
 app.command("doctor")(doctor.doctor_command)
 app.command("warmup")(warmup.warmup_command)
 app.add_typer(scenarios_app, name="scenarios")
+app.add_typer(config.app, name="config")
 app.command("render")(render_command)
 app.command("degrade")(degrade_command)
 app.command("export")(export_command)
@@ -43,6 +45,7 @@ def main() -> None:
     # OpenCV's own warnings would stand beside the one line.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     try:
+        load_plugins()
         app()
     except InputError as error:
         _say(f"error: {error}")

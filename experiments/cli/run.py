@@ -41,6 +41,14 @@ def run_command(
         SystemChoice,
         typer.Option(help="ORB-SLAM's method; Dual-SLAM; Dual-SLAM with initialisation by GMS."),
     ] = SystemChoice.BASE,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Settings of the SLAM: a YAML file (see dslab config show) or a run's summary.json.",
+            show_default=False,
+        ),
+    ] = None,
     recovery: Annotated[
         str | None,
         typer.Option(
@@ -78,20 +86,24 @@ def run_command(
 
     `dslab run stressed --system dual+ --recovery orb,sift --exhaustive --no-relocalization --out out/lab`
 
-    `dslab run path/to/sequence --out out/sequence --json`
+    `dslab run path/to/sequence --config slam.yaml --out out/sequence --json`
 
     `dslab run clean-room --mode threaded --real-time --map --out out/room`
     """
     from experiments.result_folder import run_sequence
-    from experiments.runs.execution import system_factory
     from experiments.runs.output import check_free
     from experiments.runs.pacing import RealTime
+    from experiments.runs.slam_settings import SlamSettings, factory_of, read_slam_settings
     from experiments.runs.sources import open_sequence
     from scenarios.errors import InputError
     from slam.warmup import warm_up
 
+    settings = read_slam_settings(config) if config is not None else SlamSettings({})
+    if config is not None and mode is ModeChoice.LOCKSTEP and settings.mode is not None:
+        mode = ModeChoice(settings.mode)
     check_real_time(real_time, mode)
-    dual = _dual_config(system, recovery, exhaustive, relocalization)
+    dual = _dual_config(system, recovery, exhaustive, relocalization, settings.dual)
+    settings = replace(settings, dual=dual, mode=mode.value)
     if real_time and rerun:
         raise InputError("--rerun", "a recording takes time from the frames", "leave out --real-time")
     check_free(out_dir)
@@ -109,7 +121,7 @@ def run_command(
             out_dir,
             recording=rerun,
             progress=lambda done, total: show(f"SLAM ({system})", done, total),
-            build=system_factory(mode.value, dual),
+            build=factory_of(settings),
             pace=RealTime(sequence) if real_time else None,
             maps=maps,
         )
@@ -121,18 +133,27 @@ def run_command(
 
 
 def _dual_config(
-    system: SystemChoice, recovery: str | None, exhaustive: bool, relocalization: bool
+    system: SystemChoice,
+    recovery: str | None,
+    exhaustive: bool,
+    relocalization: bool,
+    from_file: "DualConfig | None",
 ) -> "DualConfig | None":
-    """The settings of Dual-SLAM that the options name, None for its defaults."""
+    """The settings of Dual-SLAM that file and options give, None for its defaults."""
     from scenarios.errors import InputError
     from slam.dual.config import DualConfig
     from slam.dual.recovery.registry import parse_threads
 
     if recovery is None and not exhaustive and relocalization:
-        return None
+        return from_file
     if system is SystemChoice.BASE:
         raise InputError("--system", "base has no recovery", "add --system dual or dual+")
-    config = DualConfig(exhaustive=exhaustive, relocalization=relocalization)
+    given = from_file or DualConfig()
+    config = replace(
+        given,
+        exhaustive=exhaustive or given.exhaustive,
+        relocalization=relocalization and given.relocalization,
+    )
     if recovery is None:
         return config
     try:

@@ -20,14 +20,18 @@ _SAMPLES = 5
 
 
 def draw_runs(path: Path, sequence: Sequence, records: dict[SystemKind, RunRecord]) -> None:
-    """Write the picture.
+    """Write the figure of some runs as a PNG file; arguments as :func:`runs_figure`."""
+    runs_figure(sequence, records).savefig(path)
+
+
+def runs_figure(sequence: Sequence, records: dict[SystemKind, RunRecord]) -> Figure:
+    """Draw sample frames, paths and inliers of some runs over one sequence.
 
     Paths are the final ones of each map, aligned to the truth for display only; green is what a recovery has
     placed afterwards. A cross marks a breakage, a disc a recovery.
 
     Args:
-        path: PNG file to write.
-        sequence: what was fed.
+        sequence: the frames that were fed.
         records: one run per system, by its name.
     """
     figure = Figure(figsize=(13, 8.2), dpi=110, layout="constrained")
@@ -40,7 +44,7 @@ def draw_runs(path: Path, sequence: Sequence, records: dict[SystemKind, RunRecor
         outcomes = breakage_outcomes(record.events, sequence.segments, list(sequence.stamps_s))
         _draw_paths(axes, record, _system_color(place), lay_out(record), outcomes)
     _draw_inliers(bottom.subplots(), sequence, records)
-    figure.savefig(path)
+    return figure
 
 
 def _sample_frames(sequence: Sequence) -> list[int]:

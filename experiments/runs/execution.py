@@ -11,6 +11,7 @@ from experiments.runs.memory import peak_rss_mb, reset_peak
 from experiments.runs.pacing import RealTime
 from sim.sensors.camera import Intrinsics
 from sim.sequence import Sequence
+from slam.config import SlamConfig
 from slam.core.camera import PinholeCamera
 from slam.core.events import Event, TrackingState
 from slam.core.results import MapTrajectory, TrackingResult
@@ -177,18 +178,21 @@ def record_of(
     )
 
 
-def system_factory(mode: Mode = "lockstep", dual: DualConfig | None = None) -> SystemFactory:
+def system_factory(
+    mode: Mode = "lockstep", dual: DualConfig | None = None, config: SlamConfig | None = None
+) -> SystemFactory:
     """What makes the systems of this project, for one way of running them.
 
     Args:
         mode: how tracking, mapping and loop closing share time.
         dual: settings of Dual-SLAM, its defaults where None.
+        config: settings of the base, the published ones for the image size where None.
     """
     from slam.factory import build_system
     from slam.runtime.backend import ExecutionMode
 
     execution_mode = ExecutionMode(mode)
-    return lambda kind, camera, seed: build_system(kind, camera, seed, mode=execution_mode, dual=dual)
+    return lambda kind, camera, seed: build_system(kind, camera, seed, config, execution_mode, dual)
 
 
 def live_trajectories(results: Iterable[TrackingResult]) -> dict[int, MapTrajectory]:

@@ -1,0 +1,19 @@
+"""A small experiment on Eq. 1: a few units, their records as a table, a report page."""
+
+from pathlib import Path
+
+import experiments
+
+
+def main(folder: Path = Path("small-experiment")) -> None:
+    """Run two units per cell on two workers and write the report."""
+    spec = experiments.load_experiment("smoke").model_copy(update={"units": 2})
+    tally = experiments.run_experiment(spec, folder, workers=2)
+    print(f"{tally.done} of {tally.total} units")
+    spec, table = experiments.read_experiment(folder)
+    print(table[["cell", "world", "outcome", "breakage", "d1"]].to_string())
+    print("report:", experiments.write_report(folder))
+
+
+if __name__ == "__main__":  # the workers import this file
+    main()

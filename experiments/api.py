@@ -1,0 +1,203 @@
+"""The Python interface: a sequence through a system, several of them in a table, an experiment."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from experiments.plugins import load_plugins
+from experiments.runs.execution import Mode, RunRecord, SystemFactory, execute, system_factory
+from scenarios.errors import InputError
+from scenarios.spec import Scenario
+from sim.sequence import Sequence
+from slam.config import SlamConfig
+from slam.core.events import Event
+from slam.core.results import MapTrajectory
+from slam.dual.config import DualConfig
+from slam.factory import SYSTEMS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from experiments.campaign.runner import Tally
+    from experiments.eq1.spec import ExperimentSpec
+
+_COLUMNS = (
+    "share_tracked",
+    "maps",
+    "breakages",
+    "recoveries",
+    "relocalizations",
+    "ate_m",
+    "path_share",
+    "cpu_ms_median",
+)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run of one system over one sequence.
+
+    Attributes:
+        record: everything that was kept of it.
+    """
+
+    record: RunRecord
+
+    @property
+    def sequence(self) -> Sequence:
+        """The frames that the system was fed, with their truth."""
+        return self.record.sequence
+
+    @property
+    def system(self) -> str:
+        """Name of the system."""
+        return self.record.system_kind
+
+    @property
+    def trajectory(self) -> MapTrajectory | None:
+        """Final path of the map with most frames, camera to map; None without a map."""
+        return self.record.trajectories[0] if self.record.trajectories else None
+
+    @property
+    def trajectories(self) -> tuple[MapTrajectory, ...]:
+        """Final paths of all maps, the one with most frames first."""
+        return self.record.trajectories
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """Everything that the system declared, in order; see ``slam.events``."""
+        return self.record.events
+
+    @cached_property
+    def metrics(self) -> dict[str, Any]:
+        """The figures of ``summary.json``; those that the data do not determine are None."""
+        from experiments.evaluation.summary import summarise
+
+        return summarise(self.record)
+
+    def plot(self, path: str | Path | None = None) -> "Figure":
+        """Draw sample frames, the path over the truth and the inliers over time.
+
+        Args:
+            path: PNG file to write as well.
+        """
+        from experiments.pictures.run_picture import runs_figure
+
+        figure = runs_figure(self.sequence, {self.record.system_kind: self.record})
+        if path is not None:
+            figure.savefig(path)
+        return figure
+
+    def save(self, folder: str | Path) -> Path:
+        """Write the result folder, whole or not at all: trajectories, frames, events, summary.
+
+        Raises:
+            InputError: the folder is taken or not writable.
+        """
+        from experiments.result_folder import write_run
+        from experiments.runs.output import new_directory
+
+        with new_directory(Path(folder)) as unfinished:
+            write_run(unfinished, self.record, self.metrics)
+        return Path(folder)
+
+
+def run(
+    sequence: Sequence | Scenario | str | Path,
+    system: str | SystemFactory = "dual",
+    *,
+    seed: int | None = None,
+    config: SlamConfig | None = None,
+    dual: DualConfig | None = None,
+    mode: Mode = "lockstep",
+    progress: Callable[[int, int], None] | None = None,
+) -> Run:
+    """Run a system over a sequence: image, time and intrinsics in, nothing else.
+
+    Args:
+        sequence: a sequence, a scenario to render, or what names one: a folder, a scenario's name or file.
+        system: ``base``, ``dual`` or ``dual+``, or a function of (name, camera, seed) that makes a system.
+        seed: root of every random stream of the system, and of a scenario given by name; None for the
+            scenario's own, or 0.
+        config: settings of the base; by default the published ones for the image size.
+        dual: settings of Dual-SLAM.
+        mode: ``lockstep`` repeats bit for bit, ``threaded`` maps beside tracking.
+        progress: called with (frames done, frames in all).
+
+    Raises:
+        InputError: the system is unknown, or the sequence is not valid.
+    """
+    load_plugins()
+    if isinstance(system, str) and system not in SYSTEMS:
+        raise InputError(f"system {system!r}", "is unknown", f"use one of {', '.join(SYSTEMS)}")
+    opened = _opened(sequence, seed)
+    seed = int(opened.meta.get("seed", 0)) if seed is None else seed
+    build = system_factory(mode, dual, config) if isinstance(system, str) else system
+    name: Any = system if isinstance(system, str) else getattr(system, "__name__", "own")
+    return Run(execute(opened, name, seed, None, progress, build))
+
+
+def compare(runs: Iterable[Run]) -> pd.DataFrame:
+    """Tabulate runs: one row each, by sequence and system.
+
+    Accuracy is to be read beside completeness: a system that is lost early has little left to be wrong about.
+
+    Args:
+        runs: finished runs.
+    """
+    rows = [
+        {"sequence": run.metrics["sequence"], "system": run.system, "seed": run.record.seed}
+        | {name: run.metrics[name] for name in _COLUMNS}
+        for run in runs
+    ]
+    table = pd.DataFrame(rows, columns=["sequence", "system", "seed", *_COLUMNS])
+    return table.set_index(["sequence", "system", "seed"]).astype({"ate_m": np.float64})
+
+
+def run_experiment(
+    experiment: "str | Path | ExperimentSpec",
+    folder: str | Path,
+    *,
+    workers: int = 1,
+    progress: "Callable[[Tally], None] | None" = None,
+) -> "Tally":
+    """Run an experiment on Eq. 1, or go on with it; then ``read_experiment`` and ``write_report``.
+
+    Args:
+        experiment: a spec, the name of a preset, or the path of a YAML file.
+        folder: of its ledger, absent or that of an earlier run of the same spec.
+        workers: processes; the rows are the same for any number. They start anew, so a script needs
+            ``if __name__ == "__main__":`` and its extensions must be plugins.
+        progress: called as each unit ends.
+
+    Raises:
+        InputError: the spec is not valid, or the folder holds something else.
+    """
+    from experiments.campaign.runner import run_experiment as run_units
+    from experiments.campaign.stopping import stopping_rule
+    from experiments.campaign.worker_pool import WorkerPoolSettings, open_worker_pool
+    from experiments.eq1.spec import load_spec
+    from experiments.eq1.trial import run_unit
+
+    load_plugins()
+    spec = load_spec(experiment) if isinstance(experiment, str | Path) else experiment
+    settings = WorkerPoolSettings(workers=workers)
+    rule = stopping_rule(spec.stopping)
+    return run_units(spec, Path(folder), lambda: open_worker_pool(settings, run_unit), rule, show=progress)
+
+
+def _opened(sequence: Sequence | Scenario | str | Path, seed: int | None) -> Sequence:
+    if isinstance(sequence, Sequence):
+        return sequence
+    if isinstance(sequence, Scenario):
+        from sim.sequence_rendering import render_sequence
+
+        return render_sequence(sequence)
+    from experiments.runs.sources import open_sequence
+
+    return open_sequence(str(sequence), seed)

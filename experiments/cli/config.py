@@ -1,0 +1,33 @@
+"""``dslab config``."""
+
+import json
+
+import typer
+
+from experiments.cli.console import out
+
+app = typer.Typer(
+    no_args_is_help=True, help="Settings of the SLAM: see them all, check files against their schema."
+)
+
+
+@app.command("show")
+def show_command() -> None:
+    """Print every setting with its default and description, as a file for `dslab run --config`.
+
+    For example: `dslab config show > slam.yaml`
+    """
+    from experiments.runs.slam_settings import settings_yaml
+
+    out.print(settings_yaml(), markup=False, highlight=False, soft_wrap=True, end="")
+
+
+@app.command("schema")
+def schema_command() -> None:
+    """Print the JSON Schema of a settings file.
+
+    For example: `dslab config schema > slam.schema.json`
+    """
+    from experiments.runs.slam_settings import settings_schema
+
+    out.print(json.dumps(settings_schema(), indent=2), markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,272 @@
+"""Settings of a system from and as YAML: every field described, unknown keys refused.
+
+The descriptions are those of the ``Attributes:`` sections of the settings' classes.
+"""
+
+import inspect
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+import yaml
+from pydantic import TypeAdapter, ValidationError
+
+from experiments.runs.execution import Mode, SystemFactory
+from scenarios.errors import InputError
+from scenarios.faults import guess
+from scenarios.yaml_file import Location, YamlFile, read_yaml
+from slam.config import SlamConfig, default_config
+from slam.core.camera import PinholeCamera
+from slam.dual.config import DualConfig
+from slam.dual.recovery.interface import RecoveryConfig
+from slam.dual.recovery.registry import RECOVERY_KINDS, ThreadSpec
+from slam.factory import build_system
+from slam.runtime.backend import ExecutionMode
+
+_SUMMARY_KEY = "config"
+_DUAL, _MODE = "dual", "mode"
+_POSITIVE = frozenset({"n_features", "n_levels", "cell_px", "initial_features", "buffer_s", "buffer_cap_s"})
+_ABOVE_ONE = frozenset({"scale_factor"})
+
+
+@dataclass(frozen=True)
+class SlamSettings:
+    """Settings that a file gives, over the defaults.
+
+    Attributes:
+        written: fields of :class:`SlamConfig` as written; others keep the defaults of the image size.
+        dual: settings of Dual-SLAM; None where the file says nothing of them.
+        mode: how tracking and mapping share time; None where the file says nothing of it.
+    """
+
+    written: Mapping[str, Any]
+    dual: DualConfig | None = None
+    mode: Mode | None = None
+
+    def config(self, camera: PinholeCamera) -> SlamConfig:
+        """The settings of the base for a camera."""
+        return _overlaid(default_config(camera), self.written, (), _unlocated)
+
+
+def read_slam_settings(path: Path) -> SlamSettings:
+    """Read settings from a YAML file, or from a run's ``summary.json``.
+
+    Raises:
+        InputError: no such file, an unknown key, or a value of the wrong type or range, with its line.
+    """
+    file = read_yaml(path, "settings", "`dslab config show`")
+    data, at = file.data, ()
+    if _SUMMARY_KEY in data and _SUMMARY_KEY not in {f.name for f in fields(SlamConfig)}:
+        data, at = data[_SUMMARY_KEY], (_SUMMARY_KEY,)
+    locate = _Located(file)
+    if not isinstance(data, dict):
+        raise InputError(locate(at), "is no mapping", "start from `dslab config show`")
+    own = {key: value for key, value in data.items() if key not in (_DUAL, _MODE)}
+    _overlaid(SlamConfig(), own, at, locate, extra=(_DUAL, _MODE))
+    dual = data.get(_DUAL)
+    mode: Mode | None = None
+    if _MODE in data:
+        mode = _checked(data[_MODE], Mode, (*at, _MODE), locate)
+    return SlamSettings(
+        written=own,
+        dual=None if dual is None else _overlaid(DualConfig(), dual, (*at, _DUAL), locate),
+        mode=mode,
+    )
+
+
+def factory_of(settings: SlamSettings, mode: Mode = "lockstep") -> SystemFactory:
+    """A factory of systems with these settings."""
+    execution_mode = ExecutionMode(settings.mode or mode)
+    return lambda kind, camera, seed: build_system(
+        kind, camera, seed, settings.config(camera), execution_mode, settings.dual
+    )
+
+
+def settings_yaml() -> str:
+    """All settings with their defaults as YAML, each with its description above it."""
+    lines = ["# Settings of the base; orb.n_features is 2000 for images wider than 640x480."]
+    lines += _described(SlamConfig(), 0)
+    lines += ["", "# Settings of Dual-SLAM.", f"{_DUAL}:", *_described(DualConfig(), 1)]
+    return "\n".join(lines) + "\n"
+
+
+def settings_schema() -> dict[str, Any]:
+    """The JSON Schema of a settings file."""
+    schema = _schema_of(SlamConfig())
+    schema["properties"][_DUAL] = _schema_of(DualConfig())
+    schema["properties"][_MODE] = {"enum": list(get_args(Mode)), "description": "how the stages share time"}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def descriptions(of: type) -> dict[str, str]:
+    """Descriptions of a settings class's fields, from the ``Attributes:`` sections of it and its bases."""
+    found: dict[str, str] = {}
+    for base in reversed(of.__mro__):
+        text = inspect.cleandoc(base.__doc__ or "")
+        _, _, section = text.partition("Attributes:\n")
+        for names, words in re.findall(r"(?m)^    ([\w, ]+): ((?:.|\n(?=     ))*)", section):
+            described = " ".join(words.split())
+            found |= {name.strip(): described for name in names.split(",")}
+    return found
+
+
+class _Located:
+    """Names the place of a setting in its file."""
+
+    def __init__(self, file: YamlFile) -> None:
+        self._file = file
+
+    def __call__(self, at: Location) -> str:
+        return self._file.where(at)
+
+
+def _unlocated(at: Location) -> str:
+    return ".".join(map(str, at))
+
+
+def _overlaid(default: Any, written: Any, at: Location, locate: Any, extra: tuple[str, ...] = ()) -> Any:
+    """A settings object with what is written in the place of its defaults."""
+    if not isinstance(written, Mapping):
+        raise InputError(locate(at), f"{written!r} is no mapping", "give fields with their values")
+    hints = get_type_hints(type(default))
+    known = [f.name for f in fields(default)]
+    changes = {}
+    for key, value in written.items():
+        if key not in known:
+            allowed = [*known, *extra]
+            remedy = f"use {guess(str(key), allowed)}one of {', '.join(allowed)}"
+            raise InputError(locate((*at, str(key))), "unknown key", remedy)
+        changes[key] = _value(getattr(default, key), value, hints[key], (*at, key), locate)
+    try:
+        return replace(default, **changes)
+    except ValueError as error:
+        raise InputError(locate(at), str(error), "see `dslab config show`") from None
+
+
+def _value(default: Any, written: Any, hint: Any, at: Location, locate: Any) -> Any:
+    if hint == tuple[ThreadSpec, ...]:
+        if not isinstance(written, list):
+            raise InputError(locate(at), f"{written!r} is no list", "give kinds, such as [orb, sift]")
+        return tuple(_thread(item, (*at, i), locate) for i, item in enumerate(written))
+    nested = next((t for t in _options(hint) if is_dataclass(t)), None)
+    if nested is None:
+        return _checked(written, hint, at, locate)
+    if written is None and NoneType in _options(hint):
+        return None
+    return _overlaid(default if is_dataclass(default) else nested(), written, at, locate)
+
+
+def _thread(written: Any, at: Location, locate: Any) -> ThreadSpec:
+    """A recovery thread: its kind, or a mapping of kind, seed and config."""
+    data = {"kind": written} if isinstance(written, str) else written
+    if not isinstance(data, Mapping) or "kind" not in data:
+        raise InputError(locate(at), f"{written!r} names no kind", "give a kind, or kind, seed and config")
+    unknown = [key for key in data if key not in ("kind", "seed", "config")]
+    if unknown:
+        raise InputError(locate((*at, str(unknown[0]))), "unknown key", "use kind, seed or config")
+    kind, kinds = str(data["kind"]), list(RECOVERY_KINDS)
+    if kind not in kinds:
+        remedy = f"use {guess(kind, kinds)}one of {', '.join(kinds)}"
+        raise InputError(locate((*at, "kind")), f"unknown recovery thread {kind!r}", remedy)
+    seed = _checked(data.get("seed", 0), int, (*at, "seed"), locate)
+    config = data.get("config")
+    if config is not None:
+        config = _overlaid(_thread_defaults(kind), config, (*at, "config"), locate)
+    return ThreadSpec(kind, seed, config)
+
+
+def _thread_defaults(kind: str) -> RecoveryConfig:
+    return getattr(RECOVERY_KINDS[kind](None), "config", None) or RecoveryConfig()
+
+
+def _checked(written: Any, hint: Any, at: Location, locate: Any) -> Any:
+    """A plain value of the right type; numbers are 0 or more."""
+    if written is None and hint is float:
+        return math.inf  # JSON has no infinity: a summary says null
+    value = tuple(written) if isinstance(written, list) else written
+    try:
+        value = TypeAdapter(hint).validate_python(value, strict=True)
+    except ValidationError as error:
+        fault = error.errors()[0]["msg"]
+        raise InputError(locate(at), f"{written!r} is not valid", fault[0].lower() + fault[1:]) from None
+    name = at[-1]
+    for number in value if isinstance(value, tuple) else (value,):
+        if isinstance(number, bool) or not isinstance(number, int | float):
+            continue
+        low = 1 if name in _ABOVE_ONE else 0
+        if not (number > low if name in _POSITIVE | _ABOVE_ONE else number >= low):
+            more = "more than" if name in _POSITIVE | _ABOVE_ONE else "at least"
+            raise InputError(locate(at), f"{written!r} is out of range", f"give {more} {low}")
+    return value
+
+
+def _options(hint: Any) -> tuple[Any, ...]:
+    return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+
+
+def _described(settings: Any, depth: int) -> Iterator[str]:
+    indent = "  " * depth
+    words = descriptions(type(settings))
+    for field in fields(settings):
+        value = getattr(settings, field.name)
+        if field.name in words:
+            yield f"{indent}# {words[field.name]}"
+        if is_dataclass(value):
+            yield f"{indent}{field.name}:"
+            yield from _described(value, depth + 1)
+        else:
+            yield f"{indent}{field.name}: {_flow(value)}"
+
+
+def _flow(value: Any) -> str:
+    if isinstance(value, tuple):
+        value = [item.kind if isinstance(item, ThreadSpec) else item for item in value]
+    return yaml.safe_dump(value, default_flow_style=True).strip().removesuffix("...").strip()
+
+
+def _schema_of(settings: Any) -> dict[str, Any]:
+    words = descriptions(type(settings))
+    hints = get_type_hints(type(settings))
+    properties = {}
+    for field in fields(settings):
+        value = getattr(settings, field.name)
+        hint = hints[field.name]
+        if is_dataclass(value):
+            node = _schema_of(value)
+            if NoneType in _options(hint):
+                node = {"anyOf": [node, {"type": "null"}]}
+        elif hint == tuple[ThreadSpec, ...]:
+            node = {"type": "array", "items": _thread_schema()}
+        else:
+            node = TypeAdapter(hint).json_schema()
+        if field.name in words:
+            node["description"] = words[field.name]
+        if not is_dataclass(value) and field.default is not MISSING:
+            node["default"] = (
+                [t.kind if isinstance(t, ThreadSpec) else t for t in value]
+                if isinstance(value, tuple)
+                else value
+            )
+        properties[field.name] = node
+    return {"type": "object", "properties": properties, "additionalProperties": False}
+
+
+def _thread_schema() -> dict[str, Any]:
+    whole = [
+        {
+            "type": "object",
+            "properties": {
+                "kind": {"const": kind},
+                "seed": {"type": "integer", "minimum": 0},
+                "config": {"anyOf": [_schema_of(_thread_defaults(kind)), {"type": "null"}]},
+            },
+            "required": ["kind"],
+            "additionalProperties": False,
+        }
+        for kind in RECOVERY_KINDS
+    ]
+    return {"anyOf": [{"enum": list(RECOVERY_KINDS)}, *whole]}

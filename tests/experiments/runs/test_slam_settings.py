@@ -1,0 +1,90 @@
+"""Settings from files: all described, nothing unknown accepted, a summary's own block accepted back."""
+
+import json
+import math
+from dataclasses import replace
+
+import jsonschema
+import pytest
+import yaml
+
+from experiments.runs.files import to_json
+from experiments.runs.slam_settings import factory_of, read_slam_settings, settings_schema, settings_yaml
+from scenarios.errors import InputError
+from slam.config import SlamConfig
+from slam.core.camera import PinholeCamera
+from slam.dual.config import DualConfig
+from slam.dual.recovery.orb import OrbRecoveryConfig
+from slam.dual.recovery.registry import ThreadSpec
+from slam.factory import build_system
+
+CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
+KITTI = PinholeCamera(1241, 376, 718.0, 718.0, 607.0, 185.0, 10.0)
+
+
+def read(tmp_path, text):
+    path = tmp_path / "slam.yaml"
+    path.write_text(text)
+    return read_slam_settings(path)
+
+
+def undescribed(schema, place=""):
+    for name, node in schema.get("properties", {}).items():
+        if "description" not in node and "properties" not in node and name not in ("kind", "seed", "config"):
+            yield f"{place}{name}"
+        for inner in (node, *node.get("anyOf", ()), *node.get("items", {}).get("anyOf", ())):
+            yield from undescribed(inner, f"{place}{name}.")
+
+
+def test_what_is_shown_is_the_defaults_and_valid(tmp_path):
+    settings = read(tmp_path, settings_yaml())
+    assert settings.config(CAMERA) == SlamConfig() and settings.dual == DualConfig()
+    jsonschema.validate(yaml.safe_load(settings_yaml()), settings_schema())
+
+
+def test_every_field_is_described():
+    assert list(undescribed(settings_schema())) == []
+
+
+def test_what_a_file_leaves_out_keeps_the_defaults_of_the_image_size(tmp_path):
+    settings = read(tmp_path, "tracking: {min_inliers: 40}\n")
+    assert settings.config(KITTI).orb.n_features == 2000 and settings.config(CAMERA).orb.n_features == 1000
+    assert settings.config(KITTI).tracking.min_inliers == 40 and settings.dual is None
+
+
+@pytest.mark.parametrize("kind", ["base", "dual+"])
+def test_the_block_of_a_summary_is_accepted_back(tmp_path, kind):
+    threads = (ThreadSpec("orb", 0, OrbRecoveryConfig(max_unusable_s=math.inf)), ThreadSpec("sift", 1))
+    config = replace(SlamConfig(), min_map_keyframes=7)
+    dual = DualConfig(threads=threads, place_merging=None)
+    system = build_system(kind, CAMERA, config=config, dual=dual)
+    again = read(tmp_path, to_json({"sequence": "x", "config": system.settings}))
+    assert again.config(CAMERA) == system.config and again.mode == "lockstep"
+    assert again.dual == (None if kind == "base" else dual)
+    assert factory_of(again)(kind, CAMERA, 0).settings == system.settings
+
+
+@pytest.mark.parametrize(
+    ("text", "where", "said"),
+    [
+        ("orb:\n  n_feature: 3\n", ":2: orb.n_feature", "n_features (did you mean that?)"),
+        ("orb: 3\n", ":1: orb", "is no mapping"),
+        ("tracking: {min_inliers: many}\n", ":1: tracking.min_inliers", "valid integer"),
+        ("orb: {n_features: 0}\n", ":1: orb.n_features", "give more than 0"),
+        ("dual: {threads: [orb, sfit]}\n", ":1: dual.threads[1].kind", "sift (did you mean that?)"),
+        ("dual:\n  threads:\n  - kind: sift\n    config: {contrst: 1}\n", ":4: ", "contrast (did you mean"),
+        ("mode: fast\n", ":1: mode", "'lockstep' or 'threaded'"),
+    ],
+)
+def test_a_fault_is_one_line_with_its_place(tmp_path, text, where, said):
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, text)
+    assert where in str(caught.value) and said in str(caught.value)
+
+
+def test_the_command_takes_the_settings(dslab, tmp_path):
+    code, out, _ = dslab("config", "schema")
+    assert code == 0 and "orb" in json.loads(out)["properties"]
+    (tmp_path / "bad.yaml").write_text("orbs: {}\n")
+    code, _, err = dslab("run", "clean-room", "--config", tmp_path / "bad.yaml", "--out", tmp_path / "o")
+    assert code == 2 and "orbs: unknown key" in err and not (tmp_path / "o").exists()

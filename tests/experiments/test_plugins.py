@@ -1,0 +1,34 @@
+"""Plugins are imported once per process, and one that fails is named."""
+
+import pytest
+
+from experiments.plugins import VARIABLE, load_plugins
+from scenarios.errors import InputError
+
+
+@pytest.fixture
+def plugin(tmp_path, monkeypatch):
+    """Makes a module the only plugin of a process that has loaded none."""
+
+    def made(name, text):
+        (tmp_path / f"{name}.py").write_text(text)
+        monkeypatch.syspath_prepend(tmp_path)
+        monkeypatch.setenv(VARIABLE, name)
+        load_plugins.cache_clear()
+
+    yield made
+    load_plugins.cache_clear()
+
+
+def test_a_module_named_in_the_environment_is_imported(plugin, tmp_path):
+    plugin("counting_plugin", f"open({str(tmp_path / 'seen')!r}, 'a').write('x')\n")
+    assert load_plugins()[-1] == "counting_plugin" and load_plugins()[-1] == "counting_plugin"
+    assert (tmp_path / "seen").read_text() == "x"
+
+
+def test_a_plugin_that_fails_is_one_line(plugin, dslab):
+    plugin("broken_plugin", "raise RuntimeError('no good')\n")
+    with pytest.raises(InputError, match=r"DSLAB_PLUGINS: broken_plugin: cannot be loaded .*no good"):
+        load_plugins()
+    code, _, err = dslab("scenarios", "list")
+    assert code == 2 and "broken_plugin" in err and len(err.strip().splitlines()) == 1
