@@ -6,7 +6,7 @@ import numpy as np
 
 from scenarios.seeds import rng_for
 from scenarios.worlds import FieldWorld
-from sim.worlds.assembly import assemble
+from sim.worlds.assembly import assemble_pieces
 from sim.worlds.base import Route, WorldModel
 from sim.worlds.country.farm import bale, barn, fence, fence_feet, field_wall, stone
 from sim.worlds.country.terrain import Relief, Tiling
@@ -57,7 +57,7 @@ def build_world(spec: FieldWorld, seed: int) -> WorldModel:
     sky = Sky(np.zeros(2), _SKY_M, "pasture", spec)
     pieces = Tiling(half, tiles, "pasture", _CLOSE_M, _CLOSE_DETAIL).pieces(relief, light) + things
     pieces += _surrounding_woods(half, relief, rng) + sky.pieces() + [sky.ridge(rng)]
-    return assemble(pieces, seed)
+    return assemble_pieces(pieces, seed)
 
 
 class _Farm:

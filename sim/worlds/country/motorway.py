@@ -6,7 +6,7 @@ import numpy as np
 
 from scenarios.seeds import rng_for
 from scenarios.worlds import MotorwayWorld
-from sim.worlds.assembly import assemble
+from sim.worlds.assembly import assemble_pieces
 from sim.worlds.base import Route, WorldModel
 from sim.worlds.country.roadworks import bridge, gantry, guard_rail, noise_wall
 from sim.worlds.geometry.meshes import Mesh, Piece
@@ -71,7 +71,7 @@ def build_world(spec: MotorwayWorld, seed: int) -> WorldModel:
     middle, reach = line.mean(axis=0), float(np.linalg.norm(np.ptp(line, axis=0)))
     sky = Sky(middle, reach + _SKY_BEYOND_M, "verge", spec)
     # Rails, posts and far markings are thinner than a pixel; with one sample each they would flicker.
-    return replace(assemble([*pieces, *sky.pieces(), sky.ridge(rng)], seed), samples=4)
+    return replace(assemble_pieces([*pieces, *sky.pieces(), sky.ridge(rng)], seed), samples=4)
 
 
 def _stations(spec: MotorwayWorld) -> np.ndarray:

@@ -6,9 +6,8 @@ import numpy as np
 
 from scenarios.seeds import rng_for
 from scenarios.worlds import BuildingWorld
-from sim.worlds.assembly import assemble
+from sim.worlds.assembly import Lighting, assemble_panels, assemble_pieces
 from sim.worlds.base import Route, WorldModel
-from sim.worlds.build import Lighting, build
 from sim.worlds.geometry.atlas import gathered
 from sim.worlds.geometry.panels import Panel
 from sim.worlds.geometry.route import arc_length
@@ -57,9 +56,11 @@ def build_world(spec: BuildingWorld, seed: int) -> WorldModel:
     )
     seen = np.flatnonzero(np.isfinite(distance_m))
     detail = np.minimum(_FINEST, _FINEST_AT_M / np.maximum(distance_m[seen], 1e-6))
-    flat = build([_grown(panels[k]) for k in seen], _BuildingLight(lights, stairwells), seed, detail)
+    flat = assemble_panels(
+        [_grown(panels[k]) for k in seen], _BuildingLight(lights, stairwells), seed, detail
+    )
     pieces = [piece for stairs in plan.stairs for piece in stair_pieces(stairs)]
-    shaped = assemble([replace(piece, gain=stairwells.piece_gain(piece)) for piece in pieces], seed)
+    shaped = assemble_pieces([replace(piece, gain=stairwells.piece_gain(piece)) for piece in pieces], seed)
     surfaces = gathered([*flat.surfaces, *shaped.surfaces], (*_CELL_M, spec.storey_m), _SMALL_PX)
     return WorldModel(surfaces, flat.mean_level, np.ones(len(surfaces)))
 

@@ -8,8 +8,8 @@ import numpy as np
 from scenarios.errors import InputError
 from scenarios.seeds import rng_for
 from scenarios.spec import CorridorWorld
+from sim.worlds.assembly import assemble_panels
 from sim.worlds.base import Route, WorldModel
-from sim.worlds.build import build
 from sim.worlds.geometry.panels import Box, Fitting, Panel, slab, wall
 from sim.worlds.geometry.route import rounded
 from sim.worlds.indoor.light import Light, lamp_boxes
@@ -96,7 +96,9 @@ def build_world(spec: CorridorWorld, seed: int) -> WorldModel:
         footprints += [piece.outline() for piece in boxes if piece.low[2] == 0]
         lamps.append(spots)
     panels += _end_walls(spec, legs, rng)
-    return build(panels, Light(np.concatenate(lamps), np.concatenate(footprints), spec.height_m), seed)
+    return assemble_panels(
+        panels, Light(np.concatenate(lamps), np.concatenate(footprints), spec.height_m), seed
+    )
 
 
 def _longest_reach(spec: CorridorWorld) -> float:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.worlds.build import Lighting
+from sim.worlds.assembly import Lighting
 from sim.worlds.geometry.panels import Box, Fitting, Panel, slab, wall
 from sim.worlds.indoor.building_light import Lamplight
 from sim.worlds.indoor.building_plan import WALL_M

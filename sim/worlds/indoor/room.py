@@ -4,8 +4,8 @@ import numpy as np
 
 from scenarios.seeds import rng_for
 from scenarios.spec import RoomWorld
+from sim.worlds.assembly import assemble_panels
 from sim.worlds.base import Route, WorldModel
-from sim.worlds.build import build
 from sim.worlds.geometry.panels import Box, Panel, slab, wall
 from sim.worlds.geometry.route import rounded
 from sim.worlds.indoor.light import Light, lamp_boxes
@@ -44,7 +44,7 @@ def build_world(spec: RoomWorld, seed: int) -> WorldModel:
     for piece in furniture + lamp_boxes(lamps, spec.height_m, (1.0, 0.0)):
         panels += piece.panels()
     footprints = np.concatenate([sides, *(piece.outline() for piece in furniture if piece.low[2] == 0)])
-    return build(panels, Light(lamps, footprints, spec.height_m), seed)
+    return assemble_panels(panels, Light(lamps, footprints, spec.height_m), seed)
 
 
 def _half(spec: RoomWorld) -> np.ndarray:

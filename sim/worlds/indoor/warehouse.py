@@ -4,7 +4,7 @@ import numpy as np
 
 from scenarios.seeds import rng_for
 from scenarios.worlds import WarehouseWorld
-from sim.worlds.assembly import assemble
+from sim.worlds.assembly import assemble_pieces
 from sim.worlds.base import Route, WorldModel
 from sim.worlds.geometry.meshes import Mesh, Piece
 from sim.worlds.geometry.panels import Panel, slab, wall
@@ -45,7 +45,7 @@ def build_world(spec: WarehouseWorld, seed: int) -> WorldModel:
                 label = f"rack {row},{side:+.0f},{bay}"
                 pieces.append(_bay((low, high), front, side, spec.height_m, label, rng))
     pieces += [_piece(panel, spec.height_m) for panel in _shell(spec)]
-    return assemble(pieces, seed)
+    return assemble_pieces(pieces, seed)
 
 
 def _aisle_middles(spec: WarehouseWorld) -> np.ndarray:

@@ -4,7 +4,7 @@ import numpy as np
 
 from scenarios.seeds import rng_for
 from scenarios.worlds import CityWorld
-from sim.worlds.assembly import assemble
+from sim.worlds.assembly import assemble_pieces
 from sim.worlds.base import Route, WorldModel
 from sim.worlds.geometry.meshes import Piece
 from sim.worlds.geometry.outdoor import Daylight, Sky
@@ -54,7 +54,7 @@ def build_world(spec: CityWorld, seed: int) -> WorldModel:
         pieces += house.pieces(light)
     reach = float(np.linalg.norm(high - low)) / 2
     pieces += Sky((low + high) / 2, reach + _SKY_BEYOND_M, "meadow", spec).pieces()
-    return assemble(pieces, seed)
+    return assemble_pieces(pieces, seed)
 
 
 def _lane(plan: Plan) -> np.ndarray:
