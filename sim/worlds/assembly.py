@@ -87,7 +87,7 @@ def _world(surfaces: list[Surface]) -> WorldModel:
 
 
 def _texture(piece: Piece, scale: float, seed: int, drawings: dict[str, np.ndarray]) -> np.ndarray:
-    """Return the piece's unlit texture; a sheet that pieces share is drawn once and kept in ``drawings``."""
+    """The piece's unlit texture; ``drawings`` keeps sheets that pieces share."""
     finish, sheet = PIECE_FINISHES[piece.finish], piece.part_of
     if sheet is None:
         return draw(finish, piece.size_m, scale, rng_for(seed, "world", "piece", piece.label))

@@ -1,4 +1,4 @@
-"""A furnished room: furniture along the walls, an island in the middle, a ring to walk between them."""
+"""A furnished room: furniture at the walls, an island, and a walkable ring between."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ _FURNITURE = ("bookshelf", "cabinet", "machine", "crate")
 
 
 def layout(spec: RoomWorld, seed: int) -> Route:
-    """The closed ring between the furniture at the walls and the island; the same for every seed."""
+    """Route around the island, between it and the furniture at the walls, for every seed."""
     del seed
     x, y = _half(spec) - _furniture_depth(spec) - _ring_width(spec) / 2
     corners = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
@@ -85,7 +85,7 @@ def _along_walls(spec: RoomWorld, rng: np.random.Generator) -> list[Box]:
 
 
 def _island(spec: RoomWorld, rng: np.random.Generator) -> list[Box]:
-    """Furniture on a grid in the middle of the room, some of it with a crate on top."""
+    """Furniture on a grid in the middle of the room, some with a crate on top."""
     reach = _half(spec) - _furniture_depth(spec) - _ring_width(spec)
     cells = np.maximum(1, np.floor(2 * reach / 1.4)).astype(int)
     size = 2 * reach / cells

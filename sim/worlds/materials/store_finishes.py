@@ -1,4 +1,4 @@
-"""A warehouse: goods on racks, a floor with markings, cladding and a roof with trusses and skylights."""
+"""Finishes of a warehouse: racks with goods, floor, cladding, roof."""
 
 import cv2
 import numpy as np
@@ -12,7 +12,7 @@ RACK_CELLS = (4, 5)
 
 
 def rack(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """A sheet of different crates, and painted steel with holes and labels in its last row."""
+    """A sheet of different crates, with painted steel in its last row."""
     columns, rows = RACK_CELLS
     high, wide = image.shape[0] // rows, image.shape[1] // columns
     for row in range(rows - 1):

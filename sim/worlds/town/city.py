@@ -47,7 +47,7 @@ def build_world(spec: CityWorld, seed: int) -> WorldModel:
     things = [(street, roadside(plan, street, light, rng)) for street in plan.streets]
     pieces: list[Piece] = []
     for street, standing in things:
-        # Street by street: neighbours in the list are neighbours in space, so a renderer can skip the hidden.
+        # Street by street: neighbours in the list are neighbours in space, so a renderer can cull them.
         pieces += carriageways(plan, street, light) + pavements(plan, street, light)
         pieces += standing
     for house in houses:
@@ -58,7 +58,7 @@ def build_world(spec: CityWorld, seed: int) -> WorldModel:
 
 
 def _lane(plan: Plan) -> np.ndarray:
-    """(M, 2) corners of the route, moved from the middle of the streets into the right-hand lane."""
+    """(M, 2) corners of the route, moved from the street's middle into the right lane."""
     corners = plan.corners
     closed = np.vstack([corners[-1:], corners, corners[:1]]) if plan.closed else corners
     ways = np.diff(closed, axis=0)
