@@ -206,7 +206,7 @@ def _members(file: YamlFile) -> tuple[str, ...]:
         return ()
     members = file.data[MEMBERS]
     if not isinstance(members, dict) or not members:
-        raise InputError(file.where((MEMBERS,)), "holds no members", "map an id to what it says differently")
+        raise InputError(file.where((MEMBERS,)), "holds no members", "map each id to its own fields")
     for member_id, overrides in members.items():
         at: Location = (MEMBERS, str(member_id))
         if not isinstance(member_id, str):

@@ -265,7 +265,7 @@ def expose_frames(
             grays.append(chain.apply(noise.apply(image, frame), index, (Stage.ENCODER,)))
             if depths:
                 depths.append(depth_m)
-            progress("filming", index + 1, count)
+            progress("exposing", index + 1, count)
     return blur_px
 
 

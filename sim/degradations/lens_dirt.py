@@ -8,7 +8,7 @@ import numpy as np
 from scenarios.segments import LensDirt
 from sim.degradations.base import Stage
 from sim.degradations.image import Filter, ImageDegradation, Streams, View
-from sim.degradations.sprites import felt_share, fill_share, filled, smooth_outline
+from sim.degradations.sprites import acting_share, fill_share, filled, smooth_outline
 from sim.degradations.tone import decode, encode
 from sim.sensors.camera import Intrinsics
 
@@ -51,7 +51,7 @@ class LensDirtDegradation(ImageDegradation[LensDirt]):
 
     def threshold(self, segment: LensDirt) -> float:
         """A tenth of the view, or half of a smaller share."""
-        return felt_share(segment.share)
+        return acting_share(segment.share)
 
 
 def dirt_cover(segment: LensDirt, camera: Intrinsics, rng: np.random.Generator) -> np.ndarray:

@@ -9,12 +9,12 @@ from scenarios.segments import MovingObjects
 from sim.degradations.base import Stage
 from sim.degradations.image import Filter, ImageDegradation, Streams, View
 from sim.degradations.passers_by import CAR_M, PERSON_M, POSES, VAN_M, person, vehicle
-from sim.degradations.sprites import Sprite, draw_behind, felt_share, fill_share
+from sim.degradations.sprites import Sprite, acting_share, draw_behind, fill_share
 from sim.sensors.camera import Intrinsics
 
 _SPEEDS = (0.6, 1.4)  # of the stated rate
 _MOST = 400
-_PEOPLE, _CARS = 0.7, 0.9  # shares of people and of cars among all
+_PEOPLE, _CARS = 0.7, 0.9  # cumulative shares of people and of cars
 # Image heights of a person: the first are far away, later ones nearer.
 _FARTHEST, _NEARER, _NEAREST = 0.4, 1.08, 2.0
 _VEHICLE = 0.28  # scale of a vehicle relative to a person's, since vehicles pass farther away
@@ -81,7 +81,7 @@ class MovingObjectsDegradation(ImageDegradation[MovingObjects]):
 
     def threshold(self, segment: MovingObjects) -> float:
         """A tenth of the view, or half of a smaller share."""
-        return felt_share(segment.share)
+        return acting_share(segment.share)
 
 
 def _crowd(

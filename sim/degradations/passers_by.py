@@ -50,7 +50,7 @@ _VAN_WINDOWS = [
     [(3.9, 1.4), (3.9, 1.6), (3.9, 2.1), (4.1, 2.12), (4.35, 2.1), (4.75, 1.5), (4.8, 1.4), (4.4, 1.38)]
 ]
 PERSON_M, CAR_M, VAN_M = 1.75, 1.5, 2.5
-"""Heights of people and vehicles, metres."""
+"""Heights of the sprites, metres."""
 
 Paint = Callable[[np.ndarray, np.ndarray], None]
 """Paints (h, w) gray levels of a cloth over an (h, w) cover."""

@@ -59,7 +59,7 @@ class _Rain:
         self._field = RainField.drawn(rate, wind_mps, streams("air")) if rate > 0 else None
         times_s = (segment.start_s - segment.wet_s, segment.end_s)
         self._glass = (
-            WetGlass.rained_on(camera, segment.glass_mm, rate, segment.wind_mps, times_s, streams("glass"))
+            WetGlass.from_rain(camera, segment.glass_mm, rate, segment.wind_mps, times_s, streams("glass"))
             if rate > 0 and segment.glass_mm > 0
             else None
         )
@@ -78,7 +78,7 @@ class _Rain:
         light = gray + passing * (light - gray)
         if self._glass is not None:
             drops = self._glass.drops_px(self._camera, view.stamp_s, rate_mmph)
-            cover, through = self._glass.looked_through(light, drops, self._camera)
+            cover, through = self._glass.rendered(light, drops, self._camera)
             light += cover * (through - light)
             passing *= 1 - cover
         return encode(light), 1 - float(cv2.mean(passing)[0])

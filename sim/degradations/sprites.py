@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 _CUTS = 3
-_FELT_SHARE = 0.1  # of the view
+_ACTING_SHARE = 0.1  # of the view
 
 
 @dataclass(frozen=True)
@@ -57,9 +57,9 @@ def fill_share(share: float, draw_next: Callable[[], float], most: int) -> np.nd
     return np.array(shares)
 
 
-def felt_share(share: float) -> float:
+def acting_share(share: float) -> float:
     """Threshold of a view share: a tenth, or half of a smaller share."""
-    return min(_FELT_SHARE, share / 2)
+    return min(_ACTING_SHARE, share / 2)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -43,7 +43,7 @@ class WetGlass:
     glass_mm: float
 
     @classmethod
-    def rained_on(
+    def from_rain(
         cls,
         camera: Intrinsics,
         glass_mm: float,
@@ -79,7 +79,7 @@ class WetGlass:
         drops = np.column_stack([place, radius_mm * px_per_mm[0]])[volume > 0]
         return drops[drops[:, 1] - 2 * drops[:, 2] < camera.height_px].astype(np.float32)
 
-    def looked_through(
+    def rendered(
         self, light: np.ndarray, drops: np.ndarray, camera: Intrinsics
     ) -> tuple[np.ndarray, np.ndarray]:
         """Render the drops as a camera sees them.

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from scenarios.errors import InputError
 from sim.sensors.camera import Intrinsics
 from sim.worlds.base import Surface, WorldModel
 
@@ -22,15 +23,21 @@ class Frustum:
     far_m: float
 
     @classmethod
-    def of(cls, c: Intrinsics, far_m: float) -> "Frustum":
-        """Frustum of a camera; GL's edges are half a pixel outside the outermost pixel centres."""
+    def of(cls, c: Intrinsics, world: WorldModel) -> "Frustum":
+        """Frustum of a camera in a world; GL's edges are half a pixel outside the outermost centres.
+
+        Raises:
+            InputError: the camera has distortion.
+        """
+        if any(c.distortion):
+            raise InputError("camera: distortion", "the renderer has no lens distortion", "set it to zero")
         return cls(
             left=(-0.5 - c.cx) / c.fx,
             right=(c.width_px - 0.5 - c.cx) / c.fx,
             top=(0.5 + c.cy) / c.fy,
             bottom=(0.5 + c.cy - c.height_px) / c.fy,
             near_m=NEAR_M,
-            far_m=far_m,
+            far_m=far_plane(world),
         )
 
     def misses(self, corners: np.ndarray) -> bool:

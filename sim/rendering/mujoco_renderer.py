@@ -14,7 +14,7 @@ import numpy as np
 
 from scenarios.errors import InputError
 from sim.rendering.compositing import metric_depth, put_nearer
-from sim.rendering.frustum import Frustum, bounding_balls, far_plane
+from sim.rendering.frustum import Frustum, bounding_balls
 from sim.rendering.gl_context import gl_info, shared_context
 from sim.sensors.camera import Intrinsics
 from sim.worlds.base import Surface, WorldModel, faded_texture
@@ -40,10 +40,8 @@ class MujocoRenderer:
     """
 
     def __init__(self, world: WorldModel, camera: Intrinsics) -> None:
-        if any(camera.distortion):
-            raise InputError("camera: distortion", "the renderer has no lens distortion", "set it to zero")
         self._shape = (camera.height_px, camera.width_px)
-        self._frustum = Frustum.of(camera, far_plane(world))
+        self._frustum = Frustum.of(camera, world)
         self._context = shared_context()
         self._gl_renderer = gl_info()["renderer"]
         starts = range(0, len(world.surfaces), MOST_SURFACES)

@@ -6,8 +6,7 @@ less than a millimetre within 30 m. It takes one sample per pixel, even if a wor
 
 import numpy as np
 
-from scenarios.errors import InputError
-from sim.rendering.frustum import NEAR_M, Frustum, bounding_balls, far_plane
+from sim.rendering.frustum import NEAR_M, Frustum, bounding_balls
 from sim.rendering.gl_context import gl_info
 from sim.rendering.pyrender_pass import Pass
 from sim.sensors.camera import Intrinsics
@@ -31,10 +30,8 @@ class PyrenderRenderer:
     """
 
     def __init__(self, world: WorldModel, camera: Intrinsics) -> None:
-        if any(camera.distortion):
-            raise InputError("camera: distortion", "the renderer has no lens distortion", "set it to zero")
+        self._frustum = Frustum.of(camera, world)
         self._gl_renderer = gl_info()["renderer"]
-        self._frustum = Frustum.of(camera, far_plane(world))
         self._centres, self._radii_m = bounding_balls(world.surfaces)
         contrast = world.contrast if len(world.contrast) else np.ones(len(world.surfaces))
         self._scene = pyrender.Scene(bg_color=np.zeros(4))

@@ -48,7 +48,7 @@ def test_bad_notation_names_its_place(tmp_path, old, new, expected):
         ("start_s: 4", "start_s: {uniform: [39.5, 60]}", ["ends after the sequence", "drawn with seed 0"]),
     ],
 )  # fmt: skip
-def test_a_sample_that_is_not_valid_names_family_seed_and_field(tmp_path, old, new, expected):
+def test_an_invalid_sample_names_family_seed_and_field(tmp_path, old, new, expected):
     assert old in FAMILY
     line = fault(tmp_path, FAMILY.replace(old, new, 1))
     for part in expected:
@@ -75,7 +75,7 @@ def test_members_without_content_are_reported(tmp_path):
         assert ":5: members: holds no members" in fault(tmp_path, head + members + "\n", seeds=0)
 
 
-def test_a_fault_of_a_member_names_the_line_that_says_it(tmp_path):
+def test_a_fault_of_a_member_names_its_line(tmp_path):
     own = fault(tmp_path, MEMBERS.replace("turns: 0", "turns: -1"), member="straight")
     assert ":6: world.turns:" in own and "trial/straight" in own
     inherited = fault(tmp_path, MEMBERS.replace("[30, 60]", "[3, 7]"), member="straight")

@@ -57,6 +57,6 @@ def test_a_seed_gives_one_scenario_which_survives_being_written(seed, tmp_path):
     assert random_scenario(seed) != random_scenario(seed + 1)
 
 
-def test_their_worlds_fit():
+def test_random_worlds_fit():
     for s in DRAWN[:20]:
         layout(s.world, s.seed)  # raises where the world's sizes do not fit together

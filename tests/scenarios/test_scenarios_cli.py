@@ -12,7 +12,7 @@ from scenarios.loading import load_scenario
 from scenarios.spec import Scenario
 
 
-def test_the_list_has_every_family_its_members_and_what_is_drawn(dslab, monkeypatch):
+def test_the_list_has_every_family_with_members_and_draws(dslab, monkeypatch):
     monkeypatch.setenv("COLUMNS", "160")
     code, out, _ = dslab("scenarios", "list")
     assert code == 0

@@ -9,7 +9,7 @@ from sim.preview import preview
 from sim.sequence_rendering import render_sequence
 
 CAMERA = {"width_px": 128, "height_px": 96, "fx_px": 90, "fy_px": 90, "cx_px": 63.5, "cy_px": 47.5, "fps": 10}
-SEGMENT_S, EVERY_S = 0.4, 0.6
+SEGMENT_S, EVERY_S = 0.7, 0.9
 
 
 def with_segments(kinds: list[str], camera: dict) -> Scenario:
@@ -21,7 +21,7 @@ def with_segments(kinds: list[str], camera: dict) -> Scenario:
             "start_s": round(0.5 + EVERY_S * k, 3),
             "duration_s": SEGMENT_S,
             **DEGRADATIONS[kind].sample(rng),
-            **({"ramp_s": 0.1} if kind in IMAGE_KINDS else {}),
+            **({"ramp_s": 0.2} if kind in IMAGE_KINDS else {}),
         }
         for k, kind in enumerate(kinds)
     ]

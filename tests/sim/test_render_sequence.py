@@ -125,12 +125,12 @@ def test_the_frame_shows_the_true_pose_at_the_centre_of_its_exposure(rendered):
 
 
 def test_a_second_call_takes_the_frames_from_the_cache(tmp_path, rendered):
-    def nobody(*_):
+    def forbidden(*_):
         raise AssertionError("rendered again")
 
     steps: list[str] = []
     again = render_sequence(
-        SCENARIO, 1, cache_dir=tmp_path / "cache", backend=replace(fake_backend(), renderer=nobody),
+        SCENARIO, 1, cache_dir=tmp_path / "cache", backend=replace(fake_backend(), renderer=forbidden),
         progress=lambda step, done, total: steps.append(step),
     )  # fmt: skip
     assert digest(again) == digest(rendered)

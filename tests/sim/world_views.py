@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from itertools import pairwise
 
 import cv2
@@ -19,7 +20,8 @@ from scenarios.worlds import (
 )
 from sim.rendering.renderer import Renderer
 from sim.sensors.camera import Intrinsics
-from sim.worlds.base import Route
+from sim.worlds import build_world
+from sim.worlds.base import Route, WorldModel
 from sim.worlds.geometry.route import arc_length
 
 CAMERA = Intrinsics(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
@@ -46,6 +48,13 @@ def cheap_textures() -> Iterator[None]:
         patch.setattr("sim.worlds.assembly.draw", tiny)
         patch.setattr("sim.worlds.indoor.light.Light.gain", lambda *_: np.ones((2, 2), np.float32))
         yield
+
+
+@cache
+def cheap_world(kind: str, seed: int) -> WorldModel:
+    """The small world of a kind with ``cheap_textures``."""
+    with cheap_textures():
+        return build_world(SMALL[kind], seed)
 
 
 def length(route: Route) -> float:

@@ -9,7 +9,7 @@ from sim.worlds.geometry.panels import Box, Panel
 _GRID_M = 0.08  # spacing of the light samples on a panel
 _LAMP_SIZE_M = (1.2, 0.3, 0.06)
 _LAMP_DROP_M = 0.15  # lamps are slightly below the ceiling, which would get no light otherwise
-_LAMPS_FELT = 6  # nearest lamps that light a panel
+_NEAREST_LAMPS = 6  # nearest lamps that light a panel
 _DARKEST, _BRIGHTEST = 0.55, 1.3
 _EDGE_DEPTH, _EDGE_REACH_M = 0.35, 0.3
 
@@ -40,7 +40,7 @@ class Light:
     def _lamp_light(self, points: np.ndarray, normal: np.ndarray) -> np.ndarray:
         """Lambert's law summed over the nearest lamps, compressed, about 1 in mid-room."""
         middle = points.reshape(-1, 3)[:, :2].mean(axis=0)
-        nearest = np.argsort(np.linalg.norm(self.lamps - middle, axis=1), kind="stable")[:_LAMPS_FELT]
+        nearest = np.argsort(np.linalg.norm(self.lamps - middle, axis=1), kind="stable")[:_NEAREST_LAMPS]
         total = np.zeros(points.shape[:2])
         for lamp in self.lamps[nearest]:
             way = np.append(lamp, self.height_m - _LAMP_DROP_M) - points

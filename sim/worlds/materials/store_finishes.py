@@ -32,7 +32,7 @@ def rack(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
 
 
 def floor(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """Polished concrete: joints, tyre marks, chips, a painted lane line, a number now and then."""
+    """Polished concrete: joints, tyre marks, chips, a painted lane line, some numbers."""
     add_noise(image, rng, 8, 0.7)
     motifs.stains(image, scale, rng, 0.25)
     dead_leaves(image, scale, rng, 7, (0.012, 0.07), (75, 185))

@@ -129,7 +129,7 @@ def test_the_noise_table_is_its_formula():
         assert table[level, code] == pytest.approx(expected, abs=0.7)
 
 
-def test_fog_takes_and_gives_light_by_koschmieders_law():
+def test_fog_follows_koschmieders_law():
     depth_m = np.full((120, 160), 3.0, np.float32)
     depth_m[:, 80:] = 0
     fog = make("fog", extinction_per_m=0.5, airlight_level=180)
@@ -144,7 +144,7 @@ def test_fog_takes_and_gives_light_by_koschmieders_law():
 
 
 @pytest.mark.parametrize("share", [0.1, 0.9])
-def test_dirt_covers_its_share_stays_and_grows_with_it(share):
+def test_dirt_covers_its_share_and_stays_in_place(share):
     dirty, image = make("lens_dirt", share=share), texture(3)
     out, measured = dirty(image, at())
     assert measured == pytest.approx(share, abs=0.05)
@@ -182,7 +182,7 @@ def test_jpeg_is_the_encoder_of_its_quality():
 
 
 @pytest.mark.parametrize("kind", IMAGE_KINDS)
-def test_the_given_image_and_depth_stay_as_they_are(kind):
+def test_the_given_image_and_depth_stay_unchanged(kind):
     strong = IMAGE_KINDS[kind].sample(np.random.default_rng(1))
     motion = plan_path(small_scenario("room"), 1, small_backend())
     image, depth_m = texture(), np.full((120, 160), 2.0, np.float32)

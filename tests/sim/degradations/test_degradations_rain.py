@@ -77,7 +77,7 @@ def test_a_streak_has_the_length_of_the_fall_and_the_light_of_the_drop(exposure_
     assert share.sum() == pytest.approx(np.pi / 4 * size_px**2, rel=0.15)
 
 
-def test_a_drop_is_hidden_by_what_is_nearer():
+def test_a_drop_is_hidden_by_nearer_surfaces():
     field = one_drop((0.0, 1.5, 0.0))
     assert withheld(field, 0.0, 0.01, np.full_like(NO_DEPTH, 1.4)).max() == 0
     assert withheld(field, 0.0, 0.01, np.full_like(NO_DEPTH, 1.6)).max() > 0
@@ -123,7 +123,7 @@ def test_longer_views_see_less_through_rain():
 
 def glass(rate: float = 100.0, until_s: float = 30.0) -> WetGlass:
     rng = np.random.default_rng(2)
-    return WetGlass.rained_on(CAMERA, 30.0, rate, 3.0, (0.0, until_s), rng)
+    return WetGlass.from_rain(CAMERA, 30.0, rate, 3.0, (0.0, until_s), rng)
 
 
 def test_drops_on_the_glass_stay_grow_and_run_down_when_too_heavy():

@@ -33,7 +33,7 @@ def apply(plan: FramePlan, segment) -> FramePlan:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
-def test_the_share_of_the_frames_is_missing_and_the_others_keep_their_numbers(plan, share):
+def test_the_share_of_frames_is_dropped_and_the_others_keep_their_numbers(plan, share):
     segment = FrameDrops(kind="frame_drops", share=share, **TIMES)
     dropped = apply(plan, segment)
     assert 150 - len(dropped.frame) == round(share * 29)

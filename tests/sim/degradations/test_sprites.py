@@ -37,7 +37,7 @@ def test_drawing_agrees_with_python(left, top, scale):
     np.testing.assert_allclose(open_share, expected[1], atol=1e-5)
 
 
-def test_what_is_drawn_first_hides_what_follows():
+def test_earlier_sprites_hide_later_ones():
     light, open_share = np.zeros((30, 40), np.float32), np.ones((30, 40), np.float32)
     whole = np.full((10, 10), 255, np.uint8)
     for level in (200, 50):

@@ -51,7 +51,7 @@ def check_same(read, written) -> None:
     [(make_sequence().camera, make_imu()), (FISHEYE, None)],
     ids=["radtan, with imu", "equidistant, camera only"],
 )
-def test_what_is_written_is_read_back(tmp_path, lens, imu):
+def test_a_written_sequence_is_read_back(tmp_path, lens, imu):
     written = replace(make_sequence(), camera=lens)
     write_sequence(written, tmp_path / "seq", Form.EUROC, imu)
     assert detect_form(tmp_path / "seq") is Form.EUROC
@@ -76,7 +76,7 @@ def test_without_inertial_readings_there_are_none(tmp_path):
     assert len((tmp_path / "seq" / TRUTH).read_text().splitlines()[1].split(",")) == 8
 
 
-def test_the_truth_is_the_body_s_in_the_data_set_s_order(folder):
+def test_the_truth_is_the_body_s_in_the_order_of_the_data_set(folder):
     row = np.array((folder / TRUTH).read_text().splitlines()[3].split(","), float)
     sequence, (readings, truth) = make_sequence(), make_imu()
     T_world_imu = sequence.T_world_cam[2] @ readings.model.T_cam_imu

@@ -18,7 +18,7 @@ def folder(tmp_path) -> Path:
     return tmp_path / "seq"
 
 
-def test_what_is_written_is_read_back(folder):
+def test_a_written_sequence_is_read_back(folder):
     written, read = make_sequence(), load_sequence(folder)
     assert detect_form(folder) is Form.KITTI
     assert read.camera == PINHOLE
@@ -62,7 +62,7 @@ def test_poses_are_found_where_the_data_set_has_them(folder, tmp_path):
     assert load_sequence(home).T_world_cam is None
 
 
-def test_what_the_form_cannot_hold_is_refused(tmp_path):
+def test_a_sequence_beyond_the_form_is_refused(tmp_path):
     with pytest.raises(InputError, match="rectified images; use tum or euroc"):
         write_sequence(make_sequence(), tmp_path / "seq", Form.KITTI)
     sequence = replace(make_sequence(), camera=PINHOLE)

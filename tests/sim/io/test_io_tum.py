@@ -23,7 +23,7 @@ def folder(tmp_path) -> Path:
     return tmp_path / "seq"
 
 
-def test_what_is_written_is_read_back(folder):
+def test_a_written_sequence_is_read_back(folder):
     written, read = make_sequence(), load_sequence(folder)
     assert read.name == "trial"
     assert read.camera == written.camera

@@ -50,7 +50,7 @@ def folder(tmp_path) -> Path:
     return home
 
 
-def test_frames_are_the_light_seen_by_the_pinhole_camera(folder):
+def test_frames_show_the_light_of_the_pinhole_camera(folder):
     assert detect_form(folder) is Form.TUM_MONO
     sequence = load_sequence(folder)
     camera = sequence.camera
@@ -124,7 +124,7 @@ def test_a_stated_rectification_is_used(folder):
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((32, 31.8, 39.5, 29.5))
 
 
-def test_it_is_written_in_other_forms_only(folder, tmp_path):
+def test_tum_mono_is_written_only_in_other_forms(folder, tmp_path):
     sequence = load_sequence(folder)
     with pytest.raises(InputError, match="read, not written"):
         write_sequence(sequence, tmp_path / "out", Form.TUM_MONO)

@@ -25,7 +25,7 @@ from sim.worlds.base import Surface, WorldModel
 CAMERA = Intrinsics(200, 150, 151.0, 163.0, 91.3, 80.7, 30.0)
 FRAMES = 6
 WORLDS = {
-    "room": ("clean-room", {}),
+    "room": ("clean-room", {"length_m": 7.0, "width_m": 6.0}),
     "corridor": ("clean-corridor", {"length_m": 20.0, "turns": 1}),
     "city": ("clean-city", {"length_m": 120.0, "turns": 0}),
 }

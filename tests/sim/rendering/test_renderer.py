@@ -241,6 +241,7 @@ digest = hashlib.sha256(gray.tobytes() + depth.tobytes()).hexdigest()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RENDERERS)
 def test_another_process_renders_the_same_bytes(name):
     here: dict = {"name": name}

@@ -126,7 +126,7 @@ def test_the_kernel_agrees_with_numpy(px):
     np.testing.assert_allclose(on_grid, length[::16, ::16].ravel(), rtol=1e-3, atol=1e-3)
 
 
-def test_light_is_summed_and_not_levels():
+def test_linear_light_is_summed():
     """Half black, half white over the exposure is half the light: level 188, not 128."""
     stripes = np.where(np.arange(320) // 16 % 2, 255, 0).astype(np.uint8)
     gray = np.tile(stripes, (240, 1))

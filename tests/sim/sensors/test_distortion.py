@@ -200,7 +200,7 @@ def test_labels_are_those_of_the_nearest_pixel():
     assert made[0].closed
 
 
-def test_where_the_lens_squeezes_fine_texture_averages_instead_of_aliasing():
+def test_fine_texture_is_averaged_where_the_lens_compresses_it():
     camera = LENSES["fisheye"]
     lens = Lens(camera)
     shape = (lens.ideal.height_px, lens.ideal.width_px)

@@ -236,7 +236,7 @@ class TestStoreys:
         assert not plan_storey(plan, False, rng_for(0, "storey")).rooms
 
 
-def test_gathered_surfaces_look_as_before():
+def test_joined_surfaces_look_as_before():
     rng = np.random.default_rng(0)
     panels = [
         wall([k, 0.0], [k + 0.8, 0.0], (0, 1 + 0.1 * k), "brick", f"wall {k}", np.inf)[0] for k in range(9)
@@ -257,7 +257,7 @@ def test_gathered_surfaces_look_as_before():
     assert np.abs(frames[0][0].astype(int) - frames[1][0])[inside].mean() < 3.0
 
 
-def test_a_lamp_lights_what_is_near_and_faces_it():
+def test_a_lamp_lights_near_walls_that_face_it():
     light = Lamplight(np.array([[0.0, 0.0, 2.5]]))
     near, far = (wall([x, 1.0], [x + 1.0, 1.0], (0.0, 2.5), "brick", "wall", np.inf)[0] for x in (-0.5, 8.0))
     turned = wall([0.5, 1.0], [-0.5, 1.0], (0.0, 2.5), "brick", "wall", np.inf)[0]

@@ -37,7 +37,7 @@ def wall(distance_m: float) -> WorldModel:
 
 
 class TestSun:
-    def test_it_stands_where_the_weather_says(self):
+    def test_the_sun_stands_where_the_weather_says(self):
         light = daylight(sun_elevation_deg=30, sun_azimuth_deg=90)
         np.testing.assert_allclose(light.towards, [0, np.cos(np.pi / 6), 0.5], atol=1e-12)
 
@@ -56,7 +56,7 @@ class TestSun:
             lengths.append((gain < gain.max()).sum())
         assert lengths[0] > 3 * lengths[1] > 0
 
-    def test_under_clouds_nothing_casts_a_shadow_and_the_sky_lights_what_looks_up(self):
+    def test_under_clouds_nothing_casts_a_shadow_and_the_sky_lights_from_above(self):
         light = daylight(sky="overcast")
         before = light.gain(np.zeros((1, 3)), UP)
         light.shade_polygon(np.array([[-5.0, -5], [5, -5], [5, 5], [-5, 5]]), 9.0)
@@ -64,7 +64,7 @@ class TestSun:
             light.gain(np.zeros((1, 3)), UP) == before > light.gain(np.zeros((1, 3)), np.array([1.0, 0, 0]))
         )
 
-    def test_hills_shade_what_is_behind_them(self):
+    def test_hills_cast_shadows_behind_them(self):
         light = daylight(sun_elevation_deg=15, sun_azimuth_deg=0)
         light.lay_ground(lambda plan: 6.0 * (np.abs(plan[..., 0] - 8) < 1))
         gain = light.gain(np.array([[0.0, 0, 0], [20.0, 0, 0]]), UP)
