@@ -85,7 +85,7 @@ PLAIN = {
 }
 
 
-@pytest.mark.parametrize(("name", "seed"), zip(PLAIN, [None, 3, None, 3], strict=True))
+@pytest.mark.parametrize(("name", "seed"), [*zip(PLAIN, [None, 3, None, 3], strict=True)])
 def test_the_plain_scenarios_have_fixed_content(name, seed):
     scenario = load_scenario(name, seed)
     always = {**PLAIN[name], "name": name, "description": scenario.description, "seed": seed or 0}
