@@ -139,6 +139,7 @@ class TestBuiltWorld:
         check_flow([flow_errors(renderer, first, moved(first, 0.05, 1.0)) for first in firsts], at_least=1000)
 
 
+@pytest.mark.parametrize("built", slow_unless(QUICK, INDOORS), indirect=True)
 @pytest.mark.parametrize(("contrast", "most"), [(0.05, 60), (0.0, 2)])
 def test_faded_worlds_have_hardly_any_features_under_noise(built, contrast, most):
     _, world, route, _ = built
