@@ -74,7 +74,7 @@ _OF_MODEL = {"none": (), "radtan": ("k1", "k2", "p1", "p2", "k3"), "equidistant"
 
 
 class Distortion(Strict):
-    """Lens distortion in OpenCV's coefficients: radtan k1 k2 p1 p2 k3, equidistant (fisheye) k1 k2 k3 k4."""
+    """Lens distortion with OpenCV's coefficients: radtan k1 k2 p1 p2 k3, equidistant (fisheye) k1 to k4."""
 
     model: Literal["none", "radtan", "equidistant"] = "none"
     k1: float = 0.0

@@ -1,4 +1,4 @@
-"""Scenarios in words: fields with their units, segments with their severity, world, motion and camera."""
+"""Descriptions of scenarios: fields with units, segments, world, motion, camera."""
 
 from typing import Any
 
@@ -23,18 +23,18 @@ _BARE_UNITS = {"stops": " stops", "fps": " frames/s"}
 
 
 def describe_field(name: str, value: Any) -> str:
-    """A field of a scenario: ``exposure 0.25 s`` of ``exposure_s`` and 0.25."""
+    """Describe a field: ``exposure 0.25 s`` for ``exposure_s`` and 0.25."""
     label, unit = label_and_unit(name)
     return f"{plain(value)}{unit}" if name in _BARE_UNITS else f"{label} {plain(value)}{unit}"
 
 
 def describe_kind(kind: str) -> str:
-    """A kind of segment, world or carrier as one reads it."""
+    """Describe a kind of segment, world or motion."""
     return kind.replace("_", " ")
 
 
 def plain(value: Any) -> str:
-    """A value in four digits."""
+    """Format a value with four digits."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int | float):
@@ -43,12 +43,12 @@ def plain(value: Any) -> str:
 
 
 def measured(value: float) -> str:
-    """What has been measured, in three digits."""
+    """Format a measured value with three digits."""
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
 def describe_severity(segment: SegmentBase) -> str:
-    """How bad a segment is, in physical units."""
+    """Describe the severity of a segment in physical units."""
     return ", ".join(
         describe_field(name, value)
         for name, value in segment.severity.items()
@@ -57,23 +57,23 @@ def describe_severity(segment: SegmentBase) -> str:
 
 
 def describe_span(segment: SegmentBase) -> str:
-    """When a segment is."""
+    """Describe the time of a segment."""
     return f"{segment.start_s:.4g} to {segment.end_s:.4g} s"
 
 
 def describe_world(scenario: Scenario) -> str:
-    """The world and its sizes."""
+    """Describe the world and its sizes."""
     return _with_fields(scenario.world.kind, scenario.world.model_dump(exclude={"kind"}))
 
 
 def describe_motion(scenario: Scenario) -> str:
-    """The carrier and its limits; what is 0 is left out."""
+    """Describe the motion and its limits; fields of 0 are left out."""
     fields = scenario.trajectory.model_dump(exclude={"kind"})
     return _with_fields(scenario.trajectory.kind, {name: value for name, value in fields.items() if value})
 
 
 def describe_camera(scenario: Scenario) -> str:
-    """The camera."""
+    """Describe the camera."""
     camera = scenario.camera
     parts = [
         f"{camera.width_px} × {camera.height_px} px",
@@ -88,7 +88,7 @@ def describe_camera(scenario: Scenario) -> str:
 
 
 def label_and_unit(name: str) -> tuple[str, str]:
-    """A field's name as one reads it, and its unit: ``exposure`` and `` s`` of ``exposure_s``."""
+    """Split a field's name: ``exposure`` and `` s`` for ``exposure_s``."""
     for ending, unit in _UNITS.items():
         if name.endswith(ending):
             return name.removesuffix(ending).replace("_", " "), unit

@@ -1,4 +1,4 @@
-"""Families in words: their members, and what the seed draws."""
+"""Descriptions of families: their members and their distributions."""
 
 import re
 from collections.abc import Iterator
@@ -18,12 +18,12 @@ from scenarios.families import Family
 from scenarios.spec import Scenario
 
 _PART = re.compile(r"[^.\[\]]+")
-# The step from a choice to one of its options, in a parameter's place.
+# The step from a choice to one of its options, in a parameter's path.
 _OPTION = re.compile(r"\.choice\[\d+\]")
 
 
 def describe_members(family: Family) -> str:
-    """How many members there are and which, a row of numbers by its ends; empty if there are none."""
+    """Describe number and names of the members; empty without members."""
     members = family.members
     if not members:
         return ""
@@ -33,9 +33,9 @@ def describe_members(family: Family) -> str:
 
 
 def describe_parameters(family: Family) -> dict[str, str]:
-    """What is drawn, by field, over all members: the whole range of numbers and everything to choose from.
+    """Describe what is drawn, by field, over all members.
 
-    Fields are named without indices: ``segments.contrast``.
+    Numbers give their whole range, choices all their options. Fields have no indices: ``segments.contrast``.
     """
     everyone = [family.member(member) for member in family.members] or [family]
     fields: dict[str, list[Distribution]] = {}
@@ -46,11 +46,11 @@ def describe_parameters(family: Family) -> dict[str, str]:
 
 
 def parameter_label(place: str, written: dict[str, Any]) -> str:
-    """What is drawn at a parameter's place: ``segment 1, low texture: contrast``.
+    """Label a parameter: ``segment 1, low texture: contrast``.
 
     Args:
         place: as in ``Family.parameters``.
-        written: the family's fields, which tell the kind of what holds the parameter.
+        written: the family's fields, which give the kind of the parameter's parent.
     """
     kind, names = _written_kind(place, written), _PART.findall(place)
     options = [int(option) + 1 for name, option in pairwise(names) if name == "choice"]
@@ -66,7 +66,7 @@ def parameter_label(place: str, written: dict[str, Any]) -> str:
 
 
 def describe_parameter(place: str, distribution: Distribution) -> str:
-    """A distribution with its unit, which the last name of its place tells."""
+    """Describe a distribution with its unit, given by the last name of its place."""
     _, unit = label_and_unit(_last_name(place))
     if isinstance(distribution, Uniform):
         return f"uniform from {plain(distribution.low)} to {plain(distribution.high)}{unit}"
@@ -78,7 +78,7 @@ def describe_parameter(place: str, distribution: Distribution) -> str:
 def describe_distribution(
     place: str, distribution: Distribution, written: dict[str, Any], scenario: Scenario
 ) -> str:
-    """What a scenario drew for a parameter; empty where another option was drawn than the one it is in.
+    """Describe the value that a scenario drew; empty if its option was not drawn.
 
     Args:
         place: as in ``Family.parameters``.
@@ -106,7 +106,7 @@ def describe_distribution(
 
 
 def _steps(place: str) -> list[str]:
-    """Names and indices that lead to a parameter in a scenario, past the choices it is an option of."""
+    """Names and indices that lead to a parameter in a scenario, without choices."""
     return _PART.findall(_OPTION.sub("", place))
 
 
@@ -119,7 +119,7 @@ def _last_name(place: str) -> str:
 
 
 def _all_words(distributions: list[Distribution]) -> str:
-    """One field's distributions together."""
+    """Describe one field's distributions together."""
     said: dict[str, None] = {}
     numbers = [drawn for drawn in distributions if not isinstance(drawn, Choice)]
     if numbers:
@@ -135,9 +135,9 @@ def _all_words(distributions: list[Distribution]) -> str:
 
 
 def _option_names(option: Any) -> Iterator[str]:
-    """What an option of a choice is called: a mapping by its kind or preset, a list by its parts.
+    """Names of an option: a mapping's kind or preset, a list's parts.
 
-    Numbers that are drawn in it are told as parameters of their own.
+    Numbers drawn in it are parameters of their own.
     """
     if is_distribution(option):
         drawn = parse_distribution(option)
@@ -155,7 +155,7 @@ def _option_names(option: Any) -> Iterator[str]:
 
 
 def _may_be(distribution: Distribution, value: Any) -> bool:
-    """Whether a distribution gives a value; of what is no number nobody can tell."""
+    """Return True if a distribution can give a number."""
     if not isinstance(value, int | float):
         return False
     if isinstance(distribution, Choice):
@@ -164,7 +164,7 @@ def _may_be(distribution: Distribution, value: Any) -> bool:
 
 
 def _written_kind(place: str, written: dict[str, Any]) -> Any:
-    """The kind of what holds a parameter."""
+    """The kind of a parameter's parent."""
     node: Any = written
     kind = None
     for part in _PART.findall(place):

@@ -1,7 +1,7 @@
-"""The one notation for what varies: a distribution may stand for any node of a scenario.
+"""Notation of distributions, which may replace any node of a scenario.
 
-``{uniform: [low, high]}`` and ``{log_uniform: [low, high]}`` stand for a number, ``{choice: [a, b, c]}`` for
-anything, whole mappings and lists too, with ``weights: [...]`` beside it where the options are not equally
+``{uniform: [low, high]}`` and ``{log_uniform: [low, high]}`` replace a number, ``{choice: [a, b, c]}``
+anything, also whole mappings and lists, with ``weights: [...]`` beside it if the options are not equally
 likely.
 """
 
@@ -18,11 +18,11 @@ KEYS = ("uniform", "log_uniform", "choice")
 
 
 class NotationError(Exception):
-    """A mapping that is meant as a distribution but is none.
+    """A mapping with a distribution's key that is not a valid distribution.
 
     Args:
-        problem: what is wrong with it.
-        remedy: what to write instead.
+        problem: the fault.
+        remedy: the correct notation.
     """
 
     def __init__(self, problem: str, remedy: str) -> None:
@@ -32,7 +32,7 @@ class NotationError(Exception):
 
 @dataclass(frozen=True)
 class Uniform:
-    """A number from ``low`` to ``high``, each as likely."""
+    """A number from ``low`` to ``high``, uniformly distributed."""
 
     low: float
     high: float
@@ -44,7 +44,7 @@ class Uniform:
 
 @dataclass(frozen=True)
 class LogUniform:
-    """A number from ``low`` to ``high``, both above 0, uniform in its logarithm: each factor as likely."""
+    """A number from ``low`` to ``high``, both above 0, uniform in its logarithm."""
 
     low: float
     high: float
@@ -61,7 +61,7 @@ class Choice:
 
     Attributes:
         options: the nodes, as written.
-        weights: how likely each is, relative to the others.
+        weights: relative probabilities.
     """
 
     options: tuple[Any, ...]
@@ -70,7 +70,7 @@ class Choice:
     def draw(self, rng: np.random.Generator) -> int:
         """The index of an option."""
         bounds = list(accumulate(self.weights))
-        # An option without weight is never drawn: not at a bound either.
+        # An option without weight is never drawn, not even at a bound.
         return bisect_right(bounds, rng.random() * bounds[-1], hi=_last_likely(self.weights))
 
 
@@ -78,15 +78,15 @@ Distribution = Uniform | LogUniform | Choice
 
 
 def is_distribution(node: Any) -> bool:
-    """Whether a node is meant as a distribution."""
+    """Return True if a node has a distribution's key."""
     return isinstance(node, dict) and any(key in node for key in KEYS)
 
 
 def parse_distribution(node: dict[str, Any]) -> Distribution:
-    """The distribution of a node that is meant as one.
+    """Parse the distribution of a node.
 
     Raises:
-        NotationError: it is none.
+        NotationError: the node is not a valid distribution.
     """
     kind = next(key for key in KEYS if key in node)
     beside = [str(key) for key in node if key != kind and not (kind == "choice" and key == "weights")]
@@ -129,7 +129,7 @@ def _choice(options: Any, weights: Any) -> Choice:
 
 
 def _is_number(value: Any) -> bool:
-    # The bound keeps out infinities, what is no number at all, and sums of weights that overflow.
+    # The bound excludes infinities, NaN, and sums of weights that overflow.
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
 
 

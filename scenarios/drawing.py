@@ -1,4 +1,4 @@
-"""One draw of all distributions of a family."""
+"""Drawing of all distributions of a family."""
 
 from functools import reduce
 from typing import Any
@@ -10,7 +10,7 @@ from scenarios.yaml_file import Location, field_path
 
 
 class Draw:
-    """One draw of all distributions, which remembers where each part of the outcome was written."""
+    """One draw of all distributions, with the place in the file of each part."""
 
     def __init__(self, seed: int) -> None:
         self._seed = seed
@@ -18,7 +18,7 @@ class Draw:
         self._numbers: list[Location] = []
 
     def __call__(self, node: Any, at: Location, written: Location) -> Any:
-        """The outcome of a node, which shares no mapping or list with it.
+        """Draw a node; the outcome shares no mapping or list with it.
 
         Args:
             node: as written.
@@ -40,13 +40,13 @@ class Draw:
         return node
 
     def round_whole_numbers(self, data: dict[str, Any]) -> None:
-        """Round what was drawn for fields that are whole numbers."""
+        """Round drawn numbers of whole-numbered fields."""
         for at in self._numbers:
             if field_annotation(at, data) is int:
                 holder: Any = reduce(lambda part, key: part[key], at[:-1], data)
                 holder[at[-1]] = round(holder[at[-1]])
 
     def written_at(self, at: Location) -> Location:
-        """Where a part of the outcome was written; of one that is missing, where it would have been."""
+        """Place in the file of a part of the outcome, which may be missing there."""
         known = next(n for n in range(len(at), -1, -1) if at[:n] in self._written or n == 0)
         return (*self._written.get(at[:known], ()), *at[known:])

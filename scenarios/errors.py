@@ -1,4 +1,4 @@
-"""The one exception for bad input: what is wrong, where, and what to do about it."""
+"""The exception for bad input, with place, problem and remedy."""
 
 
 class InputError(Exception):
@@ -6,8 +6,8 @@ class InputError(Exception):
 
     Args:
         where: the file and field at fault, for example ``camera.yaml: fx``.
-        problem: what is wrong with it.
-        remedy: what the user can do.
+        problem: the fault.
+        remedy: advice for the user.
     """
 
     def __init__(self, where: str, problem: str, remedy: str) -> None:
@@ -15,5 +15,5 @@ class InputError(Exception):
         super().__init__(f"{where}: {problem}; {remedy}")
 
     def __reduce__(self) -> tuple[type["InputError"], tuple[str, str, str]]:
-        """An exception is remade from its message alone; this one needs its parts to cross to a process."""
+        """Pickle the parts: an exception is rebuilt from its message alone otherwise."""
         return type(self), (self.where, self.problem, self.remedy)

@@ -1,12 +1,12 @@
 """Families: scenarios whose fields may be distributions. A family and a seed give one scenario.
 
 A family is a scenario's YAML file in which any node may be a distribution (``scenarios.distributions``).
-It may have ``members``, a mapping of an id to what that member says differently; ``name/id`` is then a family
-too, and the bare name stands for all of them, one of which is taken by the seed.
+It may have ``members``, a mapping of an id to that member's own fields; ``name/id`` is then a family too, and
+for the bare name the seed selects a member.
 
-Every distribution draws from a stream of its own, named by its place, so that one more changes none of the
-others. Numbers drawn for a whole-numbered field are rounded, which gives the two ends of a ``uniform`` half
-the weight of the rest; ``choice`` gives every number the same.
+Every distribution has its own stream, named by its place, so that a new one changes no other. Numbers drawn
+for a whole-numbered field are rounded, which gives the two ends of a ``uniform`` half the weight of the rest;
+``choice`` gives every number the same.
 """
 
 import re
@@ -32,23 +32,23 @@ MEMBERS = "members"
 SEED_END = 2**63
 _SUFFIXES = (".yaml", ".yml")
 _MEMBER_ID = re.compile(r"[a-z0-9][a-z0-9_-]*")
-# What a scenario is called and drawn with is no part of what is drawn.
+# Fields that cannot be drawn.
 _FIXED = ("spec_version", "name", "description", "seed")
 
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """Scenarios alike but for what is drawn.
+    """Scenarios that differ only in drawn values.
 
     Attributes:
         name: ``family`` or ``family/member``.
         description: for people.
-        members: their ids; empty where the family has none or is itself a member.
+        members: their ids; empty if the family has none or is itself a member.
         parameters: every distribution, by its place in the family; of a choice's option ``a.choice[1].b``.
-        seed: the family's own, for those who give none.
+        seed: the default seed.
         written: the fields as written, with a member's own over those of its family.
-        file: where they are from.
-        member_id: of a member.
+        file: their file.
+        member_id: the member's id, if it is one.
     """
 
     name: str
@@ -64,7 +64,7 @@ class Family:
         """One member as a family.
 
         Raises:
-            InputError: there is no such member.
+            InputError: the member does not exist.
         """
         if member_id not in self.members:
             known = list(self.members)
@@ -73,13 +73,13 @@ class Family:
         return _family(self.file, member_id)
 
     def sample(self, seed: int) -> Scenario:
-        """The scenario of a seed, which is also the scenario's own. Of a member its name is the member's.
+        """Draw the scenario of a seed, which becomes the scenario's own seed.
 
         Args:
             seed: at least 0; the streams are ``("family", place)``.
 
         Raises:
-            InputError: what was drawn is no valid scenario, or the seed is negative.
+            InputError: the draw is no valid scenario, or the seed is negative.
         """
         if not 0 <= seed < SEED_END:
             raise InputError(
@@ -103,14 +103,14 @@ class Family:
             ) from None
 
     def as_yaml(self) -> str:
-        """The family as written, distributions and all, as YAML that ``load_family`` reads back."""
+        """The family with its distributions, as YAML that ``load_family`` reads back."""
         if self.member_id is None:
             return self.file.text
         return yaml.dump(self.written, Dumper=_PlainDumper, sort_keys=False, allow_unicode=True)
 
 
 class _PlainDumper(yaml.SafeDumper):
-    """Writes out what the file says once and uses again."""
+    """Dumper that writes repeated parts in full, without YAML anchors."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
@@ -131,18 +131,19 @@ def library_names() -> list[str]:
 
 
 def is_scenario_name(text: str) -> bool:
-    """Whether a text names a family, a member or a YAML file, if perhaps one that is not there."""
+    """Return True if a text looks like a family, a member or a YAML file."""
     path = Path(text)
     return text.partition("/")[0] in _library() or path.suffix in _SUFFIXES or path.parent.suffix in _SUFFIXES
 
 
 def load_family(path_or_name: str | Path) -> Family:
-    """A family by name or from a YAML file, or a member of one as ``family/member`` or ``file.yaml/member``.
+    """Load a family by name or YAML file, or a member as ``family/member``.
 
-    Its notation is checked; whether what it draws is a valid scenario shows when it is sampled.
+    A member of a file is ``file.yaml/member``. The notation is checked; drawn scenarios are validated when
+    sampled.
 
     Raises:
-        InputError: no such name, member or file, no YAML, or a distribution that is none.
+        InputError: unknown name or member, missing file, no YAML, or an invalid distribution.
     """
     text, path = str(path_or_name), Path(path_or_name)
     head, _, member = text.partition("/")
@@ -205,7 +206,7 @@ def _members(file: YamlFile) -> tuple[str, ...]:
         return ()
     members = file.data[MEMBERS]
     if not isinstance(members, dict) or not members:
-        raise InputError(file.where((MEMBERS,)), "holds no members", "map an id to what it says differently")
+        raise InputError(file.where((MEMBERS,)), "holds no members", "map each id to its own fields")
     for member_id, overrides in members.items():
         at: Location = (MEMBERS, str(member_id))
         if not isinstance(member_id, str):
@@ -221,7 +222,7 @@ def _members(file: YamlFile) -> tuple[str, ...]:
 
 
 def merged(base: dict[Any, Any], over: dict[Any, Any]) -> dict[Any, Any]:
-    """Mappings merged key by key. Anything else replaces, and so does a mapping of another kind."""
+    """Merge mappings key by key; other values and mappings of another kind replace."""
     result = dict(base)
     for key, value in over.items():
         before = base.get(key, {})
@@ -240,7 +241,7 @@ def _is_plain_mapping(node: Any) -> bool:
 def distributions_in(
     node: Any, at: Location, where: Callable[[Location], str]
 ) -> Iterator[tuple[Location, Distribution]]:
-    """Every distribution in a node, with its place."""
+    """Yield every distribution in a node with its place."""
     if is_distribution(node):
         try:
             found = parse_distribution(node)
@@ -261,7 +262,7 @@ def _seed(written: dict[str, Any], where: Callable[[Location], str]) -> int:
 
 
 def _where(file: YamlFile, member_id: str | None, written: Location, field: Location) -> str:
-    """File, line and name of a field that a member says itself or has from its family."""
+    """File, line and name of a field of a member or of its family."""
     if member_id is not None:
         own: Location = (MEMBERS, member_id, *written)
         if file.depth(own) - 2 >= file.depth(written):

@@ -1,4 +1,4 @@
-"""What pydantic finds wrong with a scenario, as one line: where, what, and what to do about it."""
+"""Validation errors of scenarios as one line: place, problem and remedy."""
 
 from collections.abc import Callable
 from difflib import get_close_matches
@@ -14,13 +14,13 @@ from scenarios.yaml_file import Location
 
 
 def guess(given: str, allowed: list[str]) -> str:
-    """The allowed word that was probably meant, as the beginning of a remedy; empty if none is near."""
+    """Suggest an allowed word as the start of a remedy; empty if none is similar."""
     close = get_close_matches(given, allowed, n=1, cutoff=0.5)
     return f"{close[0]} (did you mean that?), or " if close else ""
 
 
 def problem_and_remedy(fault: Any) -> tuple[str, str]:
-    """What one of pydantic's faults says of a value that is not valid or missing, and what to do about it."""
+    """Problem and remedy of one of pydantic's errors."""
     if fault["type"] == "missing":
         return "is missing", "add it"
     if fault["type"] == "value_error":
@@ -36,12 +36,12 @@ def first_fault(
     extra_keys: tuple[str, ...] = (),
     root: type[BaseModel] = Scenario,
 ) -> InputError:
-    """The most telling fault, with the number of further ones.
+    """The most informative fault, with the number of further ones.
 
     Args:
-        error: from validating a scenario, or what else ``root`` is.
+        error: from validating ``root``, usually a scenario.
         where: file, line and field of a location in it.
-        of_sample: what was drawn with which seed, in words; empty if nothing was drawn.
+        of_sample: description of family and seed; empty if nothing was drawn.
         extra_keys: keys that are allowed at the top beside the model's own.
         root: the model.
     """
@@ -49,16 +49,16 @@ def first_fault(
     first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     more = error.error_count() - 1
     rest = f" ({more} more in this file)" if more else ""
-    location, problem, remedy = _told(first, extra_keys, root)
+    location, problem, remedy = _explained(first, extra_keys, root)
     return InputError(where(location), problem + of_sample, remedy + rest)
 
 
 def field_annotation(location: Location, data: Any) -> Any:
-    """The type of the field at a location of a scenario's data; None if there is no such field.
+    """Type of the field at a location of a scenario's data; None if unknown.
 
     Args:
         location: of the field.
-        data: the scenario as plain data, by whose kinds the models are told apart.
+        data: the scenario as plain data, whose kinds select the models.
     """
     found: Any = Scenario
     for part in location:
@@ -71,8 +71,8 @@ def field_annotation(location: Location, data: Any) -> Any:
     return found.annotation if isinstance(found, FieldInfo) else found
 
 
-def _told(fault: Any, extra_keys: tuple[str, ...], root: type[BaseModel]) -> tuple[Location, str, str]:
-    """Location, problem and remedy of one of pydantic's faults."""
+def _explained(fault: Any, extra_keys: tuple[str, ...], root: type[BaseModel]) -> tuple[Location, str, str]:
+    """Location, problem and remedy of one of pydantic's errors."""
     model, location = _resolve(fault["loc"], root)
     context = fault.get("ctx", {})
     if fault["type"] == "extra_forbidden":
@@ -88,7 +88,7 @@ def _told(fault: Any, extra_keys: tuple[str, ...], root: type[BaseModel]) -> tup
 
 
 def _resolve(loc: Location, root: type[BaseModel]) -> tuple[type[BaseModel], Location]:
-    """The model that holds the field of a pydantic location, and the location without union tags."""
+    """Model of the field at a pydantic location, and the location without union tags."""
     model = root
     plain: list[str | int] = []
     candidates: list[type[BaseModel]] = []
@@ -106,7 +106,7 @@ def _resolve(loc: Location, root: type[BaseModel]) -> tuple[type[BaseModel], Loc
 
 
 def _model_of(data: Any, annotation: Any) -> type[BaseModel] | None:
-    """The model of a mapping, by its kind where there are several."""
+    """The model of a mapping, by its kind if there are several."""
     models = list(models_in(annotation))
     if not isinstance(data, dict) or not models:
         return None

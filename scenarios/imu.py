@@ -39,7 +39,7 @@ PRESETS: dict[str, dict[str, float]] = {
         "accel_walk": 0.0,
     },
 }
-"""Published sensors, and one without faults: the fields that they set."""
+"""Published sensors, and one without noise: the fields that they set."""
 
 
 class Imu(Strict):

@@ -1,8 +1,8 @@
-"""Scenarios at random: a small world and any number of degradations of every kind, one upon the other.
+"""Random scenarios: a small world and many overlapping degradations of every kind.
 
-They are there to break programs, not to be fair to them: from harmless to fatal, back to back, over one
-another, from the first frame on. The worlds are those of the family ``small``; how many segments there are
-and where they lie no family's notation can say, so they are drawn here, from streams of their own.
+They are made to break programs: from harmless to fatal, back to back, overlapping, from the first frame on.
+The worlds are those of the family ``small``; number and times of segments cannot be written in a family's
+notation, so they are drawn here, from their own streams.
 """
 
 from typing import Any
@@ -16,7 +16,7 @@ from scenarios.spec import Scenario
 
 FAMILY = "small"
 
-# The motorway and the building take several times as long to build and to film as the rest.
+# The motorway and the building take several times as long to build and to render as the rest.
 _WEIGHTS = {"building": 0.4, "motorway": 0.25}
 _MIN_SEGMENT_S = 0.1
 _AXIS = {"choice": ["yaw", "pitch", "roll"]}
@@ -45,11 +45,11 @@ _SHOOT_SEVERITIES: dict[str, dict[str, Any]] = {
     "time_jitter": {"sigma_s": {"log_uniform": [0.001, 0.2]}},
 }
 SEVERITIES = _SHOOT_SEVERITIES | _IMAGE_SEVERITIES
-"""Every kind of degradation, with what its severity is drawn from."""
+"""Distributions of the severity of every kind of degradation."""
 
 
 def random_scenario(seed: int) -> Scenario:
-    """The scenario of a seed.
+    """Draw the scenario of a seed.
 
     Raises:
         InputError: the seed is negative.
@@ -65,13 +65,13 @@ def random_scenario(seed: int) -> Scenario:
 
 
 def random_segments(seed: int, duration_s: float) -> list[dict[str, Any]]:
-    """Segments of a sequence, in one to three lanes, each of which has one segment after the other.
+    """Draw segments in one to three lanes, each a row of segments.
 
-    Where a kind that is drawn would lie over another segment of its kind, its place stays free.
+    A drawn kind that would overlap a segment of its own kind is left out.
     """
     rng = rng_for(seed, "random", "lanes")
     lanes = int(rng.integers(1, 4))
-    # From one after the other without a break to few and far between.
+    # From back to back to sparse.
     gap_share, gap_s = rng.random(), 4.0 * rng.random()
     segments: list[dict[str, Any]] = []
     for lane in range(lanes):

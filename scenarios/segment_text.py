@@ -1,4 +1,4 @@
-"""A segment as one word of a command line: ``low_light:start_s=2,duration_s=1,illumination=0.1``."""
+"""Segments on a command line: ``low_light:start_s=2,duration_s=1,illumination=0.1``."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from scenarios.segments import SEGMENT_KINDS, SegmentBase
 
 
 def parse_segment(text: str) -> SegmentBase:
-    """A segment from ``kind:key=value,key=value``.
+    """Parse a segment from ``kind:key=value,key=value``.
 
     Raises:
         InputError: the kind or a key is unknown, a key is missing or given twice, a value is out of range.

@@ -13,10 +13,10 @@ class Strict(BaseModel):
 
 
 def with_defaults_of(data: Any, key: str, defaults: Mapping[str, Mapping[str, Any]]) -> Any:
-    """What a part of a spec is validated from, its own fields over the defaults of what its ``key`` names.
+    """Put the data of a spec's part over the defaults selected by its ``key``.
 
     Args:
-        data: of any type; without a known name under ``key`` it is given back as it is.
+        data: of any type; without a known name under ``key`` it is returned unchanged.
         key: the field that holds the name.
         defaults: fields by name.
     """

@@ -1,4 +1,4 @@
-"""A YAML file and the lines of its parts, so that every fault can name its place."""
+"""YAML files with the lines of their parts, for the place of every fault."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ class YamlFile:
         path: of the file.
         text: its content.
         data: the mapping.
-        root: its nodes, which know their lines.
+        root: its nodes, with their lines.
     """
 
     path: Path
@@ -32,23 +32,23 @@ class YamlFile:
     root: yaml.Node
 
     def where(self, location: Location, field: Location | None = None) -> str:
-        """``file:line: field.path``, the line being that of the innermost part that is in the file.
+        """``file:line: field.path`` of the innermost part that the file has.
 
         Args:
             location: of the part in the file.
-            field: what to call it, if not by its place in the file.
+            field: name of the part, if not its path in the file.
         """
         line = _reach(self.root, location)[0].start_mark.line + 1
         name = field_path(location if field is None else field)
         return f"{self.path}:{line}: {name}" if name else str(self.path)
 
     def depth(self, location: Location) -> int:
-        """How many leading parts of the location are in the file."""
+        """Number of leading parts of the location that the file has."""
         return _reach(self.root, location)[1]
 
 
 def field_path(location: Location) -> str:
-    """A location as it is written: ``segments[0].contrast``."""
+    """Format a location: ``segments[0].contrast``."""
     return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
 
 
@@ -59,11 +59,11 @@ def read_yaml(
 
     Args:
         path: of the file.
-        holds: what it should hold, for the fault of one that does not.
-        example: where the reader finds one.
+        holds: its expected content, for the fault.
+        example: source of an example, for the fault.
 
     Raises:
-        InputError: there is no such file, or it is no YAML, holds no mapping, or a key twice.
+        InputError: the file is missing, no YAML, holds no mapping, or has a key twice.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -96,7 +96,7 @@ def _not_yaml(path: Path, error: yaml.YAMLError) -> InputError:
 
 
 def _reach(root: yaml.Node, location: Location) -> tuple[yaml.Node, int]:
-    """The innermost node on the way that is there (of a mapping's entry the key), and the parts gone."""
+    """The innermost existing node on a path (of a mapping's entry the key), and its depth."""
     at = value = root
     for gone, part in enumerate(location):
         if isinstance(value, yaml.MappingNode):
@@ -112,7 +112,7 @@ def _reach(root: yaml.Node, location: Location) -> tuple[yaml.Node, int]:
 
 
 def _entry(mapping: yaml.MappingNode, key: str | int) -> tuple[yaml.Node, yaml.Node] | None:
-    """The key and the value of an entry, its own or one that ``<<`` brings in."""
+    """Key and value of an entry, its own or one merged by ``<<``."""
     own = next(((k, v) for k, v in mapping.value if k.value == str(key)), None)
     if own is not None:
         return own
@@ -126,7 +126,7 @@ def _entry(mapping: yaml.MappingNode, key: str | int) -> tuple[yaml.Node, yaml.N
 
 
 def _duplicate_keys(node: yaml.Node, location: Location = ()) -> Iterator[tuple[Location, yaml.Node]]:
-    """Keys that YAML would silently let win over an earlier one of the same name."""
+    """Yield keys that would silently replace an earlier one of the same name."""
     if isinstance(node, yaml.MappingNode):
         seen: set[str] = set()
         for key, value in node.value:

@@ -59,7 +59,7 @@ class FolderCache:
         self._max_bytes = max_bytes
 
     def find(self, key: str) -> Path | None:
-        """The folder of a complete and sound entry; an unsound one is reported, dropped and not found."""
+        """Return the folder of a sound entry, else None; drop a corrupt one."""
         entry = self.root / key
         if not entry.is_dir():
             return None
@@ -72,9 +72,9 @@ class FolderCache:
 
     @contextmanager
     def create(self, key: str) -> Iterator[Path]:
-        """An empty folder to fill; it becomes the entry when the block ends, and vanishes if it raises.
+        """Yield an empty folder, which becomes the entry when the block ends without an error.
 
-        When another process has finished the same entry meanwhile, that one stays.
+        If another process has finished the same entry meanwhile, that one stays.
 
         Raises:
             InputError: the cache folder cannot be written or the disk is full.
@@ -109,7 +109,7 @@ class FolderCache:
         )
 
     def _drop_stale(self) -> None:
-        """Removes what processes left behind that were killed while they wrote."""
+        """Remove unfinished folders of killed processes."""
         for leftover in self.root.glob(f"{_UNFINISHED}*"):
             if time.time() - _modified_s(leftover) > _STALE_S:
                 shutil.rmtree(leftover, ignore_errors=True)
@@ -132,7 +132,7 @@ def _write_manifest(folder: Path) -> None:
 
 
 def _fault(entry: Path) -> str:
-    """What is wrong with an entry, empty if nothing is."""
+    """Fault of an entry, empty if it is sound."""
     try:
         files = json.loads((entry / _MANIFEST).read_text())["files"]
         for name, expected in files.items():
@@ -155,7 +155,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _bytes(entry: Path) -> int:
-    """Size of an entry; 0 of one that another process is just deleting."""
+    """Size of an entry; 0 if another process is deleting it."""
     try:
         return sum(path.stat().st_size for path in _files(entry))
     except OSError:
@@ -163,12 +163,12 @@ def _bytes(entry: Path) -> int:
 
 
 def _discard(entry: Path) -> None:
-    """Takes the entry out of sight in one step, then deletes it."""
+    """Rename the entry in one step, then delete it."""
     away = entry.with_name(f"{_UNFINISHED}{entry.name}-{os.getpid()}")
     try:
         entry.rename(away)
     except OSError:
-        return  # another process has been faster
+        return  # another process was faster
     shutil.rmtree(away, ignore_errors=True)
 
 
@@ -176,7 +176,7 @@ def _touch(path: Path) -> None:
     try:
         os.utime(path)
     except OSError:
-        return  # a read-only cache still serves
+        return  # a read-only cache can still be read
 
 
 def _modified_s(path: Path) -> float:

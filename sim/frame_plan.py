@@ -1,4 +1,4 @@
-"""From a scenario to its frames: the frame plan, the clean frames, what is done to each."""
+"""From a scenario to its frames: frame plan, clean frames, exposure."""
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -31,21 +31,21 @@ Progress = Callable[[str, int, int], None]
 """Called with the name of the step, frames done and frames in all."""
 
 Survey = Callable[[FramePlan], np.ndarray]
-"""(N, S) float32 share of the view that each surface of the world fills in each frame of a shoot."""
+"""(N, S) float32 share of the view that each surface of the world fills in each frame of a plan."""
 
 _SURVEY_WIDTH_PX = 80
 
 
 @dataclass(frozen=True)
 class RenderBackend:
-    """What renders: the worlds and the renderer behind their interfaces.
+    """The worlds and the renderer behind their interfaces.
 
     Attributes:
         layout: route through a world, from its spec and a seed.
         build_world: the world itself.
         renderer: renderer of a world through a camera without distortion.
         gl_info: names of the GL implementation.
-        renderer_name: under which the renderer is recorded.
+        renderer_name: the name recorded with the frames.
     """
 
     layout: Callable[[World, int], Route]
@@ -69,7 +69,7 @@ def render_backend(renderer: str) -> RenderBackend:
 
 @lru_cache(maxsize=1)
 def _world(spec: World, seed: int) -> WorldModel:
-    """The world built last is kept: units of an experiment that share one come one after another."""
+    """Build a world, or reuse the last one: units sharing a world are adjacent."""
     from sim.worlds import build_world
 
     world = build_world(spec, seed)
@@ -103,7 +103,7 @@ def camera_intrinsics(camera: Camera) -> Intrinsics:
 def plan_frames(
     scenario: Scenario, seed: int, backend: RenderBackend, progress: Progress
 ) -> tuple[FramePlan, WorldModel]:
-    """Everything that decides the frames, with every segment applied, and the world as it is seen."""
+    """Return the frame plan with every segment applied, and the world as rendered."""
     world = backend.build_world(scenario.world, world_seed(scenario, seed))
     survey = partial(_survey, world=world, camera=scenario.camera, backend=backend, progress=progress)
     plan = plan_in_world(scenario, seed, backend, len(world.surfaces), survey)
@@ -113,14 +113,14 @@ def plan_frames(
 def plan_in_world(
     scenario: Scenario, seed: int, backend: RenderBackend, surfaces: int, survey: Survey
 ) -> FramePlan:
-    """The plan alone, of a world that need not be built.
+    """Plan the frames of a world that need not be built.
 
     Args:
         scenario: what happens.
         seed: root seed.
         backend: for the route.
-        surfaces: their number, S.
-        survey: asked once if a segment acts on the world.
+        surfaces: number of surfaces of the world, S.
+        survey: called once if a segment acts on the world.
     """
     camera = scenario.camera
     stamps_s = np.arange(scenario.frame_count) / camera.fps
@@ -148,12 +148,12 @@ def plan_in_world(
 
 
 def world_seed(scenario: Scenario, seed: int) -> int:
-    """The seed of the world: the scenario's own for it, else that of all else."""
+    """Seed of the world: the scenario's ``world_seed``, else the root seed."""
     return seed if scenario.world_seed is None else scenario.world_seed
 
 
 def plan_path(scenario: Scenario, seed: int, backend: RenderBackend) -> Motion:
-    """The camera's motion alone, with the segments that act on it; nothing is built or rendered."""
+    """Plan the camera's motion with its segments; nothing is built or rendered."""
     acting = (s for s in scenario.segments if s.kind in FRAME_PLAN_KINDS)
     turning = tuple(s for s in acting if FRAME_PLAN_KINDS[s.kind].stage is Stage.MOTION)
     moved = scenario.model_copy(update={"segments": turning})
@@ -161,16 +161,16 @@ def plan_path(scenario: Scenario, seed: int, backend: RenderBackend) -> Motion:
 
 
 class CleanFrames(Protocol):
-    """Sharp frames of an ideal camera, which every segment but those of motion and world leaves alone."""
+    """Sharp frames of an ideal camera; only segments on motion and world change them."""
 
     def __call__(self, frame: int, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gray (H, W) uint8 and depth (H, W) float32 of a frame, known by its number and its pose."""
+        """Gray (H, W) uint8 and depth (H, W) float32 of a frame with its number and pose."""
         ...
 
 
 @contextmanager
 def rendered_clean_frames(world: WorldModel, camera: Camera, backend: RenderBackend) -> Iterator[CleanFrames]:
-    """CleanFrames rendered as they are asked for, through the world's air."""
+    """Yield CleanFrames that are rendered on demand, through the world's haze."""
     ideal = ideal_camera(camera_intrinsics(camera))
     renderer = backend.renderer(world, ideal)
     haze = world.haze
@@ -189,7 +189,7 @@ def rendered_clean_frames(world: WorldModel, camera: Camera, backend: RenderBack
 
 
 def stored_clean_frames(folder: Path) -> CleanFrames:
-    """CleanFrames that ``store_clean_frames`` has written."""
+    """CleanFrames written by ``store_clean_frames``."""
     grays, depths = RawFrames(folder / "gray.npy"), RawFrames(folder / "depth.npy")
     return lambda frame, T_world_cam: (grays[frame], depths[frame])
 
@@ -213,7 +213,7 @@ def store_clean_frames(
 
 
 def ideal_camera(camera: Intrinsics) -> Intrinsics:
-    """The camera without distortion through which a camera's frames are rendered."""
+    """The distortion-free camera through which a camera's frames are rendered."""
     return camera if camera.is_pinhole else Lens(camera).ideal
 
 
@@ -226,16 +226,16 @@ def expose_frames(
     depth: bool,
     progress: Progress,
 ) -> np.ndarray:
-    """Make and write every frame: the light's way from the surfaces to the file.
+    """Expose, degrade and write every frame.
 
     Args:
         folder: gets ``gray.npy`` and, with ``depth``, ``depth.npy``.
-        shoot: with every segment applied.
+        plan: with every segment applied.
         clean_frames: the sharp frames.
         camera: of the scenario.
         chain: the image-space segments.
-        depth: keep depth images too.
-        progress: told of every frame.
+        depth: write depth images too.
+        progress: called after every frame.
 
     Returns:
         (N,) float64 median length of each frame's motion blur, pixels.
@@ -265,7 +265,7 @@ def expose_frames(
             grays.append(chain.apply(noise.apply(image, frame), index, (Stage.ENCODER,)))
             if depths:
                 depths.append(depth_m)
-            progress("filming", index + 1, count)
+            progress("exposing", index + 1, count)
     return blur_px
 
 
@@ -282,7 +282,7 @@ def _shutter_poses(plan: FramePlan) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 def _survey(
     plan: FramePlan, world: WorldModel, camera: Camera, backend: RenderBackend, progress: Progress
 ) -> np.ndarray:
-    """See ``Survey``; the frames are seen in small."""
+    """View share of every surface in every frame, from small renderings; see ``Survey``."""
     scale = _SURVEY_WIDTH_PX / camera.width_px
     small = replace(
         camera_intrinsics(camera),
@@ -299,7 +299,7 @@ def _survey(
     try:
         for frame, T_world_cam in enumerate(poses):
             ids = renderer.render_surface_ids(T_world_cam)
-            # Index -1, no surface, is counted in front and dropped.
+            # Index -1, no surface, is counted first and dropped.
             counts = np.bincount(ids.ravel() + 1, minlength=len(world.surfaces) + 1)[1:]
             shares[frame] = counts / ids.size
             progress("surveying", frame + 1, len(poses))

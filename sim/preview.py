@@ -1,4 +1,4 @@
-"""Some frames of a sequence without the others, for a look at many scenarios in little time."""
+"""Single frames of a sequence, for quick looks at many scenarios."""
 
 import tempfile
 from collections.abc import Sequence as Many
@@ -25,13 +25,13 @@ from sim.worlds.base import WorldModel
 
 @dataclass(frozen=True)
 class Preview:
-    """A sequence that is planned from its first frame to its last and filmed only where one looks.
+    """A fully planned sequence of which only chosen frames are rendered.
 
     Attributes:
         scenario: what happens; its seed is the sequence's.
-        shoot: the whole plan, with every segment applied.
-        world: as the camera sees it.
-        backend: what renders.
+        plan: the whole frame plan, with every segment applied.
+        world: as rendered.
+        backend: worlds and renderer.
     """
 
     scenario: Scenario
@@ -40,13 +40,13 @@ class Preview:
     backend: RenderBackend
 
     def expose_frames(self, indices: Many[int]) -> tuple[list[np.ndarray], np.ndarray]:
-        """The very frames that the whole sequence has at some places.
+        """Return frames of the sequence, equal to those of the whole rendering.
 
-        This holds because a frame depends on the plan, its own number and its own time, never on the frames
-        before it: each kind of degradation draws its random numbers by the frame's number.
+        A frame depends on the plan, its number and its time, never on earlier frames: every degradation draws
+        its random numbers by the frame's number.
 
         Args:
-            indices: K places among ``shoot.stamps_s``, rising.
+            indices: K indices into ``plan.stamps_s``, increasing.
 
         Returns:
             K images (H, W) uint8, and (K,) float64 median length of their motion blur, pixels.
@@ -80,7 +80,7 @@ def preview(scenario: Scenario, backend: RenderBackend | None = None) -> Preview
 
     Args:
         scenario: what happens, with its own seed.
-        backend: what renders; None for MuJoCo.
+        backend: worlds and renderer; None for MuJoCo.
 
     Raises:
         InputError: no GL, or the world's sizes do not fit.

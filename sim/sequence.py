@@ -18,10 +18,10 @@ class SegmentTruth:
     Attributes:
         kind: as in the scenario.
         severity: the scenario's parameters of the segment.
-        start_s, end_s: as asked for, sequence time.
+        start_s, end_s: as in the scenario, sequence time.
         first_frame, last_frame: first and last frame (inclusive) on which it truly acts, -1 if on none.
-        measure: the column of ``Sequence.frame_truth`` that says how much it acts on each frame.
-        threshold: the measure from which on it is said to act.
+        measure: the column of ``Sequence.frame_truth`` with its strength on each frame.
+        threshold: the measure from which on it counts as acting.
         runs: first and last frame (inclusive) of every unbroken run on which it acts, from ``first_frame``
             to ``last_frame``; empty where only those two are known.
     """
@@ -38,12 +38,12 @@ class SegmentTruth:
 
     @classmethod
     def from_record(cls, record: dict[str, Any]) -> "SegmentTruth":
-        """The truth from its fields as JSON holds them. Raises TypeError or ValueError if they are others."""
+        """Build the truth from JSON fields. Raises TypeError or ValueError on other fields."""
         runs = tuple((int(first), int(last)) for first, last in record.get("runs", ()))
         return cls(**{**record, "runs": runs})
 
     def mask(self, frames: int) -> np.ndarray:
-        """(frames,) bool: the frames of a sequence of so many on which it truly acts."""
+        """(frames,) bool: frames of the sequence on which the segment acts."""
         acts = np.zeros(frames, bool)
         whole = ((self.first_frame, self.last_frame),) if self.first_frame >= 0 else ()
         for first, last in self.runs or whole:
@@ -51,13 +51,13 @@ class SegmentTruth:
         return acts
 
     def among(self, kept: np.ndarray) -> "SegmentTruth":
-        """The truth of a sequence of which only these frames, (n,) increasing indices, are kept."""
+        """The truth after only the frames ``kept``, (n,) increasing indices, remain."""
         whole = ((self.first_frame, self.last_frame),) if self.first_frame >= 0 else ()
         left: list[tuple[int, int]] = []
-        for first, last in (_among(kept, *run) for run in self.runs or whole):
+        for first, last in (_range_in(kept, *run) for run in self.runs or whole):
             if first > last:
                 continue
-            # What lay between two runs may be gone.
+            # The frames between two runs may be gone.
             joined = bool(left) and left[-1][1] + 1 == first
             left.append((left.pop()[0] if joined else first, last))
         first_frame, last_frame = (left[0][0], left[-1][1]) if left else (-1, -1)
@@ -77,7 +77,7 @@ class FrameSource(Protocol):
 
 @dataclass(frozen=True)
 class Sequence:
-    """What a SLAM run is fed from and judged against.
+    """Frames, camera and ground truth of one sequence.
 
     Attributes:
         name: scenario or folder name.
@@ -86,11 +86,11 @@ class Sequence:
         frames: N gray images.
         T_world_cam: (N, 4, 4) float64, NaN where unknown for a frame; None without ground truth.
         depths: N depth images (H, W) float32, metres, or None.
-        segments: injected segments, empty for real footage.
+        segments: injected segments, empty for a real recording.
         meta: spec, seed, versions, GL renderer.
-        frame_truth: what the segments do to each frame, (N,) float64 each: ``blur_px``, ``exposure_s``,
-            ``faded_share``, ``swing_degps``; empty for real footage.
-        image_names: N file names relative to the folder the frames are from; empty where there is none.
+        frame_truth: effect of the segments on each frame, (N,) float64 each: ``blur_px``, ``exposure_s``,
+            ``faded_share``, ``swing_degps``; empty for a real recording.
+        image_names: N file names relative to the folder of the frames; empty without files.
     """
 
     name: str
@@ -108,7 +108,7 @@ class Sequence:
         return len(self.stamps_s)
 
     def only(self, kept: np.ndarray) -> "Sequence":
-        """The sequence of which only these frames, (n,) increasing int indices, were ever taken."""
+        """The sequence reduced to the frames ``kept``, (n,) increasing int indices."""
         kept = np.asarray(kept, int)
         return replace(
             self,
@@ -122,13 +122,13 @@ class Sequence:
         )
 
     def kinds_at(self, frame: int) -> tuple[str, ...]:
-        """Kinds of the segments between whose first and last frame a frame lies, by their onset."""
+        """Kinds of the segments whose frame range contains a frame, by onset."""
         inside = [s for s in self.segments if 0 <= s.first_frame <= frame <= s.last_frame]
         return tuple(s.kind for s in sorted(inside, key=lambda s: s.first_frame))
 
 
 class ChosenFrames:
-    """Some of the frames of another source, by their increasing int indices (n,)."""
+    """Selected frames of another source, by increasing int indices (n,)."""
 
     def __init__(self, source: FrameSource, kept: np.ndarray) -> None:
         self._source, self._kept = source, kept
@@ -140,6 +140,6 @@ class ChosenFrames:
         return self._source[int(self._kept[index])]
 
 
-def _among(kept: np.ndarray, first: int, last: int) -> tuple[int, int]:
-    """First and last place in ``kept`` of the frames from ``first`` to ``last``; crossed over if none is."""
+def _range_in(kept: np.ndarray, first: int, last: int) -> tuple[int, int]:
+    """First and last index into ``kept`` in [first, last], reversed if none."""
     return int(np.searchsorted(kept, first, "left")), int(np.searchsorted(kept, last, "right")) - 1

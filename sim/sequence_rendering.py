@@ -72,11 +72,11 @@ def render_sequence(
     progress: Progress | None = None,
     backend: RenderBackend | None = None,
 ) -> Sequence:
-    """Render a scenario, or take it from the cache.
+    """Render a scenario, or read it from the cache.
 
     The same scenario and seed give the same bytes on one machine and GL driver. Frames stay on disk and are
-    read one by one. With segments that act on images, the sharp frames with their depth are cached too, so
-    that another severity renders nothing again.
+    read one by one. With segments that act on images, the clean frames with their depth are cached too:
+    another severity renders nothing again.
 
     Args:
         scenario: what happens.
@@ -84,8 +84,8 @@ def render_sequence(
         out_dir: also write the sequence there as a TUM-form folder.
         cache_dir: folder of the cache; None for the default one.
         depth: keep depth images too.
-        progress: told of every frame.
-        backend: what renders; None for MuJoCo.
+        progress: called after every frame.
+        backend: worlds and renderer; None for MuJoCo.
 
     Raises:
         InputError: no GL, the world's sizes do not fit, a folder cannot be written, the disk is full.
@@ -98,8 +98,8 @@ def render_sequence(
     meta = _provenance(scenario, seed, backend)
     store = FolderCache(cache_dir)
     # Inertial readings change no frame.
-    filmed = _provenance(scenario.model_copy(update={"imu": None}), seed, backend)
-    key = content_key({"depth": depth, "sources": _sources(), **filmed})
+    provenance = _provenance(scenario.model_copy(update={"imu": None}), seed, backend)
+    key = content_key({"depth": depth, "sources": _sources(), **provenance})
     entry = store.find(key)
     if entry is None:
         with store.create(key) as folder:
@@ -148,9 +148,9 @@ def _render_into(
 def _clean_frames_of(
     scenario: Scenario, seed: int, backend: RenderBackend, store: FolderCache, progress: Progress
 ) -> Path:
-    """The folder of a scenario's sharp frames: rendered once for all that is done to them in image space."""
+    """Return the folder of a scenario's clean frames; render them if they are not cached."""
     kept = [s for s in scenario.segments if DEGRADATIONS[s.kind].stage in (Stage.MOTION, Stage.WORLD)]
-    calm = scenario.model_copy(
+    clean = scenario.model_copy(
         update={
             "name": "clean_frames",
             "description": "",
@@ -159,15 +159,15 @@ def _clean_frames_of(
             "camera": scenario.camera.model_copy(update={"exposure_s": 0.0, "noise_sigma": 0.0}),
         }
     )
-    key = content_key({"clean_frames": True, "sources": _sources(), **_provenance(calm, seed, backend)})
+    key = content_key({"clean_frames": True, "sources": _sources(), **_provenance(clean, seed, backend)})
     entry = store.find(key)
     if entry is None:
-        plan, world = plan_frames(calm, seed, backend, progress)
+        plan, world = plan_frames(clean, seed, backend, progress)
         with (
             store.create(key) as folder,
-            rendered_clean_frames(world, calm.camera, backend) as clean_frames,
+            rendered_clean_frames(world, clean.camera, backend) as clean_frames,
         ):
-            store_clean_frames(folder, plan, clean_frames, calm.camera, progress)
+            store_clean_frames(folder, plan, clean_frames, clean.camera, progress)
         entry = store.root / key
     return entry
 
@@ -176,7 +176,7 @@ def _write_truth(
     folder: Path, scenario: Scenario, plan: FramePlan, chain: ImageChain, blur_px: np.ndarray
 ) -> None:
     truths, measured = truths_of(scenario.segments, plan, chain, blur_px)
-    # Every frame is exposed and blurred a little, segment or not.
+    # Every frame has an exposure and some blur, with or without a segment.
     columns = {**measured, "exposure_s": plan.exposure_s, "blur_px": blur_px}
     (folder / "segments.json").write_text(json.dumps([asdict(truth) for truth in truths]))
     np.save(folder / "stamps_s.npy", plan.stamps_s + plan.stamp_error_s)
@@ -204,7 +204,7 @@ def _open(entry: Path, scenario: Scenario, meta: dict[str, Any]) -> Sequence:
 
 
 def _provenance(scenario: Scenario, seed: int, backend: RenderBackend) -> dict[str, Any]:
-    """What the frames depend on, as JSON-like data."""
+    """Everything on which the frames depend, as JSON-like data."""
     return {
         "spec": scenario.model_copy(update={"seed": seed}).model_dump(mode="json"),
         "seed": seed,
@@ -229,7 +229,7 @@ def _versions() -> dict[str, str]:
 
 @cache
 def _source_hash() -> str:
-    """Hash of every source file that can change a pixel: a changed renderer finds no old frames."""
+    """Hash of every source file that can change a pixel; part of the cache key."""
     digest = hashlib.sha256()
     for package in (scenarios, sim):
         root = Path(str(package.__file__)).parent

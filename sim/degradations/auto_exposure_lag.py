@@ -1,4 +1,4 @@
-"""Auto-exposure lag: the light jumps, the exposure follows late."""
+"""Auto-exposure lag: the exposure follows a jump of the light late."""
 
 from typing import ClassVar
 
@@ -14,14 +14,14 @@ FELT_STOPS = 0.5
 
 
 class AutoExposureLagDegradation(ImageDegradation[AutoExposureLag]):
-    """Exposes wrongly by the jump's stops at first, less by a factor of e with every time constant."""
+    """Exposure error that starts with the jump's stops and decays exponentially."""
 
     kind: ClassVar[str] = "auto_exposure_lag"
     stage: ClassVar[Stage] = Stage.SENSOR
     measure_name: ClassVar[str] = "exposure_error_stops"
 
     def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """A jump either way and a time constant."""
+        """Jump, brighter or darker, and time constant."""
         stops = float(rng.uniform(1, 7)) * float(rng.choice([-1, 1]))
         return {"stops": stops, "time_constant_s": float(np.exp(rng.uniform(np.log(0.1), np.log(1.5))))}
 
@@ -36,5 +36,5 @@ class AutoExposureLagDegradation(ImageDegradation[AutoExposureLag]):
         return lag
 
     def threshold(self, segment: AutoExposureLag) -> float:
-        """Half a stop, or half of the jump, if that is less."""
+        """Half a stop, or half of a smaller jump."""
         return min(FELT_STOPS, abs(segment.stops) / 2)

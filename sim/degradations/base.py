@@ -1,9 +1,9 @@
-"""What a degradation is: parameters in physical units and a pure ``apply`` on what decides the frames.
+"""Interface of degradations: physical parameters and a pure ``apply`` on the frame plan.
 
-The first family of kinds acts on a ``FramePlan``, before a pixel is rendered: on the motion, then on the
-world's textures, then on the shutter, then on which frames there are and what their stamps say. The
-second family acts on the images (``sim.degradations.image``). Every kind measures, frame by frame, how much
-it truly acts, which gives a segment's true onset and end.
+The first family of kinds acts on a ``FramePlan`` before rendering: on the motion, then on the world's
+textures, then on the shutter, then on frame timing. The second family acts on the images
+(``sim.degradations.image``). Every kind measures its true strength on each frame, which gives a segment's
+true onset and end.
 """
 
 from dataclasses import dataclass, field, replace
@@ -19,14 +19,13 @@ from sim.sequence import SegmentTruth
 
 
 class Stage(IntEnum):
-    """The order in which degradations act; a later stage sees what the earlier ones made."""
+    """Order in which degradations act; a later stage sees the result of earlier ones."""
 
     MOTION = 0
     WORLD = 1
     SHUTTER = 2
     TIMING = 3
-    # On the images, in the order of the light's way: between the surfaces and the open shutter; what has an
-    # exposure of its own; then the lens.
+    # On images, along the light path: between surfaces and shutter; with an exposure of its own; the lens.
     SCENE = 4
     READOUT = 5
     LENS = 6
@@ -37,8 +36,7 @@ class Stage(IntEnum):
 def streams_of(seed: int, segment: SegmentBase, *names: str | int) -> np.random.Generator:
     """A random stream of one segment.
 
-    A segment is known by its kind and start together, which no other has, so that adding one changes no
-    other's numbers.
+    Kind and start identify a segment, so that adding one changes no other's numbers.
     """
     kind = str(getattr(segment, "kind", ""))
     return rng_for(seed, "degradation", kind, round(segment.start_s * 1e6), *names)
@@ -55,13 +53,13 @@ class FramePlan:
         contrast: (S,) float64 texture contrast of each surface of the world.
         view_share: (N, S) float32 share of the view that each surface fills in each frame; (N, 0) where no
             degradation of the world needs it.
-        seed: root seed, from which a segment draws what is random in it.
+        seed: root seed of the segments' random draws.
         frame: (N,) int64 number of each frame before any was dropped; empty for 0, 1, 2 ...
-        stamp_error_s: (N,) float64 what the written stamp adds to the true one; empty for none.
-        texture_of: (S,) int64 surface of whose texture each surface shows a patch; empty for its own texture.
+        stamp_error_s: (N,) float64 written minus true stamp; empty for no errors.
+        texture_of: (S,) int64 surface whose texture patch each surface repeats; empty for none.
         period_m: (S,) float64 side of that patch, 0 where a surface shows its own whole texture.
-        moment_s: (S,) float64 true time at which each surface fills most of the view, NaN for one that is
-            never seen; empty where ``view_share`` is. It stays what it was when frames are dropped.
+        moment_s: (S,) float64 true time at which each surface fills most of the view, NaN if never seen;
+            empty where ``view_share`` is. Dropped frames do not change it.
     """
 
     stamps_s: np.ndarray
@@ -92,7 +90,7 @@ class FramePlan:
             object.__setattr__(self, "moment_s", np.where(seen, moment_s, np.nan))
 
     def only(self, kept: np.ndarray) -> "FramePlan":
-        """The shoot with some frames alone; ``kept`` is (N,) bool."""
+        """The plan reduced to the frames ``kept``, (N,) bool."""
         names = ("stamps_s", "exposure_s", "view_share", "frame", "stamp_error_s")
         return replace(self, **{name: getattr(self, name)[kept] for name in names})
 
@@ -102,7 +100,7 @@ class FramePlan:
 
 
 def during(segment: SegmentBase, stamps_s: np.ndarray) -> np.ndarray:
-    """(N,) bool: which of (N,) times lie in the segment, its end excluded."""
+    """(N,) bool: times in the segment, its end excluded."""
     return (stamps_s >= segment.start_s - 1e-9) & (stamps_s < segment.end_s - 1e-9)
 
 
@@ -114,8 +112,8 @@ class Degradation(Protocol[SegmentT_contra]):
 
     Attributes:
         kind: as in the scenario.
-        stage: when it acts.
-        measure_name: what ``measure`` gives, with its unit.
+        stage: its place in the order.
+        measure_name: name of the measure, with its unit.
     """
 
     kind: ClassVar[str]
@@ -123,25 +121,25 @@ class Degradation(Protocol[SegmentT_contra]):
     measure_name: ClassVar[str]
 
     def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Severity parameters drawn from the range over which this kind goes from harmless to fatal."""
+        """Draw severity parameters from the range between harmless and fatal."""
         ...
 
     def apply(self, plan: FramePlan, segment: SegmentT_contra) -> FramePlan:
-        """The shoot with the segment in it; the given one is left as it was."""
+        """Return the plan with the segment applied; the given plan is left unchanged."""
         ...
 
     def measure(self, plan: FramePlan, segment: SegmentT_contra, blur_px: np.ndarray) -> np.ndarray:
-        """(N,) float64: how much the segment acts on each frame.
+        """(N,) float64 strength of the segment on each frame.
 
         Args:
-            shoot: with every segment applied.
+            plan: with every segment applied.
             segment: the segment to measure.
             blur_px: (N,) median length of each frame's motion blur, pixels.
         """
         ...
 
     def threshold(self, segment: SegmentT_contra) -> float:
-        """The measure from which on the segment is said to act."""
+        """The measure from which on the segment counts as acting."""
         ...
 
 
@@ -150,7 +148,7 @@ def true_runs(acts: np.ndarray, within: np.ndarray) -> tuple[tuple[int, int], ..
 
     Args:
         acts: (N,) bool, frames on which the measure reaches its threshold.
-        within: (N,) bool, frames of the segment as asked for.
+        within: (N,) bool, frames in the segment's declared time.
 
     Returns:
         First and last frame of each, inclusive, in order. A run elsewhere, such as a second visit to faded
@@ -173,7 +171,7 @@ def segment_truth(
 def truth_of(
     segment: Segment, measure_name: str, measure: np.ndarray, threshold: float, within: np.ndarray
 ) -> SegmentTruth:
-    """The truth of a segment from its (N,) measure per frame; a measure of 0 never acts."""
+    """The truth of a segment from its (N,) measure; 0 never counts as acting."""
     runs = true_runs((measure >= threshold) & (measure > 0), within)
     return SegmentTruth(
         kind=segment.kind,

@@ -1,4 +1,4 @@
-"""The image-space segments of a sequence, applied to its frames in the order of the light's way."""
+"""The image-space segments of a sequence, applied to its frames along the light path."""
 
 from collections.abc import Sequence as Many
 from functools import partial
@@ -15,19 +15,19 @@ from sim.sequence import SegmentTruth
 
 
 class ImageChain:
-    """Applies image-space segments frame by frame and keeps what each did to which frame.
+    """Applies image-space segments frame by frame and records their measures.
 
-    Segments are prepared when their first frame comes and let go after their last.
+    Segments are prepared at their first frame and released after their last.
 
     Args:
-        segments: of a scenario; those of other kinds are passed over.
+        segments: of a scenario; other kinds are skipped.
         camera: intrinsics of the frames.
         stamps_s: (N,) float64 true times of the frames.
         frame: (N,) int64 number of each frame before any was dropped.
         seed: root seed.
         exposure_s: (N,) float64 shutter times; None where unknown.
-        ideal: intrinsics of the frames before a distorting lens, on which what lies between surfaces and
-            lens acts; None where there is no such lens.
+        ideal: intrinsics of the frames before a distorting lens, used between surfaces and lens; None
+            without such a lens.
     """
 
     def __init__(
@@ -57,14 +57,14 @@ class ImageChain:
         depth_m: np.ndarray | None = None,
         motion: Motion | None = None,
     ) -> np.ndarray:
-        """The (H, W) uint8 image after the given stages; the given one is left as it was.
+        """Return the (H, W) uint8 image after the given stages; the given image is unchanged.
 
         Args:
             image: frame ``index`` of the sequence.
-            index: place of the frame among the ``stamps_s``.
-            stages: those whose turn it is.
-            depth_m: (H, W) float32, for the kinds that need it.
-            motion: for the kinds that need it.
+            index: index of the frame in ``stamps_s``.
+            stages: stages to apply.
+            depth_m: (H, W) float32, for kinds that need it.
+            motion: for kinds that need it.
         """
         for link in self._links:
             if link.kind.stage not in stages or link.strength[index] == 0:
@@ -84,7 +84,7 @@ class ImageChain:
         return image
 
     def truths(self) -> dict[Segment, tuple[SegmentTruth, np.ndarray]]:
-        """Truth and (N,) measure of every segment that acts on images, when all frames have been through."""
+        """Truth and (N,) measure of every image-space segment, after all frames."""
         found = {}
         for link in self._links:
             threshold, name = link.kind.threshold(link.segment), link.kind.measure_name
@@ -107,5 +107,5 @@ class _Link:
         return self._filter
 
     def release(self) -> None:
-        """Lets go of sprites, masks and noise."""
+        """Release sprites, masks and noise."""
         self._filter = None

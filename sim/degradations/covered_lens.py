@@ -1,4 +1,4 @@
-"""A covered lens: something keeps light off, up to blank frames."""
+"""Covered lens: a cover withholds light, up to blank frames."""
 
 from typing import ClassVar
 
@@ -34,5 +34,5 @@ class CoveredLensDegradation(ImageDegradation[CoveredLens]):
         return cover
 
     def threshold(self, segment: CoveredLens) -> float:
-        """Half of the light is withheld, or all that ever is, if that is less."""
+        """Half of the light, or all that the cover withholds, if that is less."""
         return min(HALF_THE_LIGHT, 1 - segment.transmission)

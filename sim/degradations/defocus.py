@@ -12,7 +12,7 @@ from sim.degradations.image import Filter, ImageDegradation, Streams, View
 from sim.degradations.tone import decode, encode
 from sim.sensors.camera import Intrinsics
 
-# A pixel averages as much.
+# A pixel averages over such a disc anyway.
 SHARP_PX = 1.0
 FELT_PX = 4.0
 _SUBPIXELS = 8
@@ -41,13 +41,13 @@ class DefocusDegradation(ImageDegradation[Defocus]):
         return defocus
 
     def threshold(self, segment: Defocus) -> float:
-        """A disc that corners do not survive unharmed, or the segment's own, if that is smaller."""
+        """A disc that damages corners, or the segment's own if smaller."""
         return min(FELT_PX, segment.diameter_px)
 
 
 @lru_cache(maxsize=8)
 def disc(diameter_px: float) -> np.ndarray:
-    """(k, k) float32 share of the disc's light that falls on each pixel, sum 1, k odd."""
+    """(k, k) float32 share of the disc's light on each pixel, sum 1, k odd."""
     reach = int(np.ceil(diameter_px / 2 - 0.5))
     size = 2 * reach + 1
     at = (np.arange(size * _SUBPIXELS) + 0.5) / _SUBPIXELS - size / 2

@@ -1,4 +1,4 @@
-"""Fast rotation: a swing out and back on top of the motion."""
+"""Fast rotation: a swing out and back, added to the motion."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar

@@ -1,4 +1,4 @@
-"""Fog: the farther a surface, the more of its light is lost, and the more airlight is in its place."""
+"""Fog: airlight replaces the light of distant surfaces."""
 
 from typing import ClassVar
 
@@ -14,7 +14,7 @@ HALF_THE_LIGHT = 0.5
 
 
 class FogDegradation(ImageDegradation[Fog]):
-    """A veil that comes and goes; see ``Scattering``."""
+    """Fog that comes and goes; see ``Scattering``."""
 
     kind: ClassVar[str] = "fog"
     stage: ClassVar[Stage] = Stage.SCENE
@@ -40,5 +40,5 @@ class FogDegradation(ImageDegradation[Fog]):
         return fog
 
     def threshold(self, segment: Fog) -> float:
-        """Half of what is seen is fog."""
+        """Half of the light is airlight."""
         return HALF_THE_LIGHT

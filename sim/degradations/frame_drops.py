@@ -9,7 +9,7 @@ from sim.degradations.base import FramePlan, Stage, streams_of
 
 
 class FrameDropsDegradation:
-    """Takes frames out of the segment, at random; a larger share drops those of a smaller one and more.
+    """Drops random frames of the segment; a larger share drops a superset.
 
     The segment's last frame always stays: it shows where the gap ends.
     """
@@ -31,7 +31,7 @@ class FrameDropsDegradation:
         return plan.only(kept)
 
     def measure(self, plan: FramePlan, segment: FrameDrops, blur_px: np.ndarray) -> np.ndarray:
-        """(N,) frames that are missing just before each frame of the segment."""
+        """(N,) number of frames missing just before each frame of the segment."""
         missing = np.diff(plan.frame, prepend=-1) - 1
         return np.where(plan.within(segment), missing, 0).astype(float)
 

@@ -1,4 +1,4 @@
-"""The second family of degradations: those that act on images, frame by frame."""
+"""Interface of degradations that act on images, frame by frame."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from sim.motion.base import Motion
 from sim.sensors.camera import Intrinsics
 
 Streams = Callable[..., np.random.Generator]
-"""Names to the random stream of one segment and consumer."""
+"""Gives the random stream of one segment for a consumer's names."""
 
 USUAL_EXPOSURE_S = 0.01
 
@@ -22,15 +22,15 @@ SegmentT = TypeVar("SegmentT", bound=ImageSegment)
 
 @dataclass(frozen=True)
 class View:
-    """What a filter may know of a frame besides its image.
+    """Data of a frame that a filter may use besides its image.
 
     Attributes:
         frame: its number before any frame was dropped.
         stamp_s: true centre of its exposure.
-        strength: place on the segment's ramp, above 0 to 1; a severity is reached in proportion.
+        strength: position on the segment's ramp, above 0 to 1; severity grows in proportion.
         depth_m: (H, W) float32 depth along the optical axis, 0 for none; None where unknown.
         motion: the camera's motion; None where unknown.
-        exposure_s: shutter time; a common one where unknown.
+        exposure_s: shutter time; a usual one where unknown.
     """
 
     frame: int
@@ -42,14 +42,14 @@ class View:
 
 
 class Filter(Protocol):
-    """One segment made ready for a camera."""
+    """One segment, prepared for a camera."""
 
     def __call__(self, image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
-        """The degraded frame and how much the segment acts on it, in the unit of its kind's measure.
+        """Return the degraded frame and its measure, in the unit of the kind.
 
         Args:
-            image: (H, W) uint8; left as it is. Where nothing changes, it may be given back itself.
-            view: of the frame.
+            image: (H, W) uint8, left unchanged; may be returned itself if nothing changes.
+            view: further data of the frame.
         """
         ...
 
@@ -59,8 +59,8 @@ class ImageDegradation(ABC, Generic[SegmentT]):
 
     Attributes:
         kind: as in the scenario.
-        stage: when it acts, one of the later stages.
-        measure_name: what the filter measures, with its unit.
+        stage: one of the later stages.
+        measure_name: name of the filter's measure, with its unit.
         needs_depth: frames need a depth image.
         needs_motion: frames need the camera's motion.
     """
@@ -73,15 +73,15 @@ class ImageDegradation(ABC, Generic[SegmentT]):
 
     @abstractmethod
     def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Severity parameters drawn from the range over which this kind goes from harmless to fatal."""
+        """Draw severity parameters from the range between harmless and fatal."""
 
     @abstractmethod
     def prepare(self, segment: SegmentT, camera: Intrinsics, streams: Streams) -> Filter:
-        """The segment made ready: what does not change from frame to frame is made here, once."""
+        """Prepare the segment: compute once everything that is the same for all frames."""
 
     @abstractmethod
     def threshold(self, segment: SegmentT) -> float:
-        """The measure from which on the segment is said to act."""
+        """The measure from which on the segment counts as acting."""
 
 
 def ramp(segment: ImageSegment, stamps_s: np.ndarray) -> np.ndarray:

@@ -37,5 +37,5 @@ class JpegDegradation(ImageDegradation[Jpeg]):
         return code
 
     def threshold(self, segment: Jpeg) -> float:
-        """A quality of 50, or the segment's own, if that is higher."""
+        """A quality of 50, or the segment's own if higher."""
         return min(FELT_LOSS, 100.0 - round(segment.quality))

@@ -1,4 +1,4 @@
-"""Dirt and drops on the lens: spots that stay in place and show a smeared veil."""
+"""Dirt and drops on the lens: fixed spots that smear and darken the view."""
 
 from typing import ClassVar
 
@@ -8,13 +8,13 @@ import numpy as np
 from scenarios.segments import LensDirt
 from sim.degradations.base import Stage
 from sim.degradations.image import Filter, ImageDegradation, Streams, View
-from sim.degradations.sprites import felt_share, fill_share, filled, smooth_outline
+from sim.degradations.sprites import acting_share, fill_share, filled, smooth_outline
 from sim.degradations.tone import decode, encode
 from sim.sensors.camera import Intrinsics
 
-# Spots are laid out and light is smeared on grids this much coarser than the image.
+# Spots are placed and light is smeared on grids this much coarser than the image.
 _COARSE, _SMEAR = 4, 32
-# A spot's rim is blurred by this share of its radius: dirt lies far out of focus.
+# A spot's rim is blurred by this share of its radius: dirt is far out of focus.
 _RIM = 0.15
 _CORNERS, _MOST_SPOTS = 9, 4000
 _PASSING = 0.75  # of the light, through the middle of a spot
@@ -22,7 +22,7 @@ _WIDTHS = (0.5, 1.6)  # of a spot, about the mean
 
 
 class LensDirtDegradation(ImageDegradation[LensDirt]):
-    """Covers part of the view with soft spots through which the scene is smeared and darker."""
+    """Covers part of the view with soft spots that smear and darken the scene."""
 
     kind: ClassVar[str] = "lens_dirt"
     stage: ClassVar[Stage] = Stage.LENS
@@ -50,14 +50,14 @@ class LensDirtDegradation(ImageDegradation[LensDirt]):
         return dirty
 
     def threshold(self, segment: LensDirt) -> float:
-        """A tenth of the view, or half of the share asked for, if that is less."""
-        return felt_share(segment.share)
+        """A tenth of the view, or half of a smaller share."""
+        return acting_share(segment.share)
 
 
 def dirt_cover(segment: LensDirt, camera: Intrinsics, rng: np.random.Generator) -> np.ndarray:
-    """(H, W) float32 cover, 0 clear to 1 dirty; spots are added until more than half cover the share.
+    """(H, W) float32 cover, 0 clear to 1 dirty, which exceeds one half on the share.
 
-    The same stream gives the same spots, so that a larger share has those of a smaller one and more.
+    The same stream gives the same spots; a larger share has those of a smaller one and more.
     """
     size = (camera.height_px, camera.width_px)
     height, width = (max(8, pixels // _COARSE) for pixels in size)

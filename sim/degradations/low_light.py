@@ -1,4 +1,4 @@
-"""Low light: a darker image with the shot and read noise of a sensor that collects few electrons."""
+"""Low light: a darker image with shot and read noise."""
 
 from typing import ClassVar
 
@@ -13,12 +13,12 @@ from sim.sensors.camera import Intrinsics
 
 ONE_STOP = 1.0
 _BANK_SIZE = 1 << 22
-# Normals are kept as codes of one byte, so many to a standard deviation: up to four of them either way.
+# Normal numbers are one-byte codes, this many per standard deviation: up to four deviations either way.
 _CODES_PER_SIGMA = 32
 
 
 class LowLightDegradation(ImageDegradation[LowLight]):
-    """Scales the light, adds the noise of its electrons, amplifies and saturates."""
+    """Scales the light, adds electron noise, amplifies and saturates."""
 
     kind: ClassVar[str] = "low_light"
     stage: ClassVar[Stage] = Stage.SENSOR
@@ -33,12 +33,12 @@ class LowLightDegradation(ImageDegradation[LowLight]):
         return _LowLight(segment, camera, streams)
 
     def threshold(self, segment: LowLight) -> float:
-        """One stop, or all that is ever lost, if that is less."""
+        """One stop, or the whole loss if smaller."""
         return min(ONE_STOP, -float(np.log2(segment.illumination)))
 
 
 class _LowLight:
-    """The noise of a pixel depends on its level and a normal number alone: a table of both does it."""
+    """Noise by a table over a pixel's level and a normal number."""
 
     def __init__(self, segment: LowLight, camera: Intrinsics, streams: Streams) -> None:
         self._segment, self._streams = segment, streams
@@ -66,14 +66,14 @@ class _LowLight:
 
 
 def noise_table(illumination: float, gain: float, full_well_e: float, read_noise_e: float) -> np.ndarray:
-    """(256, 256) uint8 level that a level becomes under each code of a normal number.
+    """(256, 256) uint8 noisy level of every level and code of a normal number.
 
-    Shot noise is taken as normal with the variance of its mean count, which holds from about ten electrons
-    on; below, read noise rules.
+    Shot noise is approximated as normal with the variance of its mean count, which holds from about ten
+    electrons on; below, read noise dominates.
 
     Args:
-        illumination: light, as a share of that which gave the levels.
-        gain: amplification of what the sensor has counted.
+        illumination: light as a share of the light behind the levels.
+        gain: amplification of the electron count.
         full_well_e: electrons of light 1 at gain 1.
         read_noise_e: standard deviation of the read noise, electrons.
     """
@@ -86,7 +86,7 @@ def noise_table(illumination: float, gain: float, full_well_e: float, read_noise
 
 @njit(cache=True, nogil=True)
 def look_up(image, codes, table, out):
-    """Writes the table's entry for each pixel's level and code.
+    """Write the table's entry for each pixel's level and code.
 
     Args:
         image: (n,) uint8 levels.

@@ -1,4 +1,4 @@
-"""Low texture, built into the world along the path."""
+"""Low texture of the surfaces along the path."""
 
 from dataclasses import replace
 from typing import ClassVar
@@ -12,9 +12,9 @@ HALF_THE_VIEW = 0.5
 
 
 class LowTextureDegradation:
-    """Multiplies the contrast of the surfaces that the camera passes in the segment's time.
+    """Lowers the texture contrast of surfaces that the camera passes during the segment.
 
-    A surface belongs to the moment at which it fills most of the view.
+    A surface is passed when it fills most of the view.
     """
 
     kind: ClassVar[str] = "low_texture"
@@ -22,7 +22,7 @@ class LowTextureDegradation:
     measure_name: ClassVar[str] = "faded_share"
 
     def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Contrast, uniform in its logarithm: matches fall off with log contrast between .5 and .05."""
+        """Contrast, uniform in its logarithm: matches fall with log contrast from .5 to .05."""
         return {"contrast": float(np.exp(rng.uniform(np.log(0.02), np.log(0.5))))}
 
     def apply(self, plan: FramePlan, segment: LowTexture) -> FramePlan:

@@ -8,12 +8,12 @@ import numpy as np
 from scenarios.spec import MotionBlur
 from sim.degradations.base import FramePlan, Stage
 
-# Corners survive a shorter smear.
+# A shorter smear leaves corners intact.
 FELT_PX = 4.0
 
 
 class MotionBlurDegradation:
-    """Sets the shutter time of the segment's frames; how far they smear depends on the motion."""
+    """Sets the shutter time of the segment's frames; the smear depends on the motion."""
 
     kind: ClassVar[str] = "motion_blur"
     stage: ClassVar[Stage] = Stage.SHUTTER
@@ -33,5 +33,5 @@ class MotionBlurDegradation:
         return np.where(plan.within(segment), blur_px, 0.0)
 
     def threshold(self, segment: MotionBlur) -> float:
-        """A smear that corners do not survive unharmed."""
+        """A smear that damages corners."""
         return FELT_PX

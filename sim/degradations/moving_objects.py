@@ -1,4 +1,4 @@
-"""Moving objects: people and vehicles pass in front of everything, each with a motion of its own."""
+"""Moving objects: people and vehicles that pass in front of the scene."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -9,30 +9,30 @@ from scenarios.segments import MovingObjects
 from sim.degradations.base import Stage
 from sim.degradations.image import Filter, ImageDegradation, Streams, View
 from sim.degradations.passers_by import CAR_M, PERSON_M, POSES, VAN_M, person, vehicle
-from sim.degradations.sprites import Sprite, draw_behind, felt_share, fill_share
+from sim.degradations.sprites import Sprite, acting_share, draw_behind, fill_share
 from sim.sensors.camera import Intrinsics
 
 _SPEEDS = (0.6, 1.4)  # of the stated rate
 _MOST = 400
-_PEOPLE, _CARS = 0.7, 0.9  # people, and then cars, of all that pass
-# Image heights of a person: the first pass far away, the later ones nearer and nearer.
+_PEOPLE, _CARS = 0.7, 0.9  # cumulative shares of people and of cars
+# Image heights of a person: the first are far away, later ones nearer.
 _FARTHEST, _NEARER, _NEAREST = 0.4, 1.08, 2.0
-_VEHICLE = 0.28  # a vehicle keeps its distance: its scale is so much of a person's
-_CAMERA_M = 1.2  # above the ground on which all of them go
-_STEPS_PER_M = 0.55  # of both feet
+_VEHICLE = 0.28  # scale of a vehicle relative to a person's, since vehicles pass farther away
+_CAMERA_M = 1.2  # of the camera above the common ground
+_STEPS_PER_M = 0.55  # both feet together
 
 
 @dataclass(frozen=True)
 class Passer:
-    """One moving thing.
+    """One moving object.
 
     Attributes:
-        sprite: its picture.
-        scale: pixels of the image per pixel of the picture.
-        px_per_m: of the image; the nearer it is, the more.
+        sprite: its images.
+        scale: pixels of the frame per pixel of the sprite.
+        px_per_m: of the frame; grows as the object is nearer.
         place_px: (2,) x, y of its upper left corner at the segment's start.
-        velocity_pxps: (2,) of the same.
-        poses_ps: poses of its picture per second.
+        velocity_pxps: (2,) velocity of that corner.
+        poses_ps: sprite poses per second.
     """
 
     sprite: Sprite
@@ -43,7 +43,7 @@ class Passer:
     poses_ps: float
 
     def draw(self, since_s: float, light: np.ndarray, open_share: np.ndarray) -> None:
-        """Draws it behind what is drawn; see ``draw_behind``."""
+        """Draw it behind everything drawn so far; see ``draw_behind``."""
         pose = int(since_s * self.poses_ps) % len(self.sprite.gray)
         x, y = self.place_px + since_s * self.velocity_pxps
         gray, alpha = self.sprite.gray[pose], self.sprite.alpha[pose]
@@ -51,7 +51,7 @@ class Passer:
 
 
 class MovingObjectsDegradation(ImageDegradation[MovingObjects]):
-    """Draws things that leave the view on one side and come in on the other, so that their share lasts."""
+    """Draws objects that leave the view on one side and return on the other."""
 
     kind: ClassVar[str] = "moving_objects"
     stage: ClassVar[Stage] = Stage.SCENE
@@ -66,7 +66,7 @@ class MovingObjectsDegradation(ImageDegradation[MovingObjects]):
         passers, shares = _crowd(segment, camera, streams("sprites"))
 
         def pass_by(image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
-            # The first things whose share reaches the one asked for: on a ramp they come one by one.
+            # The first objects that reach the share; along a ramp they appear one by one.
             count = int(np.searchsorted(shares, view.strength * segment.share - 1e-9))
             if count == 0:
                 return image, 0.0
@@ -80,14 +80,14 @@ class MovingObjectsDegradation(ImageDegradation[MovingObjects]):
         return pass_by
 
     def threshold(self, segment: MovingObjects) -> float:
-        """A tenth of the view, or half of the share asked for, if that is less."""
-        return felt_share(segment.share)
+        """A tenth of the view, or half of a smaller share."""
+        return acting_share(segment.share)
 
 
 def _crowd(
     segment: MovingObjects, camera: Intrinsics, rng: np.random.Generator
 ) -> tuple[list[Passer], np.ndarray]:
-    """Things from far to near, and (n + 1,) the share that the first 0, 1, 2 ... of them fill together."""
+    """Objects from far to near, and (n + 1,) cumulative shares of the view."""
     passers: list[Passer] = []
     size = (camera.height_px, camera.width_px)
     light, open_share = np.zeros(size, np.float32), np.ones(size, np.float32)
@@ -102,7 +102,7 @@ def _crowd(
 
 
 def _passer(camera: Intrinsics, pxps: float, number: int, rng: np.random.Generator) -> Passer:
-    """The next thing of a crowd, its feet on the ground below the horizon."""
+    """The next object of a crowd, with its feet on the ground below the horizon."""
     near = min(_FARTHEST * _NEARER**number, _NEAREST) * float(rng.uniform(0.85, 1.15))
     px_per_m, what = near * camera.height_px / PERSON_M, rng.uniform()
     walks = what < _PEOPLE

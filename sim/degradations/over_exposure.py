@@ -1,4 +1,4 @@
-"""Over-exposure: what is bright saturates."""
+"""Over-exposure: bright parts saturate."""
 
 from typing import ClassVar
 
@@ -34,5 +34,5 @@ class OverExposureDegradation(ImageDegradation[OverExposure]):
         return expose
 
     def threshold(self, segment: OverExposure) -> float:
-        """One stop, or all there ever is, if that is less."""
+        """One stop, or the segment's own stops if fewer."""
         return min(ONE_STOP, segment.stops)

@@ -1,4 +1,4 @@
-"""Pictures of what passes by: people who walk, cars, vans. All are seen from the side, going to the right."""
+"""Sprites of walking people, cars and vans, seen from the side and facing right."""
 
 from collections.abc import Callable
 
@@ -23,9 +23,9 @@ _HAIR = [(-0.06, 1.52), (-0.1, 1.62), (-0.07, 1.72), (0.03, 1.745), (0.1, 1.71),
 _HAIR += [(0.0, 1.62), (-0.03, 1.56)]
 
 POSES = 8
-"""Poses of a step of both feet."""
+"""Number of poses of a double step."""
 
-_MAX_PX = 256  # a picture's height: what is nearer is out of focus
+_MAX_PX = 256  # a sprite's height: nearer objects are out of focus
 # Outlines in metres, from the rear bumper over the roof to the front one.
 _CAR = [
     (0.05, 0.28),
@@ -50,14 +50,14 @@ _VAN_WINDOWS = [
     [(3.9, 1.4), (3.9, 1.6), (3.9, 2.1), (4.1, 2.12), (4.35, 2.1), (4.75, 1.5), (4.8, 1.4), (4.4, 1.38)]
 ]
 PERSON_M, CAR_M, VAN_M = 1.75, 1.5, 2.5
-"""Heights of the pictures."""
+"""Heights of the sprites, metres."""
 
 Paint = Callable[[np.ndarray, np.ndarray], None]
-"""Lays a cloth of (h, w) gray levels over an (h, w) cover."""
+"""Paints (h, w) gray levels of a cloth over an (h, w) cover."""
 
 
 def person(px_per_m: float, rng: np.random.Generator) -> Sprite:
-    """Somebody in clothes of their own who walks, as large as they are to be drawn, or less."""
+    """A walking person in random clothes, at most as large as drawn."""
     rows = int(np.clip(PERSON_M * px_per_m, 12, _MAX_PX))
     size = (rows, max(8, round(rows / 1.7)))
     px = rows / PERSON_M
@@ -89,7 +89,7 @@ def person(px_per_m: float, rng: np.random.Generator) -> Sprite:
 
 
 def vehicle(px_per_m: float, is_van: bool, rng: np.random.Generator) -> Sprite:
-    """A car, or a van with something painted on it."""
+    """A car, or a van with lettering."""
     body, windows, wheels_m, tall_m = (
         (_VAN, _VAN_WINDOWS, (1.0, 4.5), VAN_M) if is_van else (_CAR, _CAR_WINDOWS, (0.85, 3.4), CAR_M)
     )
@@ -104,7 +104,7 @@ def vehicle(px_per_m: float, is_van: bool, rng: np.random.Generator) -> Sprite:
         return filled(size, _to_px(smooth_outline(placed), size, px))
 
     paint = np.full(size, rng.uniform(40, 220), np.float32)
-    # The sky is mirrored above the waist line, the road below.
+    # Paint mirrors the sky above the waist line, the road below.
     paint *= 1 + 0.2 * np.sin(np.linspace(2.5, -2.5, size[0], dtype=np.float32))[:, None]
     if is_van:
         paint = 0.75 * paint + 0.25 * _cloth(size, px / 4, rng)
@@ -125,7 +125,7 @@ def vehicle(px_per_m: float, is_van: bool, rng: np.random.Generator) -> Sprite:
 
 
 def _leg(swing: float, lift: float) -> list[tuple[float, float]]:
-    """Hip, knee, heel and toe, metres; a leg that is lifted bends its knee."""
+    """Hip, knee, heel and toe, metres; a lifted leg bends its knee."""
     knee = (0.45 * np.sin(swing + lift), 0.9 - 0.43 * np.cos(swing + lift))
     low = swing - lift
     heel = (knee[0] + 0.42 * np.sin(low), max(0.05, knee[1] - 0.42 * np.cos(low)))
@@ -147,7 +147,7 @@ def _circle() -> np.ndarray:
 
 
 def _to_px(points_m: np.ndarray, size: tuple[int, int], px: float) -> np.ndarray:
-    """Pixels of points in metres, right of the picture's middle and above the ground."""
+    """Pixels of points in metres, right of the sprite's middle and above the ground."""
     return np.column_stack([size[1] / 2 + points_m[:, 0] * px, size[0] - 1 - points_m[:, 1] * px])
 
 
@@ -162,7 +162,7 @@ def _stroke(
 
 
 def _layer(gray: np.ndarray, alpha: np.ndarray) -> Paint:
-    """Lays covers with their cloth over a picture, one on top of the other."""
+    """Return a painter of covers with their cloth, later ones on top."""
 
     def lay(cover: np.ndarray, cloth: np.ndarray) -> None:
         gray[:] += cover * (cloth - gray)
@@ -197,7 +197,7 @@ def _cloth(size: tuple[int, int], px: float, rng: np.random.Generator, patterned
 
 
 def _rounded(gray: np.ndarray, alpha: np.ndarray, rim_px: float) -> np.ndarray:
-    """(h, w) uint8: darker towards the outline, as what is round is."""
+    """(h, w) uint8, darker towards the outline like a round body."""
     lit = np.linspace(1.08, 0.85, gray.shape[0], dtype=np.float32)[:, None]
     inward = cv2.distanceTransform((alpha > 0.5).astype(np.uint8), cv2.DIST_L2, 3)
     shade = 0.65 + 0.35 * np.minimum(1, inward / max(1.0, rim_px))

@@ -1,4 +1,4 @@
-"""Pure rotation: the camera stops and turns on the spot, so that nothing has parallax."""
+"""Pure rotation: the camera stops and turns on the spot, without parallax."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -11,19 +11,19 @@ from sim.degradations.fast_rotation import AXES, PEAK, SwungMotion
 from sim.motion.base import Motion
 
 FELT_SHARE = 0.1
-# Of the segment: braking at its beginning, and setting off again at its end.
+# Share of the segment for braking at its start, and for setting off at its end.
 BRAKING = 0.15
 
 
 @dataclass(frozen=True)
 class PausedMotion:
-    """A motion that comes to rest and goes on from there later, twice continuously differentiable.
+    """A motion with a pause, twice continuously differentiable.
 
     Attributes:
         base: the motion without the pause.
-        start_s, duration_s: braking begins and full pace is reached again.
+        start_s, duration_s: from the start of braking until full pace is reached again.
         braking_s: time of braking, and of setting off.
-        from_rest: the motion has never been under way before: nothing to brake.
+        from_rest: the motion starts at rest, without braking.
     """
 
     base: Motion
@@ -45,7 +45,7 @@ class PausedMotion:
         return self.pace(stamp_s)[..., None] * self.base.rate_radps(self._own_time_s(stamp_s))
 
     def pace(self, stamp_s: float | np.ndarray) -> np.ndarray:
-        """(...) share of its own pace at which the motion runs: 1 before and after, 0 at rest."""
+        """(...) share of the motion's own pace: 1 before and after, 0 at rest."""
         into, off = self._phases(stamp_s)
         return (0.0 if self.from_rest else 1 - _smooth(into)) + _smooth(off)
 
@@ -61,7 +61,7 @@ class PausedMotion:
 
 
 def _smooth(u: np.ndarray) -> np.ndarray:
-    """From 0 at 0 to 1 at 1, level at both ends."""
+    """Smooth step from (0, 0) to (1, 1) with zero slope at both ends."""
     u = np.clip(u, 0, 1)
     return u**3 * (10 - 15 * u + 6 * u**2)
 
@@ -73,10 +73,10 @@ def _smooth_area(u: np.ndarray) -> np.ndarray:
 
 
 class PureRotationDegradation:
-    """Stops the camera, turns it out and back about one of its axes, and lets it go on.
+    """Stops the camera, turns it about one of its axes and back, and continues.
 
-    All that follows comes later by the time that the stop has cost. From the first frame on the camera is at
-    rest at once: a sequence that begins so has no parallax before the camera sets off.
+    The motion after the stop is delayed by its duration. A stop at the first frame starts at rest: the
+    sequence has no parallax before the camera sets off.
     """
 
     kind: ClassVar[str] = "pure_rotation"
@@ -98,7 +98,7 @@ class PureRotationDegradation:
         return replace(plan, motion=_turned(paused, segment))
 
     def measure(self, plan: FramePlan, segment: PureRotation, blur_px: np.ndarray) -> np.ndarray:
-        """(N,) rate at which the resting camera turns, deg/s."""
+        """(N,) angular rate of the camera at rest, deg/s."""
         return np.abs(np.rad2deg(_turned(plan.motion, segment).swing_rate_radps(plan.stamps_s)))
 
     def threshold(self, segment: PureRotation) -> float:
@@ -107,12 +107,12 @@ class PureRotationDegradation:
 
 
 def _turn_s(segment: PureRotation) -> float:
-    """How long the camera rests and turns."""
+    """Time at rest, in which the camera turns, seconds."""
     return (1 - 2 * BRAKING) * segment.duration_s
 
 
 def _peak_radps(segment: PureRotation) -> float:
-    """The swing's peak rate, which with its duration gives the angle."""
+    """Peak rate of the swing that reaches the segment's angle."""
     return float(np.deg2rad(segment.angle_deg)) * 4 * np.pi * PEAK / _turn_s(segment)
 
 

@@ -1,4 +1,4 @@
-"""Rain: streaks of falling drops, haze of those beyond, and drops on the glass before the lens."""
+"""Rain: streaks of near drops, haze of distant ones, drops on the glass."""
 
 from typing import ClassVar
 
@@ -15,21 +15,22 @@ from sim.sensors.camera import Intrinsics
 
 FELT_VEIL = 0.02
 _VERY_FAR_M = 1e4
-# Where nobody knows the motion: a camera at rest that looks straight ahead.
+# Used without a known motion: a camera at rest that looks straight ahead.
 _LEVEL = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 
 class RainDegradation(ImageDegradation[Rain]):
-    """Puts the light of the rain in the place of the scene's.
+    """Replaces light of the scene by light of the rain.
 
-    Falling drops are streaks as long as they and the camera move during the exposure; they are lighter than
-    most of the scene, since a drop gathers light from a wide angle. Those farther than ``REACH_M`` take light
-    by the distance. Drops on the glass show the scene small, upside down and out of focus.
+    Falling drops are streaks whose length is their motion relative to the camera during the exposure; they
+    are lighter than most of the scene, since a drop gathers light from a wide angle. Drops beyond ``REACH_M``
+    act as haze. Drops on the glass show the scene small, upside down and out of focus.
     Source: Garg, Nayar, "Vision and rain", IJCV 2007.
     """
 
     kind: ClassVar[str] = "rain"
-    # After the shutter, which would smear it: streaks have an exposure of their own, the glass moves along.
+    # After the shutter, which would smear it: streaks have their own exposure, the glass moves with the
+    # camera.
     stage: ClassVar[Stage] = Stage.READOUT
     measure_name: ClassVar[str] = "rain_veil"
 
@@ -43,7 +44,7 @@ class RainDegradation(ImageDegradation[Rain]):
         return _Rain(segment, camera, streams)
 
     def threshold(self, segment: Rain) -> float:
-        """A fiftieth of the light is the rain's."""
+        """A fiftieth of the light comes from the rain."""
         return FELT_VEIL
 
 
@@ -58,7 +59,7 @@ class _Rain:
         self._field = RainField.drawn(rate, wind_mps, streams("air")) if rate > 0 else None
         times_s = (segment.start_s - segment.wet_s, segment.end_s)
         self._glass = (
-            WetGlass.rained_on(camera, segment.glass_mm, rate, segment.wind_mps, times_s, streams("glass"))
+            WetGlass.from_rain(camera, segment.glass_mm, rate, segment.wind_mps, times_s, streams("glass"))
             if rate > 0 and segment.glass_mm > 0
             else None
         )
@@ -77,7 +78,7 @@ class _Rain:
         light = gray + passing * (light - gray)
         if self._glass is not None:
             drops = self._glass.drops_px(self._camera, view.stamp_s, rate_mmph)
-            cover, through = self._glass.looked_through(light, drops, self._camera)
+            cover, through = self._glass.rendered(light, drops, self._camera)
             light += cover * (through - light)
             passing *= 1 - cover
         return encode(light), 1 - float(cv2.mean(passing)[0])
@@ -103,6 +104,6 @@ class _Rain:
 
 
 def _bright_half(light: np.ndarray) -> float:
-    """The mean of the brighter half of what is seen: about what a drop gathers, sky and lamps and all."""
+    """Mean of the brighter half of the light, about what a drop gathers."""
     small = cv2.resize(light, (16, 12), interpolation=cv2.INTER_AREA)
     return float(small[small >= np.median(small)].mean())

@@ -1,7 +1,7 @@
-"""Rain between camera and surfaces: how large its drops are, how fast they fall, what of them is seen.
+"""Falling rain: size, speed and visible streaks of its drops.
 
-The drops are a field of points in the world that repeats with the sides of a box; the box that is drawn lies
-before the camera wherever it goes.
+The drops are points in the world that repeat with the sides of a box; the drawn box stays in front of the
+camera.
 """
 
 from dataclasses import dataclass
@@ -10,14 +10,14 @@ import numpy as np
 from numba import njit
 
 MOST_MMPH = 300.0
-"""Drops are drawn for this rate; those of a weaker rain are some of them."""
+"""Drops are drawn for this rate; a weaker rain has a subset of them."""
 
 _PER_M3_MM = 8000.0
 _SLOPE_PER_MM, _SLOPE_POWER = 4.1, -0.21
-# A drop that takes less light from a pixel cannot be seen.
+# A drop that withholds less light from a pixel is invisible.
 _FAINT = 1e-3
 _LARGEST_MM = 6.0  # larger ones break up
-# Smaller ones are too faint and too many to be drawn singly; they are in the haze.
+# Smaller drops are too faint and too many to be drawn one by one; they are part of the haze.
 _SMALLEST_SEEN_MM = 1.0
 
 BOX_M = 4.0
@@ -27,35 +27,38 @@ _AHEAD_M = 1.6  # from the camera to the middle of the box
 
 
 def slope_per_mm(rate_mmph: float) -> float:
-    """``L`` of ``N(D) = 8000 exp(-L D)`` drops per m^3 and mm of diameter. Source: Marshall, Palmer, 1948."""
+    """Slope ``L`` of ``N(D) = 8000 exp(-L D)``, drops per m^3 and mm.
+
+    Source: Marshall, Palmer, 1948.
+    """
     return _SLOPE_PER_MM * rate_mmph**_SLOPE_POWER
 
 
 def drops_per_m3(rate_mmph: float, smallest_mm: float) -> float:
-    """Drops of at least a diameter in a cubic metre."""
+    """Number of drops of at least a diameter in a cubic metre."""
     slope = slope_per_mm(rate_mmph)
     return _PER_M3_MM / slope * float(np.exp(-slope * smallest_mm))
 
 
 def extinction_per_m(rate_mmph: float) -> float:
-    """How much light rain takes per metre: twice the area of all its drops.
+    """Light lost in rain per metre: twice the area of all its drops.
 
-    Source: van de Hulst, "Light scattering by small particles", 1957: the extinction of what is much larger
-    than a wavelength.
+    Source: van de Hulst, "Light scattering by small particles", 1957: extinction by bodies much larger
+    than the wavelength.
     """
     # The integral of 2 (pi / 4) D^2 N(D), from mm^2 to m^2.
     return np.pi * _PER_M3_MM / slope_per_mm(rate_mmph) ** 3 * 1e-6 if rate_mmph > 0 else 0.0
 
 
 def fall_mps(diameter_mm: np.ndarray) -> np.ndarray:
-    """Speed at which drops of 0.6 to 6 mm fall. Source: Atlas, Srivastava, Sekhon, 1973."""
+    """Fall speed of drops of 0.6 to 6 mm. Source: Atlas, Srivastava, Sekhon, 1973."""
     return np.maximum(9.65 - 10.3 * np.exp(-0.6 * diameter_mm), 0.1)
 
 
 def draw_drops(count: int, smallest_mm: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Drops of the heaviest rain: (count,) diameters, mm, and (count,) rates from which on each is there.
+    """Drops of the heaviest rain: (count,) diameters, mm, and (count,) least rain rates.
 
-    A rain of some rate has the drops whose rate does not exceed it, and their sizes are then its own.
+    A rain has the drops whose least rate does not exceed its own; their sizes then follow its distribution.
     """
     slope = slope_per_mm(MOST_MMPH)
     diameter_mm = np.minimum(smallest_mm + rng.exponential(1 / slope, count), _LARGEST_MM)
@@ -72,7 +75,7 @@ class RainField:
         place_m: (n, 3) float32, world frame, within the box.
         velocity_mps: (n, 3) float32, world frame.
         diameter_m: (n,) float32.
-        from_mmph: (n,) float32 rate from which on there is the drop.
+        from_mmph: (n,) float32 least rain rate that has the drop.
     """
 
     place_m: np.ndarray
@@ -85,8 +88,8 @@ class RainField:
         """The drops of a rain.
 
         Args:
-            rate_mmph: most rain that there will be.
-            wind_mps: (2,) horizontal wind, which the drops are carried with.
+            rate_mmph: highest rain rate.
+            wind_mps: (2,) horizontal wind that carries the drops.
             rng: the same stream gives a stronger rain the drops of a weaker one and more.
         """
         count = round(drops_per_m3(MOST_MMPH, _SMALLEST_SEEN_MM) * BOX_M**3)
@@ -112,7 +115,7 @@ class RainField:
         exposure_s: float,
         rate_mmph: float,
     ) -> np.ndarray:
-        """(H, W) float32 share of the light that comes through between the drops during an exposure.
+        """(H, W) float32 share of the light that passes between the drops during an exposure.
 
         Args:
             depth_m: (H, W) float32, 0 for none.
@@ -145,9 +148,9 @@ class RainField:
 def draw_streaks(
     place_m, velocity_mps, diameter_m, from_mmph, T_open, T_close, centre, when, depth_m, k, passing
 ):
-    """Multiplies ``passing`` by the share of light that each drop leaves.
+    """Multiply ``passing`` by the share of light that each drop leaves.
 
-    A drop is before a pixel for the share of the exposure in which its disc passes over it.
+    A drop covers a pixel for the share of the exposure in which its disc passes over it.
 
     Args:
         place_m, velocity_mps, diameter_m, from_mmph: of a ``RainField``.
@@ -189,7 +192,7 @@ def draw_streaks(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _streak(x0, y0, x1, y1, size, passing):
-    """One disc of a size in pixels that moves along a line."""
+    """Draw a disc that moves along a line; its size is in pixels."""
     height, width = passing.shape
     along_x, along_y = x1 - x0, y1 - y0
     length = np.sqrt(along_x * along_x + along_y * along_y)

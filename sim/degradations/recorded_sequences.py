@@ -1,4 +1,4 @@
-"""Degradations of sequences that exist already, such as real footage."""
+"""Degradations of recorded sequences, such as real footage."""
 
 from collections.abc import Callable
 from collections.abc import Sequence as Many
@@ -21,7 +21,7 @@ _STAGES = (Stage.SCENE, Stage.READOUT, Stage.LENS, Stage.SENSOR, Stage.ENCODER)
 
 
 class _NoMotion:
-    """Stands where a motion belongs that nobody knows."""
+    """Stands in for an unknown motion."""
 
     def T_world_cam(self, stamp_s: float | np.ndarray) -> NoReturn:
         raise RuntimeError("the motion is not known")
@@ -30,14 +30,14 @@ class _NoMotion:
 
 
 def recorded_sequence_kinds(depth: bool) -> list[str]:
-    """The kinds that need neither a world nor, without ``depth``, depth images."""
+    """Kinds that need no world and, unless ``depth``, no depth images."""
     timing = [kind for kind, d in FRAME_PLAN_KINDS.items() if d.stage is Stage.TIMING]
     images = [kind for kind, d in IMAGE_KINDS.items() if not d.needs_motion and (depth or not d.needs_depth)]
     return timing + images
 
 
 def check_recorded_sequence(sequence: Sequence, segments: Many[Segment]) -> None:
-    """See that segments can act on a sequence that exists already.
+    """Check that segments can act on a recorded sequence.
 
     Raises:
         InputError: a kind needs what the sequence lacks, a segment ends after it, or two overlap.
@@ -70,16 +70,16 @@ def degrade_sequence(
     scratch: Path,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Sequence:
-    """A sequence with segments in it; times of segments count from the first frame.
+    """Apply segments to a sequence; their times count from the first frame.
 
-    What was in the sequence before stays: its poses, its depth, and the segments that it had.
+    Its poses, its depth and its earlier segments stay.
 
     Args:
         sequence: any; its frames are read one by one.
         segments: of the kinds of ``recorded_sequence_kinds``.
-        seed: root seed of what is random in them.
+        seed: root seed of their random draws.
         scratch: folder for the frames, to be kept as long as the result is used.
-        progress: told of every frame.
+        progress: called after every frame.
 
     Raises:
         InputError: as ``check_recorded_sequence``, or a frame cannot be read.
@@ -114,7 +114,7 @@ def degrade_sequence(
 
 
 def _plan(sequence: Sequence, segments: Many[Segment], seed: int) -> FramePlan:
-    """The shoot that would have given the sequence, with what the segments do to its frames and stamps."""
+    """The frame plan of the sequence, with the segments' effects on frames and stamps."""
     stamps_s = sequence.stamps_s - sequence.stamps_s[0]
     count = len(stamps_s)
     plan = FramePlan(
@@ -129,7 +129,7 @@ def _plan(sequence: Sequence, segments: Many[Segment], seed: int) -> FramePlan:
 def _truths(
     sequence: Sequence, segments: Many[Segment], plan: FramePlan, chain: ImageChain
 ) -> tuple[tuple[SegmentTruth, ...], dict[str, np.ndarray]]:
-    """Truths of the segments there were and there are, and the columns of both."""
+    """Truths of the earlier and the new segments, and the columns of both."""
     truths = [_renumbered(truth, plan.frame) for truth in sequence.segments]
     columns = {name: values[plan.frame] for name, values in sequence.frame_truth.items()}
     added, measured = truths_of(segments, plan, chain, np.zeros(len(plan.frame)))
@@ -139,7 +139,7 @@ def _truths(
 
 
 def _renumbered(truth: SegmentTruth, kept: np.ndarray) -> SegmentTruth:
-    """The truth among the frames that are kept."""
+    """The truth in numbers of the kept frames."""
     acts = truth.mask(int(kept[-1]) + 1)[kept]
     runs = true_runs(acts, acts)
     first, last = (runs[0][0], runs[-1][1]) if runs else (-1, -1)

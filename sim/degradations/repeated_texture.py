@@ -1,4 +1,4 @@
-"""Repeated texture: the same patch again and again, so that one place is taken for another."""
+"""Repeated texture: surfaces repeat one patch, so that places look alike."""
 
 from dataclasses import replace
 from typing import ClassVar
@@ -15,7 +15,7 @@ HALF_THE_VIEW = 0.5
 
 
 class RepeatedTextureDegradation:
-    """Papers surfaces that the camera passes in the segment's time with a patch of the most seen one."""
+    """Repeats a patch of the most seen surface on those passed during the segment."""
 
     kind: ClassVar[str] = "repeated_texture"
     stage: ClassVar[Stage] = Stage.WORLD
@@ -33,7 +33,7 @@ class RepeatedTextureDegradation:
         return replace(plan, texture_of=texture_of, period_m=period_m)
 
     def measure(self, plan: FramePlan, segment: RepeatedTexture, blur_px: np.ndarray) -> np.ndarray:
-        """(N,) share of the view that the papered surfaces fill."""
+        """(N,) share of the view that the changed surfaces fill."""
         return plan.view_share[:, passed(plan, segment) & (plan.period_m > 0)].sum(axis=1, dtype=float)
 
     def threshold(self, segment: RepeatedTexture) -> float:
@@ -42,7 +42,7 @@ class RepeatedTextureDegradation:
 
 
 def _most_seen(plan: FramePlan, segment: RepeatedTexture) -> np.ndarray:
-    """Indices of the surfaces, most seen first, that fill the stated share of what is passed."""
+    """Indices of the passed surfaces, most seen first, that fill the stated share."""
     found = np.flatnonzero(passed(plan, segment))
     seen = plan.view_share[plan.within(segment)][:, found].sum(axis=0, dtype=float)
     order = np.argsort(-seen, kind="stable")
@@ -53,12 +53,12 @@ def _most_seen(plan: FramePlan, segment: RepeatedTexture) -> np.ndarray:
 
 
 def with_repeated_texture(world: WorldModel, texture_of: np.ndarray, period_m: np.ndarray) -> WorldModel:
-    """The world with surfaces that repeat a square patch, in its true size, over all their texture.
+    """The world whose surfaces repeat a square patch in its true size.
 
     Args:
         world: as built.
-        texture_of: (S,) int64 surface from the middle of whose texture each surface's patch is.
-        period_m: (S,) float64 side of the patch, 0 for a surface that stays as it is.
+        texture_of: (S,) int64 surface that gives the patch, from the middle of its texture.
+        period_m: (S,) float64 side of the patch, 0 for an unchanged surface.
     """
     if not period_m.any():
         return world
@@ -80,7 +80,7 @@ def px_per_m(surface: Surface) -> float:
 
 
 def _patch(source: Surface, period_m: float, scale: float) -> np.ndarray:
-    """(n, n) uint8 patch from the middle of a surface's texture, at a scale in pixels per metre."""
+    """(n, n) uint8 patch from the middle of a texture, at ``scale`` pixels per metre."""
     side = max(2, round(period_m * px_per_m(source)))
     height, width = source.texture.shape
     top, left = max(0, (height - side) // 2), max(0, (width - side) // 2)

@@ -13,16 +13,16 @@ from sim.sensors.camera import Intrinsics
 from sim.sensors.exposure import row_shifts
 
 FELT_PX = 2.0
-# Poses are taken at so many times over the readout and joined by straight lines.
+# Poses are computed at this many times of the readout and interpolated linearly.
 _POSES = 25
 
 
 class RollingShutterDegradation(ImageDegradation[RollingShutter]):
-    """Looks for what each row saw at its own time in the frame of the middle row's time.
+    """Samples each row, at its own time, from the frame at the middle row's time.
 
-    The way from one to the other follows from the depth and the motion. What the frame did not see, beyond
-    its borders or behind near things, is filled with what is beside it. Behind a distorting lens, rows are
-    those of the image without distortion.
+    The shift follows from depth and motion. Parts that the frame did not see, beyond its borders or behind
+    near surfaces, are filled from beside them. Behind a distorting lens, rows are those of the undistorted
+    image.
     """
 
     kind: ClassVar[str] = "rolling_shutter"
@@ -63,7 +63,7 @@ class RollingShutterDegradation(ImageDegradation[RollingShutter]):
 
 
 def _between(knots: np.ndarray, poses: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """(M, 3, 4) poses at (M,) places between (K,) knots; so near to each other, matrices may be mixed."""
+    """(M, 3, 4) poses at (M,) positions among (K,) knots, near enough for linear mixing."""
     place = (at - knots[0]) / (knots[1] - knots[0])
     left = np.minimum(place.astype(int), len(knots) - 2)
     part = (place - left)[:, None, None]
@@ -72,10 +72,9 @@ def _between(knots: np.ndarray, poses: np.ndarray, at: np.ndarray) -> np.ndarray
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def row_maps(depth_m, k, T_mid_row):
-    """Where in the middle row's frame each pixel's light is to be looked for.
+    """Position of each pixel's light in the frame of the middle row's time.
 
-    The depth that a row saw is not known but at the place that is sought: it is taken there in a second
-    round.
+    The depth that a row saw is known only at that position, so a second iteration takes it from there.
 
     Args:
         depth_m: (H, W) float32 depth of the middle row's frame.

@@ -1,4 +1,4 @@
-"""The veil of hazy or foggy air: the farther a surface, the more airlight is in its light's place."""
+"""Scattering in haze and fog: airlight replaces the light of distant surfaces."""
 
 import cv2
 import numpy as np
@@ -27,10 +27,10 @@ class Scattering:
     def drawn(
         self, image: np.ndarray, depth_m: np.ndarray, extinction_per_m: float
     ) -> tuple[np.ndarray, float]:
-        """The image through the air, and the mean share of the light that is airlight.
+        """Return the image seen through the air, and the mean share of airlight.
 
         Args:
-            image: (H, W) uint8; left as it is.
+            image: (H, W) uint8, left unchanged.
             depth_m: (H, W) float32 depth along the optical axis, 0 for none.
             extinction_per_m: share of the light lost per metre.
         """

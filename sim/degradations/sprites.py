@@ -1,4 +1,4 @@
-"""Flat pictures with soft outlines, drawn over an image: what passes by, and what sticks to the lens."""
+"""Sprites with soft outlines, drawn over frames."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,16 +8,16 @@ import numpy as np
 from numba import njit
 
 _CUTS = 3
-_FELT_SHARE = 0.1  # of the view
+_ACTING_SHARE = 0.1  # of the view
 
 
 @dataclass(frozen=True)
 class Sprite:
-    """One thing in several poses.
+    """Images of one object in several poses.
 
     Attributes:
         gray: (P, h, w) uint8.
-        alpha: (P, h, w) uint8, 255 on the thing, 0 beside it, between on its outline.
+        alpha: (P, h, w) uint8, 255 on the object, 0 beside it, in between on its outline.
     """
 
     gray: np.ndarray
@@ -33,7 +33,7 @@ def smooth_outline(corners: np.ndarray) -> np.ndarray:
 
 
 def filled(size: tuple[int, int], outline: np.ndarray) -> np.ndarray:
-    """(h, w) float32 cover, 0 to 1, of a closed outline in pixels, soft by a pixel at its rim."""
+    """(h, w) float32 cover, 0 to 1, of a closed outline in pixels, with a soft rim."""
     cover = np.zeros(size, np.uint8)
     points = np.rint(outline * 16).astype(np.int32)
     cv2.fillPoly(cover, [points], 255, cv2.LINE_AA, 4)
@@ -41,12 +41,12 @@ def filled(size: tuple[int, int], outline: np.ndarray) -> np.ndarray:
 
 
 def fill_share(share: float, draw_next: Callable[[], float], most: int) -> np.ndarray:
-    """Draws one thing after the other until they fill a share of the view.
+    """Draw one object after the other until they fill a share of the view.
 
     Args:
         share: of the view, 0 to 1.
-        draw_next: draws the next one; gives the share that all fill by then.
-        most: their greatest number.
+        draw_next: draws the next one; returns the share that all fill by then.
+        most: largest number of objects.
 
     Returns:
         (n + 1,) shares that the first 0, 1, 2 ... fill together.
@@ -57,19 +57,19 @@ def fill_share(share: float, draw_next: Callable[[], float], most: int) -> np.nd
     return np.array(shares)
 
 
-def felt_share(share: float) -> float:
-    """What fills a share of the view is felt from a tenth on, or from half of that share, if that is less."""
-    return min(_FELT_SHARE, share / 2)
+def acting_share(share: float) -> float:
+    """Threshold of a view share: a tenth, or half of a smaller share."""
+    return min(_ACTING_SHARE, share / 2)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def draw_behind(gray, alpha, left, top, scale, light, open_share):
-    """Draws a picture behind what has been drawn before, parts beyond the left or right border at the other.
+    """Draw a sprite behind everything drawn so far; it wraps around at the side borders.
 
     Args:
         gray, alpha: (h, w) uint8.
-        left, top: float64 place of its upper left corner, pixels of the image.
-        scale: float64 pixels of the image per pixel of the picture.
+        left, top: float64 position of its upper left corner, pixels of the frame.
+        scale: float64 pixels of the frame per pixel of the sprite.
         light: (H, W) float32 gray levels drawn so far, weighted by their cover; added to.
         open_share: (H, W) float32 share of each pixel that is still free; multiplied.
     """
@@ -77,7 +77,7 @@ def draw_behind(gray, alpha, left, top, scale, light, open_share):
     rows, columns = gray.shape
     span = int(np.ceil(columns * scale)) + 1
     begin = int(np.floor(left))
-    # What is wider than the view leaves it wholly before it comes in again.
+    # A sprite wider than the view leaves it wholly before it returns.
     period = max(width, span)
     for row in range(max(0, int(np.floor(top))), min(height - 1, int(top + rows * scale) + 1) + 1):
         y = (row - top) / scale

@@ -1,4 +1,4 @@
-"""Time jitter: stamps that are wrong."""
+"""Time jitter: wrong stamps."""
 
 from dataclasses import replace
 from typing import ClassVar
@@ -9,12 +9,12 @@ from scenarios.segments import TimeJitter
 from sim.degradations.base import FramePlan, Stage, streams_of
 
 FELT_SHARE = 0.1
-# Of the way to the neighbouring frame's true time: two such errors cannot change the order of stamps.
+# Share of the interval to the neighbouring frame: two such errors cannot swap stamps.
 _FARTHEST = 0.49
 
 
 class TimeJitterDegradation:
-    """Adds a normal error to each stamp, cut off where stamps would come too near to one another."""
+    """Adds a normal error to each stamp, limited so that stamps keep their order."""
 
     kind: ClassVar[str] = "time_jitter"
     stage: ClassVar[Stage] = Stage.TIMING
@@ -26,7 +26,7 @@ class TimeJitterDegradation:
 
     def apply(self, plan: FramePlan, segment: TimeJitter) -> FramePlan:
         """See ``Degradation``."""
-        # Drawn for every frame that there ever was: dropping some changes no other's error.
+        # Drawn for every frame before drops: a dropped frame changes no other's error.
         errors = streams_of(plan.seed, segment).standard_normal(int(plan.frame[-1]) + 1)
         gaps_s = np.diff(plan.stamps_s, prepend=-np.inf, append=np.inf)
         room_s = _FARTHEST * np.minimum(gaps_s[:-1], gaps_s[1:])
@@ -34,7 +34,7 @@ class TimeJitterDegradation:
         return replace(plan, stamp_error_s=np.where(plan.within(segment), error_s, plan.stamp_error_s))
 
     def measure(self, plan: FramePlan, segment: TimeJitter, blur_px: np.ndarray) -> np.ndarray:
-        """(N,) size of the error of each of the segment's stamps, seconds."""
+        """(N,) absolute stamp error in the segment, seconds."""
         return np.where(plan.within(segment), np.abs(plan.stamp_error_s), 0.0)
 
     def threshold(self, segment: TimeJitter) -> float:

@@ -1,4 +1,4 @@
-"""Between sRGB-encoded grey levels and light, fast: light and optics act in linear light."""
+"""Fast conversion between sRGB-encoded gray levels and linear light."""
 
 from collections.abc import Callable
 
@@ -10,7 +10,7 @@ from sim.sensors.exposure import linear_to_srgb, srgb_to_linear
 
 _CODES = 16384
 DECODE = srgb_to_linear(np.arange(256) / 255).astype(np.float32)
-"""(256,) float32 light, 0 to 1, of every level."""
+"""(256,) float32 light, 0 to 1, of each level."""
 ENCODE = np.rint(255 * linear_to_srgb(np.arange(_CODES) / (_CODES - 1))).astype(np.uint8)
 """(16384,) uint8 level of light from 0 to 1."""
 
@@ -28,7 +28,7 @@ def encode(light: np.ndarray) -> np.ndarray:
 
 
 def map_light(gray: np.ndarray, change: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """(H, W) uint8 image with a change of light that is the same for equal levels.
+    """(H, W) uint8 image after a change of light that depends only on the level.
 
     Args:
         gray: (H, W) uint8.

@@ -1,4 +1,4 @@
-"""What the segments of a sequence truly did, told in one order whichever they were declared in."""
+"""The truths of a sequence's segments, in an order independent of their declaration."""
 
 from collections.abc import Sequence as Many
 
@@ -14,15 +14,15 @@ from sim.sequence import SegmentTruth
 def truths_of(
     segments: Many[Segment], plan: FramePlan, chain: ImageChain, blur_px: np.ndarray
 ) -> tuple[list[SegmentTruth], dict[str, np.ndarray]]:
-    """Truths by start, those of one start in the order in which they act, and the columns of their measures.
+    """Truths by start, then by order of action, and the columns of their measures.
 
-    Segments with one measure share its column; as those of one kind do not overlap, it holds the larger of
-    their values. Which of them acts on a frame is told by each truth's own runs.
+    Segments with the same measure share a column, which holds the larger value; segments of one kind do not
+    overlap. The runs of each truth give the frames on which it acts.
 
     Args:
         segments: all of the sequence.
-        shoot: with every segment applied.
-        chain: the image-space ones, when all frames have been through.
+        plan: with every segment applied.
+        chain: the image-space segments, after all frames.
         blur_px: (N,) median length of each frame's motion blur, pixels.
     """
     of_images = chain.truths()

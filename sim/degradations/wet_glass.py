@@ -1,4 +1,4 @@
-"""Rain on the glass before the lens: drops land, spread, run into one another, run down when too heavy."""
+"""Rain on the glass before the lens: drops land, merge and run down."""
 
 from dataclasses import dataclass
 
@@ -10,13 +10,13 @@ from sim.degradations.raindrops import MOST_MMPH, draw_drops, drops_per_m3
 from sim.sensors.camera import Intrinsics
 
 _SMALLEST_MM = 0.5
-_RADIUS_PER_DIAMETER = 0.25 ** (1 / 3)  # a ball of water becomes half of one
-_RUNNING_MM = 2.7  # the capillary length of water: a larger radius does not hold
+_RADIUS_PER_DIAMETER = 0.25 ** (1 / 3)  # radius of a half ball relative to the ball of the same volume
+_RUNNING_MM = 2.7  # the capillary length of water: a larger drop runs down
 _RUNNING_MMPS = 25.0
 _SPREADING_S = 0.15
 _MOST_LANDINGS = 20_000
-_APERTURE_MM = 0.8  # of the lens: how much the glass is out of focus
-_COARSE = 20  # what is seen through a drop is out of focus too
+_APERTURE_MM = 0.8  # of the lens, which sets the defocus of the glass
+_COARSE = 20  # the view through a drop is out of focus too
 _BULGE = 0.7  # a drop shows this share of the image's height to either side of its middle
 
 
@@ -25,12 +25,12 @@ class WetGlass:
     """All drops that land on the glass before a camera, up to some time.
 
     Attributes:
-        land_s: (n,) float64 when each lands.
+        land_s: (n,) float64 time of landing.
         place_mm: (n, 2) float64 on the glass, right and down from the optical axis.
         volume_mm3: (n,) float64.
-        from_mmph: (n,) float64 rain rate from which on it lands.
-        parent: (n,) int64 the drop into which it runs, its own number for one that stays by itself.
-        run_s: (n,) float64 when a drop has become too heavy and runs down, infinite if it never does.
+        from_mmph: (n,) float64 least rain rate that has the drop.
+        parent: (n,) int64 the drop into which it merges, its own number if none.
+        run_s: (n,) float64 time at which a drop becomes too heavy and runs down, infinite if never.
         glass_mm: distance of the glass from the lens.
     """
 
@@ -43,7 +43,7 @@ class WetGlass:
     glass_mm: float
 
     @classmethod
-    def rained_on(
+    def from_rain(
         cls,
         camera: Intrinsics,
         glass_mm: float,
@@ -52,11 +52,11 @@ class WetGlass:
         times_s: tuple[float, float],
         rng: np.random.Generator,
     ) -> "WetGlass":
-        """The drops of a rain that the wind blows against the glass from one time to another."""
+        """Draw the drops that the wind blows against the glass during a time span."""
         seen_mm = glass_mm * np.array([camera.width_px / camera.fx, camera.height_px / camera.fy])
         half_mm = seen_mm / 2 + _RUNNING_MM
         per_s = drops_per_m3(MOST_MMPH, _SMALLEST_MM) * wind_mps * float(np.prod(2 * half_mm)) * 1e-6
-        # Of a long time the last drops are enough: the others have run down.
+        # In a long rain the last drops are enough: earlier ones have run down.
         duration_s = min(times_s[1] - times_s[0], _MOST_LANDINGS / per_s) if per_s > 0 else 0.0
         count = round(per_s * duration_s)
         diameter_mm, from_mmph = draw_drops(count, _SMALLEST_MM, rng)
@@ -68,7 +68,7 @@ class WetGlass:
         return cls(land_s, place_mm, volume, from_mmph[there], parent, run_s, glass_mm)
 
     def drops_px(self, camera: Intrinsics, stamp_s: float, rate_mmph: float) -> np.ndarray:
-        """(m, 3) float32 x, y and radius, pixels, of the drops on the glass at a time in a rain of a rate."""
+        """(m, 3) float32 x, y and radius, pixels, of the drops on the glass."""
         spread = np.clip((stamp_s - self.land_s) / _SPREADING_S, 0, 1) * (self.from_mmph <= rate_mmph)
         volume = np.bincount(self.parent, self.volume_mm3 * spread, len(self.land_s))
         run_mm = _RUNNING_MMPS * np.maximum(stamp_s - self.run_s, 0)
@@ -79,13 +79,13 @@ class WetGlass:
         drops = np.column_stack([place, radius_mm * px_per_mm[0]])[volume > 0]
         return drops[drops[:, 1] - 2 * drops[:, 2] < camera.height_px].astype(np.float32)
 
-    def looked_through(
+    def rendered(
         self, light: np.ndarray, drops: np.ndarray, camera: Intrinsics
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What a camera sees of the drops.
+        """Render the drops as a camera sees them.
 
         Args:
-            light: (H, W) float32 what it sees without them.
+            light: (H, W) float32 light without the drops.
             drops: of ``drops_px``.
             camera: intrinsics.
 
@@ -107,7 +107,7 @@ def radius_of(volume_mm3: np.ndarray) -> np.ndarray:
 
 @njit(cache=True, nogil=True)
 def merge(land_s, place_mm, volume_mm3):
-    """Which drop each one runs into, and when drops become too heavy.
+    """Merge drops that touch, and find the times at which they run down.
 
     Args:
         land_s: (n,) float64, ascending.
@@ -148,9 +148,9 @@ def merge(land_s, place_mm, volume_mm3):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def paint_drops(drops, soft_px, coarse, cover, through):
-    """Writes how much drops cover each pixel and what is seen through them: the scene, small and upside down.
+    """Write the drops' cover of each pixel and the light through them: the inverted scene.
 
-    Of several drops before a pixel, the one that covers it most is seen.
+    Of several drops over a pixel, the one with the largest cover shows.
 
     Args:
         drops: (m, 3) float32 x, y, radius, pixels.
@@ -187,7 +187,7 @@ def paint_drops(drops, soft_px, coarse, cover, through):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _between(image, x, y):
-    """Value between the pixels; beyond the border, the image's reflection."""
+    """Value between pixels; the image is reflected beyond its border."""
     height, width = image.shape
     x, y = _folded(x, np.float32(width - 1.001)), _folded(y, np.float32(height - 1.001))
     column, row = int(x), int(y)
@@ -200,6 +200,6 @@ def _between(image, x, y):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _folded(at, last):
-    """A place reflected at 0 and at the last one, once each."""
+    """An index reflected at 0 and at the last index, once each."""
     at = abs(at)
     return max(np.float32(0), last - abs(last - at))

@@ -1,4 +1,4 @@
-"""Reads, checks and writes camera.yaml."""
+"""The file camera.yaml: reading, checking and writing."""
 
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ _LEAST_FOCAL_SHARE, _MOST_FOCAL_SHARE = 0.1, 20
 
 
 def read_camera(path: Path) -> Intrinsics:
-    """The intrinsics of a camera.yaml; ``model`` is radtan where it is not given.
+    """Read the intrinsics of a camera.yaml; ``model`` defaults to radtan.
 
     Raises:
         InputError: the file or a key is missing, or a value is impossible.
@@ -50,7 +50,7 @@ def read_camera(path: Path) -> Intrinsics:
 
 
 def check_camera(path: Path, camera: Intrinsics) -> None:
-    """Raise InputError, naming file and field, where focal length, centre or frame rate are impossible."""
+    """Raise InputError if focal length, centre or frame rate are impossible."""
     for key, focal in (("fx", camera.fx), ("fy", camera.fy)):
         low, high = _LEAST_FOCAL_SHARE * camera.width_px, _MOST_FOCAL_SHARE * camera.width_px
         if not low <= focal <= high:
@@ -65,7 +65,7 @@ def check_camera(path: Path, camera: Intrinsics) -> None:
 
 
 def write_camera(camera: Intrinsics, path: Path) -> None:
-    """Write a camera.yaml that ``read_camera`` reads back exactly; other readers expect numbers only."""
+    """Write a camera.yaml that ``read_camera`` reads back exactly."""
     record: dict[str, Any] = {name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy")}
     record |= {"width": camera.width_px, "height": camera.height_px, "fps": camera.fps}
     if camera.model != "radtan":

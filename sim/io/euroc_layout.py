@@ -30,7 +30,7 @@ _NS_PER_S = 1_000_000_000
 
 
 def origin_ns(sequence: Sequence) -> int:
-    """The nanoseconds that stand for 0 s in a sequence."""
+    """Nanoseconds at 0 s of a sequence."""
     return int(sequence.meta.get(ORIGIN_KEY, 0))
 
 
@@ -40,10 +40,10 @@ def to_ns(stamps_s: np.ndarray, origin: int) -> list[int]:
 
 
 def choose_origin_ns(stamps: list[int]) -> int:
-    """The first stamp where the last is too large for a float64 of nanoseconds, else 0."""
+    """The first stamp if the last exceeds float64 precision in nanoseconds, else 0."""
     return stamps[0] if stamps[-1] >= 2**53 else 0
 
 
 def to_seconds(stamps: list[int], origin: int) -> np.ndarray:
-    """(M,) float64 seconds since an origin, right to the nanosecond."""
+    """(M,) float64 seconds since an origin, exact to the nanosecond."""
     return np.array([stamp - origin for stamp in stamps], float) / _NS_PER_S

@@ -1,4 +1,7 @@
-"""Reads the EuRoC (ASL) form; see ``sim.io.euroc_layout``. Every fault names file, line, field and remedy."""
+"""Reader of the EuRoC (ASL) form; every fault names file, line, field and remedy.
+
+Layout: ``sim.io.euroc_layout``.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -32,10 +35,10 @@ _MOST_SKEW = 1e-2
 
 
 def load_euroc(folder: Path) -> Sequence:
-    """The left camera of a folder in EuRoC form, with the ground truth's pose nearest to each frame.
+    """Read the left camera of an EuRoC folder, with each frame's nearest true pose.
 
     Args:
-        folder: the one that holds ``mav0``.
+        folder: the folder that holds ``mav0``.
 
     Raises:
         InputError: a file is missing, empty, cut short, malformed or absurd. Reading a frame raises it too,
@@ -64,7 +67,9 @@ def load_euroc(folder: Path) -> Sequence:
 
 
 def load_euroc_imu(folder: Path) -> ImuReadings | None:
-    """The inertial readings of a folder in EuRoC form, on the clock of ``load_euroc``; None without them.
+    """Read the inertial readings of an EuRoC folder; None without them.
+
+    Stamps are on the clock of ``load_euroc``.
 
     Raises:
         InputError: a file is missing, malformed or absurd.
@@ -100,7 +105,7 @@ def load_euroc_imu(folder: Path) -> ImuReadings | None:
 
 
 def _read_frames(path: Path) -> tuple[list[int], list[Path]]:
-    """Stamps in nanoseconds and the image paths."""
+    """Read the stamps, in nanoseconds, and the image paths."""
     stamps: list[int] = []
     images: list[Path] = []
     for where, words in read_rows(path, "give the list of frames, `stamp,filename` per line", ","):
@@ -167,7 +172,7 @@ def _read_truth(path: Path, origin: int, stamps_s: np.ndarray, tolerance_s: floa
 
 
 def _list(path: Path, sensor: dict[Any, Any], key: str, lengths: tuple[int, ...]) -> list[float]:
-    """Numbers of a list whose length is one of those allowed."""
+    """Numbers of a list with one of the allowed lengths."""
     where = f"{path}: {key}"
     if key not in sensor:
         raise InputError(where, "is missing", "add it")
@@ -187,6 +192,6 @@ def _matrix(path: Path, sensor: dict[Any, Any]) -> np.ndarray:
     R = T[:3, :3]
     if list(T[3]) != [0, 0, 0, 1] or np.abs(R @ R.T - np.eye(3)).max() > _MOST_SKEW or np.linalg.det(R) < 0:
         raise InputError(f"{path}: T_BS", "is no rigid transform", "give a rotation and a translation")
-    # Printed digits are a rotation to some places only.
+    # Printed digits give a rotation only to some places.
     T[:3, :3] = Rotation.from_matrix(R).as_matrix()
     return T

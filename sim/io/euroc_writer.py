@@ -1,4 +1,4 @@
-"""Writes a sequence in the EuRoC (ASL) form, wholly or not at all; see ``sim.io.euroc_layout``."""
+"""Writer of the EuRoC (ASL) form, all or nothing; see ``sim.io.euroc_layout``."""
 
 from pathlib import Path
 from typing import Any
@@ -26,8 +26,8 @@ def write_euroc(
     Args:
         sequence: what to write.
         directory: new or empty folder; it will hold ``mav0``.
-        imu: readings and, where it is known, the truth at the frames, of ``sim.sensors.imu.record_imu``;
-            None for none.
+        imu: readings and, if known, the truth at the frames, from ``sim.sensors.imu.record_imu``; None
+            for none.
         progress: called with step, frames done and frames in all.
 
     Raises:
@@ -66,7 +66,7 @@ def _mounting(T: np.ndarray) -> dict[str, Any]:
 
 def _camera_record(camera: Intrinsics, T_body_cam: np.ndarray) -> dict[str, Any]:
     coefficients = list(camera.distortion)
-    # EuRoC writes four coefficients; the fifth is added only where it says something.
+    # EuRoC writes four coefficients; the fifth is added only if it is not 0.
     if camera.model == "radtan" and coefficients[4] == 0:
         coefficients.pop()
     return {
@@ -84,7 +84,7 @@ def _camera_record(camera: Intrinsics, T_body_cam: np.ndarray) -> dict[str, Any]
 def _write_imu(folder: Path, readings: ImuReadings, origin: int) -> None:
     table = np.column_stack([readings.gyro_radps, readings.accel_mps2])
     stamps = layout.to_ns(readings.stamps_s, origin)
-    # Shortest decimals that give the very same numbers.
+    # Shortest decimals that give the same numbers.
     rows = [
         f"{stamp},{','.join(repr(float(value)) for value in row)}"
         for stamp, row in zip(stamps, table, strict=True)
@@ -106,7 +106,7 @@ def _write_imu(folder: Path, readings: ImuReadings, origin: int) -> None:
 
 
 def _write_truth(folder: Path, stamps: list[int], T_world_body: np.ndarray, truth: ImuTruth | None) -> None:
-    """Frames without a pose are left out; velocity and biases are written only where they are known."""
+    """Write the poses of frames that have one, with velocity and biases if known."""
     known = np.flatnonzero(np.isfinite(T_world_body).all(axis=(1, 2)))
     quat = Rotation.from_matrix(T_world_body[known, :3, :3]).as_quat(canonical=True, scalar_first=True)
     columns = [T_world_body[known, :3, 3], quat]

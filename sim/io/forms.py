@@ -1,4 +1,4 @@
-"""Sequence folders of every form: which one it is, reading, writing."""
+"""Sequence folders of every form: detection, reading, writing."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -32,10 +32,10 @@ _LOADERS = {
 
 
 def detect_form(folder: Path) -> Form:
-    """The form of a sequence folder, by the files that no other form has.
+    """Detect the form of a sequence folder by the files that no other form has.
 
     Raises:
-        InputError: there is no such folder, or it has none of the forms.
+        InputError: the folder does not exist or has none of the forms.
     """
     if not folder.is_dir():
         problem = "is no folder" if folder.exists() else "no such folder"
@@ -57,18 +57,18 @@ def detect_form(folder: Path) -> Form:
 
 
 def sequence_folder(path: Path) -> Path:
-    """The folder of a sequence; of the EuRoC form also its ``mav0`` may be given."""
+    """The folder of a sequence; for the EuRoC form, ``mav0`` may be given too."""
     return path.parent if path.name == "mav0" and (path / "cam0").is_dir() else path
 
 
 def load_sequence(path: str | Path) -> Sequence:
-    """A sequence from a folder of any form.
+    """Read a sequence from a folder of any form.
 
     Args:
-        path: the folder; of the EuRoC form also its ``mav0``.
+        path: the folder; for the EuRoC form, ``mav0`` may be given too.
 
     Raises:
-        InputError: there is no such folder, it has no known form, or a file of it is missing, empty, cut
+        InputError: the folder does not exist or has no known form, or a file of it is missing, empty, cut
             short, malformed or absurd. Reading a frame raises it too, if the image is unreadable or of
             another size.
     """

@@ -1,4 +1,4 @@
-"""The FOV (ATAN) camera of TUM-mono's camera.txt, and the pinhole camera its images are rectified to.
+"""The FOV (ATAN) camera of TUM-mono's camera.txt, and its rectification.
 
     fx fy cx cy omega      relative to width and height of the images as taken
     1280 1024              their size
@@ -21,13 +21,13 @@ from sim.sensors.camera import Intrinsics
 
 _LENS_NAMES = ["fx", "fy", "cx", "cy", "omega"]
 _SIZE_NAMES = ["width", "height"]
-# A pinhole image of a lens that sees further than this to the side would be absurdly large.
+# A pinhole image of a wider lens than this would be absurdly large.
 _MOST_HALF_ANGLE_DEG = 80.0
 
 
 @dataclass(frozen=True)
 class FovCamera:
-    """A camera whose image radius is proportional to the angle of the ray, up to a single parameter.
+    """A camera whose image radius grows with the angle of the ray, by one parameter.
 
     Attributes:
         width_px, height_px: size of the images as taken.
@@ -68,9 +68,9 @@ class FovCamera:
         )
 
     def cropped(self, width_px: int, height_px: int, fps: float) -> Intrinsics:
-        """The pinhole camera of the largest upright part of the view that the image fills.
+        """The pinhole camera of the largest upright rectangle that the image fills.
 
-        The border bends outward from the middle of each side, so that the middles bound the part.
+        The border bends outward from the middle of each side, so that the middles bound the rectangle.
         """
         x, y = np.arange(self.width_px, dtype=float), np.arange(self.height_px, dtype=float)
         left, right = (self.unproject(np.stack([np.full_like(y, end), y], -1))[:, 0] for end in (0, x[-1]))
@@ -84,7 +84,7 @@ class FovCamera:
 
 
 def read_fov_camera(path: Path, fps: float) -> tuple[FovCamera, Intrinsics]:
-    """The lens of a camera.txt, and the pinhole camera its images are to be rectified to.
+    """Read the lens of a camera.txt and the pinhole camera of its rectified images.
 
     Args:
         path: the file.
@@ -136,7 +136,7 @@ def read_fov_camera(path: Path, fps: float) -> tuple[FovCamera, Intrinsics]:
 
 
 def _half_angle(bent: float, omega: float) -> float:
-    """Angle off the axis, radians, of a ray at a distorted radius; a half turn beyond all sense."""
+    """Angle off the axis, radians, at a distorted radius; pi beyond the lens's range."""
     if omega <= 0 or bent * omega >= math.pi / 2:
         return math.atan(bent) if omega == 0 else math.pi
     return math.atan(math.tan(bent * omega) / (2 * math.tan(omega / 2)))

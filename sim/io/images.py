@@ -1,4 +1,4 @@
-"""Images of a folder or an archive, read one by one when they are needed."""
+"""Images of a folder or an archive, read one by one on demand."""
 
 import zipfile
 from pathlib import Path
@@ -16,7 +16,7 @@ class GrayFolder:
     Args:
         paths: the images.
         shape: (H, W) that every one must have.
-        authority: what says so, for the fault.
+        authority: file that states the shape, for the fault.
     """
 
     def __init__(self, paths: list[Path], shape: tuple[int, int], authority: str = "camera.yaml") -> None:
@@ -36,7 +36,7 @@ class GrayZip:
     Args:
         path: the archive.
         shape: (H, W) that every image must have.
-        authority: what says so, for the fault.
+        authority: file that states the shape, for the fault.
 
     Raises:
         InputError: it cannot be read as an archive.
@@ -94,7 +94,7 @@ def read_gray(path: Path) -> np.ndarray:
 
 
 def read_raw(path: Path) -> np.ndarray:
-    """The image as it is stored, depth and channels unchanged. Raises InputError if it cannot be read."""
+    """The stored image, depth and channels unchanged. Raises InputError if unreadable."""
     return _decoded(_bytes(path), str(path), cv2.IMREAD_UNCHANGED)
 
 

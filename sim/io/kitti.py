@@ -1,12 +1,12 @@
-"""KITTI's odometry form, written and read: rectified images, one pose per frame.
+"""KITTI's odometry form: writer and reader of rectified images, one pose per frame.
 
     image_0/000000.png ...   gray images
     times.txt                stamp of each frame, seconds
     calib.txt                P0: the 12 numbers of the left gray camera's projection matrix
     poses/NN.txt             12 numbers per frame, the rows of the camera-to-world matrix
 
-The poses may also lie where the data set has them, in ``../../poses/NN.txt``, NN being the folder's name, or
-as ``NN.txt`` in the folder itself. Image size and frame rate are those of the images and times.
+The poses may also be at their place in the data set, ``../../poses/NN.txt`` with NN the folder's name, or in
+``NN.txt`` in the folder itself. Image size and frame rate are those of the images and times.
 """
 
 from pathlib import Path
@@ -32,7 +32,7 @@ _MOST_SKEW = 1e-2
 def write_kitti(sequence: Sequence, directory: Path, progress: Progress | None = None) -> None:
     """Write a sequence in KITTI's odometry form; the poses go to ``poses/00.txt``.
 
-    The poses stay in the sequence's world; they are not moved to begin at the identity.
+    The poses stay in the sequence's world frame; they do not start at the identity.
 
     Raises:
         InputError: the camera has distortion or a frame has no pose, which the form cannot hold; the folder
@@ -55,7 +55,7 @@ def write_kitti(sequence: Sequence, directory: Path, progress: Progress | None =
         paths = [folder / IMAGES_DIR / f"{frame:06d}.png" for frame in range(len(sequence))]
         write_images(sequence.frames, paths, "writing", progress)
         (folder / TIMES_FILE).write_text("".join(f"{stamp_s:.9f}\n" for stamp_s in sequence.stamps_s))
-        # Shortest decimals that give the very same numbers.
+        # Shortest decimals that give the same numbers.
         (folder / CALIBRATION_FILE).write_text(f"P0: {' '.join(repr(float(v)) for v in projection.flat)}\n")
         if poses is not None:
             (folder / POSES_DIR).mkdir()
@@ -65,7 +65,7 @@ def write_kitti(sequence: Sequence, directory: Path, progress: Progress | None =
 
 
 def load_kitti(folder: Path) -> Sequence:
-    """A sequence from a folder in KITTI's odometry form.
+    """Read a sequence from a folder in KITTI's odometry form.
 
     Raises:
         InputError: a file is missing, empty, cut short, malformed or absurd. Reading a frame raises it too,
@@ -80,7 +80,7 @@ def load_kitti(folder: Path) -> Sequence:
         )
     check_present(images, TIMES_FILE)
     shape = read_gray(images[0]).shape
-    # Stamps are printed to a nanosecond: further digits of the rate are its rounding.
+    # Stamps are printed to a nanosecond: further digits of the rate are rounding errors.
     fps = round(1 / float(np.median(np.diff(stamps_s))), 4) if len(stamps_s) > 1 else 10.0
     return Sequence(
         camera=_read_calibration(folder / CALIBRATION_FILE, (shape[0], shape[1]), fps),
@@ -122,7 +122,7 @@ def _read_calibration(path: Path, shape: tuple[int, int], fps: float) -> Intrins
 
 
 def _poses_file(folder: Path) -> Path | None:
-    """The file of the poses, None if there is none."""
+    """The file of the poses, or None."""
     name = folder.resolve().name
     official = folder.resolve().parent.parent / POSES_DIR / f"{name}.txt"
     own = [*(folder / POSES_DIR).glob("[0-9][0-9].txt"), *folder.glob("[0-9][0-9].txt")]
@@ -133,7 +133,7 @@ def _poses_file(folder: Path) -> Path | None:
 
 
 def _read_poses(folder: Path, frames: int) -> np.ndarray | None:
-    """(N, 4, 4) camera-to-world; printed matrices are rotations to their printed digits only."""
+    """(N, 4, 4) camera-to-world poses; printed matrices are made exact rotations."""
     path = _poses_file(folder)
     if path is None:
         return None

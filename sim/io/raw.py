@@ -1,4 +1,4 @@
-"""Stacks of frames as one raw .npy file: written frame by frame, read through a memory map."""
+"""Stacks of frames in one raw .npy file, written one by one, read memory-mapped."""
 
 from pathlib import Path
 from types import TracebackType
@@ -7,13 +7,13 @@ import numpy as np
 
 
 class RawWriter:
-    """Writes (N, H, W) frames one after the other; a context manager that checks their number at its end.
+    """Context manager that writes (N, H, W) frames one by one and checks their number.
 
-    The file is written as a stream and not through a memory map, since a full disk then raises an error
-    instead of killing the process.
+    The file is written as a stream, not through a memory map, so that a full disk raises an error instead of
+    killing the process.
 
     Args:
-        path: .npy file to make.
+        path: .npy file to create.
         shape: (N, H, W).
         dtype: of the frames.
     """

@@ -1,4 +1,4 @@
-"""What only simulated sequences have: segments, truth per frame, provenance. The same files in every form."""
+"""Files of simulated sequences in every form: segments, truth per frame, provenance."""
 
 import csv
 import json
@@ -15,7 +15,7 @@ from sim.sequence import SegmentTruth, Sequence
 
 
 def write_sidecars(sequence: Sequence, folder: Path) -> None:
-    """Write segments.json, meta.json and, if there is any, frame_truth.csv."""
+    """Write segments.json, meta.json and, if any, frame_truth.csv."""
     segments = [asdict(segment) for segment in sequence.segments]
     (folder / layout.SEGMENTS_FILE).write_text(json.dumps(segments, indent=1) + "\n")
     meta = {"name": sequence.name, **sequence.meta}
@@ -29,10 +29,10 @@ def write_sidecars(sequence: Sequence, folder: Path) -> None:
 
 
 def read_sidecars(folder: Path, frames: int) -> dict[str, Any]:
-    """The fields ``name``, ``segments``, ``meta`` and ``frame_truth`` of a ``Sequence``.
+    """Read the fields ``name``, ``segments``, ``meta`` and ``frame_truth`` of a ``Sequence``.
 
     Args:
-        folder: where the files may be; without them the fields are empty and the name is the folder's.
+        folder: may hold the files; without them the fields are empty and the name is the folder's.
         frames: number of frames that they must fit.
 
     Raises:
@@ -65,7 +65,7 @@ def _read_segments(path: Path, frames: int) -> tuple[SegmentTruth, ...]:
 
 
 def _read_columns(path: Path, frames: int) -> dict[str, np.ndarray]:
-    """The columns of frame_truth.csv, (N,) each; empty without the file."""
+    """Read the columns of frame_truth.csv, (N,) each; empty without the file."""
     if not path.exists():
         return {}
     with path.open(newline="", encoding="utf-8") as file:

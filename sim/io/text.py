@@ -12,11 +12,11 @@ from scenarios.errors import InputError
 
 
 def read_rows(path: Path, remedy: str, separator: str | None = None) -> list[tuple[str, list[str]]]:
-    """``file:line`` and the words of every line that is neither empty nor a comment.
+    """Read ``file:line`` and the words of every line that is neither empty nor a comment.
 
     Args:
         path: the file.
-        remedy: what to do if there is no such file.
+        remedy: advice if the file does not exist.
         separator: between words; None for white space.
 
     Raises:
@@ -43,7 +43,7 @@ def check_words(where: str, words: list[str], names: list[str]) -> None:
 
 
 def to_numbers(where: str, words: list[str], names: list[str]) -> list[float]:
-    """Finite numbers of a line. Raises InputError that names the field of any other word."""
+    """Finite numbers of a line. Raises InputError with the field of any other word."""
     values = []
     for word, name in zip(words, names, strict=True):
         try:
@@ -72,7 +72,7 @@ def check_order(where: str, earlier: list[Any], stamp: float) -> None:
 
 
 def check_present(images: list[Path], listed_in: str) -> None:
-    """Raise InputError that names the first image that is missing or empty and counts the others."""
+    """Raise InputError if images are missing or empty; it names the first."""
     lacking = [image for image in images if not image.is_file() or image.stat().st_size == 0]
     if lacking:
         more = f" and {len(lacking) - 1} more" if len(lacking) > 1 else ""
@@ -81,7 +81,7 @@ def check_present(images: list[Path], listed_in: str) -> None:
 
 
 def read_json(path: Path, kind: type) -> Any:
-    """The content of a JSON file, None without the file. Raises InputError if it is of another kind."""
+    """The content of a JSON file, None without it. Raises InputError for another type."""
     if not path.exists():
         return None
     try:
@@ -94,10 +94,10 @@ def read_json(path: Path, kind: type) -> Any:
 
 
 def read_yaml(path: Path, keys: str) -> dict[Any, Any]:
-    """The mapping of a YAML file.
+    """Read the mapping of a YAML file.
 
     Args:
-        path: the file; OpenCV's ``%YAML:1.0`` line is passed over.
+        path: the file; OpenCV's ``%YAML:1.0`` line is skipped.
         keys: the keys it should hold, for the remedy.
 
     Raises:
@@ -127,7 +127,7 @@ def to_number(where: str, value: Any) -> float:
 
 
 def number_at(path: Path, values: dict[Any, Any], key: str) -> float:
-    """The finite number under a key of a YAML file. Raises InputError if it is missing or anything else."""
+    """The finite number under a key of a YAML file. Raises InputError otherwise."""
     if key not in values:
         raise InputError(f"{path}: {key}", "is missing", "add it")
     return to_number(f"{path}: {key}", values[key])

@@ -1,4 +1,4 @@
-"""Ground-truth tables: poses by stamp, given to the frames nearest in time."""
+"""Ground-truth tables: poses by stamp, assigned to the frames nearest in time."""
 
 from pathlib import Path
 
@@ -12,14 +12,14 @@ _TUM_NAMES = ["stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
 
 
 def read_tum_poses(path: Path, stamps_s: np.ndarray, tolerance_s: float) -> np.ndarray | None:
-    """Poses of the frames from a file of ``stamp tx ty tz qx qy qz qw``.
+    """Read the frames' poses from a file of ``stamp tx ty tz qx qy qz qw``.
 
-    A pose with nan in it, as TUM-mono marks the frames that its motion capture did not see, is none.
+    A pose with nan counts as none: TUM-mono marks frames outside motion capture so.
 
     Args:
         path: the file.
         stamps_s: (N,) stamps of the frames.
-        tolerance_s: most distance in time between a frame and its pose.
+        tolerance_s: largest time between a frame and its pose.
 
     Returns:
         (N, 4, 4), NaN where no pose lies within the tolerance; None without the file.
@@ -71,7 +71,7 @@ def poses_of(position_m: np.ndarray, quat_xyzw: np.ndarray) -> np.ndarray:
 
 
 def half_interval_s(stamps_s: np.ndarray, fps: float) -> float:
-    """Half the median frame interval; of a single frame, by the nominal rate."""
+    """Half the median frame interval; for a single frame, by the nominal rate."""
     return float(np.median(np.diff(stamps_s))) / 2 if len(stamps_s) > 1 else 0.5 / fps
 
 
@@ -85,13 +85,13 @@ def nearest_poses(
         stamps_s: (N,) stamps of the frames.
         table_s: (M,) stamps of the poses, increasing.
         poses: (M, 4, 4).
-        tolerance_s: most distance in time between a frame and its pose.
+        tolerance_s: largest time between a frame and its pose.
 
     Returns:
         (N, 4, 4), NaN where none lies within the tolerance.
 
     Raises:
-        InputError: that is so for every frame.
+        InputError: no frame has a pose within the tolerance.
     """
     best = nearest(table_s, stamps_s, tolerance_s)
     near = best >= 0
@@ -104,7 +104,7 @@ def nearest_poses(
 
 
 def nearest(table_s: np.ndarray, stamps_s: np.ndarray, tolerance_s: float) -> np.ndarray:
-    """(N,) place of the nearest of (M,) increasing times to each of (N,) others, -1 where none is near."""
+    """(N,) index of the nearest of (M,) increasing times, -1 if none is near."""
     after = np.clip(np.searchsorted(table_s, stamps_s), 1, max(1, len(table_s) - 1))
     pairs = np.stack([after - 1, np.minimum(after, len(table_s) - 1)])
     distance_s = np.abs(table_s[pairs] - stamps_s)

@@ -1,4 +1,4 @@
-"""Sequence folders as the rest of the code writes and reads them: written in TUM form, read in any."""
+"""Sequence folders: writing in TUM form, reading in any."""
 
 from sim.io.folders import claim_output_dir
 from sim.io.forms import load_sequence

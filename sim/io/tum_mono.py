@@ -1,11 +1,11 @@
-"""Reads the TUM-mono form: photometrically calibrated footage, corrected and rectified frame by frame.
+"""Reader of the TUM-mono form: photometrically calibrated, rectified frame by frame.
 
     images/*.jpg or images.zip   gray images as taken
     times.txt                    id, stamp in seconds and, where known, exposure in milliseconds per frame
     camera.txt                   lens and rectification, see ``sim.io.fov_camera``
     pcalib.txt                   256 numbers: the light (any unit) behind each gray level
     vignette.png                 8 or 16 bit, the share of the light that reaches each pixel
-    groundtruthSync.txt          stamp tx ty tz qx qy qz qw, nan where motion capture saw nothing
+    groundtruthSync.txt          stamp tx ty tz qx qy qz qw, nan outside motion capture
 
 ``pcalib.txt``, ``vignette.png`` and ``groundtruthSync.txt`` may be absent. Source: Engel, Usenko and
 Cremers, "A photometrically calibrated benchmark for monocular visual odometry", 2016.
@@ -30,15 +30,15 @@ IMAGES_DIR, IMAGES_ZIP = "images", "images.zip"
 TIMES_FILE, CAMERA_FILE = "times.txt", "camera.txt"
 RESPONSE_FILE, VIGNETTE_FILE, TRUTH_FILE = "pcalib.txt", "vignette.png", "groundtruthSync.txt"
 _TIME_NAMES = ["id", "stamp", "exposure_ms"]
-# A darker corner than this says nothing of the light that fell there.
+# A darker corner than this carries no information about its light.
 _LEAST_VIGNETTE = 0.01
 
 
 def load_tum_mono(folder: Path) -> Sequence:
-    """A sequence from a folder in TUM-mono form; ``frame_truth`` holds the exposures where they are known.
+    """Read a sequence from a TUM-mono folder; ``frame_truth`` holds known exposures.
 
-    Frames are gray levels proportional to the light: the response is inverted, the vignette divided out and
-    what is then brighter than 255 cut off; then they are rectified.
+    Frames are gray levels proportional to the light: the response is inverted, the vignette divided out,
+    levels are limited to 255, and the image is rectified.
 
     Raises:
         InputError: a file is missing, empty, cut short, malformed or absurd. Reading a frame raises it too,
@@ -96,7 +96,7 @@ class RectifiedFrames:
         x = (np.arange(camera.width_px) - camera.cx) / camera.fx
         y = (np.arange(camera.height_px) - camera.cy) / camera.fy
         at = lens.project(np.stack(np.meshgrid(x, y), axis=-1))
-        # The outermost pixels of a crop lie on the border up to rounding.
+        # The outermost pixels of a crop lie on the border, except for rounding.
         at = np.where(np.abs(at - np.rint(at)) < 1e-6, np.rint(at), at)
         self._map = at.astype(np.float32)
 
@@ -111,7 +111,7 @@ class RectifiedFrames:
 
 
 def _read_times(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """(N,) stamps, and (N,) exposures in seconds if every line has one."""
+    """Read (N,) stamps, and (N,) exposures in seconds if every line has one."""
     rows: list[list[float]] = []
     for where, words in read_rows(path, "give a folder with `id stamp exposure_ms` per frame"):
         names = _TIME_NAMES[: max(2, min(len(words), 3))]
@@ -141,7 +141,7 @@ def _open_images(folder: Path, shape: tuple[int, int], count: int) -> FrameSourc
 
 
 def _read_response(path: Path) -> np.ndarray:
-    """(256,) float32 light behind each level, scaled to 0 to 255; the level itself without the file."""
+    """(256,) float32 light behind each level, 0 to 255; the level itself without the file."""
     if not path.exists():
         return np.arange(256, dtype=np.float32)
     names = [f"level {level}" for level in range(256)]

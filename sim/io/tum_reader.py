@@ -1,4 +1,4 @@
-"""Reads a TUM-form folder; every fault is one line with file, line, field and remedy."""
+"""Reader of TUM-form folders; every fault names file, line, field and remedy."""
 
 from pathlib import Path
 
@@ -16,11 +16,11 @@ from sim.sequence import Sequence
 
 
 def load_tum(folder: Path) -> Sequence:
-    """A sequence from a TUM-form folder; see ``sim.io.layout``.
+    """Read a sequence from a TUM-form folder; see ``sim.io.layout``.
 
-    Existence of every image is checked now, its content when the frame is read. Ground truth and depth images
-    are given to the frames within half a frame interval of them, without interpolation; a frame without a
-    depth image has depth 0, unknown, everywhere.
+    The existence of every image is checked now, its content when the frame is read. Ground truth and depth
+    images are assigned to frames within half a frame interval, without interpolation; a frame without a depth
+    image has depth 0 (unknown) everywhere.
 
     Raises:
         InputError: a file is missing, empty, cut short, malformed or absurd. Reading a frame raises it too,
@@ -42,7 +42,7 @@ def load_tum(folder: Path) -> Sequence:
 
 
 def _read_list(path: Path) -> tuple[np.ndarray, list[Path]]:
-    """(N,) stamps and the image paths of a list of frames."""
+    """Read (N,) stamps and the image paths of a list of frames."""
     stamps: list[float] = []
     images: list[Path] = []
     for where, words in read_rows(path, "give a folder with the list of frames, `stamp filename` per line"):

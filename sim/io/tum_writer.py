@@ -1,4 +1,4 @@
-"""Writes a sequence as a TUM-form folder, wholly or not at all."""
+"""Writer of TUM-form folders, all or nothing."""
 
 from pathlib import Path
 
@@ -45,7 +45,7 @@ def write_tum(
 
 
 class _CodedDepth:
-    """Depth as 16-bit images; what does not fit is unknown."""
+    """Depth as 16-bit images; depth out of range becomes unknown."""
 
     def __init__(self, depths: FrameSource) -> None:
         self._depths = depths

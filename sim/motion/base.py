@@ -1,4 +1,4 @@
-"""What a camera motion is: a pose, a velocity and an angular rate at any time."""
+"""Interface of camera motions: pose, velocity and angular rate at any time."""
 
 from typing import Protocol
 

@@ -1,4 +1,4 @@
-"""A car: it goes where it points, brakes before corners, dives, rolls and shakes on its springs."""
+"""Car motion: moves where it points, brakes before corners, dives, rolls and shakes."""
 
 import math
 
@@ -15,7 +15,7 @@ from sim.worlds.base import Route
 from sim.worlds.geometry.route import arc_length
 
 _KNOT_S = 0.05
-# The plan stays this far below the limits, which springs and the spline then use up.
+# The plan stays this far below the limits; springs and spline use the rest.
 _SPEED_SHARE, _RATE_SHARE, _ACCEL_SHARE = 0.97, 0.85, 0.9
 _WANDER_M, _STEERING_M = 15.0, 1.2  # smoothing of the sideways wander and of the steering
 _MOOD_M, _MOOD_SHARE = 30.0, 0.08  # the driver's speed varies by this share over this distance
@@ -24,7 +24,7 @@ _SPRING_HZ = (1.1, 2.6)
 
 
 def plan_car(route: Route, trajectory: Trajectory, duration_s: float, seed: int) -> PoseSpline:
-    """The camera of a car along a route, within the limits of speed, acceleration and angular rate.
+    """Plan a car's camera within its limits of speed, acceleration and angular rate.
 
     A closed route is driven round and round from a seeded start; an open one from its start, more slowly
     if it is too short for the duration. The car already moves when the sequence begins. Its direction is the
@@ -63,7 +63,7 @@ def plan_car(route: Route, trajectory: Trajectory, duration_s: float, seed: int)
 
 
 def _steering(line: np.ndarray, along_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(M,) direction of the tangent, radians from +x, and (M,) its change per metre, positive to the left."""
+    """(M,) tangent direction, radians from +x, and (M,) its change per metre, positive left."""
     tangent = np.gradient(line, along_m, axis=0)
     heading = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
     return heading, gaussian_filter1d(np.gradient(heading, along_m), 0.3 / STEP_M, mode="nearest")
@@ -72,7 +72,7 @@ def _steering(line: np.ndarray, along_m: np.ndarray) -> tuple[np.ndarray, np.nda
 def _pace(
     along_m: np.ndarray, curvature: np.ndarray, trajectory: Trajectory, rng: np.random.Generator
 ) -> np.ndarray:
-    """(M,) speed along the line: the driver's mood, then what corners allow, then what brakes allow."""
+    """(M,) speed along the line, limited by the driver, the corners and the brakes."""
     mood = gaussian_filter1d(rng.standard_normal(len(along_m)), _MOOD_M / STEP_M, mode="nearest")
     mood /= max(float(np.abs(mood).max()), 1e-12)
     wanted = _SPEED_SHARE * trajectory.max_speed_mps * (1 - _MOOD_SHARE * (1 + mood) / 2)
@@ -80,5 +80,5 @@ def _pace(
     accel = _ACCEL_SHARE * trajectory.max_accel_mps2
     turning = _RATE_SHARE * math.radians(trajectory.max_rate_degps) / bend
     pace = np.minimum.reduce([wanted, np.sqrt(accel / bend), turning])
-    # Smoothing rounds the changes of acceleration; the margin of the limits takes what it adds.
+    # Smoothing rounds the changes of acceleration; the margin of the limits absorbs what it adds.
     return gaussian_filter1d(limited_pace(pace, along_m, accel), 1.0 / STEP_M, mode="nearest")

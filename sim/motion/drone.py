@@ -1,4 +1,4 @@
-"""A drone: a free body in MuJoCo that follows the route against gusts, leaning into its accelerations."""
+"""Drone motion: a free body in MuJoCo that follows the route against gusts."""
 
 import math
 
@@ -24,7 +24,7 @@ _STIFFNESS, _DAMPING = 9.0, 5.0  # of the position, per second squared and per s
 _TURN_STIFFNESS, _TURN_DAMPING = 60.0, 14.0  # of the attitude
 _DRAG = 0.25  # acceleration per relative wind, 1/s
 _GUST_S = 1.2  # correlation time of the wind
-_WIND_CLEARANCE_SHARE = 0.5  # of the free space that the wind may use
+_WIND_CLEARANCE_SHARE = 0.5  # share of the free space that the wind may use
 _MOST_LEAN_RAD = math.radians(20.0)
 _BODY = f"""
 <mujoco>
@@ -40,7 +40,7 @@ _BODY = f"""
 
 
 def plan_drone(route: Route, trajectory: Trajectory, duration_s: float, seed: int) -> PoseSpline:
-    """The camera of a drone along a route, blown about by gusts, within the limits of speed and rate.
+    """Plan a drone's camera in gusts, within its limits of speed and rate.
 
     The body is simulated; its poses become a spline, so that velocity and rate are known in closed form.
 
@@ -53,7 +53,7 @@ def plan_drone(route: Route, trajectory: Trajectory, duration_s: float, seed: in
     knots_s = knot_times(duration_s, _KNOT_S)
     wanted = _wanted(route, trajectory, duration_s, seed, knots_s)
     wind = _wind(len(knots_s), trajectory.gust_mps, rng_for(seed, "motion", "wind"))
-    # Held against a steady wind w, the body is off by drag w / stiffness.
+    # In a steady wind w, the body is displaced by drag w / stiffness.
     most_mps = _WIND_CLEARANCE_SHARE * route.clearance_m * _STIFFNESS / _DRAG
     wind *= min(1.0, most_mps / max(float(np.abs(wind).max()), 1e-9))
     position, turns = _fly(wanted, wind)
@@ -64,7 +64,7 @@ def plan_drone(route: Route, trajectory: Trajectory, duration_s: float, seed: in
 def _wanted(
     route: Route, trajectory: Trajectory, duration_s: float, seed: int, knots_s: np.ndarray
 ) -> np.ndarray:
-    """(M, 4) wanted position and yaw at the knots."""
+    """(M, 4) desired position and yaw at the knots."""
     line = smooth_path(route, rng_for(seed, "motion", "path"), softening_m=0.5)
     line = long_enough(line, route, trajectory, duration_s, seed)
     along_m = arc_length(line)
@@ -109,7 +109,7 @@ def _fly(wanted: np.ndarray, wind: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _control(
     data: mujoco.MjData, wanted: np.ndarray, speed: np.ndarray, push: np.ndarray, wind: np.ndarray
 ) -> None:
-    """Thrust towards the wanted point, drag by the wind, and a torque towards the attitude of that thrust."""
+    """Thrust towards the desired point, drag by the wind, torque towards that thrust's attitude."""
     pull = _STIFFNESS * (wanted[:3] - data.qpos[:3]) + _DAMPING * (speed[:3] - data.qvel[:3])
     thrust = push[:3] + pull
     blown = _DRAG * (wind - (data.qvel[:3] - speed[:3]))

@@ -1,4 +1,4 @@
-"""From a route's polyline to a smooth path by arc length that stays in the free space."""
+"""Smooth paths along a route's polyline, within its free space."""
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -7,12 +7,12 @@ from sim.worlds.base import Route
 from sim.worlds.geometry.route import arc_length
 
 STEP_M = 0.05
-# Shares of the clearance: cutting corners, and wandering sideways. The rest is left to the carrier's sway.
+# Shares of the clearance for cutting corners and for wandering sideways; the rest is for the sway.
 CORNER_SHARE = 0.6
 WANDER_SHARE = 0.25
 _WANDER_SIGMA_M = 2.0
 _SOFTENING_M = 0.25
-_SLOPE_M = 0.3  # distance over which the ground's slope is taken
+_SLOPE_M = 0.3  # distance over which the ground's slope is measured
 
 
 def smooth_path(
@@ -21,7 +21,7 @@ def smooth_path(
     wander_sigma_m: float = _WANDER_SIGMA_M,
     softening_m: float = _SOFTENING_M,
 ) -> np.ndarray:
-    """The route with its corners rounded and a seeded, smooth sideways wander.
+    """Return the route with rounded corners and a seeded, smooth sideways wander.
 
     Args:
         route: polyline and clearance, metres.
@@ -63,7 +63,7 @@ def ground(line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _round_corners(corners: np.ndarray, budget_m: float, closed: bool) -> np.ndarray:
-    """Arcs that cut each corner by at most ``budget_m``, and use at most half of the shorter side."""
+    """Replace corners by arcs that cut them by at most ``budget_m``."""
     count = len(corners)
     pieces = [] if closed else [corners[:1]]
     for i in range(count) if closed else range(1, count - 1):
@@ -72,7 +72,7 @@ def _round_corners(corners: np.ndarray, budget_m: float, closed: bool) -> np.nda
 
 
 def _arc(before: np.ndarray, at: np.ndarray, after: np.ndarray, budget_m: float) -> np.ndarray:
-    """(n, 2) points of the arc that replaces the corner ``at``; (n, 3) with heights, linear along it."""
+    """(n, 2) or (n, 3) points of the arc in place of the corner ``at``; heights are linear."""
     into, out = (at - before)[:2], (after - at)[:2]
     into_m, out_m = np.linalg.norm(into), np.linalg.norm(out)
     into, out = into / into_m, out / out_m
@@ -107,7 +107,7 @@ def _soften(line: np.ndarray, closed: bool, over_m: float) -> np.ndarray:
     sigma = over_m / STEP_M
     if closed:
         return gaussian_filter1d(line, sigma, axis=0, mode="wrap")
-    # Smoothed about its chord, so that the ends are hardly drawn in.
+    # Smoothed about its chord, so that the ends hardly move.
     chord = np.linspace(line[0], line[-1], len(line))
     return chord + gaussian_filter1d(line - chord, sigma, axis=0, mode="nearest")
 

@@ -1,4 +1,4 @@
-"""What carriers share: rounds of a closed route, progress at a pace, sway, the final stretch of time."""
+"""Shared steps of motion planning: closed routes, progress, sway, limits."""
 
 import math
 
@@ -16,14 +16,14 @@ PAD_S = 1.0
 
 
 def knot_times(duration_s: float, step_s: float) -> np.ndarray:
-    """(M,) times of a spline's knots that cover a sequence, its padding and a little more."""
+    """(M,) knot times of a spline that covers a sequence and its padding."""
     return np.arange(-PAD_S - 3 * step_s, duration_s + PAD_S + 3 * step_s, step_s)
 
 
 def long_enough(
     line: np.ndarray, route: Route, trajectory: Trajectory, duration_s: float, seed: int
 ) -> np.ndarray:
-    """A closed line unrolled from a seeded start over as many rounds as can be needed."""
+    """Unroll a closed line from a seeded start over enough rounds."""
     if not route.closed:
         return line
     start = int(rng_for(seed, "motion", "start").integers(len(line)))
@@ -33,7 +33,7 @@ def long_enough(
 
 
 def progress(along_m: np.ndarray, pace: np.ndarray, knots_s: np.ndarray) -> np.ndarray:
-    """Arc length at each knot, at a pace (metres per second) given along the line; slower if it is short."""
+    """Arc length at each knot for a pace (m/s); slower on a short line."""
     slowness = 1 / pace
     steps_s = np.diff(along_m) * (slowness[1:] + slowness[:-1]) / 2
     reached_s = np.concatenate([[0.0], np.cumsum(steps_s)])
@@ -44,7 +44,7 @@ def progress(along_m: np.ndarray, pace: np.ndarray, knots_s: np.ndarray) -> np.n
 
 
 def limited_pace(pace: np.ndarray, along_m: np.ndarray, accel_mps2: float) -> np.ndarray:
-    """The highest pace below the given one whose changes keep to an acceleration."""
+    """The highest pace below the given one within an acceleration limit."""
     squared = pace**2
     gain = 2 * accel_mps2 * np.diff(along_m)
     for k in range(1, len(squared)):
@@ -71,13 +71,13 @@ def within_limits(
     trajectory: Trajectory,
     duration_s: float,
 ) -> PoseSpline:
-    """The spline through the knots, slowed until its measured peaks keep to the speed and the rate."""
+    """The spline through the knots, slowed down to the limits of speed and rate."""
     plan = PoseSpline(knots_s, position_m, yaw_pitch_roll)
     return PoseSpline(knots_s, position_m, yaw_pitch_roll, _excess(plan, trajectory, duration_s))
 
 
 def _excess(plan: PoseSpline, trajectory: Trajectory, duration_s: float) -> float:
-    """By how much the plan's measured peaks exceed the limits, at least 1."""
+    """Factor by which the plan's measured peaks exceed the limits, at least 1."""
     stamps_s = np.arange(-PAD_S, duration_s + PAD_S, 0.01)
     speed = np.linalg.norm(plan.velocity_mps(stamps_s), axis=-1).max()
     rate = np.linalg.norm(plan.rate_radps(stamps_s), axis=-1).max()

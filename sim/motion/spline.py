@@ -1,4 +1,4 @@
-"""A pose spline: quintic in position and in yaw, pitch and roll, so its rates are known in closed form."""
+"""Pose splines, quintic in position and in yaw, pitch and roll."""
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -9,7 +9,7 @@ _BODY_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 class PoseSpline:
-    """A carrier that stays clear of looking straight up or down, four times continuously differentiable.
+    """A motion through knots, four times continuously differentiable, never looking straight up or down.
 
     Args:
         knots_s: (M,) increasing times, M >= 6.

@@ -1,6 +1,6 @@
-"""A walking carrier: along the route at a steady pace, slower around corners, swaying a little.
+"""Walking motion: a steady pace along the route, slower around corners, with a little sway.
 
-Held in the hand, the camera also bobs with each step and trembles.
+A hand-held camera also bobs with each step and trembles.
 """
 
 import math
@@ -20,11 +20,11 @@ from sim.worlds.geometry.route import arc_length
 __all__ = ["PAD_S", "plan_handheld", "plan_walk"]
 
 _KNOT_S, _STEP_KNOT_S = 0.2, 0.04
-# The plan stays this far below the limits, which sway and wander then use up.
+# The plan stays this far below the limits; sway and wander use the rest.
 _SPEED_SHARE, _RATE_SHARE = 0.9, 0.8
 _SWAY_CLEARANCE_SHARE = 0.12
 _SWAY_DEG = (1.5, 1.2, 0.8)  # yaw, pitch, roll
-_LOOK_AHEAD_S = 0.5  # the gaze smooths the direction of travel over this time, standard deviation
+_LOOK_AHEAD_S = 0.5  # standard deviation of the time over which the gaze smooths the direction of travel
 _TREMBLE_HZ = (3.0, 8.0)
 _TREMBLE_SHARE = 0.4
 _STAIR_PACE = 0.6  # share of the pace lost per sine of the slope: two thirds remain on a stair of 33 degrees
@@ -32,7 +32,7 @@ _STAIR_GAZE = 0.35  # share of the slope by which the gaze follows it up or down
 
 
 def plan_walk(route: Route, trajectory: Trajectory, duration_s: float, seed: int) -> PoseSpline:
-    """The motion of a carrier along a route, within the trajectory's limits of speed and angular rate.
+    """Plan a walk along a route within the trajectory's limits of speed and angular rate.
 
     A closed route is walked round and round from a seeded start; an open one from its start, more slowly
     if it is too short for the duration.
@@ -49,15 +49,15 @@ def plan_walk(route: Route, trajectory: Trajectory, duration_s: float, seed: int
 
 
 def plan_handheld(route: Route, trajectory: Trajectory, duration_s: float, seed: int) -> PoseSpline:
-    """A walk whose camera is held in the hand; arguments as for ``plan_walk``.
+    """Plan a walk with a hand-held camera; arguments as for ``plan_walk``.
 
-    The body rises with every step and leans to the standing leg with every other one; the hands nod and roll
-    with it by ``shake_deg`` and tremble.
+    The body rises with each step and leans towards the standing leg; the hands nod and roll with it by
+    ``shake_deg`` and tremble.
     """
     knots_s = knot_times(duration_s, _STEP_KNOT_S)
     position, turns = _walked(route, trajectory, duration_s, seed, knots_s)
     rng = rng_for(seed, "motion", "gait")
-    # The pace of the steps drifts by a few per cent, as people's does.
+    # The step frequency drifts by a few per cent.
     drift = 0.05 * np.cumsum(sway(knots_s, rng)) * _STEP_KNOT_S
     steps = 2 * np.pi * (trajectory.step_hz * (knots_s + drift) + rng.random())
     position[:, 2] += trajectory.sway_m * np.sin(steps)
@@ -101,14 +101,14 @@ def _walked(
 
 
 def _gaze_heading(line: np.ndarray, speed_mps: float) -> np.ndarray:
-    """(M,) direction of travel, radians from +x, smoothed as by eyes that look into a corner before it."""
+    """(M,) direction of travel, radians from +x, smoothed: eyes turn before a corner."""
     tangent = np.gradient(line, axis=0)
     heading = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
     return gaussian_filter1d(heading, _LOOK_AHEAD_S * speed_mps / STEP_M, mode="nearest")
 
 
 def _pace(along_m: np.ndarray, heading: np.ndarray, trajectory: Trajectory) -> np.ndarray:
-    """(M,) speed along the line that the turns of the heading allow."""
+    """(M,) speed along the line allowed by the turns of the heading."""
     curvature = np.abs(np.gradient(heading, along_m))
     turning = _RATE_SHARE * math.radians(trajectory.max_rate_degps) / np.maximum(curvature, 1e-9)
     pace = np.minimum(_SPEED_SHARE * trajectory.max_speed_mps, turning)

@@ -1,4 +1,4 @@
-"""From what GL hands back, the lowest row first, to frames: one pass over the pixels each."""
+"""Compositing of rendered parts into frames; GL gives the lowest row first."""
 
 import numpy as np
 from numba import njit
@@ -6,7 +6,7 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def put_nearer(rgb, part_zbuffer, gray, zbuffer):
-    """Writes the pixels of a part of the world that are nearer than what is there.
+    """Write the pixels of a part that are nearer than the frame so far.
 
     Args:
         rgb: (H, W, 3) uint8 colours of the part, all grey, the lowest row first.
@@ -26,10 +26,10 @@ def put_nearer(rgb, part_zbuffer, gray, zbuffer):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def metric_depth(zbuffer, bias, offset_m):
-    """(H, W) float32 metres along the optical axis of a reversed depth buffer, 0 where it is 0.
+    """(H, W) float32 metres along the optical axis of a reversed depth buffer.
 
     Args:
-        zbuffer: (H, W) float32, 1 on the near plane.
+        zbuffer: (H, W) float32, 1 on the near plane; where it is 0, so is the depth.
         bias: float32, see ``offset_m``.
         offset_m: float32; depth is ``offset_m / (zbuffer + bias)``.
     """

@@ -1,9 +1,10 @@
-"""What a pinhole camera sees, for the renderers."""
+"""The view frustum of a pinhole camera, for the renderers."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from scenarios.errors import InputError
 from sim.sensors.camera import Intrinsics
 from sim.worlds.base import Surface, WorldModel
 
@@ -12,7 +13,7 @@ NEAR_M = 0.05
 
 @dataclass(frozen=True)
 class Frustum:
-    """What a pinhole camera sees: slopes of its sides per metre of depth, and its depth range."""
+    """View frustum: slopes of its sides per metre of depth, and its depth range."""
 
     left: float
     right: float
@@ -22,19 +23,25 @@ class Frustum:
     far_m: float
 
     @classmethod
-    def of(cls, c: Intrinsics, far_m: float) -> "Frustum":
-        """GL's window edges are half a pixel outside the outermost pixel centres; top is positive."""
+    def of(cls, c: Intrinsics, world: WorldModel) -> "Frustum":
+        """Frustum of a camera in a world; GL's edges are half a pixel outside the outermost centres.
+
+        Raises:
+            InputError: the camera has distortion.
+        """
+        if any(c.distortion):
+            raise InputError("camera: distortion", "the renderer has no lens distortion", "set it to zero")
         return cls(
             left=(-0.5 - c.cx) / c.fx,
             right=(c.width_px - 0.5 - c.cx) / c.fx,
             top=(0.5 + c.cy) / c.fy,
             bottom=(0.5 + c.cy - c.height_px) / c.fy,
             near_m=NEAR_M,
-            far_m=far_m,
+            far_m=far_plane(world),
         )
 
     def misses(self, corners: np.ndarray) -> bool:
-        """Whether a convex body (n, 3), camera frame, lies wholly outside one side."""
+        """Return True if a convex body (n, 3), camera frame, lies wholly outside one side."""
         x, y, z = corners.T
         sides = (
             x - self.right * z,
@@ -46,7 +53,7 @@ class Frustum:
         return any(bool((side > 0).all()) for side in sides)
 
     def touches(self, centres: np.ndarray, radii_m: np.ndarray) -> np.ndarray:
-        """(n,) bool: False only for balls, centres (n, 3) in the camera frame, wholly outside one side."""
+        """(n,) bool, False only for balls wholly outside one side; centres (n, 3), camera frame."""
         x, y, z = centres.T
         inside = z + radii_m > self.near_m
         # A side through the eye has the unit normal (1, -slope) / length in its plane.

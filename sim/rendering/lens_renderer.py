@@ -30,7 +30,7 @@ class DistortingRenderer:
         return self._inner.gl_renderer
 
     def render(self, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """One sharp frame: gray (H, W) uint8 and depth (H, W) float32 metres along the axis, 0 for none."""
+        """Render a frame: gray (H, W) uint8, depth (H, W) float32 metres, 0 for none."""
         gray, depth_m = self._inner.render(T_world_cam)
         return self._lens.distort(gray), self._lens.distort_depth(depth_m)
 
@@ -44,5 +44,5 @@ class DistortingRenderer:
 
 
 def lens_renderer(renderer_factory: Callable[[Intrinsics], Renderer], camera: Intrinsics) -> Renderer:
-    """A renderer of any camera: the factory's own for a pinhole, else one through the lens."""
+    """Return the factory's renderer for a pinhole camera, else one through the lens."""
     return renderer_factory(camera) if camera.is_pinhole else DistortingRenderer(renderer_factory, camera)

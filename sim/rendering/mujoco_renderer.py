@@ -1,7 +1,7 @@
-"""The renderer on MuJoCo's OpenGL pipeline: textured meshes without lights, metric depth, surface ids.
+"""The renderer on MuJoCo's OpenGL pipeline: unlit textured meshes, depth, surface ids.
 
-What a texture holds is what a pixel shows: materials emit their texture and there are no lights, so light
-and shade are part of the textures and fade with their contrast.
+A pixel shows its texture's level: materials emit their texture and there are no lights, so light and shade
+are part of the textures and fade with their contrast.
 """
 
 import ctypes
@@ -14,7 +14,7 @@ import numpy as np
 
 from scenarios.errors import InputError
 from sim.rendering.compositing import metric_depth, put_nearer
-from sim.rendering.frustum import Frustum, bounding_balls, far_plane
+from sim.rendering.frustum import Frustum, bounding_balls
 from sim.rendering.gl_context import gl_info, shared_context
 from sim.sensors.camera import Intrinsics
 from sim.worlds.base import Surface, WorldModel, faded_texture
@@ -40,15 +40,13 @@ class MujocoRenderer:
     """
 
     def __init__(self, world: WorldModel, camera: Intrinsics) -> None:
-        if any(camera.distortion):
-            raise InputError("camera: distortion", "the renderer has no lens distortion", "set it to zero")
         self._shape = (camera.height_px, camera.width_px)
-        self._frustum = Frustum.of(camera, far_plane(world))
+        self._frustum = Frustum.of(camera, world)
         self._context = shared_context()
         self._gl_renderer = gl_info()["renderer"]
         starts = range(0, len(world.surfaces), MOST_SURFACES)
         self._parts = [_Part(world, start, camera, self._frustum) for start in starts]
-        # The depth of several samples is worth nothing, and parts would show seams: one more of the whole.
+        # Multisampled depth is useless, and parts would show seams: multisampling uses one part of the whole.
         smooth = world.samples > 1 and len(self._parts) == 1
         self._smooth = [_Part(world, 0, camera, self._frustum, world.samples)] if smooth else []
         self._rgb = np.empty((*self._shape, 3), np.uint8)
@@ -61,7 +59,7 @@ class MujocoRenderer:
         return self._gl_renderer
 
     def render(self, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """One sharp frame: gray (H, W) uint8 and depth (H, W) float32 metres along the axis, 0 for none."""
+        """Render a frame: gray (H, W) uint8, depth (H, W) float32 metres, 0 for none."""
         gray, zbuffer = np.zeros(self._shape, np.uint8), np.zeros(self._shape, np.float32)
         for _ in self._draw_parts(self._parts, T_world_cam, ids=False):
             put_nearer(self._rgb, self._zbuffer, gray, zbuffer)
@@ -87,7 +85,7 @@ class MujocoRenderer:
             part.free()
 
     def _draw_parts(self, parts: list["_Part"], T_world_cam: np.ndarray, ids: bool) -> Iterator["_Part"]:
-        """Each part in sight; its colours and depth buffer are read until the next part is drawn."""
+        """Draw and read each part in sight; its buffers hold until the next part."""
         self._context.make_current()
         for part in parts:
             if part.in_sight(T_world_cam, self._frustum):
@@ -96,10 +94,10 @@ class MujocoRenderer:
                 yield part
 
     def _projection_row(self) -> tuple[np.float32, np.float32]:
-        """The two entries of the projection that make depth: zbuffer = offset_m / Z - bias.
+        """Bias and offset of the projection: zbuffer = offset_m / Z - bias.
 
-        MuJoCo composes its reversed projection in single precision; computed anew from the planes, the
-        bias would be off by 6e-8, which is a metre of depth at a kilometre.
+        MuJoCo computes its reversed projection in single precision. Computed again from the planes, the bias
+        would differ by 6e-8, which is a metre of depth at a kilometre.
         """
         self._context.make_current()
         self._parts[0].draw(np.eye(4), ids=False)
@@ -114,7 +112,7 @@ class MujocoRenderer:
 
 
 class _Part:
-    """As many surfaces as one MuJoCo context takes, with their own model and offscreen buffer."""
+    """Surfaces that fit one MuJoCo context, with their model and offscreen buffer."""
 
     def __init__(
         self, world: WorldModel, start: int, camera: Intrinsics, frustum: Frustum, samples: int = 1
@@ -155,7 +153,7 @@ class _Part:
         mujoco.mjr_render(self._viewport, self._scene, self._mjr)
 
     def _hide_invisible(self, T_world_cam: np.ndarray) -> None:
-        """MuJoCo draws every geom that has a type; the others cost nothing."""
+        """Hide geoms outside the view: MuJoCo draws every geom that has a type."""
         centres = (self._centres - T_world_cam[:3, 3]) @ T_world_cam[:3, :3]
         shown = self._frustum.touches(centres, self._radii_m + 1e-3)
         for index in np.flatnonzero(shown != self._shown).tolist():
@@ -207,7 +205,7 @@ def _add_surface(spec: mujoco.MjSpec, name: str, surface: Surface, texture: np.n
 
 
 def _static_scene(model: mujoco.MjModel, frustum: Frustum) -> mujoco.MjvScene:
-    """Every geom of the model, seen through the frustum; only the pose changes from frame to frame."""
+    """Scene of every geom; only the camera pose changes from frame to frame."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     scene = mujoco.MjvScene(model, maxgeom=model.ngeom)

@@ -1,13 +1,12 @@
-"""The renderer on pyrender: what MuJoCo's renderer shows, by other shaders, projection and culling.
+"""The renderer on pyrender: the frames of MuJoCo's renderer by independent code.
 
-Where both see one surface, gray levels differ by one at most but for a few pixels in a million, and depth
-by less than a millimetre within 30 m. It takes one sample per pixel, also where a world asks for more.
+Where both see one surface, gray levels differ by at most one except in a few pixels per million, and depth by
+less than a millimetre within 30 m. It takes one sample per pixel, even if a world requests more.
 """
 
 import numpy as np
 
-from scenarios.errors import InputError
-from sim.rendering.frustum import NEAR_M, Frustum, bounding_balls, far_plane
+from sim.rendering.frustum import NEAR_M, Frustum, bounding_balls
 from sim.rendering.gl_context import gl_info
 from sim.rendering.pyrender_pass import Pass
 from sim.sensors.camera import Intrinsics
@@ -31,10 +30,8 @@ class PyrenderRenderer:
     """
 
     def __init__(self, world: WorldModel, camera: Intrinsics) -> None:
-        if any(camera.distortion):
-            raise InputError("camera: distortion", "the renderer has no lens distortion", "set it to zero")
+        self._frustum = Frustum.of(camera, world)
         self._gl_renderer = gl_info()["renderer"]
-        self._frustum = Frustum.of(camera, far_plane(world))
         self._centres, self._radii_m = bounding_balls(world.surfaces)
         contrast = world.contrast if len(world.contrast) else np.ones(len(world.surfaces))
         self._scene = pyrender.Scene(bg_color=np.zeros(4))
@@ -61,7 +58,7 @@ class PyrenderRenderer:
         return self._gl_renderer
 
     def render(self, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """One sharp frame: gray (H, W) uint8 and depth (H, W) float32 metres along the axis, 0 for none."""
+        """Render a frame: gray (H, W) uint8, depth (H, W) float32 metres, 0 for none."""
         self._look(T_world_cam)
         self._pass.draw(self._scene)
         self._pass.read(self._gray, self._zbuffer)
@@ -90,7 +87,7 @@ class PyrenderRenderer:
 
 
 class _Pinhole(pyrender.Camera):
-    """Any intrinsics, and depth from 1 on the near plane to 0 at infinity."""
+    """Pinhole camera with any intrinsics; depth is 1 on the near plane, 0 at infinity."""
 
     def __init__(self, camera: Intrinsics) -> None:
         super().__init__(znear=NEAR_M)
@@ -111,8 +108,8 @@ class _Pinhole(pyrender.Camera):
 
 
 def _mesh(surface: Surface, centre: np.ndarray, texture: np.ndarray) -> pyrender.Mesh:
-    """The surface about its centre, whose texture is all that one sees."""
-    # pyrender turns images upside down on upload; turned before, texture rows run along v.
+    """Unlit mesh of the surface about its centre."""
+    # pyrender flips images on upload; flipped before, texture rows run along v.
     image = pyrender.Texture(source=texture[::-1], source_channels="R")
     material = pyrender.MetallicRoughnessMaterial(baseColorTexture=image)
     primitive = pyrender.Primitive(

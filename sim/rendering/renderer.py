@@ -1,4 +1,4 @@
-"""The renderer interface: a world and a camera in, gray frames, depth and surface ids out."""
+"""Interface of renderers: gray frames, depth and surface ids of a world."""
 
 from typing import Protocol
 

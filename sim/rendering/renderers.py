@@ -1,4 +1,4 @@
-"""The renderers by name: classes of ``(world, camera)`` that are a ``sim.rendering.renderer.Renderer``."""
+"""Renderers by name: classes ``(world, camera)`` with the interface ``Renderer``."""
 
 from collections.abc import Callable
 from importlib import import_module
@@ -8,7 +8,7 @@ from sim.rendering.renderer import Renderer
 from sim.sensors.camera import Intrinsics
 from sim.worlds.base import WorldModel
 
-# Where each is found: its libraries are imported when it is asked for.
+# Import paths: the libraries of a renderer are imported only when it is used.
 RENDERERS = {
     "mujoco": "sim.rendering.mujoco_renderer:MujocoRenderer",
     "pyrender": "sim.rendering.pyrender_renderer:PyrenderRenderer",
@@ -20,7 +20,7 @@ def load_renderer(name: str) -> Callable[[WorldModel, Intrinsics], Renderer]:
     """The class of a renderer.
 
     Raises:
-        InputError: there is none of that name, no OpenGL, or its libraries are not installed.
+        InputError: the name is unknown, OpenGL is missing, or its libraries are not installed.
     """
     check_renderer(name)
     module, _, kind = RENDERERS[name].partition(":")
@@ -31,6 +31,6 @@ def load_renderer(name: str) -> Callable[[WorldModel, Intrinsics], Renderer]:
 
 
 def check_renderer(name: str) -> None:
-    """Raises InputError if there is no renderer of that name."""
+    """Raise InputError if no renderer has that name."""
     if name not in RENDERERS:
         raise InputError("--renderer", f"unknown renderer {name!r}", f"use one of {', '.join(RENDERERS)}")

@@ -39,5 +39,5 @@ class Intrinsics:
 
     @property
     def is_pinhole(self) -> bool:
-        """Whether the camera sees straight lines as straight lines."""
+        """Return True if the camera has no distortion."""
         return self.model == "radtan" and not any(self.distortion)

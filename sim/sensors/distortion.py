@@ -1,8 +1,7 @@
-"""Lens distortion: a wider image without it, sampled where each pixel of the distorted camera looks.
+"""Lens distortion: each pixel is sampled from a wider image without distortion.
 
-The wide image has the camera's own focal length and its pixels fall on the camera's, so that a lens without
-distortion changes no pixel. Where the lens squeezes the view, several samples make a pixel, as its area
-does on a sensor.
+The wide image has the camera's focal length and pixel grid, so that a lens without distortion changes no
+pixel. Where the lens compresses the view, several samples make a pixel, like its area on a sensor.
 """
 
 import math
@@ -15,20 +14,20 @@ from numba import njit
 from scenarios.errors import InputError
 from sim.sensors.camera import Intrinsics
 
-# A pinhole image of what a lens sees further than this to the side would be absurdly large.
+# A pinhole image of a wider lens than this would be absurdly large.
 MOST_HALF_ANGLE_DEG = 78.0
 MOST_IDEAL_PX = 8192
-_SOLVED = 1e-10  # error of a normalised point that is taken as none
-_MARGIN_PX = 3  # for the neighbours that the interpolation takes
+_SOLVED = 1e-10  # negligible error of a normalised point
+_MARGIN_PX = 3  # border pixels for the interpolation
 # OpenCV places a sample to 1/32 of a pixel; the mean of several is placed better.
 _LEAST_SAMPLES, _MOST_SAMPLES = 2, 4
-# Neighbouring depths that differ by more lie on different things.
+# Neighbouring depths with a larger ratio lie on different surfaces.
 _SAME_SURFACE = np.float32(1.05)
 _NEWTON_ROUNDS = 30
 
 
 class Lens:
-    """The distortion of one camera, between an image of the ideal camera and the camera's own.
+    """The distortion of one camera, applied to images of the ideal camera.
 
     Args:
         camera: the distorted camera.
@@ -72,9 +71,9 @@ class Lens:
         return cv2.resize(fine, size, interpolation=cv2.INTER_AREA)
 
     def distort_depth(self, depth_m: np.ndarray) -> np.ndarray:
-        """The camera's depth (H, W) float32, metres along the axis, from the ideal camera's.
+        """The camera's depth (H, W) float32, metres along the axis, from the ideal one.
 
-        Exact on planes; at the outlines of things the nearest pixel's, never a mixture.
+        Exact on planes; at outlines the nearest pixel's depth, never a mixture.
         """
         return sample_depth(np.ascontiguousarray(depth_m, np.float32), self._centre_map, _SAME_SURFACE)
 
@@ -83,7 +82,7 @@ class Lens:
         nearest = np.rint(self._centre_map).astype(np.intp)
         return labels[nearest[..., 1], nearest[..., 0]]
 
-    # The maps are made when they are first needed: many users ask for the ideal camera only.
+    # The maps are computed on first use: many callers need only the ideal camera.
 
     @cached_property
     def _sample_map(self) -> np.ndarray:
@@ -94,7 +93,7 @@ class Lens:
         return self._map(1)
 
     def _map(self, samples: int) -> np.ndarray:
-        """(H * samples, W * samples, 2) float32 where the samples of the pixels lie in the wide image."""
+        """(H * samples, W * samples, 2) float32 positions of the samples in the wide image."""
         grid = _grid(self.camera.width_px, self.camera.height_px, samples)
         return np.ascontiguousarray(_ideal_pixels(self.camera, grid) - self._low, np.float32)
 
@@ -150,16 +149,16 @@ def _grid(width: int, height: int, samples: int) -> np.ndarray:
 
 
 def _ideal_pixels(camera: Intrinsics, xy: np.ndarray) -> np.ndarray:
-    """Where pixels (..., 2) lie in an endless image without distortion, (..., 2)."""
+    """Positions (..., 2) of pixels (..., 2) in an endless image without distortion."""
     rays = unproject(camera, xy.reshape(-1, 2)).reshape(xy.shape)
     return rays * (camera.fx, camera.fy) + (camera.cx, camera.cy)
 
 
 def _samples_per_pixel(corners_at: np.ndarray) -> int:
-    """Samples along each side of a pixel, so that hardly one is wider than the wide image's pixels.
+    """Samples along each side of a pixel, about as dense as the wide image.
 
     Args:
-        corners_at: (H + 1, W + 1, 2) where the pixels' corners lie in the wide image.
+        corners_at: (H + 1, W + 1, 2) positions of the pixels' corners in the wide image.
     """
     along_x, along_y = np.diff(corners_at, axis=1)[:-1], np.diff(corners_at, axis=0)[:, :-1]
     area = np.abs(along_x[..., 0] * along_y[..., 1] - along_x[..., 1] * along_y[..., 0])
@@ -168,7 +167,7 @@ def _samples_per_pixel(corners_at: np.ndarray) -> int:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def undistort_radtan(bent, coefficients):
-    """Takes OpenCV's radtan distortion out of normalised points, by Newton's method.
+    """Remove OpenCV's radtan distortion from normalised points, by Newton's method.
 
     Args:
         bent: (N, 2) float64 distorted points at unit depth.
@@ -192,7 +191,7 @@ def undistort_radtan(bent, coefficients):
             yy = radial + growth * y * y + 6 * p1 * y + 2 * p2 * x
             determinant = xx * yy - xy * xy
             if abs(error_x) + abs(error_y) < _SOLVED:
-                # Behind a fold the image is turned inside out.
+                # Beyond a fold the image is inverted.
                 if determinant > 0 and radial > 0:
                     out[index, 0], out[index, 1] = x, y
                 break
@@ -203,7 +202,7 @@ def undistort_radtan(bent, coefficients):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def undistort_equidistant(bent, coefficients):
-    """Takes OpenCV's fisheye distortion out of normalised points, by Newton's method on the ray's angle.
+    """Remove OpenCV's fisheye distortion from normalised points, by Newton's method.
 
     Args:
         bent: (N, 2) float64 distorted points at unit depth.
@@ -240,7 +239,7 @@ def sample_depth(depth_m, at, same_surface):
         depth_m: (H, W) float32 metres, 0 for none.
         at: (h, w, 2) float32 x, y inside the image, a pixel from its border.
         same_surface: ratio of the largest to the smallest of the four neighbours up to which they are
-            taken as one surface; beyond it, or where one has no depth, the nearest stands for all.
+            taken as one surface; beyond it, or if one has no depth, the nearest counts alone.
 
     Returns:
         (h, w) float32.

@@ -1,9 +1,9 @@
-"""The open shutter: what the sensor collects while the camera moves, from one sharp frame and its depth.
+"""Exposure during motion: the light that the sensor collects, from one sharp frame.
 
 For every pixel the light is summed over the exposure along the path that its point took through the sharp
 frame, in linear light. The path follows from the depth and the camera's poses at the shutter's opening,
 centre and closing. Depth is taken as constant along a pixel's path. That is wrong at the outlines of near
-things, where ``sim.sensors.outlines`` follows the rays instead.
+surfaces, where ``sim.sensors.outlines`` follows the rays instead.
 """
 
 import cv2
@@ -13,12 +13,12 @@ from numba import njit
 from sim.sensors.camera import Intrinsics
 from sim.sensors.outlines import TILE_PX, integrate_outlines, inverse_depths, outline_tiles
 
-# A shorter smear than this cannot be seen.
+# A shorter smear than this is invisible.
 SHARP_PX = np.float32(0.3)
-# One sample per so many pixels of smear, up to a number.
+# Pixels of smear per sample, and the largest number of samples.
 PX_PER_SAMPLE = np.float32(1.25)
 MAX_SAMPLES = 64
-# The median smear is taken over a grid of pixels so far apart.
+# The median smear is taken over a grid with this spacing.
 GRID_PX = 16
 _CODES = 16384
 
@@ -40,7 +40,7 @@ _ENCODE = np.rint(255 * linear_to_srgb(np.arange(_CODES) / (_CODES - 1))).astype
 def expose(
     gray: np.ndarray, depth_m: np.ndarray, camera: Intrinsics, T_mid_open: np.ndarray, T_mid_close: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """The frame as the open shutter sees it.
+    """Expose a frame: sum the light over the open shutter.
 
     Args:
         gray: (H, W) uint8 sharp frame at the centre of the exposure, sRGB-encoded.
@@ -56,7 +56,7 @@ def expose(
     opening, closing = (np.ascontiguousarray(T[:3], np.float32) for T in (T_mid_open, T_mid_close))
     lengths = smear_lengths(depth_m, intrinsics, opening, closing)
     median_px = float(np.median(lengths))
-    # Between the pixels of the grid the smear is hardly longer than on them.
+    # Between the grid's pixels the smear is hardly longer than on them.
     if lengths.max() < 0.8 * SHARP_PX:
         return gray.copy(), median_px
     linear = cv2.LUT(gray, _DECODE)
@@ -69,9 +69,9 @@ def expose(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def row_shifts(row, depth_row, k, T, shift_x, shift_y):
-    """Where the points that a row's pixels see from another pose lie in the sharp frame, minus the pixels.
+    """Shifts, into the sharp frame, of the points a row sees from another pose.
 
-    Free of branches and calls, so that the compiler makes vector code of it.
+    Without branches and calls, so that the compiler vectorises it.
     """
     y = (np.float32(row) - k[3]) / k[1]
     from_y_x, from_y_y, from_y_z = T[0, 1] * y + T[0, 2], T[1, 1] * y + T[1, 2], T[2, 1] * y + T[2, 2]
@@ -108,7 +108,7 @@ def smear_lengths(depth_m, k, T_open, T_close):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def integrate(gray, linear, depth_m, k, T_open, T_close, encode, near):
-    """Sums light along every pixel's path.
+    """Sum the light along every pixel's path.
 
     Args:
         gray: (H, W) uint8 sharp frame.
@@ -150,12 +150,12 @@ def integrate(gray, linear, depth_m, k, T_open, T_close, encode, near):
                 x = np.float32(column) + s * (along_x + s * bend_x)
                 y = np.float32(row) + s * (along_y + s * bend_y)
                 s += step
-                # What comes from outside the frame is unknown: the rest stands for it.
+                # Light from outside the frame is unknown: the mean of the rest replaces it.
                 if x < zero or y < zero or x >= right or y >= bottom:
                     continue
                 left, top = np.int32(x), np.int32(y)
                 part_x, part_y = x - np.float32(left), y - np.float32(top)
-                # An unsigned index spares a test for negative ones.
+                # An unsigned index saves a test for negative ones.
                 at = np.uint64(top * width + left)
                 under = at + np.uint64(width)
                 upper = light_at[at] + part_x * (light_at[at + one] - light_at[at])

@@ -1,7 +1,7 @@
-"""An inertial sensor beside the camera: gyro and accelerometer readings along the true motion.
+"""Inertial sensor at the camera: gyro and accelerometer readings of the true motion.
 
-Readings are the true angular rate and specific force at their stamps, plus white noise, plus a bias that
-walks at random. Source: Furgale, Rehder, Siegwart, "Unified temporal and spatial calibration for
+Readings are the true angular rate and specific force at their stamps, plus white noise, plus a random-walk
+bias. Source: Furgale, Rehder, Siegwart, "Unified temporal and spatial calibration for
 multi-sensor systems", IROS 2013, and the noise model of the calibration tools built on it.
 """
 
@@ -18,8 +18,8 @@ from sim.motion.base import Motion
 GRAVITY_MPS2 = np.array([0.0, 0.0, -9.81])
 """World frame, z up."""
 
-# Half the span of the difference that makes accelerations of velocities: its error, the third derivative
-# of the velocity times the square of this over 6, is then below 1e-6 m/s^2, and rounding's too.
+# Half the span of the difference quotient of velocities: its error, the third derivative of the velocity
+# times the square of this over 6, is below 1e-6 m/s^2, and so is the rounding error.
 _STEP_S = 1e-4
 
 
@@ -31,7 +31,7 @@ def _vi_sensor_mounting() -> np.ndarray:
         [0.999557249008, 0.0149672133247, 0.025715529948, -0.064676986768],
         [-0.0257744366974, 0.00375618835797, 0.999660727178, 0.00981073058949],
     ]
-    # The printed digits are a rotation to 1e-12 only.
+    # The printed digits give a rotation only to 1e-12.
     T_imu_cam[:3, :3] = Rotation.from_matrix(T_imu_cam[:3, :3]).as_matrix()
     return np.linalg.inv(T_imu_cam)
 
@@ -77,13 +77,13 @@ class ImuModel:
         return cls(imu.rate_hz, imu.gyro_noise, imu.gyro_walk, imu.accel_noise, imu.accel_walk)
 
     def without_noise(self) -> "ImuModel":
-        """The same sensor if it were perfect."""
+        """The same sensor without noise."""
         return ImuModel(self.rate_hz, 0.0, 0.0, 0.0, 0.0, self.T_cam_imu)
 
 
 @dataclass(frozen=True)
 class ImuReadings:
-    """What the sensor says.
+    """Readings of the sensor.
 
     Attributes:
         model: the sensor.
@@ -116,10 +116,10 @@ class ImuTruth:
 def record_imu(
     motion: Motion, frame_stamps_s: np.ndarray, seed: int, model: ImuModel | None = None
 ) -> tuple[ImuReadings, ImuTruth]:
-    """Readings from the first frame to the last, with the truth at the frames.
+    """Record readings from the first frame to the last, with the truth at the frames.
 
     Args:
-        motion: of the camera; defined a moment beyond both ends.
+        motion: of the camera; defined slightly beyond both ends.
         frame_stamps_s: (N,) stamps of the frames.
         seed: root seed; the streams are ``("imu", ...)``.
         model: the sensor; None for the defaults.
@@ -161,14 +161,14 @@ def ideal_readings(
 
 
 def _velocity(motion: Motion, stamps_s: np.ndarray, T_cam_imu: np.ndarray) -> np.ndarray:
-    """(M, 3) velocity of the sensor, world frame: the camera's, and the lever between them turning."""
+    """(M, 3) velocity of the sensor, world frame, including the lever arm's rotation."""
     R_world_cam = motion.T_world_cam(stamps_s)[:, :3, :3]
     lever = np.cross(motion.rate_radps(stamps_s), T_cam_imu[:3, 3])
     return motion.velocity_mps(stamps_s) + np.einsum("mij,mj->mi", R_world_cam, lever)
 
 
 def _white(shape: tuple[int, ...], density: float, rate_hz: float, seed: int, name: str) -> np.ndarray:
-    """A reading stands for the mean over its interval: the density grows with the root of the rate."""
+    """White noise of readings; as interval means, it grows with the rate's root."""
     return density * np.sqrt(rate_hz) * rng_for(seed, "imu", name, "white").standard_normal(shape)
 
 

@@ -1,4 +1,4 @@
-"""Sensor noise, from a bank."""
+"""Sensor noise from a precomputed bank."""
 
 import cv2
 import numpy as np
@@ -9,10 +9,10 @@ _BANK_SIZE = 1 << 22
 
 
 class SensorNoise:
-    """Additive white Gaussian noise in grey levels, rounded, independent of a frame's neighbours.
+    """Additive white Gaussian noise in gray levels, independent between frames.
 
-    Drawing normals for every pixel would cost more than rendering, so each frame takes a seeded piece of one
-    seeded bank; two frames share a value at the same pixel only by an unlikely equal draw.
+    Drawing a normal number per pixel would cost more than rendering, so each frame takes a seeded piece of
+    one seeded bank; two frames take the same piece only with a small probability.
 
     Args:
         shape: (H, W) of the frames.

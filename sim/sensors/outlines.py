@@ -1,28 +1,29 @@
-"""What the open shutter collects where near things move across far ones.
+"""Exposure at outlines, where near surfaces move across far ones.
 
-A pixel near an outline sees the near thing during a part of the exposure and what lies behind it during the
-rest, so that no one depth gives its path. At every moment its ray is followed through the sharp frame, from
-near to far, to the first surface that it meets (ray marching in a depth image). A ray that ends behind a near
-thing looks at what the sharp frame does not hold: the surface that the ray passed last, right beside the
-outline, stands for it.
+A pixel near an outline sees the near surface during a part of the exposure and the far one during the rest,
+so that no single depth gives its path. At every moment its ray is followed through the sharp frame, from near
+to far, to the first surface that it meets (ray marching in a depth image). A ray that ends behind a near
+surface
+sees a point that the sharp frame hides: the surface that the ray passed last, beside the outline, replaces
+it.
 """
 
 import numpy as np
 from numba import njit
 
-# Whether rays must be followed is decided for squares of so many pixels.
+# Side of the tiles, in pixels, for which the need to follow rays is decided.
 TILE_PX = 8
-# A step in depth is an outline if its sides drift apart by more than this over half the exposure.
+# A step in depth is an outline if its sides move apart by more than this in half the exposure.
 OUTLINE_PX = np.float32(2)
-# One ray per so many pixels of smear, up to a number; a ray goes in steps of a pixel, up to a number.
+# Pixels of smear per ray and the largest number of rays; a ray advances by pixels, up to a number.
 PX_PER_RAY = np.float32(1.25)
 MAX_RAYS = 32
 MAX_STEPS = 256
-# Where there is no surface, this stands for one over the depth.
+# Inverse depth where there is no surface.
 FARTHEST = np.float32(1e-4)
-# Beyond this, ways lead out of any frame.
+# Longer paths leave any frame.
 _LONGEST_PX = np.float32(2000)
-# A nearer thing within reach lengthens the reach, within which there may be one that is nearer still.
+# A nearer surface within reach extends the reach, which may then hold a still nearer one.
 _WIDENINGS = 3
 
 
@@ -94,9 +95,9 @@ def _ranges(inverse_depth):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _shift(u, v, inverse, k, T):
-    """Where in the sharp frame a pixel's ray from another pose has an inverse depth, minus the pixel.
+    """Shift, in the sharp frame, of a pixel's point at an inverse depth from another pose.
 
-    The inverse depth is the sharp frame's: the place is linear in it.
+    The inverse depth is the sharp frame's; the position is linear in it.
     """
     x, y = (u - k[2]) / k[0], (v - k[3]) / k[1]
     far_z = max(T[2, 0] * x + T[2, 1] * y + T[2, 2], np.float32(0.05))
@@ -117,7 +118,7 @@ def _centre_of(tile):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _drift_px(i, j, inverse, step, k, T_open, T_close):
-    """How far the two sides of a step in inverse depth come apart in tile (i, j)."""
+    """Pixels by which the sides of a step in inverse depth move apart."""
     u, v, drift = _centre_of(j), _centre_of(i), np.float32(0)
     for T in (T_open, T_close):
         far_x, far_y = _shift(u, v, inverse, k, T)
@@ -128,12 +129,12 @@ def _drift_px(i, j, inverse, step, k, T_open, T_close):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _sweep(i, j, inverse, k, T, near, far, passed_near, passed_far):
-    """Takes tile (i, j) into the ranges of those to which its points of one depth move until pose T."""
+    """Add tile (i, j) to the ranges of the tiles that its points reach by pose T."""
     rows, columns = near.shape
     x, y = _shift(_centre_of(j), _centre_of(i), inverse, k, T)
     steps = int(max(abs(x), abs(y)) / np.float32(TILE_PX // 2)) + 1
     for step in range(steps + 1):
-        # Points move in the view against the pixels' way to them.
+        # Points move in the view opposite to the pixels' shift.
         part = np.float32(step) / np.float32(steps * TILE_PX)
         to_i, to_j = i - part * y, j - part * x
         top, left = int(np.floor(to_i)), int(np.floor(to_j))
@@ -147,7 +148,7 @@ def _sweep(i, j, inverse, k, T, near, far, passed_near, passed_far):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _in_reach(i, j, nearest, farthest, k, T_open, T_close, near, far):
-    """The range of inverse depths that tile (i, j) may see, among them what is nearer than the outline."""
+    """Range of inverse depths that tile (i, j) may see, with those nearer than the outline."""
     rows, columns = near.shape
     u, v = _centre_of(j), _centre_of(i)
     for _ in range(_WIDENINGS):
@@ -169,11 +170,11 @@ def _in_reach(i, j, nearest, farthest, k, T_open, T_close, near, far):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def integrate_outlines(out, linear, inverse_depth, k, T_open, T_close, encode, near, far):
-    """Sums the light of the pixels over which outlines pass.
+    """Sum the light of the pixels over which outlines pass.
 
     Args:
-        out: (H, W) uint8; gets the levels of the tiles where an outline passes, but of the pixels all of
-            whose light comes from outside the frame.
+        out: (H, W) uint8, written in the tiles where an outline passes, except pixels all of whose light
+            comes from outside the frame.
         linear: (H, W) float32 light of the sharp frame, 0 to 1.
         inverse_depth: (H, W) float32 of the sharp frame.
         k: (4,) float32 fx, fy, cx, cy.
@@ -200,7 +201,7 @@ def integrate_outlines(out, linear, inverse_depth, k, T_open, T_close, encode, n
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _mean_light(column, row, nearest, farthest, linear, inverse_depth, k, T_open, T_close):
-    """Light of one pixel over the exposure, -1 if all of it comes from outside the frame."""
+    """Light of one pixel over the exposure, -1 if none comes from the frame."""
     u, v = np.float32(column), np.float32(row)
     near_x, near_bend_x, near_y, near_bend_y = _path(u, v, nearest, k, T_open, T_close)
     far_x, far_bend_x, far_y, far_bend_y = _path(u, v, farthest, k, T_open, T_close)
@@ -230,7 +231,7 @@ def _mean_light(column, row, nearest, farthest, linear, inverse_depth, k, T_open
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _path(u, v, inverse, k, T_open, T_close):
-    """The parabola through opening, centre and closing, over s from -1 to 1: slope and bend of x and of y."""
+    """Slope and bend, in x and y, of the parabola through opening, centre and closing."""
     half = np.float32(0.5)
     open_x, open_y = _shift(u, v, inverse, k, T_open)
     close_x, close_y = _shift(u, v, inverse, k, T_close)
@@ -240,17 +241,17 @@ def _path(u, v, inverse, k, T_open, T_close):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _first_met(inverse_depth, x, y, inverse, end_x, end_y, end_inverse, outline):
-    """Follows a ray through the sharp frame to the first surface that it meets.
+    """Follow a ray through the sharp frame to the first surface that it meets.
 
     Args:
         inverse_depth: (H, W) float32.
         x, y, inverse: pixel and inverse depth at which the ray begins.
         end_x, end_y, end_inverse: the same for its end; in between they are linear in each other.
-        outline: a step in inverse depth beyond which the ray is behind something.
+        outline: a step in inverse depth beyond which the ray is behind a surface.
 
     Returns:
-        The part of the ray after which it meets a surface. If it meets none, that after which it went behind
-        something; -1 if it may have met one outside the frame.
+        The part of the ray up to the surface. If it meets none, the part up to its passing behind one; -1 if
+        it may have met one outside the frame.
     """
     half, zero, one = np.float32(0.5), np.float32(0), np.float32(1)
     right, bottom = np.float32(inverse_depth.shape[1] - 1), np.float32(inverse_depth.shape[0] - 1)

@@ -1,4 +1,4 @@
-"""What the options of a world do to all of it: the light of its lamps, the haze of its air."""
+"""Options that act on a whole world: light of the lamps, haze."""
 
 from dataclasses import replace
 
@@ -10,15 +10,15 @@ from sim.worlds.base import Haze, WorldModel
 
 # Visibility is where a contrast of 1 is down to 0.02: ln 50. Source: Koschmieder's law.
 _VISIBILITY_EXPONENT = 3.912
-_AIRLIGHT_LEVEL = 186.0  # as the sky at the horizon
+_AIRLIGHT_LEVEL = 186.0  # the level of the sky at the horizon
 
 
 def dimmed(world: WorldModel, level: float) -> WorldModel:
-    """The world in more or less light, lamps included; the exposure stays.
+    """Scale the light of a world, lamps included; the exposure stays.
 
     Args:
-        world: left as it is.
-        level: light relative to what it was; 1 gives back the world itself.
+        world: left unchanged.
+        level: light relative to before; 1 returns the world itself.
     """
     if level == 1.0:
         return world
@@ -28,7 +28,7 @@ def dimmed(world: WorldModel, level: float) -> WorldModel:
 
 
 def hazed(world: WorldModel, weather: Outdoors) -> WorldModel:
-    """The world in the weather's air."""
+    """The world with the weather's haze."""
     if weather.haze_m is None:
         return world
     return replace(world, haze=Haze(_VISIBILITY_EXPONENT / weather.haze_m, _AIRLIGHT_LEVEL))

@@ -1,4 +1,4 @@
-"""What a world is to the rest of the simulator: textured surfaces and a walkable route. Metres, z up."""
+"""The model of a world: textured surfaces and a route. Metres, z up."""
 
 from dataclasses import dataclass, field
 
@@ -8,13 +8,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Route:
-    """Where a carrier may go.
+    """A path through free space.
 
     Attributes:
         centre_m: (M, 2) float64 polyline in x, y, passable on both sides within ``clearance_m``.
         clearance_m: half width of the free space about the polyline.
         closed: the polyline returns to its start.
-        height_m: (M,) float64 height of the ground under every point, linear in between; none means 0.
+        height_m: (M,) float64 height of the ground at every point, linear in between; None means 0.
     """
 
     centre_m: np.ndarray
@@ -32,7 +32,7 @@ class Surface:
         triangles: (T, 3) int32, counter-clockwise seen from the visible side.
         uv: (V, 2) float64 texture coordinates in [0, 1], v downward in the texture image.
         texture: (h, w) uint8 gray texture, unique to the surface.
-        label: human name, e.g. ``wall 3``.
+        label: readable name, e.g. ``wall 3``.
     """
 
     vertices: np.ndarray
@@ -44,7 +44,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class Haze:
-    """Air that is not quite clear.
+    """Haze.
 
     Attributes:
         extinction_per_m: share of the light lost per metre.
@@ -61,11 +61,11 @@ class WorldModel:
 
     Attributes:
         surfaces: every textured surface.
-        mean_level: the gray level about which a contrast fades every texture.
+        mean_level: gray level to which textures fade as their contrast falls.
         contrast: (len(surfaces),) float64 in [0, 1], the texture contrast of each surface.
-        haze: of the air; None where it is clear.
-        samples: per pixel of a frame, where the world is full of things thinner than a pixel; 1 elsewhere,
-            which is faster. Depth and surface ids have one in any case.
+        haze: None in clear air.
+        samples: per pixel of a frame: several for a world with many parts thinner than a pixel, else 1, which
+            is faster. Depth and surface ids always have one.
     """
 
     surfaces: list[Surface]

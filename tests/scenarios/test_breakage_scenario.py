@@ -1,4 +1,4 @@
-"""The breakage scenario is what it says: one short blackout, clean time about it, the view moving on."""
+"""The breakage scenario: one short blackout with clean time around it, while the view moves on."""
 
 import math
 
@@ -7,7 +7,7 @@ import pytest
 from scenarios.loading import load_scenario
 
 WALL_M = 1.2
-"""From the middle of the corridor to its wall."""
+"""Distance from the middle of the corridor to its wall."""
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def test_the_lens_is_covered_once_with_clean_time_before_and_after(scenario):
     assert segment.start_s >= 4 and scenario.duration_s - segment.end_s >= 8
 
 
-def test_the_view_moves_on_meanwhile_but_not_all_of_it(scenario):
+def test_the_view_moves_on_by_part_of_its_width(scenario):
     (segment,) = scenario.segments
     view_m = WALL_M * scenario.camera.width_px / scenario.camera.fx_px
     moved_m = scenario.trajectory.max_speed_mps * segment.duration_s

@@ -1,4 +1,4 @@
-"""Scenarios, segments and what is drawn, in words."""
+"""Descriptions of scenarios, segments and distributions."""
 
 import pytest
 
@@ -30,7 +30,7 @@ def test_distributions_in_words(place, node, words):
     assert describe_parameter(place, parse_distribution(node)) == words
 
 
-def test_what_was_drawn_is_told_only_of_the_option_it_was_drawn_in(tmp_path):
+def test_a_drawn_value_is_described_only_within_its_option(tmp_path):
     (tmp_path / "either.yaml").write_text(
         """
 name: either
@@ -46,7 +46,7 @@ segments:
     for seed in range(8):
         scenario = family.sample(seed)
         (segment,) = scenario.segments
-        told = {
+        described = {
             parameter_label(place, family.written): describe_distribution(
                 place, drawn, family.written, scenario
             )
@@ -54,7 +54,7 @@ segments:
             if isinstance(drawn, Uniform | LogUniform)
         }
         own, other = ("jpeg", "fog") if segment.kind == "jpeg" else ("fog", "jpeg")
-        assert told[f"segment 1, {own}: duration"] == f"{segment.duration_s:.4g} s"
-        assert told[f"segment 1, {other}: duration"] == ""
+        assert described[f"segment 1, {own}: duration"] == f"{segment.duration_s:.4g} s"
+        assert described[f"segment 1, {other}: duration"] == ""
         kinds.add(segment.kind)
     assert kinds == {"jpeg", "fog"}

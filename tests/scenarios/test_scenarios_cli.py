@@ -1,4 +1,4 @@
-"""``dslab scenarios``, and that every command draws with its seed."""
+"""``dslab scenarios``, and the seed with which every command draws."""
 
 import json
 import sys
@@ -12,7 +12,7 @@ from scenarios.loading import load_scenario
 from scenarios.spec import Scenario
 
 
-def test_the_list_has_every_family_its_members_and_what_is_drawn(dslab, monkeypatch):
+def test_the_list_has_every_family_with_members_and_draws(dslab, monkeypatch):
     monkeypatch.setenv("COLUMNS", "160")
     code, out, _ = dslab("scenarios", "list")
     assert code == 0
@@ -30,29 +30,29 @@ def test_show_gives_the_family_and_with_a_seed_the_sample(dslab, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "expected"),
     [
         ("name: plain\nworld: {kind: room}\n", "valid, plain, 30 s, 0 segments"),
         (FAMILY, "valid, trial, a family, drawn with 20 seeds"),
         (MEMBERS, "valid, trial, a family, 3 members, drawn with 20 seeds each"),
     ],
 )
-def test_validate_says_what_was_checked(dslab, tmp_path, text, told):
+def test_validate_reports_the_draws(dslab, tmp_path, text, expected):
     code, out, _ = dslab("scenarios", "validate", str(write(tmp_path, text)))
-    assert code == 0 and told in out
+    assert code == 0 and expected in out
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "expected"),
     [
         (FAMILY.replace("[20, 40]", "[40, 20]"), ":3: duration_s: uniform from 40 to 20"),
         (FAMILY.replace("[20, 40]", "[5, 40]"), "ends after the sequence, in trial as drawn with seed"),
         (MEMBERS.replace("[0.5, 1]", "[0, 0.5]").replace("0.02", "3"), "in trial/07 as drawn with seed 0"),
     ],
 )
-def test_validate_finds_what_only_some_seeds_and_members_have(dslab, tmp_path, text, told):
+def test_validate_finds_faults_of_single_seeds_and_members(dslab, tmp_path, text, expected):
     code, _, err = dslab("scenarios", "validate", str(write(tmp_path, text)))
-    assert code == 2 and told in err and err.count("\n") == 1
+    assert code == 2 and expected in err and err.count("\n") == 1
 
 
 def test_the_schema_is_json(dslab):
@@ -65,11 +65,16 @@ class _RenderedEnoughError(Exception):
 
 
 @pytest.mark.parametrize(
-    "command",
-    [["render"], ["run"], ["demo", "--scenario"], ["bench"], ["export", "--format", "tum"]],
-    ids=lambda command: command[0],
+    ("command", "seed"),
+    [
+        (["render"], None),
+        (["render"], 3),
+        (["run"], 3),
+        (["demo", "--scenario"], 3),
+        (["bench"], 3),
+        (["export", "--format", "tum"], 3),
+    ],
 )
-@pytest.mark.parametrize("seed", [None, 3])
 def test_commands_draw_with_their_seed(monkeypatch, capsys, tmp_path, command, seed):
     rendered: list[Scenario] = []
 

@@ -1,4 +1,4 @@
-"""Segments as words of a command line, and their models."""
+"""Segments on a command line, and their models."""
 
 import pytest
 
@@ -7,11 +7,26 @@ from scenarios.segment_text import parse_segment
 from scenarios.segments import SEGMENT_KINDS, Jpeg, LowLight
 
 
-def test_a_word_gives_the_segment_with_its_defaults():
+def test_a_text_gives_the_segment_with_its_defaults():
     segment = parse_segment("low_light: start_s=2, duration_s=1 ,illumination=0.1")
     assert segment == LowLight(kind="low_light", start_s=2, duration_s=1, illumination=0.1)
     assert segment.end_s == 3
     assert segment.severity["full_well_e"] == 10000
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("jpg:start_s=0", "unknown kind 'jpg'"),
+        ("jpeg:start_s=0,duration_s=1,quality", "is no key=value"),
+        ("jpeg:start_s=0,start_s=1,duration_s=1,quality=9", "start_s: is given twice"),
+        ("jpeg:start_s=0,duration_s=1,qualty=9", "qualty.*unknown key"),
+        ("jpeg:start_s=0,duration_s=1,quality=nan", "quality.*finite"),
+    ],
+)
+def test_a_fault_of_the_text_names_its_place(text, problem):
+    with pytest.raises(InputError, match=problem):
+        parse_segment(text)
 
 
 def test_every_kind_can_be_named():
@@ -20,13 +35,13 @@ def test_every_kind_can_be_named():
             parse_segment(kind)
 
 
-@pytest.mark.parametrize("model", SEGMENT_KINDS.values(), ids=list(SEGMENT_KINDS))
-def test_every_field_says_its_unit_or_what_it_means(model):
-    for name, field in model.model_fields.items():
-        if name not in ("kind", "start_s", "duration_s", "axis"):
-            unit = name.endswith(("_s", "_px", "_deg", "_degps", "_per_m", "_m", "_e", "stops"))
-            assert unit or field.description, name
-    assert model.__doc__
+def test_every_field_has_a_unit_or_a_description():
+    for model in SEGMENT_KINDS.values():
+        assert model.__doc__
+        for name, field in model.model_fields.items():
+            if name not in ("kind", "start_s", "duration_s", "axis"):
+                unit = name.endswith(("_s", "_px", "_deg", "_degps", "_per_m", "_m", "_e", "stops"))
+                assert unit or field.description, name
 
 
 def test_two_ramps_fit_the_segment():

@@ -1,7 +1,8 @@
-"""Small worlds, rendered for real, and how well features of their frames can be matched."""
+"""Small rendered worlds, and the number of feature matches between their frames."""
 
 import hashlib
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ WORLDS = {
 }
 SEVERITIES = {
     "low_texture": [{"contrast": c} for c in (1, 0.2, 0.08, 0.03, 0)],
-    # So small a patch that features find their double within the search; at twice the period many do not.
+    # The patch is so small that features find their double within the search radius.
     "repeated_texture": [{"share": s, "period_m": 0.1} for s in (0, 0.25, 0.5, 0.75, 1)],
     "motion_blur": [{"exposure_s": e} for e in (0.004, 0.03, 0.08, 0.2, 0.5)],
     "fast_rotation": [{"rate_degps": r} for r in (0, 80, 160, 300, 600)],
@@ -39,7 +40,7 @@ SEVERITIES = {
     "auto_exposure_lag": [{"stops": s, "time_constant_s": 1.0} for s in (0, 2, 4, 6, 9)],
     "jpeg": [{"quality": q} for q in (100, 20, 10, 5, 1)],
 }
-"""From no effect at all to the end of matching, of every kind."""
+"""Severities of every kind, from no effect to the end of matching."""
 
 
 def small_scenario(world: str, *segments: dict, **more) -> Scenario:
@@ -59,14 +60,15 @@ def small_scenario(world: str, *segments: dict, **more) -> Scenario:
 
 
 def segment(kind: str, **severity) -> dict:
-    """A segment in the middle of a ``small_scenario``; of all that is seen in it, if it acts on the world."""
+    """A segment in the middle of a ``small_scenario``, or over all of it if the kind acts on the world."""
     if DEGRADATIONS[kind].stage is Stage.WORLD:
         return {"kind": kind, "start_s": 0, "duration_s": 0.8, **severity}
     return {"kind": kind, "start_s": START_S, "duration_s": DURATION_S, **severity}
 
 
+@cache
 def small_backend() -> RenderBackend:
-    """The real worlds and renderer; worlds are built once, with coarse textures, renderers kept."""
+    """The real worlds with coarse textures and the real renderer; both are built once per process."""
     real = mujoco_backend()
     worlds, renderers = {}, {}
 
@@ -86,7 +88,7 @@ def small_backend() -> RenderBackend:
         def __init__(self, world, camera) -> None:
             key = (tuple(id(s) for s in world.surfaces), world.contrast.tobytes(), camera)
             if key not in renderers:
-                # Surfaces are kept along, so that their ids stay theirs.
+                # The world is kept too, so that the ids of its surfaces are not given again.
                 renderers[key] = (real.renderer(world, camera), world)
             self.gl_renderer = renderers[key][0].gl_renderer
             self.render = renderers[key][0].render
@@ -99,7 +101,7 @@ def small_backend() -> RenderBackend:
 
 
 def digest(sequence: Sequence) -> str:
-    """Of frames, stamps and poses."""
+    """Digest of frames, stamps and poses."""
     assert sequence.T_world_cam is not None
     frames = b"".join(frame.tobytes() for frame in sequence.frames)
     return hashlib.sha256(frames + sequence.stamps_s.tobytes() + sequence.T_world_cam.tobytes()).hexdigest()
@@ -108,12 +110,11 @@ def digest(sequence: Sequence) -> str:
 def mean_inliers(
     sequence: Sequence, known: Sequence | None = None, prediction_px: float = 4.0, error_px: float = 2.0
 ) -> float:
-    """Mean number of right ORB matches from frame to frame in the segment's time.
+    """Mean number of correct ORB matches from frame to frame in the segment's time.
 
-    The earlier frame of each pair is taken from ``known``, with the same stamps, if it is given.
-
-    A match is right if it goes where the point truly went, and is found if that is where constant velocity,
-    by the stamps, lets one look for it.
+    The earlier frame of each pair is taken from ``known``, with the same stamps, if it is given. A match
+    counts if it ends at the true position of the point, within the search radius about the position that
+    constant velocity predicts from the stamps.
     """
     assert sequence.T_world_cam is not None and sequence.depths is not None
     orb = cv2.ORB_create(400, fastThreshold=12)
@@ -129,16 +130,16 @@ def mean_inliers(
             at = np.array([points[m.queryIdx].pt for m in matches]).reshape(-1, 2)
             to = np.array([there[m.trainIdx].pt for m in matches]).reshape(-1, 2)
             depth_m = sequence.depths[before][tuple(np.rint(at[:, ::-1]).astype(int).T)]
-            true_to = _carried(sequence, at, depth_m, np.linalg.inv(T[after]) @ T[before])
+            true_to = _projected(sequence, at, depth_m, np.linalg.inv(T[after]) @ T[before])
             share = (stamps_s[after] - stamps_s[before]) / (stamps_s[before] - stamps_s[before - 1])
-            guess = _carried(sequence, at, depth_m, _part(np.linalg.inv(T[before]) @ T[before - 1], share))
+            guess = _projected(sequence, at, depth_m, _part(np.linalg.inv(T[before]) @ T[before - 1], share))
             right = np.linalg.norm(to - true_to, axis=1) < error_px
             count = int((right & (np.linalg.norm(to - guess, axis=1) < prediction_px)).sum())
         counts.append(count)
     return float(np.mean(counts))
 
 
-def _carried(sequence: Sequence, at: np.ndarray, depth_m: np.ndarray, T: np.ndarray) -> np.ndarray:
+def _projected(sequence: Sequence, at: np.ndarray, depth_m: np.ndarray, T: np.ndarray) -> np.ndarray:
     camera = sequence.camera
     rays = np.column_stack([(at - (camera.cx, camera.cy)) / (camera.fx, camera.fy), np.ones(len(at))])
     points = rays * depth_m[:, None] @ T[:3, :3].T + T[:3, 3]

@@ -1,4 +1,4 @@
-"""A small sequence with everything in it, and how the tests of its files break them."""
+"""A small sequence with everything in it, and helpers that corrupt its files."""
 
 from pathlib import Path
 

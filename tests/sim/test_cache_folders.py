@@ -28,7 +28,7 @@ def test_an_entry_is_found_with_its_content(tmp_path):
     assert (found / "data.bin").read_text() == "frames"
 
 
-def test_nothing_is_left_of_an_entry_whose_making_failed(tmp_path):
+def test_a_failed_entry_leaves_nothing(tmp_path):
     def fail_half_way() -> None:
         with FolderCache(tmp_path).create("k") as folder:
             (folder / "data.bin").write_text("half")
@@ -101,7 +101,7 @@ def test_the_entries_used_longest_ago_go_first(tmp_path):
     assert "newest" in left and "old" in left and "oldest" not in left
 
 
-def test_what_a_killed_process_left_is_cleared_a_day_later(tmp_path):
+def test_leftovers_of_a_killed_process_are_cleared_a_day_later(tmp_path):
     dead, busy = tmp_path / f"{cache._UNFINISHED}dead", tmp_path / f"{cache._UNFINISHED}busy"
     dead.mkdir()
     busy.mkdir()

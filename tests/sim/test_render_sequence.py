@@ -94,7 +94,7 @@ def test_frames_stamps_and_poses_are_complete(rendered):
     assert rendered.depths is None
 
 
-def test_the_segments_are_where_they_were_asked_for(rendered):
+def test_the_segments_are_where_the_scenario_places_them(rendered):
     low, blur, swing = rendered.segments
     assert 3 <= low.first_frame <= 10 and 10 <= low.last_frame <= 20
     assert (blur.first_frame, blur.last_frame) == (20, 24)
@@ -125,12 +125,12 @@ def test_the_frame_shows_the_true_pose_at_the_centre_of_its_exposure(rendered):
 
 
 def test_a_second_call_takes_the_frames_from_the_cache(tmp_path, rendered):
-    def nobody(*_):
+    def forbidden(*_):
         raise AssertionError("rendered again")
 
     steps: list[str] = []
     again = render_sequence(
-        SCENARIO, 1, cache_dir=tmp_path / "cache", backend=replace(fake_backend(), renderer=nobody),
+        SCENARIO, 1, cache_dir=tmp_path / "cache", backend=replace(fake_backend(), renderer=forbidden),
         progress=lambda step, done, total: steps.append(step),
     )  # fmt: skip
     assert digest(again) == digest(rendered)
@@ -139,7 +139,7 @@ def test_a_second_call_takes_the_frames_from_the_cache(tmp_path, rendered):
 
 
 def test_seed_spec_and_depth_make_other_entries(tmp_path, rendered):
-    options = {"cache_dir": tmp_path / "cache", "studio": fake_backend()}
+    options = {"cache_dir": tmp_path / "cache", "backend": fake_backend()}
     assert digest(render_sequence(SCENARIO, 2, **options)) != digest(rendered)
     quiet = Scenario.model_validate({**SPEC, "camera": {**CAMERA, "noise_sigma": 0}})
     assert digest(render_sequence(quiet, 1, **options)) != digest(rendered)
@@ -163,7 +163,7 @@ def test_a_corrupt_entry_is_rendered_again(tmp_path, rendered, caplog):
 
 def test_the_written_folder_is_the_sequence(tmp_path):
     out = tmp_path / "out"
-    options = {"cache_dir": tmp_path / "cache", "studio": fake_backend()}
+    options = {"cache_dir": tmp_path / "cache", "backend": fake_backend()}
     sequence = render_sequence(SCENARIO, 1, out_dir=out, **options)
     read = load_sequence(out)
     assert digest(read) == digest(sequence)
@@ -196,6 +196,7 @@ print(hashlib.sha256(b"".join(f.tobytes() for f in s.frames)).hexdigest())
 """
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes_in_another_process(tmp_path):
     """The real renderer, in two processes with caches of their own."""
     spec = {**SPEC, "duration_s": 3.8}

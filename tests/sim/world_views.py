@@ -1,9 +1,13 @@
-"""Small worlds of every kind, poses along their routes, and how truly depth and pose carry pixels."""
+"""Small worlds of every kind, poses along their routes, and errors of optical flow against the truth."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
 from itertools import pairwise
 
 import cv2
 import numpy as np
+import pytest
 
 from scenarios.worlds import (
     BuildingWorld,
@@ -16,7 +20,8 @@ from scenarios.worlds import (
 )
 from sim.rendering.renderer import Renderer
 from sim.sensors.camera import Intrinsics
-from sim.worlds.base import Route
+from sim.worlds import build_world
+from sim.worlds.base import Route, WorldModel
 from sim.worlds.geometry.route import arc_length
 
 CAMERA = Intrinsics(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
@@ -29,6 +34,27 @@ SMALL = {
     "field": FieldWorld(size_m=40),
     "warehouse": WarehouseWorld(length_m=14, aisles=2, height_m=5),
 }
+
+
+@contextmanager
+def cheap_textures() -> Iterator[None]:
+    """Build worlds with their true geometry and tiny textures, which still differ by seed and surface."""
+
+    def tiny(finish, size_m, scale, rng) -> np.ndarray:
+        return rng.integers(80, 140, (8, 8), dtype=np.uint8)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sim.worlds.assembly.paint", tiny)
+        patch.setattr("sim.worlds.assembly.draw", tiny)
+        patch.setattr("sim.worlds.indoor.light.Light.gain", lambda *_: np.ones((2, 2), np.float32))
+        yield
+
+
+@cache
+def cheap_world(kind: str, seed: int) -> WorldModel:
+    """The small world of a kind with ``cheap_textures``."""
+    with cheap_textures():
+        return build_world(SMALL[kind], seed)
 
 
 def length(route: Route) -> float:
@@ -72,7 +98,7 @@ def along(route: Route, s_m: float, gaze_deg: float = 0.0, height_m: float = 1.5
 
 
 def moved(T_world_cam: np.ndarray, ahead_m: float, turn_deg: float) -> np.ndarray:
-    """(4, 4) the pose after a step ahead and a turn to the left, small ones as from frame to frame."""
+    """(4, 4) the pose after a small step ahead and a small turn to the left."""
     T = T_world_cam.copy()
     T[:3, 3] += ahead_m * T[:3, 2]
     cos, sin = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
@@ -104,20 +130,20 @@ def reproject(
 def flow_errors(
     renderer: Renderer, first: np.ndarray, second: np.ndarray, camera: Intrinsics = CAMERA
 ) -> np.ndarray:
-    """(n, 2) pixels from where depth and poses put the first frame's corners to where they are tracked to."""
+    """(n, 2) tracked minus predicted positions, pixels, of the first frame's corners in the second."""
     (gray_a, depth), (gray_b, _) = renderer.render(first), renderer.render(second)
     start = cv2.goodFeaturesToTrack(gray_a, 400, 0.01, 10)
     end, found, _ = cv2.calcOpticalFlowPyrLK(
         gray_a, gray_b, start, np.empty_like(start), winSize=(15, 15), criteria=(3, 50, 1e-3)
     )
     good = found[:, 0] == 1
-    # A corner on an outline belongs to what stands in front, not to what is seen at its pixel.
+    # A corner on an outline belongs to the nearer surface, not to the one at its own pixel.
     front = cv2.erode(depth, np.ones((3, 3), np.uint8))
     return end[good, 0] - reproject(start[good, 0], front, first, second, camera)
 
 
 def check_flow(errors_px: list[np.ndarray], at_least: int) -> None:
-    """Assert that (n, 2) ``flow_errors`` of several frames, so many in all, are small and have no bias."""
+    """Assert that (n, 2) ``flow_errors`` of several frames are many enough, small and without bias."""
     errors = np.concatenate(errors_px)
     assert len(errors) > at_least
     assert np.median(np.linalg.norm(errors, axis=1)) < 0.1

@@ -1,4 +1,4 @@
-"""What stands on farmland: stones, straw bales, fences, walls and barns."""
+"""Objects on farmland: stones, straw bales, fences, walls and barns."""
 
 from itertools import pairwise
 
@@ -22,8 +22,8 @@ def stone(spot: np.ndarray, size_m: float, label: str, light: Daylight, rng: np.
     Args:
         spot: (3,) on the ground, metres.
         size_m: its width.
-        label: human name, unique in the world.
-        light: daylight; it casts its shadow there.
+        label: readable name, unique in the world.
+        light: daylight that takes its shadow.
         rng: stream of its shape.
     """
     elevation = np.linspace(np.pi / 2, -np.pi / 2, _STONE_RINGS)[:, None]
@@ -55,8 +55,8 @@ def bale(spot: np.ndarray, turn_rad: float, label: str, light: Daylight) -> Piec
     Args:
         spot: (3,) on the ground, metres.
         turn_rad: direction of its axis.
-        label: human name, unique in the world.
-        light: daylight; it casts its shadow there.
+        label: readable name, unique in the world.
+        light: daylight that takes its shadow.
     """
     wide, radius = _BALE_M
     axis = np.array([np.cos(turn_rad), np.sin(turn_rad), 0.0])
@@ -129,8 +129,8 @@ def field_wall(feet: np.ndarray, label: str, light: Daylight, rng: np.random.Gen
 
     Args:
         feet: metres, in order.
-        label: human name, unique in the world.
-        light: daylight; it casts its shadow there.
+        label: readable name, unique in the world.
+        light: daylight that takes its shadow.
         rng: stream of its heights.
     """
     arc = arc_length(feet)
@@ -172,8 +172,8 @@ def barn(
         foot: (3,) middle of its floor, at the lowest ground under it.
         turn_rad: direction of its ridge.
         size_m: length along the ridge, width, height of the ridge.
-        label: human name, unique in the world.
-        light: daylight; it casts its shadow there.
+        label: readable name, unique in the world.
+        light: daylight that takes its shadow.
     """
     length, wide, high = size_m
     along = np.array([np.cos(turn_rad), np.sin(turn_rad), 0.0])
@@ -236,7 +236,7 @@ def _roof(
     size_m: tuple[float, float, float],
     slope_m: float,
 ) -> None:
-    """Two slopes that overhang a little; their sheet is the upper part, side by side."""
+    """Two slopes with a small overhang, side by side in the upper part of the sheet."""
     (along, left), (length, wide, high) = ways, size_m
     eaves, over = _EAVES_SHARE * high, 1.06
     half = length + wide

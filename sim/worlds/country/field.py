@@ -1,4 +1,4 @@
-"""Hilly pasture: walls, trees, hedges, stones, bales and barns about a level ring, woods and hills around."""
+"""Hilly pasture about a level ring, with walls, trees, hedges, stones, bales, barns."""
 
 from itertools import pairwise
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from scenarios.seeds import rng_for
 from scenarios.worlds import FieldWorld
-from sim.worlds.assembly import assemble
+from sim.worlds.assembly import assemble_pieces
 from sim.worlds.base import Route, WorldModel
 from sim.worlds.country.farm import bale, barn, fence, fence_feet, field_wall, stone
 from sim.worlds.country.terrain import Relief, Tiling
@@ -29,7 +29,7 @@ _SKY_M = 1500.0
 
 
 def layout(spec: FieldWorld, seed: int) -> Route:
-    """A ring about the origin; the same for every seed."""
+    """Route of a ring about the origin, for every seed."""
     del seed
     reach = _RING_SHARE * spec.size_m
     corners = reach * np.array([[-1.0, -0.8], [1.0, -0.8], [1.0, 0.8], [-1.0, 0.8]])
@@ -57,30 +57,30 @@ def build_world(spec: FieldWorld, seed: int) -> WorldModel:
     sky = Sky(np.zeros(2), _SKY_M, "pasture", spec)
     pieces = Tiling(half, tiles, "pasture", _CLOSE_M, _CLOSE_DETAIL).pieces(relief, light) + things
     pieces += _surrounding_woods(half, relief, rng) + sky.pieces() + [sky.ridge(rng)]
-    return assemble(pieces, seed)
+    return assemble_pieces(pieces, seed)
 
 
 class _Farm:
-    """Puts things on the ground, off the route and out of each other's way."""
+    """Places objects on the ground, clear of the route and of each other."""
 
     def __init__(
         self, spec: FieldWorld, line: np.ndarray, relief: Relief, light: Daylight, rng: np.random.Generator
     ) -> None:
         self._size_m = spec.size_m
         self._line, self._relief, self._light, self._rng = line, relief, light, rng
-        self._taken = np.empty((0, 3))  # plan position and radius of what stands
+        self._taken = np.empty((0, 3))  # plan position and radius of every object
 
     def beside_the_route(self) -> list[Piece]:
-        """Something every few metres on either side: parallax for whoever passes."""
+        """Objects every few metres on either side of the route, for parallax."""
         pieces = []
         for k, (here, left) in enumerate(self._stations(_BESIDE_EVERY_M)):
             for side in (1.0, -1.0):
                 aside = side * self._rng.uniform(*_BESIDE_M) * left
-                pieces += self._something(here + aside, f"beside {k},{side:+.0f}")
+                pieces += self._place_object(here + aside, f"beside {k},{side:+.0f}")
         return pieces
 
     def walls(self) -> list[Piece]:
-        """Dry stone walls along the route, now on its left, now on its right, with openings."""
+        """Dry stone walls with openings along the route, on alternating sides."""
         stations = self._stations(_WALL_STEP_M)
         pieces = []
         for side in (1.0, -1.0):
@@ -99,10 +99,10 @@ class _Farm:
         return pieces
 
     def scattered(self) -> list[Piece]:
-        """Things all over the field."""
+        """Objects all over the field."""
         spots = self._rng.uniform(-0.5, 0.5, (int(_PER_M2 * self._size_m**2), 2))
         spots *= self._size_m + _WOODS_BEYOND_M
-        return [piece for k, spot in enumerate(spots) for piece in self._something(spot, f"thing {k}")]
+        return [piece for k, spot in enumerate(spots) for piece in self._place_object(spot, f"thing {k}")]
 
     def hedges(self) -> list[Piece]:
         """Hedges in all directions; they leave the route free."""
@@ -136,7 +136,7 @@ class _Farm:
         return pieces
 
     def fences(self) -> list[Piece]:
-        """A fence around the field, over hill and dale."""
+        """A fence around the field that follows the ground."""
         half = self._size_m / 2
         corners = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
         pieces = []
@@ -157,8 +157,8 @@ class _Farm:
         ways = (ahead - here) / np.linalg.norm(ahead - here, axis=1, keepdims=True)
         return list(zip(here, np.column_stack([-ways[:, 1], ways[:, 0]]), strict=True))
 
-    def _something(self, spot: np.ndarray, name: str) -> list[Piece]:
-        """A plant, a stone or a bale at a plan position, if there is room."""
+    def _place_object(self, spot: np.ndarray, name: str) -> list[Piece]:
+        """Place a plant, a stone or a bale if there is room."""
         rng, relief, light = self._rng, self._relief, self._light
         kind = str(rng.choice(["tree", "conifer", "bush", "stone", "bale"], p=[0.24, 0.2, 0.16, 0.28, 0.12]))
         size = float(rng.uniform(*_SIZES_M[kind]))
@@ -174,7 +174,7 @@ class _Farm:
         return [make(foot - [0, 0, 0.1], size, f"{kind} {name}", rng)]
 
     def _free(self, spot: np.ndarray, radius_m: float) -> bool:
-        """Whether a round thing fits; if so, the place is taken."""
+        """Reserve a place for a round object; return False if it does not fit."""
         if self._relief.away(spot) < _CLEARANCE_M + 0.4 + radius_m:
             return False
         gaps = np.linalg.norm(self._taken[:, :2] - spot, axis=1) - self._taken[:, 2]
@@ -199,7 +199,7 @@ def _fine(line: np.ndarray) -> np.ndarray:
 
 
 def _surrounding_woods(half: np.ndarray, relief: Relief, rng: np.random.Generator) -> list[Piece]:
-    """Woods around, with gaps through which the hills far off are seen."""
+    """Surrounding woods, with gaps that show the distant hills."""
     corners = half * [[-1, -1], [-1, 1], [1, 1], [1, -1]]
     pieces = []
     for side, (start, end) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True)):

@@ -1,4 +1,4 @@
-"""A motorway: lanes, guard rails, few signs, bridges and walls, verges, woods and hills under a wide sky."""
+"""A motorway: lanes, guard rails, few signs, bridges, verges, woods and hills."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from scenarios.seeds import rng_for
 from scenarios.worlds import MotorwayWorld
-from sim.worlds.assembly import assemble
+from sim.worlds.assembly import assemble_pieces
 from sim.worlds.base import Route, WorldModel
 from sim.worlds.country.roadworks import bridge, gantry, guard_rail, noise_wall
 from sim.worlds.geometry.meshes import Mesh, Piece
@@ -70,8 +70,8 @@ def build_world(spec: MotorwayWorld, seed: int) -> WorldModel:
     pieces += _woods(line, left, rng)
     middle, reach = line.mean(axis=0), float(np.linalg.norm(np.ptp(line, axis=0)))
     sky = Sky(middle, reach + _SKY_BEYOND_M, "verge", spec)
-    # Rails, posts and far markings are thinner than a pixel; with one sample each they would flicker.
-    return replace(assemble([*pieces, *sky.pieces(), sky.ridge(rng)], seed), samples=4)
+    # Rails, posts and far markings are thinner than a pixel and would flicker with one sample.
+    return replace(assemble_pieces([*pieces, *sky.pieces(), sky.ridge(rng)], seed), samples=4)
 
 
 def _stations(spec: MotorwayWorld) -> np.ndarray:
@@ -95,13 +95,13 @@ def _along(section: Section, at_m: float) -> np.ndarray:
 
 
 def _ribbon(section: Section, edges: tuple[float, float], finish: str, label: str, light: Daylight) -> Piece:
-    """Ground between two cross sections; of ``edges`` the first is the upper edge of the sheet."""
+    """Ground between two cross sections; ``edges[0]`` is the upper edge of the sheet."""
     high = abs(edges[0] - edges[1])
     upper, lower = _along(section, edges[0]), _along(section, edges[1])
     corners = np.array([upper[0], upper[1], lower[1], lower[0]])
     if edges[0] < edges[1]:
         corners = corners[[1, 0, 3, 2]]
-    # A hair longer, so that no crack opens between neighbours.
+    # Slightly longer, so that no crack opens between neighbours.
     corners = corners + 2e-3 * np.sign(corners - corners.mean(axis=0))
     mesh = Mesh()
     mesh.quad(np.column_stack([corners, np.zeros(4)]), (0.0, 0.0), (_STEP_M, high))
@@ -115,7 +115,7 @@ def _ribbon(section: Section, edges: tuple[float, float], finish: str, label: st
 
 
 def _upright(section: Section, at_m: float, light: Daylight) -> np.ndarray:
-    """(2, columns) light on something low and upright beside the road, on the side that the road sees."""
+    """(2, columns) light on the road side of a low upright object beside the road."""
     ends, left = _along(section, at_m), section[1].mean(axis=0)
     share = (np.arange(round(_STEP_M / _LIGHT_M)) + 0.5) / round(_STEP_M / _LIGHT_M)
     plan = ends[0] + share[:, None] * (ends[1] - ends[0])
@@ -125,7 +125,7 @@ def _upright(section: Section, at_m: float, light: Daylight) -> np.ndarray:
 
 
 def _walled(count: int, rng: np.random.Generator) -> np.ndarray:
-    """(count,) bool: sections with a noise wall, a few in a row at one or two places."""
+    """(count,) bool: sections with a noise wall, in one or two short rows."""
     walled = np.zeros(count, bool)
     for _ in range(max(1, count // 45)):
         first = int(rng.integers(3, max(4, count - 12)))
@@ -153,7 +153,7 @@ def _built(section: Section, k: int, light: Daylight, rng: np.random.Generator) 
 
 
 def _grown(section: Section, k: int, light: Daylight, rng: np.random.Generator) -> list[Piece]:
-    """Bushes and trees on the verges, here and there in groups."""
+    """Bushes and trees on the verges, some in groups."""
     a, left = section[0][0], section[1][0]
     ahead = (section[0][1] - a) / _STEP_M
     pieces = []
@@ -173,7 +173,7 @@ def _grown(section: Section, k: int, light: Daylight, rng: np.random.Generator) 
 
 
 def _woods(line: np.ndarray, left: np.ndarray, rng: np.random.Generator) -> list[Piece]:
-    """Woods along both sides at an uneven distance, with gaps, and across either end of the road."""
+    """Woods with gaps along both sides, at varying distance, and across both ends."""
     pieces = []
     for side, at in enumerate(_WOODS_M):
         edge = line + (at + rng.uniform(-_WOODS_SWAY_M, _WOODS_SWAY_M, (len(line), 1))) * left

@@ -1,4 +1,4 @@
-"""What is built along a motorway: guard rails, gantries, bridges, noise walls."""
+"""Structures along a motorway: guard rails, gantries, bridges, noise walls."""
 
 import numpy as np
 
@@ -44,8 +44,8 @@ def gantry(
 
     Args:
         left, right: (2,) plan positions of the posts.
-        facing: (2,) unit vector from the signs to those who read them.
-        label: human name, unique in the world.
+        facing: (2,) unit vector from the signs to their readers.
+        label: readable name, unique in the world.
         rng: stream of its signs.
     """
     mesh, wide = Mesh(), float(np.linalg.norm(right - left))
@@ -72,7 +72,7 @@ def bridge(
     Args:
         start, end: (2,) plan ends of its middle line.
         piers: (2,) plan positions of its piers.
-        label: human name, unique in the world.
+        label: readable name, unique in the world.
         light: daylight; the bridge casts its shadow there.
     """
     length = float(np.linalg.norm(end - start))

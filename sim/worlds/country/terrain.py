@@ -60,19 +60,19 @@ class Relief:
         return float(np.linalg.norm(self._line - spot, axis=1).min())
 
     def stand(self, spot: np.ndarray) -> np.ndarray:
-        """(3,) the ground at a plan position (2,)."""
+        """(3,) point of the ground at a plan position (2,)."""
         return np.append(spot, float(self.height(np.asarray(spot)[None])[0]))
 
 
 @dataclass(frozen=True)
 class Tiling:
-    """How ground is cut.
+    """Tiling of the ground.
 
     Attributes:
         half: (2,) the ground reaches from -half to half, metres.
         tiles: per side.
         finish: of all of it, drawn as one.
-        close_m: ground this near the route is seen in detail.
+        close_m: ground this near the route has more detail.
         detail: pixels per metre there, relative to the rest.
     """
 
@@ -130,12 +130,12 @@ def _distance(shape: tuple[int, int], line: np.ndarray) -> np.ndarray:
     """(rows, columns) distance from a polyline given in cells."""
     free = np.full(shape, 255, np.uint8)
     cv2.polylines(free, [np.rint(line).astype(np.int32)], False, 0, 1)
-    # Not cv2.distanceTransform, whose last bits depend on how many threads there are.
+    # Not cv2.distanceTransform, whose last bits depend on the number of threads.
     return np.asarray(distance_transform_edt(free))
 
 
 def _waves(plan: np.ndarray, lengths_m: tuple[float, float], rng: np.random.Generator) -> np.ndarray:
-    """(...) a sum of waves in all directions, between 0 and 1."""
+    """(...) sum of waves in all directions, between 0 and 1."""
     total = np.zeros(plan.shape[:-1])
     for turn in np.linspace(0, np.pi, 7, endpoint=False):
         way = 2 * np.pi / rng.uniform(*lengths_m) * np.array([np.cos(turn), np.sin(turn)])

@@ -1,4 +1,4 @@
-"""Small surfaces that lie together, put into one: a renderer pays for every surface."""
+"""Joining of small neighbouring surfaces, since a renderer has a cost per surface."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ _BORDER_PX = 4  # of repeated pixels around every texture, so that blurred looku
 
 
 def gathered(surfaces: Sequence[Surface], cell_m: Sequence[float], largest_px: int) -> list[Surface]:
-    """The surfaces with those of small textures joined cell by cell.
+    """Join the surfaces with small textures cell by cell.
 
     Args:
         surfaces: with unique labels.
@@ -18,7 +18,7 @@ def gathered(surfaces: Sequence[Surface], cell_m: Sequence[float], largest_px: i
         largest_px: surfaces with more texture pixels stay as they are.
 
     Returns:
-        The large ones in their order, then one per cell, named after its first.
+        The large ones in their order, then one per cell, named after its first member.
     """
     large: list[Surface] = []
     cells: dict[tuple[int, ...], list[Surface]] = {}
@@ -53,7 +53,7 @@ def _joined(members: list[Surface]) -> Surface:
 
 
 def _shelves(shapes: list[tuple[int, ...]]) -> tuple[list[tuple[int, int]], tuple[int, int]]:
-    """Row and column of each texture, borders included, and the size of the smallest sheet found."""
+    """Row and column of each texture with borders, and the smallest sheet's size."""
     padded = [(height + 2 * _BORDER_PX, width + 2 * _BORDER_PX) for height, width in shapes]
     widest = max(width for _, width in padded)
     tries = [_in_rows(padded, round(widest * 1.15**k)) for k in range(12)]

@@ -44,7 +44,7 @@ class Shape:
 
     @cached_property
     def mesh(self) -> Mesh:
-        """The car with its rear at x = 0, along +x, its middle at y = 0."""
+        """Mesh of the car along +x, rear at x = 0, middle at y = 0."""
         mesh = Mesh()
         points = np.array(self.outline)
         half = _half_width(points[:, 1])

@@ -1,4 +1,4 @@
-"""Triangle meshes put together from simple shapes, and the pieces of an outdoor world that carry them."""
+"""Triangle meshes made of simple shapes, and the pieces of worlds made of them."""
 
 from dataclasses import dataclass, field
 
@@ -27,7 +27,7 @@ class Mesh:
         self._count += len(vertices)
 
     def quad(self, corners: np.ndarray, low_m: tuple[float, float], size_m: tuple[float, float]) -> None:
-        """A quadrangle (4, 3), clockwise from the upper left as seen, that shows a part of the sheet."""
+        """Append a quadrangle (4, 3), clockwise from the upper left, with a part of the sheet."""
         u, v = np.array([0.0, 1.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0, 1.0])
         sheet = np.column_stack([low_m[0] + u * size_m[0], low_m[1] + v * size_m[1]])
         self.add(corners, _QUAD, sheet)
@@ -40,7 +40,7 @@ class Mesh:
         low_m: tuple[float, float],
         size_m: tuple[float, float],
     ) -> None:
-        """An upright or leaning tube without caps between two points (2, 3), lower end first."""
+        """Append an upright or leaning tube without caps between two points (2, 3)."""
         axis = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
         across = np.cross(axis, [0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [1.0, 0.0, 0.0])
         across /= np.linalg.norm(across)
@@ -61,10 +61,10 @@ def block(
     low_m: tuple[float, float],
     per_m: float = 1.0,
 ) -> None:
-    """A level box, all six faces.
+    """Append a level box with all six faces.
 
     Args:
-        mesh: grows by it.
+        mesh: extended by the box.
         middle: (3,) of its lower face, metres.
         along: (2,) unit vector of its length.
         size_m: length, width and height.
@@ -97,7 +97,7 @@ def grid_triangles(rows: int, columns: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Sheet:
-    """A large drawing of which several pieces show a part each, so that no seam is seen where they meet.
+    """A large drawing shared by several pieces, which then meet without a seam.
 
     Attributes:
         name: of the drawing; its pieces have the same finish.
@@ -112,7 +112,7 @@ class Sheet:
 
 @dataclass(frozen=True)
 class Piece:
-    """A mesh that waits for its texture.
+    """A mesh without its texture.
 
     Attributes:
         vertices: (V, 3) float64, metres, world frame.
@@ -120,7 +120,7 @@ class Piece:
         uv: (V, 2) texture coordinates in [0, 1], v downward.
         size_m: width and height of the texture's sheet, metres.
         finish: name of the finish that paints it.
-        label: human name, unique in the world.
+        label: readable name, unique in the world.
         gain: (rows, columns) factors of light and shade, stretched over the sheet.
         detail: pixels per metre relative to the finish's own.
         part_of: the drawing that its texture is cut from; None for one of its own.
@@ -147,7 +147,7 @@ class Piece:
         detail: float = 1.0,
         part_of: Sheet | None = None,
     ) -> "Piece":
-        """A piece of a finished mesh, its sheet coordinates divided by the sheet's size."""
+        """Piece of a finished mesh, with sheet coordinates divided by the sheet's size."""
         lit = np.ones((2, 2), np.float32) if gain is None else gain
         uv = np.concatenate(mesh.sheet_m) / size_m
         return cls(

@@ -1,4 +1,4 @@
-"""What is under the sky: daylight with cast shadows, the dome of the sky, level ground."""
+"""Outdoor parts: daylight with cast shadows, the dome of the sky, level ground."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,11 +20,11 @@ _RIDGE_SIDES, _RIDGE_SHARE, _RIDGE_SLOPE = 720, 0.6, (0.012, 0.075)
 
 
 class Daylight:
-    """The sun, sky light, and what casts shadows, known by its height over the plan.
+    """Sun, sky light, and shadows cast by heights over the plan.
 
     Args:
         low, high: (2,) plan corners of the part of the world that has shadows, metres.
-        rng: stream of the sun's place where the weather leaves it open.
+        rng: stream of the sun's position if the weather does not set it.
         weather: sky and sun.
     """
 
@@ -47,14 +47,14 @@ class Daylight:
         self._height = np.zeros((size[1], size[0]), np.float32)
 
     def lay_ground(self, height_m: Callable[[np.ndarray], np.ndarray]) -> None:
-        """Hills cast shadows too: their height over the plan, (..., 2) to (...)."""
+        """Let hills cast shadows; ``height_m`` maps plan positions (..., 2) to (...)."""
         rows, columns = self._height.shape
         x, y = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
         ground = height_m(self._low + _CELL_M * np.stack([x, y], axis=-1)).astype(np.float32)
         np.maximum(self._height, ground, out=self._height)
 
     def shade_polygon(self, corners: np.ndarray, height_m: float) -> None:
-        """Something solid stands on a convex polygon (n, 2) of the plan."""
+        """Add the shadow of a solid on a convex polygon (n, 2) of the plan."""
         cells = np.rint((corners - self._low) / _CELL_M * 8).astype(np.int32)
         low = np.maximum(cells.min(axis=0) // 8 - 1, 0)
         high = np.maximum(cells.max(axis=0) // 8 + 2, low)
@@ -64,7 +64,7 @@ class Daylight:
         np.maximum(part, mask, out=part)
 
     def shade_round(self, spot: np.ndarray, radius_m: float, height_m: float) -> None:
-        """Something round stands about a plan position (2,)."""
+        """Add the shadow of a round object about a plan position (2,)."""
         turn = 2 * np.pi * np.arange(8) / 8
         self.shade_polygon(spot + radius_m * np.column_stack([np.cos(turn), np.sin(turn)]), height_m)
 
@@ -101,7 +101,7 @@ class Daylight:
 
 @dataclass(frozen=True)
 class Sky:
-    """What closes the world around and above.
+    """Dome and ground that enclose the world.
 
     Attributes:
         centre: (2,) plan position in the middle of the world.
@@ -186,7 +186,7 @@ def ground_piece(
     """
     down = np.array([right[1], -right[0]])
     mesh = Mesh()
-    # Rounded to single precision, pieces that only touch would leave cracks between them.
+    # In single precision, pieces that only touch would leave cracks.
     low, wide, high = -_OVERLAP_M, size_m[0] + _OVERLAP_M, size_m[1] + _OVERLAP_M
     plan = [corner + u * right + v * down for u, v in ((low, low), (wide, low), (wide, high), (low, high))]
     mesh.quad(np.column_stack([plan, np.full(4, z_m)]), (0.0, 0.0), size_m)

@@ -1,4 +1,4 @@
-"""Flat rectangular pieces that worlds are built of, and their way into textured surfaces."""
+"""Flat rectangular panels of worlds, and their conversion to textured surfaces."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from sim.worlds.base import Surface
 
-# Panels reach into their neighbours by this much: single-precision edges would leave cracks a pixel shows.
+# Panels overlap their neighbours by this much: single-precision edges would leave visible cracks.
 _OVERLAP_M = 5e-4
 
 
@@ -20,7 +20,7 @@ class Panel:
         down: (3,) unit vector along its left edge.
         width_m, height_m: extents along ``right`` and ``down``.
         finish: name of the finish that paints it.
-        label: human name.
+        label: readable name.
     """
 
     corner: np.ndarray
@@ -42,7 +42,7 @@ class Panel:
         return self.corner + along + np.asarray(v)[..., None] * self.height_m * self.down
 
     def surface(self, texture: np.ndarray) -> Surface:
-        """The panel with a texture whose rows run downward, a hair larger than it is."""
+        """The panel with a texture whose rows run downward, slightly enlarged."""
         u, v = np.array([0.0, 1.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0, 1.0])
         triangles = np.array([[0, 3, 2], [0, 2, 1]], np.int32)
         vertices = self.points(
@@ -57,7 +57,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 def wall(
     start: np.ndarray, end: np.ndarray, z_m: tuple[float, float], finish: str, label: str, longest_m: float
 ) -> list[Panel]:
-    """A vertical wall from ``start`` to ``end`` (2,), seen with ``start`` on the left, cut into panels.
+    """Cut a vertical wall from ``start`` to ``end`` (2,), its left to its right, into panels.
 
     Args:
         start, end: plan positions, metres.
@@ -86,7 +86,7 @@ def slab(
     label: str,
     longest_m: tuple[float, float],
 ) -> list[Panel]:
-    """A horizontal rectangle between two plan corners, cut into panels.
+    """Cut a horizontal rectangle between two plan corners into panels.
 
     Args:
         low, high: plan corners, metres.
@@ -117,7 +117,7 @@ class Box:
     Attributes:
         low, high: (3,) float64 corners, metres.
         finish: of its faces.
-        label: human name.
+        label: readable name.
         hidden: faces never seen and left out, of ``west east south north top bottom``.
         top: finish of the upper face; that of the others if empty.
     """
@@ -136,7 +136,7 @@ class Box:
         return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
 
     def panels(self) -> list[Panel]:
-        """Its visible faces; one that stands on the floor has none below."""
+        """Its visible faces; on the floor it has no lower one."""
         z = (float(self.low[2]), float(self.high[2]))
         faces = []
         for side, (start, end) in zip(("south", "east", "north", "west"), self.outline(), strict=True):
@@ -153,14 +153,14 @@ class Box:
 
 @dataclass(frozen=True)
 class Fitting:
-    """A kind of thing that stands or hangs along walls.
+    """A kind of object along walls.
 
     Attributes:
         finish: as in Box.
         width_m: along the wall.
         height_m: from its foot up; it ends at the ceiling at the latest.
-        reach: out from the wall, a share of how far things may reach there.
-        foot_m: height of its foot above the floor.
+        reach: extent out from the wall, as a share of the allowed reach.
+        foot_m: height of its lower end above the floor.
     """
 
     finish: str

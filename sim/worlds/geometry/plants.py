@@ -1,4 +1,4 @@
-"""Trees, bushes, hedges, woods: dark blobs of foliage in a coat of small faces that makes them ragged."""
+"""Trees, bushes, hedges, woods: dark blobs of foliage covered by small ragged faces."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ def tree(spot: np.ndarray, height_m: float, label: str, rng: np.random.Generator
     Args:
         spot: (3,) foot of the trunk, metres.
         height_m: to the top of the crown.
-        label: human name, unique in the world.
+        label: readable name, unique in the world.
         rng: stream of its shape.
     """
     mesh = Mesh()
@@ -74,14 +74,14 @@ def ragged_woods(
     rng: np.random.Generator,
     closed: tuple[bool, bool] = (True, True),
 ) -> Piece:
-    """The edge of a wood far away: two rows of crowns, the farther one higher, undergrowth before them.
+    """The edge of a distant wood: two rows of crowns with undergrowth before them.
 
     Args:
         ends: (2, 2) plan points, left to right as seen.
         high: of the highest crowns, metres.
-        label: human name, unique in the world.
+        label: readable name, unique in the world.
         rng: stream of its shape.
-        closed: the wood goes on beyond either end; where it does not, it thins out.
+        closed: the wood continues beyond both ends; otherwise it thins out.
     """
     wide = float(np.linalg.norm(ends[1] - ends[0]))
     along = (ends[1] - ends[0]) / wide

@@ -11,7 +11,7 @@ def lamp_post(spot: np.ndarray, towards: np.ndarray, label: str) -> Piece:
     Args:
         spot: (3,) foot, metres.
         towards: (2,) unit vector from the post to the road.
-        label: human name, unique in the world.
+        label: readable name, unique in the world.
     """
     mesh, over = Mesh(), np.append(towards, 0.0)
     top, sheet = spot + rise(6.6), ((0.0, 0.0), (0.35, 3.0))
@@ -29,9 +29,9 @@ def sign_post(spot: np.ndarray, facing: np.ndarray, size_m: tuple[float, float],
 
     Args:
         spot: (3,) foot, metres.
-        facing: (2,) unit vector from the plate to those who read it.
+        facing: (2,) unit vector from the plate to its readers.
         size_m: width and height of the plate.
-        label: human name, unique in the world.
+        label: readable name, unique in the world.
     """
     mesh, front = Mesh(), np.append(facing, 0.0)
     right = np.array([-facing[1], facing[0], 0.0])
@@ -46,14 +46,14 @@ def sign_post(spot: np.ndarray, facing: np.ndarray, size_m: tuple[float, float],
 
 
 def hung_sign(centre: np.ndarray, facing: np.ndarray, size_m: tuple[float, float], label: str) -> Piece:
-    """A plate with letters that hangs from something; arguments as for ``sign_post``, but its middle."""
+    """A hanging plate with letters at its ``centre``; arguments as for ``sign_post``."""
     mesh = Mesh()
     _plate(mesh, centre, facing, size_m)
     return Piece.of(mesh, (size_m[0], 2 * size_m[1]), "sign", label)
 
 
 def _plate(mesh: Mesh, centre: np.ndarray, facing: np.ndarray, size_m: tuple[float, float]) -> None:
-    """Front and back of a plate; the sheet has the letters above and bare metal below."""
+    """Front and back of a plate; the sheet has letters above, bare metal below."""
     wide, high = size_m
     front, right = np.append(facing, 0.0), np.array([-facing[1], facing[0], 0.0])
     for side, low in ((1.0, (0.0, 0.0)), (-1.0, (0.0, high))):

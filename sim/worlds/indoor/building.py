@@ -1,4 +1,4 @@
-"""A building of several floors: corridors that meet and branch, rooms behind open doors, two staircases."""
+"""A building of several floors: branching corridors, rooms, two staircases."""
 
 from dataclasses import dataclass, replace
 
@@ -6,9 +6,8 @@ import numpy as np
 
 from scenarios.seeds import rng_for
 from scenarios.worlds import BuildingWorld
-from sim.worlds.assembly import assemble
+from sim.worlds.assembly import Lighting, assemble_panels, assemble_pieces
 from sim.worlds.base import Route, WorldModel
-from sim.worlds.build import Lighting, build
 from sim.worlds.geometry.atlas import gathered
 from sim.worlds.geometry.panels import Panel
 from sim.worlds.geometry.route import arc_length
@@ -21,15 +20,15 @@ from sim.worlds.indoor.storey import plan_storey
 _EYE_M = 1.5
 _GROWTH_M = 0.0015
 _FINEST, _FINEST_AT_M = 0.7, 1.0  # texture detail of panels at one metre from the eye, and its fall beyond
-_CELL_M, _SMALL_PX = (4.0, 4.0), 70_000  # small surfaces are joined within cells of the plan
-_SEEN_BELOW_M = 1.0  # from the stairs, a floor is seen by eyes that are a little below it
+_CELL_M, _SMALL_PX = (4.0, 4.0), 70_000  # cells of the plan in which small surfaces are joined
+_SEEN_BELOW_M = 1.0  # from the stairs, eyes slightly below a floor see it
 
 
 def layout(spec: BuildingWorld, seed: int) -> Route:
-    """Up the stairs from floor to floor, or for a loop up one staircase and down the other.
+    """Route up the stairs; for a loop, up one staircase and down the other.
 
-    The same for every seed. The origin is the south-western corner of the ring of corridors, on the ground
-    floor.
+    It is the same for every seed. The origin is the south-western corner of the ring of corridors, on the
+    ground floor.
     """
     del seed
     centre, height = route_nodes(spec)
@@ -53,22 +52,24 @@ def build_world(spec: BuildingWorld, seed: int) -> WorldModel:
     for stairs in plan.stairs:
         panels += stair_panels(stairs, plan.clear_m, rng_for(seed, "world", "building", stairs.name))
     distance_m = np.array(
-        [_distance(panel, _surfaces_seen_by(panel, lights, eyes, spec)) for panel in panels]
+        [_distance(panel, _eyes_with_sight_of(panel, lights, eyes, spec)) for panel in panels]
     )
     seen = np.flatnonzero(np.isfinite(distance_m))
     detail = np.minimum(_FINEST, _FINEST_AT_M / np.maximum(distance_m[seen], 1e-6))
-    flat = build([_grown(panels[k]) for k in seen], _BuildingLight(lights, stairwells), seed, detail)
+    flat = assemble_panels(
+        [_grown(panels[k]) for k in seen], _BuildingLight(lights, stairwells), seed, detail
+    )
     pieces = [piece for stairs in plan.stairs for piece in stair_pieces(stairs)]
-    shaped = assemble([replace(piece, gain=stairwells.piece_gain(piece)) for piece in pieces], seed)
+    shaped = assemble_pieces([replace(piece, gain=stairwells.piece_gain(piece)) for piece in pieces], seed)
     surfaces = gathered([*flat.surfaces, *shaped.surfaces], (*_CELL_M, spec.storey_m), _SMALL_PX)
     return WorldModel(surfaces, flat.mean_level, np.ones(len(surfaces)))
 
 
 @dataclass(frozen=True)
 class _BuildingLight:
-    """The light of corridors and rooms by the labels of their panels, with the height of the floor.
+    """The light of corridors and rooms, by the labels of their panels.
 
-    All other panels are in the stairwells.
+    Lights come with the height of their floor. All other panels are in the stairwells.
     """
 
     rooms: dict[str, tuple[Lighting, float]]
@@ -87,16 +88,16 @@ def _raised(panel: Panel, by_m: float, label: str) -> Panel:
 
 
 def _grown(panel: Panel) -> Panel:
-    """The panel a little larger: seen along a corridor, neighbours would leave cracks a pixel shows."""
+    """The panel slightly enlarged, against visible cracks between neighbours."""
     corner = panel.corner - _GROWTH_M * (panel.right + panel.down)
     size = {"width_m": panel.width_m + 2 * _GROWTH_M, "height_m": panel.height_m + 2 * _GROWTH_M}
     return replace(panel, corner=corner, **size)
 
 
-def _surfaces_seen_by(
+def _eyes_with_sight_of(
     panel: Panel, lights: dict[str, tuple[Lighting, float]], eyes: np.ndarray, spec: BuildingWorld
 ) -> np.ndarray:
-    """Those of the eyes that a panel's floor does not hide; stairwells are open to all."""
+    """Eye positions that a panel's floor does not hide; stairwells are open to all."""
     if panel.label not in lights:
         return eyes
     above = eyes[:, 2] - lights[panel.label][1]
@@ -104,7 +105,7 @@ def _surfaces_seen_by(
 
 
 def _eyes(spec: BuildingWorld) -> np.ndarray:
-    """(E, 3) places along the route that eyes pass, half a metre apart in plan."""
+    """(E, 3) eye positions along the route, half a metre apart in plan."""
     centre, height = route_nodes(spec)
     arc = arc_length(centre)
     at = np.arange(0.0, arc[-1], 0.5)
@@ -113,7 +114,7 @@ def _eyes(spec: BuildingWorld) -> np.ndarray:
 
 
 def _distance(panel: Panel, eyes: np.ndarray) -> float:
-    """Metres from the panel to the nearest eye that can see its face; infinite if none can."""
+    """Metres to the nearest eye position that can see the panel's face; infinite if none."""
     before = eyes[(eyes - panel.corner) @ panel.normal > 0]
     if not len(before):
         return np.inf

@@ -1,4 +1,4 @@
-"""Light of single lamps in three dimensions, without shadows: for stairwells and for what stands in rooms."""
+"""Light of point lamps without shadows, for stairwells and for furniture in rooms."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from sim.worlds.indoor.building_plan import Plan
 _GRID_M = 0.2
 _REACH_M2 = 1.5
 _DARKEST, _BRIGHTEST = 0.55, 1.15
-_NEAREST = 6  # lamps that count for a surface
+_NEAREST = 6  # nearest lamps that light a surface
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Lamplight:
         return self._factor(panel.points(u, v), panel.normal)
 
     def piece_gain(self, piece: Piece) -> np.ndarray:
-        """(rows, 1) float32 factors down the sheet of a piece, from the places that its rows show."""
+        """(rows, 1) float32 factors down a piece's sheet, at the places that its rows show."""
         rows = 16
         row = np.clip((piece.uv[:, 1] * rows).astype(int), 0, rows - 1)
         factor = self._factor(piece.vertices, np.array([0.0, 0.0, 1.0]))
@@ -52,7 +52,7 @@ class Lamplight:
 
 
 def stair_light(plan: Plan) -> Lamplight:
-    """A lamp over the mouth of the stairs on every storey, and the daylight of every window as another."""
+    """Lamps over the stairs on every storey, and the daylight of every window."""
     lamps = []
     for well in plan.stairs:
         mouth = well.plan(well.foot_m / 2, well.width_m / 2)

@@ -1,4 +1,4 @@
-"""The plan of a building: a ring of corridors about a core with a stairwell at either end, and its route."""
+"""The plan of a building: a ring of corridors, two stairwells, and the route."""
 
 from dataclasses import dataclass
 
@@ -11,9 +11,9 @@ WALL_M = 0.15
 SLAB_M = 0.35  # from a ceiling to the floor above it
 CROSS_M = 1.8  # width of the passage through the core
 _LANE_M, _WELL_M = 1.3, 0.3  # width of a flight, and of the gap between the two
-_FOOT_M, _LANDING_M = 0.4, 1.6  # of floor before the first step, of floor half way up
+_FOOT_M, _LANDING_M = 0.4, 1.6  # length of floor before the first step, and of the landing half way up
 _TREAD_M, _RISER_M = 0.28, 0.165
-_TURN_M = 0.7  # radius at which people turn on a landing
+_TURN_M = 0.7  # turn radius on a landing
 _CLEARANCE_M = 0.5
 
 
@@ -22,7 +22,7 @@ class Stairwell:
     """Two flights per storey side by side, with a landing half way; all storeys alike.
 
     Plan positions are given by ``u``, metres from the corridor into the well, and ``v``, metres from the wall
-    on the right of who walks in to the opposite one. The lower flight is the one at ``v`` = 0.
+    on the right on entering to the opposite one. The lower flight is the one at ``v`` = 0.
 
     Attributes:
         mouth: (2,) plan position of ``u`` = ``v`` = 0.
@@ -55,7 +55,7 @@ class Stairwell:
 
     @property
     def foot_m(self) -> float:
-        """``u`` of the first riser of the lower flight and the last one of the upper."""
+        """``u`` of the lower flight's first riser and the upper flight's last one."""
         return _FOOT_M
 
     @property
@@ -76,7 +76,7 @@ class Stairwell:
         return np.array([self.corridor, self.plan(0.0, self._lane(lane))[1]])
 
     def climb(self, level: int) -> list[tuple[np.ndarray, float, float]]:
-        """Nodes of the way from a floor up to the next: plan position, height, radius of the turn."""
+        """Nodes of the way up to the next floor: plan position, height, turn radius."""
         z = level * self.storey_m + np.array([0.0, 0.5, 1.0]) * self.storey_m
         low, high = self.foot_m - _TREAD_M / 2, self.landing_m + _TREAD_M / 2
         turn = self.landing_m + _LANDING_M - _TURN_M
@@ -98,7 +98,7 @@ class Stairwell:
 
 @dataclass(frozen=True)
 class Plan:
-    """What all storeys share; the middle lines of the ring's corridors are its sides, from the origin.
+    """The common plan of all storeys; the ring's sides are the corridors' middle lines.
 
     Attributes:
         ring: (2,) extent of the ring in x and y, metres.
@@ -127,7 +127,7 @@ class Plan:
         return cls(ring, half, spec.storey_m, spec.storey_m - SLAB_M, stairs)
 
     def reach_m(self) -> float:
-        """How far things at the walls may reach out."""
+        """Largest reach of furniture from the walls."""
         return min(0.3, self.half_m - _CLEARANCE_M - 0.1)
 
 
@@ -142,7 +142,7 @@ def route_nodes(spec: BuildingWorld) -> tuple[np.ndarray, np.ndarray]:
 
 
 def walked_floors(spec: BuildingWorld) -> tuple[int, ...]:
-    """The floors along whose corridors the route leads; the others are only passed on the stairs."""
+    """Floors whose corridors the route follows; it passes the others on the stairs."""
     return (0, spec.floors - 1) if spec.loop else tuple(range(spec.floors))
 
 
@@ -160,7 +160,7 @@ def _corner(plan: Plan, east: bool, north: bool, level: int) -> _Node:
 
 
 def _ascent(spec: BuildingWorld, plan: Plan) -> list[_Node]:
-    """From the middle of the ground floor to the end of the top floor, by the stairwells in turn."""
+    """Way from the ground floor to the end of the top floor, by alternating stairwells."""
     start = np.array([0.6 * plan.ring[0], 0.0])
     nodes: list[_Node] = [(start, 0.0, 0.0), _corner(plan, False, False, 0)]
     for level in range(spec.floors - 1):
@@ -175,7 +175,7 @@ def _ascent(spec: BuildingWorld, plan: Plan) -> list[_Node]:
 
 
 def _loop(spec: BuildingWorld, plan: Plan) -> list[_Node]:
-    """Up the west stairs, along the top floor, down the east stairs and back along the ground floor."""
+    """Way up the west stairs, along the top floor, down the east stairs and back."""
     top = spec.floors - 1
     west, east = plan.stairs
     up = [node for level in range(top) for node in west.climb(level)]
@@ -185,7 +185,7 @@ def _loop(spec: BuildingWorld, plan: Plan) -> list[_Node]:
 
 
 def _rounded(nodes: list[_Node], closed: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Arcs in place of the nodes that are turns; between turns, nodes lie on straight lines."""
+    """Replace the nodes that are turns by arcs; between turns, lines are straight."""
     turns = [k for k, node in enumerate(nodes) if node[2] > 0]
     points, heights = [], []
     for k, (place, height, radius) in enumerate(nodes):

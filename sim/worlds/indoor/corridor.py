@@ -8,15 +8,15 @@ import numpy as np
 from scenarios.errors import InputError
 from scenarios.seeds import rng_for
 from scenarios.spec import CorridorWorld
+from sim.worlds.assembly import assemble_panels
 from sim.worlds.base import Route, WorldModel
-from sim.worlds.build import build
 from sim.worlds.geometry.panels import Box, Fitting, Panel, slab, wall
 from sim.worlds.geometry.route import rounded
 from sim.worlds.indoor.light import Light, lamp_boxes
 from sim.worlds.materials.finishes import FLOOR_FINISHES, WALL_FINISHES
 
 _PANEL_M, _SLAB_M = 1.8, 2.6
-_BEHIND_M, _BEYOND_M = 1.5, 3.0  # corridor behind the start and beyond the end of the route, at least
+_BEHIND_M, _BEYOND_M = 1.5, 3.0  # least length of corridor behind the start and beyond the end of the route
 _LAMP_SPACING_M = 3.2
 _SIDE_TOWARDS = {(1, 0): "east", (-1, 0): "west", (0, 1): "north", (0, -1): "south"}
 
@@ -52,7 +52,7 @@ class _Leg:
         return -left if side == "left" else left
 
     def plan_box(self, side: str, at_m: tuple[float, float], reach_m: float) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper plan corner of a rectangle at a wall, between two distances along it."""
+        """Plan corners, low and high, of a rectangle along a wall."""
         start, inward = self.walls[side][0], self.inward(side)
         ends = np.array([start + at_m[0] * self.way, start + at_m[1] * self.way + reach_m * inward])
         return ends.min(axis=0), ends.max(axis=0)
@@ -88,7 +88,7 @@ def build_world(spec: CorridorWorld, seed: int) -> WorldModel:
         spots = _lamps(leg)
         boxes = _fittings(spec, leg, rng) + _duct(spec, leg, rng)
         boxes += lamp_boxes(spots, spec.height_m, (leg.way[0], leg.way[1]))
-        # Leg by leg: neighbours in the list are neighbours in space, so a renderer can skip what is hidden.
+        # Leg by leg: neighbours in the list are neighbours in space, so a renderer can cull them.
         panels += _shell(spec, leg, floor, rng)
         for piece in boxes:
             panels += piece.panels()
@@ -96,11 +96,13 @@ def build_world(spec: CorridorWorld, seed: int) -> WorldModel:
         footprints += [piece.outline() for piece in boxes if piece.low[2] == 0]
         lamps.append(spots)
     panels += _end_walls(spec, legs, rng)
-    return build(panels, Light(np.concatenate(lamps), np.concatenate(footprints), spec.height_m), seed)
+    return assemble_panels(
+        panels, Light(np.concatenate(lamps), np.concatenate(footprints), spec.height_m), seed
+    )
 
 
 def _longest_reach(spec: CorridorWorld) -> float:
-    """How far fittings reach out from a wall, metres."""
+    """Largest reach of fittings from a wall, metres."""
     return min(0.35, 0.14 * spec.width_m)
 
 
@@ -137,13 +139,13 @@ def _legs(spec: CorridorWorld, nodes: np.ndarray) -> Iterator[_Leg]:
 
 
 def _shell(spec: CorridorWorld, leg: _Leg, floor: str, rng: np.random.Generator) -> list[Panel]:
-    """Walls, floor and ceiling of a leg; the square at a turn belongs to the leg before it."""
+    """Walls, floor and ceiling of a leg and of the turn after it."""
     z = (0.0, spec.height_m)
     left, right = leg.walls["left"], leg.walls["right"]
     panels = wall(left[0], left[1], z, str(rng.choice(WALL_FINISHES)), f"left wall {leg.index}", _PANEL_M)
     panels += wall(right[1], right[0], z, str(rng.choice(WALL_FINISHES)), f"right wall {leg.index}", _PANEL_M)
     along = np.array([left @ leg.way, right @ leg.way])
-    # Both walls have begun at the inner corner, which lies farther along; both end at the outer one.
+    # Both walls start at the inner corner, which lies farther along, and end at the outer one.
     start, end = along[:, 0].max(), along[:, 1].max()
     corners = np.array([left[0] + (start - along[0, 0]) * leg.way, right[0] + (end - along[1, 0]) * leg.way])
     low, high = corners.min(axis=0), corners.max(axis=0)

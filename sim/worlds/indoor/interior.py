@@ -1,10 +1,10 @@
-"""The surfaces of a storey: walls with doorways, floors, ceilings, and what stands along the walls."""
+"""The surfaces of a storey: walls with doorways, floors, ceilings, furniture."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.worlds.build import Lighting
+from sim.worlds.assembly import Lighting
 from sim.worlds.geometry.panels import Box, Fitting, Panel, slab, wall
 from sim.worlds.indoor.building_light import Lamplight
 from sim.worlds.indoor.building_plan import WALL_M
@@ -14,7 +14,7 @@ from sim.worlds.materials.finishes import FLOOR_FINISHES, WALL_FINISHES
 
 _DOOR_HEIGHT_M, _RECESS_M, _LEAF_M = 2.08, 0.1, 0.04
 _PANEL_M, _SLAB_M = 2.0, 2.6
-_THIN_M = 0.012  # things flat on a wall stand out by this much
+_THIN_M = 0.012  # flat objects on a wall stand out by this much
 _LAMP_SPACING_M, _LAMP_DROP_M = 3.2, 0.15
 _OVER_EYES_M = 1.75
 
@@ -34,7 +34,7 @@ _FURNITURE = (("bookshelf", 2.0), ("cabinet", 1.9), ("cabinet", 0.75), ("crate",
 
 @dataclass(frozen=True)
 class _Style:
-    """What a storey is made of: two wall finishes, the floor, and how far things reach into corridors."""
+    """Finishes of a storey, and the reach of furniture into corridors."""
 
     walls: tuple[str, str]
     floor: str
@@ -45,12 +45,12 @@ class _Style:
 def storey_panels(
     storey: Storey, clear_m: float, reach_m: float, rng: np.random.Generator
 ) -> list[tuple[list[Panel], Lighting]]:
-    """Every panel of a storey whose floor is at z = 0, in groups with their light: each room has its own.
+    """Panels of a storey whose floor is at z = 0, grouped by their light.
 
     Args:
         storey: its plan.
         clear_m: height of the ceiling.
-        reach_m: how far things may reach from a corridor's wall.
+        reach_m: largest reach of furniture from a corridor's wall.
         rng: the storey's random stream.
     """
     first, second = rng.choice(WALL_FINISHES, 2, replace=False).tolist()
@@ -64,7 +64,7 @@ def storey_panels(
 def _fitted(
     spaces: list[Space], style: _Style, is_room: bool, rng: np.random.Generator
 ) -> list[tuple[list[Panel], Lighting]]:
-    """Panels of spaces that share their lamps: the shell, and what stands in it."""
+    """Panels of spaces that share their lamps: the shell and the furniture."""
     panels: list[Panel] = []
     faces: list[Panel] = []
     lamps, footprints = [], []
@@ -114,7 +114,7 @@ def _wall(space: Space, side: Side, style: _Style, is_room: bool, rng: np.random
 def _doorway(
     side: Side, door: Door, finish: str, style: _Style, label: str, rng: np.random.Generator
 ) -> list[Panel]:
-    """The wall over a door, the reveal about it, and the door: shut at its back or turned into the room."""
+    """The wall over a door, its reveal, and the door, shut or open into the room."""
     low, high = door.span
     deep = WALL_M if door.open else _RECESS_M
     z, top = (0.0, _DOOR_HEIGHT_M), f"{label} lintel"
@@ -150,13 +150,13 @@ def _window(side: Side, style: _Style, rng: np.random.Generator, name: str) -> P
 
 
 def _fittings(space: Space, style: _Style, rng: np.random.Generator) -> list[Box]:
-    """Things along the walls of a corridor at irregular intervals, clear of doors, windows and junctions."""
+    """Furniture along the walls of a corridor, clear of doors, windows and junctions."""
     found = []
     for side in space.sides():
         if side.compass in space.windows:
             continue
         for low, high in space.walls(side.compass):
-            # The ends of a stretch of wall are corners of junctions, around which the route turns.
+            # A stretch of wall ends at junctions, around whose corners the route turns.
             at = low + rng.uniform(0.25, 0.8)
             while True:
                 kind = _FITTINGS[rng.integers(len(_FITTINGS))]
@@ -178,7 +178,7 @@ def _furniture(space: Space, style: _Style, rng: np.random.Generator) -> list[Bo
     found = []
     for side in space.sides():
         if OPPOSITE[side.compass] in space.windows:
-            continue  # the wall with the door, which is not seen from outside
+            continue  # the wall with the door, which is invisible from outside
         at = rng.uniform(0.5, 1.0)
         while at < side.length_m - 1.4:
             finish, high = _FURNITURE[rng.integers(len(_FURNITURE))]

@@ -1,4 +1,4 @@
-"""Light and shade, baked into the textures so that they fade with a surface's contrast."""
+"""Light and shade, baked into the textures so that they fade with the contrast."""
 
 from dataclasses import dataclass
 
@@ -8,8 +8,8 @@ from sim.worlds.geometry.panels import Box, Panel
 
 _GRID_M = 0.08  # spacing of the light samples on a panel
 _LAMP_SIZE_M = (1.2, 0.3, 0.06)
-_LAMP_DROP_M = 0.15  # the light comes from a little below the ceiling, or the ceiling would get none
-_LAMPS_FELT = 6  # per panel; the others are too far away to matter
+_LAMP_DROP_M = 0.15  # lamps are slightly below the ceiling, which would get no light otherwise
+_NEAREST_LAMPS = 6  # nearest lamps that light a panel
 _DARKEST, _BRIGHTEST = 0.55, 1.3
 _EDGE_DEPTH, _EDGE_REACH_M = 0.35, 0.3
 
@@ -38,9 +38,9 @@ class Light:
         return np.clip(gain, _DARKEST, _BRIGHTEST).astype(np.float32)
 
     def _lamp_light(self, points: np.ndarray, normal: np.ndarray) -> np.ndarray:
-        """Lambert's law summed over the lamps near the panel, about 1 in mid-room, compressed above."""
+        """Lambert's law summed over the nearest lamps, compressed, about 1 in mid-room."""
         middle = points.reshape(-1, 3)[:, :2].mean(axis=0)
-        nearest = np.argsort(np.linalg.norm(self.lamps - middle, axis=1), kind="stable")[:_LAMPS_FELT]
+        nearest = np.argsort(np.linalg.norm(self.lamps - middle, axis=1), kind="stable")[:_NEAREST_LAMPS]
         total = np.zeros(points.shape[:2])
         for lamp in self.lamps[nearest]:
             way = np.append(lamp, self.height_m - _LAMP_DROP_M) - points
@@ -68,7 +68,7 @@ class Light:
         return 1.0 - _EDGE_DEPTH * np.exp(-np.maximum(distance, 0.0) / _EDGE_REACH_M)
 
     def _plan_distance(self, points: np.ndarray, normal: np.ndarray | None) -> np.ndarray:
-        """Distance in plan to the nearest footprint, not counting those in the panel's own plane."""
+        """Distance in plan to the nearest footprint outside the panel's own plane."""
         plan = points[..., :2]
         start, way = self.footprints[:, 0], self.footprints[:, 1] - self.footprints[:, 0]
         near = np.ones(len(start), bool)

@@ -1,11 +1,11 @@
-"""A furnished room: furniture along the walls, an island in the middle, a ring to walk between them."""
+"""A furnished room: furniture at the walls, an island, and a walkable ring between."""
 
 import numpy as np
 
 from scenarios.seeds import rng_for
 from scenarios.spec import RoomWorld
+from sim.worlds.assembly import assemble_panels
 from sim.worlds.base import Route, WorldModel
-from sim.worlds.build import build
 from sim.worlds.geometry.panels import Box, Panel, slab, wall
 from sim.worlds.geometry.route import rounded
 from sim.worlds.indoor.light import Light, lamp_boxes
@@ -18,7 +18,7 @@ _FURNITURE = ("bookshelf", "cabinet", "machine", "crate")
 
 
 def layout(spec: RoomWorld, seed: int) -> Route:
-    """The closed ring between the furniture at the walls and the island; the same for every seed."""
+    """Route around the island, between it and the furniture at the walls, for every seed."""
     del seed
     x, y = _half(spec) - _furniture_depth(spec) - _ring_width(spec) / 2
     corners = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
@@ -44,7 +44,7 @@ def build_world(spec: RoomWorld, seed: int) -> WorldModel:
     for piece in furniture + lamp_boxes(lamps, spec.height_m, (1.0, 0.0)):
         panels += piece.panels()
     footprints = np.concatenate([sides, *(piece.outline() for piece in furniture if piece.low[2] == 0)])
-    return build(panels, Light(lamps, footprints, spec.height_m), seed)
+    return assemble_panels(panels, Light(lamps, footprints, spec.height_m), seed)
 
 
 def _half(spec: RoomWorld) -> np.ndarray:
@@ -85,7 +85,7 @@ def _along_walls(spec: RoomWorld, rng: np.random.Generator) -> list[Box]:
 
 
 def _island(spec: RoomWorld, rng: np.random.Generator) -> list[Box]:
-    """Furniture on a grid in the middle of the room, some of it with a crate on top."""
+    """Furniture on a grid in the middle of the room, some with a crate on top."""
     reach = _half(spec) - _furniture_depth(spec) - _ring_width(spec)
     cells = np.maximum(1, np.floor(2 * reach / 1.4)).astype(int)
     size = 2 * reach / cells

@@ -55,7 +55,7 @@ def _shell(well: Stairwell, clear_m: float, rng: np.random.Generator) -> list[Pa
     for level in range(well.floors):
         top = level * well.storey_m + (well.storey_m if level < well.floors - 1 else clear_m)
         for side in range(3):
-            # Who stands inside and looks at a wall has its end with the greater v or u to his left.
+            # Seen from inside, the end of a wall with the greater v or u is on the left.
             label = f"{well.name} wall {level},{side}"
             z = (level * well.storey_m, top)
             panels += wall(corners[side + 1], corners[side], z, finishes[side], label, _PANEL_M)
@@ -95,7 +95,7 @@ def _half_landing(well: Stairwell, level: int) -> list[Panel]:
 
 
 def _hangings(well: Stairwell, level: int, rng: np.random.Generator) -> list[Panel]:
-    """A window over the landing, a radiator under it, pictures along the flights at eye height."""
+    """A window over the landing, a radiator below it, pictures along the flights."""
     landing = (level + 0.5) * well.storey_m
     middle, half = well.width_m / 2 + rng.uniform(-0.3, 0.3), rng.uniform(0.55, 0.85)
     top = landing + min(2.35, well.storey_m / 2 + 0.85)
@@ -136,7 +136,7 @@ def _lane(well: Stairwell, upper: bool) -> tuple[float, float]:
 
 
 def _start(well: Stairwell, level: int, upper: bool) -> tuple[float, float, float]:
-    """``u`` and z of a flight's lowest riser, and the way along ``u`` that it climbs."""
+    """``u`` and z of a flight's lowest riser, and its direction along ``u``."""
     z = level * well.storey_m + (well.storey_m / 2 if upper else 0.0)
     return (well.landing_m, z, -1.0) if upper else (well.foot_m, z, 1.0)
 
@@ -145,7 +145,7 @@ def _flight(well: Stairwell, level: int, upper: bool, label: str) -> list[Piece]
     """Steps, in one piece, and the flank and underside, in another."""
     u0, z0, way = _start(well, level, upper)
     outer, inner = _lane(well, upper)
-    # Seen by who climbs, the wall is on the right of the lower flight and of the upper one.
+    # Seen while climbing, the wall is on the right of the lower flight and of the upper one.
     left, right = inner, outer
     going, rise, count = well.tread_m, well.riser_m, well.steps
 
@@ -172,7 +172,7 @@ def _flight(well: Stairwell, level: int, upper: bool, label: str) -> list[Piece]
         x, z = j * going, z0 + j * rise - _WAIST_M
         flank = [at(x, inner, z + rise + _WAIST_M), at(x + going, inner, z + rise + _WAIST_M)]
         flank += [at(x + going, inner, z + slope * going), at(x, inner, z)]
-        # The well is on the left of who climbs; seen from there, the flight climbs to the left.
+        # While climbing, the well is on the left; seen from there, the flight climbs to the left.
         seen = [flank[1], flank[0], flank[3], flank[2]]
         body.quad(np.array(seen), (run - x - going, well.lane_m), (going, rise + _WAIST_M))
     low, high = z0 - _WAIST_M, z0 - _WAIST_M + slope * run
@@ -185,7 +185,7 @@ def _flight(well: Stairwell, level: int, upper: bool, label: str) -> list[Piece]
 
 
 def _railing(well: Stairwell, level: int, upper: bool, label: str) -> Piece:
-    """Handrail and bars along the well's side of a flight, and the handrail at the wall."""
+    """Handrail and bars at the well, and handrail at the wall, of a flight."""
     u0, z0, way = _start(well, level, upper)
     outer, inner = _lane(well, upper)
     aside = 0.03 if upper else -0.03

@@ -1,4 +1,4 @@
-"""One storey: corridors that meet at junctions, doors in their walls, rooms behind those that stand open."""
+"""One storey: corridors with junctions, doors, and rooms behind open doors."""
 
 from dataclasses import dataclass, field
 
@@ -95,14 +95,14 @@ class Space:
 
 @dataclass(frozen=True)
 class Storey:
-    """The spaces of a storey. Of rooms only those are kept whose door stands open."""
+    """The spaces of a storey, with rooms only behind open doors."""
 
     corridors: list[Space]
     rooms: list[Space]
 
 
 def uncovered(length_m: float, spans: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """What of [0, length] lies in none of the spans, in order; slivers are left out."""
+    """Parts of [0, length] outside all spans, in order; slivers are left out."""
     free, at = [], 0.0
     for low, high in [*sorted(spans), (length_m, length_m)]:
         if low - at > 1e-6:
@@ -112,11 +112,11 @@ def uncovered(length_m: float, spans: list[tuple[float, float]]) -> list[tuple[f
 
 
 def plan_storey(plan: Plan, walked: bool, rng: np.random.Generator) -> Storey:
-    """A storey of its own: where side corridors branch off, which rooms there are and which stand open.
+    """Plan a storey: its side corridors, its rooms and their open doors.
 
     Args:
         plan: of the building.
-        walked: the route leads along its corridors; else all doors are closed.
+        walked: the route follows its corridors; otherwise all doors are closed.
         rng: the storey's random stream.
     """
     ring = _ring(plan)
@@ -159,7 +159,7 @@ def _ring(plan: Plan) -> list[Space]:
 
 
 def _outer_stubs(plan: Plan, rng: np.random.Generator) -> list[Space]:
-    """Side corridors to the outside, one or two from either long corridor, with a window at their end."""
+    """Side corridors to the outside, one or two per long corridor, ending at a window."""
     (length, y), h = plan.ring, plan.half_m
     stubs = []
     for north in (False, True):
@@ -182,7 +182,7 @@ def _outer_stubs(plan: Plan, rng: np.random.Generator) -> list[Space]:
 
 
 def _end_stubs(plan: Plan, rng: np.random.Generator) -> list[Space]:
-    """Some of the four ends of the long corridors go on beyond the ring, up to a window."""
+    """Extensions of some ends of the long corridors beyond the ring, up to a window."""
     (x, y), h = plan.ring, plan.half_m
     stubs = []
     for north in (False, True):
@@ -232,7 +232,7 @@ def _rooms_along(corridor: Space, compass: str, walked: bool, rng: np.random.Gen
 
 
 def _closed_doors(plan: Plan, corridor: Space, compass: str, rng: np.random.Generator) -> None:
-    """Doors to what is in the core, and to the stairwells' sides none."""
+    """Closed doors to the core, with none at the stairwells' sides."""
     side = corridor.side(compass)
     first = plan.stairs[0].depth_m + 2 * plan.half_m + WALL_M
     for low, high in corridor.walls(compass):

@@ -1,10 +1,10 @@
-"""A warehouse: racks full of goods in rows, aisles between them, a cross aisle at either end."""
+"""A warehouse: rows of racks with goods, aisles, and a cross aisle at either end."""
 
 import numpy as np
 
 from scenarios.seeds import rng_for
 from scenarios.worlds import WarehouseWorld
-from sim.worlds.assembly import assemble
+from sim.worlds.assembly import assemble_pieces
 from sim.worlds.base import Route, WorldModel
 from sim.worlds.geometry.meshes import Mesh, Piece
 from sim.worlds.geometry.panels import Panel, slab, wall
@@ -20,7 +20,7 @@ _LEVEL_M = 1.7
 
 
 def layout(spec: WarehouseWorld, seed: int) -> Route:
-    """Up one aisle and down the next, back along the near cross aisle; the same for every seed."""
+    """Route up and down the aisles and back, the same for every seed."""
     del seed
     half = spec.length_m / 2
     corners = []
@@ -45,7 +45,7 @@ def build_world(spec: WarehouseWorld, seed: int) -> WorldModel:
                 label = f"rack {row},{side:+.0f},{bay}"
                 pieces.append(_bay((low, high), front, side, spec.height_m, label, rng))
     pieces += [_piece(panel, spec.height_m) for panel in _shell(spec)]
-    return assemble(pieces, seed)
+    return assemble_pieces(pieces, seed)
 
 
 def _aisle_middles(spec: WarehouseWorld) -> np.ndarray:
@@ -67,7 +67,7 @@ def _shell(spec: WarehouseWorld) -> list[Panel]:
 
 
 def _piece(panel: Panel, height_m: float) -> Piece:
-    """A flat panel as a piece, darker towards the top of a wall and under the racks."""
+    """Piece of a flat panel, darker at the top of walls and under racks."""
     mesh = Mesh()
     u, v = np.array([0.0, 1.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0, 1.0])
     grown = panel.points(u + (2 * u - 1) * 1e-3, v + (2 * v - 1) * 1e-3)
@@ -87,7 +87,7 @@ def _bay(
     label: str,
     rng: np.random.Generator,
 ) -> Piece:
-    """One bay: uprights, boards, and goods of all sizes on every level, behind a dark back."""
+    """One bay: uprights, boards, goods of all sizes on every level, a dark back."""
     mesh = Mesh()
     along = 1.0 if side > 0 else -1.0
     start = span[0] if side > 0 else span[1]
@@ -97,7 +97,7 @@ def _bay(
         return np.array([start + along * along_m, front_m + side * in_m, z_m])
 
     def box(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float], low, size) -> None:
-        """Front, both ends and top of a block, seen from the aisle with its left end at x[0]."""
+        """Append front, ends and top of a block; x[0] is its left end."""
         (x0, x1), (y0, y1), (z0, z1) = x, y, z
         mesh.quad(np.array([at(x0, y0, z1), at(x1, y0, z1), at(x1, y0, z0), at(x0, y0, z0)]), low, size)
         mesh.quad(np.array([at(x0, y1, z1), at(x0, y0, z1), at(x0, y0, z0), at(x0, y1, z0)]), low, size)
@@ -122,7 +122,7 @@ def _bay(
         while x < length - 0.5:
             wide = min(rng.uniform(0.4, 1.1), length - 0.12 - x)
             if rng.random() < 0.92:
-                # No crate twice in a bay, as far as the sheet has them.
+                # No crate twice in a bay while the sheet has others.
                 goods.append(goods.pop(0))
                 row, column = divmod(goods[-1], RACK_CELLS[0])
                 depth = rng.uniform(0.03, 0.45)

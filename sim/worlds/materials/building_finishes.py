@@ -1,4 +1,4 @@
-"""Walls, floors and ceilings, with what hangs on them."""
+"""Walls, floors and ceilings, with the objects on them."""
 
 import cv2
 import numpy as np
@@ -93,9 +93,9 @@ def lamp(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
 
 
 def _wall_details(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """Wear, what hangs on the wall, and the skirting and cornice that run on over every panel."""
+    """Wear, objects on the wall, and skirting and cornice that continue over every panel."""
     _weather(image, scale, rng)
-    _set_reference(image, scale, rng)
+    _hang_objects(image, scale, rng)
     skirting, cornice = max(2, round(_SKIRTING_M * scale)), max(2, round(_CORNICE_M * scale))
     image[-skirting:], image[:cornice] = 62, 190
     image[-skirting:][:1], image[:cornice][-1:] = 185, 70
@@ -103,7 +103,7 @@ def _wall_details(image: np.ndarray, scale: float, rng: np.random.Generator) -> 
 
 
 def _weather(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """What every surface has: chips, specks and noise at all scales."""
+    """Chips, specks and noise at all scales."""
     dead_leaves(image, scale, rng, 45, (0.004, 0.05), smallest_px=_RESOLVED_PX)
     add_noise(image, rng, 17, 0.8)
 
@@ -121,8 +121,8 @@ _LARGE = (
 _SMALL = (motifs.vent, motifs.picture, motifs.poster)
 
 
-def _set_reference(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """Mostly one large thing about eye height, small ones above and below, cables between."""
+def _hang_objects(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
+    """Hang mostly one large object at eye height, small ones above and below, cables between."""
     width, height = image.shape[1] / scale, image.shape[0] / scale
     if rng.random() < 0.5:
         motifs.cables(image, scale, rng)
@@ -140,12 +140,12 @@ def _set_reference(image: np.ndarray, scale: float, rng: np.random.Generator) ->
 def _place(
     image: np.ndarray, scale: float, rng: np.random.Generator, draw, size_m: tuple, y_m: float
 ) -> None:
-    """Draw a motif at a height and a random place along the wall, if it is large enough to be drawn."""
+    """Draw a motif at a random place along the wall, unless it is too small."""
     x_m = rng.uniform(0, max(0.01, image.shape[1] / scale - size_m[0]))
     place = motifs.crop(image, scale, x_m, y_m, size_m)
     if min(place.shape) < 16:
         return
-    # A soft shadow sets the thing off from the wall.
+    # A soft shadow separates the motif from the wall.
     shadow = motifs.crop(image, scale, x_m - 0.015, y_m + 0.01, (size_m[0] + 0.03, size_m[1] + 0.025))
     shadow[:] = (shadow * 0.6).astype(np.uint8)
     draw(place, scale, rng)

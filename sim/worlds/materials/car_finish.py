@@ -1,4 +1,4 @@
-"""The sheet of a parked car: its flank above, the strip from bumper to bumper below."""
+"""The sheet of a parked car: its flank, and the strip from bumper to bumper."""
 
 import cv2
 import numpy as np
@@ -11,7 +11,7 @@ _PAINTS = (22, 30, 45, 60, 85, 120, 150, 175, 200, 222, 235)
 
 
 def car(shape: Shape, image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """A car of a shape: its flank with windows, doors and wheels; its strip with panes, lamps, plates."""
+    """Draw a car: its flank with windows, doors, wheels; its strip with panes, lamps, plates."""
     tone = int(rng.choice(_PAINTS))
     flank_px = round(FLANK_M / (FLANK_M + STRIP_M) * image.shape[0])
     across = image.shape[1] / shape.length_m
@@ -91,7 +91,7 @@ def _strip(image: np.ndarray, shape: Shape, tone: int, scale: float, rng: np.ran
             corner[:, depth // 4 : 3 * depth // 4] = lamp
         plate = end[int(0.36 * height) : int(0.64 * height), depth // 3 : 2 * depth // 3]
         plate[:] = 228
-        # The strip is seen turned by a quarter, so the letters run down the sheet.
+        # The strip is seen turned by a right angle, so the letters run down the sheet.
         if min(plate.shape) >= 6:
             text = np.full(plate.shape[::-1], 228, np.uint8)
             motifs.lettering(text, rng, 6, 20)

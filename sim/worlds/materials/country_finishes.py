@@ -1,4 +1,4 @@
-"""Pasture and what stands on it: grass, rock, straw, timber, barns, woods, far hills, dull skies."""
+"""Finishes of the country: grass, rock, straw, timber, barns, woods, hills, skies."""
 
 import cv2
 import numpy as np
@@ -13,7 +13,7 @@ def pasture(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     worn = fractal_noise((max(8, image.shape[0] // 16), max(8, image.shape[1] // 16)), rng, 0.8)
     worn = cv2.resize(np.clip(1 + 0.13 * worn, 0.65, 1.4), image.shape[::-1])
     cv2.multiply(image, worn, dst=image, dtype=cv2.CV_8U)
-    # Seen at a low angle, only what is decimetres wide is left of the ground: that must have contrast.
+    # At a low angle only features of decimetres remain visible on the ground: these need contrast.
     dead_leaves(image, scale, rng, 4.0, (0.07, 0.5), (50, 185))
     add_noise(image, rng, 9, 0.85)
 
@@ -44,7 +44,7 @@ def rock(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
 
 
 def straw(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """A bale's sheet: stalks and twine around it above, its two ends with their spirals below."""
+    """A bale's sheet: stalks and twine above, its two spiral ends below."""
     width = image.shape[1]
     image[:] = 150
     grain(image, rng, 26, vertical=False)

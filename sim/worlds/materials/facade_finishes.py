@@ -14,7 +14,7 @@ _SMALLEST_LEAF_PX = 10
 
 @dataclass(frozen=True)
 class _Style:
-    """What all windows of one house share; lengths in metres, tones in gray levels."""
+    """Common style of a house's windows; lengths in metres, tones in gray levels."""
 
     window_m: tuple[float, float]
     frame: int
@@ -48,7 +48,7 @@ def stone_front(image: np.ndarray, scale: float, rng: np.random.Generator) -> No
 
 
 def gable(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """The blind sides of a house, its roof on top: plaster with damp, a few small windows, tiles."""
+    """The blind sides of a house with its roof: plaster, damp, few windows, tiles."""
     height, width = image.shape
     image[:] = int(rng.integers(110, 170))
     add_noise(image, rng, 9, 0.7)
@@ -144,7 +144,7 @@ def _window(
 
 
 def _glass(pane: np.ndarray, scale: float, rng: np.random.Generator, style: _Style) -> None:
-    """Dark rooms behind reflections of the sky and the houses opposite, curtains, blinds, frame and bars."""
+    """Glass: dark rooms, reflections of sky and houses, curtains, blinds, frame, bars."""
     height, width = pane.shape
     top, bottom = rng.uniform(50, 150), rng.uniform(18, 55)
     pane[:] = np.linspace(top, bottom, height).astype(np.uint8)[:, None]
@@ -259,7 +259,7 @@ def _door(leaf: np.ndarray, scale: float, rng: np.random.Generator) -> None:
 
 
 def _gate(leaf: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """A roller door, maybe with graffiti."""
+    """A roller door, sometimes with graffiti."""
     if min(leaf.shape) < _SMALLEST_LEAF_PX:
         return
     leaf[:] = int(rng.integers(90, 190))

@@ -1,4 +1,4 @@
-"""Finishes by name: what a surface is made of. A new finish is a function and a line in ``FINISHES``."""
+"""Finishes of surfaces by name; a new one is a function and a line here."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,13 +20,13 @@ from sim.worlds.materials.textures import fit_levels
 
 @dataclass(frozen=True)
 class Finish:
-    """How a surface is painted.
+    """The painting of a surface.
 
     Attributes:
         draw: fills a gray image (h, w) uint8 in place, given its pixels per metre and a random stream.
         mean_level: mean gray level of the unlit texture.
         deviation: standard deviation of its gray levels.
-        luminous: shines itself and takes no light or shade.
+        luminous: emits light and takes no light or shade.
     """
 
     draw: Callable[[np.ndarray, float, np.random.Generator], None]
@@ -72,7 +72,7 @@ class PieceFinish(Finish):
     Attributes:
         scale: pixels per metre where the texture budget allows.
         fitted: its mean and deviation are met; otherwise they are the drawing's own.
-        refine: adds what is too fine for a drawing shared by several pieces to a part of it that is seen
+        refine: adds detail too fine for a drawing shared by several pieces to a part of it that is seen
             from near; arguments as of ``draw``.
     """
 
@@ -125,7 +125,7 @@ PIECE_FINISHES = {
 def draw(
     finish: PieceFinish, size_m: tuple[float, float], scale: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """A new texture of a mesh before light and shade, (h, w) uint8; arguments as in ``paint``."""
+    """Draw a texture of a mesh before light and shade, (h, w) uint8; arguments as in ``paint``."""
     width, height = (max(8, round(side * scale)) for side in size_m)
     image = np.full((height, width), 128, np.uint8)
     finish.draw(image, scale, rng)
@@ -133,7 +133,7 @@ def draw(
 
 
 def paint(finish: str, size_m: tuple[float, float], scale: float, rng: np.random.Generator) -> np.ndarray:
-    """A new, unlit texture.
+    """Paint a new, unlit texture.
 
     Args:
         finish: name in ``FINISHES``.

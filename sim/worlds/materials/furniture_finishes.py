@@ -84,7 +84,7 @@ def _instrument(plate: np.ndarray, scale: float, rng: np.random.Generator) -> No
 
 
 def door(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """A door with a glazed or lettered upper half, a panel below, a handle and a frame."""
+    """A door with a glazed or lettered upper half, a panel, a handle and a frame."""
     height, width = image.shape
     image[:] = int(rng.integers(90, 190))
     grain(image, rng, 14, vertical=True)

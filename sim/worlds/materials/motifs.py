@@ -1,4 +1,4 @@
-"""Things found on surfaces: posters, windows, cables, books, vents, stains; each drawn into a gray image.
+"""Motifs on surfaces: posters, windows, cables, books, vents, stains.
 
 Positions and sizes are pixels inside the function and metres in its arguments; ``scale`` is pixels per metre.
 """
@@ -18,7 +18,7 @@ _LETTERS = list("ABCDEFGHJKLMNPRSTUVWXYZ0123456789")
 
 
 def crop(image: np.ndarray, scale: float, x_m: float, y_m: float, size_m: tuple[float, float]) -> np.ndarray:
-    """A view of the part of the image with this top left corner and this width and height, maybe empty."""
+    """A view of a rectangle of the image, possibly empty."""
     x0, y0 = max(0, round(x_m * scale)), max(0, round(y_m * scale))
     return image[
         y0 : max(y0, round((y_m + size_m[1]) * scale)), x0 : max(x0, round((x_m + size_m[0]) * scale))
@@ -52,7 +52,7 @@ def picture(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
 
 
 def poster(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """A sheet with a title, a picture and text, dark on light or light on dark."""
+    """A sheet with title, picture and text, dark on light or the reverse."""
     height, width = image.shape
     paper, ink = (232, 25) if rng.random() < 0.75 else (30, 225)
     image[:] = paper
@@ -190,7 +190,7 @@ def cracks(image: np.ndarray, scale: float, rng: np.random.Generator, count: int
 
 
 def books(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """One shelf: upright books of all widths and heights with titles on their spines, some gaps."""
+    """One shelf of upright books of all sizes with titles on their spines and some gaps."""
     height, width = image.shape
     image[:] = 28
     x = 0

@@ -1,11 +1,11 @@
-"""What stairwells are made of, and single things that hang on walls."""
+"""Finishes of stairwells, and single objects on walls."""
 
 import numpy as np
 
 from sim.worlds.materials import motifs
 from sim.worlds.materials.textures import add_noise, courses, dead_leaves, grain
 
-STEP_M = 0.45  # of a flight's sheet per step: its tread above, its riser below
+STEP_M = 0.45  # metres of a flight's sheet per step: its tread above, its riser below
 _NOSING_M = 0.045
 _RESOLVED_PX = 0.6
 

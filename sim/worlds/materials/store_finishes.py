@@ -1,4 +1,4 @@
-"""A warehouse: goods on racks, a floor with markings, cladding and a roof with trusses and skylights."""
+"""Finishes of a warehouse: racks with goods, floor, cladding, roof."""
 
 import cv2
 import numpy as np
@@ -12,7 +12,7 @@ RACK_CELLS = (4, 5)
 
 
 def rack(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """A sheet of different crates, and painted steel with holes and labels in its last row."""
+    """A sheet of different crates, with painted steel in its last row."""
     columns, rows = RACK_CELLS
     high, wide = image.shape[0] // rows, image.shape[1] // columns
     for row in range(rows - 1):
@@ -32,7 +32,7 @@ def rack(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
 
 
 def floor(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """Polished concrete: joints, tyre marks, chips, a painted lane line, a number now and then."""
+    """Polished concrete: joints, tyre marks, chips, a painted lane line, some numbers."""
     add_noise(image, rng, 8, 0.7)
     motifs.stains(image, scale, rng, 0.25)
     dead_leaves(image, scale, rng, 7, (0.012, 0.07), (75, 185))

@@ -47,7 +47,7 @@ def crossing(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
 
 
 def motorway_lanes(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """Two lanes and a hard shoulder, left to right, of fresh asphalt: long seams and few marks."""
+    """Two lanes and a hard shoulder of fresh asphalt: long seams and few marks."""
     height, width = image.shape
     image[:] = 92
     add_noise(image, rng, 6, 0.65)
@@ -82,14 +82,14 @@ def paving(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
 
 def meadow(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     """Grass in tufts, bare earth, flowers and stones."""
-    # No long waves: neighbouring pieces of ground would differ in tone where they meet.
+    # No long waves: neighbouring pieces of ground would differ in tone at their border.
     blotches(image, rng, max(2.0, 0.1 * scale), (100, 150))
     dead_leaves(image, scale, rng, 4.0, (0.03, 0.4), (60, 175))
     add_noise(image, rng, 16, 0.97)
 
 
 def verge(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """Mown grass beside a road: even, with few marks, none so small that it aliases at a low angle."""
+    """Mown grass beside a road: even, with few marks large enough not to alias."""
     add_noise(image, rng, 9, 0.6)
     dead_leaves(image, scale, rng, 0.5, (0.2, 1.1), (85, 155))
     image[:] = cv2.GaussianBlur(image, (0, 0), 1.0)
@@ -104,7 +104,7 @@ def metal(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
 
 
 def rail(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """A guard rail's beam, lighter where it looks up, with joints, bolts, scrapes; its posts below."""
+    """A guard rail's beam, lighter on top, with joints, bolts, scrapes; its posts below."""
     height, width = image.shape
     beam = round(height * 0.62)
     rows = np.linspace(0, 2 * np.pi * 2, beam)
@@ -118,14 +118,14 @@ def rail(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
                 cv2.circle(
                     image, (at + round(aside * scale), round(y * beam)), max(1, round(0.03 * scale)), 52, -1
                 )
-    # Nothing finer than a hand: it would be gone, or alias, a few posts farther on.
+    # Nothing finer than a hand: at a distance of a few posts it would vanish or alias.
     dead_leaves(image, scale, rng, 9, (0.12, 0.4), (55, 215))
     motifs.stains(image, scale, rng, 1.2)
     add_noise(image, rng, 7, 0.6)
 
 
 def noise_wall(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
-    """Grooved panels one above the other, damp, with creepers and a word sprayed on now and then."""
+    """Grooved panels in rows, damp, with creepers and sometimes a sprayed word."""
     height, width = image.shape
     courses(image, scale, rng, (4.0, 0.9), 0.0, 12)
     groove = max(3, round(0.15 * scale))
@@ -190,7 +190,7 @@ def clouds(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     cover = 1 / (1 + np.exp(-3.0 * (noise - 0.1)))
     blue = np.linspace(145, 176, height, dtype=np.float32)[:, None]
     lit = 192 + 5 * np.clip(noise, -2, 2)
-    # Exposed for the ground, a sky is pale: soft enough that no corner is found on it.
+    # Exposed for the ground, a sky is pale: too soft for corners.
     soft = cv2.GaussianBlur(blue + cover * (lit - blue), (0, 0), _CLOUD_EDGE_PX)
     image[:] = np.clip(np.rint(soft), 0, 250).astype(np.uint8)
 

@@ -1,4 +1,4 @@
-"""Texture primitives: noise at every scale, dead leaves, text, and the fit to a mean level.
+"""Texture primitives: noise at every scale, dead leaves, text, and level fitting.
 
 Every function draws into a gray image (h, w) uint8 in place or returns one; ``scale`` is pixels per metre.
 Features at every distance need detail at every scale, hence 1/f spectra and power-law sizes throughout.
@@ -14,7 +14,7 @@ _FULL_TURN_DEG = 360.0
 def fractal_noise(shape: tuple[int, int], rng: np.random.Generator, persistence: float = 0.7) -> np.ndarray:
     """Noise with a power-law spectrum, zero mean, unit standard deviation.
 
-    Half of every octave's energy is Gaussian, half sits in sparse blobs, which are what corners are made of.
+    Half of every octave's energy is Gaussian, half is in sparse blobs, which give corners.
 
     Args:
         shape: (h, w).
@@ -37,7 +37,7 @@ def fractal_noise(shape: tuple[int, int], rng: np.random.Generator, persistence:
 
 
 def _octave(size: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
-    """One octave: a byte per pixel, spread by a table into a dense and a heavy-tailed part."""
+    """One octave: bytes mapped by a table to a dense and a heavy-tailed part."""
     codes = np.frombuffer(rng.bytes(size[0] * size[1]), np.uint8).reshape(size)
     return cv2.LUT(codes, _OCTAVE_TABLE)
 
@@ -82,7 +82,7 @@ def dead_leaves(
 ) -> None:
     """Occluding ellipses, rectangles and triangles with power-law sizes, drawn in place.
 
-    Of those with a radius below ``smallest_px`` none is drawn: in a coarse texture they cannot be resolved.
+    Shapes with a radius below ``smallest_px`` are left out: a coarse texture cannot resolve them.
 
     Source: Lee, Mumford, Huang, "Occlusion models for natural images", IJCV 2001 (sizes ~ r^-3).
     """
@@ -146,7 +146,7 @@ def courses(
     bond: float,
     spread: float,
 ) -> None:
-    """Bricks, flags, tiles or boards in rows from the top, each of its own tone, with dark joints.
+    """Draw bricks, flags, tiles or boards in rows, each of its own tone, with dark joints.
 
     Args:
         image: (h, w) uint8, overwritten.
@@ -191,9 +191,9 @@ def text_block(image: np.ndarray, rng: np.random.Generator, glyph_px: float, ink
 
 
 def fit_levels(image: np.ndarray, mean_level: float, deviation: float) -> np.ndarray:
-    """The image with its gray levels shifted and stretched to a mean and a standard deviation.
+    """Shift and stretch the gray levels to a mean and a standard deviation.
 
-    Levels are clipped to what a camera shows; the mean is kept despite that.
+    Levels are clipped to the range of a camera; the mean is kept despite that.
 
     Args:
         image: (h, w) uint8.
@@ -211,7 +211,7 @@ def fit_levels(image: np.ndarray, mean_level: float, deviation: float) -> np.nda
     gain = deviation / spread if spread > 0 else 0.0
     stretched = gain * (levels - centre)
     offset = mean_level
-    # Clipping moves the mean; moving the levels against it converges within a few rounds.
+    # Clipping moves the mean; shifting the levels against it converges within a few iterations.
     for _ in range(8):
         offset += mean_level - share @ np.clip(stretched + offset, BLACK_LEVEL, WHITE_LEVEL)
     table = np.clip(np.rint(stretched + offset), BLACK_LEVEL, WHITE_LEVEL)

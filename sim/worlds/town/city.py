@@ -4,7 +4,7 @@ import numpy as np
 
 from scenarios.seeds import rng_for
 from scenarios.worlds import CityWorld
-from sim.worlds.assembly import assemble
+from sim.worlds.assembly import assemble_pieces
 from sim.worlds.base import Route, WorldModel
 from sim.worlds.geometry.meshes import Piece
 from sim.worlds.geometry.outdoor import Daylight, Sky
@@ -47,18 +47,18 @@ def build_world(spec: CityWorld, seed: int) -> WorldModel:
     things = [(street, roadside(plan, street, light, rng)) for street in plan.streets]
     pieces: list[Piece] = []
     for street, standing in things:
-        # Street by street: neighbours in the list are neighbours in space, so a renderer can skip the hidden.
+        # Street by street: neighbours in the list are neighbours in space, so a renderer can cull them.
         pieces += carriageways(plan, street, light) + pavements(plan, street, light)
         pieces += standing
     for house in houses:
         pieces += house.pieces(light)
     reach = float(np.linalg.norm(high - low)) / 2
     pieces += Sky((low + high) / 2, reach + _SKY_BEYOND_M, "meadow", spec).pieces()
-    return assemble(pieces, seed)
+    return assemble_pieces(pieces, seed)
 
 
 def _lane(plan: Plan) -> np.ndarray:
-    """(M, 2) corners of the route, moved from the middle of the streets into the right-hand lane."""
+    """(M, 2) corners of the route, moved from the street's middle into the right lane."""
     corners = plan.corners
     closed = np.vstack([corners[-1:], corners, corners[:1]]) if plan.closed else corners
     ways = np.diff(closed, axis=0)

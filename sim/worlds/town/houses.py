@@ -1,4 +1,4 @@
-"""Houses along streets: a front on the pavement and a body with a pitched roof behind it."""
+"""Houses along streets: a front at the pavement, a body with a pitched roof behind."""
 
 from dataclasses import dataclass
 
@@ -21,10 +21,10 @@ class House:
     Attributes:
         left, right: (2,) float64 ends of its front as seen from the street, metres.
         height_m: of the eaves.
-        ridge_m: of the roof above the eaves.
+        ridge_m: height of the ridge above the eaves.
         finish: of the front.
         detail: of the front's texture.
-        label: human name, unique in the world.
+        label: readable name, unique in the world.
     """
 
     left: np.ndarray

@@ -14,7 +14,7 @@ _LONGEST_M = 14.0
 
 
 def carriageways(plan: Plan, street: Street, light: Daylight) -> list[Piece]:
-    """The road of a street and the crossings that it owns."""
+    """The carriageway of a street and the crossings that it owns."""
     rank = plan.streets.index(street)
     pieces = []
     corner_left = CARRIAGEWAY_M
@@ -101,7 +101,7 @@ def _gaps(parts: list[tuple[float, float]], length_m: float) -> list[tuple[float
 
 
 def _merged(parts: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Parts that touch joined into one."""
+    """Join parts that touch."""
     joined: list[tuple[float, float]] = []
     for a, b in sorted(parts):
         if joined and a - joined[-1][1] < 1e-6:

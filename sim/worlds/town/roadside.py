@@ -1,4 +1,4 @@
-"""What stands along a street: parked cars, trees, lamps, signs and bollards."""
+"""Objects along a street: parked cars, trees, lamps, signs and bollards."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ _KINDS = tuple(SHAPES)
 
 
 def roadside(plan: Plan, street: Street, light: Daylight, rng: np.random.Generator) -> list[Piece]:
-    """Everything that stands along a street; each thing casts its shadow on ``light``."""
+    """Everything along a street; each object casts its shadow on ``light``."""
     rank = plan.streets.index(street)
     pieces: list[Piece] = []
     clear = plan.crossings(street)
@@ -40,7 +40,7 @@ def _cars(
     light: Daylight,
     rng: np.random.Generator,
 ) -> list[Piece]:
-    """Cars at the kerb, nose to tail with gaps, some askew, most facing with the traffic of their side."""
+    """Cars parked at the kerb with gaps, some askew, most facing with the traffic."""
     cars, at = [], span[0] + rng.uniform(0, 2)
     while True:
         finish = _KINDS[rng.choice(len(_KINDS), p=(0.32, 0.36, 0.22, 0.1))]
@@ -52,7 +52,7 @@ def _cars(
             turn = np.deg2rad(rng.normal(0, 0.9))
             way = ahead * (np.cos(turn) * street.way + np.sin(turn) * street.left)
             middle = street.point(at + shape.length_m / 2, side * (_PARKED_M + rng.normal(0, 0.05)))
-            # One car a place: the place along the street names it.
+            # The position along the street names the car.
             cars.append(_car(finish, middle, way, f"{label},{at:.1f}", light))
         at += shape.length_m + rng.uniform(0.6, 1.8)
 
@@ -95,7 +95,7 @@ def _trees(
 def _posts(
     street: Street, side: float, clear: list[float], name: str, light: Daylight, rng: np.random.Generator
 ) -> list[Piece]:
-    """Lamps at even intervals, signs at crossings, now and then a row of bollards."""
+    """Lamps at even intervals, signs at crossings, sometimes a row of bollards."""
     pieces = []
     towards = -side * street.left
     offset = 0.0 if side > 0 else _LAMP_SPACING_M / 2

@@ -1,4 +1,4 @@
-"""The plan of a town: straight, axis-parallel streets, and where along them something can stand."""
+"""The plan of a town: straight, axis-parallel streets and the free places along them."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -23,7 +23,7 @@ class Street:
 
     Attributes:
         start, end: (2,) float64, metres, ends of its middle line.
-        joined: it begins on another street; otherwise both ends are dead ends.
+        joined: it starts on another street; otherwise both ends are dead ends.
         main: the route follows it.
     """
 
@@ -34,7 +34,7 @@ class Street:
 
     @property
     def length_m(self) -> float:
-        """Of the middle line."""
+        """Length of the middle line."""
         return float(np.linalg.norm(self.end - self.start))
 
     @property
@@ -79,8 +79,8 @@ class Plan:
         Args:
             street: one of the plan's.
             left_m: the line's distance from the middle, to the left.
-            own_m: half of what is taken where this street owns the crossing.
-            other_m: half of what is taken where the other street owns it; ``own_m`` if 0.
+            own_m: half of the blocked length where this street owns the crossing.
+            other_m: half of the blocked length where the other street owns it; ``own_m`` if 0.
 
         Returns:
             (from, to) distances along the street, metres.
@@ -139,7 +139,7 @@ def _block(spec: CityWorld, rng: np.random.Generator) -> np.ndarray:
 
 
 def _zigzag(spec: CityWorld, rng: np.random.Generator) -> np.ndarray:
-    """(turns + 2, 2) corners; turns alternate, so that no street meets one that it should not."""
+    """(turns + 2, 2) corners; turns alternate, so that streets meet only at corners."""
     legs = spec.turns + 1
     if spec.turns and spec.length_m / legs < _SHORTEST_LEG_M / 0.8:
         raise InputError(
@@ -155,7 +155,7 @@ def _zigzag(spec: CityWorld, rng: np.random.Generator) -> np.ndarray:
 
 
 def _add_side_streets(streets: list[Street], parent: Street, rng: np.random.Generator) -> None:
-    """Side streets to one or both sides at irregular intervals, wherever there is room for one."""
+    """Add side streets to one or both sides at irregular intervals where there is room."""
     at = OVERSHOOT_M + rng.uniform(30, 60)
     while at < parent.length_m - 20:
         for side in rng.permutation([1.0, -1.0])[: int(rng.integers(1, 3))]:
@@ -170,7 +170,7 @@ def _has_room(street: Street, parent: Street, streets: list[Street]) -> bool:
     low, high = street.box(_BETWEEN_M)
     for other in streets:
         other_low, other_high = other.box(0.0)
-        # A side street across the parent from this one continues it; elsewhere streets keep their distance.
+        # A side street may continue one across the parent; otherwise streets keep their distance.
         opposite = other.joined and np.allclose(other.start, street.start)
         if other is not parent and not opposite and (low < other_high).all() and (high > other_low).all():
             return False
@@ -178,6 +178,6 @@ def _has_room(street: Street, parent: Street, streets: list[Street]) -> bool:
 
 
 def _without(parts: list[tuple[float, float]], low: float, high: float) -> list[tuple[float, float]]:
-    """Intervals with everything between ``low`` and ``high`` taken out; slivers go too."""
+    """Intervals without the part between ``low`` and ``high``; slivers are dropped."""
     left = [(a, min(b, low)) for a, b in parts] + [(max(a, high), b) for a, b in parts]
     return [(a, b) for a, b in sorted(set(left)) if b - a > 0.3]

@@ -1,4 +1,4 @@
-"""Every kind of degradation: pure, measured, and what it promises; sensor noise."""
+"""Every kind of degradation is pure and measured; kinds on frame plans; sensor noise."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ from sim.worlds.base import Route
 FPS, FRAMES = 30.0, 300
 
 
-def make_shoot() -> FramePlan:
+def make_plan() -> FramePlan:
     """A straight walk past ten surfaces, each of which fills the view for one second."""
     stamps_s = np.arange(FRAMES) / FPS
     route = Route(np.array([[0.0, 0], [30, 0]]), 1.0, False)
@@ -49,8 +49,8 @@ def test_sampled_severities_are_valid_and_repeat_with_the_seed(kind):
 
 
 @pytest.mark.parametrize("kind", FRAME_PLAN_KINDS)
-def test_apply_leaves_the_given_shoot_as_it_was_and_acts_within_the_segment(kind):
-    plan, segment = make_shoot(), make_segment(kind)
+def test_apply_leaves_the_given_plan_unchanged_and_acts_within_the_segment(kind):
+    plan, segment = make_plan(), make_segment(kind)
     before = replace(plan, exposure_s=plan.exposure_s.copy(), contrast=plan.contrast.copy())
     poses = plan.motion.T_world_cam(plan.stamps_s)
     degraded = DEGRADATIONS[kind].apply(plan, segment)
@@ -60,7 +60,7 @@ def test_apply_leaves_the_given_shoot_as_it_was_and_acts_within_the_segment(kind
 
     truth, measure = segment_truth(DEGRADATIONS[kind], degraded, segment, np.full(FRAMES, 20.0))
     assert measure.shape == (len(degraded.stamps_s),)
-    # A swing has hardly begun, or a stop is still braking, when half a second has passed.
+    # Half a second after its start a swing is still slow and a stop still braking.
     first_s, last_s = degraded.stamps_s[[truth.first_frame, truth.last_frame]]
     assert 3.8 <= first_s <= 4.5
     assert 5.5 <= last_s <= 6.2
@@ -69,16 +69,16 @@ def test_apply_leaves_the_given_shoot_as_it_was_and_acts_within_the_segment(kind
     assert measure[truth.first_frame] >= truth.threshold > measure[truth.first_frame - 1]
 
 
-def test_low_texture_fades_the_surfaces_that_are_passed_in_its_time():
+def test_low_texture_fades_the_surfaces_passed_during_the_segment():
     segment = make_segment("low_texture", contrast=0.1)
-    degraded = DEGRADATIONS["low_texture"].apply(make_shoot(), segment)
+    degraded = DEGRADATIONS["low_texture"].apply(make_plan(), segment)
     np.testing.assert_allclose(degraded.contrast, [1, 1, 1, 1, 0.1, 0.1, 1, 1, 1, 1])
     assert degraded.motion is not None
-    np.testing.assert_array_equal(degraded.exposure_s, make_shoot().exposure_s)
+    np.testing.assert_array_equal(degraded.exposure_s, make_plan().exposure_s)
 
 
 def test_a_surface_that_is_never_seen_is_not_faded():
-    plan = make_shoot()
+    plan = make_plan()
     segment = spec.LowTexture(kind="low_texture", start_s=0, duration_s=0.4, contrast=0.1)
     share = plan.view_share * (np.arange(10) != 7)
     unseen = replace(plan, view_share=share, moment_s=np.empty(0))
@@ -87,22 +87,22 @@ def test_a_surface_that_is_never_seen_is_not_faded():
 
 def test_motion_blur_opens_the_shutter_for_the_frames_of_the_segment_only():
     segment = make_segment("motion_blur", exposure_s=0.1)
-    exposure_s = DEGRADATIONS["motion_blur"].apply(make_shoot(), segment).exposure_s
+    exposure_s = DEGRADATIONS["motion_blur"].apply(make_plan(), segment).exposure_s
     np.testing.assert_array_equal(np.flatnonzero(exposure_s == 0.1), np.arange(120, 180))
     assert (exposure_s[[119, 180]] == 0.004).all()
 
 
-def test_blur_that_nobody_feels_acts_on_no_frame():
-    plan, segment = make_shoot(), make_segment("motion_blur", exposure_s=0.1)
+def test_blur_below_the_threshold_acts_on_no_frame():
+    plan, segment = make_plan(), make_segment("motion_blur", exposure_s=0.1)
     truth, _ = segment_truth(DEGRADATIONS["motion_blur"], plan, segment, np.full(FRAMES, 0.5))
     assert (truth.first_frame, truth.last_frame) == (-1, -1)
 
 
 @pytest.mark.parametrize(("axis", "index"), [("pitch", 0), ("yaw", 1), ("roll", 2)])
-def test_fast_rotation_swings_out_and_back_with_the_stated_peak_about_its_axis(axis, index):
+def test_fast_rotation_swings_out_and_back_about_its_axis_at_its_peak_rate(axis, index):
     segment = make_segment("fast_rotation", rate_degps=180.0, axis=axis)
-    base = make_shoot().motion
-    motion = DEGRADATIONS["fast_rotation"].apply(make_shoot(), segment).motion
+    base = make_plan().motion
+    motion = DEGRADATIONS["fast_rotation"].apply(make_plan(), segment).motion
     for outside_s in (3.9, 4.0, 6.0, 7.0):
         np.testing.assert_allclose(motion.T_world_cam(outside_s), base.T_world_cam(outside_s), atol=1e-9)
         np.testing.assert_allclose(motion.rate_radps(outside_s), base.rate_radps(outside_s), atol=1e-9)
@@ -118,7 +118,7 @@ def test_fast_rotation_swings_out_and_back_with_the_stated_peak_about_its_axis(a
 
 def test_the_swung_rate_is_the_derivative_of_the_swung_pose():
     segment = make_segment("fast_rotation", rate_degps=250.0, axis="yaw")
-    motion = DEGRADATIONS["fast_rotation"].apply(make_shoot(), segment).motion
+    motion = DEGRADATIONS["fast_rotation"].apply(make_plan(), segment).motion
     stamps_s, step_s = np.linspace(3.8, 6.2, 200), 1e-4
     before, after = (motion.T_world_cam(stamps_s + d)[:, :3, :3] for d in (-step_s / 2, step_s / 2))
     rate = Rotation.from_matrix(np.swapaxes(before, 1, 2) @ after).as_rotvec() / step_s

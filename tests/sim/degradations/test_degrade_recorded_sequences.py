@@ -1,4 +1,4 @@
-"""Degrading folders: what comes out, that it repeats, and what is refused."""
+"""Degrading recorded sequences: the result, its repeatability, and refused input."""
 
 import hashlib
 import json
@@ -14,7 +14,7 @@ START_S = 1305031102.25
 
 
 @pytest.fixture
-def footage(tmp_path):
+def recorded(tmp_path):
     """Two seconds with the clock of a real recording, without truth or depth."""
     folder = tmp_path / "office"
     (folder / "rgb").mkdir(parents=True)
@@ -48,11 +48,11 @@ DARK = "low_light:start_s=0.5,duration_s=0.5,illumination=0.05"
 DROPS = "frame_drops:start_s=1.2,duration_s=0.4,share=0.5"
 
 
-def test_segments_act_on_their_frames_alone_and_are_written(dslab, footage, tmp_path):
+def test_segments_change_only_their_own_frames_and_are_written(dslab, recorded, tmp_path):
     out = tmp_path / "out"
-    code, *_ = dslab("degrade", footage, "--segment", DARK, "--segment", DROPS, "--seed", 3, "--out", out)
+    code, *_ = dslab("degrade", recorded, "--segment", DARK, "--segment", DROPS, "--seed", 3, "--out", out)
     assert code == 0
-    clean, degraded = load_sequence(footage), load_sequence(out)
+    clean, degraded = load_sequence(recorded), load_sequence(out)
     assert len(degraded) == COUNT - 4  # half of 8 frames, the last of which stays: round(3.5)
     assert set(degraded.stamps_s) < set(clean.stamps_s)
     for index, stamp_s in enumerate(degraded.stamps_s):
@@ -67,40 +67,40 @@ def test_segments_act_on_their_frames_alone_and_are_written(dslab, footage, tmp_
     assert json.loads((out / "meta.json").read_text())["degraded"]["seed"] == 3
 
 
-def test_the_same_seed_gives_the_same_folder(dslab, footage, tmp_path):
+def test_the_same_seed_gives_the_same_folder(dslab, recorded, tmp_path):
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         segments = ["--segment", DARK, "--segment", DROPS]
-        assert dslab("degrade", footage, *segments, "--seed", seed, "--out", tmp_path / name)[0] == 0
+        assert dslab("degrade", recorded, *segments, "--seed", seed, "--out", tmp_path / name)[0] == 0
     assert digest(tmp_path / "a") == digest(tmp_path / "b") != digest(tmp_path / "c")
 
 
-def test_a_second_round_keeps_the_first_one_s_segments(dslab, footage, tmp_path):
+def test_degrading_again_keeps_the_earlier_segments(dslab, recorded, tmp_path):
     once, twice = tmp_path / "once", tmp_path / "twice"
     jpeg = "jpeg:start_s=1.7,duration_s=0.2,quality=5"
-    assert dslab("degrade", footage, "--segment", DROPS, "--segment", jpeg, "--out", once)[0] == 0
+    assert dslab("degrade", recorded, "--segment", DROPS, "--segment", jpeg, "--out", once)[0] == 0
     assert dslab("degrade", once, "--segment", DARK, "--out", twice)[0] == 0
     segments = load_sequence(twice).segments
     assert [segment.kind for segment in segments] == ["frame_drops", "jpeg", "low_light"]
     assert segments[1] == load_sequence(once).segments[1]
 
 
-def test_wrong_stamps_leave_the_images(dslab, footage, tmp_path):
+def test_wrong_stamps_leave_the_images_unchanged(dslab, recorded, tmp_path):
     out = tmp_path / "out"
     jitter = "time_jitter:start_s=0.5,duration_s=1,sigma_s=0.01"
-    assert dslab("degrade", footage, "--segment", jitter, "--out", out)[0] == 0
-    clean, degraded = load_sequence(footage), load_sequence(out)
+    assert dslab("degrade", recorded, "--segment", jitter, "--out", out)[0] == 0
+    clean, degraded = load_sequence(recorded), load_sequence(out)
     assert all(np.array_equal(a, b) for a, b in zip(clean.frames, degraded.frames, strict=True))
     moved = np.abs(clean.stamps_s - degraded.stamps_s) > 1e-6
     assert moved[10:30].all() and moved.sum() == 20
 
 
-def test_fog_works_where_there_is_depth(dslab, footage, tmp_path):
-    add_depth(footage)
+def test_fog_acts_where_depth_is_known(dslab, recorded, tmp_path):
+    add_depth(recorded)
     fog = "fog:start_s=0,duration_s=1,extinction_per_m=0.5"
-    assert dslab("degrade", footage, "--segment", fog, "--out", tmp_path / "out")[0] == 0
+    assert dslab("degrade", recorded, "--segment", fog, "--out", tmp_path / "out")[0] == 0
     degraded = load_sequence(tmp_path / "out")
     assert degraded.depths is not None and (degraded.depths[3] == 3).all()
-    assert degraded.frames[3].std() < 0.6 * load_sequence(footage).frames[3].std()
+    assert degraded.frames[3].std() < 0.6 * load_sequence(recorded).frames[3].std()
 
 
 @pytest.mark.parametrize(
@@ -108,31 +108,23 @@ def test_fog_works_where_there_is_depth(dslab, footage, tmp_path):
     [
         (["fog:start_s=0,duration_s=1,extinction_per_m=1"], ["fog needs a folder with depth", "low_light"]),
         (["rolling_shutter:start_s=0,duration_s=1,readout_s=0.1"], ["needs a world", "defocus"]),
-        (["low_texture:start_s=0,duration_s=1,contrast=0.1"], ["needs a world", "frame_drops"]),
         (["jpeg:start_s=1,duration_s=5,quality=9"], ["ends after the sequence", "2 s"]),
         ([DARK, DARK.replace("s=0.5,d", "s=0.9,d", 1)], ["one kind and overlap"]),
         (["jpg:start_s=0,duration_s=1,quality=9"], ["unknown kind 'jpg'", "jpeg (did you mean"]),
-        (["jpeg:start_s=0,duration_s=1,qualty=9"], ["qualty", "quality (did you mean"]),
-        (["jpeg:start_s=0,duration_s=1"], ["quality", "is missing"]),
-        (["jpeg:start_s=0,duration_s=1,quality"], ["no key=value"]),
-        (["jpeg:start_s=0,start_s=1,duration_s=1,quality=9"], ["start_s", "twice"]),
-        (["jpeg:start_s=x,duration_s=1,quality=9"], ["start_s", "'x'"]),
         (["jpeg:start_s=0,duration_s=1,quality=900"], ["quality", "'900'", "100"]),
-        (["jpeg:start_s=0,duration_s=1,quality=nan"], ["quality", "finite"]),
-        (["jpeg:start_s=0,duration_s=1,quality=9,ramp_s=0.6"], ["two ramps", "0.5"]),
     ],
 )  # fmt: skip
-def test_what_cannot_be_is_one_line_and_leaves_nothing(dslab, footage, tmp_path, segments, says):
+def test_an_impossible_segment_is_one_line_and_leaves_nothing(dslab, recorded, tmp_path, segments, says):
     options = [word for text in segments for word in ("--segment", text)]
-    code, _, err = dslab("degrade", footage, *options, "--out", tmp_path / "out")
+    code, _, err = dslab("degrade", recorded, *options, "--out", tmp_path / "out")
     assert code == 2
     assert err.startswith("error: ") and err.count("\n") == 1
     assert all(word in err for word in says), err
     assert not (tmp_path / "out").exists()
 
 
-def test_a_broken_image_leaves_nothing_behind(dslab, footage, tmp_path):
-    (footage / "rgb/30.png").write_bytes(b"no image")
-    code, _, err = dslab("degrade", footage, "--segment", DARK, "--out", tmp_path / "out")
+def test_a_broken_image_leaves_nothing_behind(dslab, recorded, tmp_path):
+    (recorded / "rgb/30.png").write_bytes(b"no image")
+    code, _, err = dslab("degrade", recorded, "--segment", DARK, "--out", tmp_path / "out")
     assert code == 2 and "30.png" in err
     assert [path.name for path in tmp_path.iterdir()] == ["office"]

@@ -1,4 +1,4 @@
-"""Pictures that are drawn over frames, and who passes by."""
+"""Sprites drawn over frames, and the passers-by among them."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,8 @@ from sim.degradations.passers_by import POSES, person, vehicle
 from sim.degradations.sprites import draw_behind, fill_share, filled, smooth_outline
 
 
-def slow_twin(gray, alpha, left, top, scale, shape):
-    """The picture alone on a view, by bilinear interpolation written out."""
+def drawn_in_python(gray, alpha, left, top, scale, shape):
+    """The sprite alone on a view, by explicit bilinear interpolation."""
     light, open_share = np.zeros(shape), np.ones(shape)
     span = int(np.ceil(gray.shape[1] * scale)) + 1
     for row in range(shape[0]):
@@ -27,17 +27,17 @@ def slow_twin(gray, alpha, left, top, scale, shape):
 
 
 @pytest.mark.parametrize(("left", "top", "scale"), [(3.3, 2.6, 1.0), (-7.2, -4.5, 1.7), (33.0, 10.1, 0.6)])
-def test_drawing_is_its_slow_twin(left, top, scale):
+def test_drawing_agrees_with_python(left, top, scale):
     rng = np.random.default_rng(0)
     gray, alpha = rng.integers(0, 256, (2, 20, 14), dtype=np.uint8)
     light, open_share = np.zeros((30, 40), np.float32), np.ones((30, 40), np.float32)
     draw_behind(gray, alpha, left, top, scale, light, open_share)
-    expected = slow_twin(gray, alpha, left, top, scale, (30, 40))
+    expected = drawn_in_python(gray, alpha, left, top, scale, (30, 40))
     np.testing.assert_allclose(light, expected[0], atol=2e-3)
     np.testing.assert_allclose(open_share, expected[1], atol=1e-5)
 
 
-def test_what_is_drawn_first_hides_what_comes_after():
+def test_earlier_sprites_hide_later_ones():
     light, open_share = np.zeros((30, 40), np.float32), np.ones((30, 40), np.float32)
     whole = np.full((10, 10), 255, np.uint8)
     for level in (200, 50):
@@ -73,7 +73,7 @@ def test_passers_by_have_a_shape_a_soft_outline_and_a_texture(drawn):
             np.abs(a.astype(int) - b).mean() for a, b in zip(sprite.alpha, sprite.alpha[1:], strict=False)
         ]
         assert min(steps) > 0.5
-        # The legs go, the head stays.
+        # The legs move, the head stays.
         head = sprite.alpha[:, : sprite.alpha.shape[1] // 8]
         assert np.abs(np.diff(head.astype(int), axis=0)).max() == 0
 

@@ -1,4 +1,4 @@
-"""KITTI's odometry form: a round trip, the data set's own layout, and one line for every fault."""
+"""KITTI's odometry form: round trip, the data set's own layout, one line per fault."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +18,7 @@ def folder(tmp_path) -> Path:
     return tmp_path / "seq"
 
 
-def test_what_is_written_is_read_back(folder):
+def test_a_written_sequence_is_read_back(folder):
     written, read = make_sequence(), load_sequence(folder)
     assert detect_form(folder) is Form.KITTI
     assert read.camera == PINHOLE
@@ -62,7 +62,7 @@ def test_poses_are_found_where_the_data_set_has_them(folder, tmp_path):
     assert load_sequence(home).T_world_cam is None
 
 
-def test_what_the_form_cannot_hold_is_refused(tmp_path):
+def test_a_sequence_beyond_the_form_is_refused(tmp_path):
     with pytest.raises(InputError, match="rectified images; use tum or euroc"):
         write_sequence(make_sequence(), tmp_path / "seq", Form.KITTI)
     sequence = replace(make_sequence(), camera=PINHOLE)
@@ -76,13 +76,8 @@ def test_what_the_form_cannot_hold_is_refused(tmp_path):
     ("file", "old", "new", "expected"),
     [
         ("times.txt", "0.066666667", "0.02", ["times.txt:3: stamp", "does not come after"]),
-        ("times.txt", "0.066666667", "x", ["times.txt:3: stamp", "'x'"]),
-        ("times.txt", "0.066666667", "1 2", ["times.txt:3", "2 numbers where 1"]),
         ("times.txt", "0.066666667\n", "", ["image_0", "6 images, times.txt 5 stamps"]),
         ("calib.txt", "P0:", "P1:", ["calib.txt: P0", "is missing"]),
-        ("calib.txt", "50.0 ", "", ["calib.txt:1", "11 numbers where 12"]),
-        ("calib.txt", "50.0", "wide", ["calib.txt:1: P0[0]", "'wide'"]),
-        ("calib.txt", "50.0", "5.0", ["calib.txt: fx", "absurd"]),
         ("calib.txt", "50.0 0.0", "50.0 0.1", ["calib.txt:1: P0", "no projection"]),
         ("poses/00.txt", "\n", " 1\n", ["00.txt:1", "13 numbers where 12"]),
         ("poses/00.txt", "e-01 ", "e+03 ", ["00.txt:1", "no rotation"]),

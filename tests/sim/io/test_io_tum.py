@@ -1,4 +1,4 @@
-"""TUM-form folders: a round trip, real footage's form, and one line for every fault."""
+"""TUM-form folders: round trip, variations of real recordings, one line per fault."""
 
 import json
 import os
@@ -23,7 +23,7 @@ def folder(tmp_path) -> Path:
     return tmp_path / "seq"
 
 
-def test_what_is_written_is_read_back(folder):
+def test_a_written_sequence_is_read_back(folder):
     written, read = make_sequence(), load_sequence(folder)
     assert read.name == "trial"
     assert read.camera == written.camera
@@ -103,33 +103,15 @@ def test_a_missing_file_is_named(folder, old):
     ("file", "old", "new", "expected"),
     [
         ("rgb.txt", "0.066666667", "0.02", ["rgb.txt:4: stamp", "does not come after"]),
-        ("rgb.txt", "0.066666667", "0.033333333", ["rgb.txt:4: stamp", "does not come after"]),
-        ("rgb.txt", "0.066666667", "soon", ["rgb.txt:4: stamp", "'soon'"]),
-        ("rgb.txt", "0.066666667", "nan", ["rgb.txt:4: stamp", "finite"]),
         ("rgb.txt", " rgb/000005.png", "", ["rgb.txt:7", "cut short"]),
         ("rgb.txt", "rgb/000004.png", "rgb/000044.png", ["rgb/000044.png", "missing"]),
         ("camera.yaml", "fx: 50.0", "fx: -50.0", ["camera.yaml: fx", "absurd"]),
         ("camera.yaml", "fx: 50.0\n", "", ["camera.yaml: fx", "is missing"]),
-        ("camera.yaml", "fx: 50.0", "fx: wide", ["camera.yaml: fx", "'wide'"]),
         ("camera.yaml", "fy: 51.0", "fy: .nan", ["camera.yaml: fy", "finite"]),
         ("camera.yaml", "cx: 30.5", "cx: 64", ["camera.yaml: cx", "outside the image", "0 to 63"]),
-        ("camera.yaml", "cy: 20.25", "cy: -1", ["camera.yaml: cy", "outside the image"]),
-        ("camera.yaml", "width: 64", "width: 0", ["camera.yaml: width"]),
         ("camera.yaml", "width: 64", "width: 65", ["000000.png", "64x48", "65x48"]),
-        ("camera.yaml", "fps: 30.0", "fps: 0", ["camera.yaml: fps"]),
         ("camera.yaml", "k3: 0.3", "k4: 0.3", ["camera.yaml: k4", "unknown key", "k3"]),
-        (
-            "camera.yaml",
-            "fps: 30.0",
-            "model: wide",
-            ["camera.yaml: model", "'wide'", "equidistant"],
-        ),
-        (
-            "camera.yaml",
-            "fps: 30.0",
-            "model: equidistant",
-            ["camera.yaml: p1", "model equidistant"],
-        ),
+        ("camera.yaml", "fps: 30.0", "model: equidistant", ["camera.yaml: p1", "model equidistant"]),
         ("camera.yaml", "fx: 50.0", "fx: [", ["camera.yaml", "YAML"]),
         ("segments.json", '"first_frame": 2', '"first_frame": 99', ["segments.json: [0]", "99"]),
         ("segments.json", '"kind"', '"sort"', ["segments.json: [0]", "no segment"]),
@@ -152,10 +134,8 @@ def replace_truth_line(folder: Path, line: str) -> None:
     ("line", "expected"),
     [
         ("0.0667 1 2 3 0 0 0", ["groundtruth.txt:4", "7 numbers where 8"]),
-        ("0.0667 1 x 3 0 0 0 1", ["groundtruth.txt:4: ty", "'x'"]),
         ("0.0667 1 inf 3 0 0 0 1", ["groundtruth.txt:4: ty", "finite"]),
         ("0.0667 1 2 3 0 0 0 0", ["groundtruth.txt:4: qx qy qz qw", "unit quaternion"]),
-        ("0.0001 1 2 3 0 0 0 1", ["groundtruth.txt:4: stamp", "does not come after"]),
     ],
 )
 def test_each_fault_of_the_truth_names_its_line(folder, line, expected):

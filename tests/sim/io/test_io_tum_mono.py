@@ -1,4 +1,4 @@
-"""The TUM-mono form: photometric correction, rectification of the FOV lens, and one line for every fault."""
+"""The TUM-mono form: photometric correction, the FOV lens, one line per fault."""
 
 import zipfile
 from pathlib import Path
@@ -50,7 +50,7 @@ def folder(tmp_path) -> Path:
     return home
 
 
-def test_frames_are_the_light_seen_by_the_pinhole_camera(folder):
+def test_frames_show_the_light_of_the_pinhole_camera(folder):
     assert detect_form(folder) is Form.TUM_MONO
     sequence = load_sequence(folder)
     camera = sequence.camera
@@ -124,7 +124,7 @@ def test_a_stated_rectification_is_used(folder):
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((32, 31.8, 39.5, 29.5))
 
 
-def test_it_is_written_in_other_forms_only(folder, tmp_path):
+def test_tum_mono_is_written_only_in_other_forms(folder, tmp_path):
     sequence = load_sequence(folder)
     with pytest.raises(InputError, match="read, not written"):
         write_sequence(sequence, tmp_path / "out", Form.TUM_MONO)
@@ -138,20 +138,13 @@ def test_it_is_written_in_other_forms_only(folder, tmp_path):
     ("file", "old", "new", "expected"),
     [
         ("times.txt", "0.100000", "0.01", ["times.txt:3: stamp", "does not come after"]),
-        ("times.txt", "0.100000", "x", ["times.txt:3: stamp", "'x'"]),
-        ("times.txt", "0.100000 5.5", "0.1 5.5 7", ["times.txt:3", "4 numbers where 3"]),
         ("times.txt", "00003 0.150000 5.5\n", "", ["images", "4 images, times.txt 3 stamps"]),
         ("camera.txt", "crop\n", "", ["camera.txt", "3 lines where 4"]),
-        ("camera.txt", "crop", "full", ["camera.txt:3", "'full'", "crop"]),
-        ("camera.txt", "0.5357", "wide 0.5357", ["camera.txt:1", "6 numbers where 5"]),
         ("camera.txt", "0.535719308086809", "-0.5", ["camera.txt:1", "shares of the image"]),
         ("camera.txt", "0.897966326944875", "2.5", ["camera.txt:1: omega", "degrees"]),
-        ("camera.txt", "0.897966326944875", "x", ["camera.txt:1: omega", "'x'"]),
         ("camera.txt", "160 128", "161 128", ["160x128 pixels, camera.txt says 161x128", "00000.png"]),
-        ("camera.txt", "80 60", "8 6", ["camera.txt:4: width", "image size"]),
         ("pcalib.txt", "0.000000 ", "", ["pcalib.txt", "255 numbers where 256"]),
         ("pcalib.txt", "0.000000 ", "9.0 ", ["pcalib.txt:1: level 1", "does not grow"]),
-        ("pcalib.txt", "0.000000 ", "x ", ["pcalib.txt:1: level 0", "'x'"]),
     ],
 )
 def test_each_fault_of_a_file_names_place_and_field(folder, file, old, new, expected):

@@ -22,13 +22,12 @@ ROUTES = {"ring": RING, "corners": CORNERS, "short": SHORT, "tight": TIGHT}
 @pytest.mark.parametrize("speed_mps", [0.5, 3.0])
 def test_speed_and_rate_stay_within_the_limits_and_the_path_in_the_free_space(route, speed_mps):
     limits = Trajectory(max_speed_mps=speed_mps, max_rate_degps=35, gaze_deg=30)
-    for seed in range(3):
-        motion = plan_walk(route, limits, 12, seed)
-        stamps_s = np.arange(0, 12, 0.003)
-        assert np.linalg.norm(motion.velocity_mps(stamps_s), axis=1).max() <= speed_mps
-        assert np.rad2deg(np.linalg.norm(motion.rate_radps(stamps_s), axis=1)).max() <= 35
-        centres = motion.T_world_cam(stamps_s)[:, :3, 3]
-        assert distance_to_route(centres[:, :2], route).max() <= route.clearance_m
+    motion = plan_walk(route, limits, 12, 0)
+    stamps_s = np.arange(0, 12, 0.003)
+    assert np.linalg.norm(motion.velocity_mps(stamps_s), axis=1).max() <= speed_mps
+    assert np.rad2deg(np.linalg.norm(motion.rate_radps(stamps_s), axis=1)).max() <= 35
+    centres = motion.T_world_cam(stamps_s)[:, :3, 3]
+    assert distance_to_route(centres[:, :2], route).max() <= route.clearance_m
 
 
 def test_velocity_and_rate_are_the_derivatives_of_the_pose():

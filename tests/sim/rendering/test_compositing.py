@@ -1,4 +1,4 @@
-"""What GL hands back, put together: against NumPy, bit by bit."""
+"""Compositing of rendered parts against NumPy, bit by bit."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def parts():
     return made
 
 
-def test_the_nearer_of_two_parts_shows_and_the_first_where_they_are_equally_near(parts):
+def test_the_nearer_part_shows_and_the_first_of_equally_near_ones(parts):
     gray, zbuffer = np.zeros((6, 9), np.uint8), np.zeros((6, 9), np.float32)
     expected_gray, expected_z = gray.copy(), zbuffer.copy()
     for rgb, part_z in parts:

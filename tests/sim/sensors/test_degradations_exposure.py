@@ -1,4 +1,4 @@
-"""Motion blur: against averaged sub-frames, against a NumPy twin, and its limits."""
+"""Motion blur: against averaged sub-frames, against NumPy, and its limits."""
 
 import cv2
 import numpy as np
@@ -53,8 +53,8 @@ LOOK_ALONG_X[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
 
 @pytest.mark.parametrize(
     ("offset_m", "turn_deg"),
-    [((0.16, 0.0, 0.0), (0, 0, 0)), ((0, 0, 0), (0.0, 3.5, 0.0)), ((0.12, 0.05, 0.2), (0.8, 0.4, 2.0))],
-    ids=["translation", "yaw", "everything"],
+    [((0.16, 0.0, 0.0), (0, 0, 0)), ((0.12, 0.05, 0.2), (0.8, 0.4, 2.0))],
+    ids=["translation", "everything"],
 )
 def test_blur_is_the_mean_of_rendered_sub_frames_in_linear_light(renderer, offset_m, turn_deg):
     half_offset, half_turn = np.array(offset_m) / 2, np.array(turn_deg) / 2
@@ -103,7 +103,7 @@ def integrate_in_numpy(gray, linear, depth_m, k, T_open, T_close):
     return np.where((length < exposure.SHARP_PX) | (seen == 0), gray, mean), length
 
 
-@pytest.mark.parametrize("px", [0.1, 1.0, 7.0, 60.0])
+@pytest.mark.parametrize("px", [0.1, 7.0, 60.0])
 def test_the_kernel_agrees_with_numpy(px):
     rng = np.random.default_rng(3)
     gray = texture(5, 64)[:48]
@@ -126,7 +126,7 @@ def test_the_kernel_agrees_with_numpy(px):
     np.testing.assert_allclose(on_grid, length[::16, ::16].ravel(), rtol=1e-3, atol=1e-3)
 
 
-def test_light_is_summed_and_not_levels():
+def test_linear_light_is_summed():
     """Half black, half white over the exposure is half the light: level 188, not 128."""
     stripes = np.where(np.arange(320) // 16 % 2, 255, 0).astype(np.uint8)
     gray = np.tile(stripes, (240, 1))

@@ -1,4 +1,4 @@
-"""Motion blur at outlines: against layers moved exactly, against a NumPy twin, and where there are none."""
+"""Motion blur at outlines: against layers moved exactly, against NumPy, and without outlines."""
 
 import cv2
 import numpy as np
@@ -72,7 +72,7 @@ def test_a_near_card_smears_over_the_far_wall_and_uncovers_it():
     np.testing.assert_array_equal(image[away], plain[away])
 
 
-def test_what_a_card_uncovers_is_the_wall_beside_it_and_never_the_card():
+def test_a_card_uncovers_the_wall_beside_it_and_never_itself():
     sharp, depth_m, _, card = card_before_wall()
     sharp = np.where(card, 255, 40).astype(np.uint8)
     image, _ = expose(sharp, depth_m, CAMERA, sideways(-0.25), sideways(0.25))
@@ -128,7 +128,7 @@ def test_the_kernel_agrees_with_numpy_where_nothing_is_hidden():
             if all_met:
                 errors.append(abs(out[row, column] - 255 * linear_to_srgb(mean)))
     assert len(errors) > 60
-    # On an outline, a ray may meet the one pixel or the next.
+    # On an outline, a ray may meet either of two neighbouring pixels.
     assert np.median(errors) <= 1.0
     assert np.quantile(errors, 0.9) <= 6.0
 
@@ -154,8 +154,8 @@ def test_turning_alone_has_no_outlines():
     assert (near == -1).all()
 
 
-@pytest.mark.parametrize("turn_rad", [0.5, 2.0, 3.1])
-def test_any_motion_ends_in_a_frame(turn_rad):
+@pytest.mark.parametrize("turn_rad", [0.5, 3.1])
+def test_any_motion_gives_a_frame(turn_rad):
     sharp, depth_m, _, _ = card_before_wall()
     T = sideways(1.5)
     T[2, 3] = 1.2

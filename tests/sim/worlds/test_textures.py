@@ -1,3 +1,5 @@
+"""Textures: noise, dead leaves, text, levels, and every finish."""
+
 from itertools import pairwise
 
 import cv2
@@ -24,7 +26,7 @@ def test_noise_has_zero_mean_and_unit_deviation():
     assert noise.std() == pytest.approx(1, abs=1e-3)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (3, 2), (17, 1000)])
+@pytest.mark.parametrize("shape", [(1, 1), (17, 1000)])
 def test_noise_fits_any_shape(shape):
     noise = fractal_noise(shape, np.random.default_rng(0))
     assert noise.shape == shape and np.isfinite(noise).all()
@@ -59,7 +61,7 @@ def test_dead_leaves_cover_more_with_more_of_them():
 
 def test_dead_leaves_sizes_follow_a_cubic_law():
     # Nearly without overlap every shape is one blob, and of those above a size a quarter is above its double.
-    image = np.zeros((6000, 6000), np.uint8)
+    image = np.zeros((4000, 4000), np.uint8)
     dead_leaves(image, 1000.0, np.random.default_rng(2), 60, (0.008, 0.2), (255, 255))
     _, _, stats, _ = cv2.connectedComponentsWithStats(image)
     extents = np.sort(stats[1:, 2:4].max(axis=1)).astype(float)
@@ -75,7 +77,7 @@ def test_text_leaves_gaps_and_ink():
     assert 0.05 < (image == 20).mean() < 0.5
 
 
-@pytest.mark.parametrize(("mean", "deviation"), [(118, 40), (60, 30), (168, 30), (240, 8)])
+@pytest.mark.parametrize(("mean", "deviation"), [(118, 40), (240, 8)])
 def test_levels_fit_mean_and_deviation_despite_clipping(mean, deviation):
     image = np.random.default_rng(0).integers(0, 256, (200, 200), dtype=np.uint8)
     fitted = fit_levels(image, mean, deviation)
@@ -96,25 +98,21 @@ def test_multiply_stretches_the_gain_over_the_image():
 
 
 @pytest.mark.parametrize("name", FINISHES)
-class TestEveryFinish:
-    def test_has_its_mean_level(self, name):
-        texture = paint(name, (1.7, 2.4), 128.0, rng_for(1, name))
-        assert texture.shape == (307, 218) and texture.dtype == np.uint8
-        assert texture.mean() == pytest.approx(FINISHES[name].mean_level, abs=0.5)
-
-    def test_is_fixed_by_its_stream_and_unique_to_it(self, name):
-        first, again, other = (paint(name, (0.8, 0.6), 128.0, rng_for(seed, name)) for seed in (1, 1, 2))
-        np.testing.assert_array_equal(first, again)
-        assert (first != other).mean() > 0.3
-
-    @pytest.mark.parametrize("size_m", [(0.03, 2.8), (2.0, 0.03), (0.01, 0.01), (0.25, 0.3)])
-    @pytest.mark.parametrize("scale", [20.0, 256.0])
-    def test_paints_panels_of_any_size(self, name, size_m, scale):
-        texture = paint(name, size_m, scale, rng_for(3, name))
-        assert min(texture.shape) >= 8
+def test_every_finish_has_its_mean_level_and_is_fixed_by_its_stream(name):
+    first, again, other = (paint(name, (1.7, 1.2), 64.0, rng_for(seed, name)) for seed in (1, 1, 2))
+    assert first.shape == (77, 109) and first.dtype == np.uint8
+    assert first.mean() == pytest.approx(FINISHES[name].mean_level, abs=0.5)
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).mean() > 0.3
 
 
-@pytest.mark.parametrize("name", [*WALL_FINISHES, *FLOOR_FINISHES, "ceiling"])
+@pytest.mark.parametrize("name", FINISHES)
+def test_every_finish_paints_panels_of_any_size(name):
+    for size_m, scale in (((0.03, 2.8), 128.0), ((2.0, 0.03), 128.0), ((0.01, 0.01), 20.0)):
+        assert min(paint(name, size_m, scale, rng_for(3, name)).shape) >= 8
+
+
+@pytest.mark.parametrize("name", [WALL_FINISHES[0], FLOOR_FINISHES[0], "ceiling"])
 def test_large_surfaces_have_corners_everywhere(name):
     texture = paint(name, (2.0, 2.4), 160.0, rng_for(5, name))
     keypoints = cv2.ORB_create(5000, edgeThreshold=4).detect(texture)

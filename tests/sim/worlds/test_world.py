@@ -1,25 +1,44 @@
+"""Built worlds: the same bytes for a seed, detail, brightness, features, routes, and truth against flow."""
+
 import hashlib
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
-from world_views import CAMERA, SMALL, along, check_flow, flow_errors, length, moved, poses, reproject
+from world_views import (
+    CAMERA,
+    SMALL,
+    along,
+    cheap_textures,
+    cheap_world,
+    check_flow,
+    flow_errors,
+    length,
+    moved,
+    poses,
+    reproject,
+)
 
 from scenarios.errors import InputError
 from scenarios.worlds import CorridorWorld, RoomWorld
 from sim.rendering.mujoco_renderer import MujocoRenderer
 from sim.sensors.camera import Intrinsics
-from sim.worlds import WORLDS, build, build_world, layout
+from sim.worlds import WORLDS, assembly, build_world, layout
 from sim.worlds.base import WorldModel
 
 INDOORS = ("room", "corridor")
+QUICK = "room"
 EXTREMES = {
     "room 4x4": RoomWorld(length_m=4, width_m=4, height_m=2.2),
     "room 30x5": RoomWorld(length_m=30, width_m=5, height_m=6),
     "corridor straight": CorridorWorld(length_m=8, turns=0),
     "corridor narrow": CorridorWorld(length_m=60, width_m=1.4, height_m=2.2, turns=9),
-    "corridor wide": CorridorWorld(length_m=200, width_m=8, turns=5),
 }
+
+
+def slow_unless(quick: str, names) -> list:
+    return [pytest.param(name, marks=() if name == quick else pytest.mark.slow) for name in names]
 
 
 def digest(world: WorldModel) -> str:
@@ -33,7 +52,18 @@ def test_every_registered_world_is_tested():
     assert set(SMALL) == set(WORLDS)
 
 
-@pytest.fixture(params=SMALL, scope="module")
+@pytest.mark.parametrize("kind", SMALL)
+def test_every_world_is_fixed_by_its_seed_and_names_its_surfaces(kind):
+    world, other = (cheap_world(kind, seed) for seed in (4, 5))
+    with cheap_textures():
+        again = build_world(SMALL[kind], 4)
+    assert digest(world) == digest(again) != digest(other)
+    assert (world.contrast == 1).all() and len(world.contrast) == len(world.surfaces)
+    labels = [s.label for s in world.surfaces]
+    assert len(set(labels)) == len(labels)
+
+
+@pytest.fixture(params=slow_unless(QUICK, SMALL), scope="module")
 def built(request):
     spec = SMALL[request.param]
     world = build_world(spec, 4)
@@ -42,35 +72,20 @@ def built(request):
     renderer.close()
 
 
-@pytest.fixture
-def plain_textures(monkeypatch):
-    """Worlds with the same geometry and no time spent on textures."""
-    monkeypatch.setattr(build, "paint", lambda *_: np.full((8, 8), 100, np.uint8))
-
-
 class TestBuiltWorld:
-    def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(self, built):
+    def test_the_bytes_do_not_depend_on_the_number_of_threads(self, built):
         spec, world, _, _ = built
         threads = cv2.getNumThreads()
         cv2.setNumThreads(1 if threads > 1 else 2)
         try:
-            # Nor do threads change a bit.
             assert digest(build_world(spec, 4)) == digest(world)
         finally:
             cv2.setNumThreads(threads)
-        if spec.kind in INDOORS:  # the others take long to build
-            assert digest(build_world(spec, 5)) != digest(world)
 
     def test_no_texture_is_used_twice(self, built):
         _, world, _, _ = built
         textures = [s.texture.tobytes() for s in world.surfaces]
         assert len(set(textures)) == len(textures)
-
-    def test_every_surface_has_a_contrast_and_a_name_of_its_own(self, built):
-        _, world, _, _ = built
-        assert (world.contrast == 1).all() and len(world.contrast) == len(world.surfaces)
-        labels = [s.label for s in world.surfaces]
-        assert len(set(labels)) == len(labels)
 
     def test_walls_show_detail_from_one_metre(self, built):
         spec, world, _, _ = built
@@ -79,14 +94,14 @@ class TestBuiltWorld:
                 width = np.linalg.norm(surface.vertices[1] - surface.vertices[0])
                 assert surface.texture.shape[1] / width > 250
 
-    def test_the_world_is_as_bright_as_the_level_it_fades_to(self, built):
+    def test_the_mean_brightness_is_the_level_to_which_textures_fade(self, built):
         _, world, route, renderer = built
         mean = np.mean([renderer.render(T)[0].mean() for T in poses(route, 6)])
         assert abs(mean - world.mean_level) < 25
 
     def test_clean_frames_are_rich_in_spread_features(self, built):
         spec, _, route, renderer = built
-        # Half of what is outdoors is sky, a motorway is even asphalt, a warehouse ends at plain walls.
+        # Half of an outdoor view is sky, a motorway is plain asphalt, a warehouse ends at plain walls.
         cells = {"motorway": 14, "field": 24, "warehouse": 18}.get(spec.kind, 30)
         for T in poses(route, 12):
             keypoints = cv2.ORB_create(1000).detect(renderer.render(T)[0])
@@ -124,14 +139,13 @@ class TestBuiltWorld:
         check_flow([flow_errors(renderer, first, moved(first, 0.05, 1.0)) for first in firsts], at_least=1000)
 
 
-@pytest.mark.parametrize("kind", INDOORS)
+@pytest.mark.parametrize("built", slow_unless(QUICK, INDOORS), indirect=True)
 @pytest.mark.parametrize(("contrast", "most"), [(0.05, 60), (0.0, 2)])
-def test_faded_worlds_have_hardly_any_features_under_noise(kind, contrast, most):
-    world, route = build_world(SMALL[kind], 4), layout(SMALL[kind], 4)
-    world.contrast[:] = contrast
-    renderer = MujocoRenderer(world, CAMERA)
+def test_faded_worlds_have_hardly_any_features_under_noise(built, contrast, most):
+    _, world, route, _ = built
+    renderer = MujocoRenderer(replace(world, contrast=np.full(len(world.surfaces), contrast)), CAMERA)
     rng = np.random.default_rng(0)
-    for T in poses(route, 6):
+    for T in poses(route, 3):
         noisy = np.clip(np.rint(renderer.render(T)[0] + rng.normal(0, 1.5, (480, 640))), 0, 255).astype(
             np.uint8
         )
@@ -139,16 +153,20 @@ def test_faded_worlds_have_hardly_any_features_under_noise(kind, contrast, most)
     renderer.close()
 
 
-@pytest.mark.usefixtures("plain_textures")
-@pytest.mark.parametrize("name", EXTREMES)
+@pytest.fixture(params=slow_unless("corridor narrow", EXTREMES), scope="module")
+def shape(request):
+    with cheap_textures():
+        spec = EXTREMES[request.param]
+        return spec, build_world(spec, 2), layout(spec, 2)
+
+
 class TestEveryShape:
-    def test_the_route_keeps_its_clearance(self, name):
-        spec = EXTREMES[name]
-        route = layout(spec, 2)
+    def test_the_route_keeps_its_clearance(self, shape):
+        _, world, route = shape
         assert route.clearance_m > 0.2
         points = np.array([along(route, s)[:2, 3] for s in np.arange(0, length(route), 0.1)])
         nearest = np.inf
-        for surface in build_world(spec, 2).surfaces:
+        for surface in world.surfaces:
             corners = surface.vertices[:, :2]
             low, high = corners.min(axis=0), corners.max(axis=0)
             if (
@@ -158,20 +176,16 @@ class TestEveryShape:
                 nearest = min(nearest, np.linalg.norm(outside, axis=1).min())
         assert nearest >= route.clearance_m - 1e-6
 
-    def test_no_gap_opens_anywhere_along_the_route(self, name):
-        spec = EXTREMES[name]
-        route = layout(spec, 2)
-        renderer = MujocoRenderer(
-            build_world(spec, 2), Intrinsics(320, 240, 160.0, 160.0, 159.5, 119.5, 30.0)
-        )
+    def test_no_gap_opens_anywhere_along_the_route(self, shape):
+        _, world, route = shape
+        renderer = MujocoRenderer(world, Intrinsics(320, 240, 160.0, 160.0, 159.5, 119.5, 30.0))
         for s in np.linspace(0, length(route) - 0.1, 16):
             for gaze_deg in (0, 90, 180, 270):
                 assert (renderer.render(along(route, s, gaze_deg))[1] > 0).all()
         renderer.close()
 
-    def test_the_route_is_where_the_specification_says(self, name):
-        spec = EXTREMES[name]
-        route = layout(spec, 2)
+    def test_the_route_is_where_the_specification_says(self, shape):
+        spec, _, route = shape
         if isinstance(spec, RoomWorld):
             assert route.closed
             np.testing.assert_allclose(route.centre_m[0], route.centre_m[-1], atol=1e-9)
@@ -191,6 +205,6 @@ def test_too_many_turns_are_bad_input():
 
 
 def test_a_large_world_stays_within_the_texture_budget(monkeypatch):
-    monkeypatch.setattr(build, "_PIXEL_BUDGET", 1e6)
+    monkeypatch.setattr(assembly, "_PANEL_BUDGET_PX", 1e6)
     world = build_world(SMALL["room"], 0)
     assert sum(s.texture.size for s in world.surfaces) < 1.3e6

@@ -29,7 +29,7 @@ def all_houses(plan: Plan) -> list:
 
 @pytest.mark.parametrize("spec", SPECS.values(), ids=SPECS)
 class TestEveryPlan:
-    def test_the_route_has_the_length_asked_for_and_closes_if_it_is_a_loop(self, spec):
+    def test_the_route_has_the_declared_length_and_closes_in_a_loop(self, spec):
         route = layout(spec, 3)
         walked = length(route)
         assert walked == pytest.approx(spec.length_m, rel=0.06)

@@ -1,7 +1,8 @@
-"""Light and air as options of worlds: sun, clouds, haze, lamps."""
+"""Light and air of worlds: sun, clouds, haze, lamps."""
 
 import numpy as np
 import pytest
+from world_views import cheap_textures
 
 from scenarios.seeds import rng_for
 from scenarios.spec import Camera
@@ -36,11 +37,11 @@ def wall(distance_m: float) -> WorldModel:
 
 
 class TestSun:
-    def test_it_stands_where_the_weather_says(self):
+    def test_the_sun_stands_where_the_weather_says(self):
         light = daylight(sun_elevation_deg=30, sun_azimuth_deg=90)
         np.testing.assert_allclose(light.towards, [0, np.cos(np.pi / 6), 0.5], atol=1e-12)
 
-    def test_what_the_weather_leaves_open_is_the_seeds(self):
+    def test_the_seed_draws_what_the_weather_leaves_open(self):
         np.testing.assert_array_equal(daylight().towards, daylight().towards)
         turned = daylight(sun_azimuth_deg=10).towards
         assert turned[2] == pytest.approx(daylight().towards[2])
@@ -55,7 +56,7 @@ class TestSun:
             lengths.append((gain < gain.max()).sum())
         assert lengths[0] > 3 * lengths[1] > 0
 
-    def test_under_clouds_nothing_casts_a_shadow_and_the_sky_lights_what_looks_up(self):
+    def test_under_clouds_nothing_casts_a_shadow_and_the_sky_lights_from_above(self):
         light = daylight(sky="overcast")
         before = light.gain(np.zeros((1, 3)), UP)
         light.shade_polygon(np.array([[-5.0, -5], [5, -5], [5, 5], [-5, 5]]), 9.0)
@@ -63,7 +64,7 @@ class TestSun:
             light.gain(np.zeros((1, 3)), UP) == before > light.gain(np.zeros((1, 3)), np.array([1.0, 0, 0]))
         )
 
-    def test_hills_shade_what_is_behind_them(self):
+    def test_hills_cast_shadows_behind_them(self):
         light = daylight(sun_elevation_deg=15, sun_azimuth_deg=0)
         light.lay_ground(lambda plan: 6.0 * (np.abs(plan[..., 0] - 8) < 1))
         gain = light.gain(np.array([[0.0, 0, 0], [20.0, 0, 0]]), UP)
@@ -74,7 +75,7 @@ class TestHaze:
     CAMERA = Camera(width_px=64, height_px=64, fx_px=50, fy_px=50, cx_px=31.5, cy_px=31.5)
 
     def contrast(self, distance_m: float, haze_m: float | None) -> float:
-        """Of the light of a checkered wall, as its camera sees it near the optical axis."""
+        """Contrast of the light of a checkered wall near the optical axis."""
         world = hazed(wall(distance_m), Outdoors(haze_m=haze_m))
         T = np.eye(4)
         T[:3, :3] = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
@@ -85,14 +86,14 @@ class TestHaze:
         share = self.contrast(300.0, 300.0) / self.contrast(300.0, None)
         assert share == pytest.approx(0.02, abs=0.012)
 
-    def test_near_things_are_as_clear_as_ever(self):
+    def test_near_things_stay_clear(self):
         assert self.contrast(2.0, 300.0) > 0.94 * self.contrast(2.0, None)
 
     def test_clear_air_is_no_haze(self):
         world = wall(5.0)
         assert hazed(world, Outdoors()) is world
 
-    def test_the_veil_keeps_what_is_at_no_distance_and_hides_what_is_at_none_known(self):
+    def test_scattering_keeps_near_surfaces_and_hides_those_without_depth(self):
         scattering = Scattering(Intrinsics(8, 6, 9.0, 9.0, 3.5, 2.5, 30.0), 200.0)
         image = np.full((6, 8), 40, np.uint8)
         near, share = scattering.drawn(image, np.full((6, 8), 1e-3, np.float32), 0.5)
@@ -102,8 +103,9 @@ class TestHaze:
 
 
 def test_dim_lamps_dim_everything_alike():
-    world = build_world(RoomWorld(length_m=4, width_m=4, height_m=2.4), 0)
-    dark = build_world(RoomWorld(length_m=4, width_m=4, height_m=2.4, lamp_level=0.4), 0)
+    with cheap_textures():
+        world = build_world(RoomWorld(), 0)
+        dark = build_world(RoomWorld(lamp_level=0.4), 0)
     assert dark.mean_level == pytest.approx(0.4 * world.mean_level)
     for bright, dim in zip(world.surfaces, dark.surfaces, strict=True):
         np.testing.assert_allclose(dim.texture, 0.4 * bright.texture.astype(float), atol=0.51)

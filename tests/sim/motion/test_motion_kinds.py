@@ -1,4 +1,4 @@
-"""Car, hand-held camera and drone: each within its limits, in the free space, and with its own character."""
+"""Every kind of motion: its limits, its free space, its derivatives, and its own character."""
 
 import numpy as np
 import pytest
@@ -16,24 +16,24 @@ from sim.worlds.base import Route
 LOOP = layout(CityWorld(length_m=400, loop=True), 1)
 STREETS = layout(CityWorld(length_m=400, turns=2), 1)
 CORNERS = Route(np.array([[0.0, 0], [14, 0], [14, 12], [28, 12]]), 0.7, False)
-CASES = [("walk", CORNERS), ("handheld", CORNERS), ("car", LOOP), ("car", STREETS), ("drone", STREETS)]
+CASES = [("walk", CORNERS), ("handheld", CORNERS), ("car", LOOP), ("drone", STREETS)]
+SEED = 3
 
 
-@pytest.mark.parametrize(("kind", "route"), CASES)
-@pytest.mark.parametrize("seed", [0, 3])
-class TestEveryCarrier:
-    def test_speed_and_rate_stay_within_the_limits_and_the_path_in_the_free_space(self, kind, route, seed):
+@pytest.mark.parametrize(("kind", "route"), CASES, ids=[kind for kind, _ in CASES])
+class TestEveryMotion:
+    def test_speed_and_rate_stay_within_the_limits_and_the_path_in_the_free_space(self, kind, route):
         limits = Trajectory(kind=kind)
-        motion = plan_motion(route, limits, 25, seed)
-        stamps_s = np.arange(0, 25, 0.004)
+        motion = plan_motion(route, limits, 15, SEED)
+        stamps_s = np.arange(0, 15, 0.004)
         assert np.linalg.norm(motion.velocity_mps(stamps_s), axis=1).max() <= limits.max_speed_mps
         assert np.rad2deg(np.linalg.norm(motion.rate_radps(stamps_s), axis=1)).max() <= limits.max_rate_degps
         centres = motion.T_world_cam(stamps_s[::25])[:, :3, 3]
         assert distance_to_route(centres[:, :2], route).max() <= route.clearance_m
         assert abs(np.median(centres[:, 2]) - limits.eye_height_m) < 0.1
 
-    def test_velocity_and_rate_are_the_derivatives_of_the_pose(self, kind, route, seed):
-        motion = plan_motion(route, Trajectory(kind=kind, gaze_deg=20), 10, seed)
+    def test_velocity_and_rate_are_the_derivatives_of_the_pose(self, kind, route):
+        motion = plan_motion(route, Trajectory(kind=kind, gaze_deg=20), 10, SEED)
         step_s, stamps_s = 1e-4, np.linspace(-0.5, 10.5, 200)
         before, after = (motion.T_world_cam(stamps_s + s * step_s / 2) for s in (-1, 1))
         np.testing.assert_allclose(
@@ -43,19 +43,19 @@ class TestEveryCarrier:
         rate = Rotation.from_matrix(turned).as_rotvec() / step_s
         np.testing.assert_allclose(motion.rate_radps(stamps_s), rate, atol=1e-5)
 
-    def test_seeds_vary_the_motion_and_repeat_it(self, kind, route, seed):
+    def test_seeds_vary_the_motion_and_repeat_it(self, kind, route):
         one, same, other = (
-            plan_motion(route, Trajectory(kind=kind), 4, s).T_world_cam(2.0) for s in (seed, seed, seed + 1)
+            plan_motion(route, Trajectory(kind=kind), 4, seed).T_world_cam(2.0) for seed in (1, 1, 2)
         )
         np.testing.assert_array_equal(one, same)
         assert np.abs(one - other).max() > 1e-3
 
 
-def test_every_kind_is_tested():
+def test_every_kind_of_motion_is_tested():
     assert {kind for kind, _ in CASES} == set(KINDS)
 
 
-def test_a_walk_is_what_it_was_before_there_were_kinds():
+def test_a_walk_is_the_default():
     assert Trajectory() == Trajectory(kind="walk")
     walk, plain = (plan(CORNERS, Trajectory(), 10, 2).T_world_cam(5.0) for plan in (plan_motion, plan_walk))
     np.testing.assert_array_equal(walk, plain)
@@ -118,8 +118,8 @@ def test_a_hand_held_camera_bobs_at_the_frequency_of_the_steps():
 
 def test_gusts_push_a_drone_and_it_leans_against_them():
     # The mean wind, and so the push, differs from seed to seed; calm air is the same flight without it.
-    calm, blown = (plan_motion(STREETS, Trajectory(kind="drone", gust_mps=g), 20, 4) for g in (0.0, 4.0))
-    stamps_s = np.arange(0, 20, 0.05)
+    calm, blown = (plan_motion(STREETS, Trajectory(kind="drone", gust_mps=g), 12, 4) for g in (0.0, 4.0))
+    stamps_s = np.arange(0, 12, 0.05)
     off = (blown.T_world_cam(stamps_s) - calm.T_world_cam(stamps_s))[:, :3, 3]
     assert 0.02 < np.linalg.norm(off, axis=1).std() + np.linalg.norm(off, axis=1).mean() < STREETS.clearance_m
     tilt = np.arccos(-blown.T_world_cam(stamps_s)[:, 2, 1])
@@ -146,7 +146,7 @@ def test_pace_is_lowered_until_brakes_and_engine_can_follow():
         ({"kind": "drone", "max_accel_mps2": 0.0}, "cannot move"),
     ],
 )
-def test_fields_that_a_kind_has_not_are_bad_input(fields, message):
+def test_fields_of_another_kind_are_bad_input(fields, message):
     with pytest.raises(ValueError, match=message):
         Trajectory(**fields)
 
