@@ -12,7 +12,7 @@ from experiments.gallery.timeline import segment_table, timeline
 from scenarios.describe import describe_camera, describe_kind, describe_motion, describe_world, measured
 from scenarios.describe_family import describe_distribution, describe_parameter, parameter_label
 from scenarios.families import Family
-from scenarios.segment_text import SEGMENT_MODELS
+from scenarios.segments import SEGMENT_KINDS
 
 _STYLE = Path(__file__).with_name("style.css")
 _SHOWN_BLUR_PX = 2.0
@@ -67,7 +67,7 @@ def gallery_html(entries: Many[Entry], made_by: str) -> str:
 def _kind_colours() -> str:
     return "".join(
         f".{kind}{{--kind:hsl({index * _HUE_STEP_DEG % 360:.0f} 75% 47%)}}\n"
-        for index, kind in enumerate(SEGMENT_MODELS)
+        for index, kind in enumerate(SEGMENT_KINDS)
     )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from degradation_worlds import small_backend, small_scenario
 
-from scenarios.segment_text import SEGMENT_MODELS
+from scenarios.segments import SEGMENT_KINDS
 from sim.degradations.base import streams_of
 from sim.degradations.defocus import disc
 from sim.degradations.image import View, ramp
@@ -28,7 +28,7 @@ def texture(seed: int = 0) -> np.ndarray:
 
 
 def make(kind: str, seed: int = 0, camera: Intrinsics = CAMERA, **parameters):
-    segment = SEGMENT_MODELS[kind](kind=kind, start_s=1, duration_s=2, **parameters)
+    segment = SEGMENT_KINDS[kind](kind=kind, start_s=1, duration_s=2, **parameters)
     return IMAGE_KINDS[kind].prepare(segment, camera, partial(streams_of, seed, segment))
 
 
@@ -50,7 +50,7 @@ def test_light_survives_coding_and_saturates():
 
 @pytest.mark.parametrize("ramp_s", [0.0, 0.5])
 def test_the_ramp_is_straight_and_within_the_segment(ramp_s):
-    segment = SEGMENT_MODELS["jpeg"](kind="jpeg", start_s=1, duration_s=2, quality=5, ramp_s=ramp_s)
+    segment = SEGMENT_KINDS["jpeg"](kind="jpeg", start_s=1, duration_s=2, quality=5, ramp_s=ramp_s)
     strength = ramp(segment, np.array([0.9, 1.0, 1.25, 2.0, 2.75, 3.0]))
     rising = 1.0 if ramp_s == 0 else 0.25 / ramp_s
     np.testing.assert_allclose(strength, [0, float(ramp_s == 0), rising, 1, rising, 0])

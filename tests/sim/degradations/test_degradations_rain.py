@@ -8,7 +8,7 @@ import pytest
 from degradation_worlds import small_scenario
 from scipy.integrate import quad
 
-from scenarios.segment_text import SEGMENT_MODELS
+from scenarios.segments import SEGMENT_KINDS
 from sim.degradations.base import streams_of
 from sim.degradations.image import View
 from sim.degradations.raindrops import (
@@ -97,7 +97,7 @@ def test_a_drop_falls_from_frame_to_frame_and_the_box_repeats():
 
 
 def filter_of(rate: float, seed: int = 0, **more):
-    segment = SEGMENT_MODELS["rain"](kind="rain", start_s=0, duration_s=10, rate_mmph=rate, **more)
+    segment = SEGMENT_KINDS["rain"](kind="rain", start_s=0, duration_s=10, rate_mmph=rate, **more)
     return IMAGE_KINDS["rain"].prepare(segment, CAMERA, partial(streams_of, seed, segment))
 
 
