@@ -1,6 +1,7 @@
 """Orientation and descriptor of ORB, for the corners of one pyramid level.
 
-The hot loops index with unsigned integers: numba then tests for no negative indices, and LLVM vectorises.
+The hot loops index with unsigned integers: numba then omits its test for negative indices, and LLVM
+vectorises.
 """
 
 import math
@@ -28,7 +29,7 @@ _ROUNDER = np.float32(12582912.0)
 
 @njit(cache=True, nogil=True)
 def orientations(image: np.ndarray, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
-    """Direction from each corner to the intensity centroid of the disc of radius 15 around it.
+    """Orientation of each corner: direction to the intensity centroid of a disc of radius 15.
 
     Args:
         image: (H, W) uint8, contiguous.
@@ -61,7 +62,7 @@ def orientations(image: np.ndarray, xs: np.ndarray, ys: np.ndarray) -> np.ndarra
 
 @njit(cache=True, nogil=True)
 def descriptors(blurred: np.ndarray, xs: np.ndarray, ys: np.ndarray, angles_deg: np.ndarray) -> np.ndarray:
-    """Rotated BRIEF, bit for bit that of OpenCV's ORB.
+    """Rotated BRIEF descriptors, bit for bit those of OpenCV's ORB.
 
     Args:
         blurred: (H, W) uint8, contiguous: the level after its Gaussian blur.

@@ -80,5 +80,5 @@ def test_once_they_have_parted_there_is_no_base_to_be_had():
     images, stamps_s, _ = toy(60, 0, STEP_M)
     dual = build_system("dual", CAMERA, 0, CONFIG)
     feed(dual, blanked(images, range(50, 56)), stamps_s, check=False)
-    with pytest.raises(RuntimeError, match="part at the first breakage"):
+    with pytest.raises(RuntimeError, match="differ from the first breakage on"):
         dual.as_base()

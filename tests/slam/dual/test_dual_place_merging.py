@@ -83,7 +83,7 @@ def test_it_may_be_switched_off():
 class BackToTheFirst(DualSlam):
     """A system that, once two maps are saved, looks for itself in the first of them."""
 
-    def _may_return_to(self):
+    def _relocalization_maps(self):
         return self._saved[1:]
 
 

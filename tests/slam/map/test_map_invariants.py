@@ -230,7 +230,7 @@ BROKEN = {
     culled_pose_not_finite: "a culled keyframe's pose is not finite",
     parent_unknown: "a parent that does not exist",
     root_culled: "a root keyframe is culled",
-    under_a_culled_one: "hangs under a culled one",
+    under_a_culled_one: "has a culled parent",
     tree_in_a_circle: "the spanning tree has a cycle",
 }
 
