@@ -31,7 +31,7 @@ def system(mended):
 
 
 @pytest.mark.parametrize(("kind", "frames"), [("base", 60), ("dual", 100)])
-def test_a_system_is_sound_at_any_time_and_checking_changes_nothing(mended, kind, frames):
+def test_a_system_is_valid_at_any_time_and_the_check_changes_nothing(mended, kind, frames):
     images, stamps_s, _ = toy(100, 0, STEP_M)
     system = build_system(kind, CAMERA, 0, CONFIG, dual=RECOVERY_ONLY)
     check_system(system)
@@ -214,7 +214,7 @@ def test_a_broken_invariant_is_named(system, corrupt):
         check_system(system)
 
 
-def test_an_answer_holds_together(mended):
+def test_a_broken_result_is_refused(mended):
     _, results = mended
     tracked, lost = results[-1], next(r for r in results if r.frame == 50)
     for wrong, why in (
@@ -244,7 +244,7 @@ def place(story, kind):
     return next(i for i, e in enumerate(story) if e.kind == kind)
 
 
-def test_a_recovery_ends_once_and_only_where_it_has_begun(story):
+def test_a_recovery_ends_once_and_only_if_started(story):
     start, end = place(story, "recovery_start"), place(story, "recovery_end")
     with pytest.raises(InvariantError, match=r"recovery_end at frame .*: the recovery does not"):
         check_events(story[:start] + story[start + 1 :])
@@ -262,18 +262,18 @@ def test_an_event_is_of_a_map_that_exists(story, kind):
 
 
 @pytest.mark.parametrize("kind", ["recovery_start", "recovery_end", "fusion"])
-def test_recovery_and_fusion_name_an_old_map_that_exists(story, kind):
+def test_recovery_and_fusion_have_an_existing_old_map(story, kind):
     at = place(story, kind)
     with pytest.raises(InvariantError, match=f"{kind} at frame .*: old map 9 does not exist"):
         check_events([*story[:at], replace(story[at], old_map_id=9)])
 
 
-def test_a_map_begins_once(story):
+def test_a_map_is_initialized_once(story):
     with pytest.raises(InvariantError, match="map 0 exists already"):
         check_events([story[0], story[0]])
 
 
-def test_a_dropped_map_is_no_more(story):
+def test_a_dropped_map_does_not_exist(story):
     at = place(story, "breakage")
     breakage = story[at]
     dropped = ev.MapDropped(
@@ -283,13 +283,13 @@ def test_a_dropped_map_is_no_more(story):
         check_events([*story[: at + 1], dropped, dropped])
 
 
-def test_a_new_map_stands_where_one_was_sought(story):
+def test_a_new_map_needs_a_reinitialization(story):
     at = place(story, "reinit_done")
     with pytest.raises(InvariantError, match="no reinitialization was started"):
         check_events([*story[: at + 1], story[at]])
 
 
-def test_events_follow_time(story):
+def test_events_are_in_order_of_time(story):
     breakage = story[place(story, "breakage")]
     later = replace(breakage, frame=story[-1].frame + 1)
     with pytest.raises(InvariantError, match="events run against time"):

@@ -54,7 +54,7 @@ def test_a_clean_room_is_tracked():
     assert agrees_on_one_core(system, scenario)
 
 
-def test_a_block_is_closed_and_most_of_the_drift_goes():
+def test_a_loop_around_a_block_is_closed_and_corrects_most_of_the_drift():
     scenario = ("loop/city", 3, 60.0)
     sequence = rendered(*scenario)
     closed, _ = run(sequence)
@@ -65,7 +65,7 @@ def test_a_block_is_closed_and_most_of_the_drift_goes():
     assert agrees_on_one_core(closed, scenario)
 
 
-def test_after_a_covered_lens_it_finds_its_place_within_a_second():
+def test_after_a_covered_lens_it_relocalizes_within_a_second():
     scenario = ("covered-lens", 2, 30.0)
     sequence = rendered(*scenario)
     system, results = run(sequence)

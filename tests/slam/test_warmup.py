@@ -4,7 +4,7 @@ from slam import factory
 from slam.warmup import warm_up
 
 
-def test_it_comes_to_a_recovery_by_either_thread_a_fusion_and_a_relocalization(monkeypatch):
+def test_the_warmup_runs_both_recovery_threads_a_fusion_and_a_relocalization(monkeypatch):
     built, build, told = {}, factory.build_system, []
 
     def build_system(kind, *arguments, **options):

@@ -49,7 +49,7 @@ def errors_of(T, rays_1, rays_2, sigma):
     return out
 
 
-def errors_twin(T, rays_1, rays_2, sigma):
+def errors_reference(T, rays_1, rays_2, sigma):
     """The errors match by match, from the essential matrix and the vanishing point of the ray."""
     R, t = T[:3, :3], T[:3, 3]
     E = np.cross(np.eye(3), t) @ R

@@ -17,7 +17,7 @@ def busy(cpu_s):
         pass
 
 
-def test_what_no_stage_takes_is_other():
+def test_time_outside_all_stages_is_other():
     timer = StageTimer()
     timer.begin()
     with timer("a"):
@@ -42,7 +42,7 @@ def test_waiting_is_wall_time_only():
     assert ms[OTHER] >= 20 and cpu_ms[OTHER] < 5
 
 
-def test_each_frame_begins_from_nothing():
+def test_each_frame_starts_from_zero():
     timer = StageTimer()
     timer.begin()
     with timer.apart():
@@ -55,7 +55,7 @@ def test_each_frame_begins_from_nothing():
     assert set(cpu_ms) == {OTHER} and cpu_ms[OTHER] == pytest.approx(10, abs=2)
 
 
-def test_a_timer_never_begun_tells_its_stages_alone():
+def test_a_timer_without_a_frame_reports_its_stages_only():
     timer = StageTimer()
     with timer("a"):
         busy(0.001)
@@ -63,7 +63,7 @@ def test_a_timer_never_begun_tells_its_stages_alone():
     assert timer.read() == ({}, {})
 
 
-def test_stages_mapping_and_loops_are_the_whole_of_a_frame():
+def test_stages_mapping_and_loop_closing_sum_up_to_a_frame():
     images, stamps_s, _ = toy(100, step_m=0.05)
     for _ in range(2):  # the first time kernels are loaded, where nobody counts
         system = build_system("base", CAMERA, 0)

@@ -89,7 +89,7 @@ def merged(grown, recovered, begun):
 S_DRIFT = sim3_matrix(*DRIFT)
 
 
-def test_the_map_is_sound_and_has_the_keyframes_of_both(merged):
+def test_the_map_is_valid_and_has_the_keyframes_of_both(merged):
     m, done, grown, copy, (keyframes, _) = merged
     check_map(m)
     assert (done.keyframes, done.points) == (grown.n_keyframes, grown.n_points)
@@ -100,7 +100,7 @@ def test_the_map_is_sound_and_has_the_keyframes_of_both(merged):
     assert [k for k in range(m.n_keyframes) if m.parent(k) < 0] == [0]
 
 
-def test_the_change_of_gauge_and_scale_meanwhile_is_followed(merged, sightings):
+def test_a_change_of_gauge_and_scale_meanwhile_is_compensated(merged, sightings):
     m, done, _, _, _ = merged
     assert sim3_decompose(done.S_map_copy)[0] == pytest.approx(DRIFT[0], rel=0.01)
     s, R, t = DRIFT
@@ -113,7 +113,7 @@ def test_the_change_of_gauge_and_scale_meanwhile_is_followed(merged, sightings):
         assert distance < 0.04 * s and angle < 0.4, m.frame_index(int(k))
 
 
-def test_no_point_that_both_had_is_lost(merged):
+def test_no_common_point_is_lost(merged):
     m, done, grown, copy, (_, points) = merged
     both = ~grown.arrays.pt_bad[:points] & ~copy.arrays.pt_bad[:points]
     assert both.sum() > 200
@@ -142,7 +142,7 @@ def test_the_observations_of_both_are_kept(merged):
         assert shared >= 0.9 * copy.arrays.covisibility[0, k]
 
 
-def test_the_alignment_moves_along(merged, recovered, sightings):
+def test_the_alignment_is_transformed_too(merged, recovered, sightings):
     """It takes the map as it is now to the old one, whose frame is the world's."""
     m, done, _, _, _ = merged
     for alignment in (*recovered.confirming, recovered.alignment):
@@ -159,7 +159,7 @@ def test_the_alignment_moves_along(merged, recovered, sightings):
         np.testing.assert_allclose(moved.S_old_new, expected, atol=1e-9)
 
 
-def test_frames_that_hang_on_a_keyframe_which_the_copy_has_culled_stay_in_place(grown, recovered, begun):
+def test_frames_of_a_keyframe_culled_in_the_copy_keep_their_poses(grown, recovered, begun):
     forward, copy = grown.copy(), recovered.map.copy()
     for k in (1, 2):
         copy.cull_keyframe(k)
@@ -177,7 +177,7 @@ def test_frames_that_hang_on_a_keyframe_which_the_copy_has_culled_stay_in_place(
         assert distance < 0.03 and angle < 0.3
 
 
-def test_points_that_each_has_found_in_the_same_keypoint_are_one(grown, recovered, begun):
+def test_two_new_points_of_one_keypoint_are_joined(grown, recovered, begun):
     forward, copy = grown.copy(), recovered.map.copy()
     rows = begun[0].n_keyframes, begun[0].n_points
     backward = rows[0]
@@ -199,7 +199,7 @@ def test_points_that_each_has_found_in_the_same_keypoint_are_one(grown, recovere
     assert forward.arrays.pt_replaced[done.points + theirs] == own
 
 
-def test_keyframes_that_the_map_has_culled_do_not_come_back(grown, recovered, begun):
+def test_keyframes_culled_in_the_map_stay_culled(grown, recovered, begun):
     forward = grown.copy()
     for k in (2, 3):
         forward.cull_keyframe(k)
@@ -216,7 +216,7 @@ def test_keyframes_that_the_map_has_culled_do_not_come_back(grown, recovered, be
     assert distance < 0.03 and angle < 0.3
 
 
-def test_too_little_left_in_common_is_refused_and_nothing_done(grown, recovered, begun):
+def test_too_few_common_points_are_refused_without_changes(grown, recovered, begun):
     forward, copy = grown.copy(), recovered.map.copy()
     forward.arrays.pt_bad[: begun[0].n_points] = True
     before, theirs = forward.copy(), copy.copy()
@@ -227,7 +227,7 @@ def test_too_little_left_in_common_is_refused_and_nothing_done(grown, recovered,
             np.testing.assert_array_equal(x, y)
 
 
-def test_points_as_good_as_at_infinity_do_not_turn_the_map(grown, recovered, begun):
+def test_points_near_infinity_do_not_affect_the_similarity(grown, recovered, begun):
     forward, copy = grown.copy(), recovered.map.copy()
     both = np.flatnonzero(shared(forward, copy, begun[0].n_points))
     far = both[:: len(both) // 5]
@@ -240,7 +240,7 @@ def test_points_as_good_as_at_infinity_do_not_turn_the_map(grown, recovered, beg
     np.testing.assert_allclose(done.S_map_copy, expected.S_map_copy, atol=2e-3)
 
 
-def test_points_on_a_line_do_not_tell_how_the_map_has_moved(grown, recovered, begun):
+def test_collinear_points_are_refused(grown, recovered, begun):
     forward, copy = grown.copy(), recovered.map.copy()
     both = shared(forward, copy, begun[0].n_points)
     for arrays in (forward.arrays, copy.arrays):

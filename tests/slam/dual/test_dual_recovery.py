@@ -105,7 +105,7 @@ def disturbed(features, view):
 # -- success -------------------------------------------------------------------------------------------------
 
 
-def test_the_old_map_is_met_across_blind_frames(success):
+def test_the_old_map_is_reached_across_blank_frames(success):
     result, _ = success
     assert result.success and (result.stage, result.reason) == ("", "")
     assert result.frames_passed_over == len(BLIND)
@@ -115,7 +115,7 @@ def test_the_old_map_is_met_across_blind_frames(success):
     check_map(result.map)
 
 
-def test_two_meetings_are_needed(success):
+def test_two_alignments_are_needed(success):
     """The accepted alignment is the second one: that of the youngest keyframe has been confirmed by it."""
     result, _ = success
     assert OLD[result.alignment.old_keyframe] < OLD[-1]
@@ -123,7 +123,7 @@ def test_two_meetings_are_needed(success):
     assert abs(result.frames_covered - covered) <= FusionConfig().max_frame_gap
 
 
-def test_the_similarity_brings_the_new_cameras_to_their_places(success, sightings):
+def test_the_similarity_places_the_new_cameras_near_the_truth(success, sightings):
     result, _ = success
     assert result.alignment is not None
     s, R, t = sim3_decompose(result.alignment.S_old_new)
@@ -133,7 +133,7 @@ def test_the_similarity_brings_the_new_cameras_to_their_places(success, sighting
         assert np.linalg.norm(centre - np.linalg.inv(sightings[i].T_cam_world)[:3, 3]) < 0.15
 
 
-def test_the_first_keyframes_are_told_of_in_the_old_map(success, begun, sightings):
+def test_the_first_keyframes_are_reported_in_the_old_map(success, begun, sightings):
     """Culled or not, and they alone."""
     result, _ = success
     extended = result.map.copy()
@@ -158,7 +158,7 @@ def test_the_new_map_grows_backward(success, begun):
     assert len(result.map.points()) > len(begun[0].points())
 
 
-def test_every_frame_tracked_backward_has_a_pose_of_its_own(success, sightings):
+def test_every_frame_tracked_backward_has_its_own_pose(success, sightings):
     """Also the last one before the blind frames, whose pose the motion model carried on."""
     result, _ = success
     frames = [f.features.index for f in result.frames]
@@ -170,18 +170,18 @@ def test_every_frame_tracked_backward_has_a_pose_of_its_own(success, sightings):
         assert distance < 0.05 and angle < 0.5
 
 
-def test_the_old_map_and_the_given_features_stay_as_they_were(success, saved):
+def test_the_old_map_and_the_features_are_not_changed(success, saved):
     assert same(saved, success[1])
 
 
-def test_the_same_seed_recovers_the_same(success, begun, sightings, saved):
+def test_the_same_seed_gives_the_same_recovery(success, begun, sightings, saved):
     again = recover(task(begun, sightings, [saved], buffered(sightings)))
     assert again.alignment is not None
     np.testing.assert_array_equal(again.alignment.S_old_new, success[0].alignment.S_old_new)
     assert same(again.map, success[0].map)
 
 
-def test_of_several_old_maps_the_one_that_fits_is_met(world, begun, sightings, saved):
+def test_of_several_old_maps_the_matching_one_is_aligned(world, begun, sightings, saved):
     """A younger map of another scene stands at the same frames; it is tried, and the older one met."""
     rng = np.random.default_rng(36)
     elsewhere = PointWorld(seed=77)
@@ -190,7 +190,7 @@ def test_of_several_old_maps_the_one_that_fits_is_met(world, begun, sightings, s
     assert result.alignment is not None and result.alignment.old_map_id == 0
 
 
-def test_frames_in_which_many_matches_do_not_fit_are_passed_over(begun, sightings, saved):
+def test_frames_with_many_outliers_are_passed_over(begun, sightings, saved):
     """A pose that they yield is no base to go on from."""
     poor = range(38, 42)
     backward = [
@@ -203,14 +203,14 @@ def test_frames_in_which_many_matches_do_not_fit_are_passed_over(begun, sighting
     assert set(poor) <= {f.features.index for f in anything.frames}
 
 
-def test_the_motion_model_carries_the_camera_over_a_long_blind_stretch(begun, sightings, saved):
+def test_the_motion_model_bridges_many_blank_frames(begun, sightings, saved):
     """Half a second, over which nothing is found where it was last seen."""
     job = task(begun, sightings, [saved], buffered(sightings, blind=range(22, 38)))
     result = recover(job, tracking=TrackingConfig(min_reference_matches=10**6))
     assert result.success and result.frames_passed_over == 16
 
 
-def test_the_limit_is_on_each_blind_stretch_not_on_their_sum(begun, sightings, saved):
+def test_the_limit_is_on_each_run_of_blank_frames(begun, sightings, saved):
     blind = {*range(31, 38), *range(40, 44)}
     job = task(begun, sightings, [saved], buffered(sightings, blind=blind))
     result = recover(job, max_unusable_s=9.5 / FPS)
@@ -227,7 +227,7 @@ def failed(result, old, untouched):
     return result.stage, result.reason
 
 
-def test_a_blind_stretch_too_long_ends_the_propagation(begun, sightings, saved):
+def test_too_many_blank_frames_end_the_propagation(begun, sightings, saved):
     untouched = saved.copy()
     job = task(begun, sightings, [saved], buffered(sightings))
     result = recover(job, max_unusable_s=(len(BLIND) - 2) / FPS)
@@ -236,7 +236,7 @@ def test_a_blind_stretch_too_long_ends_the_propagation(begun, sightings, saved):
     assert BLIND[0] < min(f.features.index for f in result.frames)
 
 
-def test_nothing_usable_at_all_ends_the_propagation(begun, sightings, saved):
+def test_blank_frames_only_end_the_propagation(begun, sightings, saved):
     untouched = saved.copy()
     result = recover(
         task(begun, sightings, [saved], buffered(sightings, blind=range(FIRST))), max_unusable_s=0.5
@@ -245,19 +245,19 @@ def test_nothing_usable_at_all_ends_the_propagation(begun, sightings, saved):
     assert result.frames == []
 
 
-def test_a_buffer_that_ends_before_the_old_map_is_told(begun, sightings, saved):
+def test_a_buffer_that_ends_before_the_old_map_is_reported(begun, sightings, saved):
     untouched = saved.copy()
     result = recover(task(begun, sightings, [saved], buffered(sightings, oldest=38)))
     assert failed(result, saved, untouched) == ("overlap", "old_map_not_reached")
     assert result.frames_covered == FIRST - 38 and len(result.frames) == FIRST - 38
 
 
-def test_an_empty_buffer_is_told(begun, sightings, saved):
+def test_an_empty_buffer_is_reported(begun, sightings, saved):
     result = recover(task(begun, sightings, [saved], []))
     assert (result.stage, result.reason, result.frames_covered) == ("overlap", "old_map_not_reached", 0)
 
 
-def test_an_old_map_with_nothing_in_common_is_told(world, begun, sightings):
+def test_an_old_map_without_common_points_is_reported(world, begun, sightings):
     """The frames of its keyframes are gone over, but what it made of them was another scene."""
     rng = np.random.default_rng(37)
     elsewhere = PointWorld(seed=78)
@@ -267,7 +267,7 @@ def test_an_old_map_with_nothing_in_common_is_told(world, begun, sightings):
     assert failed(result, other, untouched) == ("overlap", "too_few_common_points")
 
 
-def test_a_corrupted_old_map_is_not_met(begun, sightings, saved):
+def test_a_corrupted_old_map_is_not_aligned(begun, sightings, saved):
     broken = saved.copy()
     points = broken.points()
     broken.arrays.pt_xyz[points] = np.random.default_rng(38).permutation(broken.arrays.pt_xyz[points])
@@ -276,7 +276,7 @@ def test_a_corrupted_old_map_is_not_met(begun, sightings, saved):
     assert failed(result, broken, untouched) == ("sim3", "too_few_inliers")
 
 
-def test_a_single_meeting_is_no_proof(begun, sightings, saved):
+def test_a_single_alignment_is_not_confirmed(begun, sightings, saved):
     untouched = saved.copy()
     result = recover(task(begun, sightings, [saved], buffered(sightings, oldest=29)))
     assert failed(result, saved, untouched) == ("sim3", "alignment_not_confirmed")
@@ -284,7 +284,7 @@ def test_a_single_meeting_is_no_proof(begun, sightings, saved):
     assert OrbRecovery(lax).run(task(begun, sightings, [saved], buffered(sightings, oldest=29))).success
 
 
-def test_meetings_that_contradict_each_other_are_no_proof(world, begun, sightings):
+def test_contradicting_alignments_are_refused(world, begun, sightings):
     """An old map whose two parts have different scales, as after a drift: each fits, both do not."""
     rng = np.random.default_rng(39)
     torn, _ = world.map_of([sightings[i] for i in (12, 24)], rng, noise=0.005)

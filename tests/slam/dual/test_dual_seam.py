@@ -8,7 +8,7 @@ from slam_scenes import PointWorld, pose_error, rigid, walk
 
 from slam.dual.fusion import fuse as fusion
 from slam.dual.fusion.fuse import FusionConfig, agree, fuse
-from slam.dual.fusion.place_merging import turned
+from slam.dual.fusion.place_merging import inverted
 from slam.loop_closing.map_alignment import align
 from slam.map.invariants import check_map
 from slam.mapping.local_mapping import LocalMappingConfig
@@ -72,7 +72,7 @@ def misfits(fused, keyframes, placed, new):
 
 
 @pytest.mark.usefixtures("without_adjustment")
-def test_alignments_that_differ_are_both_met_better_than_by_placing_rigidly(maps, built):
+def test_differing_alignments_are_both_satisfied_better_than_by_a_rigid_placement(maps, built):
     old, new, (first, last) = maps
     first, last = changed(old, first, 1.015, 0.08), changed(old, last, 0.985, -0.08)
     assert agree(old, first, last, CONFIG)
@@ -93,7 +93,7 @@ def test_alignments_that_differ_are_both_met_better_than_by_placing_rigidly(maps
 
 
 @pytest.mark.usefixtures("without_adjustment")
-def test_old_keyframes_are_held(maps):
+def test_old_keyframes_are_fixed(maps):
     old, new, (first, last) = maps
     first = changed(old, first, 1.02, 0.05)
     before = {int(k): old.T_cam_map(int(k)) for k in old.keyframes()}
@@ -102,7 +102,7 @@ def test_old_keyframes_are_held(maps):
         np.testing.assert_allclose(old.T_cam_map(k), T, atol=1e-9)
 
 
-def test_an_alignment_whose_keyframe_is_gone_is_left_out(maps):
+def test_an_alignment_with_a_culled_keyframe_is_not_used(maps):
     """The others count as they would without it, each at its own keyframe."""
     old, new, (first, last) = maps
     first = changed(old, first, 1.02, 0.05)
@@ -117,17 +117,17 @@ def test_an_alignment_whose_keyframe_is_gone_is_left_out(maps):
         np.testing.assert_array_equal(with_it.T_cam_map(int(k)), without.T_cam_map(int(k)))
 
 
-def test_the_seam_stays_an_edge_of_the_essential_graph(maps):
+def test_the_seam_becomes_edges_of_the_essential_graph(maps):
     old, new, (first, last) = maps
     fused = fuse(old, new, [first, last], LocalMappingConfig())
     for a in (first, last):
         assert (a.new_keyframe + fused.keyframes, a.old_keyframe) in old.loop_edges
 
 
-def test_an_alignment_turned_round_fuses_the_other_way(maps, sightings):
+def test_an_inverted_alignment_fuses_the_other_way(maps, sightings):
     """The map begun first may be the one that is tracked in: it takes in the saved one."""
     old, new, found = maps
-    back = [turned(a, new.map_id) for a in found]
+    back = [inverted(a, new.map_id) for a in found]
     assert back[0].old_map_id == new.map_id and back[0].inliers == found[0].inliers
     # Here the second map is the one that stays, in its own frame and scale.
     fused = fuse(new, old, back, LocalMappingConfig(), renewed=False)

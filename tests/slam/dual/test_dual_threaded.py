@@ -64,7 +64,7 @@ def feed_in_time(system, first, last, until=None):
     return results
 
 
-def test_a_held_up_recovery_holds_up_no_frame_and_the_end_waits_for_it():
+def test_a_slow_recovery_delays_no_frame_and_finish_waits_for_it():
     before = set(threading.enumerate())
     thread = Waiting()
     system = threaded([thread])
@@ -87,7 +87,7 @@ def test_a_held_up_recovery_holds_up_no_frame_and_the_end_waits_for_it():
     assert before / after == pytest.approx(1, abs=0.05)
 
 
-def test_the_same_story_ends_in_one_fused_map_that_is_tracked_in():
+def test_a_threaded_recovery_ends_in_one_fused_tracked_map():
     thread = Waiting()
     thread.let.set()
     system = threaded([thread])
@@ -108,7 +108,7 @@ def test_the_same_story_ends_in_one_fused_map_that_is_tracked_in():
     assert rms(errors_m(system.trajectories()[0], toy(150, 0, STEP_M)[2])[0]) < 0.06
 
 
-def test_what_goes_wrong_in_a_recovery_reaches_who_feeds_frames():
+def test_an_exception_in_a_recovery_reaches_the_caller():
     before = set(threading.enumerate())
     system = threaded([Breaking()])
     with pytest.raises(ZeroDivisionError, match="in the recovery thread"):
@@ -119,7 +119,7 @@ def test_what_goes_wrong_in_a_recovery_reaches_who_feeds_frames():
     assert set(threading.enumerate()) <= before
 
 
-def test_outcomes_are_told_of_as_they_come():
+def test_outcomes_are_yielded_when_threads_finish():
     """The second thread still runs when the first one's failure is known."""
 
     class Ending:

@@ -57,7 +57,7 @@ def assert_equal(a, b):
         assert np.array_equal(getattr(a, column.name), getattr(b, column.name)), column.name
 
 
-def test_features_are_well_formed_and_as_many_as_wanted():
+def test_features_are_well_formed_and_as_many_as_requested():
     features = extract(uneven_image())
     assert_well_formed(features)
     assert 984 <= len(features) <= 1000
@@ -98,7 +98,7 @@ def dots(rng, scale):
 
 
 @pytest.mark.parametrize("octave", range(8))
-def test_a_point_has_the_same_place_in_every_octave(octave):
+def test_a_point_has_the_same_position_in_every_octave(octave):
     rng = np.random.default_rng(octave)
     scale = 1.2**octave
     extractor = OrbExtractor(633, 471, OrbConfig(n_features=4000))  # sizes that no level divides evenly
@@ -118,7 +118,7 @@ def test_a_point_has_the_same_place_in_every_octave(octave):
     assert np.abs(off.mean(axis=0) / scale).max() < 0.05
 
 
-def test_turned_image_gives_the_same_features_turned():
+def test_a_rotated_image_gives_rotated_features():
     image = uneven_image()
     turned = np.ascontiguousarray(np.rot90(image, -1))  # (x, y) -> (HEIGHT - 1 - y, x)
     a, b = extract(image, n_levels=1), extract(turned, n_levels=1)
@@ -155,7 +155,7 @@ def test_constant_image_has_no_features(value):
     assert len(features) == 0
 
 
-def test_one_corner_is_found_where_it_is():
+def test_a_single_corner_is_found_at_its_position():
     features = extract(corner_image())
     assert_well_formed(features)
     assert 1 <= len(features) <= 60
@@ -231,7 +231,7 @@ def test_scales_are_the_geometric_series():
     assert np.allclose(OrbConfig(n_levels=4, scale_factor=1.5).scales, [1, 1.5, 2.25, 3.375])
 
 
-def test_repeat_is_bit_equal_and_leaves_earlier_results_alone():
+def test_a_repetition_is_bit_equal_and_keeps_earlier_results():
     image = uneven_image()
     extractor = OrbExtractor(WIDTH, HEIGHT)
     first = extractor.extract(image)
@@ -242,7 +242,7 @@ def test_repeat_is_bit_equal_and_leaves_earlier_results_alone():
     assert_equal(extract(image), first)
 
 
-def test_the_image_is_neither_written_nor_need_be_contiguous():
+def test_the_image_is_not_changed_and_need_not_be_contiguous():
     image = uneven_image()
     wide = np.zeros((HEIGHT, 2 * WIDTH), np.uint8)
     wide[:, ::2] = image
@@ -265,7 +265,7 @@ def test_extractors_in_threads_do_not_disturb_each_other():
                 assert_equal(result, expected)
 
 
-def test_shares_form_the_geometric_series_when_corners_abound():
+def test_shares_form_a_geometric_series_with_many_corners():
     shares = share_out(1000, 1.2, [10_000] * 8)
     assert sum(shares) == 1000
     exact = 1000 * 1.2 ** -np.arange(8.0) / (1.2 ** -np.arange(8.0)).sum()
@@ -276,13 +276,13 @@ def test_shares_form_the_geometric_series_when_corners_abound():
     "n_corners", [[0] * 8, [5] * 8, [0, 0, 0, 900, 800, 400, 200, 90], [4000, 0, 3, 0, 0, 1, 0, 0], [1]]
 )
 @pytest.mark.parametrize("n_features", [1, 5, 100, 1000])
-def test_shares_never_exceed_the_corners_and_fill_what_there_is(n_corners, n_features):
+def test_shares_are_limited_by_the_corners(n_corners, n_features):
     shares = share_out(n_features, 1.2, n_corners)
     assert all(0 <= share <= n for share, n in zip(shares, n_corners, strict=True))
     assert sum(shares) == min(n_features, sum(n_corners))
 
 
-def test_what_a_blurred_level_cannot_fill_the_others_take_over():
+def test_other_levels_take_over_the_share_of_a_blurred_level():
     smooth = cv2.GaussianBlur(uneven_image(), (0, 0), 5.0).astype(float)
     features = extract(np.clip(120 + 2 * (smooth - 120), 0, 255).astype(np.uint8))
     assert (features.octave == 0).sum() < 150  # of 217 in the series

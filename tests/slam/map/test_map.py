@@ -30,7 +30,7 @@ def test_invariants_hold_after_random_edits():
         check_map(m)
 
 
-def test_check_notices_a_broken_association():
+def test_the_check_reports_a_broken_association():
     m = random_map(np.random.default_rng(2))
     row = np.flatnonzero(m.arrays.kp_point[: m.arrays.kf_start[m.n_keyframes]] >= 0)[0]
     m.arrays.kp_point[row] = -1
@@ -68,7 +68,7 @@ def test_a_culled_keyframe_follows_its_parent():
     np.testing.assert_allclose(m.T_cam_map(3), before @ m.T_cam_map(2), atol=1e-12)
 
 
-def test_a_culled_keyframe_lets_go_of_its_features():
+def test_a_culled_keyframe_releases_its_features():
     m = random_map(np.random.default_rng(5))
     kept, others = m.features(3), [m.features(k) for k in (2, 4)]
     m.cull_keyframe(3)
@@ -93,7 +93,7 @@ def test_transform_moves_points_and_cameras_together():
         np.testing.assert_allclose(seen, 2.5 * seen_before[k], atol=1e-9)
 
 
-def test_absorb_keeps_both_maps_whole():
+def test_absorb_keeps_both_maps_valid():
     rng = np.random.default_rng(7)
     a, b = random_map(rng), random_map(rng, keyframes=5, points=60, map_id=1)
     b.cull_keyframe(2)
@@ -138,7 +138,7 @@ def arrays_of(m):
     return [array.tobytes() for array in m.arrays]
 
 
-def test_points_are_replaced_in_order_as_one_by_one():
+def test_replacing_points_together_equals_one_by_one():
     """Chains and repetitions included; -1 leaves a point alone."""
     rng = np.random.default_rng(6)
     at_once = random_map(rng)
@@ -153,7 +153,7 @@ def test_points_are_replaced_in_order_as_one_by_one():
     check_map(at_once)
 
 
-def test_a_keyframe_takes_over_points_as_one_by_one():
+def test_taking_over_points_together_equals_one_by_one():
     """Into free keypoints they go, where it has one already the two become it."""
     rng = np.random.default_rng(7)
     at_once = random_map(rng)

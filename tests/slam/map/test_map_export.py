@@ -80,7 +80,7 @@ def test_points_take_the_grey_of_the_images(mapped, read_back):
         ({"distortion": (0.01, -0.002, 0.0, 0.0), "model": "equidistant"}, "OPENCV_FISHEYE"),
     ],
 )
-def test_the_lens_projects_as_ours(mapped, lens, model):
+def test_the_exported_lens_projects_as_ours(mapped, lens, model):
     """Undistorting a pixel with our camera and projecting it with COLMAP's gives the pixel back."""
     camera = replace(CAMERA, **lens)
     theirs = colmap_model(mapped[0], camera).camera(1)

@@ -249,7 +249,7 @@ def test_checking_changes_nothing(sound):
         assert mine.tobytes() == theirs.tobytes()
 
 
-def test_a_map_without_points_and_one_without_keyframes_are_sound():
+def test_a_map_without_points_and_one_without_keyframes_are_valid():
     from slam.map import _map_kernels as kernels
     from slam.map.map import Map
 

@@ -79,7 +79,7 @@ def test_new_points_are_near_the_truth_and_purely_observed(world, sightings):
     assert (mapper.map.arrays.pt_observations[new] >= 2).all()
 
 
-def test_points_are_found_in_more_neighbours_than_those_they_came_from(world, sightings):
+def test_points_are_matched_in_further_neighbours(world, sightings):
     """Triangulation gives two observations, fusion the others."""
     mapper, point_of = start(world, sightings)
     known = mapper.map.n_points
@@ -98,7 +98,7 @@ def test_without_baseline_parallax_or_neighbours_nothing_is_created(world, sight
     check_map(mapper.map)
 
 
-def test_a_walk_of_keyframes_keeps_the_map_sound_and_true(world, sightings):
+def test_a_walk_keeps_the_map_valid_and_accurate(world, sightings):
     """Every keyframe is tracked from the points of the last one, with noise; drift stays small."""
     mapper, point_of = start(world, sightings, noise=0.0, keep=0.6)
     good = pure = ids = np.empty(0)
@@ -120,7 +120,7 @@ def test_a_walk_of_keyframes_keeps_the_map_sound_and_true(world, sightings):
 # -- fusion --------------------------------------------------------------------------------------------------
 
 
-def test_two_points_for_one_place_become_one(world, sightings):
+def test_duplicate_points_become_one(world, sightings):
     """The new keyframe brings doubles of points that its neighbours know already."""
     mapper, point_of = start(world, sightings, noise=0.002)
     m = mapper.map
@@ -171,7 +171,7 @@ def test_adjustment_lowers_the_reprojection_error_to_the_noise(world, sightings)
         assert pose_error(m.T_cam_map(k), sightings[k].T_cam_world)[1] < 0.1
 
 
-def test_adjustment_moves_its_window_and_holds_the_rest(world, sightings):
+def test_adjustment_moves_its_window_only(world, sightings):
     mapper, _ = start(world, sightings, keep=0.8, keyframes=8, config=LocalMappingConfig(window=3))
     m = mapper.map
     before = m.arrays.kf_T_cam_map[:8].copy()
@@ -236,7 +236,7 @@ def test_young_points_that_are_not_found_again_are_dropped(world, sightings):
     assert (a.pt_bad[established] & (a.pt_replaced[established] < 0)).mean() < 0.1
 
 
-def test_points_that_no_third_keyframe_takes_up_are_dropped_in_time(world, sightings):
+def test_points_without_a_third_observer_are_dropped_in_time(world, sightings):
     mapper, point_of = start(world, sightings)
     m = mapper.map
     old = m.n_points
@@ -260,7 +260,7 @@ def test_points_that_no_third_keyframe_takes_up_are_dropped_in_time(world, sight
 # -- going on in another map ---------------------------------------------------------------------------------
 
 
-def test_mapping_goes_on_in_a_map_that_has_absorbed_its_own(world, sightings):
+def test_mapping_continues_in_a_map_that_has_absorbed_its_own(world, sightings):
     mapper, point_of = start(world, sightings)
     mapper.insert(next_frame(mapper, point_of, sightings[3]))
     other, _ = world.map_of(sightings[-3:], np.random.default_rng(16), map_id=1)

@@ -38,7 +38,7 @@ def match(one, two, **settings):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_what_is_kept_is_right_and_most_that_is_right_is_kept(seed):
+def test_most_correct_matches_and_few_others_are_kept(seed):
     one, two = two_views(seed=seed)
     a, b = one.frame.features, two.frame.features
     nearest = match_brute_force(a.descriptors, b.descriptors, 256, 1e3)
@@ -48,13 +48,13 @@ def test_what_is_kept_is_right_and_most_that_is_right_is_kept(seed):
     assert count_right(kept, one, two) > 0.8 * count_right(nearest, one, two)
 
 
-def test_unrelated_images_have_hardly_a_match():
+def test_unrelated_images_have_few_matches():
     rng = np.random.default_rng(0)
     a, b = (make_frame(i, rng, n=1000).features for i in range(2))
     assert len(match_gms(a, b, SIZE_PX)) < 20
 
 
-def test_more_support_asked_for_keeps_fewer():
+def test_a_higher_threshold_keeps_fewer_matches():
     one, two = two_views()
     kept = [len(match(one, two, threshold_factor=factor)) for factor in (3.0, 6.0, 12.0)]
     assert kept[0] >= kept[1] > kept[2]
@@ -68,7 +68,7 @@ def test_matches_are_one_to_one_in_order_and_the_same_every_time():
     np.testing.assert_array_equal(pairs, match(*two_views()))
 
 
-def test_coarse_levels_are_left_out_where_asked():
+def test_coarse_levels_can_be_left_out():
     one, two = two_views()
     octave = one.frame.features.octave
     every, fine = match(one, two), match(one, two, max_octave=2)
@@ -76,7 +76,7 @@ def test_coarse_levels_are_left_out_where_asked():
     assert 0 < len(fine) < len(every)
 
 
-def test_a_turned_image_is_matched_where_asked():
+def test_a_rotated_image_is_matched_on_request():
     """The second image is the first upside down."""
     one, _ = two_views()
     f = one.frame.features
@@ -93,7 +93,7 @@ def test_a_frame_without_keypoints_matches_nothing():
         assert match_gms(a, b, SIZE_PX).shape == (0, 2)
 
 
-def test_keypoints_on_the_edges_of_the_image_are_survived():
+def test_keypoints_on_the_image_border_are_accepted():
     rng = np.random.default_rng(1)
     n = 600
     xy = rng.uniform((0, 0), (639, 479), (n, 2)).astype(np.float32)

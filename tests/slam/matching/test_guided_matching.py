@@ -9,7 +9,7 @@ from slam.mapping._local_problem import local_problem
 from slam.matching import guided as matching
 
 
-def nearest_in_window_twin(features, taken, u, v, radius, low, high, query, ratio):
+def nearest_in_window_reference(features, taken, u, v, radius, low, high, query, ratio):
     """The slow way: every keypoint, in the order of the frame's rows."""
     distance = np.bitwise_count(features.descriptors ^ query).sum(1).astype(int)
     near = (np.abs(features.xy - (u, v)) <= radius).all(1) & ~taken
@@ -27,7 +27,7 @@ def nearest_in_window_twin(features, taken, u, v, radius, low, high, query, rati
     return int(best), int(distance[best])
 
 
-def test_window_search_agrees_with_its_twin():
+def test_the_window_search_agrees_with_numpy():
     rng = np.random.default_rng(0)
     f = make_frame(0, rng, n=900).features
     hits = 0
@@ -39,7 +39,7 @@ def test_window_search_agrees_with_its_twin():
         taken = rng.random(len(f)) < 0.1
         args = (float(u), float(v), float(radius), low, low + 2, query, float(rng.uniform(0.6, 1.0)))
         got = matching.nearest_in_window(VIEW, f.xy, f.octave, f.descriptors, f.cell_start, 0, taken, *args)
-        expected = nearest_in_window_twin(f, taken, *args)
+        expected = nearest_in_window_reference(f, taken, *args)
         assert got[0] == expected[0] or got[1] == expected[1] < 257
         hits += got[0] >= 0
     assert hits > 100
@@ -95,7 +95,7 @@ def test_local_points_are_found_and_counted_as_visible():
     assert (m.arrays.pt_visible[frame.point] == 2).sum() == expected
 
 
-def test_a_common_rotation_is_kept_and_others_go():
+def test_only_matches_with_a_common_rotation_are_kept():
     rng = np.random.default_rng(3)
     turn = np.where(np.arange(200) < 150, rng.normal(40, 3, 200), rng.uniform(0, 360, 200))
     matched = np.arange(200, dtype=np.int32)
@@ -104,7 +104,7 @@ def test_a_common_rotation_is_kept_and_others_go():
     assert left == (matched >= 0).sum() < 175
 
 
-def test_the_local_map_holds_the_keyframes_that_share_points_and_their_neighbours():
+def test_the_local_map_has_keyframes_with_common_points_and_their_neighbours():
     m = random_map(np.random.default_rng(4), keyframes=8, points=120)
     point = m.points()[:5].astype(np.int32)
     keyframes, points = matching.collect_local_map(m.arrays, m.n_keyframes, m.n_points, point, 80)
@@ -120,7 +120,7 @@ def test_the_local_map_holds_the_keyframes_that_share_points_and_their_neighbour
     assert set(points.tolist()) == set(owned[owned >= 0].tolist())
 
 
-def test_duplicates_of_a_keyframe_are_joined():
+def test_duplicates_of_a_keyframe_are_fused():
     m, frame = scene(np.random.default_rng(5), n=150)
     m.arrays.pt_max_distance[: m.n_points] = (
         np.linalg.norm(m.arrays.pt_xyz[: m.n_points], axis=1) * (VIEW.scale[frame.features.octave])
