@@ -19,8 +19,8 @@ from slam.warmup import CAMERA
 
 STEP_M = 0.05
 # The events of a breakage with a successful recovery.
-MENDED = ["breakage", "map_saved", "reinit_start", "initialized", "reinit_done", "recovery_start"]
-MENDED += ["recovery_end", "fusion"]
+RECOVERED = ["breakage", "map_saved", "reinit_start", "initialized", "reinit_done", "recovery_start"]
+RECOVERED += ["recovery_end", "fusion"]
 # The sequences are short: maps of 1.5 s are kept.
 CONFIG = replace(default_config(CAMERA), min_map_keyframes=3)
 

@@ -1,4 +1,4 @@
-"""The base over rendered scenarios: it closes loops and finds its place again, the same bits on one core."""
+"""The base on rendered scenarios: it closes loops and relocalizes, with the same bits on one core."""
 
 from dataclasses import replace
 
@@ -32,12 +32,12 @@ def run(sequence, **loops):
 
 
 def digest_of_scenario(*scenario):
-    """What the base makes of a scenario, bit by bit."""
+    """Digest of the base's run over a scenario."""
     return fingerprint(run(rendered(*scenario))[0])
 
 
 def agrees_on_one_core(system, scenario):
-    """Whether another process on one core has the same bits in the end."""
+    """Return True if another process on one core gives the same bits."""
     call = f"digest_of_scenario(*{scenario!r})"
     return on_one_core("test_rendered_scenarios", call) == fingerprint(system)
 

@@ -1,9 +1,12 @@
-"""The warm-up goes through all that has kernels of its own, so that no run has to stop to compile."""
+"""The warm-up compiles all kernels, so that no run has to."""
+
+import pytest
 
 from slam import factory
 from slam.warmup import warm_up
 
 
+@pytest.mark.slow
 def test_the_warmup_runs_both_recovery_threads_a_fusion_and_a_relocalization(monkeypatch):
     built, build, told = {}, factory.build_system, []
 

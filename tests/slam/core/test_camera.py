@@ -15,7 +15,7 @@ LENSES = {
 
 
 def distort(camera, ideal):
-    """Slow twin: the radtan polynomial, on pixels."""
+    """NumPy reference: the radtan polynomial, on pixels."""
     k1, k2, p1, p2, k3 = camera.distortion
     x, y = (ideal[:, 0] - camera.cx) / camera.fx, (ideal[:, 1] - camera.cy) / camera.fy
     r2 = x * x + y * y
@@ -109,7 +109,7 @@ FISHEYE = replace(CAMERA, fx=300.0, fy=302.0, distortion=(-0.01, 0.02, -0.012, 0
 
 
 def distort_equidistant(camera, ideal):
-    """Slow twin: the angle's polynomial, on pixels."""
+    """NumPy reference: the angle's polynomial, on pixels."""
     x, y = (ideal[:, 0] - camera.cx) / camera.fx, (ideal[:, 1] - camera.cy) / camera.fy
     radius = np.hypot(x, y)
     theta = np.arctan(radius)

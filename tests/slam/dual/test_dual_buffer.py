@@ -1,4 +1,4 @@
-"""The feature buffer is a ring in normal operation, holds on while frozen, and never outgrows its cap."""
+"""The feature buffer is a ring, grows while frozen, and never exceeds its cap."""
 
 import numpy as np
 import pytest
@@ -87,7 +87,7 @@ def test_invalid_spans_are_refused(span_s, cap_s):
 
 
 def picture(i):
-    """A smooth (48, 64) image of its own for every frame."""
+    """A different smooth (48, 64) image for every frame."""
     y, x = np.mgrid[:48, :64]
     return (128 + 60 * np.sin(x / 9 + i) + 40 * np.cos(y / 7 - i)).astype(np.uint8)
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dual_scenes import MENDED, RECOVERY_ONLY, STEP_M, dual, of, with_threads
+from dual_scenes import RECOVERED, RECOVERY_ONLY, STEP_M, dual, of, with_threads
 from recovery_scenes import blind_scene
 from slam_scenes import blanked, errors_m, feed, feed_until, fingerprint, kinds, rms, toy
 
@@ -37,7 +37,7 @@ def elsewhere():
 
 def test_a_recovery_without_overlap_fails_with_a_reason(elsewhere):
     system, _, _, _, _ = elsewhere
-    assert kinds(system) == ["initialized", *MENDED[:-1]]
+    assert kinds(system) == ["initialized", *RECOVERED[:-1]]
     end = of(system, "recovery_end")[0]
     assert not end.success
     assert end.stage in ("propagation", "overlap") and end.reason

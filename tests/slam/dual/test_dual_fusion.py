@@ -1,4 +1,4 @@
-"""Two maps of one world: their similarity is found, is refused where there is none, and joins them."""
+"""Two maps of one world: their similarity is estimated or refused, and they are fused."""
 
 from dataclasses import replace
 
@@ -41,7 +41,7 @@ def built(world, sightings):
 
 @pytest.fixture
 def maps(built):
-    """The old map in the frame of the world, the new one in a frame and scale of its own."""
+    """The old map in the frame of the world, the new one in another frame and scale."""
     return tuple(m.copy() for m in built)
 
 
@@ -93,10 +93,10 @@ def test_matched_points_are_the_same_world_points(sightings, maps):
 
 
 def test_guided_search_adds_matches(maps):
-    """Keypoints that have come out very different are not matched blindly, but where they should lie."""
+    """Keypoints with very different descriptors are matched only near their predicted positions."""
     _, new = maps
     rows = np.arange(*new.keypoints(at(NEW, 25)).indices(10**6))[::2]
-    # 60 bits: too far for a blind match.
+    # 60 bits: too far for an unguided match.
     new.arrays.kp_descriptor[rows, 0] ^= np.uint64(2**60 - 1)
     alignment, _, _ = aligned(maps, 25, 25)
     changed = np.isin(alignment.new_points, new.arrays.kp_point[rows])
@@ -201,7 +201,7 @@ def test_alignments_with_different_maps_do_not_confirm_each_other(maps):
     ],
 )
 def test_alignments_that_differ_too_much_do_not_agree(maps, change, agrees):
-    """Scale, turn and shift, each about the points that were seen, of six metres in depth."""
+    """Scale, rotation and shift about the observed points, at six metres in depth."""
     old, _ = maps
     first, second = aligned(maps, 30, 30)[0], aligned(maps, 25, 25)[0]
     scale, turn_deg, shift = change
@@ -216,7 +216,7 @@ def test_alignments_that_differ_too_much_do_not_agree(maps, change, agrees):
 
 @pytest.fixture
 def fused(maps):
-    """The maps joined at frame 25: the map, row offsets, and what was before."""
+    """The maps fused at frame 25: the map, row offsets, and values before the fusion."""
     old, new = maps
     before = {
         "T_old": {k: old.T_cam_map(k) for k in range(old.n_keyframes)},
@@ -258,7 +258,7 @@ def test_the_scale_of_the_new_part_is_that_of_the_old(fused, world, sightings):
 
 
 def test_duplicate_points_are_fused(fused, sightings):
-    """Where both maps looked, a place of the world is one point, seen from both sides."""
+    """A world point in both maps becomes one point, observed from both sides."""
     old, keyframes, _, alignment, before = fused
     assert len(old.points()) < before["points"] - 0.9 * alignment.inliers
     ids, pure = world_ids(old, [sightings[i] for i in (*OLD, *NEW)])
@@ -279,7 +279,7 @@ def test_matched_points_become_one_row(fused):
 
 
 def test_old_keyframes_younger_than_the_seam_are_culled(fused):
-    """They are what the breakage may have spoilt; frames that hang on them go on following the map."""
+    """The breakage may have corrupted them; frames that refer to them still follow the map."""
     old, keyframes, _, _, before = fused
     live = old.keyframes().tolist()
     assert live == [at(OLD, i) for i in OLD if i <= 25] + [keyframes + k for k in range(len(NEW))]
@@ -294,7 +294,7 @@ def test_the_spanning_tree_is_one_tree(fused):
 
 
 def test_the_seam_is_bundle_adjusted(maps):
-    """An alignment a little off leaves errors of several pixels at the seam, unless adjusted."""
+    """A slightly wrong alignment would leave errors of several pixels at the seam."""
     old, new = maps
     alignment, _, _ = aligned(maps, 25, 25)
     where = old.arrays.pt_xyz[alignment.old_points].mean(0)
@@ -312,7 +312,7 @@ def test_the_seam_is_bundle_adjusted(maps):
 
 
 def test_a_map_can_be_fused_twice(fused, world):
-    """A third part, of yet another scale, joins what the first two have become."""
+    """A third map, of another scale, is fused with the result of the first two."""
     old, _, _, _, _ = fused
     rng = np.random.default_rng(26)
     frames = range(60, 90, 5)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from dual_scenes import (
-    MENDED,
+    RECOVERED,
     RECOVERY_ONLY,
     STEP_M,
     Slow,
@@ -98,7 +98,7 @@ def delayed():
 
 def test_the_fusion_is_applied_at_the_time_of_the_cost_model(delayed):
     system, _, _, stamps_s, _ = delayed
-    assert kinds(system) == ["initialized", *MENDED]
+    assert kinds(system) == ["initialized", *RECOVERED]
     start, end, fusion = (of(system, kind)[0] for kind in ("recovery_start", "recovery_end", "fusion"))
     ready_s = start.stamp_s + 0.04 * end.frames_covered
     assert fusion.frame == end.frame == int(np.searchsorted(stamps_s, ready_s - 1e-9))
@@ -166,9 +166,9 @@ def test_the_end_of_input_waits_for_a_running_recovery(delayed):
 def test_a_new_map_that_breaks_during_its_recovery_is_saved_and_still_fused():
     system = with_own_threads([Lasting(24)])
     _, T_world_cam = drive(system, 175, after_start(system, 12, 18))
-    story = kinds(system)
-    assert story[:7] == ["initialized", *MENDED[:6]]
-    assert story[7:10] == ["breakage", "map_saved", "reinit_start"]
+    run_events = kinds(system)
+    assert run_events[:7] == ["initialized", *RECOVERED[:6]]
+    assert run_events[7:10] == ["breakage", "map_saved", "reinit_start"]
     fused = of(system, "fusion")
     assert [(e.old_map_id, e.new_map_id, e.by) for e in fused] == [(0, 1, "recovery"), (0, 2, "recovery")]
     start, broken = of(system, "recovery_start")[0].frame, of(system, "breakage")[1].frame
@@ -326,7 +326,7 @@ def test_up_to_the_first_success_both_are_identical(both_ways):
 
 def test_without_threads_maps_are_only_saved():
     system = with_threads(80, [range(50, 56)], [])
-    assert kinds(system) == ["initialized", *MENDED[:5]]
+    assert kinds(system) == ["initialized", *RECOVERED[:5]]
     assert sorted(system.maps()) == [0, 1]
     assert not system.buffer.frozen
 
@@ -351,7 +351,7 @@ def test_after_a_cut_recovery_crosses_all_buffered_frames():
     with pytest.raises(RuntimeError, match="restart without a cut"):
         system.restart()
     feed(system, images[72:], stamps_s[72:])
-    assert kinds(system) == ["initialized", "map_cut", "map_saved", *MENDED[2:]]
+    assert kinds(system) == ["initialized", "map_cut", "map_saved", *RECOVERED[2:]]
     by_kind = {e.kind: e for e in system.events}
     assert (by_kind["map_cut"].frame, by_kind["map_cut"].map_id) == (49, 0)
     assert by_kind["reinit_start"].frame == 71

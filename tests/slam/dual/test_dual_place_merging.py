@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dual_scenes import CONFIG, MENDED, RECOVERY_ONLY, STEP_M, dual, of, scale_between
+from dual_scenes import CONFIG, RECOVERED, RECOVERY_ONLY, STEP_M, dual, of, scale_between
 from slam_scenes import blanked, errors_m, feed, kinds, rms, toy
 
 from slam.core.events import TrackingState
@@ -24,7 +24,7 @@ BY_PLACE = replace(
 
 
 @pytest.fixture(scope="module")
-def joined():
+def fused_by_place():
     """The scene of the saved map is still in view after the breakage."""
     images, stamps_s, T_world_cam = toy(130, 0, STEP_M)
     system = dual(BY_PLACE)
@@ -32,9 +32,9 @@ def joined():
     return system, results, T_world_cam
 
 
-def test_a_recognised_map_is_fused_by_place(joined):
-    system, results, _ = joined
-    assert kinds(system) == ["initialized", *MENDED]
+def test_a_recognised_map_is_fused_by_place(fused_by_place):
+    system, results, _ = fused_by_place
+    assert kinds(system) == ["initialized", *RECOVERED]
     (end,) = of(system, "recovery_end")
     assert (end.success, end.stage) == (False, "propagation")
     (fusion,) = of(system, "fusion")
@@ -45,8 +45,8 @@ def test_a_recognised_map_is_fused_by_place(joined):
     assert all(r.state is TrackingState.TRACKING for r in results[fusion.frame :])
 
 
-def test_the_fused_map_has_one_scale_and_frame(joined):
-    system, results, T_world_cam = joined
+def test_the_fused_map_has_one_scale_and_frame(fused_by_place):
+    system, results, T_world_cam = fused_by_place
     (path,) = system.trajectories()
     assert rms(errors_m(path, T_world_cam)[0]) < 0.05
     before, after = (scale_between(path, T_world_cam, *side) for side in ((0, 49), (70, 129)))
@@ -56,9 +56,9 @@ def test_the_fused_map_has_one_scale_and_frame(joined):
         assert np.linalg.norm(r.T_map_cam[:3, 3] - at[r.frame][:3, 3]) < 0.03
 
 
-def test_no_keyframe_of_the_saved_map_is_culled_at_the_seam(joined):
+def test_no_keyframe_of_the_saved_map_is_culled_at_the_seam(fused_by_place):
     """No recovery has covered those frames again."""
-    system, _, _ = joined
+    system, _, _ = fused_by_place
     frames = system.trajectories()[0].frames.tolist()
     assert set(range(10, 50)) <= set(frames)
     keyframes = system.keyframe_trajectories()[0].frames
@@ -73,12 +73,12 @@ def test_another_place_is_not_recognised():
     assert sorted(system.maps()) == [0, 1]
 
 
-def test_place_merging_can_be_switched_off(joined):
+def test_place_merging_can_be_switched_off(fused_by_place):
     images, stamps_s, _ = toy(130, 0, STEP_M)
-    count = of(joined[0], "fusion")[0].frame + 3
+    count = of(fused_by_place[0], "fusion")[0].frame + 3
     system = dual(replace(BY_PLACE, place_merging=None))
     feed(system, blanked(images, range(50, 56))[:count], stamps_s[:count], check=False)
-    assert kinds(system) == kinds(joined[0])[:-1]
+    assert kinds(system) == kinds(fused_by_place[0])[:-1]
 
 
 class BackToTheFirst(DualSlam):

@@ -145,7 +145,7 @@ def test_a_blank_image_has_no_features():
 
 def test_features_are_undistorted_and_limited_in_number():
     bent = replace(CAMERA, distortion=(-0.2, 0.05, 0.0, 0.0, 0.0))
-    image = cv2.resize(toy(20)[0][0], (640, 480))
+    image = cv2.resize(toy(20, 0, STEP_M)[0][0], (640, 480))
     frame = make_frame(0, np.random.default_rng(0), n=5)
     plain, undone = (sift.detect(image, frame, camera, 200, 0.04) for camera in (CAMERA, bent))
     assert 150 <= len(plain.xy) <= 210 and (plain.inv_sigma2 <= 1).all()

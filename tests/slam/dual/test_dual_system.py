@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dual_scenes import CONFIG, MENDED, RECOVERY_ONLY, STEP_M, of, play, scale_between, with_threads
+from dual_scenes import CONFIG, RECOVERED, RECOVERY_ONLY, STEP_M, of, play, scale_between, with_threads
 from slam_scenes import blanked, check_maps, errors_m, feed, kinds, rms, toy
 
 from slam.core.events import TrackingState
@@ -19,14 +19,14 @@ from slam.warmup import CAMERA
 
 
 @pytest.fixture(scope="module")
-def mended():
+def recovered():
     """Six blank frames in the middle."""
     return play(130, range(50, 56))
 
 
-def test_a_breakage_ends_in_one_fused_map(mended):
-    system, results, T_world_cam = mended
-    assert kinds(system) == ["initialized", *MENDED]
+def test_a_breakage_ends_in_one_fused_map(recovered):
+    system, results, T_world_cam = recovered
+    assert kinds(system) == ["initialized", *RECOVERED]
     assert system.maps() == [0] and system.current_map_id == 0
     assert results[-1].state is TrackingState.TRACKING and results[-1].map_id == 0
     (path,) = system.trajectories()
@@ -36,28 +36,28 @@ def test_a_breakage_ends_in_one_fused_map(mended):
     assert rms(errors) < 0.04 and errors.max() < 0.12
 
 
-def test_the_base_is_lost_and_identical_up_to_the_breakage(mended):
+def test_the_base_is_lost_and_identical_up_to_the_breakage(recovered):
     images, stamps_s, _ = toy(130, 0, STEP_M)
     system = build_system("base", CAMERA, 0, CONFIG)
     results = feed(system, blanked(images[:54], range(50, 54)), stamps_s[:54])
     assert kinds(system) == ["initialized", "breakage"]
     assert results[-1].state is TrackingState.RELOCALIZING
     assert system.trajectories()[0].frames[-1] == 49
-    assert [e.record() for e in system.events] == [e.record() for e in mended[0].events[:2]]
-    for r, q in zip(mended[1][:50], results[:50], strict=True):
+    assert [e.record() for e in system.events] == [e.record() for e in recovered[0].events[:2]]
+    for r, q in zip(recovered[1][:50], results[:50], strict=True):
         assert (r.state, r.inliers, r.is_keyframe) == (q.state, q.inliers, q.is_keyframe)
         assert r.T_map_cam is None or r.T_map_cam.tobytes() == q.T_map_cam.tobytes()
 
 
-def test_both_sides_of_the_breakage_have_one_scale(mended):
-    system, _, T_world_cam = mended
+def test_both_sides_of_the_breakage_have_one_scale(recovered):
+    system, _, T_world_cam = recovered
     (path,) = system.trajectories()
     before, after = (scale_between(path, T_world_cam, *side) for side in ((0, 49), (56, 129)))
     assert before / after == pytest.approx(1, abs=0.05)
 
 
-def test_the_events_describe_the_recovery(mended):
-    system, _, _ = mended
+def test_the_events_describe_the_recovery(recovered):
+    system, _, _ = recovered
     by_kind = {e.kind: e for e in system.events}
     broken, saved = by_kind["breakage"], by_kind["map_saved"]
     assert (broken.frame, broken.map_id, saved.frame, saved.map_id) == (50, 0, 50, 0)
@@ -81,17 +81,17 @@ def test_the_events_describe_the_recovery(mended):
         assert json.loads(json.dumps(record)) == record
 
 
-def test_recovery_starts_at_the_required_number_of_keyframes(mended):
-    system, results, _ = mended
+def test_recovery_starts_at_the_required_number_of_keyframes(recovered):
+    system, results, _ = recovered
     start = of(system, "recovery_start")[0].frame
     made = [r.frame for r in results if r.is_keyframe and 56 <= r.frame <= start]
     # The first keyframe is the reference frame of the initialisation, declared with the second.
     assert len(made) + 1 == system.dual.start_keyframes
 
 
-def test_tracking_continues_in_the_old_frame_and_scale(mended):
+def test_tracking_continues_in_the_old_frame_and_scale(recovered):
     """Poses from the frame of the fusion on are close to the final ones."""
-    system, results, _ = mended
+    system, results, _ = recovered
     (path,) = system.trajectories()
     at = {int(f): T for f, T in zip(path.frames, path.T_map_cam, strict=True)}
     fused = of(system, "fusion")[0].frame
@@ -103,8 +103,8 @@ def test_tracking_continues_in_the_old_frame_and_scale(mended):
     assert lengths.max() < 2 * np.median(lengths)
 
 
-def test_old_keyframes_younger_than_the_seam_are_culled(mended):
-    system, _, _ = mended
+def test_old_keyframes_younger_than_the_seam_are_culled(recovered):
+    system, _, _ = recovered
     m = system.current_map
     frames = np.array([m.frame_index(int(k)) for k in m.keyframes()])
     parents = [k for k in range(m.n_keyframes) if m.parent(k) < 0]
@@ -116,8 +116,8 @@ def test_old_keyframes_younger_than_the_seam_are_culled(mended):
     assert path.frames.tolist() == sorted(set(frames.tolist()))
 
 
-def test_settings_include_those_of_recovery(mended):
-    settings = json.loads(json.dumps(mended[0].settings))
+def test_settings_include_those_of_recovery(recovered):
+    settings = json.loads(json.dumps(recovered[0].settings))
     assert settings["dual"]["buffer_s"] == 10.0
     assert settings["dual"]["threads"][0]["kind"] == "orb"
     assert (
@@ -151,7 +151,7 @@ def test_maps_of_different_scale_are_fused_to_one_scale():
             velocity = system.tracker.velocity
             assert velocity is not None
             step = np.linalg.norm(velocity[:3, 3])
-    assert kinds(system) == ["initialized", *MENDED]
+    assert kinds(system) == ["initialized", *RECOVERED]
     assert of(system, "fusion")[0].scale == pytest.approx(1 / 0.4, rel=0.15)
     assert of(system, "reinit_done")[0].frame > 60
     assert of(system, "recovery_end")[0].frames_passed_over == 8
@@ -189,7 +189,7 @@ def test_two_breakages_in_a_row_are_both_recovered():
     thread = Recording()
     system = with_threads(185, [range(50, 56), range(120, 126)], [thread])
     T_world_cam = toy(185, 0, STEP_M)[2]
-    assert kinds(system) == ["initialized", *MENDED, *MENDED]
+    assert kinds(system) == ["initialized", *RECOVERED, *RECOVERED]
     assert system.maps() == [0]
     (path,) = system.trajectories()
     assert rms(errors_m(path, T_world_cam)[0]) < 0.05
@@ -210,7 +210,7 @@ def test_a_new_map_that_breaks_before_its_recovery_is_dropped():
     system, _, T_world_cam = play(140, range(50, 56), range(66, 69))
     assert kinds(system) == [
         "initialized", "breakage", "map_saved", "reinit_start", "initialized", "reinit_done",
-        "breakage", "map_dropped", "reinit_start", *MENDED[3:],
+        "breakage", "map_dropped", "reinit_start", *RECOVERED[3:],
     ]  # fmt: skip
     dropped = of(system, "map_dropped")[0]
     assert (dropped.map_id, dropped.frame, dropped.reason) == (1, 66, "broke_before_recovery")
@@ -228,6 +228,6 @@ def test_a_new_map_that_breaks_before_its_recovery_is_dropped():
 
 def test_a_first_map_with_too_few_keyframes_is_dropped_as_in_the_base():
     system, _, _ = play(45, range(7, 9))
-    assert kinds(system) == ["initialized", "breakage", "map_dropped", "reinit_start", *MENDED[3:5]]
+    assert kinds(system) == ["initialized", "breakage", "map_dropped", "reinit_start", *RECOVERED[3:5]]
     assert of(system, "map_dropped")[0].reason == "too_few_keyframes"
     assert system.maps() == [1]

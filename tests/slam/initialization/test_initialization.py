@@ -1,4 +1,4 @@
-"""The first map: when it is made, that it is the scene up to scale, and when another frame is awaited."""
+"""Initialization: the first map equals the scene up to scale, and unsuitable frames are refused."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def offer(seeker, frame, seed=0, map_id=4):
 
 
 def first_map(seed=0, **settings):
-    """The map, the two sightings it is made of, and the reasons of the frames refused before."""
+    """The map, its two sightings, and the reasons of the frames refused before."""
     rng = np.random.default_rng(seed)
     seeker = initializer(**settings)
     sightings, reasons = [], []
@@ -143,7 +143,7 @@ def test_matches_are_tracked_beyond_the_search_window():
 
 
 def test_gms_initializes_with_motions_beyond_the_search_window():
-    """Turning by 120 px a frame, moving on: the windowed search starts over with every frame."""
+    """With a rotation of 120 px per frame the windowed search restarts at every frame."""
     rng = np.random.default_rng(9)
 
     def leap(i):
@@ -201,7 +201,7 @@ def test_too_few_points_after_adjustment_restart_from_the_frame():
 
 
 def test_coarse_keypoints_are_weighted_by_their_noise(monkeypatch):
-    """The geometry is told the scale of each match's pyramid level."""
+    """The geometry gets the scale of each match's pyramid level."""
     seen = []
 
     def spy(pixels_1, pixels_2, K, rng, config, scale):

@@ -1,4 +1,4 @@
-"""Two views are reconstructed where they tell the motion, and refused for the right reason elsewhere."""
+"""Two views are reconstructed if they determine the motion, else refused with the right reason."""
 
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ def test_scenes_are_reconstructed_and_never_wrongly(kind, model, least, baseline
 
 
 def test_the_direction_uses_all_matches():
-    """The motion is that of all matches: its errors are what the noise leaves open, no more."""
+    """The motion fits all matches: its error is that expected from the noise."""
     errors = []
     for seed in range(10):
         T, _, u, v, _ = scene("general", seed)
@@ -87,7 +87,7 @@ def test_pure_rotation_is_refused_for_its_parallax(seed, noise):
 @pytest.mark.parametrize("seed", [2, 4, 5])
 @pytest.mark.parametrize("turn_deg", [0.5, 0.6])
 def test_a_small_rotation_of_rounded_keypoints_is_not_taken_for_a_translation(seed, turn_deg):
-    """Most rows stay what they were by rounding, as in a move sideways."""
+    """Rounding keeps most rows, as in a sideways motion."""
     rng, n = np.random.default_rng(seed), 2000
     scale = 1.2 ** rng.integers(0, 8, n)
     rays = np.column_stack([rng.uniform([20, 20], [620, 460], (n, 2)), np.ones(n)]) @ np.linalg.inv(K).T
@@ -120,7 +120,7 @@ def test_parallax_below_the_threshold_is_refused():
 
 
 def test_a_plane_with_two_explanations_is_refused():
-    """On the way towards a tilted plane, a second plane and motion explain the views as well."""
+    """In motion towards a tilted plane, a second plane and motion explain the views as well."""
     _, points, u, _, _ = scene("plane", outliers=0.0)
     T = rigid([0.0, 0.0, -0.5], [0.0, 0.0, 0.0])
     v = project(T, points) + np.random.default_rng(0).normal(0, 0.3, u.shape)
@@ -130,7 +130,7 @@ def test_a_plane_with_two_explanations_is_refused():
 
 
 def test_a_plane_with_points_in_front_has_one_explanation():
-    """What tells the two motions of a plane from each other is any structure besides the plane."""
+    """Structure outside the plane distinguishes its two motions."""
     T = rigid([0.0, 0.0, -0.5], [0.0, 0.0, 0.0])
     for share, reason in ((0.0, "ambiguous"), (0.3, "")):
         _, points, u, _, _ = scene("plane", outliers=0.0)
@@ -143,7 +143,7 @@ def test_a_plane_with_points_in_front_has_one_explanation():
 
 
 def test_an_ill_conditioned_direction_is_refused():
-    """Under little parallax a sideways move and a turn look alike; more noise leaves more open."""
+    """With little parallax a sideways motion and a rotation look alike, more so with noise."""
     reasons = []
     for noise in (0.2, 1.5, 4.0):
         _, _, u, v, _ = scene("general", 3, outliers=0.0, baseline=0.3, noise=noise)
@@ -220,7 +220,7 @@ def test_coincident_or_collinear_matches_are_refused(spread, slope, noise):
 
 @pytest.mark.parametrize("seed", [2, 18, 26, 113, 152, 184])
 def test_collinear_matches_are_refused_even_if_a_motion_fits(seed):
-    """Large turns that bring the scene next to the camera; picked out of many lines."""
+    """Large rotations that place the scene next to the camera; selected from many lines."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(100, 300))
     x = 20 + 600 * rng.random(n)

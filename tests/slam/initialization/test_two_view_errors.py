@@ -1,4 +1,4 @@
-"""Errors of matches are what they are defined to be, and the equations follow from them."""
+"""Errors of matches agree with their definition, and the equations with the errors."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def test_perfect_matches_have_no_error_under_the_true_motion_only(direction):
     mirrored[:3, 3] *= -1
     off, behind = errors_of(mirrored, rays_1, rays_2, sigma)
     assert np.abs(off).max() < 1e-6 and (behind < -1.0).mean() > 0.95
-    # The turn by 180 degrees about the baseline, which has the same epipolar lines.
+    # The rotation by 180 degrees about the baseline, which has the same epipolar lines.
     twisted = T.copy()
     twisted[:3, :3] = so3_exp(*(np.pi * T[:3, 3])) @ T[:3, :3]
     off, behind = errors_of(twisted, rays_1, rays_2, sigma)

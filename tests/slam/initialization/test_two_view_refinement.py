@@ -1,4 +1,4 @@
-"""Refined motions are minima of the cost they claim, whatever the start, the outliers and the noise."""
+"""Refined motions are minima of the robust cost, for any start, outliers and noise."""
 
 import numpy as np
 import pytest

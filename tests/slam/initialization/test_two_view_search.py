@@ -1,4 +1,4 @@
-"""The search finds every motion that explains the matches, and what speaks for and against each."""
+"""The search finds every motion that explains the matches."""
 
 from itertools import pairwise
 
@@ -46,7 +46,7 @@ def test_the_true_motion_is_found_from_any_start(outliers):
 
 
 def test_both_explanations_of_a_plane_are_found():
-    """Moving towards a tilted plane: direction and normal may change roles."""
+    """In motion towards a tilted plane, direction and normal may be exchanged."""
     rng = np.random.default_rng(0)
     T = rigid((0, 0, -1))
     normal = np.array([0.5, -0.3, 1.0])

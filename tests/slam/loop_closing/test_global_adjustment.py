@@ -1,4 +1,4 @@
-"""An adjustment of the map as it was, applied to the map that it has grown into."""
+"""An adjustment of an earlier state of the map, applied to the present map."""
 
 import numpy as np
 import pytest
@@ -63,7 +63,7 @@ def test_what_was_culled_since_stays_culled(closed):
 
 
 def test_removed_keypoints_of_culled_keyframes_do_not_matter(closed):
-    """Outliers are told by keyframe and keypoint, of one culled since and of those whose rows have moved."""
+    """Outliers are given by keyframe and keypoint, which stay valid when rows move."""
     a = closed.arrays
     for k in (5, 20):
         a.kp_xy[closed.keypoints(k).start + np.flatnonzero(closed.observed_points(k) >= 0)[:3]] += 100.0

@@ -1,4 +1,4 @@
-"""Loops are found where a place is seen again for several keyframes, and only there."""
+"""Loops are detected where a place is recognised by several keyframes, and only there."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from slam.optimization.sim3 import horn_sim3, sim3_decompose
 
 
 class Oracle:
-    """Stands for place recognition: answers with given candidates."""
+    """Mock of place recognition that returns given candidates."""
 
     def __init__(self, candidates):
         self.candidates = candidates
@@ -30,7 +30,7 @@ def drifted():
 
 
 def same_place(r, keyframe):
-    """The keyframe of the first round that stands where this one does."""
+    """The keyframe of the first round at the same place."""
     return keyframe - 60
 
 

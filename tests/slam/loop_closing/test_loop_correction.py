@@ -1,4 +1,4 @@
-"""A drifted ring is closed: the drift is spread, duplicates become one, the map stays whole."""
+"""A drifted ring is closed: drift is distributed, duplicates are fused, the map stays valid."""
 
 import numpy as np
 import pytest
@@ -57,12 +57,12 @@ def test_both_sides_share_their_points_after_the_correction(drifted):
     assert len(m.points()) <= points - len(drifted.loop.points)
     assert (k, q) in m.loop_edges
     assert [k, q] in essential_edges(m).tolist()
-    # Neighbours beside the matched keyframe were joined too.
+    # Points of neighbouring keyframes were fused too.
     assert m.arrays.covisibility[k - 1, q - 1] > 50
 
 
 def test_lengths_follow_the_correction(drifted):
-    """The factor is that by which the surroundings of a keyframe were too large."""
+    """The factor corrects the excess scale around a keyframe."""
     m = drifted.map
     m.cull_keyframe(30)
     parent = m.parent(30)

@@ -1,4 +1,4 @@
-"""The map keeps its invariants under every operation, and observation lists say what the owner says."""
+"""The map keeps its invariants under every operation."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def test_invariants_hold_after_random_edits():
         if edit == 0:
             kernels.remove_point(m.arrays, rng.choice(good))
         elif edit == 1:
-            kernels.replace_point(m.arrays, *rng.choice(good, 2, replace=False), VIEW.scale)
+            kernels.replace_point(m.arrays, *rng.choice(good, 2, replace=False).astype(np.int32), VIEW.scale)
         elif edit == 2:
             rows = np.flatnonzero(m.arrays.kp_point[: m.arrays.kf_start[m.n_keyframes]] >= 0)
             kernels.erase_observation(m.arrays, rng.choice(rows), MIN_OBSERVATIONS)
@@ -49,7 +49,7 @@ def test_a_keyframe_observes_a_point_once():
 
 def test_replacement_is_followed_by_frames():
     m = random_map(np.random.default_rng(4))
-    a, b, c, d = (int(p) for p in m.points()[:4])
+    a, b, c, d = m.points()[:4].astype(np.int32)
     kernels.replace_point(m.arrays, a, b, VIEW.scale)
     kernels.replace_point(m.arrays, b, c, VIEW.scale)
     kernels.remove_point(m.arrays, d)
@@ -110,12 +110,12 @@ def test_absorb_keeps_both_maps_valid():
 
 def test_a_copy_is_independent():
     m = random_map(np.random.default_rng(8))
-    twin = m.copy()
-    kernels.remove_point(twin.arrays, int(twin.points()[0]))
-    twin.cull_keyframe(3)
+    copied = m.copy()
+    kernels.remove_point(copied.arrays, int(copied.points()[0]))
+    copied.cull_keyframe(3)
     check_map(m)
-    check_map(twin)
-    assert len(m.keyframes()) == len(twin.keyframes()) + 1
+    check_map(copied)
+    assert len(m.keyframes()) == len(copied.keyframes()) + 1
 
 
 def test_the_representative_descriptor_has_the_least_median_distance():
@@ -139,14 +139,14 @@ def arrays_of(m):
 
 
 def test_replacing_points_together_equals_one_by_one():
-    """Chains and repetitions included; -1 leaves a point alone."""
+    """Including chains and repetitions; -1 keeps a point."""
     rng = np.random.default_rng(6)
     at_once = random_map(rng)
     one_by_one = at_once.copy()
     olds = rng.choice(at_once.points(), 40).astype(np.int32)
     news = np.where(rng.random(40) < 0.2, -1, rng.choice(at_once.points(), 40)).astype(np.int32)
     kernels.replace_points(at_once.arrays, olds, news, VIEW.scale)
-    for old, new in zip(olds.tolist(), news.tolist(), strict=True):
+    for old, new in zip(olds, news, strict=True):
         if new >= 0:
             kernels.replace_point(one_by_one.arrays, old, new, VIEW.scale)
     assert arrays_of(at_once) == arrays_of(one_by_one)
@@ -154,7 +154,7 @@ def test_replacing_points_together_equals_one_by_one():
 
 
 def test_taking_over_points_together_equals_one_by_one():
-    """Into free keypoints they go, where it has one already the two become it."""
+    """Free keypoints observe them; points of occupied keypoints are joined."""
     rng = np.random.default_rng(7)
     at_once = random_map(rng)
     one_by_one = at_once.copy()
@@ -165,10 +165,10 @@ def test_taking_over_points_together_equals_one_by_one():
     own = one_by_one.observed_points(keyframe)
     joined = 0
     for row in np.flatnonzero(points >= 0).tolist():
-        point = int(points[row])
+        point = points[row]
         if own[row] >= 0:
             joined += 1
-            kernels.replace_point(one_by_one.arrays, point, int(own[row]), VIEW.scale)
+            kernels.replace_point(one_by_one.arrays, point, own[row], VIEW.scale)
         elif kernels.add_observation(one_by_one.arrays, start + row, point):
             kernels.refresh_point(one_by_one.arrays, point, VIEW.scale)
     assert joined > 3

@@ -1,4 +1,4 @@
-"""Keypoints of culled keyframes make room, and nobody can tell."""
+"""Keypoints of culled keyframes are removed without other effects."""
 
 import numpy as np
 import pytest

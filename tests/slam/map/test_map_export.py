@@ -1,4 +1,4 @@
-"""Maps as COLMAP models: read back by pycolmap, they are the same map."""
+"""Maps as COLMAP models: read back by pycolmap, they are unchanged."""
 
 from dataclasses import replace
 
@@ -49,7 +49,7 @@ def test_poses_names_and_keypoints(mapped, read_back):
 
 
 def test_the_reprojection_error_is_the_map_s(mapped, read_back):
-    """Half a pixel between the conventions would show: the map's own errors are the judge."""
+    """A wrong half pixel between the conventions would change the errors."""
     map_, _ = mapped
     a = map_.arrays
     rows = np.flatnonzero(a.kp_point >= 0)

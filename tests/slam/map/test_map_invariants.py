@@ -1,4 +1,4 @@
-"""Every invariant of a map is noticed where it is broken, and named."""
+"""Every broken invariant of a map is reported by name."""
 
 import numpy as np
 import pytest
@@ -9,12 +9,12 @@ from slam.map.invariants import InvariantError, check_map
 
 @pytest.fixture
 def sound():
-    """A map with a culled keyframe and a replaced point, which is sound."""
+    """A valid map with a culled keyframe and a replaced point."""
     from slam.map import _map_kernels as kernels
 
     m = random_map(np.random.default_rng(11))
     m.cull_keyframe(3)
-    kernels.replace_point(m.arrays, int(m.points()[0]), int(m.points()[1]), m.view.scale)
+    kernels.replace_point(m.arrays, *m.points()[:2].astype(np.int32), m.view.scale)
     check_map(m)
     return m
 

@@ -1,4 +1,4 @@
-"""Frame poses follow their keyframes wherever the map takes them."""
+"""Frame poses follow their keyframes."""
 
 import numpy as np
 import pytest
@@ -105,7 +105,7 @@ def test_a_dropped_map_has_no_frames(m):
 
 
 def test_frames_of_an_absorbed_map_follow_its_keyframes(m):
-    """They stay where they were in it as it moves and scales; a frame that both maps have is not doubled."""
+    """Their poses follow its motion and scale; a frame of both maps occurs once."""
     other = random_map(np.random.default_rng(2), map_id=1)
     poses, _ = record(m)
     for i in range(5, 12):
@@ -125,7 +125,7 @@ def test_frames_of_an_absorbed_map_follow_its_keyframes(m):
 
 
 def test_keyframes_are_listed_in_order_of_time_without_the_culled(m):
-    """A recovery inserts keyframes against time; a frame where two maps met is a keyframe twice."""
+    """A recovery inserts keyframes backward in time; a frame of a fusion is a keyframe twice."""
     late = m.add_keyframe(make_frame(9, RNG), 5)
     again = m.add_keyframe(make_frame(1, RNG, T=rigid((0, 0, 1))), 0)
     m.cull_keyframe(4)

@@ -139,12 +139,12 @@ def new_points_reference(m, min_depth, parallax, ratio):
 # -- properties ----------------------------------------------------------------------------------------------
 
 
-def test_the_fundamental_matrix_agrees_with_its_twin_and_with_projections():
+def test_the_fundamental_matrix_agrees_with_numpy_and_with_projections():
     rng = np.random.default_rng(0)
     for _ in range(20):
         T_1, T_2 = (rigid(rng.normal(size=3), rng.normal(0, 20, 3)) for _ in range(2))
-        F, twin = fundamental(T_1, T_2, VIEW), fundamental_reference(T_1, T_2)
-        np.testing.assert_allclose(F, twin, atol=1e-12 * np.abs(twin).max())
+        F, expected = fundamental(T_1, T_2, VIEW), fundamental_reference(T_1, T_2)
+        np.testing.assert_allclose(F, expected, atol=1e-12 * np.abs(expected).max())
         X = rng.normal(size=(30, 3)) + np.linalg.inv(T_1)[:3, 3] + T_1[2, :3] * 5
         x_1, x_2 = ((X @ T[:3, :3].T + T[:3, 3]) @ K.T for T in (T_1, T_2))
         residual = np.einsum("ni,ij,nj->n", x_2, F, x_1)
@@ -171,11 +171,11 @@ def test_the_search_agrees_with_its_reference(second, least_deg):
     make_difficult(built, rng)
     parallax = float(np.cos(np.deg2rad(least_deg)))
     own, theirs, xyz = search(built, parallax=parallax)
-    twin = new_points_reference(built, 0.5, parallax, 0.8)
+    expected = new_points_reference(built, 0.5, parallax, 0.8)
     assert len(own) > 80
-    np.testing.assert_array_equal(np.column_stack([own, theirs]), twin[:, :2])
+    np.testing.assert_array_equal(np.column_stack([own, theirs]), expected[:, :2])
     depth = xyz @ built.T_cam_map(1)[2, :3] + built.T_cam_map(1)[2, 3]
-    assert (np.linalg.norm(xyz - twin[:, 2:], axis=1) < 1e-4 * depth).all()
+    assert (np.linalg.norm(xyz - expected[:, 2:], axis=1) < 1e-4 * depth).all()
 
 
 def make_difficult(built, rng):

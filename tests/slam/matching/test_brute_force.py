@@ -83,9 +83,9 @@ def test_noisy_copies_find_their_originals():
 def test_ambiguous_descriptor_is_not_matched():
     rng = np.random.default_rng(6)
     a = random_descriptors(rng, 1)
-    twins = np.concatenate([with_flipped_bits(rng, a, 20), with_flipped_bits(rng, a, 21)])
-    assert len(match_brute_force(a, twins, 50, 0.9)) == 0
-    assert match_brute_force(a, twins, 50, 0.99).tolist() == [[0, 0]]
+    pairs = np.concatenate([with_flipped_bits(rng, a, 20), with_flipped_bits(rng, a, 21)])
+    assert len(match_brute_force(a, pairs, 50, 0.9)) == 0
+    assert match_brute_force(a, pairs, 50, 0.99).tolist() == [[0, 0]]
 
 
 def test_single_candidate_passes_the_ratio():

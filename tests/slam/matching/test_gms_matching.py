@@ -1,4 +1,4 @@
-"""GMS keeps right matches and lets wrong ones go, wherever the keypoints went."""
+"""GMS keeps correct matches and removes wrong ones, for any motion of the keypoints."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ def sight(i, T_cam_world, seed=0, bits=25):
 
 
 def two_views(turn_deg=14.0, seed=0):
-    """Two views of the world, the second turned by 120 px and moved a little."""
+    """Two views of the world, the second rotated by 120 px and slightly moved."""
     one, two = sight(0, rigid(), seed), sight(1, rigid((0.05, 0, 0), (0, turn_deg, 0)), seed)
     return one, two
 
@@ -106,7 +106,7 @@ def test_keypoints_on_the_image_border_are_accepted():
         rng.integers(0, 2**63, (n, 4)).astype(np.uint64),
     )
     frame = FrameFeatures.build(0, 0.0, features, CAMERA, VIEW)
-    # Undistorted places may lie far outside of the image; they do not count.
+    # Undistorted positions may lie far outside of the image; they are not used.
     frame = replace(frame, xy=frame.xy * 10.0 - 3000.0)
     pairs = match_gms(frame, frame, SIZE_PX)
     assert len(pairs) > 0.8 * n

@@ -10,7 +10,7 @@ from slam.matching import guided as matching
 
 
 def nearest_in_window_reference(features, taken, u, v, radius, low, high, query, ratio):
-    """The slow way: every keypoint, in the order of the frame's rows."""
+    """Search over every keypoint, in the order of the frame's rows."""
     distance = np.bitwise_count(features.descriptors ^ query).sum(1).astype(int)
     near = (np.abs(features.xy - (u, v)) <= radius).all(1) & ~taken
     near &= (features.octave >= low) & (features.octave <= high)

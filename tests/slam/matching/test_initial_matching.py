@@ -1,4 +1,4 @@
-"""The ways to match a frame with the reference frame of initialisation."""
+"""Matchers of a frame with the reference frame of initialisation."""
 
 import numpy as np
 import pytest
@@ -151,7 +151,7 @@ def test_gms_adds_matches_to_those_of_the_windows():
 
 
 def test_the_windows_follow_the_matches_of_gms():
-    """After a jump the keypoints are looked for where GMS saw them."""
+    """After a jump the windows are at the keypoints matched by GMS."""
     one, jumped, after = look(0), look(1, turn_deg=18.0), look(2, turn_deg=18.0)
     matcher = gms()
     matcher.start(one.frame.features)

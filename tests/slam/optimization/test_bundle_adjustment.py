@@ -15,7 +15,7 @@ DELTA = float(np.sqrt(CHI2_2DOF))
 
 def rigid(translation, rotation):
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = so3_exp(*rotation), translation
+    T[:3, :3], T[:3, 3] = so3_exp(*map(float, rotation)), translation
     return T
 
 
@@ -130,7 +130,7 @@ def test_cost_agrees_with_scipy(seed, delta):
 
 @pytest.mark.parametrize("delta", [0.0, DELTA])
 def test_a_step_through_the_schur_complement_is_the_dense_step(delta):
-    """NumPy twin: Jacobian by central differences, the whole damped system solved at once."""
+    """NumPy reference: Jacobian by central differences, the whole damped system solved at once."""
     _, start = scene(cameras=4, n_points=12)
     start.pixels[::7] += 15.0
     damping = 1e-3

@@ -1,4 +1,4 @@
-"""Global bundle adjustment: the same cost as ours, whose weights pycolmap's cameras cannot have."""
+"""Global bundle adjustment by pycolmap has the same cost as ours, with weights per octave."""
 
 import numpy as np
 import pytest

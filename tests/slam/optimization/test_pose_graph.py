@@ -74,7 +74,7 @@ def test_the_jacobians_are_the_derivatives_of_the_logarithm(size):
 
 
 def drifting_loop(n, seed=0, drift=0.02):
-    """A loop of cameras whose odometry drifts in turn, place and scale, and the edge that closes it."""
+    """A loop of cameras with drift in rotation, position and scale, and the edge that closes it."""
     rng = np.random.default_rng(seed)
     truth = np.empty((n, 4, 4))
     for k in range(n):

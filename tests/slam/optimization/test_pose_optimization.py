@@ -14,7 +14,7 @@ INTRINSICS = (FX, FY, CX, CY)
 
 def rigid(translation, rotation):
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = so3_exp(*rotation), translation
+    T[:3, :3], T[:3, 3] = so3_exp(*map(float, rotation)), translation
     return T
 
 
@@ -99,7 +99,7 @@ def test_cholesky_refuses_what_is_not_positive_definite(A):
 
 @pytest.mark.parametrize("huber2", [0.0, CHI2_2DOF])
 def test_linearisation_agrees_with_finite_differences(huber2):
-    """NumPy twin: residuals by matrix algebra, derivatives by central differences, IRLS weights."""
+    """NumPy reference: residuals by matrix algebra, derivatives by central differences, IRLS weights."""
     _, start, points, pixels, inv_sigma2 = problem(outliers=20)
     active = np.random.default_rng(0).random(len(points)) < 0.8
     H, gradient = np.empty((6, 6)), np.empty(6)

@@ -130,7 +130,7 @@ def test_horn_recovers_the_similarity_of_coplanar_points():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_horn_is_the_least_squares_solution(seed):
-    """NumPy twin: the SVD form of Umeyama, 1991, which is another way to the same minimum."""
+    """NumPy reference: the SVD form of Umeyama, 1991, which is another way to the same minimum."""
     _, pairs = problem(seed, n=30, depth_noise=0.2)
     a, b = pairs.points_1, pairs.points_2
     a_0, b_0 = a - a.mean(axis=0), b - b.mean(axis=0)
@@ -353,7 +353,7 @@ def test_refinement_improves_ransac_and_drops_outliers(seed):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_one_frame_in_two_maps_has_its_scale_from_the_depths(seed):
-    """Without a baseline between the cameras reprojection leaves scale open; depths must hold it."""
+    """Without a baseline between the cameras only depths determine the scale."""
     (s, R, t), pairs = problem(seed, pixel_noise=0.7, depth_noise=0.03, baseline=0.0)
     start = sim3_matrix(1.04 * s, R, t)
     result = optimize_sim3(*sim3_decompose(start), *pairs.arguments())

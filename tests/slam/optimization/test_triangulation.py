@@ -1,4 +1,4 @@
-"""Points from two views: the least-squares point, or none."""
+"""Triangulation from two views: the least-squares point, or none."""
 
 import numpy as np
 import pytest

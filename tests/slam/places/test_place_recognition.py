@@ -1,4 +1,4 @@
-"""Retrieval: scores and candidates against a slow twin, the database's books, guided matching."""
+"""Retrieval: scores and candidates against NumPy, updates of the database, matching by words."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ KEYFRAMES, PLACES = 24, 3
 
 @pytest.fixture(scope="module")
 def places():
-    """Three stretches of a corridor, each seen by eight keyframes of one map; and sightings beside them."""
+    """Three parts of a corridor, each seen by eight keyframes of one map, and sightings beside them."""
     world, rng = PointWorld(points=6000, reach=(-3.0, 36.0)), np.random.default_rng(1)
     at = [place * 250 + 8 * n for place in range(PLACES) for n in range(KEYFRAMES // PLACES)]
     seen = [world.see(i, walk(i), rng, noise_px=0.5, bits=6) for i in at]
@@ -84,7 +84,7 @@ def test_a_keyframe_culled_before_it_was_added_is_never_found(places):
 
 
 def test_removed_keyframes_leave_room(places, database):
-    """A map that culls as many keyframes as it gains does not grow its database."""
+    """A map that culls as many keyframes as it adds does not grow its database."""
     m, size = database.map, 0
     for step in range(200):
         frame = places[3][step % KEYFRAMES].again()
@@ -150,7 +150,7 @@ def test_an_empty_image_and_an_empty_map_have_no_candidates(places, database):
 
 
 def test_loop_candidates_show_the_same_place_and_are_no_neighbours(places):
-    """The camera comes back to the first place, with points of its own: nothing is covisible yet."""
+    """The camera returns to the first place with new points: no keyframe is covisible yet."""
     built, *_, vocabulary = places
     world, rng = PointWorld(points=6000, reach=(-3.0, 36.0)), np.random.default_rng(5)
     back = [world.see(3000 + i, walk(8 * i + 3), rng, noise_px=0.5, bits=6) for i in range(4)]
@@ -203,7 +203,7 @@ def test_matches_agree_with_numpy_in_equal_nodes(places):
     slow = slow_match(a.frame.features, bows[0], rows, b.frame.features, bows[1], 50, 0.8)
     fast = match_by_bow(a.frame.features, bows[0], rows, b.frame.features, bows[1], 50, 0.8)
     assert fast.dtype == np.int32 and set(map(tuple, fast.tolist())) <= set(slow)
-    # The check of orientations takes out few: those of clutter.
+    # The check of orientations removes few matches: those of clutter.
     assert len(fast) > 0.95 * len(slow) > 50
     assert (a.ids[fast[:, 0]] == b.ids[fast[:, 1]]).mean() > 0.98
 

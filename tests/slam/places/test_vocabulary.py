@@ -1,4 +1,4 @@
-"""The vocabulary: the tree, its training, the bag of words and the file that is shipped."""
+"""The vocabulary: tree, training, bag of words and the shipped file."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from slam.places.training import cluster, train_vocabulary
 
 
 def random_images(seed=0, images=12, features=300, places=40, flips=12):
-    """Descriptors that scatter about a few centres, each image with centres of its own choice."""
+    """Descriptors scattered around a few centres, different ones in each image."""
     rng = np.random.default_rng(seed)
     centres = rng.integers(0, 2**64, (places, 4), dtype=np.uint64)
     made = []
@@ -28,7 +28,7 @@ def scattered(descriptors, flips, rng):
 
 
 def distances(a, b):
-    """(n, m) Hamming distances, the slow way."""
+    """(n, m) Hamming distances by NumPy."""
     bits = [np.unpackbits(np.ascontiguousarray(x).view(np.uint8).reshape(len(x), 32), axis=1) for x in (a, b)]
     return (bits[0][:, None] != bits[1][None]).sum(axis=2)
 

@@ -1,4 +1,4 @@
-"""The background thread: order, waiting, and errors that come back."""
+"""The background thread: order, waiting, and errors."""
 
 import threading
 

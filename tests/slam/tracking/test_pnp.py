@@ -1,4 +1,4 @@
-"""A pose from points of which many are wrong."""
+"""A pose from points with many outliers."""
 
 import numpy as np
 import pytest
