@@ -97,7 +97,7 @@ class DualSlam(RestartingSlam):
 
     def _start_reinitialization(self, frame: Frame) -> None:
         if self._place_merger is not None:
-            self._place_merger.moved_on()
+            self._place_merger.reset_keyframes()
         self._recovery_due = self._attempts.possible and bool(self._reachable())
         self._buffer.frozen = self._recovery_due
         super()._start_reinitialization(frame)
@@ -205,14 +205,14 @@ class DualSlam(RestartingSlam):
                 self._map_id = old.map_id
                 rebase_tracking(self.tracker, self.mapper, old, fused, accepted.scale)
             if self._place_merger is not None:
-                self._place_merger.moved_on()
+                self._place_merger.reset_keyframes()
         else:  # the result counts as saved when the younger of the two was
             saved.insert(min(map(self._saved.index, both)), old.map_id)
             self._broken_at[old.map_id] = max((self._broken_at[k] for k in both), key=lambda f: f.index)
         self._saved = saved
         self._forget(new.map_id)
         if self._place_merger is not None:
-            self._place_merger.forget()
+            self._place_merger.reset_alignments()
         self._emit_at(
             frame, ev.Fusion, old.map_id, old_map_id=old.map_id, new_map_id=new.map_id, by=by,
             accepted=True, scale=accepted.scale, inliers=accepted.inliers, reason="",
@@ -228,7 +228,7 @@ class DualSlam(RestartingSlam):
         if isinstance(change, Mapped) and self._saved:
             self._place_merger.note(change.keyframe)
         elif isinstance(change, Corrected | Adjusted):
-            self._place_merger.forget()
+            self._place_merger.reset_alignments()
 
     def _merge_by_place(self, frame: Frame) -> None:
         """Fuse with a saved map that the newest keyframes recognise, if any."""

@@ -94,7 +94,7 @@ def _suppress_row(above, row, below, threshold, out):
 
 @njit(cache=True, nogil=True)
 def _collect_row(kept, border, y, xs, ys, contrasts, count):
-    words = kept.view(np.uint64)  # most rows are nearly empty: eight pixels at a glance
+    words = kept.view(np.uint64)  # most rows are nearly empty: test eight pixels at once
     for w in range(words.size):
         if words[w] == 0:
             continue

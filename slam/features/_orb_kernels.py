@@ -11,11 +11,11 @@ from numba import njit
 
 from slam.features._brief_pattern import BRIEF_PAIRS
 
-# The farthest pixel that a rotated pair reaches, so the nearest to the image's edge that a keypoint can lie.
+# Farthest pixel that a rotated pair reaches, hence the least distance of a keypoint to the image's edge.
 BORDER_PX = round(float(np.hypot(*BRIEF_PAIRS.reshape(-1, 2).T.astype(float)).max()))
 
 _RADIUS = 15
-_WIDTH = 32  # of the patch: one column of no weight more than the disc's 31, for whole vector registers
+_WIDTH = 32  # of the patch: the disc's 31 columns and one of zero weight, to fill vector registers
 # Half width of each row of the disc, from the centre down; symmetric about the diagonals too.
 _HALF_WIDTHS = np.array([15, 15, 15, 15, 14, 14, 14, 13, 13, 12, 11, 10, 9, 8, 6, 3])
 _V, _U = np.mgrid[-_RADIUS : _RADIUS + 1, -_RADIUS : _WIDTH - _RADIUS]
@@ -23,7 +23,7 @@ _INSIDE = np.abs(_U) <= _HALF_WIDTHS[np.abs(_V)]
 _WEIGHT_X, _WEIGHT_Y = (_U * _INSIDE).astype(np.int32), (_V * _INSIDE).astype(np.int32)
 
 _X1, _Y1, _X2, _Y2 = (np.ascontiguousarray(column, np.float32) for column in BRIEF_PAIRS.T)
-# Adding and taking off 1.5 * 2^23 rounds a small float32 to the nearest integer, ties to even.
+# Adding and subtracting 1.5 * 2^23 rounds a small float32 to the nearest integer, ties to even.
 _ROUNDER = np.float32(12582912.0)
 
 

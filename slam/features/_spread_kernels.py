@@ -11,8 +11,8 @@ def _quadrant(x, y, mid_x, mid_y):
 
 @njit(cache=True, nogil=True)
 def _partition(order, start, end, xs, ys, mid_x, mid_y, scratch, bounds):
-    # Sorts order[start:end] by quadrant. bounds (5,) receives where each begins and the last one ends; the
-    # number of quadrants that hold a corner is returned. Loops: array expressions take seconds to compile.
+    # Sorts order[start:end] by quadrant. bounds (5,) receives the start of each and the end of the last one.
+    # Returns the number of quadrants with a corner. Loops, since array expressions take seconds to compile.
     counts = np.zeros(4, np.int64)
     for k in range(start, end):
         counts[_quadrant(xs[order[k]], ys[order[k]], mid_x, mid_y)] += 1

@@ -72,11 +72,11 @@ class SiftFrame:
         self.track[rows], self.seen_from[rows] = -1, -1
         self.xyz_cam[rows], self.seen_at[rows] = np.nan, self.xy[rows]
 
-    def set_places(self, rows: np.ndarray, xyz: np.ndarray, T_cam_map: np.ndarray) -> None:
+    def set_positions(self, rows: np.ndarray, xyz: np.ndarray, T_cam_map: np.ndarray) -> None:
         """Set the positions ``xyz`` (k, 3), frame map, of features ``rows``."""
         self.xyz_cam[rows] = xyz @ T_cam_map[:3, :3].T + T_cam_map[:3, 3]
 
-    def places(self, rows: np.ndarray, T_cam_map: np.ndarray) -> np.ndarray:
+    def positions(self, rows: np.ndarray, T_cam_map: np.ndarray) -> np.ndarray:
         """(k, 3) positions of features ``rows``, frame map."""
         return (self.xyz_cam[rows] - T_cam_map[:3, 3]) @ T_cam_map[:3, :3]
 

@@ -91,11 +91,11 @@ class PlaceMerger:
                 return (*agreeing, alignment)
         return ()
 
-    def moved_on(self) -> None:
+    def reset_keyframes(self) -> None:
         """Clear the noted keyframes: the current map has changed."""
         self._waiting.clear()
 
-    def forget(self) -> None:
+    def reset_alignments(self) -> None:
         """Discard the alignments found so far: a map has changed."""
         self._found.clear()
 

@@ -151,7 +151,7 @@ class SiftTracker(Tracker):
         placed = pairs[reference.known[pairs[:, 0]]]
         if len(placed) < config.min_sift_inliers:
             return TrackingOutcome(False, 0, len(placed), "too_few_sift_matches")
-        xyz = reference.places(placed[:, 0], self._pose_of(reference.frame))
+        xyz = reference.positions(placed[:, 0], self._pose_of(reference.frame))
         found = ransac_pnp(
             xyz, sift.xy[placed[:, 1]], m.view, self._task.rng,
             config.ransac_iterations, config.ransac_error_px, config.min_sift_inliers,
@@ -227,7 +227,7 @@ class SiftTracker(Tracker):
         theirs, own = pairs.T
         view, T = self.map.view, sift.frame.T_cam_map
         sift.follow(own, reference, theirs)
-        sift.set_places(own, reference.places(theirs, self._pose_of(reference.frame)), T)
+        sift.set_positions(own, reference.positions(theirs, self._pose_of(reference.frame)), T)
         poses = np.empty((len(self._placed), 4, 4))
         for number in np.unique(sift.seen_from[own]):
             poses[number] = self._pose_of(self._placed[number])
@@ -240,7 +240,7 @@ class SiftTracker(Tracker):
             float(np.cos(np.deg2rad(self._sift_config.min_parallax_deg))),
         )
         seen = np.isfinite(xyz[:, 0])
-        sift.set_places(own[seen], xyz[seen], T)
+        sift.set_positions(own[seen], xyz[seen], T)
         sift.forget(own[disagrees])
 
     def _register(self, sift: SiftFrame) -> None:

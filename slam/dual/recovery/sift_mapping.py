@@ -89,7 +89,7 @@ class SiftMapper(LocalMapper):
         xyz = result.points[len(points) :][sift.point]
         for c in np.unique(sift.camera):
             own, seen = sift.camera == c, self._views[int(cameras[c])]
-            seen.set_places(sift.row[own], xyz[own], result.T_cam_map[c])
+            seen.set_positions(sift.row[own], xyz[own], result.T_cam_map[c])
             seen.forget(sift.row[own & ~good[count:]])
 
     # -- steps -------------------------------------------------------------------------------------------
@@ -131,13 +131,13 @@ class SiftMapper(LocalMapper):
         track = np.concatenate([v.track for _, v, _ in seen])
         row = np.concatenate([np.arange(len(v.track)) for _, v, _ in seen])
         camera = np.concatenate([np.full(len(v.track), c) for c, v, _ in seen])
-        places = np.concatenate([v.places(np.arange(len(v.track)), T) for _, v, T in seen])
+        positions = np.concatenate([v.positions(np.arange(len(v.track)), T) for _, v, T in seen])
         names, point, counts = np.unique(track, return_inverse=True, return_counts=True)
         xyz = np.full((len(names), 3), np.nan)
         # Of several positions of a feature, that of the newest keyframe is used.
         made = np.argsort(cameras[camera], kind="stable")
-        made = made[np.isfinite(places[made, 0])]
-        xyz[point[made]] = places[made]
+        made = made[np.isfinite(positions[made, 0])]
+        xyz[point[made]] = positions[made]
         use = (counts >= _MIN_VIEWS) & np.isfinite(xyz[:, 0])
         keep = use[point]
         return _SiftProblem(

@@ -163,7 +163,7 @@ def test_a_feature_takes_the_depth_of_a_nearby_map_point():
     assert seen.known.tolist() == [True, False, True]
     np.testing.assert_allclose(seen.xyz_cam[[0, 2]], sift.rays(xy[[0, 2]], VIEW) * [[4.0], [6.0]])
     assert seen.depth == pytest.approx(5.0)
-    np.testing.assert_allclose(seen.places(np.array([0]), T)[0] @ T[:3, :3].T + T[:3, 3], seen.xyz_cam[0])
+    np.testing.assert_allclose(seen.positions(np.array([0]), T)[0] @ T[:3, :3].T + T[:3, 3], seen.xyz_cam[0])
 
 
 def test_triangulation_of_pairs_rejects_what_is_inconsistent():
