@@ -1,4 +1,4 @@
-"""What is always true of a system between two frames, whatever it has been through, and the proof of it."""
+"""Invariants of a system between two frames and their check."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -18,12 +18,12 @@ __all__ = ["InvariantError", "check_events", "check_map", "check_result", "check
 
 
 def check_system(system: MonocularSlam) -> None:
-    """Prove the invariants of a whole system: maps, poses of frames, tracker and mapper, buffer, events.
+    """Check the invariants of a whole system: maps, frame poses, tracker and mapper, buffer, events.
 
-    It reads and changes nothing. Of a threaded system it may be asked only when nothing is under way.
+    The system is not changed. A threaded system must be idle.
 
     Raises:
-        InvariantError: naming the first that does not hold.
+        InvariantError: the first violated one.
     """
     for map_id in sorted(system.maps()):
         m = system.map(map_id)
@@ -34,8 +34,8 @@ def check_system(system: MonocularSlam) -> None:
             _check_poses(system, map_id, m)
         except InvariantError as error:
             raise InvariantError(f"map {map_id}: {error}") from None
-    _check_whereabouts(system)
-    _check_belongings(system)
+    _check_current_map(system)
+    _check_map_ids(system)
     if isinstance(system, DualSlam):
         _check_dual(system)
     check_events(system.events)
@@ -43,51 +43,51 @@ def check_system(system: MonocularSlam) -> None:
 
 
 def check_result(result: TrackingResult) -> None:
-    """Prove that an answer holds together: a rigid pose while tracking and else none, a mark per keypoint.
+    """Check a frame's result: rigid pose only while tracking, one mask entry per keypoint.
 
     Raises:
-        InvariantError: naming what does not hold.
+        InvariantError: the first violated invariant.
     """
-    at = f"the answer to frame {result.frame}"
+    at = f"the result of frame {result.frame}"
     tracked = result.state is TrackingState.TRACKING
-    require((result.T_map_cam is not None) == tracked, f"{at}: {result.state}, and a pose or none")
+    require((result.T_map_cam is not None) == tracked, f"{at}: state {result.state} and pose disagree")
     if result.T_map_cam is not None:
         require_rigid(result.T_map_cam[None], f"{at}: the pose")
-        require(not result.reason, f"{at}: tracked, and a reason why not")
-    require(len(result.inlier_mask) == len(result.keypoints_px), f"{at}: keypoints and marks disagree")
+        require(not result.reason, f"{at}: tracked, with a reason of failure")
+    require(len(result.inlier_mask) == len(result.keypoints_px), f"{at}: keypoints and mask disagree")
 
 
 def check_events(events: Sequence[Event]) -> None:
-    """Prove that events tell a story that can be: in order, of maps and recoveries that there were.
+    """Check that events are in order of time, and of existing maps and recoveries.
 
     Raises:
-        InvariantError: naming the first event that cannot be.
+        InvariantError: the first inconsistent event.
     """
     stamps: dict[int, float] = {}
     maps: set[int] = set()
     running: set[tuple[int, int]] = set()
-    sought = False
+    reinitializing = False
     latest = 0
     for event in events:
         named = f"{event.kind} at frame {event.frame}"
         require(event.frame >= 0 and np.isfinite(event.stamp_s), f"{named} is at no frame")
         require(stamps.setdefault(event.frame, event.stamp_s) == event.stamp_s, f"{named} has another time")
         if not isinstance(event, ev.LoopClosed | ev.MapAdjusted):
-            # What loop closing brings about counts for the keyframe that set it off.
+            # Events of loop closing have the frame of the keyframe that started it.
             require(event.frame >= latest, f"{named} comes after one of frame {latest}")
             latest = event.frame
         if isinstance(event, ev.Initialized):
-            require(event.map_id not in maps, f"{named}: there is a map {event.map_id} already")
+            require(event.map_id not in maps, f"{named}: map {event.map_id} exists already")
             maps.add(event.map_id)
         elif isinstance(event, ev.ReinitStart):
-            sought = True
+            reinitializing = True
         elif isinstance(event, ev.ReinitDone):
-            require(sought and event.map_id in maps, f"{named}: no map was sought")
-            sought = False
+            require(reinitializing and event.map_id in maps, f"{named}: no reinitialization was started")
+            reinitializing = False
         else:
-            require(event.map_id in maps, f"{named}: there is no map {event.map_id}")
+            require(event.map_id in maps, f"{named}: map {event.map_id} does not exist")
         if isinstance(event, ev.RecoveryStart | ev.RecoveryEnd):
-            require(event.old_map_id in maps, f"{named}: there is no old map {event.old_map_id}")
+            require(event.old_map_id in maps, f"{named}: old map {event.old_map_id} does not exist")
             thread = (event.map_id, event.thread)
             started = isinstance(event, ev.RecoveryStart)
             require(
@@ -95,11 +95,11 @@ def check_events(events: Sequence[Event]) -> None:
             )
             running ^= {thread}
         elif isinstance(event, ev.Fusion):
-            require(event.old_map_id in maps, f"{named}: there is no old map {event.old_map_id}")
+            require(event.old_map_id in maps, f"{named}: old map {event.old_map_id} does not exist")
             require(not event.accepted or event.scale > 0, f"{named}: scale {event.scale:g}")
             taken_in = event.record().get("new_map_id", event.map_id)
             if event.accepted and taken_in != event.old_map_id:
-                require(taken_in in maps, f"{named}: there is no new map {taken_in}")
+                require(taken_in in maps, f"{named}: new map {taken_in} does not exist")
                 maps.remove(taken_in)
         elif isinstance(event, ev.MapDropped):
             maps.remove(event.map_id)
@@ -117,14 +117,14 @@ def _check_one_tree(m: Map) -> None:
 
 def _check_frame_numbers(system: MonocularSlam, m: Map) -> None:
     numbers = [m.frame_index(k) for k in range(m.n_keyframes)]
-    require(all(0 <= n < system.frames for n in numbers), "a keyframe of a frame that has not been")
+    require(all(0 <= n < system.frames for n in numbers), "a keyframe of a future frame")
 
 
 def _check_poses(system: MonocularSlam, map_id: int, m: Map) -> None:
-    """Every pose of a frame hangs on a keyframe that exists, and follows time."""
+    """Check that every frame pose refers to an existing keyframe and that times increase."""
     poses = system._poses._poses.get(map_id, {})
     require(poses, "no frame has a pose")
-    require(all(0 <= n < system.frames for n in poses), "a pose of a frame that has not been")
+    require(all(0 <= n < system.frames for n in poses), "a pose of a future frame")
     keyframes = np.array([pose.keyframe for pose in poses.values()])
     require(
         ((keyframes >= 0) & (keyframes < m.n_keyframes)).all(), "a pose on a keyframe that does not exist"
@@ -137,11 +137,11 @@ def _check_poses(system: MonocularSlam, map_id: int, m: Map) -> None:
 # -- the system ------------------------------------------------------------------------------------------
 
 
-def _check_whereabouts(system: MonocularSlam) -> None:
-    """Tracker and mapper work in the current map, which there is unless one is being sought."""
+def _check_current_map(system: MonocularSlam) -> None:
+    """Check that tracker and mapper work in the current map, if it is initialized."""
     current = system.current_map_id
     if system.state is TrackingState.NOT_INITIALIZED:
-        require(current not in system.maps(), "a new map is sought under the number of one that exists")
+        require(current not in system.maps(), "the new map has the id of an existing one")
         return
     require(current in system.maps(), "the current map does not exist")
     m = system.current_map
@@ -158,13 +158,13 @@ def _check_whereabouts(system: MonocularSlam) -> None:
 def _check_last(last: Frame | None, m: Map) -> None:
     if last is None:
         raise InvariantError("the tracker has no last frame")
-    require(0 <= last.reference_keyframe < m.n_keyframes, "the last frame hangs on no keyframe")
+    require(0 <= last.reference_keyframe < m.n_keyframes, "the last frame has no reference keyframe")
     require(((last.point >= -1) & (last.point < m.n_points)).all(), "the last frame matches no point")
     require_rigid(last.T_cam_reference[None], "the last frame's pose")
 
 
-def _check_belongings(system: MonocularSlam) -> None:
-    """What is kept beside the maps is kept of maps that exist."""
+def _check_map_ids(system: MonocularSlam) -> None:
+    """Check that poses and places belong to existing maps."""
     for map_id in system.maps():
         require(system.map(map_id).map_id == map_id, f"map {map_id} has another number")
     require(set(system._poses._poses) <= set(system.maps()), "poses of a map that does not exist")
@@ -189,14 +189,14 @@ def _check_dual(system: DualSlam) -> None:
 
 
 def _check_counts(system: MonocularSlam) -> None:
-    """Every map was initialized, and only a drop or a fusion takes one away."""
+    """Check that every map was initialized, and only a drop or a fusion removes one."""
     events = system.events
-    require(all(event.frame < system.frames for event in events), "an event of a frame that has not been")
-    begun = sum(isinstance(event, ev.Initialized) for event in events)
+    require(all(event.frame < system.frames for event in events), "an event of a future frame")
+    initialized = sum(isinstance(event, ev.Initialized) for event in events)
     dropped = sum(isinstance(event, ev.MapDropped) for event in events)
     fused = sum(isinstance(event, ev.Fusion) and event.accepted for event in events)
     there = len(system.maps())
     require(
-        begun - dropped - fused == there,
-        f"{begun} maps begun, {dropped} dropped, {fused} fused: {there} left",
+        initialized - dropped - fused == there,
+        f"{initialized} maps initialized, {dropped} dropped, {fused} fused: {there} left",
     )

@@ -1,4 +1,4 @@
-"""What recognises places in one map."""
+"""Place recognition in one map, for loop closing and relocalization."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -12,7 +12,7 @@ from slam.tracking.relocalization import Relocalizer
 
 @dataclass(frozen=True)
 class Places:
-    """A map's keyframes by what they show, and what builds on it."""
+    """Keyframe database of a map, with the loop detector and the relocalizer that use it."""
 
     database: KeyframeDatabase
     loops: LoopDetector
@@ -20,7 +20,7 @@ class Places:
 
     @classmethod
     def of(cls, map_: Map, config: SlamConfig) -> Self:
-        """Place recognition in a map."""
+        """Set up place recognition in a map."""
         database = KeyframeDatabase(map_)
         return cls(
             database,

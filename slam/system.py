@@ -1,4 +1,4 @@
-"""The monocular SLAM system: reads as the steps of the method."""
+"""Monocular SLAM system, written as the steps of the method."""
 
 from dataclasses import asdict, replace
 from numbers import Real
@@ -26,7 +26,7 @@ from slam.mapping.local_mapping import LocalMapper
 from slam.runtime.backend import Backend, Change, Corrected, ExecutionMode, KeyframeTask, Mapped, Searched
 from slam.tracking.tracker import Tracker, TrackingOutcome
 
-_PX_PER_FEATURE = 45.0  # an image has no room for more than one feature in so many pixels
+_PX_PER_FEATURE = 45.0  # an image has room for at most one feature in this many pixels
 
 
 class MonocularSlam:
@@ -36,11 +36,11 @@ class MonocularSlam:
         camera: intrinsics of the images to come.
         seed: root of every random stream.
         config: settings.
-        mode: ``lockstep``, the same input giving the same bits whatever the load; or ``threaded``, in which
+        mode: ``lockstep``: results do not depend on the load of the machine, bit for bit; or ``threaded``:
             mapping and loop closing run beside tracking. A threaded system must be ended by :meth:`finish`.
 
     Attributes:
-        events: everything that happened so far.
+        events: all events so far.
     """
 
     def __init__(
@@ -78,14 +78,14 @@ class MonocularSlam:
     # -- the method --------------------------------------------------------------------------------------
 
     def process(self, image: np.ndarray, stamp_s: float) -> TrackingResult:
-        """Take one frame.
+        """Process one frame.
 
         Args:
             image: (H, W) uint8 grey image of the camera's size.
             stamp_s: its time, later than the last one's.
 
         Returns:
-            What became of it.
+            The outcome of the frame.
 
         Raises:
             ValueError: on misuse: wrong size or type of image, time not increasing. The content of an
@@ -112,7 +112,7 @@ class MonocularSlam:
         return self._result(frame, outcome, is_keyframe)
 
     def finish(self) -> None:
-        """End of input: what is pending is done, and the threads of threaded mode end."""
+        """End the input: complete pending work and stop the threads of threaded mode."""
         self._backend.close()
 
     def _extract_features(self, image: np.ndarray, stamp_s: float) -> Frame:
@@ -124,7 +124,7 @@ class MonocularSlam:
         return frame
 
     def _initialize(self, frame: Frame) -> tuple[TrackingOutcome, bool]:
-        """Seek a map to start; the outcome, and whether the frame is a keyframe."""
+        """Try to initialize a map; the outcome, and True if the frame is a keyframe."""
         rng = rng_for(self.seed, "initialization", frame.features.index)
         with self.timer("initialize"):
             initial, reason, matches = self._initializer.offer(frame, self._map_id, rng, self.config.mapping)
@@ -148,20 +148,20 @@ class MonocularSlam:
         self._emit(initial.second, ev.Initialized, points=initial.points, model=initial.model)
 
     def _enter(self, map_id: int) -> None:
-        """Make a map the one that is tracked in and that grows."""
+        """Make a map the current one, for tracking and mapping."""
         self._map_id = map_id
         self._mapper = LocalMapper(self._maps[map_id], self.config.mapping, self._backend.lock)
         self._tracker = Tracker(self._maps[map_id], self.config.tracking, self.timer)
 
     def _track(self, frame: Frame) -> tuple[TrackingOutcome, bool]:
-        """Track the frame; the outcome, and whether to make a keyframe of it."""
+        """Track the frame; the outcome, and True if it is to become a keyframe."""
         with self._backend.lock:
             outcome = self.tracker.track(frame)
             wanted = outcome.success and self.tracker.wants_keyframe(frame, outcome.inliers)
         return outcome, wanted and self._backend.idle
 
     def _map(self, frame: Frame) -> None:
-        """Local mapping on a new keyframe, then loop closing."""
+        """Run local mapping on a new keyframe, then loop closing."""
         self.tracker.keyframe_requested(frame)
         loops = self._places(self._map_id).loops
         rng = rng_for(self.seed, "loop", frame.features.index)
@@ -169,7 +169,7 @@ class MonocularSlam:
             self._backend.submit(KeyframeTask(frame, self.mapper, loops, rng))
 
     def _apply(self, change: Change) -> None:
-        """Take in what mapping or loop closing has brought about."""
+        """Apply a change made by mapping or loop closing."""
         if isinstance(change, Mapped):
             self._mapping_cpu_ms += change.cpu_ms
             if self.tracker.last is change.frame:
@@ -177,7 +177,7 @@ class MonocularSlam:
         elif isinstance(change, Searched):
             self._loop_cpu_ms += change.cpu_ms
         elif isinstance(change, Corrected):
-            self._take_correction(change)
+            self._apply_correction(change)
         else:
             self._loop_cpu_ms += change.cpu_ms
             m = change.task.mapper.map
@@ -191,11 +191,11 @@ class MonocularSlam:
                 cpu_ms=change.cpu_ms,
             )
 
-    def _take_correction(self, change: Corrected) -> None:
-        """A loop is closed: the map, the frames that refer to it and the tracker follow."""
+    def _apply_correction(self, change: Corrected) -> None:
+        """Apply a loop closure to the map, its frames and the tracker."""
         m, loop, frame = change.task.mapper.map, change.loop, change.task.frame
         self._loop_cpu_ms += change.cpu_ms
-        m.adopt(change.twin)
+        m.adopt(change.corrected_map)
         self._poses.rescale(m.map_id, change.factor)
         self.tracker.corrected(change.factor)
         self._emit_at(
@@ -210,12 +210,12 @@ class MonocularSlam:
         )
 
     def _relocalize(self, frame: Frame) -> TrackingOutcome:
-        """Look for this frame in the map that was lost."""
+        """Relocalize the frame in the map in which tracking was lost."""
         self.state = TrackingState.RELOCALIZING
         return self._relocalize_in(self._map_id, frame)
 
     def _relocalize_in(self, map_id: int, frame: Frame) -> TrackingOutcome:
-        """Look for this frame in a map, and go on there where it is found."""
+        """Relocalize the frame in a map; on success, tracking goes on there."""
         rng = rng_for(self.seed, "relocalization", frame.features.index)
         with self.timer("relocalize"), self._backend.lock:
             found = self._places(map_id).relocalizer.relocalize(frame, rng)
@@ -237,7 +237,7 @@ class MonocularSlam:
         return TrackingOutcome(True, found.inliers, found.matches)
 
     def _break(self, frame: Frame, outcome: TrackingOutcome) -> None:
-        """Tracking is lost: a map too young is dropped and another sought, else one's place in it is."""
+        """Handle lost tracking: replace a map with too few keyframes, else start relocalization."""
         self._emit(frame, ev.Breakage, reason=outcome.reason, inliers=outcome.inliers)
         if self._drop_if_young(frame):
             return
@@ -251,35 +251,35 @@ class MonocularSlam:
         return True
 
     def _drop(self, frame: Frame, reason: str) -> None:
-        """Discard the current map and seek another."""
+        """Drop the current map and start a new one."""
         self._emit(frame, ev.MapDropped, reason=reason, keyframes=len(self.current_map.keyframes()))
         self._poses.drop(self._map_id)
         self._forget(self._map_id)
-        self._seek_new_map()
+        self._reset_to_new_map()
 
     def _forget(self, map_id: int) -> None:
-        """Let go of a map, dropped or absorbed."""
+        """Release a dropped or absorbed map."""
         del self._maps[map_id]
         self._known_places.pop(map_id, None)
         self._broken_at.pop(map_id, None)
 
     def _places(self, map_id: int) -> Places:
-        """Place recognition in a map, and what builds on it."""
+        """Place recognition in a map, with loop detection and relocalization."""
         if map_id not in self._known_places:
             self._known_places[map_id] = Places.of(self._maps[map_id], self.config)
         return self._known_places[map_id]
 
-    def _seek_new_map(self) -> None:
+    def _reset_to_new_map(self) -> None:
         self._newest_map_id += 1
         self._map_id = self._newest_map_id
         self._initializer.reset()
         self.state = TrackingState.NOT_INITIALIZED
 
     def _after_frame(self, frame: Frame, outcome: TrackingOutcome, image: np.ndarray) -> None:
-        """Hook of systems built on this one."""
+        """Do nothing; a hook for derived systems."""
 
     def snapshot(self) -> Snapshot[Self]:
-        """The whole state between two frames, in memory, to branch from any number of times.
+        """Copy the whole state between two frames, to branch from any number of times.
 
         Raises:
             RuntimeError: the system is threaded, and its threads cannot be copied.
@@ -288,11 +288,11 @@ class MonocularSlam:
             raise RuntimeError("a snapshot needs lockstep mode")
         return Snapshot.of(self)
 
-    # -- what the outside sees ---------------------------------------------------------------------------
+    # -- access from outside -----------------------------------------------------------------------------
 
     @property
     def settings(self) -> dict:
-        """Every setting in force, nested by component, to be saved with the results."""
+        """All settings, nested by component, to be saved with the results."""
         return {"mode": str(self._backend.mode), **asdict(self.config)}
 
     @property
@@ -311,25 +311,25 @@ class MonocularSlam:
 
     @property
     def current_map(self) -> Map:
-        """The map that tracking works in."""
+        """The map in which tracking works."""
         return self._maps[self._map_id]
 
     @property
     def frames(self) -> int:
-        """Frames given so far."""
+        """Number of frames processed so far."""
         return self._frames
 
     @property
     def current_map_id(self) -> int:
-        """Number of the current map, or of the one being sought."""
+        """Id of the current map, or of the one being initialized."""
         return self._map_id
 
     def maps(self) -> list[int]:
-        """Numbers of the maps that exist, the one with most tracked frames first."""
+        """Ids of the existing maps, the one with most tracked frames first."""
         return sorted(self._maps, key=lambda k: (-self._poses.count(k), k))
 
     def map(self, map_id: int) -> Map:
-        """A map by its number."""
+        """Map by its id."""
         return self._maps[map_id]
 
     def map_points(self, map_id: int) -> np.ndarray:
@@ -338,7 +338,7 @@ class MonocularSlam:
         return m.arrays.pt_xyz[m.points()].copy()
 
     def trajectories(self) -> list[MapTrajectory]:
-        """Poses of the tracked frames as the maps stand now, the map with most frames first."""
+        """Poses of the tracked frames in the current maps, the map with most frames first."""
         return [self._poses.trajectory(k, self._maps[k]) for k in self.maps()]
 
     def keyframe_trajectories(self) -> list[MapTrajectory]:

@@ -1,4 +1,4 @@
-"""Compiles every kernel once, by running the whole system on a small made-up sequence."""
+"""Compilation of all kernels, by running the whole system on a small synthetic sequence."""
 
 from collections.abc import Callable, Iterator
 
@@ -15,12 +15,12 @@ _PX_PER_M = 90.0
 def toy_frames(
     count: int, blank: range = range(0), seed: int = 0, step_m: float = 0.03
 ) -> Iterator[tuple[np.ndarray, float, np.ndarray]]:
-    """A camera that passes textured boards at several depths.
+    """Synthetic sequence of a camera moving past textured boards at several depths.
 
     Args:
-        count: frames.
-        blank: frames that show nothing.
-        seed: of the textures and the noise.
+        count: number of frames.
+        blank: frames with an empty image.
+        seed: seed of the textures and the noise.
         step_m: sideways motion per frame.
 
     Yields:
@@ -42,7 +42,7 @@ def toy_frames(
 
 
 def _board(rng: np.random.Generator, travel_m: float) -> np.ndarray:
-    """A texture wide enough for the whole way: coarse and fine random blocks."""
+    """Texture of coarse and fine random blocks, wide enough for the whole path."""
     width, height = int((travel_m + 12) * _PX_PER_M), int(9 * _PX_PER_M)
     texture = np.zeros((height, width), np.float32)
     for block, weight in ((6, 0.3), (14, 0.3), (40, 0.4)):
@@ -54,7 +54,7 @@ def _board(rng: np.random.Generator, travel_m: float) -> np.ndarray:
 def _draw(
     image: np.ndarray, board: np.ndarray, depth: float, top: float, bottom: float, centre: np.ndarray
 ) -> None:
-    """Paint one fronto-parallel board; ``top`` and ``bottom`` are shares of its height that exist."""
+    """Draw one fronto-parallel board between the shares ``top`` and ``bottom`` of its height."""
     z = depth - centre[2]
     focal = CAMERA.fx / z
     board_to_image = np.array(
@@ -76,13 +76,13 @@ def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
     """Compile (or load from the cache) every kernel of the system.
 
     Args:
-        progress: called with a message, the frames done and the frames in all.
+        progress: called with a message, the number of frames done and the total.
     """
     from slam.dual.config import DualConfig
     from slam.factory import build_system
 
-    # For Dual-SLAM a map worth saving, a breakage, a recovery by either thread and a fusion, all of which
-    # relocalization would forestall; for the base just that; for the matching of Dual-SLAM+ a first map.
+    # Dual-SLAM: a saved map, a breakage, a recovery by both threads and a fusion, which relocalization would
+    # prevent. The base: a relocalization. Dual-SLAM+: its matcher, up to the first map.
     every = DualConfig(exhaustive=True, relocalization=False)
     counts = {"dual": 110, "base": 75, "dual+": 10}
     done, total = 0, sum(counts.values())

@@ -1,4 +1,4 @@
-"""Ordering a frame's keypoints by grid cell."""
+"""Ordering of a frame's keypoints by grid cell."""
 
 import numpy as np
 from numba import njit
@@ -6,7 +6,7 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def sort_into_cells(xy, view):
-    """Counting sort of keypoints by grid cell.
+    """Sort keypoints by grid cell with a counting sort.
 
     Args:
         xy: (N, 2) float64 undistorted keypoints, px.

@@ -1,4 +1,4 @@
-"""The camera model of the estimator: pinhole, undistorted keypoints."""
+"""Camera model of the estimator: pinhole, undistorted keypoints."""
 
 import math
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-# The default of five rounds leaves pixels of error at the corners of a wide-angle lens.
+# OpenCV's default of five iterations leaves pixels of error at the corners of a wide-angle lens.
 _UNDISTORT_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
 _MOST_UNDISTORT_ERROR_PX = 0.5
 _COEFFICIENTS = {"radtan": 5, "equidistant": 4}
@@ -17,12 +17,12 @@ _COEFFICIENTS = {"radtan": 5, "equidistant": 4}
 class PinholeCamera:
     """Intrinsics in pixels; integer pixel coordinates are pixel centres, as in OpenCV.
 
-    ``distortion`` is OpenCV's: of the model ``radtan`` (k1, k2, p1, p2, k3), of the model ``equidistant``
-    (OpenCV's fisheye) (k1, k2, k3, k4).
+    ``distortion`` follows OpenCV: (k1, k2, p1, p2, k3) for the model ``radtan``, (k1, k2, k3, k4) for the
+    model ``equidistant`` (OpenCV's fisheye).
 
     Raises:
         ValueError: a field is out of range (the message names it), or the distortion folds the image over
-            itself so that it cannot be taken out.
+            itself and cannot be inverted.
     """
 
     width_px: int
@@ -63,13 +63,13 @@ class PinholeCamera:
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], float)
 
     def undistort_points(self, xy: np.ndarray) -> np.ndarray:
-        """Where points of the image would lie without distortion.
+        """Undistort image points.
 
         Args:
             xy: (N, 2) float32 pixels of the image as taken.
 
         Returns:
-            (N, 2) float32 pixels of the ideal camera ``K``; ``xy`` itself where there is no distortion.
+            (N, 2) float32 pixels of the ideal camera ``K``; ``xy`` itself if there is no distortion.
         """
         if self._is_pinhole or not len(xy):
             return xy
@@ -85,7 +85,7 @@ class PinholeCamera:
         return points[:, 0]
 
     def undistorted_bounds(self) -> tuple[float, float, float, float]:
-        """The smallest upright box that holds the undistorted image, edges of its pixels included.
+        """Bounding box of the undistorted image, including the edges of its pixels.
 
         Returns:
             x_min, y_min, x_max, y_max in pixels.

@@ -1,4 +1,4 @@
-"""States and typed events: the only way the outside learns what the system did."""
+"""Tracking states and typed events, the system's only report of its actions."""
 
 from dataclasses import asdict, dataclass
 from enum import StrEnum
@@ -18,7 +18,7 @@ class TrackingState(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Event(Unchanging):
-    """Something the system declared, at one frame.
+    """An event declared by the system at one frame.
 
     Attributes:
         frame: index of the frame, from 0.
@@ -32,7 +32,7 @@ class Event(Unchanging):
     map_id: int
 
     def record(self) -> dict:
-        """A flat record for events.jsonl."""
+        """Flat record for events.jsonl."""
         return {"event": self.kind, **asdict(self)}
 
 
@@ -56,7 +56,7 @@ class Breakage(Event):
 
 @dataclass(frozen=True, kw_only=True)
 class Relocalized(Event):
-    """Tracking goes on in a map that was lost; ``keyframe`` is the frame of the keyframe that was recognised.
+    """Tracking resumed in a lost map; ``keyframe`` is the frame index of the recognised keyframe.
 
     Attributes:
         frames_lost, lost_s: frames and time since the breakage.
@@ -71,13 +71,13 @@ class Relocalized(Event):
 
 @dataclass(frozen=True, kw_only=True)
 class LoopClosed(Event):
-    """A place was seen again and the drift since taken out.
+    """A loop was closed: a place was recognised and the drift corrected.
 
     Attributes:
-        keyframe, loop_keyframe: frames of the two keyframes.
-        scale: factor by which lengths about the keyframe were corrected.
-        matches: points that both ends then shared.
-        cpu_ms: of detection and correction.
+        keyframe, loop_keyframe: frame indices of the two keyframes.
+        scale: factor by which lengths around the keyframe were corrected.
+        matches: points that both keyframes share after the correction.
+        cpu_ms: CPU milliseconds of detection and correction.
     """
 
     kind: ClassVar[str] = "loop_closed"
@@ -90,7 +90,7 @@ class LoopClosed(Event):
 
 @dataclass(frozen=True, kw_only=True)
 class MapAdjusted(Event):
-    """Global bundle adjustment after a loop has been applied."""
+    """Global bundle adjustment after a loop closure was applied."""
 
     kind: ClassVar[str] = "map_adjusted"
     keyframes: int
@@ -100,7 +100,7 @@ class MapAdjusted(Event):
 
 @dataclass(frozen=True, kw_only=True)
 class MapDropped(Event):
-    """A map too young to be worth keeping was discarded."""
+    """A map too small to be kept was dropped."""
 
     kind: ClassVar[str] = "map_dropped"
     reason: str
@@ -109,7 +109,7 @@ class MapDropped(Event):
 
 @dataclass(frozen=True, kw_only=True)
 class MapSaved(Event):
-    """The map was kept at a breakage, to be fused later."""
+    """The map was saved at a breakage, to be fused later."""
 
     kind: ClassVar[str] = "map_saved"
     keyframes: int
@@ -118,14 +118,14 @@ class MapSaved(Event):
 
 @dataclass(frozen=True, kw_only=True)
 class ReinitStart(Event):
-    """A new map is sought from the incoming frames; ``map_id`` is the new map's."""
+    """Initialization of a new map starts; ``map_id`` is the new map's."""
 
     kind: ClassVar[str] = "reinit_start"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReinitDone(Event):
-    """The new map stands."""
+    """The new map is initialized."""
 
     kind: ClassVar[str] = "reinit_done"
     frames_taken: int
@@ -144,10 +144,10 @@ class RecoveryStart(Event):
 
 @dataclass(frozen=True)
 class PlacedKeyframe(Unchanging):
-    """Where a recovery has found a keyframe of the new map to be in the old one.
+    """Pose of a keyframe of the new map in the old map, by a recovery.
 
     Attributes:
-        frame, stamp_s: its frame.
+        frame, stamp_s: index and time of its frame.
         T_old_cam: rows of the (4, 4) pose, camera to old map.
     """
 
@@ -158,11 +158,11 @@ class PlacedKeyframe(Unchanging):
 
 @dataclass(frozen=True, kw_only=True)
 class RecoveryEnd(Event):
-    """A recovery thread ended. ``stage`` is where it failed: propagation, overlap, sim3; empty on success.
+    """A recovery thread ended; ``stage`` is the failed stage: propagation, overlap or sim3, or empty.
 
     Attributes:
-        placed: on success, the keyframes that the new map had when the recovery started, as going back has
-            refined them, moved by the similarity that was found.
+        placed: on success, the keyframes that the new map had when the recovery started, as refined by it
+            and moved by the estimated similarity.
     """
 
     kind: ClassVar[str] = "recovery_end"
@@ -179,28 +179,28 @@ class RecoveryEnd(Event):
     placed: tuple[PlacedKeyframe, ...] = ()
 
     def record(self) -> dict:
-        """A record for events.jsonl, in lists all through."""
+        """Record for events.jsonl, with lists only."""
         placed = [{**vars(k), "T_old_cam": [list(row) for row in k.T_old_cam]} for k in self.placed]
         return {**super().record(), "placed": placed}
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapCut(Event):
-    """Laboratory: a healthy map was saved as if tracking had been lost."""
+    """A healthy map was saved on request, as if tracking had been lost."""
 
     kind: ClassVar[str] = "map_cut"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fusion(Event):
-    """Two maps were or were not fused; ``map_id`` is the map that is left.
+    """Two maps were fused, or a fusion was rejected; ``map_id`` is the map that remains.
 
     Attributes:
-        old_map_id, new_map_id: the map that took the other in, and the other.
-        by: ``recovery``, or ``place`` where a saved map was met again without one.
-        scale: takes the new map's lengths to the old map's.
-        inliers: points that were found to be the same.
-        reason: why it was refused.
+        old_map_id, new_map_id: the map that absorbs the other, and the other.
+        by: ``recovery``, or ``place`` if a saved map was recognised by its place.
+        scale: factor from the new map's lengths to the old map's.
+        inliers: points matched between the two maps.
+        reason: reason of a rejection.
     """
 
     kind: ClassVar[str] = "fusion"

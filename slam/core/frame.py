@@ -1,4 +1,4 @@
-"""A frame: its features, and what tracking made of them."""
+"""A frame: its features, pose and matches with the map."""
 
 from dataclasses import dataclass, field
 
@@ -15,7 +15,7 @@ class Features:
     """Features of one image, N rows each, contiguous; octave by octave, the finest first.
 
     Attributes:
-        xy: (N, 2) float32 pixels of the image as given (distorted), integer = pixel centre.
+        xy: (N, 2) float32 pixels of the input image (distorted), integer = pixel centre.
         octave: (N,) int32 level of the pyramid.
         angle_deg: (N,) float32 in [0, 360), from the x axis towards the y axis.
         response: (N,) float32 contrast of the corner in grey levels.
@@ -39,7 +39,7 @@ class FrameFeatures(Unchanging):
     Attributes:
         index: frame number, from 0.
         stamp_s: time stamp.
-        xy_image: (N, 2) float32 keypoints in the image as taken, px.
+        xy_image: (N, 2) float32 keypoints in the input image, px.
         xy: (N, 2) float64 undistorted keypoints, px.
         octave: (N,) int32 pyramid level.
         angle_deg: (N,) float32 orientation.
@@ -61,12 +61,12 @@ class FrameFeatures(Unchanging):
 
     @property
     def nbytes(self) -> int:
-        """Memory of the arrays."""
+        """Size of the arrays in bytes."""
         arrays = (self.xy_image, self.xy, self.octave, self.angle_deg, self.descriptors, self.cell_start)
         return sum(a.nbytes for a in arrays)
 
     def emptied(self) -> "FrameFeatures":
-        """The number and the time stamp of the frame, without its features."""
+        """Index and time stamp of the frame, without its features."""
         return FrameFeatures(
             self.index,
             self.stamp_s,
@@ -119,9 +119,9 @@ class Frame:
         self.point = np.full(len(self.features), -1, np.int32)
 
     def copy(self) -> "Frame":
-        """An independent copy; the features, which never change, are shared."""
-        twin = Frame(
+        """Return an independent copy; the features, which never change, are shared."""
+        copied = Frame(
             self.features, self.T_cam_map.copy(), self.reference_keyframe, self.T_cam_reference.copy()
         )
-        twin.point[:] = self.point
-        return twin
+        copied.point[:] = self.point
+        return copied

@@ -1,4 +1,4 @@
-"""What every kernel needs to know of the camera, the feature grid and the scale pyramid."""
+"""View geometry for the kernels: camera, feature grid and scale pyramid."""
 
 from typing import NamedTuple
 
@@ -40,7 +40,7 @@ class ViewGeometry(NamedTuple):
 
 
 def view_geometry(camera: PinholeCamera, n_levels: int, scale_factor: float) -> ViewGeometry:
-    """The kernels' view of a camera with a feature pyramid."""
+    """View geometry of a camera with a feature pyramid."""
     x_min, y_min, x_max, y_max = camera.undistorted_bounds()
     scale = scale_factor ** np.arange(n_levels, dtype=np.float64)
     return ViewGeometry(
@@ -62,7 +62,7 @@ def view_geometry(camera: PinholeCamera, n_levels: int, scale_factor: float) -> 
 
 
 def share_of_motion(T: np.ndarray, share: float) -> np.ndarray:
-    """(4, 4) share, from 0 to 1, of a small rigid motion (4, 4)."""
+    """Return the share, from 0 to 1, of a small rigid motion (4, 4)."""
     part = np.eye(4)
     part[:3, :3] = Rotation.from_rotvec(share * Rotation.from_matrix(T[:3, :3]).as_rotvec()).as_matrix()
     part[:3, 3] = share * T[:3, 3]

@@ -1,4 +1,4 @@
-"""What ``process`` says of one frame."""
+"""Results of a system: the outcome of a frame, and the trajectory of a map."""
 
 from dataclasses import dataclass, field
 
@@ -15,16 +15,16 @@ class TrackingResult:
         frame: index of the frame, from 0.
         stamp_s: its time stamp.
         state: tracker state after the frame.
-        T_map_cam: (4, 4) camera to map, at this moment; None unless tracking.
+        T_map_cam: (4, 4) camera to map, at this time; None unless tracking.
         map_id: the current map.
         inliers: matches with map points that survive the pose optimisation.
-        matches: matches before it.
-        reason: why the frame is not tracked; empty otherwise.
+        matches: matches before the pose optimisation.
+        reason: reason of a tracking failure; empty otherwise.
         is_keyframe: a keyframe was made from it.
         keypoints_px: (n, 2) float32 detected features, image pixels.
         inlier_mask: (n,) bool, features that are inliers of the map.
         cpu_ms: CPU milliseconds of this thread per tracking stage; with ``other`` they sum up to the whole
-            call, less mapping, loop closing and recovery where these run inside it.
+            call, less mapping, loop closing and recovery if these run inside it.
         ms: wall milliseconds per tracking stage, likewise.
         mapping_cpu_ms: CPU milliseconds of local mapping run for this frame (0 without a keyframe).
         loop_cpu_ms: CPU milliseconds of loop closing run for this frame (0 without a keyframe).
@@ -49,7 +49,7 @@ class TrackingResult:
 
 @dataclass(frozen=True)
 class MapTrajectory:
-    """The final path of one map's frames, in that map's own frame and scale.
+    """Trajectory of one map's frames, in that map's own frame and scale.
 
     Attributes:
         map_id: the map.

@@ -6,7 +6,7 @@ import numpy as np
 
 
 def rng_for(seed: int, *names: str | int) -> np.random.Generator:
-    """The stream of one consumer, fixed by the root seed and the consumer's name.
+    """Random stream of one consumer, fixed by the root seed and the consumer's name.
 
     Adding a consumer changes no other consumer's numbers.
 

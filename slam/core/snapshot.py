@@ -1,4 +1,4 @@
-"""Snapshots: the whole state of a system in memory, from which any number of runs can branch."""
+"""Snapshots: copies of a system's whole state, from which runs can branch."""
 
 from copy import deepcopy
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from typing import Generic, Protocol, TypeVar
 
 
 class CountsFrames(Protocol):
-    """A system that knows how many frames it has been given."""
+    """A system that counts its frames."""
 
     @property
     def frames(self) -> int: ...
@@ -16,7 +16,7 @@ System = TypeVar("System", bound=CountsFrames)
 
 
 class Unchanging:
-    """A value that is never written to after it is made: copies of a system share it."""
+    """An immutable value: copies of a system share it."""
 
     def __deepcopy__(self, memo: dict) -> "Unchanging":
         return self
@@ -24,25 +24,25 @@ class Unchanging:
 
 @dataclass(frozen=True)
 class Snapshot(Generic[System]):
-    """A system as it stood between two frames.
+    """State of a system between two frames.
 
-    Nothing that the system does later reaches the snapshot, and no branch reaches another: what can change
-    (the arrays of the maps, the tracker, the buffer, random streams) is copied, what cannot (features, poses
-    of past frames, events, settings) is shared.
+    The snapshot, the system and all branches are independent: mutable parts (the arrays of the maps, the
+    tracker, the buffer, random streams) are copied; immutable parts (features, poses of past frames, events,
+    settings) are shared.
     """
 
     _system: System
 
     @staticmethod
     def of(system: System) -> "Snapshot[System]":
-        """Take a snapshot; the system goes on as if nothing had happened."""
+        """Take a snapshot; the system itself is not affected."""
         return Snapshot(deepcopy(system))
 
     def restore(self) -> System:
-        """A system that goes on from here, bit for bit as the original did; each call gives another one."""
+        """Return a new system that continues from here, bit for bit as the original did."""
         return deepcopy(self._system)
 
     @property
     def frames(self) -> int:
-        """Frames that the system had been given."""
+        """Number of frames that the system had processed."""
         return self._system.frames

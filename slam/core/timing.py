@@ -5,14 +5,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 OTHER = "other"
-"""The stage of a frame's time that no named stage takes."""
+"""Stage of the time outside all named stages."""
 
 
 class StageTimer:
     """Adds up the time spent in named stages until it is read.
 
-    Between :meth:`begin` and :meth:`read` no time is lost: what belongs to no stage goes to ``OTHER``, and
-    the stages sum up to the whole, less what was spent :meth:`apart`. Stages do not overlap.
+    Time between :meth:`begin` and :meth:`read` outside all stages goes to ``OTHER``, so that the stages sum
+    up to the whole, less the time spent :meth:`apart`. Stages do not overlap.
 
     Attributes:
         ms: wall milliseconds per stage.
@@ -26,7 +26,7 @@ class StageTimer:
         self._apart_ms = self._apart_cpu_ms = 0.0
 
     def begin(self) -> None:
-        """Start on a frame, from nothing."""
+        """Start a frame with all stages at zero."""
         self.ms, self.cpu_ms = {}, {}
         self._apart_ms = self._apart_cpu_ms = 0.0
         self._began = _now_ms()
@@ -43,7 +43,7 @@ class StageTimer:
 
     @contextmanager
     def apart(self) -> Iterator[None]:
-        """Leave out of the frame's time what is measured elsewhere; no stage is inside."""
+        """Exclude time that is measured elsewhere; must not contain a stage."""
         wall, cpu = _now_ms()
         try:
             yield
@@ -53,7 +53,7 @@ class StageTimer:
             self._apart_cpu_ms += cpu_end - cpu
 
     def read(self) -> tuple[dict[str, float], dict[str, float]]:
-        """(wall, CPU) milliseconds per stage since the last call or :meth:`begin`; begins anew."""
+        """(wall, CPU) milliseconds per stage since the last call or :meth:`begin`; resets them."""
         if self._began is not None:
             wall, cpu = _now_ms()
             self.ms[OTHER] = wall - self._began[0] - self._apart_ms - sum(self.ms.values())

@@ -1,4 +1,4 @@
-"""One recovery: what the threads are given, and what the outside is told of them."""
+"""Recovery attempts: build the threads' tasks, run the threads, emit their events."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -22,12 +22,12 @@ from slam.runtime.backend import ExecutionMode
 
 @dataclass(frozen=True)
 class NewMap:
-    """A map begun after a breakage.
+    """A map initialized after a breakage.
 
     Attributes:
-        map: it.
-        first, second: the frames that it was begun with.
-        since: the frame from which on it had been sought.
+        map: the new map.
+        first, second: the two frames that it was initialized from.
+        since: index of the frame at which the search for a new map started.
     """
 
     map: Map
@@ -38,13 +38,13 @@ class NewMap:
 
 @dataclass(frozen=True)
 class Attempt:
-    """A recovery that is under way.
+    """A running recovery.
 
     Attributes:
         new_id: the map that is extended backward.
-        old_ids: the saved maps that it aims at, newest first.
+        old_ids: the saved maps that it may reach, newest first.
         keyframes, points: rows of the new map when it was copied.
-        buffered_frames: frames that there are to go back over.
+        buffered_frames: number of buffered frames before the new map.
     """
 
     new_id: int
@@ -55,15 +55,15 @@ class Attempt:
 
 
 class RecoveryAttempts:
-    """Runs recoveries, one at a time, and declares what becomes of them.
+    """Runs recoveries, one at a time, and emits their events.
 
     Args:
         config: settings.
         camera, seed, mode: the system's.
-        emit: declares an event: the frame, the kind, the map, the kind's own fields.
+        emit: emits an event: the frame, the kind, the map, the kind's own fields.
 
     Attributes:
-        under_way: the recovery whose threads have not all been heard of, if any.
+        under_way: the recovery with threads whose results are still to be handled, if any.
     """
 
     def __init__(
@@ -80,26 +80,26 @@ class RecoveryAttempts:
         self._mode = mode
         self._emit = emit
         self._threads = [(build_thread(spec), spec.seed) for spec in config.threads]
-        self._recoveries = RecoveryScheduler(mode, config.exhaustive)
+        self._scheduler = RecoveryScheduler(mode, config.exhaustive)
 
     @property
     def possible(self) -> bool:
-        """Whether there is any thread."""
+        """True if there is at least one thread."""
         return bool(self._threads)
 
     @property
     def needs_images(self) -> bool:
-        """Whether any thread works on images."""
+        """True if any thread works on images."""
         return any(thread.needs_images for thread, _ in self._threads)
 
     def begin(self, frame: Frame, new: NewMap, old_maps: Sequence[Map], buffer: FeatureBuffer) -> None:
-        """Set the threads going.
+        """Start the threads.
 
         Args:
             frame: the newest frame.
             new: the map to be extended; each thread gets a copy of it.
-            old_maps: the saved maps that the buffer reaches, newest first, not to change before the end.
-            buffer: the frames to go back over.
+            old_maps: the saved maps that the buffer reaches, newest first; they must not change meanwhile.
+            buffer: the frames over which the threads go backward.
         """
         backward = tuple(buffer.backward_from(new.first.features.index))
         self.under_way = Attempt(
@@ -116,35 +116,35 @@ class RecoveryAttempts:
             rng = rng_for(self._seed, "recovery", number, seed, new.since)
             old = self._for_thread(old_maps)
             tasks.append(RecoveryTask(own, start, backward, old, step, rng, self._camera, images))
-        self._announce(frame, 1, self.under_way)
-        self._recoveries.start([thread for thread, _ in self._threads], tasks, frame.features.stamp_s)
+        self._emit_start(frame, 1, self.under_way)
+        self._scheduler.start([thread for thread, _ in self._threads], tasks, frame.features.stamp_s)
 
     def give_up(self, frame: Frame, new_map: Map, old_id: int) -> None:
-        """The buffer no longer reaches any saved map: every thread has failed before it began."""
+        """Report every thread as failed: the buffer no longer reaches any saved map."""
         attempt = Attempt(new_map.map_id, (old_id,), 0, 0, 0)
         for number, (thread, _) in enumerate(self._threads, start=1):
-            self._announce(frame, number, attempt)
+            self._emit_start(frame, number, attempt)
             result = RecoveryResult(new_map, stage="overlap", reason="buffer_exceeded")
-            self._tell(frame, attempt, ThreadOutcome(number, thread.name, result, 0.0, 0.0, False))
+            self._emit_end(frame, attempt, ThreadOutcome(number, thread.name, result, 0.0, 0.0, False))
 
     def ended(self, frame: Frame) -> Iterator[tuple[Attempt, RecoveryResult]]:
-        """Tell of the threads that have ended by now; each that has succeeded is to be acted upon at once.
+        """Report the finished threads; yield each success before the next is reported.
 
         Raises:
-            Exception: what a thread has raised.
+            Exception: the exception of a thread.
         """
-        return self._conclude(frame, self._recoveries.ended(frame.features.stamp_s))
+        return self._conclude(frame, self._scheduler.ended(frame.features.stamp_s))
 
     def rest(self, frame: Frame) -> Iterator[tuple[Attempt, RecoveryResult]]:
-        """As :meth:`ended`, once all threads have been waited for."""
-        return self._conclude(frame, self._recoveries.rest())
+        """Wait for all threads, then do as :meth:`ended`."""
+        return self._conclude(frame, self._scheduler.rest())
 
     def close(self) -> None:
-        """End what runs beside tracking."""
-        self._recoveries.close()
+        """Stop the worker thread, if there is one."""
+        self._scheduler.close()
 
     def _for_thread(self, old_maps: Sequence[Map]) -> list[Map]:
-        """Saved maps as a thread may read them while others do, too."""
+        """Saved maps that a thread can read beside tracking: copies in threaded mode."""
         return [m.copy() if self._mode is ExecutionMode.THREADED else m for m in old_maps]
 
     def _conclude(
@@ -154,15 +154,15 @@ class RecoveryAttempts:
             attempt = self.under_way
             if attempt is None:
                 raise RuntimeError("no recovery is under way")
-            self._tell(frame, attempt, outcome)
+            self._emit_end(frame, attempt, outcome)
             if outcome.result.success:
                 yield attempt, outcome.result
             if outcome.is_last:
                 self.under_way = None
             else:
-                self._announce(frame, outcome.number + 1, attempt)
+                self._emit_start(frame, outcome.number + 1, attempt)
 
-    def _announce(self, frame: Frame, number: int, attempt: Attempt) -> None:
+    def _emit_start(self, frame: Frame, number: int, attempt: Attempt) -> None:
         self._emit(
             frame,
             ev.RecoveryStart,
@@ -173,7 +173,7 @@ class RecoveryAttempts:
             buffered_frames=attempt.buffered_frames,
         )
 
-    def _tell(self, frame: Frame, attempt: Attempt, outcome: ThreadOutcome) -> None:
+    def _emit_end(self, frame: Frame, attempt: Attempt, outcome: ThreadOutcome) -> None:
         result, found = outcome.result, outcome.result.alignment
         self._emit(
             frame,
@@ -194,12 +194,12 @@ class RecoveryAttempts:
 
 
 def placed_keyframes(extended: Map, keyframes: int, found: Alignment) -> tuple[ev.PlacedKeyframe, ...]:
-    """Where an alignment puts the first keyframes of an extended map in the old map.
+    """Poses of the new map's keyframes in the old map, by a recovery's alignment.
 
     Args:
-        extended: what a recovery has made of its copy of the new map.
-        keyframes: how many there were when it started; those culled since go by what they hang on.
-        found: its alignment.
+        extended: the recovery's copy of the new map, as extended.
+        keyframes: number of keyframes when it started; those culled since are placed by their reference.
+        found: the alignment of the copy with the old map.
     """
     placed = []
     for k in range(keyframes):
@@ -211,7 +211,7 @@ def placed_keyframes(extended: Map, keyframes: int, found: Alignment) -> tuple[e
 
 
 def _ready_to_extend(new: NewMap) -> tuple[Map, Frame, np.ndarray]:
-    """A copy of the new map, its first frame tracked in it, and T_cam_last of one frame backward."""
+    """Copy of the new map, its first frame tracked in it, T_cam_last one frame backward."""
     own = new.map.copy()
     start = Frame(new.first.features)
     start.point[:] = own.observed_points(0)

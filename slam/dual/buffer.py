@@ -1,4 +1,4 @@
-"""The buffer over which a recovery runs backward. Source: paper, Sec. III-A and Fig. 4."""
+"""Feature buffer over which a recovery runs backward. Source: paper, Sec. III-A and Fig. 4."""
 
 from collections import deque
 from collections.abc import Iterator
@@ -8,17 +8,17 @@ import numpy as np
 
 from slam.core.frame import FrameFeatures
 
-# Of 100: at this quality SIFT finds what it finds in the image itself, at a fifth of its size.
+# Of 100: at this quality SIFT finds the same features as in the image, at a fifth of its size.
 JPEG_QUALITY = 95
 
 
 class FeatureBuffer:
-    """Features of the most recent frames: a ring in normal operation, growing while frozen.
+    """Features of the most recent frames: a ring buffer that grows while frozen.
 
     Args:
-        span_s: k of the paper, as time: what the ring holds.
-        cap_s: the most it grows to while frozen; beyond it the oldest frames go, as in the ring.
-        images: whether the frames' images are held too, as JPEG.
+        span_s: time span of the ring, k of the paper.
+        cap_s: largest time span while frozen; beyond it the oldest frames leave.
+        images: also hold the frames' images, as JPEG.
     """
 
     def __init__(self, span_s: float, cap_s: float, images: bool = False) -> None:
@@ -35,11 +35,11 @@ class FeatureBuffer:
         return len(self._frames)
 
     def append(self, features: FrameFeatures, image: np.ndarray | None = None) -> None:
-        """Take the newest frame; frames older than the span (frozen: the cap) leave.
+        """Add the newest frame; frames older than the span (while frozen: the cap) leave.
 
         Args:
-            features: what was found in it.
-            image: (H, W) uint8; held where images are.
+            features: the frame's features.
+            image: (H, W) uint8; held only if the buffer holds images.
         """
         self._frames.append(features)
         if self._with_images and image is not None:
@@ -53,21 +53,21 @@ class FeatureBuffer:
         return (f for f in reversed(self._frames) if f.index < index)
 
     def reaches(self, index: int) -> bool:
-        """Whether frame ``index`` or an older one is still held."""
+        """Return True if frame ``index`` or an older one is still held."""
         return bool(self._frames) and self._frames[0].index <= index
 
     def images(self) -> "BufferedImages":
-        """The images as held now; frames that leave the buffer later stay in what was given."""
+        """Return the images held now; they stay available when their frames leave the buffer."""
         return BufferedImages(dict(self._images))
 
     @property
     def nbytes(self) -> int:
-        """Memory of the buffered features and images."""
+        """Size of the buffered features and images in bytes."""
         return sum(f.nbytes for f in self._frames) + sum(map(len, self._images.values()))
 
 
 class BufferedImages:
-    """Images by the number of their frame, unpacked when asked for."""
+    """Images by frame index, decoded on request."""
 
     def __init__(self, packed: dict[int, bytes]) -> None:
         self._packed = packed
@@ -76,18 +76,18 @@ class BufferedImages:
         """The (H, W) uint8 image of a frame.
 
         Raises:
-            KeyError: it is not held.
+            KeyError: the image is not held.
         """
         if index not in self._packed:
             raise KeyError(f"frame {index} is not held as an image")
         image = cv2.imdecode(np.frombuffer(self._packed[index], np.uint8), cv2.IMREAD_GRAYSCALE)
         if image is None:
-            raise ValueError(f"the image of frame {index} cannot be unpacked")
+            raise ValueError(f"the image of frame {index} cannot be decoded")
         return image
 
 
 def _compressed(image: np.ndarray) -> bytes:
     packed, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     if not packed:
-        raise ValueError("an image cannot be packed")
+        raise ValueError("an image cannot be encoded as JPEG")
     return data.tobytes()

@@ -1,4 +1,4 @@
-"""Dual-SLAM: at a breakage, save the map, start another, recover backward, fuse.
+"""Dual-SLAM: save the map at a breakage, start a new one, recover backward, fuse.
 
 Source: paper, Sec. II and III, Fig. 3.
 """
@@ -19,7 +19,7 @@ from slam.dual.buffer import FeatureBuffer
 from slam.dual.config import DualConfig
 from slam.dual.fusion.fuse import Fused, fuse, seam_frame
 from slam.dual.fusion.merge_recovered import merge_recovered
-from slam.dual.fusion.place_merging import PlaceMerger, turned
+from slam.dual.fusion.place_merging import PlaceMerger, inverted
 from slam.dual.fusion.rebase import rebase_frames, rebase_tracking
 from slam.dual.recovery.interface import RecoveryResult
 from slam.dual.restarting import RestartingSlam
@@ -31,11 +31,11 @@ from slam.tracking.tracker import TrackingOutcome
 
 
 class DualSlam(RestartingSlam):
-    """Saves and restarts, and makes one map of what the breakages have left.
+    """SLAM with backward recovery and map fusion after a breakage.
 
-    One recovery is under way at a time. While it is, no map that it concerns is dropped or taken in by
-    another: a new map that breaks meanwhile is saved, and fused all the same if the recovery succeeds. A map
-    that breaks while its recovery waits for another's end is saved and gets its turn.
+    One recovery runs at a time. Meanwhile its maps are neither dropped nor fused: a new map that breaks is
+    saved, and still fused if the recovery succeeds. A map that breaks while its recovery waits for another
+    one's end is saved, and its recovery stays in the queue.
     """
 
     def __init__(
@@ -47,8 +47,8 @@ class DualSlam(RestartingSlam):
         mode: ExecutionMode = ExecutionMode.LOCKSTEP,
     ) -> None:
         self.dual = dual or DualConfig()
-        return_to = self.dual.relocalization_maps if self.dual.relocalization else 0
-        super().__init__(camera, seed, config, mode, return_to)
+        relocalization_maps = self.dual.relocalization_maps if self.dual.relocalization else 0
+        super().__init__(camera, seed, config, mode, relocalization_maps)
         self._attempts = RecoveryAttempts(self.dual, camera, seed, mode, self._emit_at)
         self._buffer = FeatureBuffer(self.dual.buffer_s, self.dual.buffer_cap_s, self._attempts.needs_images)
         self._place_merger = PlaceMerger(self.dual.place_merging, seed) if self.dual.place_merging else None
@@ -58,35 +58,34 @@ class DualSlam(RestartingSlam):
 
     @property
     def settings(self) -> dict:
-        """Every setting in force, those of Dual-SLAM under ``dual``."""
+        """All settings, those of Dual-SLAM under ``dual``."""
         return {**super().settings, "dual": asdict(self.dual)}
 
     @property
     def buffer(self) -> FeatureBuffer:
-        """The frames that a recovery would go back over."""
+        """The frames over which a recovery goes backward."""
         return self._buffer
 
-    # -- what a breakage means for recovery --------------------------------------------------------------
+    # -- breakage ----------------------------------------------------------------------------------------
 
-    def _part_with_map(self, frame: Frame) -> None:
-        """Save the map, unless it is too young to be worth it.
+    def _save_or_drop_map(self, frame: Frame) -> None:
+        """Save the map, or drop it if it is too small to be recovered from.
 
-        A new map that breaks before it was fit for recovery is dropped: the frames it had are in the buffer,
-        and the next map's recovery goes back over them too.
+        The frames of a dropped map are still in the buffer: the next map's recovery goes back over them too.
         """
         attempt = self._attempts.under_way
         if self._recovery_due and not self._fit_for_recovery():
             self._drop(frame, "broke_before_recovery")
         elif self._recovery_due:
-            self._waiting.append(self._begun())
+            self._waiting.append(self._take_new_map())
             self._save(frame)
         elif attempt is not None and attempt.new_id == self._map_id:
             self._save(frame)
         else:
-            super()._part_with_map(frame)
+            super()._save_or_drop_map(frame)
 
-    def _begun(self) -> NewMap:
-        """How the current map has begun; its recovery is taken care of from now on."""
+    def _take_new_map(self) -> NewMap:
+        """Return the new map whose recovery is due, and clear the due flag."""
         new, self._new = self._new, None
         if new is None:
             raise RuntimeError("there is no new map to extend")
@@ -96,27 +95,27 @@ class DualSlam(RestartingSlam):
     def _fit_for_recovery(self) -> bool:
         return len(self.current_map.keyframes()) >= self.dual.start_keyframes
 
-    def _seek_after(self, frame: Frame) -> None:
+    def _start_reinitialization(self, frame: Frame) -> None:
         if self._place_merger is not None:
-            self._place_merger.moved_on()
+            self._place_merger.reset_keyframes()
         self._recovery_due = self._attempts.possible and bool(self._reachable())
         self._buffer.frozen = self._recovery_due
-        super()._seek_after(frame)
+        super()._start_reinitialization(frame)
 
     def _reachable(self) -> list[int]:
-        """Saved maps that the buffer goes back to, newest first."""
+        """Saved maps that the buffer reaches, newest first."""
         return [k for k in self._saved if self._buffer.reaches(_newest_frame(self._maps[k]))]
 
-    def _may_return_to(self) -> Sequence[int]:
-        return () if self._attempts.under_way else super()._may_return_to()
+    def _relocalization_maps(self) -> Sequence[int]:
+        return () if self._attempts.under_way else super()._relocalization_maps()
 
-    def _back_in(self, map_id: int) -> None:
-        super()._back_in(map_id)
+    def _resume_saved_map(self, map_id: int) -> None:
+        super()._resume_saved_map(map_id)
         self._recovery_due = self._buffer.frozen = False
 
     def _start_map(self, initial: InitialMap) -> None:
         super()._start_map(initial)
-        self._new = NewMap(initial.map, initial.first, initial.second, self._sought_since)
+        self._new = NewMap(initial.map, initial.first, initial.second, self._reinit_start)
 
     # -- after every frame -------------------------------------------------------------------------------
 
@@ -131,16 +130,16 @@ class DualSlam(RestartingSlam):
         if not self._recovery_due:
             self._merge_by_place(frame)
         elif self._fit_for_recovery():
-            self._recover(frame, self._begun())
+            self._recover(frame, self._take_new_map())
 
     def _recover(self, frame: Frame, new: NewMap) -> None:
-        """Set the recovery threads going."""
+        """Start the recovery threads."""
         self._backend.drain()
         self._buffer.frozen = self._recovery_due or bool(self._waiting)
         older = [k for k in self._saved if k < new.map.map_id]
         reachable = [self._maps[k] for k in self._reachable() if k in older]
         if reachable:
-            # What runs beside tracking is not tracking's time, in lockstep neither.
+            # Recovery runs beside tracking: even in lockstep it does not count as tracking's time.
             with self.timer.apart():
                 self._attempts.begin(frame, new, reachable, self._buffer)
             self._take_recovered(frame, self._attempts.ended(frame))
@@ -148,10 +147,10 @@ class DualSlam(RestartingSlam):
             self._attempts.give_up(frame, new.map, older[0])
 
     def finish(self) -> None:
-        """End of input: recoveries under way or waiting are done to the end, then as in the base.
+        """Complete running and waiting recoveries, then finish as the base does.
 
         Raises:
-            Exception: what a recovery or mapping has raised on its thread.
+            Exception: the exception of a recovery or of mapping on its thread.
         """
         try:
             if self._last_frame is not None:
@@ -166,7 +165,7 @@ class DualSlam(RestartingSlam):
     # -- fusion ------------------------------------------------------------------------------------------
 
     def _take_recovered(self, frame: Frame, succeeded: Iterable[tuple[Attempt, RecoveryResult]]) -> None:
-        """Fuse what recovery threads have related, the first of each recovery that has succeeded."""
+        """Fuse the maps that recovery threads have aligned; only a recovery's first success counts."""
         for attempt, result in succeeded:
             if result.alignment is not None and attempt.new_id in self._maps:
                 self._fuse_recovered(frame, attempt, result, result.alignment)
@@ -174,7 +173,7 @@ class DualSlam(RestartingSlam):
     def _fuse_recovered(
         self, frame: Frame, attempt: Attempt, result: RecoveryResult, alignment: Alignment
     ) -> None:
-        """The new map takes over what the recovery has found before it, and both go into the old map."""
+        """Merge the recovered part into the new map, then fuse it with the old one."""
         self._backend.drain()
         old, new = self._maps[alignment.old_map_id], self._maps[attempt.new_id]
         merged = merge_recovered(new, result.map, attempt.keyframes, attempt.points)
@@ -194,7 +193,7 @@ class DualSlam(RestartingSlam):
                 self._poses.add(old.map_id, tracked)
 
     def _fuse(self, frame: Frame, old: Map, new: Map, alignments: Sequence[Alignment], by: str) -> Fused:
-        """The old map takes in the new one; whoever was in the new one goes on in the result."""
+        """Fuse the new map into the old one; tracker, poses and saved maps follow."""
         accepted = alignments[-1]
         fused = fuse(old, new, alignments, self.config.mapping, renewed=by == "recovery")
         self._poses.join(old.map_id, new.map_id, fused.keyframes, accepted.scale)
@@ -206,21 +205,21 @@ class DualSlam(RestartingSlam):
                 self._map_id = old.map_id
                 rebase_tracking(self.tracker, self.mapper, old, fused, accepted.scale)
             if self._place_merger is not None:
-                self._place_merger.moved_on()
-        else:  # it is as young as the younger of the two
+                self._place_merger.reset_keyframes()
+        else:  # the result counts as saved when the younger of the two was
             saved.insert(min(map(self._saved.index, both)), old.map_id)
             self._broken_at[old.map_id] = max((self._broken_at[k] for k in both), key=lambda f: f.index)
         self._saved = saved
         self._forget(new.map_id)
         if self._place_merger is not None:
-            self._place_merger.forget()
+            self._place_merger.reset_alignments()
         self._emit_at(
             frame, ev.Fusion, old.map_id, old_map_id=old.map_id, new_map_id=new.map_id, by=by,
             accepted=True, scale=accepted.scale, inliers=accepted.inliers, reason="",
         )  # fmt: skip
         return fused
 
-    # -- maps met again ----------------------------------------------------------------------------------
+    # -- merging by place recognition --------------------------------------------------------------------
 
     def _apply(self, change: Change) -> None:
         super()._apply(change)
@@ -229,10 +228,10 @@ class DualSlam(RestartingSlam):
         if isinstance(change, Mapped) and self._saved:
             self._place_merger.note(change.keyframe)
         elif isinstance(change, Corrected | Adjusted):
-            self._place_merger.forget()
+            self._place_merger.reset_alignments()
 
     def _merge_by_place(self, frame: Frame) -> None:
-        """Look whether the newest keyframes show a saved map; the map begun first takes in the other."""
+        """Fuse with a saved map that the newest keyframes recognise, if any."""
         if self._place_merger is None or not self._saved:
             return
         current = self.current_map
@@ -247,12 +246,12 @@ class DualSlam(RestartingSlam):
         happened = len(self.events)
         self._backend.drain()
         if len(self.events) != happened or current.arrays.kf_bad[alignments[-1].new_keyframe]:
-            return  # the map has just been changed: what was found is void
+            return  # the map has just changed: the alignments are no longer valid
         saved = self._maps[alignments[-1].old_map_id]
         if saved.map_id < current.map_id:
             self._fuse(frame, saved, current, alignments, "place")
         else:
-            self._fuse(frame, current, saved, [turned(a, current.map_id) for a in alignments], "place")
+            self._fuse(frame, current, saved, [inverted(a, current.map_id) for a in alignments], "place")
 
 
 def _newest_frame(map_: Map) -> int:

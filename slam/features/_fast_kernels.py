@@ -1,7 +1,7 @@
-"""FAST-9 corners of one pyramid level: contrast of every pixel, then local maxima cell by cell.
+"""FAST-9 corners of one pyramid level: contrast of every pixel, then local maxima.
 
-The hot loops index with unsigned integers: numba then drops its test for negative indices, which otherwise
-keeps LLVM from vectorising them and costs a factor of six.
+The hot loops index with unsigned integers: numba then drops its test for negative indices, which would
+prevent vectorisation and cost a factor of six.
 """
 
 import numpy as np
@@ -52,14 +52,14 @@ def _score_row(r0, r1, r2, r3, r4, r5, r6, out):
 
 @njit(cache=True, nogil=True)
 def corner_contrast(image: np.ndarray, margin: int, out: np.ndarray) -> None:
-    """Segment-test contrast of every pixel at least ``margin`` from the edge; the rest of ``out`` is left.
+    """Compute the segment-test contrast of every pixel at least ``margin`` from the edge.
 
-    A pixel is a FAST-9 corner at threshold t where its contrast is greater than t.
+    A pixel is a FAST-9 corner at threshold t if its contrast is greater than t.
 
     Args:
         image: (H, W) uint8, contiguous.
         margin: pixels, >= 3.
-        out: (H * W,) uint8, row-major.
+        out: (H * W,) uint8, row-major; pixels nearer to the edge are not written.
 
     Source: Rosten and Drummond, Machine learning for high-speed corner detection, ECCV 2006.
     """
@@ -94,7 +94,7 @@ def _suppress_row(above, row, below, threshold, out):
 
 @njit(cache=True, nogil=True)
 def _collect_row(kept, border, y, xs, ys, contrasts, count):
-    words = kept.view(np.uint64)  # most rows are nearly empty: eight pixels at a glance
+    words = kept.view(np.uint64)  # most rows are nearly empty: test eight pixels at once
     for w in range(words.size):
         if words[w] == 0:
             continue
@@ -118,16 +118,16 @@ def select_corners(
     ys: np.ndarray,
     contrasts: np.ndarray,
 ) -> int:
-    """Local maxima of the contrast; the weak ones only in cells that hold no strong one.
+    """Select local maxima of the contrast; weak ones only in cells without a strong one.
 
     Args:
         contrast: (>= height * width,) uint8 from :func:`corner_contrast`, valid from ``border - 1`` inwards.
         height: rows of the level.
         width: columns of the level.
-        border: pixels; no corner is nearer to the edge.
+        border: least distance of a corner to the edge, px.
         threshold: contrast that a strong corner exceeds.
         min_threshold: contrast that a weak corner exceeds.
-        cell_px: wanted side of a cell; the area is divided into equal cells of about this size.
+        cell_px: approximate side of a cell; the area is divided into equal cells of about this size.
         xs: (C,) int32, receives the columns; C >= a quarter of the level's pixels.
         ys: (C,) int32, receives the rows.
         contrasts: (C,) uint8, receives the contrasts.

@@ -1,4 +1,4 @@
-"""Hamming distance of 256-bit descriptors held as four uint64 words, for use inside other kernels."""
+"""Hamming distance of 256-bit descriptors stored as four uint64 words, for use in other kernels."""
 
 import numpy as np
 from numba import njit, types
@@ -7,7 +7,7 @@ from numba.extending import intrinsic
 
 @intrinsic
 def popcount64(typing_context, word):
-    """Number of set bits of a uint64, as int64: one machine instruction where the CPU has it."""
+    """Number of set bits of a uint64, as int64; one machine instruction on most CPUs."""
     if word != types.uint64:
         return None
 
@@ -19,7 +19,7 @@ def popcount64(typing_context, word):
 
 @njit(cache=True, nogil=True)
 def hamming256(a: np.ndarray, b: np.ndarray) -> int:
-    """Bits in which two descriptors differ.
+    """Number of bits in which two descriptors differ.
 
     Args:
         a: (4,) uint64 descriptor, a row of an (N, 4) array.
@@ -35,7 +35,7 @@ def hamming256(a: np.ndarray, b: np.ndarray) -> int:
 
 @njit(cache=True, nogil=True)
 def hamming(desc_a: np.ndarray, i: int, desc_b: np.ndarray, j: int) -> int:
-    """Bits in which row ``i`` of ``desc_a`` and row ``j`` of ``desc_b``, both (N, 4) uint64, differ."""
+    """Distance of row ``i`` of ``desc_a`` and row ``j`` of ``desc_b``, both (N, 4) uint64."""
     return (
         popcount64(desc_a[i, 0] ^ desc_b[j, 0])
         + popcount64(desc_a[i, 1] ^ desc_b[j, 1])

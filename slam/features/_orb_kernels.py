@@ -1,6 +1,7 @@
 """Orientation and descriptor of ORB, for the corners of one pyramid level.
 
-The hot loops index with unsigned integers: numba then tests for no negative indices, and LLVM vectorises.
+The hot loops index with unsigned integers: numba then omits its test for negative indices, and LLVM
+vectorises.
 """
 
 import math
@@ -10,11 +11,11 @@ from numba import njit
 
 from slam.features._brief_pattern import BRIEF_PAIRS
 
-# The farthest pixel that a rotated pair reaches, so the nearest to the image's edge that a keypoint can lie.
+# Farthest pixel that a rotated pair reaches, hence the least distance of a keypoint to the image's edge.
 BORDER_PX = round(float(np.hypot(*BRIEF_PAIRS.reshape(-1, 2).T.astype(float)).max()))
 
 _RADIUS = 15
-_WIDTH = 32  # of the patch: one column of no weight more than the disc's 31, for whole vector registers
+_WIDTH = 32  # of the patch: the disc's 31 columns and one of zero weight, to fill vector registers
 # Half width of each row of the disc, from the centre down; symmetric about the diagonals too.
 _HALF_WIDTHS = np.array([15, 15, 15, 15, 14, 14, 14, 13, 13, 12, 11, 10, 9, 8, 6, 3])
 _V, _U = np.mgrid[-_RADIUS : _RADIUS + 1, -_RADIUS : _WIDTH - _RADIUS]
@@ -22,13 +23,13 @@ _INSIDE = np.abs(_U) <= _HALF_WIDTHS[np.abs(_V)]
 _WEIGHT_X, _WEIGHT_Y = (_U * _INSIDE).astype(np.int32), (_V * _INSIDE).astype(np.int32)
 
 _X1, _Y1, _X2, _Y2 = (np.ascontiguousarray(column, np.float32) for column in BRIEF_PAIRS.T)
-# Adding and taking off 1.5 * 2^23 rounds a small float32 to the nearest integer, ties to even.
+# Adding and subtracting 1.5 * 2^23 rounds a small float32 to the nearest integer, ties to even.
 _ROUNDER = np.float32(12582912.0)
 
 
 @njit(cache=True, nogil=True)
 def orientations(image: np.ndarray, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
-    """Direction from each corner to the intensity centroid of the disc of radius 15 around it.
+    """Orientation of each corner: direction to the intensity centroid of a disc of radius 15.
 
     Args:
         image: (H, W) uint8, contiguous.
@@ -61,7 +62,7 @@ def orientations(image: np.ndarray, xs: np.ndarray, ys: np.ndarray) -> np.ndarra
 
 @njit(cache=True, nogil=True)
 def descriptors(blurred: np.ndarray, xs: np.ndarray, ys: np.ndarray, angles_deg: np.ndarray) -> np.ndarray:
-    """Rotated BRIEF, bit for bit that of OpenCV's ORB.
+    """Rotated BRIEF descriptors, bit for bit those of OpenCV's ORB.
 
     Args:
         blurred: (H, W) uint8, contiguous: the level after its Gaussian blur.

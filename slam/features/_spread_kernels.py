@@ -1,4 +1,4 @@
-"""Spreading corners over a pyramid level: the strongest of each leaf of a quadtree."""
+"""Even distribution of corners: the strongest of each leaf of a quadtree."""
 
 import numpy as np
 from numba import njit
@@ -11,8 +11,8 @@ def _quadrant(x, y, mid_x, mid_y):
 
 @njit(cache=True, nogil=True)
 def _partition(order, start, end, xs, ys, mid_x, mid_y, scratch, bounds):
-    # Sorts order[start:end] by quadrant. bounds (5,) receives where each begins and the last one ends; the
-    # number of quadrants that hold a corner is returned. Loops: array expressions take seconds to compile.
+    # Sorts order[start:end] by quadrant. bounds (5,) receives the start of each and the end of the last one.
+    # Returns the number of quadrants with a corner. Loops, since array expressions take seconds to compile.
     counts = np.zeros(4, np.int64)
     for k in range(start, end):
         counts[_quadrant(xs[order[k]], ys[order[k]], mid_x, mid_y)] += 1
@@ -77,11 +77,10 @@ def _grow_tree(order, xs, ys, leaves, height, width):
 def spread_corners(
     xs: np.ndarray, ys: np.ndarray, contrasts: np.ndarray, height: int, width: int, n_wanted: int
 ) -> np.ndarray:
-    """Choose at most ``n_wanted`` corners spread over the level: the strongest of each leaf of a quadtree.
+    """Choose at most ``n_wanted`` corners: the strongest of each leaf of a quadtree.
 
     All leaves with several corners are split round by round, the fullest first, until there are enough. The
-    tree covers the border too, where no corner lies: the leaves along it then hold less area, and the finer
-    levels make up for what the coarser ones cannot reach.
+    tree also covers the border, which has no corners: leaves there have less usable area.
 
     Args:
         xs: (N,) int32 columns; no two corners share a pixel.
@@ -89,10 +88,10 @@ def spread_corners(
         contrasts: (N,) uint8.
         height: rows of the level.
         width: columns of the level.
-        n_wanted: most corners returned; up to two fewer where no leaf can be split without going over.
+        n_wanted: most corners returned; up to two fewer if no leaf can be split without exceeding it.
 
     Returns:
-        (M,) int32 indices into the corners. All of them where N <= n_wanted.
+        (M,) int32 indices into the corners; all of them if N <= n_wanted.
 
     Source: the distribution of corners in Mur-Artal et al., ORB-SLAM, T-RO 2015, section IV.
     """

@@ -11,13 +11,13 @@ from slam.features._fast_kernels import corner_contrast, select_corners
 from slam.features._orb_kernels import BORDER_PX, descriptors, orientations
 from slam.features._spread_kernels import spread_corners
 
-# As OpenCV's ORB blurs: rounds otherwise than cv2.GaussianBlur here and there, and takes half the time.
+# The blur of OpenCV's ORB: rounding differs from cv2.GaussianBlur at some pixels; it takes half the time.
 _BLUR = cv2.getGaussianKernel(7, 2)
 
 
 @dataclass(frozen=True)
 class OrbConfig:
-    """What the extractor looks for.
+    """Settings of the extractor.
 
     Attributes:
         n_features: most features per image.
@@ -51,7 +51,7 @@ class OrbConfig:
 
     @cached_property
     def scales(self) -> np.ndarray:
-        """(n_levels,) float64: pixels of the image per pixel of each level, nominal."""
+        """(n_levels,) float64 nominal scale: image pixels per pixel of each level."""
         return self.scale_factor ** np.arange(self.n_levels)
 
 
@@ -62,13 +62,13 @@ class _Level:
     xs: np.ndarray  # candidate corners
     ys: np.ndarray
     contrasts: np.ndarray
-    pixel: np.ndarray = field(repr=False)  # (2,) float64: pixels of the image per pixel, x and y
+    pixel: np.ndarray = field(repr=False)  # (2,) float64: image pixels per pixel, x and y
 
 
 class OrbExtractor:
     """Extracts ORB features from images of one size.
 
-    An instance owns its buffers: use one per thread. What it returns is never overwritten.
+    An instance owns its buffers: use one per thread. Returned features are never overwritten.
     """
 
     def __init__(self, width_px: int, height_px: int, config: OrbConfig | None = None) -> None:
@@ -93,7 +93,7 @@ class OrbExtractor:
         self._contrast = np.zeros(height_px * width_px, np.uint8)
 
     def __deepcopy__(self, memo: dict) -> "OrbExtractor":
-        """Another extractor of the same settings: buffers hold nothing between two images."""
+        """Return a new extractor with the same settings: buffers keep no state between images."""
         return OrbExtractor(self._shape[1], self._shape[0], self.config)
 
     def _allocate(self, scale: float) -> _Level:
@@ -110,7 +110,7 @@ class OrbExtractor:
         )
 
     def extract(self, image: np.ndarray) -> Features:
-        """Features of an image; few or none where it shows few corners.
+        """Extract the features of an image; few or none if it has few corners.
 
         Args:
             image: (height_px, width_px) uint8.
@@ -168,7 +168,7 @@ class OrbExtractor:
                 level.image, -1, _BLUR, _BLUR, dst=level.blurred, borderType=cv2.BORDER_REFLECT_101
             )
         angles = orientations(level.image, xs, ys)
-        # The exact inverse of cv2.resize: integers are pixel centres, and levels have whole sizes.
+        # The exact inverse of cv2.resize: integers are pixel centres, and levels have integer sizes.
         xy = ((np.stack([xs, ys], axis=1) + 0.5) * level.pixel - 0.5).astype(np.float32)
         return (
             xy,
@@ -180,15 +180,15 @@ class OrbExtractor:
 
 
 def share_out(n_features: int, scale_factor: float, n_corners: list[int]) -> list[int]:
-    """Features per level: a geometric series; what a level cannot fill goes to those that can.
+    """Distribute features over the levels as a geometric series, limited by each level's corners.
 
     Args:
-        n_features: total wanted.
+        n_features: requested total.
         scale_factor: ratio of the series.
         n_corners: corners found on each level, the finest first.
 
     Returns:
-        Features per level, at most ``n_corners``, in sum ``n_features`` or all corners.
+        Features per level, at most ``n_corners``; the sum is ``n_features`` or all corners.
     """
     quotas = [0] * len(n_corners)
     open_levels = [k for k, n in enumerate(n_corners) if n]
@@ -197,12 +197,12 @@ def share_out(n_features: int, scale_factor: float, n_corners: list[int]) -> lis
         weights = [scale_factor**-k for k in open_levels]
         total, spare = sum(weights), left
         for k, weight in zip(open_levels, weights, strict=True):
-            # The weights that remain share what remains, so that the rounded shares add up.
+            # Each share is taken of the remainder, so that the rounded shares add up.
             share = min(round(spare * weight / total), left, n_corners[k] - quotas[k])
             quotas[k] += share
             left -= share
         still_open = [k for k in open_levels if quotas[k] < n_corners[k]]
-        if spare == left:  # fewer features than levels: the finest that can take them
+        if spare == left:  # fewer features than levels: the finest open level gets the next one
             quotas[still_open[0]] += 1
             left -= 1
         open_levels = still_open

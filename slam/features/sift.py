@@ -1,4 +1,4 @@
-"""SIFT features of a frame, and the places of some of them in space."""
+"""SIFT features of a frame, some with known 3D positions."""
 
 import hashlib
 from collections.abc import Iterator
@@ -16,25 +16,24 @@ from slam.core.frame import Frame
 from slam.core.geometry import ViewGeometry
 from slam.optimization._triangulation import triangulate
 
-# Standard deviation of SIFT's finest level, px; a keypoint's size is twice its own.
+# Standard deviation of SIFT's finest level, px; OpenCV's keypoint size is twice the standard deviation.
 _FINEST_SIGMA_PX = 1.6
 _kept: ContextVar[dict | None] = ContextVar("kept", default=None)
 
 
 @dataclass
 class SiftFrame:
-    """A frame's SIFT features.
+    """SIFT features of a frame.
 
     Attributes:
-        frame: the frame, placed or to be.
+        frame: the frame, with or without a pose.
         xy: (n, 2) undistorted keypoints, px.
         inv_sigma2: (n,) information of each keypoint, 1/px².
         descriptors: (n, 128) uint8.
-        xyz_cam: (n, 3) places in the frame's camera, NaN where unknown.
-        track: (n,) int64 what each shows, the same number in every frame; -1 until the frame is placed.
-        seen_from: (n,) int32 the placed frame, by its number among them, in which each feature was first
-            seen.
-        seen_at: (n, 2) where, undistorted, px.
+        xyz_cam: (n, 3) positions in the frame's camera, NaN where unknown.
+        track: (n,) int64 track id, the same in every frame; -1 until the frame is placed.
+        seen_from: (n,) int32 number of the placed frame that saw the feature first.
+        seen_at: (n, 2) its keypoint there, undistorted, px.
     """
 
     frame: Frame
@@ -55,44 +54,44 @@ class SiftFrame:
 
     @property
     def known(self) -> np.ndarray:
-        """(n,) bool: which features have a place."""
+        """(n,) bool mask of the features with a position."""
         return np.isfinite(self.xyz_cam[:, 0])
 
     @property
     def depth(self) -> float:
-        """Median depth of the features that have a place, 0 without any."""
+        """Median depth of the features with a position, 0 without any."""
         return float(np.median(self.xyz_cam[self.known, 2])) if self.known.any() else 0.0
 
     def follow(self, rows: np.ndarray, other: "SiftFrame", theirs: np.ndarray) -> None:
-        """Features ``rows`` show what features ``theirs`` of another frame show."""
+        """Continue the tracks of features ``theirs`` of another frame in features ``rows``."""
         self.track[rows] = other.track[theirs]
         self.seen_from[rows], self.seen_at[rows] = other.seen_from[theirs], other.seen_at[theirs]
 
     def forget(self, rows: np.ndarray) -> None:
-        """Take features ``rows`` for new ones."""
+        """Reset features ``rows`` to new ones."""
         self.track[rows], self.seen_from[rows] = -1, -1
         self.xyz_cam[rows], self.seen_at[rows] = np.nan, self.xy[rows]
 
-    def set_places(self, rows: np.ndarray, xyz: np.ndarray, T_cam_map: np.ndarray) -> None:
-        """Give features ``rows`` their places ``xyz`` (k, 3), frame map."""
+    def set_positions(self, rows: np.ndarray, xyz: np.ndarray, T_cam_map: np.ndarray) -> None:
+        """Set the positions ``xyz`` (k, 3), frame map, of features ``rows``."""
         self.xyz_cam[rows] = xyz @ T_cam_map[:3, :3].T + T_cam_map[:3, 3]
 
-    def places(self, rows: np.ndarray, T_cam_map: np.ndarray) -> np.ndarray:
-        """(k, 3) places of features ``rows``, frame map."""
+    def positions(self, rows: np.ndarray, T_cam_map: np.ndarray) -> np.ndarray:
+        """(k, 3) positions of features ``rows``, frame map."""
         return (self.xyz_cam[rows] - T_cam_map[:3, 3]) @ T_cam_map[:3, :3]
 
 
 def detect(
     image: np.ndarray, frame: Frame, camera: PinholeCamera, n_features: int, contrast: float
 ) -> SiftFrame:
-    """SIFT features of an image.
+    """Detect the SIFT features of an image.
 
     Args:
         image: (H, W) uint8.
-        frame: the frame that it is of.
-        camera: what it was taken with.
-        n_features: the most that are kept, strongest first.
-        contrast: what a feature must have, a share of the range of grey.
+        frame: the frame of the image.
+        camera: the camera of the image.
+        n_features: most features kept, strongest first.
+        contrast: least contrast of a feature, as a share of the grey range.
 
     Source: Lowe, "Distinctive image features from scale-invariant keypoints", 2004.
     """
@@ -107,9 +106,9 @@ def detect(
 
 @contextmanager
 def features_kept() -> Iterator[None]:
-    """While it lasts, the features of an image are found once: for branches over the same frames.
+    """Cache the features of each image within the context, for branches over the same frames.
 
-    They are about 150 kB per image.
+    The cache needs about 150 kB per image.
     """
     token = _kept.set({})
     try:
@@ -121,7 +120,7 @@ def features_kept() -> Iterator[None]:
 def _features(
     image: np.ndarray, camera: PinholeCamera, n_features: int, contrast: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places, information and descriptors, none of which is ever written to."""
+    """Keypoints, information and descriptors; these arrays are never changed."""
     keypoints, descriptors = cv2.SIFT_create(
         nfeatures=n_features, contrastThreshold=contrast
     ).detectAndCompute(image, None)
@@ -133,11 +132,11 @@ def _features(
 
 
 def match(a: SiftFrame, b: SiftFrame, ratio: float) -> np.ndarray:
-    """(k, 2) rows of ``a`` and ``b`` that are each other's nearest by descriptor, and clearly so.
+    """(k, 2) rows of ``a`` and ``b`` that are mutual nearest neighbours and pass the ratio test.
 
     Args:
         a, b: the frames.
-        ratio: the nearest must be nearer than ``ratio`` times the second nearest (Lowe's test).
+        ratio: largest distance ratio of the nearest to the second nearest (Lowe's test).
     """
     if not len(a.xy) or not len(b.xy):
         return np.empty((0, 2), np.int64)
@@ -149,7 +148,7 @@ def match(a: SiftFrame, b: SiftFrame, ratio: float) -> np.ndarray:
 
 @njit(cache=True, nogil=True)
 def _nearest(a, b):
-    """Of each row of a (n, 128) uint8 the nearest of b, its squared distance and the second's; and back."""
+    """Nearest row of b per row of a (n, 128) uint8, two least squared distances; nearest of a."""
     n, m = len(a), len(b)
     far = np.int32(2**31 - 1)
     nearest, nearest_back = np.zeros(n, np.int64), np.zeros(m, np.int64)
@@ -177,15 +176,15 @@ def take_depth_from_points(
     view: ViewGeometry,
     radius_px: float,
 ) -> None:
-    """Place features that have no place yet at the depth of the map point seen nearest to them.
+    """Give features without a position the depth of the nearest map point in the image.
 
     Args:
         sift: changed in place.
         xyz: (m, 3) map points that the frame sees.
-        xy: (m, 2) where, undistorted, px.
+        xy: (m, 2) their undistorted keypoints, px.
         T_cam_map: (4, 4) the frame's pose.
         view: intrinsics.
-        radius_px: nothing farther away is taken.
+        radius_px: largest distance to the map point's keypoint.
     """
     rows = np.flatnonzero(~sift.known)
     if not len(rows) or not len(xyz):
@@ -198,24 +197,24 @@ def take_depth_from_points(
 
 
 def rays(xy: np.ndarray, view: ViewGeometry) -> np.ndarray:
-    """(n, 3) directions of undistorted pixels (n, 2) in the camera, of depth one."""
+    """(n, 3) directions of undistorted pixels (n, 2) in the camera frame, with depth one."""
     return np.column_stack([(xy - (view.cx, view.cy)) / (view.fx, view.fy), np.ones(len(xy))])
 
 
 @njit(cache=True, nogil=True)
 def triangulate_pairs(T_1, rays_1, T_2, rays_2, tolerance2, min_parallax_cosine):
-    """Points from pairs of views.
+    """Triangulate points from pairs of views.
 
     Args:
         T_1: (n, 4, 4) float64 poses of the first views.
-        rays_1: (n, 3) directions in their cameras, of depth one.
+        rays_1: (n, 3) directions in their cameras, with depth one.
         T_2: (4, 4) pose of the second view.
         rays_2: (n, 3) directions in its camera.
-        tolerance2: (n,) squared reprojection error at depth one that is accepted.
-        min_parallax_cosine: rays closer than this give no point.
+        tolerance2: (n,) largest accepted squared reprojection error at depth one.
+        min_parallax_cosine: rays with a larger cosine give no point.
 
     Returns:
-        points (n, 3), NaN where there is none; disagrees (n,) bool, where two rays do not meet.
+        points (n, 3), NaN where there is none; disagrees (n,) bool, where the rays do not intersect.
     """
     n = len(rays_1)
     xyz = np.full((n, 3), np.nan)

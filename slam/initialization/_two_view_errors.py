@@ -1,8 +1,8 @@
 """Errors of matches under a relative pose, and the normal equations of their robust cost.
 
 Matches are one (5, N) array: normalised keypoint of view 1 (x, y), of view 2 (x, y), and their noise in the
-same units. The loop over them is written out in scalars, without a branch and without a store, so that it
-runs in vector registers: it takes most of the time of a frame before there is a map.
+same units. The loop over them uses scalars only, without branches and stores, so that it is vectorised: it
+takes most of a frame's time during initialisation.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ _TINY = 1e-300
 
 @njit(inline="always")
 def _scalars(R, t):
-    """A motion as plain numbers: the rows of ``R``, ``t``, and the part of the errors' noise it makes."""
+    """Motion as scalars: the rows of ``R``, ``t``, and its part of the noise."""
     r00, r01, r02, r10, r11, r12 = R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2]
     r20, r21, r22, t0, t1, t2 = R[2, 0], R[2, 1], R[2, 2], t[0], t[1], t[2]
     # Squared norm of the upper left 2x2 block of the essential matrix [t]x R.
@@ -23,8 +23,8 @@ def _scalars(R, t):
 
 
 @njit(inline="always")
-def _turned(R0, R1, R2, x, y):
-    """The ray of view 1 in view 2."""
+def _rotated(R0, R1, R2, x, y):
+    """Ray of view 1 rotated to view 2."""
     return (
         R0[0] * x + R0[1] * y + R0[2],
         R1[0] * x + R1[1] * y + R1[2],
@@ -39,18 +39,18 @@ def _cross(ax, ay, az, bx, by, bz):
 
 @njit(inline="always")
 def _off_line(R0, R1, R2, t, q, x2, y2, noise, weight):
-    """Sampson's distance to the epipolar lines, in sigmas, and its gradients.
+    """Sampson distance to the epipolar lines, in sigmas, and its gradients.
 
     Args:
         R0, R1, R2, t: the motion.
         q: the ray of view 1 in view 2.
         x2, y2: keypoint of view 2.
-        noise: second order of the noise: it matters near the epipoles, where the lines lose their direction.
-            That it changes with the motion is left out of the gradients.
+        noise: second-order term of the noise, relevant near the epipoles, where the lines lose their
+            direction. The gradients neglect that it changes with the motion.
         weight: one over sigma.
 
     Returns:
-        The error, its gradient in the turn from the left, its gradient in ``t``.
+        The error, its gradient in the rotation from the left, its gradient in ``t``.
 
     Source: Sampson error: Hartley, Zisserman, "Multiple View Geometry", 2003, section 11.4.3.
     """
@@ -76,17 +76,17 @@ def _off_line(R0, R1, R2, t, q, x2, y2, noise, weight):
 
 @njit(inline="always")
 def _behind_infinity(t, q, x2, y2, noise, weight):
-    """Distance along the epipolar line to the image of infinity, in sigmas, if the keypoint lies beyond it.
+    """Distance of a keypoint beyond the image of infinity along the epipolar line, in sigmas.
 
-    Its point is then behind a camera. The error is negative there and zero elsewhere. Arguments and values as
-    of :func:`_off_line`.
+    The point of such a keypoint is behind a camera. The error is negative there and zero elsewhere. Arguments
+    and return values as of :func:`_off_line`.
     """
     qx, qy, qz = q
     back = not qz > 0.0
     inverse_z = 1.0 / qz
     zx, zy = qx * inverse_z, qy * inverse_z
-    # Way from the image of infinity to the keypoint, in the direction in which nearer points lie. It is
-    # taken at the end farther from the epipole, so that what is beyond the epipole is behind.
+    # Distance from the image of infinity to the keypoint, towards nearer points. The direction is taken at
+    # the end farther from the epipole, so that keypoints beyond the epipole count as behind.
     at_infinity = t[2] < 0.0
     ex, ey = zx if at_infinity else x2, zy if at_infinity else y2
     du, dv = t[0] - ex * t[2], t[1] - ey * t[2]
@@ -110,20 +110,19 @@ def _behind_infinity(t, q, x2, y2, noise, weight):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def motion_errors(R, t, matches, errors):
-    """Errors of matches under a motion, in sigmas.
+    """Compute the errors of matches under a motion, in sigmas.
 
     Args:
         R, t: camera 1 to camera 2, unit baseline.
         matches: (5, N).
-        errors: (2, N) filled with the signed distances to the epipolar lines (Sampson's), and with the
-            distances along the line to the image of infinity, negative, where the keypoint lies beyond it
-            and its point behind a camera; zero elsewhere.
+        errors: (2, N), receives the signed Sampson distances to the epipolar lines, and the distances beyond
+            the image of infinity along the line, negative if the point is behind a camera, else zero.
     """
     R0, R1, R2, t, corner = _scalars(R, t)
     X1, Y1, X2, Y2, S = matches[0], matches[1], matches[2], matches[3], matches[4]
     for i in range(np.uint64(len(S))):
         x2, y2, noise, weight = X2[i], Y2[i], S[i] * S[i] * corner + _TINY, 1.0 / S[i]
-        q = _turned(R0, R1, R2, X1[i], Y1[i])
+        q = _rotated(R0, R1, R2, X1[i], Y1[i])
         errors[0, i], _, _ = _off_line(R0, R1, R2, t, q, x2, y2, noise, weight)
         errors[1, i], _, _ = _behind_infinity(t, q, x2, y2, noise, weight)
 
@@ -137,13 +136,13 @@ def normal_equations(R, t, u, v, matches, c2, weight_c2, H, g):
         R, t: camera 1 to camera 2, unit baseline.
         u, v: (3,) directions in which the direction of ``t`` moves.
         matches: (5, N).
-        c2: squared error from which a match counts no more.
+        c2: squared error from which a match has no influence.
         weight_c2: the same, for the equations.
-        H: (5, 5), the lower triangle is filled; turn from the left, then moves along ``u`` and ``v``.
-        g: (5,) half the gradient, filled.
+        H: (5, 5), receives the lower triangle; rotation from the left, then steps along ``u`` and ``v``.
+        g: (5,) receives half the gradient.
 
     Returns:
-        Robust cost under ``c2`` and under ``weight_c2``: Tukey's loss, the squared error itself where small.
+        Robust cost under ``c2`` and under ``weight_c2``: Tukey's loss, the squared error itself if small.
     """
     R0, R1, R2, t, corner = _scalars(R, t)
     u0, u1, u2, v0, v1, v2 = u[0], u[1], u[2], v[0], v[1], v[2]
@@ -152,7 +151,7 @@ def normal_equations(R, t, u, v, matches, c2, weight_c2, H, g):
     h30 = h31 = h32 = h33 = h40 = h41 = h42 = h43 = h44 = 0.0
     for i in range(np.uint64(len(S))):
         x2, y2, noise, weight = X2[i], Y2[i], S[i] * S[i] * corner + _TINY, 1.0 / S[i]
-        q = _turned(R0, R1, R2, X1[i], Y1[i])
+        q = _rotated(R0, R1, R2, X1[i], Y1[i])
         off, (j0, j1, j2), (sx, sy, sz) = _off_line(R0, R1, R2, t, q, x2, y2, noise, weight)
         behind, (k0, k1, k2), (rx, ry, rz) = _behind_infinity(t, q, x2, y2, noise, weight)
         j3, j4 = sx * u0 + sy * u1 + sz * u2, sx * v0 + sy * v1 + sz * v2

@@ -1,4 +1,4 @@
-"""Models of two views: estimated by RANSAC, scored, and taken apart into motions."""
+"""Two-view models: estimation by RANSAC, scores, and decomposition into motions."""
 
 from dataclasses import dataclass
 
@@ -15,12 +15,12 @@ _NOWHERE, _FAR, _TRIANGULATED = 0, 1, 2
 
 @dataclass(frozen=True)
 class TriedMotion:
-    """A hypothesis of the relative pose and what it makes of the inliers.
+    """A hypothesis of the relative pose and the points that it triangulates.
 
     Attributes:
         T_2_1: (4, 4) camera 1 to camera 2, unit baseline.
-        triangulated: (N,) bool, inliers with a point in front of both cameras that reprojects well.
-        far: (N,) bool, inliers with too little parallax to tell.
+        triangulated: (N,) bool, inliers with a point in front of both cameras and a small reprojection error.
+        far: (N,) bool, inliers with too little parallax to triangulate.
         points: (N, 3) frame of camera 1, NaN where not triangulated.
         parallax_deg: (N,) angle between the rays, 0 for outliers.
     """
@@ -41,7 +41,7 @@ def estimate_models(
     confidence: float,
     iterations: int,
 ) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Homography and essential matrix, view 1 to view 2, by RANSAC; None where there is none.
+    """Estimate homography and essential matrix of two views by RANSAC; None if not found.
 
     Source: Barath, Noskova, Ivashechkin, Matas, "MAGSAC++", 2020, as OpenCV has it.
     """
@@ -70,7 +70,7 @@ def _sound(matrix: np.ndarray | None) -> np.ndarray | None:
 def homography_score(
     H: np.ndarray | None, pixels_1: np.ndarray, pixels_2: np.ndarray, sigma_px: np.ndarray | float
 ) -> tuple[float, np.ndarray]:
-    """How well ``H`` (3, 3), view 1 to view 2, transfers matches both ways: score and inliers (N,) bool.
+    """Score and inliers (N,) bool of a homography ``H`` (3, 3), view 1 to 2, by symmetric transfer.
 
     Source: ORB-SLAM, 2015, equation (3).
     """
@@ -84,10 +84,10 @@ def homography_score(
 def epipolar_score(
     F: np.ndarray | None, pixels_1: np.ndarray, pixels_2: np.ndarray, sigma_px: np.ndarray | float
 ) -> tuple[float, np.ndarray]:
-    """How near matches lie to their epipolar lines under ``F`` (3, 3), both ways: score and inliers.
+    """Score of a fundamental matrix ``F`` (3, 3) by epipolar distances in both views; inliers (N,) bool.
 
-    The gain of a match is cut as for a homography, so that the scores compare; the test has one degree of
-    freedom.
+    The gain of a match is cut as for a homography, so that the scores are comparable; the test has one degree
+    of freedom.
 
     Source: ORB-SLAM, 2015, equation (3).
     """
@@ -120,7 +120,7 @@ def _transfer(H: np.ndarray, pixels: np.ndarray) -> np.ndarray:
 
 
 def homography_motions(H: np.ndarray, K: np.ndarray) -> list[np.ndarray]:
-    """The up to four motions T_2_1 (4, 4) of a homography; none where the camera only turned.
+    """Decompose a homography into up to four motions T_2_1 (4, 4); none for a pure rotation.
 
     Source: Malis, Vargas, "Deeper understanding of the homography decomposition", 2007, as OpenCV has it.
     """
@@ -134,7 +134,7 @@ def homography_motions(H: np.ndarray, K: np.ndarray) -> list[np.ndarray]:
 
 
 def essential_motions(E: np.ndarray) -> list[np.ndarray]:
-    """The four motions T_2_1 (4, 4) of an essential matrix."""
+    """Decompose an essential matrix into its four motions T_2_1 (4, 4)."""
     R_a, R_b, t = cv2.decomposeEssentialMat(E)
     return [_motion(R, sign * t.ravel()) for R in (R_a, R_b) for sign in (1.0, -1.0)]
 
@@ -154,7 +154,7 @@ def try_motion(
     max_error_px: np.ndarray,
     far_deg: float,
 ) -> TriedMotion:
-    """Triangulate the inliers under a motion; those with rays less than ``far_deg`` apart are left alone."""
+    """Triangulate the inliers under a motion, except those with a parallax below ``far_deg``."""
     kind, points, parallax_deg = _triangulate_all(
         T_2_1, pixels_1, pixels_2, inliers, K[0, 0], K[1, 1], K[0, 2], K[1, 2], max_error_px**2, far_deg
     )
@@ -163,7 +163,7 @@ def try_motion(
 
 @njit(cache=True, nogil=True)
 def _triangulate_all(T_2_1, pixels_1, pixels_2, inliers, fx, fy, cx, cy, max_error2, far_deg):
-    """What a motion makes of each inlier: a point, one too far to triangulate, or nothing that fits."""
+    """Classify each inlier under a motion: triangulated, too far to triangulate, or inconsistent."""
     n = pixels_1.shape[0]
     kind = np.zeros(n, np.int8)
     points = np.full((n, 3), np.nan)
@@ -175,7 +175,7 @@ def _triangulate_all(T_2_1, pixels_1, pixels_2, inliers, fx, fy, cx, cy, max_err
             continue
         x1, y1 = (pixels_1[i, 0] - cx) / fx, (pixels_1[i, 1] - cy) / fy
         x2, y2 = (pixels_2[i, 0] - cx) / fx, (pixels_2[i, 1] - cy) / fy
-        # The first ray seen by camera 2; with no parallax it is the second.
+        # The first ray in camera 2; without parallax it equals the second.
         rx = R[0, 0] * x1 + R[0, 1] * y1 + R[0, 2]
         ry = R[1, 0] * x1 + R[1, 1] * y1 + R[1, 2]
         rz = R[2, 0] * x1 + R[2, 1] * y1 + R[2, 2]

@@ -1,9 +1,9 @@
-"""Refinement of a relative pose over what all matches say.
+"""Refinement of a relative pose on all matches.
 
-A match speaks against a motion in two ways: its keypoints lie off each other's epipolar lines, or they lie on
-them the wrong way along, so that no point in front of both cameras explains them and the nearest that does is
-at infinity. Both are errors in pixels and make one cost. It tells the mirrored motion from the true one, and
-takes a point behind a camera no more seriously than it is clearly behind.
+A match contradicts a motion in two ways: its keypoints lie off the epipolar lines, or they lie on the wrong
+side of the image of infinity, so that no point in front of both cameras explains them. Both errors are in
+pixels and form one cost. It separates the mirrored motion from the true one, and weighs a point behind a
+camera by how clearly it is behind.
 """
 
 from typing import NamedTuple
@@ -16,14 +16,14 @@ from slam.optimization._cholesky import factor, solve, whole_rows
 from slam.optimization._se3 import so3_exp
 
 TUKEY = 4.685
-"""Errors of more sigmas count no more; this loses 5 % of efficiency under normal noise."""
+"""Errors of more sigmas have no influence; this loses 5 % of efficiency under normal noise."""
 
 _PARAMETERS = 5
 _DAMPING = 1e-3
 _RETRIES = 6
 _CONVERGED = 1e-5
 _PRIOR = 1e-2
-"""Information on each parameter before any match, 1/rad²: next to none, but equations are never singular."""
+"""Prior information on each parameter, 1/rad²: negligible, but it keeps the equations regular."""
 
 
 class RefinedMotion(NamedTuple):
@@ -32,9 +32,9 @@ class RefinedMotion(NamedTuple):
     Attributes:
         T_2_1: (4, 4) camera 1 to camera 2, translation of unit length.
         errors: (N, 2) off the epipolar line and behind the cameras, in sigmas.
-        costs: (N,) what each match adds to the cost, ``TUKEY**2 / 3`` at the most.
-        information: (5, 5), or (3, 3) where the direction was kept, on the steps of ``moved``, 1/rad²; right
-            if the noise given was.
+        costs: (N,) contribution of each match to the cost, at most ``TUKEY**2 / 3``.
+        information: (5, 5), or (3, 3) if the direction was fixed, on the steps of ``moved``, 1/rad²; correct
+            if the given noise is.
     """
 
     T_2_1: np.ndarray
@@ -58,15 +58,15 @@ def refined(
     iterations: int = 20,
     turn_only: bool = False,
 ) -> RefinedMotion:
-    """The minimum of the robust cost of all matches next to a motion.
+    """Find the minimum of the robust cost of all matches near a motion.
 
     Args:
         T_2_1: (4, 4) motion to start from, translation of unit length.
         rays_1, rays_2: (N, 2) normalised keypoints.
         sigma: (N,) their noise, normalised units.
-        widest: the first iteration takes errors seriously that are so many times too large, the next half
-            as many, and so on down to one: the larger, the farther away a minimum is found.
-        iterations: cap.
+        widest: factor on the loss's width in the first iteration, halved in each further one down to 1; a
+            larger one finds minima farther away.
+        iterations: most iterations.
         turn_only: keep the direction of the translation.
     """
     free = 3 if turn_only else _PARAMETERS
@@ -78,7 +78,7 @@ def refined(
 
 @njit(cache=True, nogil=True)
 def tangent(t):
-    """Two unit vectors at right angles to each other and to the direction ``t``."""
+    """Two unit vectors orthogonal to each other and to the direction ``t``."""
     axis = np.zeros(3)
     axis[np.argmin(np.abs(t))] = 1.0
     u = np.cross(t, axis)
@@ -88,7 +88,7 @@ def tangent(t):
 
 @njit(cache=True, nogil=True)
 def moved(R, t, step):
-    """The motion turned by ``step[:3]`` from the left and its direction moved by ``step[3:]``, rad."""
+    """Apply a step: rotation ``step[:3]`` from the left, direction moved by ``step[3:]``, rad."""
     u, v = tangent(t)
     direction = t + step[3] * u + step[4] * v
     return so3_exp(step[0], step[1], step[2]) @ R, direction / np.sqrt((direction * direction).sum())
@@ -96,7 +96,7 @@ def moved(R, t, step):
 
 @njit(cache=True, nogil=True)
 def _damped_step(H, g, damping, free, step):
-    """Fill ``step[:free]``; False where the equations cannot be solved."""
+    """Fill ``step[:free]``; return False if the equations cannot be solved."""
     A = np.empty((free, free))
     for p in range(free):
         A[p, : p + 1] = H[p, : p + 1]
@@ -122,9 +122,9 @@ def _errors_and_costs(R, t, matches):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def refine_motion(T_2_1, matches, widest, iterations, free):
-    """Levenberg-Marquardt over the robust cost of all matches; arguments as for :func:`refined`.
+    """Minimise the robust cost of all matches by Levenberg-Marquardt; arguments as of :func:`refined`.
 
-    Every step is tried together with the equations of the next one: most steps are taken.
+    Every step is evaluated together with the equations of the next one, since most steps are accepted.
 
     Args:
         matches: (5, N).

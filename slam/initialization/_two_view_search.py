@@ -1,33 +1,34 @@
-"""Search for the relative poses that explain the matches of two views."""
+"""Search for all relative poses that explain the matches of two views."""
 
 import numpy as np
 
 from slam.initialization._two_view_refinement import TUKEY, RefinedMotion, refined, tangent
 
 _SAMPLE = 200
-"""Matches that the search goes by."""
+"""Most matches used by the search."""
 
 _DIRECTIONS = 16
 _AROUND = 8
 _SAME_DEG = 2.0
 _MOST = 6
-"""Minima that are followed to the end; those beyond explain far less."""
+"""Minima that are refined to convergence; all others explain far less."""
 
 _MIN_SCALE = 1.0 / np.sqrt(12.0)
-"""The noise is never taken for smaller than this share of the nominal, which is a pixel of the pyramid level.
+"""Least estimated noise as a share of the nominal, which is one pixel of the pyramid level.
 
-Keypoints lie on whole pixels, and rounding alone scatters them so much. They may seem to agree better where
-they were rounded alike: a small turn then looks like a move sideways, which keeps the rows that they lie in.
+Keypoints have integer pixels, and rounding alone causes this noise. Equally rounded keypoints may seem to
+agree better: a small rotation then looks like a sideways motion, which keeps the keypoints' rows.
 """
 
 
 def search_motions(
     starts: list[np.ndarray], rays_1: np.ndarray, rays_2: np.ndarray, sigma: np.ndarray
 ) -> tuple[list[RefinedMotion], float]:
-    """The distinct minima of the robust cost, best first.
+    """Find the distinct minima of the robust cost, best first.
 
-    Over a short baseline a turn looks much like a sideways move and the cost has several minima. They are
-    sought from the motions given and, with the turn of the best of these, from directions all around.
+    Over a short baseline a rotation looks much like a sideways motion and the cost has several minima. The
+    search starts from the given motions and, with the rotation of the best of these, from directions all
+    around.
 
     Args:
         starts: (4, 4) motions camera 1 to camera 2, at least one.
@@ -35,7 +36,7 @@ def search_motions(
         sigma: (N,) their nominal noise, normalised units.
 
     Returns:
-        The minima, their errors in units of the noise as it is, and that noise over the nominal.
+        The minima, their errors in units of the estimated noise, and the estimated over the nominal noise.
     """
     every = slice(None, None, -(-len(sigma) // _SAMPLE))
     sample = tuple(np.ascontiguousarray(a[every]) for a in (rays_1, rays_2, sigma))
@@ -53,11 +54,13 @@ def search_motions(
 def motions_around(
     motion: RefinedMotion, angle_deg: float, rays_1: np.ndarray, rays_2: np.ndarray, sigma: np.ndarray
 ) -> list[RefinedMotion]:
-    """The best motions whose direction lies at an angle from a motion's, among them the worst determined.
+    """Find the best motions with a direction at a given angle from a motion's.
+
+    The directions include the worst determined ones.
 
     Args:
-        motion: the minimum to go away from.
-        angle_deg: how far.
+        motion: the minimum to start from.
+        angle_deg: the angle between the directions.
         rays_1, rays_2, sigma: as for :func:`refined`.
     """
     t = motion.T_2_1[:3, 3].copy()
@@ -74,7 +77,7 @@ def motions_around(
 
 
 def distinct(motions: list[RefinedMotion]) -> list[RefinedMotion]:
-    """Those that are no worse copy of another, lowest cost first."""
+    """Remove duplicates, keeping the best of each; lowest cost first."""
     motions = sorted(motions, key=lambda m: m.cost)
     directions = np.array([m.T_2_1[:3, 3] for m in motions])
     turns = np.array([m.T_2_1[:3, :3].ravel() for m in motions])
@@ -88,13 +91,13 @@ def distinct(motions: list[RefinedMotion]) -> list[RefinedMotion]:
 
 
 def _noise(motion: RefinedMotion) -> float:
-    """Robust standard deviation of the distances to the epipolar lines, among the matches that fit at all."""
+    """Robust standard deviation of the distances to the epipolar lines among the inliers."""
     off = np.abs(motion.errors[motion.costs < TUKEY**2 / 3.0, 0])
     return max(1.4826 * float(np.median(off)), _MIN_SCALE) if len(off) else 1.0
 
 
 def _directions(n: int) -> np.ndarray:
-    """(n, 3) unit vectors spread over the sphere, on a spiral."""
+    """(n, 3) unit vectors distributed over the sphere on a spiral."""
     k = np.arange(n) + 0.5
     polar, azimuth = np.arccos(1.0 - 2.0 * k / n), np.pi * (1.0 + np.sqrt(5.0)) * k
     return np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)

@@ -1,4 +1,4 @@
-"""Initialisation: the first map, from two views with enough parallax."""
+"""Initialisation of a map from two views with enough parallax."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -24,16 +24,16 @@ class InitializationConfig:
     """Settings of the two-view initialisation.
 
     Attributes:
-        min_keypoints: a frame with fewer is no reference.
-        min_matches: fewer matches with the reference frame make the present one the new reference.
-        matcher: how frames are matched: ``windowed`` near each keypoint's last known place, or ``gms`` also
-            anywhere else, where its neighbours move along.
+        min_keypoints: fewest keypoints of a reference frame.
+        min_matches: with fewer matches with the reference frame, the current one becomes the reference.
+        matcher: ``windowed``, near each keypoint's last known position, or ``gms``, also anywhere else if
+            its neighbours move alike.
         radius_px: half side of the search window.
-        max_octave: coarsest pyramid level matched by ``windowed``; by ``gms`` it is that of its settings.
-        ratio: best over second best descriptor distance within the window at the most.
+        max_octave: coarsest pyramid level matched by ``windowed``; ``gms`` has its own setting.
+        ratio: largest ratio of best to second best descriptor distance within the window.
         gms: settings of ``gms``.
-        min_points: map points that the first bundle adjustment must leave.
-        max_between: frames between the two views that are kept, to be placed once the map stands.
+        min_points: fewest map points left after the first bundle adjustment.
+        max_between: most frames kept between the two views, to be tracked once the map is initialized.
         two_view: settings of the geometry.
     """
 
@@ -56,14 +56,14 @@ class InitializationConfig:
 
 @dataclass(frozen=True)
 class InitialMap:
-    """A fresh two-view map.
+    """A new two-view map.
 
     Attributes:
-        map: of two keyframes.
+        map: the map with two keyframes.
         first, second: their frames, tracked.
         between: the last frames between them, features only, oldest first.
-        model: what explained the two views.
-        points: map points.
+        model: the geometry that explained the two views.
+        points: number of map points.
     """
 
     map: Map
@@ -75,10 +75,10 @@ class InitialMap:
 
 
 class Initializer:
-    """Seeks two frames that a map can start from.
+    """Finds two frames from which a map can be initialized.
 
     Attributes:
-        reference: the frame that later ones are matched with, None while there is none.
+        reference: the frame with which later ones are matched, None without one.
     """
 
     def __init__(self, camera: PinholeCamera, view: ViewGeometry, config: InitializationConfig) -> None:
@@ -90,7 +90,7 @@ class Initializer:
         self._between: deque[Frame] = deque(maxlen=config.max_between)
 
     def reset(self) -> None:
-        """Forget the reference frame."""
+        """Discard the reference frame."""
         self.reference = None
 
     def offer(
@@ -100,12 +100,12 @@ class Initializer:
 
         Args:
             frame: features only.
-            map_id: number of the map to be.
+            map_id: id of the new map.
             rng: stream of the two-view RANSAC.
             mapping: settings of the first bundle adjustment.
 
         Returns:
-            The map or None, the reason where there is none, and the matches found.
+            The map or None, the reason of a failure, and the number of matches.
         """
         if len(frame.features) < self.config.min_keypoints:
             self.reference = None
@@ -154,12 +154,12 @@ class Initializer:
 
 
 def frames_between(initial: InitialMap, config: TrackingConfig) -> list[Frame]:
-    """The frames between the two views that track back from the second to the first, as far as it goes.
+    """Track the frames between the two views, from the second backward until one fails.
 
-    It is done in a copy of the map, so that the map is as if they had never been.
+    Tracking uses a copy of the map; the map itself is left unchanged.
 
     Args:
-        initial: as :meth:`Initializer.offer` gives it.
+        initial: result of :meth:`Initializer.offer`.
         config: settings of the tracker.
 
     Returns:
@@ -194,7 +194,7 @@ def _build_map(
     rows_1: np.ndarray,
     rows_2: np.ndarray,
 ) -> Map:
-    """Two keyframes and the points between them; the first camera is the map's origin."""
+    """Build a map of two keyframes and their points; the first is the origin."""
     built = Map(map_id, view)
     frames = (Frame(frame_1.features), Frame(frame_2.features))
     for frame, T in zip(frames, (np.eye(4), T_2_1), strict=True):
@@ -214,7 +214,7 @@ def _build_map(
 
 
 def _refine(built: Map, mapping: LocalMappingConfig) -> int:
-    """Bundle adjustment of both keyframes, then unit median depth; the points left."""
+    """Bundle-adjust both keyframes and scale to unit median depth; number of points left."""
     LocalMapper(built, mapping).adjust_keyframes(np.array([False, True]))
     depth = kernels.median_depth(built.arrays, 0)
     if depth <= 0:
@@ -224,7 +224,7 @@ def _refine(built: Map, mapping: LocalMappingConfig) -> int:
 
 
 def _tracked(built: Map, frame: Frame, keyframe: int) -> Frame:
-    """The frame as tracked in the new map."""
+    """Return the frame as tracked in the new map."""
     tracked = Frame(frame.features)
     tracked.point[:] = built.observed_points(keyframe)
     tracked.T_cam_map = built.T_cam_map(keyframe)

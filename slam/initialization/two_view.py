@@ -1,10 +1,10 @@
 """Two-view reconstruction: relative pose and first points from matches alone.
 
 A homography (planar or distant scene) and an essential matrix (general scene) are estimated in parallel.
-Over a short baseline both explain the matches equally well and neither's motion is near the truth. So their
-motions are only where the search starts for every motion that explains the matches. The best is accepted
-where its points are seen under enough parallax and no truly different one explains the matches about as well:
-neither another minimum (ambiguous) nor a motion on the same slope (ill conditioned).
+Over a short baseline both explain the matches equally well and neither motion is accurate. Their motions are
+therefore only starting points of a search for all motions that explain the matches. The best is accepted if
+its points have enough parallax and no clearly different motion explains the matches about as well: neither
+another minimum (ambiguous) nor a motion of the same minimum (ill conditioned).
 
 Source: two models and the parallax: Mur-Artal, Montiel, Tardós, "ORB-SLAM", 2015, section IV.
 """
@@ -26,7 +26,7 @@ Model = Literal["homography", "essential"]
 _CHI2_1DOF = 3.841
 _ROUNDING = 1e-9
 _LINE_SIGMAS = 5.0
-"""Keypoints that scatter less than this about a line do not tell one motion from another."""
+"""Least scatter of the keypoints about a line, below which motions cannot be distinguished."""
 
 _MAX_ERROR_SIGMAS = 2.0
 """Largest distance between a triangulated point's reprojection and its keypoint."""
@@ -37,18 +37,18 @@ class TwoViewConfig:
     """Settings of two-view reconstruction.
 
     Attributes:
-        sigma_px: nominal noise of a keypoint, an upper bound: it decides which matches belong to a motion.
-            How sure they make it is told by the noise that they turn out to have.
-        min_matches: fewer matches are not tried.
-        min_points: triangulated points that a reconstruction must have.
-        min_parallax_deg: angle of rays that ``min_points`` points must reach.
-        far_parallax_deg: points under less are taken for too far away to triangulate.
-        homography_share: share of the homography in the scores from which the scene is called flat.
-        rival_angle_deg: a motion whose direction is so far from the best one's is another motion.
+        sigma_px: nominal noise of a keypoint, an upper bound that decides which matches fit a motion. The
+            certainty of the motion follows from the estimated noise.
+        min_matches: fewest matches.
+        min_points: fewest triangulated points of a reconstruction.
+        min_parallax_deg: parallax that ``min_points`` points must reach.
+        far_parallax_deg: points with less parallax are too far away to triangulate.
+        homography_share: share of the homography in the scores from which the scene counts as planar.
+        rival_angle_deg: a motion whose direction differs by this angle from the best one is another motion.
         min_lead_sigmas: standard deviations by which the best motion must explain the matches better than
-            any other; more than three, as it is asked of frame after frame until one passes.
-        ransac_threshold_px: largest distance to the model of an inlier in RANSAC.
-        ransac_iterations: cap on the samples.
+            any other; more than three, as frame after frame is tested until one passes.
+        ransac_threshold_px: largest distance of a RANSAC inlier to the model.
+        ransac_iterations: most RANSAC samples.
         ransac_confidence: probability with which RANSAC should find the model.
     """
 
@@ -70,13 +70,13 @@ class TwoViewResult:
     """Relative pose and points of two views.
 
     Attributes:
-        success: whether the reconstruction is to be trusted; if not, pose and points are empty of meaning.
-        reason: why not.
-        model: the geometry that explained the matches better, None where neither was tried or found.
+        success: the reconstruction is accepted; otherwise pose and points are meaningless.
+        reason: reason of a failure.
+        model: the geometry that explained the matches better, None if neither was estimated.
         T_2_1: (4, 4) camera 1 to camera 2, translation of unit length.
         points: (N, 3) in the frame of camera 1, units of the baseline; NaN where not triangulated.
         triangulated: (N,) bool.
-        parallax_deg: angle of rays that ``min_points`` of the matches reach.
+        parallax_deg: parallax reached by ``min_points`` of the matches.
         score_h, score_e: scores of homography and essential matrix, higher is better.
     """
 
@@ -99,13 +99,13 @@ def two_view_reconstruction(
     config: TwoViewConfig | None = None,
     scale: np.ndarray | None = None,
 ) -> TwoViewResult:
-    """Relative pose of two views and the points they share, or the reason why there are none.
+    """Estimate the relative pose of two views and their common points.
 
     Args:
         pixels_1: (N, 2) undistorted keypoints of view 1, px.
-        pixels_2: (N, 2) the keypoints of view 2 matched with them, px.
+        pixels_2: (N, 2) the matched keypoints of view 2, px.
         K: (3, 3) camera matrix of both.
-        rng: source of the sampling; the same state gives the same result.
+        rng: stream of the sampling; the same state gives the same result.
         config: settings, the defaults if None.
         scale: (N,) noise of each match in units of ``sigma_px``, such as the scale of its pyramid level;
             one if None.
@@ -137,7 +137,7 @@ def two_view_reconstruction(
     starts = [] if H is None else models.homography_motions(H, K)
     starts += [] if E is None else models.essential_motions(E)
     if not starts:
-        # A homography without translation: the camera turned on the spot.
+        # A homography without translation: the camera only rotated.
         return replace(failure, reason="low_parallax")
     return _best_motion(starts, pixels_1, pixels_2, K, sigma_px, failure, config)
 
@@ -164,7 +164,7 @@ def _best_motion(
     failure: TwoViewResult,
     config: TwoViewConfig,
 ) -> TwoViewResult:
-    """Search for all motions, triangulate under the best, and judge it."""
+    """Search for all motions, triangulate under the best, and accept or reject it."""
     focal, centre = np.array([K[0, 0], K[1, 1]]), K[:2, 2]
     rays_1, rays_2 = (np.ascontiguousarray((pixels - centre) / focal) for pixels in (pixels_1, pixels_2))
     sigma = sigma_px / focal.mean()
@@ -207,10 +207,10 @@ def _in_line(pixels: np.ndarray, config: TwoViewConfig) -> bool:
 
 
 def _rivals(best: RefinedMotion, other: RefinedMotion, config: TwoViewConfig) -> bool:
-    """Whether another, truly different motion explains the matches not significantly worse than the best.
+    """Return True if a clearly different motion explains the matches about as well.
 
-    The lead must stand out from the scatter of what the matches say, which is measured and so holds whatever
-    the noise, and where they all say the same, from the noise itself.
+    The best motion's lead is compared with the scatter of the single matches' cost differences, which is
+    measured and so valid for any noise, and with the noise itself if they all agree.
 
     Source: Vuong, "Likelihood ratio tests for model selection and non-nested hypotheses", 1989.
     """

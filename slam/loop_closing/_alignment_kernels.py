@@ -1,4 +1,4 @@
-"""Guided matching across two maps that a similarity relates."""
+"""Guided matching between two maps related by a similarity."""
 
 import numpy as np
 from numba import njit
@@ -18,7 +18,7 @@ def match_across(m_from, candidates, S_cam_from, scale, m_into, view, keyframe, 
         m_into: MapArrays of the keyframe.
         view: ViewGeometry.
         keyframe: row in ``m_into``.
-        taken: (n_keypoints,) bool keypoints not to be used; extended in place.
+        taken: (n_keypoints,) bool keypoints that must not be used; extended in place.
         radius: half side of the search window on level 0, px.
 
     Returns:

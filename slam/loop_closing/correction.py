@@ -1,4 +1,4 @@
-"""What a loop changes: the similarity spread over the map, duplicates joined.
+"""Loop correction: distribute the similarity over the map and fuse duplicate points.
 
 Source: Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, section VII.
 """
@@ -13,19 +13,19 @@ from slam.map.map import Map
 from slam.matching.guided import fuse_into_keyframe
 from slam.optimization.sim3_algebra import invert_sim3
 
-# Window of the search for duplicates, px on level 0: the seam is known to a few pixels.
+# Window of the search for duplicates, px on level 0: the loop's alignment is good to a few pixels.
 _FUSE_RADIUS_PX = 4.0
 
 
 @dataclass(frozen=True)
 class Loop:
-    """A place seen again: the keyframe, as the map about the loop keyframe would place it.
+    """A detected loop: a keyframe, placed relative to the loop keyframe's surroundings.
 
     Attributes:
         keyframe, loop_keyframe: rows.
-        S_cam_map: (4, 4) similarity that takes points about the loop keyframe to the keyframe's camera, in
-            the lengths of the keyframe's own surroundings.
-        rows: (n,) keypoints of the keyframe, from 0, that show points of the loop's side.
+        S_cam_map: (4, 4) similarity from points around the loop keyframe to the keyframe's camera, in the
+            lengths of the keyframe's surroundings.
+        rows: (n,) keypoints of the keyframe, from 0, that match points of the loop's side.
         points: (n,) int32 those points.
     """
 
@@ -37,15 +37,15 @@ class Loop:
 
 
 def correct_loop(map_: Map, loop: Loop, loop_points: np.ndarray) -> np.ndarray:
-    """Close a loop: correct the keyframe's surroundings, join both sides, optimise the essential graph.
+    """Correct a loop: move the keyframe's surroundings, fuse both sides, optimise the essential graph.
 
     Args:
         map_: changed in place.
-        loop: what was found.
-        loop_points: (q,) int32 points of the loop's side, to be looked for in the corrected keyframes.
+        loop: the detected loop.
+        loop_points: (q,) int32 points of the loop's side, matched with the corrected keyframes.
 
     Returns:
-        (n_keyframes,) factor on the lengths about each keyframe.
+        (n_keyframes,) scale change of lengths around each keyframe.
     """
     a, n = map_.arrays, map_.n_keyframes
     group = np.append(map_.neighbours(loop.keyframe, n), loop.keyframe)
@@ -67,10 +67,10 @@ def correct_loop(map_: Map, loop: Loop, loop_points: np.ndarray) -> np.ndarray:
 
 
 def _move_group(map_: Map, group: np.ndarray, loop: Loop) -> np.ndarray:
-    """Put the keyframes about the loop, and the points that they see, where the loop says.
+    """Move the keyframes around the loop, and their points, by the loop's similarity.
 
     Returns:
-        (n_points,) int32 the keyframe of the group with which a point has moved, -1 for none.
+        (n_points,) int32 keyframe of the group with which a point has moved, -1 for none.
     """
     a = map_.arrays
     D = np.linalg.inv(loop.S_cam_map) @ a.kf_T_cam_map[loop.keyframe]
@@ -95,7 +95,7 @@ def _move_group(map_: Map, group: np.ndarray, loop: Loop) -> np.ndarray:
 
 
 def _join(map_: Map, group: np.ndarray, loop: Loop, loop_points: np.ndarray) -> None:
-    """The points matched across the loop become one, then all of the loop's are looked for in the group."""
+    """Fuse the matched points, then match the group with all points of the loop's side."""
     a, scale = map_.arrays, map_.view.scale
     rows = map_.keypoints(loop.keyframe).start + loop.rows
     for row, point in zip(rows, loop.points, strict=True):
@@ -111,7 +111,7 @@ def _join(map_: Map, group: np.ndarray, loop: Loop, loop_points: np.ndarray) -> 
 
 
 def _new_edges(map_: Map, group: np.ndarray, before: np.ndarray, loop: Loop) -> np.ndarray:
-    """(L, 2) int32 pairs that share points only since both sides are one, the loop itself among them."""
+    """(L, 2) int32 pairs that share points only since the fusion, including the loop itself."""
     n = map_.n_keyframes
     now = map_.arrays.covisibility[group, :n] > 0
     other = np.ones(n, bool)
@@ -122,7 +122,7 @@ def _new_edges(map_: Map, group: np.ndarray, before: np.ndarray, loop: Loop) -> 
 
 
 def move_points(map_: Map, S_start: np.ndarray, S: np.ndarray, moved: np.ndarray | None = None) -> None:
-    """Points follow the keyframe that they refer to.
+    """Move each point with its reference keyframe.
 
     Args:
         map_: points are changed in place.

@@ -1,4 +1,4 @@
-"""Loop closing: is this keyframe a place seen before, and by which similarity has the map drifted since?
+"""Loop detection: recognise a place and estimate the drift since as a similarity.
 
 Source: Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, section VII.
 """
@@ -17,16 +17,16 @@ from slam.places.recognition import KeyframeDatabase
 
 @dataclass(frozen=True)
 class LoopClosingConfig:
-    """Acceptance of a loop.
+    """Acceptance thresholds of a loop.
 
     Attributes:
-        min_gap: keyframes between two loops, and before the first.
-        consistency: keyframes in a row whose candidates must belong together.
-        alignment: of the similarity between the two ends; more inliers than in an ordinary match are not
-            asked for, since the search over the loop's surroundings decides.
+        min_gap: least number of keyframes between two loops, and before the first.
+        consistency: consecutive keyframes whose candidates must be covisible.
+        alignment: of the similarity between the two ends; its thresholds are low, since the search in the
+            loop's surroundings decides.
         radius_px: window of that search, on level 0.
-        min_matches: points of the loop's surroundings found in the keyframe.
-        adjustment_iterations: of global bundle adjustment after a loop.
+        min_matches: fewest points of the loop's surroundings matched in the keyframe.
+        adjustment_iterations: of global bundle adjustment after a loop closure.
     """
 
     min_gap: int = 10
@@ -43,14 +43,14 @@ class LoopClosingConfig:
 
 @dataclass(frozen=True)
 class _Candidates:
-    """A place that may have been seen again: a candidate and its neighbours, and for how many keyframes."""
+    """A loop candidate with its neighbours, and the number of consecutive keyframes that proposed it."""
 
     keyframes: frozenset[int]
     count: int
 
 
 class LoopDetector:
-    """Watches the keyframes of one map for places seen before."""
+    """Detects loops at the keyframes of one map."""
 
     def __init__(self, map_: Map, database: KeyframeDatabase, config: LoopClosingConfig) -> None:
         self.map = map_
@@ -60,14 +60,14 @@ class LoopDetector:
         self._last_loop = 0
 
     def detect(self, keyframe: int, rng: np.random.Generator) -> tuple[Loop, np.ndarray] | None:
-        """Look for a loop at a new keyframe, which the database need not hold yet.
+        """Detect a loop at a new keyframe, which need not be in the database yet.
 
         Args:
-            keyframe: row; its covisibility is settled.
+            keyframe: row; its covisibility is final.
             rng: stream of the RANSAC.
 
         Returns:
-            The loop and (q,) int32 the points of its surroundings; None where there is none.
+            The loop and (q,) int32 the points of its surroundings; None if there is no loop.
         """
         if keyframe - self._last_loop < self.config.min_gap or self.map.arrays.kf_bad[keyframe]:
             return None
@@ -79,7 +79,7 @@ class LoopDetector:
         return None
 
     def _consistent(self, keyframe: int) -> list[int]:
-        """Candidates whose surroundings were candidates at the keyframes before too."""
+        """Candidates whose surroundings were candidates at the previous keyframes too."""
         groups, accepted = [], []
         for candidate in self._database.loop_candidates(keyframe):
             mine = frozenset(int(k) for k in self.map.neighbours(candidate, self.map.n_keyframes)) | {
@@ -95,7 +95,7 @@ class LoopDetector:
     def _verify(
         self, keyframe: int, candidate: int, rng: np.random.Generator
     ) -> tuple[Loop, np.ndarray] | None:
-        """A similarity between the two keyframes that enough of the candidate's surroundings agree with."""
+        """Estimate the similarity of the two keyframes and check it on the candidate's surroundings."""
         m = self.map
         alignment, _, _ = align(m, m, candidate, keyframe, rng, self.config.alignment)
         if alignment is None:
@@ -116,7 +116,7 @@ class LoopDetector:
     def _extended(
         self, keyframe: int, alignment: Alignment, S_cam_map: np.ndarray, around: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Keypoints (by index in the keyframe) and the points of the surroundings that they show."""
+        """Keypoints (by index in the keyframe) and the matched points of the surroundings."""
         m = self.map
         own = m.observed_points(keyframe)
         row_of = {int(p): i for i, p in enumerate(own) if p >= 0}

@@ -1,4 +1,4 @@
-"""The essential graph: spanning tree, strong covisibility and loop edges, and its optimisation.
+"""Essential graph of spanning tree, strong covisibility and loop edges, and its optimisation.
 
 Source: Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, sections III-D and VII-C.
 """
@@ -13,11 +13,11 @@ MIN_SHARED = 100
 
 
 def essential_edges(map_: Map, min_shared: int = MIN_SHARED) -> np.ndarray:
-    """(E, 2) int32 pairs i > j of keyframes that are not culled, each pair once, sorted.
+    """(E, 2) int32 pairs i > j of live keyframes, each pair once, sorted.
 
     Args:
         map_: left unchanged.
-        min_shared: points that two keyframes share where covisibility makes an edge.
+        min_shared: fewest shared points of a covisibility edge.
     """
     rows = map_.keyframes()
     shared = np.tril(map_.arrays.covisibility[: map_.n_keyframes, : map_.n_keyframes], -1)
@@ -31,20 +31,20 @@ def essential_edges(map_: Map, min_shared: int = MIN_SHARED) -> np.ndarray:
 def optimize_essential_graph(
     map_: Map, S_start: np.ndarray, loops: np.ndarray, fixed: int, iterations: int = 20
 ) -> np.ndarray:
-    """Spread a correction over the map's keyframes.
+    """Distribute a correction over the map's keyframes.
 
-    Old edges are measured by the poses that the map holds, the new ones by the start.
+    Old edges are measured by the map's poses, the new ones by the start.
 
     Args:
         map_: with the poses before the correction; left unchanged.
-        S_start: (n_keyframes, 4, 4) similarities camera from map, the corrected keyframes where they
-            should be; rows of culled ones are not read.
+        S_start: (n_keyframes, 4, 4) similarities camera from map, with the corrected keyframes already
+            moved; rows of culled ones are not read.
         loops: (L, 2) the new edges.
-        fixed: keyframe that stays.
-        iterations: steps at most.
+        fixed: the fixed keyframe.
+        iterations: most steps.
 
     Returns:
-        (n_keyframes, 4, 4) similarities; those of culled keyframes as given.
+        (n_keyframes, 4, 4) similarities; those of culled keyframes unchanged.
     """
     rows = map_.keyframes()
     slot = np.full(map_.n_keyframes, -1)
@@ -67,6 +67,6 @@ def optimize_essential_graph(
 
 
 def _contained(pairs: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """(n,) bool: pairs that are among others, in either order."""
+    """(n,) bool mask of the pairs that are in ``others``, in either order."""
     known = {(int(i), int(j)) for i, j in others} | {(int(j), int(i)) for i, j in others}
     return np.array([(int(i), int(j)) in known for i, j in pairs], bool).reshape(-1)

@@ -1,7 +1,7 @@
 """Global bundle adjustment of a map that may grow meanwhile.
 
-Source: Mur-Artal, Tardos, "ORB-SLAM2", 2017, section III-C: what was not adjusted follows along the spanning
-tree.
+Source: Mur-Artal, Tardos, "ORB-SLAM2", 2017, section III-C: the correction is propagated to other keyframes
+along the spanning tree.
 """
 
 from dataclasses import dataclass
@@ -18,15 +18,15 @@ from slam.optimization.pose import CHI2_2DOF
 
 @dataclass(frozen=True)
 class GlobalAdjustment:
-    """What global bundle adjustment made of a map as it stood.
+    """Result of global bundle adjustment on a copy of a map.
 
     Attributes:
         keyframes: (C,) rows.
         T_cam_map: (C, 4, 4) their poses.
         points: (P,) rows.
         xyz: (P, 3) the points.
-        outliers: (n, 2) keyframe, and index of its keypoint from 0, of the observations that do not agree.
-        of_points: (n,) int32 the points that they were taken for.
+        outliers: (n, 2) keyframe, and index of its keypoint from 0, of the outlier observations.
+        of_points: (n,) int32 the points of these observations.
     """
 
     keyframes: np.ndarray
@@ -38,15 +38,15 @@ class GlobalAdjustment:
 
 
 def adjust_globally(map_: Map, iterations: int = 10, apart: bool = False) -> GlobalAdjustment | None:
-    """Bundle adjustment of all keyframes and points; the map itself is left unchanged.
+    """Run bundle adjustment of all keyframes and points; the map itself is left unchanged.
 
     Args:
-        map_: not written to meanwhile.
-        iterations: steps at most.
-        apart: work in a process of its own, so that other threads can go on.
+        map_: must not be changed meanwhile.
+        iterations: most steps.
+        apart: work in a separate process, so that other threads can run.
 
     Returns:
-        The adjustment; None where there is nothing to adjust.
+        The adjustment; None if there is nothing to adjust.
     """
     a, view = map_.arrays, map_.view
     free = ~a.kf_bad[: map_.n_keyframes]
@@ -69,11 +69,11 @@ def adjust_globally(map_: Map, iterations: int = 10, apart: bool = False) -> Glo
 
 
 def apply_adjustment(map_: Map, adjustment: GlobalAdjustment) -> None:
-    """Move the map to its adjusted state; keyframes and points that have come since follow their parents.
+    """Apply the adjustment to the map; newer keyframes and points follow their parents.
 
     Args:
-        map_: the map that was adjusted, or the one that it has grown into since.
-        adjustment: what came of it.
+        map_: the adjusted map, which may have grown since.
+        adjustment: its result.
     """
     a = map_.arrays
     before = {int(k): a.kf_T_cam_map[k].copy() for k in map_.keyframes()}
@@ -96,7 +96,7 @@ def apply_adjustment(map_: Map, adjustment: GlobalAdjustment) -> None:
 
 
 def _still_observed(a: MapArrays, adjustment: GlobalAdjustment) -> np.ndarray:
-    """(n,) int32 keypoint rows of the outliers that are observations to this day."""
+    """(n,) int32 keypoint rows of the outliers that are still observations."""
     keyframe, index = adjustment.outliers.T
     live = ~a.kf_bad[keyframe]
     rows = a.kf_start[keyframe[live]] + index[live]
@@ -110,7 +110,7 @@ def _place(
     adjusted: dict[int, np.ndarray],
     after: dict[int, np.ndarray],
 ) -> None:
-    """Find a keyframe's new pose: its own, or kept to that of its nearest adjusted ancestor."""
+    """Compute a keyframe's new pose: its own, or relative to its nearest adjusted ancestor."""
     chain = [keyframe]
     while chain[-1] not in adjusted and chain[-1] not in after:
         parent = map_.parent(chain[-1])

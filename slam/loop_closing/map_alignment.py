@@ -1,4 +1,4 @@
-"""The similarity between two maps, or two ends of one, as seen by one keyframe of each.
+"""Similarity between two maps, or two ends of one, from one keyframe of each.
 
 Source: Horn, 1987; Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, section VII-B.
 """
@@ -16,13 +16,13 @@ from slam.optimization.sim3 import optimize_sim3, ransac_sim3, sim3_decompose, s
 
 @dataclass(frozen=True)
 class AlignmentConfig:
-    """Acceptance of an alignment.
+    """Acceptance thresholds of an alignment.
 
     Attributes:
         min_candidates: 3D-3D matches by descriptor, below which there is no overlap.
-        min_inliers: inliers of the RANSAC similarity.
+        min_inliers: fewest inliers of the RANSAC similarity.
         min_share: their least share of the candidates; a corrupted map matches but does not fit.
-        min_matches: inliers after guided extension and refinement.
+        min_matches: fewest inliers after guided extension and refinement.
     """
 
     min_candidates: int = 25
@@ -33,15 +33,14 @@ class AlignmentConfig:
 
 @dataclass(frozen=True)
 class Alignment:
-    """A similarity between two maps, as seen by one pair of keyframes.
+    """Similarity between two maps, estimated at one pair of keyframes.
 
     Attributes:
         S_old_new: (4, 4) similarity from the new map to the old one.
         scale: its scale.
         old_map_id: the old map.
         old_keyframe, new_keyframe: the pair.
-        old_points, new_points: (n,) int32 points that it identifies.
-        inliers: how many.
+        old_points, new_points: (n,) int32 matched points.
     """
 
     S_old_new: np.ndarray
@@ -54,7 +53,7 @@ class Alignment:
 
     @property
     def inliers(self) -> int:
-        """Points that the two maps share under this similarity."""
+        """Number of matched points."""
         return len(self.old_points)
 
 
@@ -66,14 +65,14 @@ def align(
     rng: np.random.Generator,
     config: AlignmentConfig,
 ) -> tuple[Alignment | None, str, int]:
-    """The similarity between two maps from one keyframe of each.
+    """Estimate the similarity between two maps from one keyframe of each.
 
-    Candidates are 3D-3D matches by ORB descriptor between two keyframes close in time; RANSAC over Horn's
-    closed form finds the similarity, guided search both ways extends it, a refinement over the reprojection
-    errors both ways finishes it.
+    ORB descriptors give 3D-3D matches between the two keyframes; RANSAC on Horn's closed form estimates the
+    similarity, guided matching adds matches, and a final refinement minimises the reprojection errors in
+    both keyframes.
 
     Returns:
-        The alignment or None, the reason where there is none (``overlap`` or ``sim3``), matches in the end.
+        The alignment or None, the reason of a failure (``overlap`` or ``sim3``), final number of matches.
     """
     a, b = old.arrays, new.arrays
     old_rows, new_rows = _matches(old, new, old_keyframe, new_keyframe)
@@ -119,7 +118,7 @@ def align(
 
 
 def _matches(old: Map, new: Map, old_keyframe: int, new_keyframe: int) -> tuple[np.ndarray, np.ndarray]:
-    """Keypoint rows of both maps, with points, that match by descriptor."""
+    """Keypoint rows with points, in both maps, that match by descriptor."""
     a, b = old.arrays, new.arrays
     rows_a = old.keypoints(old_keyframe).start + np.flatnonzero(old.observed_points(old_keyframe) >= 0)
     rows_b = new.keypoints(new_keyframe).start + np.flatnonzero(new.observed_points(new_keyframe) >= 0)
@@ -133,7 +132,7 @@ def _matches(old: Map, new: Map, old_keyframe: int, new_keyframe: int) -> tuple[
 def _in_cameras(
     old: Map, new: Map, old_keyframe: int, new_keyframe: int, old_rows: np.ndarray, new_rows: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """Points in their keyframe's camera frame, pixels and variances of matched keypoints, old then new."""
+    """Points in their keyframe's camera frame, pixels and variances of matched keypoints, old before new."""
     sides = []
     for m, k, rows in ((old, old_keyframe, old_rows), (new, new_keyframe, new_rows)):
         T = m.T_cam_map(k)
@@ -156,7 +155,7 @@ def _extended(
     new_rows: np.ndarray,
     S_oldcam_newcam: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Add the matches that a guided search of the new keyframe's points in the old keyframe finds."""
+    """Add guided matches of the new keyframe's points in the old keyframe."""
     first_old, first_new = old.keypoints(old_keyframe).start, new.keypoints(new_keyframe).start
     free_new = new.observed_points(new_keyframe) >= 0
     free_new[new_rows - first_new] = False

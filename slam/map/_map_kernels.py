@@ -1,8 +1,8 @@
-"""Kernels over the map's flat arrays.
+"""Kernels on the map's flat arrays.
 
 A keyframe's keypoints are one slice of the keypoint arrays. ``kp_point`` is the single owner of the
-associations; the observers of a point are the linked list that starts at ``pt_head`` and goes on through
-``kp_next``. ``covisibility`` counts shared points for every pair of keyframes and is kept exact.
+associations; the observers of a point are a linked list that starts at ``pt_head`` and continues in
+``kp_next``. ``covisibility`` is the exact number of shared points of every pair of keyframes.
 """
 
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from slam.features._hamming import hamming256
 
 
 class MapArrays(NamedTuple):
-    """The arrays of a map; capacities exceed the counts, which :class:`slam.map.map.Map` keeps.
+    """Arrays of a map; capacities exceed the counts, which :class:`slam.map.map.Map` keeps.
 
     Attributes:
         kf_T_cam_map: (K, 4, 4) float64 keyframe poses.
@@ -38,8 +38,8 @@ class MapArrays(NamedTuple):
         pt_observations: (P,) int32.
         pt_reference: (P,) int32 keyframe that the distances refer to.
         pt_first_keyframe: (P,) int32 keyframe that created it.
-        pt_visible, pt_found: (P,) int32 frames in which it should have been, and was, seen.
-        pt_replaced: (P,) int32 the point that took over, -1 for none.
+        pt_visible, pt_found: (P,) int32 numbers of frames in which it was expected, and was found.
+        pt_replaced: (P,) int32 the point that replaces it, -1 for none.
     """
 
     kf_T_cam_map: np.ndarray
@@ -70,7 +70,7 @@ class MapArrays(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def observed_in(m, point, keyframe):
-    """The keypoint of ``keyframe`` that observes ``point``, -1 for none."""
+    """Keypoint of ``keyframe`` that observes ``point``, -1 for none."""
     e = m.pt_head[point]
     while e >= 0:
         if m.kp_keyframe[e] == keyframe:
@@ -81,7 +81,7 @@ def observed_in(m, point, keyframe):
 
 @njit(cache=True, nogil=True)
 def add_observation(m, keypoint, point):
-    """Associate a keypoint with a point. False, and nothing done, where either end is already taken."""
+    """Associate a keypoint with a point; return False if either is already taken."""
     if m.kp_point[keypoint] >= 0 or m.pt_bad[point]:
         return False
     k = m.kp_keyframe[keypoint]
@@ -136,7 +136,7 @@ def remove_point(m, point):
 
 @njit(cache=True, nogil=True)
 def erase_observation(m, keypoint, min_observations):
-    """Undo one association; a point left with fewer than ``min_observations`` is dropped."""
+    """Remove one association; a point left with fewer than ``min_observations`` is dropped."""
     point = m.kp_point[keypoint]
     if point < 0:
         return
@@ -165,7 +165,7 @@ def refresh_point(m, point, scale):
 
 @njit(cache=True, nogil=True)
 def refresh_geometry(m, point, scale):
-    """Recompute a point's mean viewing direction and distance, after it or its observers have moved."""
+    """Recompute a point's mean viewing direction and distance after it or its observers have moved."""
     e = m.pt_head[point]
     reference = e
     nx, ny, nz = 0.0, 0.0, 0.0
@@ -237,7 +237,7 @@ def replace_point(m, old, new, scale):
 
 @njit(cache=True, nogil=True)
 def replace_points(m, olds, news, scale):
-    """:func:`replace_point` over index arrays; where the new one is -1 the old one stays."""
+    """Apply :func:`replace_point` to index arrays; a new point of -1 keeps the old one."""
     for i in range(len(olds)):
         if news[i] >= 0:
             replace_point(m, olds[i], news[i], scale)
@@ -245,7 +245,7 @@ def replace_points(m, olds, news, scale):
 
 @njit(cache=True, nogil=True)
 def take_over(m, keyframe, points, scale):
-    """A keyframe observes the points given to its keypoints, -1 for none; its own there become the same."""
+    """Add given points per keypoint to a keyframe, -1 for none; join with its own."""
     start = m.kf_start[keyframe]
     for i in range(len(points)):
         p = points[i]
@@ -287,7 +287,7 @@ def create_point(m, point, xyz, keypoint, scale):
 
 @njit(cache=True, nogil=True)
 def attach_frame(m, keyframe, points, scale):
-    """Enter a frame's matches as observations of its new keyframe and refresh the points."""
+    """Add a frame's matches as observations of its new keyframe and refresh the points."""
     start = m.kf_start[keyframe]
     for i in range(len(points)):
         p = points[i]
@@ -297,7 +297,7 @@ def attach_frame(m, keyframe, points, scale):
 
 @njit(cache=True, nogil=True)
 def refresh_points(m, points, scale):
-    """:func:`refresh_point` over an index array."""
+    """Apply :func:`refresh_point` to an index array."""
     for i in range(len(points)):
         if not m.pt_bad[points[i]]:
             refresh_point(m, points[i], scale)
@@ -305,7 +305,7 @@ def refresh_points(m, points, scale):
 
 @njit(cache=True, nogil=True)
 def refresh_geometries(m, points, scale):
-    """:func:`refresh_geometry` over an index array."""
+    """Apply :func:`refresh_geometry` to an index array."""
     for i in range(len(points)):
         if not m.pt_bad[points[i]]:
             refresh_geometry(m, points[i], scale)
@@ -313,7 +313,7 @@ def refresh_geometries(m, points, scale):
 
 @njit(cache=True, nogil=True)
 def detach_keyframe(m, keyframe, min_observations):
-    """Drop every observation of a keyframe and mark it culled."""
+    """Remove all observations of a keyframe and mark it culled."""
     for e in range(m.kf_start[keyframe], m.kf_start[keyframe + 1]):
         if m.kp_point[e] >= 0:
             erase_observation(m, e, min_observations)
@@ -322,7 +322,7 @@ def detach_keyframe(m, keyframe, min_observations):
 
 @njit(cache=True, nogil=True)
 def count_observed(m, keyframe, min_observations):
-    """Points of a keyframe with at least ``min_observations`` observers."""
+    """Number of points of a keyframe with at least ``min_observations`` observers."""
     count = 0
     for e in range(m.kf_start[keyframe], m.kf_start[keyframe + 1]):
         p = m.kp_point[e]
@@ -333,7 +333,7 @@ def count_observed(m, keyframe, min_observations):
 
 @njit(cache=True, nogil=True)
 def redundant_share(m, keyframe):
-    """Share of a keyframe's points that three or more other keyframes see at the same or a finer scale."""
+    """Share of a keyframe's points seen as finely by three or more other keyframes."""
     total, redundant = 0, 0
     for e in range(m.kf_start[keyframe], m.kf_start[keyframe + 1]):
         p = m.kp_point[e]
@@ -373,7 +373,7 @@ def median_depth(m, keyframe):
 
 @njit(cache=True, nogil=True)
 def create_points(m, first, xyz, keypoints_1, keypoints_2, scale):
-    """Fill rows ``first`` and on with points (n, 3), each observed by a keypoint of two keyframes."""
+    """Fill rows from ``first`` on with points (n, 3), each observed by two keypoints."""
     for i in range(len(xyz)):
         create_point(m, first + i, xyz[i], keypoints_1[i], scale)
         add_observation(m, keypoints_2[i], first + i)
@@ -382,13 +382,13 @@ def create_points(m, first, xyz, keypoints_1, keypoints_2, scale):
 
 @njit(cache=True, nogil=True)
 def erase_observations(m, keypoints, min_observations):
-    """:func:`erase_observation` over an index array."""
+    """Apply :func:`erase_observation` to an index array."""
     for i in range(len(keypoints)):
         erase_observation(m, keypoints[i], min_observations)
 
 
 @njit(cache=True, nogil=True)
 def remove_points(m, points):
-    """:func:`remove_point` over an index array."""
+    """Apply :func:`remove_point` to an index array."""
     for i in range(len(points)):
         remove_point(m, points[i])

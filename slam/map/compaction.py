@@ -1,4 +1,4 @@
-"""Room in a map for new keypoints: those of culled keyframes are taken out."""
+"""Removal of culled keyframes' keypoints from a map, to make room for new ones."""
 
 import numpy as np
 
@@ -6,15 +6,15 @@ from slam.map._map_kernels import MapArrays
 
 
 def culled_keypoints(a: MapArrays, n_keyframes: int) -> int:
-    """Keypoints in use that belong to culled keyframes."""
+    """Number of keypoints in use that belong to culled keyframes."""
     return int(np.diff(a.kf_start[: n_keyframes + 1])[a.kf_bad[:n_keyframes]].sum())
 
 
 def drop_culled_keypoints(a: MapArrays, n_keyframes: int, n_points: int) -> None:
-    """Move the keypoints of live keyframes together, in place; a culled keyframe is left with none.
+    """Remove the keypoints of culled keyframes, in place.
 
-    Keypoints keep their order, and so do the observers of every point: nothing that is computed from the
-    map changes by it. Their row numbers do.
+    Keypoints and the observers of every point keep their order; only row numbers change. Results computed
+    from the map stay the same.
 
     Args:
         a: the map's arrays; no point is observed by a culled keyframe.

@@ -1,4 +1,4 @@
-"""Maps for other tools: a COLMAP model and a point cloud."""
+"""Export of maps as a COLMAP model and a point cloud."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -9,7 +9,7 @@ import pycolmap
 from slam.core.camera import PinholeCamera
 from slam.map.map import Map
 
-# COLMAP's pixel coordinates begin at the corner of a pixel, ours at its centre.
+# COLMAP's pixel coordinates start at the corner of a pixel, ours at its centre.
 _HALF_PX = 0.5
 
 
@@ -20,16 +20,16 @@ def colmap_model(
     image_name: Callable[[int], str] = "{:06d}.png".format,
     image: Callable[[int], np.ndarray] | None = None,
 ) -> pycolmap.Reconstruction:
-    """The map as a COLMAP reconstruction: one registered image per keyframe, every keypoint, every point.
+    """Convert a map to a COLMAP reconstruction with all keyframes, keypoints and points.
 
-    Image ids are keyframe rows + 1 and point ids are point rows + 1; keypoints are those of the images as
-    taken, the camera has the lens's distortion. World is the map's frame and scale.
+    Image ids are keyframe rows + 1 and point ids are point rows + 1; keypoints are those of the distorted
+    input images, and the camera has the distortion. World is the map's frame and scale.
 
     Args:
         map_: left unchanged.
-        camera: of the images.
+        camera: camera of the images.
         image_name: file name of a frame by its index.
-        image: (H, W) uint8 image of a frame by its index, to take the points' grey from; else all are grey.
+        image: (H, W) uint8 image of a frame by its index, for the points' grey levels; None for mid grey.
     """
     model = pycolmap.Reconstruction()
     model.add_camera_with_trivial_rig(_camera(camera))
@@ -57,7 +57,7 @@ def colmap_model(
 
 
 def write_colmap(model: pycolmap.Reconstruction, folder: Path) -> None:
-    """Write cameras, images and points in COLMAP's binary form, and points.ply beside them."""
+    """Write cameras, images and points in COLMAP's binary format, and points.ply."""
     folder.mkdir(parents=True, exist_ok=True)
     model.write(folder)
     model.export_PLY(folder / "points.ply")
@@ -89,7 +89,7 @@ def _point(map_: Map, point: int, rows: np.ndarray, shades: np.ndarray) -> pycol
 
 
 def _shades(map_: Map, rows: np.ndarray, image: Callable[[int], np.ndarray] | None) -> np.ndarray:
-    """(n_points,) uint8: the mean grey of each point's keypoints in the keyframes' images."""
+    """(n_points,) uint8 mean grey level of each point's keypoints in the keyframes' images."""
     total, count = np.zeros(map_.n_points), np.zeros(map_.n_points)
     if image is not None:
         of_row = map_.arrays.kp_keyframe[rows]

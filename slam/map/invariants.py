@@ -1,4 +1,4 @@
-"""What is always true of a map, and the proof of it."""
+"""Invariants of a map and their check."""
 
 import numpy as np
 
@@ -8,17 +8,17 @@ ROTATION_TOLERANCE = 1e-6
 
 
 class InvariantError(AssertionError):
-    """Something that is always true is not; the message names it."""
+    """A violated invariant, named by the message."""
 
 
 def require(holds: object, text: str) -> None:
-    """Raise an InvariantError unless something holds."""
+    """Raise an InvariantError unless ``holds`` is true."""
     if not holds:
         raise InvariantError(text)
 
 
 def require_rigid(T: np.ndarray, of: str) -> None:
-    """Raise an InvariantError unless every one of (n, 4, 4) transforms is finite and rigid."""
+    """Raise an InvariantError unless all transforms (n, 4, 4) are finite and rigid."""
     require(np.isfinite(T).all(), f"{of} is not finite")
     R = T[:, :3, :3]
     apart = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0)
@@ -27,10 +27,10 @@ def require_rigid(T: np.ndarray, of: str) -> None:
 
 
 def check_map(m: Map) -> None:
-    """Prove the invariants of one map.
+    """Check the invariants of one map.
 
     Raises:
-        InvariantError: naming the first that does not hold.
+        InvariantError: the first violated one.
     """
     _check_keyframes(m)
     _check_points(m)
@@ -86,7 +86,7 @@ def _check_points(m: Map) -> None:
 
 
 def _check_observations(m: Map) -> None:
-    """The owner of the associations, the counts and the observer lists say the same."""
+    """Check that associations, counts and observer lists agree."""
     a, P = m.arrays, m.n_points
     N = int(a.kf_start[m.n_keyframes])
     owned, good = a.kp_point[:N], ~a.pt_bad[:P]
@@ -115,7 +115,7 @@ def _check_covisibility(m: Map) -> None:
     a, K = m.arrays, m.n_keyframes
     N = int(a.kf_start[K])
     taken = np.flatnonzero(a.kp_point[:N] >= 0)
-    # In float32 the product is a fast one, and exact: no two keyframes share 2^24 points.
+    # A float32 product is fast, and exact since no two keyframes share 2^24 points.
     observes = np.zeros((K, m.n_points), np.float32)
     observes[a.kp_keyframe[taken], a.kp_point[taken]] = 1
     shared = observes @ observes.T
@@ -124,7 +124,7 @@ def _check_covisibility(m: Map) -> None:
 
 
 def _check_tree(m: Map) -> None:
-    """From every keyframe the spanning tree leads to a root, and of the live ones over live ones only."""
+    """Check that every keyframe leads to a root, and live ones over live ones only."""
     bad, parent = m.arrays.kf_bad, m._parent
     culled = set(np.flatnonzero(bad[: m.n_keyframes]).tolist())
     require(set(m._T_cam_parent) == culled, "culled keyframes and poses kept for them disagree")
@@ -133,7 +133,7 @@ def _check_tree(m: Map) -> None:
         q = parent[k]
         require(-1 <= q < m.n_keyframes, "a parent that does not exist")
         require(q >= 0 or not bad[k], "a root keyframe is culled")
-        require(q < 0 or bad[k] or not bad[q], "a keyframe hangs under a culled one")
+        require(q < 0 or bad[k] or not bad[q], "a keyframe has a culled parent")
         steps = 0
         while q >= 0:
             q, steps = parent[q], steps + 1

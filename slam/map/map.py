@@ -1,4 +1,4 @@
-"""The map: keyframes, map points and their associations in flat, growing arrays."""
+"""Map of keyframes, map points and their associations in flat, growing arrays."""
 
 import numpy as np
 
@@ -9,19 +9,19 @@ from slam.map._map_kernels import MapArrays
 from slam.map.compaction import culled_keypoints, drop_culled_keypoints
 from slam.optimization.sim3 import sim3_decompose
 
-_WORTH_TAKING_OUT = 0.25  # share of the keypoints in use
+_MIN_CULLED_SHARE = 0.25  # culled share of the keypoints in use, from which they are removed
 MIN_OBSERVATIONS = 3  # a point with fewer, once it has lost an observation, is dropped
 
 
 class Map:
-    """One map. Keyframes and points are row numbers; kernels read ``arrays`` directly.
+    """A map; keyframes and points are row numbers, and kernels read ``arrays`` directly.
 
-    Rows are never moved: a culled keyframe or dropped point keeps its row and is marked bad. A culled
-    keyframe's pose is kept relative to its parent in the spanning tree, so that frames which refer to it
-    go on following the map.
+    Rows never move: a culled keyframe or dropped point keeps its row and is marked bad. A culled keyframe's
+    pose is kept relative to its parent in the spanning tree, so that frames that refer to it still follow
+    the map.
 
     Attributes:
-        loop_edges: pairs of keyframes that a closed loop has connected.
+        loop_edges: pairs of keyframes connected by loop closures.
     """
 
     def __init__(self, map_id: int, view: ViewGeometry) -> None:
@@ -38,7 +38,7 @@ class Map:
     # -- keyframes ---------------------------------------------------------------------------------------
 
     def add_keyframe(self, frame: Frame, parent: int) -> int:
-        """Append a keyframe with the frame's pose and features, and enter its matches as observations.
+        """Append a keyframe with the frame's pose and features; its matches become observations.
 
         Args:
             frame: tracked frame; its ``point`` rows refer to this map.
@@ -73,11 +73,11 @@ class Map:
         return k
 
     def features(self, keyframe: int) -> FrameFeatures:
-        """The features of the frame that became this keyframe; none once it is culled."""
+        """Features of the frame that became this keyframe; empty once it is culled."""
         return self._features[keyframe]
 
     def frame_index(self, keyframe: int) -> int:
-        """The number of the frame that became this keyframe."""
+        """Index of the frame that became this keyframe."""
         return self._features[keyframe].index
 
     def keyframes(self) -> np.ndarray:
@@ -89,7 +89,7 @@ class Map:
         return self._parent[keyframe]
 
     def live(self, keyframe: int) -> int:
-        """The keyframe itself or, where it is culled, its nearest ancestor that is not."""
+        """Return the keyframe itself or, if it is culled, its nearest live ancestor."""
         while self.arrays.kf_bad[keyframe]:
             keyframe = self._parent[keyframe]
         return keyframe
@@ -103,7 +103,7 @@ class Map:
         return T @ self.arrays.kf_T_cam_map[keyframe]
 
     def cull_keyframe(self, keyframe: int) -> None:
-        """Take a keyframe out of the map; its children in the spanning tree go to its parent."""
+        """Cull a keyframe; its children in the spanning tree go to its parent."""
         parent = self._parent[keyframe]
         if parent < 0:
             raise ValueError("a root keyframe cannot be culled")
@@ -117,7 +117,7 @@ class Map:
     def neighbours(self, keyframe: int, limit: int, min_shared: int = 15) -> np.ndarray:
         """Covisible keyframes, most shared points first.
 
-        At least the best one is given where any point is shared, however few.
+        The best one is returned even if it shares fewer points than ``min_shared``.
         """
         shared = self.arrays.covisibility[keyframe, : self.n_keyframes]
         order = np.argsort(-shared, kind="stable")
@@ -125,11 +125,11 @@ class Map:
         return order[: min(count, limit)]
 
     def observed_points(self, keyframe: int) -> np.ndarray:
-        """(n_keypoints,) int32 view: the map point of each keypoint, -1 for none."""
+        """(n_keypoints,) int32 view of the map point of each keypoint, -1 for none."""
         return self.arrays.kp_point[self.keypoints(keyframe)]
 
     def keypoints(self, keyframe: int) -> slice:
-        """The keyframe's slice of the keypoint arrays."""
+        """Slice of the keyframe in the keypoint arrays."""
         return slice(int(self.arrays.kf_start[keyframe]), int(self.arrays.kf_start[keyframe + 1]))
 
     # -- points ------------------------------------------------------------------------------------------
@@ -139,7 +139,7 @@ class Map:
         return np.flatnonzero(~self.arrays.pt_bad[: self.n_points])
 
     def reserve_points(self, count: int) -> int:
-        """Make room for ``count`` new points, marked bad until they are filled; the first one's row."""
+        """Reserve rows for ``count`` new points, marked bad until they are filled; the first row."""
         first = self.n_points
         self._reserve(points=first + count)
         self.arrays.pt_bad[first : first + count] = True
@@ -149,18 +149,18 @@ class Map:
         return first
 
     def create_point(self, xyz: np.ndarray, keypoint: int) -> int:
-        """A new point at ``xyz`` (3,) observed by one keypoint; its row."""
+        """Create a point at ``xyz`` (3,) observed by one keypoint; its row."""
         p = self.reserve_points(1)
         kernels.create_point(self.arrays, p, xyz, keypoint, self.view.scale)
         return p
 
-    # -- the whole ---------------------------------------------------------------------------------------
+    # -- whole map ---------------------------------------------------------------------------------------
 
     def transform(self, scale: float, rotation: np.ndarray, translation: np.ndarray) -> None:
-        """Move the whole map by ``x_new = scale * rotation @ x + translation``.
+        """Transform the whole map by ``x_new = scale * rotation @ x + translation``.
 
         Args:
-            scale: factor on every length.
+            scale: factor on all lengths.
             rotation: (3, 3).
             translation: (3,).
         """
@@ -176,13 +176,13 @@ class Map:
             T[:3, 3] *= scale
 
     def move_keyframes(self, S_cam_map: np.ndarray) -> np.ndarray:
-        """Give every keyframe that is not culled a new pose by a similarity; lengths near it follow.
+        """Set the pose of every live keyframe from a similarity; lengths around it are rescaled.
 
         Args:
             S_cam_map: (n_keyframes, 4, 4) similarities; rows of culled keyframes are not read.
 
         Returns:
-            (n_keyframes,) factor on lengths measured from each keyframe, culled ones as their parents.
+            (n_keyframes,) scale change of lengths around each keyframe; culled ones as their parents.
         """
         factor = np.ones(self.n_keyframes)
         for k in self.keyframes():
@@ -195,27 +195,27 @@ class Map:
         return factor
 
     def copy(self, map_id: int | None = None) -> "Map":
-        """An independent copy; features are shared, since they never change."""
-        twin = Map.__new__(Map)
-        twin.map_id = self.map_id if map_id is None else map_id
-        twin.view = self.view
-        twin.n_keyframes, twin.n_points = self.n_keyframes, self.n_points
-        twin._features = list(self._features)
-        twin._parent = list(self._parent)
-        twin.loop_edges = list(self.loop_edges)
-        twin._T_cam_parent = {k: T.copy() for k, T in self._T_cam_parent.items()}
-        twin.arrays = MapArrays(*(array.copy() for array in self.arrays))
-        return twin
+        """Return an independent copy; features are shared, since they never change."""
+        copied = Map.__new__(Map)
+        copied.map_id = self.map_id if map_id is None else map_id
+        copied.view = self.view
+        copied.n_keyframes, copied.n_points = self.n_keyframes, self.n_points
+        copied._features = list(self._features)
+        copied._parent = list(self._parent)
+        copied.loop_edges = list(self.loop_edges)
+        copied._T_cam_parent = {k: T.copy() for k, T in self._T_cam_parent.items()}
+        copied.arrays = MapArrays(*(array.copy() for array in self.arrays))
+        return copied
 
-    def adopt(self, twin: "Map") -> None:
-        """Become what a copy of this map has been made into; the copy is not to be used any more."""
-        self.n_keyframes, self.n_points = twin.n_keyframes, twin.n_points
-        self._features, self._parent = twin._features, twin._parent
-        self._T_cam_parent, self.loop_edges = twin._T_cam_parent, twin.loop_edges
-        self.arrays = twin.arrays
+    def adopt(self, changed: "Map") -> None:
+        """Take over the state of a changed copy, which must not be used afterwards."""
+        self.n_keyframes, self.n_points = changed.n_keyframes, changed.n_points
+        self._features, self._parent = changed._features, changed._parent
+        self._T_cam_parent, self.loop_edges = changed._T_cam_parent, changed.loop_edges
+        self.arrays = changed.arrays
 
     def absorb(self, other: "Map") -> tuple[int, int]:
-        """Append every keyframe and point of another map, already in this map's frame.
+        """Append all keyframes and points of another map, already in this map's frame.
 
         Args:
             other: left unchanged.
@@ -246,14 +246,14 @@ class Map:
         return K, P
 
     def set_parent(self, keyframe: int, parent: int) -> None:
-        """Hang a keyframe under another one in the spanning tree."""
+        """Set the parent of a keyframe in the spanning tree."""
         self._parent[keyframe] = parent
 
     def _make_room(self, keypoints: int) -> None:
-        """Take out the keypoints of culled keyframes before the arrays would have to grow for new ones."""
+        """Remove the keypoints of culled keyframes if the arrays would otherwise have to grow."""
         a, used = self.arrays, int(self.arrays.kf_start[self.n_keyframes])
         short = used + keypoints > len(a.kp_octave)
-        if short and culled_keypoints(a, self.n_keyframes) > _WORTH_TAKING_OUT * used:
+        if short and culled_keypoints(a, self.n_keyframes) > _MIN_CULLED_SHARE * used:
             drop_culled_keypoints(a, self.n_keyframes, self.n_points)
 
     def _reserve(self, keyframes: int = 0, keypoints: int = 0, points: int = 0) -> None:
@@ -267,7 +267,7 @@ class Map:
         self.arrays = bigger
 
 
-# array, what its rows are, what its values point at
+# array, kind of its rows, kind of rows that its values refer to
 _ROWS = (
     ("kf_T_cam_map", "kf", ""),
     ("kf_bad", "kf", ""),

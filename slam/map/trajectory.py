@@ -1,4 +1,4 @@
-"""Frame poses kept relative to their keyframes, so that they follow the map."""
+"""Frame poses relative to their keyframes, so that they follow the map."""
 
 from dataclasses import dataclass
 
@@ -18,13 +18,13 @@ class _Pose(Unchanging):
 
 
 class FramePoses:
-    """The poses of all tracked frames, per map."""
+    """Poses of all tracked frames, per map."""
 
     def __init__(self) -> None:
         self._poses: dict[int, dict[int, _Pose]] = {}
 
     def add(self, map_id: int, frame: Frame) -> None:
-        """Record a tracked frame; a later record of the same frame in the same map takes its place."""
+        """Record a tracked frame, replacing an earlier record of the frame in the same map."""
         if not np.isfinite(frame.T_cam_reference).all():
             raise ValueError("the frame has no pose")
         self._poses.setdefault(map_id, {})[frame.features.index] = _Pose(
@@ -32,15 +32,15 @@ class FramePoses:
         )
 
     def drop(self, map_id: int) -> None:
-        """Forget the frames of a map."""
+        """Remove the frames of a map."""
         self._poses.pop(map_id, None)
 
     def count(self, map_id: int) -> int:
-        """Tracked frames of a map."""
+        """Number of tracked frames of a map."""
         return len(self._poses.get(map_id, {}))
 
     def rescale(self, map_id: int, factor: np.ndarray) -> None:
-        """Follow a map whose lengths have changed by ``factor`` (n_keyframes,) about each keyframe."""
+        """Follow a map whose lengths have changed by ``factor`` (n_keyframes,) around each keyframe."""
         poses = self._poses.get(map_id, {})
         for index, pose in poses.items():
             if factor[pose.keyframe] != 1.0:
@@ -49,11 +49,11 @@ class FramePoses:
                 poses[index] = _Pose(pose.stamp_s, pose.keyframe, T)
 
     def join(self, map_id: int, other_id: int, keyframe_offset: int, scale: float) -> None:
-        """Hand the frames of another map, now absorbed, to this one; frames it has itself stay as they are.
+        """Move an absorbed map's frames to the absorbing map, whose own are kept.
 
         Args:
             map_id: the absorbing map.
-            other_id: the absorbed one, forgotten afterwards.
+            other_id: the absorbed one; its frames are removed.
             keyframe_offset: added to the other map's keyframe rows.
             scale: factor on the other map's lengths.
         """
@@ -64,7 +64,7 @@ class FramePoses:
             own.setdefault(index, _Pose(pose.stamp_s, pose.keyframe + keyframe_offset, T))
 
     def trajectory(self, map_id: int, map_: Map) -> MapTrajectory:
-        """The path of a map's frames as the map stands now."""
+        """Trajectory of a map's frames in the current map."""
         poses = self._poses.get(map_id, {})
         frames = sorted(poses)
         T_map_cam = np.empty((len(frames), 4, 4))
@@ -76,9 +76,9 @@ class FramePoses:
 
 
 def keyframe_trajectory(map_: Map) -> MapTrajectory:
-    """The keyframes of a map in order of time.
+    """Keyframe trajectory of a map, in order of time.
 
-    Where maps were fused, the frame at which they met is a keyframe of both; it is given once.
+    A frame that is a keyframe of two fused maps appears once.
     """
     by_frame = {map_.frame_index(int(k)): int(k) for k in map_.keyframes()}
     rows = [by_frame[index] for index in sorted(by_frame)]

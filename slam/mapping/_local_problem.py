@@ -1,4 +1,4 @@
-"""Kernel that gathers the arrays of a local bundle adjustment from a map."""
+"""Kernel that collects the arrays of a local bundle adjustment from a map."""
 
 import numpy as np
 from numba import njit
@@ -6,7 +6,7 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def local_problem(m, n_keyframes, n_points, is_free, max_fixed):
-    """The bundle adjustment problem of a set of free keyframes.
+    """Collect the bundle adjustment problem of a set of free keyframes.
 
     Points are those that a free keyframe sees; the other keyframes that see them are fixed, at most
     ``max_fixed``, those with most of the points first.
@@ -15,7 +15,7 @@ def local_problem(m, n_keyframes, n_points, is_free, max_fixed):
         m: MapArrays.
         n_keyframes, n_points: counts.
         is_free: (n_keyframes,) bool.
-        max_fixed: cap on fixed keyframes.
+        max_fixed: most fixed keyframes.
 
     Returns:
         cameras (C,) int32 keyframes (free first), points (P,) int32, obs_camera (M,) int32, obs_point (M,)

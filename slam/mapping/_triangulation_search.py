@@ -1,4 +1,4 @@
-"""New map points of a keyframe: epipolar search in its neighbours, triangulation, tests."""
+"""New map points of a keyframe: epipolar search in its neighbours, triangulation, checks."""
 
 import numpy as np
 from numba import njit
@@ -28,9 +28,9 @@ def new_points(m, view, keyframe, neighbour, min_depth, min_parallax_cosine, rat
         m: MapArrays.
         view: ViewGeometry.
         keyframe, neighbour: rows.
-        min_depth: nothing nearer to ``keyframe`` is looked for.
-        min_parallax_cosine: rays closer than this are not triangulated.
-        ratio: best over second best descriptor distance at the most.
+        min_depth: least depth of a point in ``keyframe``.
+        min_parallax_cosine: rays with a larger cosine are not triangulated.
+        ratio: largest ratio of best to second best descriptor distance.
 
     Returns:
         keypoints of ``keyframe`` (n,) int32 and of ``neighbour`` (n,) int32 (rows of the keypoint arrays),
@@ -71,7 +71,7 @@ def new_points(m, view, keyframe, neighbour, min_depth, min_parallax_cosine, rat
         dz = R_21[2, 0] * xn + R_21[2, 1] * yn + R_21[2, 2]
         if dz < 1e-3:
             continue
-        # The stretch of the epipolar line between the nearest depth allowed and infinity.
+        # The segment of the epipolar line between the least depth and infinity.
         near = max(min_depth, (1e-3 * min_depth - t_21[2]) / dz)
         nz = near * dz + t_21[2]
         x_0 = view.fx * (near * dx + t_21[0]) / nz + view.cx
@@ -98,9 +98,9 @@ def _best_on_line(
     kp_xy, kp_octave, kp_descriptor, kp_point, octave, descriptor, cells, first, used,
     view, la, lb, lc, x_0, y_0, x_1, y_1, has_epipole, epipole_x, epipole_y, ratio,
 ):  # fmt: skip
-    """The free keypoint near a stretch of a line whose descriptor is nearest.
+    """Free keypoint near a segment of a line with the nearest descriptor.
 
-    Takes arrays, not the map: this is called for every keypoint, and a tuple of arrays is dear to pass.
+    Takes arrays, not the map: it is called for every keypoint, and a tuple of arrays is expensive to pass.
     """
     norm = la * la + lb * lb
     margin = 1.96 * view.scale[-1]
@@ -121,7 +121,7 @@ def _best_on_line(
             if d_line * d_line * view.inv_sigma2[kp_octave[b]] > 3.84 * norm:
                 continue
             if has_epipole:
-                # Near the epipole hardly any baseline is seen.
+                # Near the epipole there is hardly any parallax.
                 ex, ey = x - epipole_x, y - epipole_y
                 if ex * ex + ey * ey < 100.0 * view.scale[kp_octave[b]]:
                     continue
@@ -135,7 +135,7 @@ def _best_on_line(
 
 @njit(cache=True, nogil=True)
 def _triangulated(m, view, T_1, T_2, centre_1, centre_2, a, b, min_parallax_cosine):
-    """Triangulate one match; whether it passes, and the point."""
+    """Triangulate one match; True if it passes all checks, and the point."""
     xn1, yn1 = (m.kp_xy[a, 0] - view.cx) / view.fx, (m.kp_xy[a, 1] - view.cy) / view.fy
     xn2, yn2 = (m.kp_xy[b, 0] - view.cx) / view.fx, (m.kp_xy[b, 1] - view.cy) / view.fy
     dot = 0.0
@@ -155,7 +155,7 @@ def _triangulated(m, view, T_1, T_2, centre_1, centre_2, a, b, min_parallax_cosi
         return False, 0.0, 0.0, 0.0
     d1 = np.sqrt((px - centre_1[0]) ** 2 + (py - centre_1[1]) ** 2 + (pz - centre_1[2]) ** 2)
     d2 = np.sqrt((px - centre_2[0]) ** 2 + (py - centre_2[1]) ** 2 + (pz - centre_2[2]) ** 2)
-    # Farther away means coarser seen: distances and pyramid levels must tell the same story.
+    # A larger distance means a finer level: distances and pyramid levels must be consistent.
     seen = view.scale[m.kp_octave[a]] / view.scale[m.kp_octave[b]]
     slack = 1.5 * np.exp(view.log_scale)
     if d2 / d1 * slack < seen or d2 / d1 > seen * slack:

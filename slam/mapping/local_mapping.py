@@ -1,4 +1,4 @@
-"""Local mapping: what happens to the map when it is given a keyframe."""
+"""Local mapping: extend and refine the map with each new keyframe."""
 
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
@@ -21,13 +21,14 @@ class LocalMappingConfig:
     Attributes:
         neighbours: covisible keyframes used for triangulation and fusion.
         min_baseline: least baseline over median depth for triangulation.
-        min_depth: depth, over the median depth, from which new points are looked for.
+        min_depth: least depth of a new point over the median depth.
         min_parallax_deg: least angle between the rays of a new point.
         descriptor_ratio: best over second best descriptor distance along the epipolar line.
         window: keyframes that local bundle adjustment moves, the new one included.
-        fixed: cap on the fixed keyframes about them.
-        min_found_share: a young point found in less than this share of the frames that should see it goes.
-        redundancy: a keyframe is dropped when more than this share of its points is well seen elsewhere.
+        fixed: most fixed keyframes around them.
+        min_found_share: a young point found in less than this share of the frames that should see it is
+            culled.
+        redundancy: a keyframe is culled when more than this share of its points is well seen elsewhere.
     """
 
     neighbours: int = 10
@@ -47,8 +48,8 @@ class LocalMapper:
     Args:
         map_: the map.
         config: settings.
-        lock: held while the map is read or written, step by step and never while a problem is solved, so
-            that who tracks in the map at the same time waits for a few milliseconds at the most.
+        lock: held while the map is read or written, step by step and never while a problem is solved:
+            concurrent tracking waits for a few milliseconds at most.
     """
 
     def __init__(
@@ -60,10 +61,10 @@ class LocalMapper:
         self._young = np.empty(0, np.int64)
 
     def insert(self, frame: Frame) -> int:
-        """Make a keyframe of a tracked frame and let the map grow from it.
+        """Make a keyframe of a tracked frame and extend the map from it.
 
         Returns:
-            Its row in the map.
+            Row of the keyframe in the map.
         """
         with self.lock:
             kernels.resolve_points(self.map.arrays, frame.point)
@@ -77,7 +78,7 @@ class LocalMapper:
         return keyframe
 
     def adjust(self, keyframe: int) -> None:
-        """Local bundle adjustment about a keyframe: its best neighbours move, their other observers hold."""
+        """Bundle-adjust a keyframe and its neighbours; other observers of their points are fixed."""
         m = self.map
         free = np.zeros(m.n_keyframes, np.bool_)
         free[keyframe] = True
@@ -85,9 +86,9 @@ class LocalMapper:
         self.adjust_keyframes(free)
 
     def adjust_keyframes(self, free: np.ndarray) -> None:
-        """Bundle adjustment of the keyframes marked in ``free`` (n_keyframes,) bool and all their points.
+        """Bundle-adjust the keyframes marked in ``free`` (n_keyframes,) bool and all their points.
 
-        Where nothing else holds the gauge, the oldest of them is held.
+        If no other keyframe fixes the gauge, the oldest of them is fixed.
         """
         m, a, view = self.map, self.map.arrays, self.map.view
         with self.lock:
@@ -112,14 +113,14 @@ class LocalMapper:
             kernels.refresh_geometries(a, points, view.scale)
 
     def rebase(self, map_: Map) -> None:
-        """Go on in a map that has absorbed this mapper's; young points are let be, their ages are lost."""
+        """Continue in a map that has absorbed this mapper's; young points are no longer checked."""
         self.map = map_
         self._young = np.empty(0, np.int64)
 
     # -- steps -------------------------------------------------------------------------------------------
 
     def _cull_young_points(self, keyframe: int) -> None:
-        """Drop points that are rarely found, or that no third keyframe has taken up in time."""
+        """Cull points that are rarely found, or not observed by a third keyframe in time."""
         a, p = self.map.arrays, self._young
         p = p[~a.pt_bad[p]]
         age = keyframe - a.pt_first_keyframe[p]
@@ -138,7 +139,7 @@ class LocalMapper:
         self._young = np.concatenate([self._young, *created])
 
     def _triangulate(self, keyframe: int, neighbour: int, nearest: float) -> np.ndarray:
-        """Rows of the points found between two keyframes."""
+        """Rows of the points triangulated between two keyframes."""
         m, a, config = self.map, self.map.arrays, self.config
         baseline = np.linalg.norm(_centre(a.kf_T_cam_map[neighbour]) - _centre(a.kf_T_cam_map[keyframe]))
         depth = kernels.median_depth(a, neighbour)
@@ -153,7 +154,7 @@ class LocalMapper:
         return np.arange(first, first + len(own))
 
     def _fuse_neighbours(self, keyframe: int) -> None:
-        """Join duplicates between the keyframe and its neighbours, first and second."""
+        """Fuse duplicate points of the keyframe and its first and second neighbours."""
         m, a = self.map, self.map.arrays
         first = m.neighbours(keyframe, self.config.neighbours)
         second = [k for n in first for k in m.neighbours(int(n), 5)]
@@ -171,7 +172,7 @@ class LocalMapper:
             kernels.refresh_points(a, own[own >= 0], m.view.scale)
 
     def _cull_keyframes(self, keyframe: int) -> None:
-        """Drop neighbours whose points are nearly all seen as well by three others."""
+        """Cull neighbours whose points are nearly all seen as well by three others."""
         m = self.map
         for k in m.neighbours(keyframe, 40):
             if m.parent(int(k)) < 0:

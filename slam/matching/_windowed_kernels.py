@@ -9,7 +9,7 @@ from slam.matching.guided import NEAR, keep_common_rotation
 
 @njit(cache=True, nogil=True)
 def _on_level(level, octave, xy, descriptors, cell_start):
-    """The keypoints of one pyramid level, in their order: rows, pixels, descriptors, and their grid."""
+    """Keypoints of one pyramid level, in order: rows, pixels, descriptors, and their grid."""
     count = 0
     for i in range(len(octave)):
         count += octave[i] == level
@@ -32,9 +32,9 @@ def _on_level(level, octave, xy, descriptors, cell_start):
 
 @njit(cache=True, nogil=True)
 def _nearest_on_level(view, xy, descriptors, cell_start, u, v, radius, query, ratio):
-    """The keypoint of one level within a window whose descriptor is nearest: (place or -1, bits).
+    """Keypoint of one level within a window with the nearest descriptor: (position or -1, bits).
 
-    What :func:`slam.matching.guided.nearest_in_window` finds, without looking at levels.
+    Same result as :func:`slam.matching.guided.nearest_in_window` without the test of levels.
     """
     best, second, found = 257, 257, -1
     if u + radius < view.x_min or v + radius < view.y_min:
@@ -64,19 +64,19 @@ def _nearest_on_level(view, xy, descriptors, cell_start, u, v, radius, query, ra
 @njit(cache=True, nogil=True)
 def match_for_initialization(xy_1, octave_1, angle_1, descriptors_1, around, view, xy_2, octave_2, angle_2,
                              descriptors_2, cell_start_2, radius, max_octave, ratio):  # fmt: skip
-    """Windowed one-to-one matches between two frames, fine pyramid levels only.
+    """Match two frames one to one within windows, on fine pyramid levels only.
 
-    Matches stay on their level. Windows are wide, and a level at a time only its own keypoints are met in
-    them, a fraction of all.
+    Matches stay on their level. Windows are wide, so that levels are searched one by one: each has only a
+    fraction of all keypoints.
 
     Args:
         xy_1, octave_1, angle_1, descriptors_1: the first frame.
-        around: (N, 2) float64 where to look for each of its keypoints in the second, px.
+        around: (N, 2) float64 window centre in the second frame for each of its keypoints, px.
         view: ViewGeometry.
         xy_2, octave_2, angle_2, descriptors_2, cell_start_2: the second frame.
         radius: half side of the window, px.
         max_octave: coarsest level used.
-        ratio: best over second best distance at the most.
+        ratio: largest ratio of best to second best distance.
 
     Returns:
         (N,) int32 row in the second frame, -1 for none; count.

@@ -1,4 +1,4 @@
-"""Descriptor matching without any idea of where the match should be."""
+"""Unguided descriptor matching."""
 
 import numpy as np
 from numba import njit
@@ -10,7 +10,7 @@ _N_BEST_BINS = 3
 # A second or third bin with fewer than this share of the first is noise.
 _MIN_SHARE_OF_BEST = 0.1
 
-# A key holds a distance above an index: one integer minimum finds the nearest and, of equals, the first.
+# A key packs a distance above an index: one integer minimum finds the nearest and, of equals, the first.
 _INDEX_BITS = 21
 _NO_KEY = np.int32(2**31 - 1)
 
@@ -47,7 +47,7 @@ def _match(desc_a, words_b, max_distance, ratio):
         if distance > max_distance or distance >= distance_of_b[j]:
             continue
         keys[j] = _NO_KEY
-        # With a single candidate the second distance is that of _NO_KEY: farther than any.
+        # With a single candidate the second distance is that of _NO_KEY, larger than any other.
         if distance < ratio * (_least(keys) >> _INDEX_BITS):
             best_of_b[j] = i
             distance_of_b[j] = distance
@@ -55,17 +55,17 @@ def _match(desc_a, words_b, max_distance, ratio):
 
 
 def match_brute_force(desc_a: np.ndarray, desc_b: np.ndarray, max_distance: int, ratio: float) -> np.ndarray:
-    """Match each descriptor of A to its nearest in B, where that is near and unambiguous.
+    """Match descriptors of A with their nearest in B, if near and unambiguous.
 
     Args:
         desc_a: (N, 4) uint64.
         desc_b: (M, 4) uint64, M < 2**21.
-        max_distance: a match differs in at most this many bits.
+        max_distance: largest distance of a match, bits.
         ratio: the nearest must be nearer than ``ratio`` times the second nearest (Lowe's test).
 
     Returns:
-        (K, 2) int32 rows (index in A, index in B), by index in A. No index occurs twice: of several that want
-        the same one of B the nearest wins, and the first among equals. Empty where either side is.
+        (K, 2) int32 rows (index in A, index in B), by index in A. No index occurs twice: of several matches
+        with the same one of B the nearest is kept, and the first among equals. Empty if either side is.
 
     Raises:
         ValueError: an array has another shape or type.
@@ -84,7 +84,7 @@ def match_brute_force(desc_a: np.ndarray, desc_b: np.ndarray, max_distance: int,
 
 
 def rotation_consistent(angle_a: np.ndarray, angle_b: np.ndarray, matches: np.ndarray) -> np.ndarray:
-    """Which matches turn by one of the three most frequent angles, in bins of 12 degrees.
+    """Mask of the matches that rotate by one of the three most frequent angles.
 
     Args:
         angle_a: (N,) orientations of A in degrees.
@@ -97,7 +97,7 @@ def rotation_consistent(angle_a: np.ndarray, angle_b: np.ndarray, matches: np.nd
     Source: the orientation check of Mur-Artal et al., ORB-SLAM, T-RO 2015.
     """
     turn = angle_b[matches[:, 1]].astype(float) - angle_a[matches[:, 0]]
-    # Bins are centred on multiples of 12 degrees: no turn at all, the usual case, is not on an edge.
+    # Bins are centred on multiples of 12 degrees, so that no rotation, the usual case, is not on an edge.
     bins = np.rint(turn * (_N_BINS / 360)).astype(int) % _N_BINS
     counts = np.bincount(bins, minlength=_N_BINS)
     best = np.argsort(-counts, kind="stable")[:_N_BEST_BINS]

@@ -1,4 +1,4 @@
-"""Matching of two whole images: nearest descriptors, kept where their neighbours move along with them.
+"""Unguided matching of two images, filtered by grid-based motion statistics (GMS).
 
 Source: Bian, Lin, Matsushita, Yeung, Nguyen, Cheng, "GMS: grid-based motion statistics for fast, ultra-robust
 feature correspondence", 2017, as OpenCV has it.
@@ -21,9 +21,9 @@ class GmsConfig:
     """Settings of GMS.
 
     Attributes:
-        threshold_factor: how much support of its neighbourhood a match needs; the publication's alpha.
-        max_octave: matches of keypoints on coarser pyramid levels are left out, though they lend support.
-        with_rotation: also try images turned by multiples of 45 degrees, at 8 times the cost.
+        threshold_factor: support that a match needs from its neighbourhood; alpha in the publication.
+        max_octave: matches on coarser pyramid levels are removed, but count as support.
+        with_rotation: also try images rotated by multiples of 45 degrees, at 8 times the cost.
         with_scale: also try images scaled by factors of sqrt(2) up to 2, at 5 times the cost.
     """
 
@@ -39,7 +39,7 @@ def match_gms(
     size_px: tuple[int, int],
     config: GmsConfig | None = None,
 ) -> np.ndarray:
-    """Match two frames wherever their keypoints have moved to.
+    """Match two frames without limits on the keypoints' motion.
 
     Args:
         a, b: the frames.
@@ -48,14 +48,14 @@ def match_gms(
 
     Returns:
         (K, 2) int32 rows (keypoint of A, keypoint of B), by keypoint of A; no keypoint occurs twice. Empty
-        where either frame is.
+        if either frame is.
     """
     config = config or GmsConfig()
-    # No test of each match by itself: a repeated pattern's matches are told apart by their neighbours.
+    # No test of single matches: their neighbours disambiguate those of repeated patterns.
     nearest = match_brute_force(a.descriptors, b.descriptors, _ANY_DISTANCE, _ANY_RATIO)
     if not len(nearest):
         return nearest
-    # The grid is laid over the image as taken, which no keypoint lies outside of.
+    # The grid covers the distorted input image, so that no keypoint lies outside.
     kept = cv2.xfeatures2d.matchGMS(
         size_px,
         size_px,

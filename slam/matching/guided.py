@@ -1,4 +1,4 @@
-"""Guided matching of map points with keypoints: project, look in the cells nearby, compare descriptors."""
+"""Guided matching of map points with keypoints: project, search nearby cells, compare descriptors."""
 
 import numpy as np
 from numba import njit
@@ -6,8 +6,8 @@ from numba import njit
 from slam.features._hamming import hamming256
 from slam.map._map_kernels import add_observation, observed_in, refresh_point, replace_point
 
-FAR = 100  # bits: the most that a guided match may differ
-NEAR = 50  # bits: the most that an unguided match may differ
+FAR = 100  # largest distance of a guided match, bits
+NEAR = 50  # largest distance of an unguided match, bits
 _ROTATION_BINS = 30
 
 
@@ -25,7 +25,7 @@ def project(T_cam_map, view, xyz):
 
 @njit(cache=True, nogil=True)
 def in_view(view, u, v):
-    """Whether a pixel lies within the undistorted image."""
+    """Return True if a pixel lies within the undistorted image."""
     return view.x_min <= u < view.x_max and view.y_min <= v < view.y_max
 
 
@@ -40,17 +40,17 @@ def predicted_octave(view, max_distance, distance):
 def nearest_in_window(
     view, xy, octave, descriptors, cell_start, first, taken, u, v, radius, low, high, query, ratio
 ):
-    """The keypoint within a window whose descriptor is nearest.
+    """Find the keypoint with the nearest descriptor within a window.
 
     Args:
         view: ViewGeometry.
-        xy, octave, descriptors: keypoint arrays; the frame's are rows ``first`` and on.
+        xy, octave, descriptors: keypoint arrays; the frame's rows start at ``first``.
         cell_start: the frame's grid, relative to ``first``.
         taken: (n,) bool per keypoint of the frame, skipped where True.
         u, v, radius: centre and half side of the window, px.
-        low, high: pyramid levels to look at, inclusive.
+        low, high: pyramid levels searched, inclusive.
         query: (4,) uint64 descriptor.
-        ratio: best over second best distance, on one level, at the most.
+        ratio: largest ratio of best to second best distance, if both are on one level.
 
     Returns:
         (row within the frame or -1, distance in bits).
@@ -84,14 +84,14 @@ def nearest_in_window(
 
 @njit(cache=True, nogil=True)
 def keep_common_rotation(matched, turn_deg):
-    """Unset matches whose change of orientation is not among the three commonest.
+    """Unset matches whose change of orientation is not among the three most frequent.
 
     Args:
         matched: (n,) int32, -1 for none; changed in place.
         turn_deg: (n,) float64 change of orientation of each match.
 
     Returns:
-        Matches left.
+        Number of matches left.
     """
     histogram = np.zeros(_ROTATION_BINS, np.int64)
     for i in range(len(matched)):
@@ -171,7 +171,7 @@ def match_last_frame(
 def match_local_points(
     m, view, T_cam_map, candidates, xy, octave, descriptors, cell_start, point, widen, ratio, count_visible
 ):
-    """Find more map points of the local map in a frame whose pose is known.
+    """Match more points of the local map with a frame of known pose.
 
     Args:
         m: MapArrays.
@@ -182,7 +182,7 @@ def match_local_points(
         point: (N,) int32 associations; extended in place.
         widen: factor on the search radius.
         ratio: see :func:`nearest_in_window`.
-        count_visible: whether the points in view are counted as such.
+        count_visible: also count the points in view as visible.
 
     Returns:
         (points expected in view, matches added).
@@ -232,13 +232,13 @@ def match_local_points(
 
 @njit(cache=True, nogil=True)
 def collect_local_map(m, n_keyframes, n_points, frame_point, max_keyframes):
-    """The local map of a frame: keyframes that share its points, their neighbours, and all their points.
+    """Collect a frame's local map: keyframes that share its points, their neighbours, all their points.
 
     Args:
         m: MapArrays.
         n_keyframes, n_points: counts.
         frame_point: (N,) int32 the frame's associations.
-        max_keyframes: cap on the keyframes.
+        max_keyframes: most keyframes.
 
     Returns:
         keyframes (k,) int32 with the one that shares most first, points (q,) int32.
@@ -290,10 +290,10 @@ def collect_local_map(m, n_keyframes, n_points, frame_point, max_keyframes):
 
 @njit(cache=True, nogil=True)
 def fuse_into_keyframe(m, view, keyframe, candidates, widen):
-    """Find map points in a keyframe that does not observe them yet; join duplicates.
+    """Match map points with a keyframe that does not observe them yet; fuse duplicates.
 
-    A point that falls on a free keypoint gains an observation; one that falls on a keypoint with another
-    point is merged with it, the one with more observations staying.
+    A point matched with a free keypoint gains an observation; one matched with another point's keypoint is
+    fused with that point, and the one with more observations is kept.
 
     Args:
         m: MapArrays, changed in place.
@@ -303,7 +303,7 @@ def fuse_into_keyframe(m, view, keyframe, candidates, widen):
         widen: search radius on level 0, px.
 
     Returns:
-        Observations added plus points merged.
+        Number of observations added plus points fused.
     """
     T = m.kf_T_cam_map[keyframe]
     first = m.kf_start[keyframe]

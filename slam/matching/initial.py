@@ -1,4 +1,4 @@
-"""How initialisation matches a frame with its reference frame: one interface, several ways."""
+"""Matchers of initialisation, which match frames with a reference frame."""
 
 from typing import Literal, Protocol
 
@@ -14,10 +14,10 @@ MatcherKind = Literal["windowed", "gms"]
 
 
 class InitialMatcher(Protocol):
-    """Matches frame after frame with one reference frame."""
+    """Matches consecutive frames with one reference frame."""
 
     def start(self, reference: FrameFeatures) -> None:
-        """Take a new reference frame."""
+        """Set a new reference frame."""
         ...
 
     def match(self, frame: FrameFeatures) -> np.ndarray:
@@ -34,13 +34,13 @@ class InitialMatcher(Protocol):
 
 
 class WindowedMatcher:
-    """Looks for each keypoint near where it was last seen: cheap, and right while nothing moves far.
+    """Matches each keypoint near its last position: cheap, and sufficient for small motions.
 
     Source: Mur-Artal, Montiel, Tardós, "ORB-SLAM", 2015, section IV.
     """
 
     def __init__(self, view: ViewGeometry, radius_px: float, max_octave: int, ratio: float) -> None:
-        """Settings as of InitializationConfig."""
+        """Store the settings, which are those of InitializationConfig."""
         self._view = view
         self._radius_px = radius_px
         self._max_octave = max_octave
@@ -49,7 +49,7 @@ class WindowedMatcher:
         self._around = np.empty((0, 2))
 
     def start(self, reference: FrameFeatures) -> None:
-        """Take a new reference frame."""
+        """Set a new reference frame."""
         self._reference = reference
         self._around = reference.xy.copy()
 
@@ -67,15 +67,15 @@ class WindowedMatcher:
         return pairs
 
     def follow(self, pairs: np.ndarray, frame: FrameFeatures) -> None:
-        """Look next about where these keypoints, (K, 2) as of ``match``, are in a frame."""
+        """Move the windows of matched keypoints, (K, 2) as of ``match``, to their positions in a frame."""
         self._around[pairs[:, 0]] = frame.xy[pairs[:, 1]]
 
 
 class GmsMatcher:
-    """Looks near where each keypoint was last seen, on every pyramid level, and for the rest by GMS.
+    """Matches keypoints near their last position, on every pyramid level, and all others by GMS.
 
-    GMS finds keypoints wherever they went, but not those that move otherwise than what is around them: the
-    near ones, which have the most parallax. These are found about where they last were.
+    GMS matches keypoints after any motion, except those that move differently from their neighbours: those
+    of near points, which have the most parallax. These are matched near their last position.
 
     Source: GMS for initialisation: Huang et al., "Dual-SLAM", 2020, section III-D.
     """
@@ -83,14 +83,14 @@ class GmsMatcher:
     def __init__(
         self, camera: PinholeCamera, view: ViewGeometry, radius_px: float, ratio: float, config: GmsConfig
     ) -> None:
-        """Settings as of InitializationConfig."""
+        """Store the settings, which are those of InitializationConfig."""
         self._near = WindowedMatcher(view, radius_px, config.max_octave, ratio)
         self._size_px = (camera.width_px, camera.height_px)
         self._config = config
         self._reference: FrameFeatures | None = None
 
     def start(self, reference: FrameFeatures) -> None:
-        """Take a new reference frame."""
+        """Set a new reference frame."""
         self._reference = reference
         self._near.start(reference)
 

@@ -1,6 +1,6 @@
 """Kernels of bundle adjustment: residuals, normal equations, Levenberg-Marquardt.
 
-Observations are sorted by point, so that everything about a point is at hand at once.
+Observations are sorted by point, so that all terms of a point are processed together.
 
 Names: ``T`` (C, 4, 4) T_cam_map; ``points`` (P, 3); ``start`` (P + 1,) first observation of each point;
 ``camera`` (M,), ``pixels`` (M, 2), ``weights`` (M,) observations sorted by point; ``slot`` (C,) position
@@ -15,13 +15,13 @@ from slam.optimization._schur import back_substitute, eliminate_points, predicte
 from slam.optimization._se3 import retract
 
 MIN_DEPTH = 1e-6
-# What an observation behind its camera costs: a hundred sigma, so that no step gains by going there.
+# Cost of an observation behind its camera: a hundred sigma, so that no step gains by moving it there.
 _BEHIND_CHI2 = 1e4
 
 
 @njit(cache=True, nogil=True)
 def sort_by_point(n_points, obs_point):
-    """Counting sort of observations by point: ``start`` (P + 1,) int64 and ``order`` (M,) int64."""
+    """Sort observations by point: ``start`` (P + 1,) int64 and ``order`` (M,) int64."""
     start = np.zeros(n_points + 1, np.int64)
     for i in range(obs_point.shape[0]):
         start[obs_point[i] + 1] += 1
@@ -38,7 +38,7 @@ def sort_by_point(n_points, obs_point):
 
 @njit(cache=True, nogil=True)
 def errors(T, points, camera, point, pixels, weights, intrinsics):
-    """Squared error of each observation in units of its variance, and whether its depth is positive.
+    """Squared errors in units of the variance, and a mask of positive depths.
 
     An observation at or behind the camera plane has an infinite error.
     """
@@ -91,7 +91,7 @@ def robust_cost(T, points, start, camera, pixels, weights, intrinsics, huber2):
 def normal_equations(
     T, points, start, camera, pixels, weights, intrinsics, huber2, slot, U, V, W, gradient_c, gradient_p
 ):
-    """Gauss-Newton model of half the cost, in blocks.
+    """Compute the Gauss-Newton model of half the cost, in blocks.
 
     Written: ``U`` (F, 6, 6) camera blocks, ``V`` (P, 3, 3) point blocks, ``W`` (M, 6, 3) camera-point
     blocks (those of free cameras), ``gradient_c`` (F, 6) and ``gradient_p`` (P, 3). Camera steps are
@@ -148,7 +148,7 @@ def normal_equations(
 
 @njit(cache=True, nogil=True)
 def adjust(T, points, start, camera, pixels, weights, intrinsics, slot, n_free, iterations, huber2):
-    """Levenberg-Marquardt on ``T`` and ``points``, in place.
+    """Minimise the cost over ``T`` and ``points`` by Levenberg-Marquardt, in place.
 
     A step that does not lower the cost is undone and the damping raised.
 
@@ -166,7 +166,7 @@ def adjust(T, points, start, camera, pixels, weights, intrinsics, slot, n_free, 
     initial = robust_cost(T, points, start, camera, pixels, weights, intrinsics, huber2)
     cost = initial
     damping, growth, fresh = 1e-4, 2.0, False
-    # Reweighting for the robust loss closes in slowly: a small gain says less there.
+    # Reweighting for the robust loss converges slowly: a small gain says less there.
     tolerance = 1e-9 if huber2 > 0.0 else 1e-7
     for _ in range(iterations):
         if not fresh:
@@ -202,7 +202,7 @@ def adjust(T, points, start, camera, pixels, weights, intrinsics, slot, n_free, 
             damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-10)
             growth = 2.0
         else:
-            # A rise where next to nothing was to be gained means that the minimum is reached.
+            # A rise although almost no gain was predicted means that the minimum is reached.
             if predicted <= 1e-9 * cost:
                 break
             damping *= growth

@@ -1,7 +1,7 @@
 """Cholesky factorisation of a symmetric matrix with a skyline, in place, for kernels.
 
-Local bundle adjustment and pose optimisation solve small systems by the thousand: no allocation, no
-LAPACK thread pool and the same bits on every run.
+Local bundle adjustment and pose optimisation solve thousands of small systems: this needs no allocation and
+no LAPACK threads, and gives the same bits on every run.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def whole_rows(n):
-    """(n,) int64 skyline of a matrix without structure: every row begins at column 0."""
+    """(n,) int64 skyline of a dense matrix: every row starts at column 0."""
     return np.zeros(n, np.int64)
 
 
@@ -32,7 +32,7 @@ def factor(A, first):
         first: (n,) int64, column of each row's first nonzero; the factor keeps this skyline.
 
     Returns:
-        False where ``A`` is not positive definite to rounding, or not finite; ``A`` is spoilt then.
+        False if ``A`` is not positive definite to rounding, or not finite; ``A`` is then invalid.
     """
     for i in range(A.shape[0]):
         row = A[i]

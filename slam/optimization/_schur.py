@@ -1,4 +1,4 @@
-"""Elimination of the points from the normal equations of bundle adjustment, and back.
+"""Elimination of the points from the normal equations of bundle adjustment, and back-substitution.
 
 Blocks as in the bundle adjustment kernels: ``U`` (F, 6, 6) cameras, ``V`` (P, 3, 3) points, ``W`` (M, 6, 3)
 camera against point, observations sorted by point.
@@ -10,7 +10,7 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def skyline(start, camera, slot, n_free):
-    """(6 F,) int64 first column of each row of the reduced camera matrix that can differ from zero."""
+    """(6 F,) int64 first column that can be nonzero in each row of the reduced camera matrix."""
     lowest = np.arange(n_free)
     for p in range(start.shape[0] - 1):
         least = n_free
@@ -27,7 +27,7 @@ def skyline(start, camera, slot, n_free):
 
 @njit(cache=True, nogil=True)
 def _invert_3x3(V, damping, inverse):
-    """Inverse of a symmetric block (lower triangle) with its diagonal damped; False where singular."""
+    """Invert a symmetric block (lower triangle) with damped diagonal; False if singular."""
     floor = 1e-12 * (V[0, 0] + V[1, 1] + V[2, 2]) + 1e-30
     a = V[0, 0] * (1.0 + damping) + floor
     d = V[1, 1] * (1.0 + damping) + floor
@@ -54,7 +54,7 @@ def eliminate_points(
 ):
     """Fill the reduced camera system ``S x = reduced`` for the damped step.
 
-    Written: ``V_inv`` (P, 3, 3), ``held`` (P,) bool points that take no step, the lower triangle of ``S``
+    Written: ``V_inv`` (P, 3, 3), ``held`` (P,) bool points without a step, the lower triangle of ``S``
     (6 F, 6 F) within the skyline ``first``, ``reduced`` (6 F,).
     """
     n_free = U.shape[0]
@@ -96,7 +96,7 @@ def eliminate_points(
 
 @njit(cache=True, nogil=True)
 def back_substitute(W, gradient_p, start, camera, slot, V_inv, held, step_c, step_p):
-    """Point steps ``step_p`` (P, 3) that go with the camera steps ``step_c`` (6 F,)."""
+    """Compute the point steps ``step_p`` (P, 3) from the camera steps ``step_c`` (6 F,)."""
     for p in range(start.shape[0] - 1):
         step_p[p] = 0.0
         if held[p]:
@@ -116,7 +116,7 @@ def back_substitute(W, gradient_p, start, camera, slot, V_inv, held, step_c, ste
 
 @njit(cache=True, nogil=True)
 def predicted_gain(U, V, gradient_c, gradient_p, damping, step_c, step_p, held):
-    """By how much the model says that the damped step lowers the cost."""
+    """Decrease of the cost that the model predicts for the damped step."""
     gain = 0.0
     for f in range(U.shape[0]):
         for r in range(6):

@@ -1,4 +1,4 @@
-"""Rigid motions in kernels: steps on SE(3) and their upkeep.
+"""Rigid motions in kernels: steps on SE(3) and orthonormalisation.
 
 A twist is ``(translation, rotation)``; a step multiplies from the left, ``T <- exp(twist) T``.
 """
@@ -9,7 +9,7 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def rodrigues_coefficients(theta2):
-    """sin(θ)/θ, (1 - cos θ)/θ² and (θ - sin θ)/θ³ of θ², exact to rounding down to zero."""
+    """Coefficients sin(θ)/θ, (1 - cos θ)/θ² and (θ - sin θ)/θ³ of θ², exact to rounding down to zero."""
     if theta2 < 1e-3:
         a = 1.0 - theta2 / 6.0 * (1.0 - theta2 / 20.0 * (1.0 - theta2 / 42.0))
         b = 0.5 - theta2 / 24.0 * (1.0 - theta2 / 30.0 * (1.0 - theta2 / 56.0))
@@ -61,7 +61,7 @@ def retract(T, twist, out):
 
 @njit(cache=True, nogil=True)
 def orthonormalise(T):
-    """Remove rounding from the rotation of ``T`` (4, 4), in place: one Newton step of the polar form."""
+    """Orthonormalise the rotation of ``T`` (4, 4), in place: one Newton step of the polar form."""
     R = T[:3, :3].copy()
     for i in range(3):
         for j in range(3):

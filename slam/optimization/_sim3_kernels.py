@@ -11,7 +11,7 @@ from slam.optimization._cholesky import factor, solve, whole_rows
 from slam.optimization._se3 import so3_exp
 
 _MIN_DEPTH = 1e-6
-# What a point behind the camera costs; see the pose optimisation.
+# Cost of a point behind the camera; see the pose optimisation.
 _BEHIND_CHI2 = 1e4
 
 
@@ -20,7 +20,7 @@ def horn(a, b, rows, fixed_scale):
     """Least-squares similarity from ``b`` to ``a`` over some rows, by the quaternion of Horn, 1987.
 
     Returns:
-        Whether the rows determine it, s, R (3, 3), t (3,).
+        True if the rows determine it, s, R (3, 3), t (3,).
     """
     n = rows.shape[0]
     R, t = np.eye(3), np.zeros(3, np.float64)
@@ -42,7 +42,8 @@ def horn(a, b, rows, fixed_scale):
     if not (np.isfinite(M.sum()) and spread_b > 0.0):
         return False, 1.0, R, t
     values, vectors = np.linalg.eigh(_horn_matrix(M))
-    # Points on a line leave the turn about it open: the greatest eigenvalue is then double.
+    # Collinear points leave the rotation about their line undetermined: the largest eigenvalue is then
+    # double.
     if not values[3] - values[2] > 1e-9 * values[3]:
         return False, 1.0, R, t
     _rotation_of(vectors[:, 3], R)
@@ -63,7 +64,7 @@ def horn(a, b, rows, fixed_scale):
 
 @njit(cache=True, nogil=True)
 def _horn_matrix(M):
-    """The symmetric 4x4 matrix whose greatest eigenvector is the quaternion (w, x, y, z); section 4A."""
+    """Symmetric 4x4 matrix whose largest eigenvector is the quaternion (w, x, y, z); section 4A."""
     N = np.empty((4, 4), np.float64)
     N[0, 0] = M[0, 0] + M[1, 1] + M[2, 2]
     N[1, 1] = M[0, 0] - M[1, 1] - M[2, 2]
@@ -118,7 +119,7 @@ def _both_ways(s, R, t):
 
 @njit(cache=True, nogil=True)
 def agreeing(points_1, points_2, pixels_1, pixels_2, weights_1, weights_2, intrinsics, chi2, s, R, t):
-    """Pairs (N,) bool whose points reproject within ``chi2`` into the other camera, both ways."""
+    """Mask (N,) bool of the pairs whose points reproject within ``chi2`` in both cameras."""
     S_1_2, S_2_1 = _both_ways(s, R, t)
     inliers = np.zeros(points_1.shape[0], np.bool_)
     for i in range(points_1.shape[0]):
@@ -143,10 +144,10 @@ def ransac(
     fixed_scale,
     confidence,
 ):
-    """The similarity of the triplet (K, 3) with which most pairs agree; stops when a better one is unlikely.
+    """Find the similarity of a triplet (K, 3) with most inliers, stopping early if unlikely to improve.
 
     Returns:
-        Whether any triplet gave one, s, R, t, inliers (N,).
+        True if any triplet gave one, s, R, t, inliers (N,).
     """
     n = points_1.shape[0]
     best_s, best_R, best_t = 1.0, np.eye(3), np.zeros(3, np.float64)
@@ -178,7 +179,7 @@ def ransac(
 def retract_sim3(S, twist, out):
     """Write ``exp(w) e^σ S`` shifted by ``v`` to ``out`` for the twist (v, w, σ) (7,).
 
-    No step changes the scale by more than a factor of e: a wild one must not lose it for good.
+    A step changes the scale by at most a factor of e, so that a bad one can be corrected later.
     """
     R = so3_exp(twist[3], twist[4], twist[5])
     growth = np.exp(min(max(twist[6], -1.0), 1.0))
@@ -247,7 +248,7 @@ def linearise(
     S, points_1, points_2, pixels_1, pixels_2, weights_1, weights_2, intrinsics, active, depth_weight,
     huber2, fixed_scale, H, gradient,
 ):  # fmt: skip
-    """Cost of reprojection both ways and of depth, and its Gauss-Newton model for a twist from the left.
+    """Cost of reprojection errors and depths, and its Gauss-Newton model for a left twist.
 
     ``depth_weight`` is the information of the logarithm of a depth in camera 1; 0 leaves depths out.
     Written: the lower triangle of ``H`` (7, 7) and ``gradient`` (7,).
@@ -289,7 +290,7 @@ def refine(
     S, points_1, points_2, pixels_1, pixels_2, weights_1, weights_2, intrinsics, active, depth_weight,
     huber2, fixed_scale, iterations,
 ):  # fmt: skip
-    """Levenberg-Marquardt on ``S``, in place, over the ``active`` (N,) pairs; the cost reached."""
+    """Refine ``S`` by Levenberg-Marquardt, in place, over the ``active`` (N,) pairs; the final cost."""
     H, trial_H, damped = np.empty((7, 7)), np.empty((7, 7)), np.empty((7, 7))
     gradient, trial_gradient, step = np.empty(7), np.empty(7), np.empty(7)
     trial, rows = S.copy(), whole_rows(7)

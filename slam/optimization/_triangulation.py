@@ -4,16 +4,16 @@ import numpy as np
 from numba import njit
 
 _ITERATIONS = 4
-# Depth in camera 2 over depth in camera 1, below which a point is taken to lie beside camera 2.
+# Depth in camera 2 over depth in camera 1, below which a point counts as lying beside camera 2.
 _MIN_DEPTH_RATIO = 1e-6
 
 
 @njit(cache=True, nogil=True)
 def triangulate(T_cam1_map, T_cam2_map, xn1, yn1, xn2, yn2):
-    """The point that reprojects best into two views: least squares over both normalised images.
+    """Triangulate the point with the least squared reprojection error in both normalised images.
 
-    Gauss-Newton on the ray (a, b, 1) in camera 1 and its inverse depth, which stays well conditioned down
-    to vanishing parallax, where the linear method (DLT) does not.
+    Gauss-Newton on the ray (a, b, 1) in camera 1 and its inverse depth; unlike the linear method (DLT), it is
+    well conditioned even for vanishing parallax.
 
     Args:
         T_cam1_map: (4, 4) pose of camera 1.
@@ -24,7 +24,7 @@ def triangulate(T_cam1_map, T_cam2_map, xn1, yn1, xn2, yn2):
         yn2: the same, y.
 
     Returns:
-        x, y, z in frame map; NaN where no finite point lies in front of both cameras.
+        x, y, z in frame map; NaN if no finite point lies in front of both cameras.
 
     Source: the inverse-depth form of Civera, Davison, Montiel, 2008, anchored at the first camera.
     """

@@ -15,7 +15,7 @@ _FINAL_ITERATIONS = 10
 
 @dataclass(frozen=True)
 class BundleResult:
-    """What bundle adjustment made of a problem.
+    """Result of bundle adjustment.
 
     Attributes:
         T_cam_map: (C, 4, 4) poses; those of fixed cameras are the input's.
@@ -23,7 +23,7 @@ class BundleResult:
         chi2: (M,) squared error of each observation in units of its variance, without the robust loss;
             infinite where the depth is not positive.
         positive_depth: (M,) bool.
-        cost_initial, cost_final: sum of the robust squared errors of the observations that count.
+        cost_initial, cost_final: sum of the robust squared errors of the observations used.
     """
 
     T_cam_map: np.ndarray
@@ -52,11 +52,11 @@ def bundle_adjust(
     """Minimise the reprojection error over the free cameras and all points.
 
     Levenberg-Marquardt with the points eliminated (Schur complement); no step that raises the cost is
-    kept. Points with fewer than two observations neither move nor count, nor do non-finite observations.
+    kept. Points with fewer than two observations and non-finite observations are not used.
 
     Args:
         T_cam_map: (C, 4, 4) poses.
-        fixed: (C,) bool, cameras that hold the gauge; at least one. One leaves scale to the damping.
+        fixed: (C,) bool, cameras that fix the gauge; at least one. With one, the damping fixes the scale.
         points: (P, 3) frame map.
         obs_cam: (M,) camera of each observation.
         obs_point: (M,) point of each observation.
@@ -66,8 +66,8 @@ def bundle_adjust(
         fy: focal length along y, px.
         cx: principal point along x, px.
         cy: principal point along y, px.
-        iterations: steps tried at most.
-        huber_delta: threshold of the Huber loss in sigma; none where <= 0.
+        iterations: most steps tried.
+        huber_delta: threshold of the Huber loss in sigma; no robust loss if <= 0.
 
     Raises:
         ValueError: no camera is fixed, or an observation names a camera or point that does not exist.
@@ -94,14 +94,14 @@ def local_bundle_adjust(
     cx: float,
     cy: float,
 ) -> tuple[BundleResult, np.ndarray]:
-    """Bundle adjustment in two stages: robust on everything, then least squares on what agrees.
+    """Bundle-adjust with a robust loss on all observations, then without on the inliers.
 
     Arguments and errors as :func:`bundle_adjust`.
 
     Returns:
         The result, whose ``chi2`` and ``positive_depth`` cover all observations and whose costs are those
-        of the second stage, and the observations to keep (M,) bool: within chi-square at 95% and in front
-        of the camera at the end.
+        of the second stage, and the inliers (M,) bool: within chi-square at 95% and in front of the camera
+        at the end.
 
     Source: Mur-Artal, Montiel, Tardós, "ORB-SLAM", 2015, section VI-D (local bundle adjustment).
     """
@@ -116,7 +116,7 @@ def local_bundle_adjust(
 
 @dataclass
 class _Problem:
-    """A problem with its arrays in the types and layouts that the kernels take."""
+    """Arrays of a problem in the types and layouts that the kernels take."""
 
     T: np.ndarray
     slot: np.ndarray
@@ -151,7 +151,7 @@ class _Problem:
         )
 
     def finite(self) -> np.ndarray:
-        """The observations (M,) bool made of finite numbers."""
+        """Mask (M,) bool of the finite observations."""
         observation = np.isfinite(self.pixels.sum(axis=1) + self.weights)
         return observation & np.isfinite(self.points.sum(axis=1))[self.point]
 

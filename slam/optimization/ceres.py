@@ -1,11 +1,11 @@
-"""Bundle adjustment by Ceres through pycolmap: arrays in, arrays out, in this process or in one of its own.
+"""Bundle adjustment by Ceres through pycolmap, in this process or in a separate one.
 
-COLMAP knows one variance for all keypoints of a camera. The pyramid's levels have different ones, so every
-keyframe is a rig of one pinhole per level, all in the same place, whose unit is that level's sigma: a
-reprojection error then is in sigma, as in local bundle adjustment.
+COLMAP has one variance for all keypoints of a camera. The pyramid levels have different ones, so every
+keyframe is a rig of one pinhole per level, all at the same pose, whose unit is that level's sigma:
+reprojection errors are then in sigma, as in local bundle adjustment.
 
-The solver holds the interpreter for as long as it works, and the function of pycolmap that does not writes a
-headline to the terminal every time. Who must not wait therefore has it run as ``python -m`` this module.
+The solver holds Python's global interpreter lock, and the pycolmap function that releases it prints a
+headline on every call. Callers that must not wait therefore run it as ``python -m`` this module.
 """
 
 import io
@@ -29,7 +29,7 @@ def solve(
     intrinsics: np.ndarray,
     iterations: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Minimise Huber's loss over the reprojection errors.
+    """Minimise the Huber loss of the reprojection errors.
 
     Args:
         T_cam_map: (C, 4, 4) poses.
@@ -39,7 +39,7 @@ def solve(
         octave: (M,) pyramid level.
         sigma: (L,) of each level, px.
         intrinsics: (4,) fx, fy, cx, cy.
-        iterations: steps at most.
+        iterations: most steps.
 
     Returns:
         Poses (C, 4, 4) and points (P, 3), in the frame of the first camera's pose.
@@ -56,10 +56,10 @@ def solve(
 
 
 def solve_apart(*arguments) -> tuple[np.ndarray, np.ndarray]:
-    """The same in a process of its own, while other threads of this one go on.
+    """Run :func:`solve` in a separate process, so that other threads of this one can run.
 
     Raises:
-        RuntimeError: the process has failed; the message is the end of what it said.
+        RuntimeError: the process has failed; the message is the end of its error output.
     """
     sent = io.BytesIO()
     np.savez(sent, *arguments)
@@ -98,7 +98,7 @@ def _sensor(level: int) -> pycolmap.sensor_t:
 
 
 def _rigs(sigma: np.ndarray, fx: float, fy: float, cx: float, cy: float) -> pycolmap.Reconstruction:
-    """An empty model with one rig: a pinhole per level, all at its origin."""
+    """Empty model with one rig: a pinhole per level, all at its origin."""
     model = pycolmap.Reconstruction()
     rig = pycolmap.Rig(rig_id=1)
     for level, unit in enumerate(sigma):
@@ -127,7 +127,7 @@ def _add_frames(
     keypoints: np.ndarray,
     octave: np.ndarray,
 ) -> np.ndarray:
-    """Enter every camera with an image per level that it uses.
+    """Add every camera with an image per level that it uses.
 
     Returns:
         (M, 2) int image and keypoint number of each observation.

@@ -17,7 +17,7 @@ class GlobalBundleResult:
         T_cam_map: (C, 4, 4) poses; the first is the input's.
         points: (P, 3).
         chi2: (M,) squared error of each observation in units of its variance; infinite behind the camera.
-        cost_initial, cost_final: sum of the robust squared errors of the observations before the camera.
+        cost_initial, cost_final: sum of the robust squared errors of the observations in front of the camera.
     """
 
     T_cam_map: np.ndarray
@@ -42,10 +42,10 @@ def global_bundle_adjust(
     iterations: int = 10,
     apart: bool = False,
 ) -> GlobalBundleResult:
-    """Minimise the reprojection errors, Huber's loss over them, over all poses but the first and all points.
+    """Minimise the Huber loss over all points and all poses but the first.
 
-    Scale is not observable; the distance of two cameras holds it. Observations behind their camera are left
-    out. One thread: the same input gives the same bits.
+    Scale is not observable; the distance of two cameras fixes it. Observations behind their camera are not
+    used. The solver has one thread, so that the same input gives the same bits.
 
     Args:
         T_cam_map: (C, 4, 4) rigid poses, C >= 2.
@@ -59,8 +59,8 @@ def global_bundle_adjust(
         fy: focal length along y, px.
         cx: principal point along x, px.
         cy: principal point along y, px.
-        iterations: steps at most.
-        apart: work in a process of its own, so that other threads can go on.
+        iterations: most steps.
+        apart: work in a separate process, so that other threads can run.
 
     Raises:
         ValueError: fewer than two cameras or no observation.
@@ -69,7 +69,7 @@ def global_bundle_adjust(
     Source: Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, appendix (full bundle adjustment).
     """
     if len(T_cam_map) < 2 or not len(obs_cam):
-        raise ValueError("global bundle adjustment needs two cameras and what they see")
+        raise ValueError("global bundle adjustment needs two cameras and observations")
     camera, point = np.ascontiguousarray(obs_cam, np.int32), np.ascontiguousarray(obs_point, np.int32)
     xy, weights = np.ascontiguousarray(pixels, np.float64), 1.0 / sigma[octave] ** 2
     intrinsics = np.array([fx, fy, cx, cy], np.float64)
@@ -84,7 +84,7 @@ def global_bundle_adjust(
 
 
 def _robust_cost(chi2: np.ndarray) -> float:
-    """Huber's loss over squared errors, those in front of the camera."""
+    """Sum of the Huber losses of the squared errors in front of the camera."""
     seen = chi2[np.isfinite(chi2)]
     far = seen > CHI2_2DOF
     return float(seen[~far].sum() + (2 * ceres.HUBER_DELTA * np.sqrt(seen[far]) - CHI2_2DOF).sum())

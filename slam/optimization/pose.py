@@ -14,8 +14,8 @@ _HUBER_ROUNDS = 2
 _ITERATIONS = 10
 _MIN_POINTS = 3
 _MIN_DEPTH = 1e-6
-# What a point behind the camera costs: as much as a good way off, so that a step can neither gain by
-# pushing points behind the camera nor be held up by a single one.
+# Cost of a point behind the camera: that of a clear outlier, so that a step neither gains by moving points
+# behind the camera nor is blocked by a single one.
 _BEHIND_CHI2 = 100.0
 
 
@@ -29,14 +29,14 @@ def optimize_pose(
     cx: float,
     cy: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Refine a camera's pose on fixed map points and tell inliers from outliers.
+    """Refine a camera's pose on fixed map points and classify inliers and outliers.
 
-    Four rounds of Levenberg-Marquardt; after each, observations are sorted anew by their squared error
-    against chi-square at 95%. The first rounds have a Huber loss on all sound observations, the last ones
-    plain least squares on the inliers.
+    Four rounds of Levenberg-Marquardt; after each, observations are classified again by their squared error
+    against chi-square at 95%. The first rounds use a Huber loss on all valid observations, the last ones
+    least squares on the inliers.
 
     Args:
-        T_cam_map: (4, 4) pose to begin from.
+        T_cam_map: (4, 4) initial pose.
         points: (N, 3) map points, frame map.
         pixels: (N, 2) their undistorted keypoints, px.
         inv_sigma2: (N,) information of each keypoint, 1/px².
@@ -47,8 +47,8 @@ def optimize_pose(
 
     Returns:
         The refined pose (4, 4) and the inliers (N,) bool. Points behind the camera and non-finite
-        observations are outliers. With fewer than three sound observations the pose is that given and
-        nothing is an inlier; where rejection leaves fewer than three, the pose is the last one estimated.
+        observations are outliers. With fewer than three valid observations the pose is the initial one
+        without inliers; if rejection leaves fewer than three, the pose is the last estimate.
 
     Source: Mur-Artal, Montiel, Tardós, "ORB-SLAM", 2015, section V and appendix (motion-only bundle
         adjustment); Levenberg-Marquardt with the damping of Nielsen, 1999.
@@ -94,10 +94,10 @@ def _optimize_pose(T_start, points, pixels, inv_sigma2, fx, fy, cx, cy):
 
 @njit(cache=True, nogil=True)
 def refine_pose(T, points, pixels, inv_sigma2, active, huber2, fx, fy, cx, cy):
-    """Levenberg-Marquardt on the pose ``T`` (4, 4), in place, over the ``active`` (N,) observations.
+    """Refine the pose ``T`` (4, 4) by Levenberg-Marquardt, in place, over the ``active`` (N,) observations.
 
     Returns:
-        The cost reached: the sum of the (robust) squared errors in units of their variance.
+        Final cost: the sum of the (robust) squared errors in units of their variance.
     """
     gradient = np.empty(6, np.float64)
     H = np.empty((6, 6), np.float64)
@@ -153,8 +153,8 @@ def linearise(T, points, pixels, inv_sigma2, active, huber2, fx, fy, cx, cy, H, 
 
     Half the cost is ``cost/2 + gradient · twist + twist · H twist / 2`` to second order.
 
-    ``active`` (N,) bool tells the observations that count, ``huber2`` is the squared threshold of the
-    Huber loss, 0 for plain least squares. Written: the lower triangle of ``H`` (6, 6), ``gradient`` (6,).
+    ``active`` (N,) bool masks the observations used, ``huber2`` is the squared threshold of the Huber loss, 0
+    for least squares. Written: the lower triangle of ``H`` (6, 6), ``gradient`` (6,).
     """
     H[:] = 0.0
     gradient[:] = 0.0
@@ -196,7 +196,7 @@ def linearise(T, points, pixels, inv_sigma2, active, huber2, fx, fy, cx, cy, H, 
 
 @njit(cache=True, nogil=True)
 def _classify(T, points, pixels, inv_sigma2, sound, fx, fy, cx, cy, inlier):
-    """Mark the observations within chi-square in ``inlier``; how many changed."""
+    """Mark the observations within chi-square in ``inlier``; number of changes."""
     changed = 0
     for i in range(points.shape[0]):
         good = False

@@ -1,4 +1,4 @@
-"""Pose-graph optimisation over Sim(3): spreads what a loop has shown over the keyframes between.
+"""Pose-graph optimisation over Sim(3): distributes a loop's correction over the keyframes.
 
 Source: Strasdat, Montiel, Davison, Scale Drift-Aware Large Scale Monocular SLAM, 2010, Sec. IV-C.
 """
@@ -43,7 +43,7 @@ def optimize_pose_graph(
     fixed: np.ndarray,
     iterations: int = 20,
 ) -> PoseGraphResult:
-    """Levenberg-Marquardt over Sim(3) with analytic Jacobians; every edge weighs the same.
+    """Optimise a pose graph by Levenberg-Marquardt on Sim(3); all edges have the same weight.
 
     The residual of an edge (i, j) is ``log(measured^-1 S_i S_j^-1)``.
 
@@ -51,11 +51,11 @@ def optimize_pose_graph(
         S_cam_map: (K, 4, 4) start.
         edges: (E, 2) int node pairs i, j.
         measured: (E, 4, 4) similarity ``S_i S_j^-1`` as observed.
-        fixed: (K,) bool nodes that stay; at least one.
+        fixed: (K,) bool fixed nodes; at least one.
         iterations: most steps tried.
 
     Raises:
-        ValueError: no node is fixed, or an edge leads nowhere.
+        ValueError: no node is fixed, or an edge has a node that does not exist.
     """
     S = np.array(S_cam_map, np.float64)
     edges = np.asarray(edges).reshape(-1, 2)

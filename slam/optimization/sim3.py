@@ -1,4 +1,4 @@
-"""Similarity between two maps from points that both of them know: closed form, RANSAC, refinement.
+"""Similarity between two maps from common points: closed form, RANSAC, refinement.
 
 ``S_1_2`` takes frame 2 to frame 1: ``p_1 = s R p_2 + t``.
 """
@@ -13,18 +13,18 @@ _CONFIDENCE = 0.999
 _REFITS = 3
 _HUBER_ITERATIONS = 5
 _FINAL_ITERATIONS = 10
-# Depths of map points are never better known than this, as a share.
+# Smallest relative standard deviation of a map point's depth.
 _MIN_DEPTH_SIGMA = 1e-3
 
 
 @dataclass(frozen=True)
 class Sim3Result:
-    """A similarity and who agrees with it.
+    """A similarity and its inliers.
 
     Attributes:
-        success: whether enough points agree; if not, the similarity is the identity or the best one found.
+        success: there are enough inliers; otherwise the similarity is the identity or the best one found.
         s, R, t: scale, rotation (3, 3), translation (3,) of S_1_2.
-        inliers: (N,) bool, pairs that reproject well both ways.
+        inliers: (N,) bool, pairs with small reprojection errors in both cameras.
     """
 
     success: bool
@@ -45,7 +45,7 @@ def sim3_decompose(S: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Scale, rotation (3, 3) and translation (3,) of a (4, 4) similarity.
 
     Raises:
-        ValueError: the linear part turns space over or flattens it.
+        ValueError: the linear part is a reflection or singular.
     """
     determinant = float(np.linalg.det(S[:3, :3]))
     if not determinant > 0.0:
@@ -61,7 +61,7 @@ def sim3_inverse(S: np.ndarray) -> np.ndarray:
 
 
 def horn_sim3(points_a: np.ndarray, points_b: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """The similarity that brings ``points_b`` nearest to ``points_a``: ``p_a = s R p_b + t``.
+    """Least-squares similarity from ``points_b`` to ``points_a``: ``p_a = s R p_b + t``.
 
     Args:
         points_a: (N, 3) points in frame a.
@@ -71,7 +71,7 @@ def horn_sim3(points_a: np.ndarray, points_b: np.ndarray) -> tuple[float, np.nda
         s, R (3, 3), t (3,), the least-squares solution.
 
     Raises:
-        ValueError: fewer than three points, or points on a line: the rotation is not determined.
+        ValueError: fewer than three points, or collinear points: the rotation is not determined.
 
     Source: Horn, "Closed-form solution of absolute orientation using unit quaternions", 1987, sections 2-4.
     """
@@ -102,7 +102,7 @@ def ransac_sim3(
     chi2: float = 9.21,
     fixed_scale: bool = False,
 ) -> Sim3Result:
-    """Similarity between two cameras' frames from point pairs of which many may be wrong.
+    """Estimate the similarity between two cameras' frames from point pairs with many outliers.
 
     Args:
         points_1cam: (N, 3) points in the frame of camera 1, units of its map.
@@ -115,9 +115,9 @@ def ransac_sim3(
         fy: focal length of both cameras along y, px.
         cx: principal point along x, px.
         cy: principal point along y, px.
-        rng: source of the samples.
-        max_iterations: samples at most; fewer where most pairs agree.
-        min_inliers: pairs that must agree.
+        rng: stream of the samples.
+        max_iterations: most samples; fewer if most pairs are inliers.
+        min_inliers: fewest inliers.
         chi2: bound on a pair's squared error in each image, in units of its variance.
         fixed_scale: keep s = 1.
 
@@ -163,17 +163,16 @@ def optimize_sim3(
     chi2: float = 10.0,
     fixed_scale: bool = False,
 ) -> Sim3Result:
-    """Refine S_1_2 over the reprojection of the points of each camera into the other one, and their depths.
+    """Refine S_1_2 by reprojection errors in both cameras and by depths.
 
-    A few iterations with a Huber loss on all pairs, then least squares on those that agree both ways.
-    Reprojection says little about scale where the two cameras are close to each other, and nothing where
-    they are one frame in two maps; the ratio of the depths that a pair has in the two maps says it there,
-    with a weight from its own scatter.
+    A few iterations with a Huber loss on all pairs, then least squares on the inliers of both cameras.
+    Reprojection determines scale poorly if the two cameras are close, and not at all if they are one frame in
+    two maps; the ratio of a pair's depths in the two maps then determines it, weighted by its own scatter.
 
     Args:
-        s: scale to begin from.
-        R: (3, 3) rotation to begin from.
-        t: (3,) translation to begin from, units of map 1.
+        s: initial scale.
+        R: (3, 3) initial rotation.
+        t: (3,) initial translation, units of map 1.
         points_1cam: (N, 3) points in the frame of camera 1, units of its map.
         points_2cam: (N, 3) the same points in the frame of camera 2, units of its map.
         pixels_1: (N, 2) undistorted keypoints in camera 1, px.
@@ -184,9 +183,9 @@ def optimize_sim3(
         fy: focal length of both cameras along y, px.
         cx: principal point along x, px.
         cy: principal point along y, px.
-        min_inliers: pairs that must agree in the end.
+        min_inliers: fewest inliers in the end.
         chi2: bound on a pair's squared error in each image, in units of its variance.
-        fixed_scale: leave the scale as it is.
+        fixed_scale: keep the scale.
 
     Source: ORB-SLAM, 2015, appendix (relative Sim(3) optimisation).
     """
@@ -209,7 +208,7 @@ def optimize_sim3(
 
 @dataclass(frozen=True)
 class _Pairs:
-    """Point pairs in the types and layouts that the kernels take."""
+    """Arrays of point pairs in the types and layouts that the kernels take."""
 
     points_1: np.ndarray
     points_2: np.ndarray
@@ -247,7 +246,7 @@ def depth_information(S: np.ndarray, points_1cam: np.ndarray, points_2cam: np.nd
         points_2cam: (N, 3) the same points in the frame of camera 2.
 
     Returns:
-        1 / variance, 0 where no pair has two positive depths.
+        1 / variance, 0 if no pair has two positive depths.
     """
     z_1, z_2 = points_1cam[:, 2], points_2cam @ S[2, :3] + S[2, 3]
     front = (z_1 > 0.0) & (z_2 > 0.0)

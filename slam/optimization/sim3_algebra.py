@@ -1,4 +1,4 @@
-"""The Lie group Sim(3), for stacks of similarities at once.
+"""Lie group Sim(3), vectorised over stacks of similarities.
 
 A similarity is ``S = [sR t; 0 1]``; a twist is (omega, upsilon, sigma), seven numbers, with
 ``S = exp([sigma I + [omega]x, upsilon; 0 0])``, hence ``s = exp(sigma)``.
@@ -25,7 +25,7 @@ def exp_sim3(twists: np.ndarray) -> np.ndarray:
 
 
 def log_sim3(S: np.ndarray) -> np.ndarray:
-    """(N, 7) twists of (N, 4, 4) similarities, turns below 180 degrees."""
+    """(N, 7) twists of (N, 4, 4) similarities, rotations below 180 degrees."""
     s = scales(S)
     omega = Rotation.from_matrix(S[:, :3, :3] / s[:, None, None]).as_rotvec()
     sigma = np.log(s)
@@ -34,7 +34,7 @@ def log_sim3(S: np.ndarray) -> np.ndarray:
 
 
 def invert_sim3(S: np.ndarray) -> np.ndarray:
-    """(N, 4, 4) inverses."""
+    """(N, 4, 4) inverses of (N, 4, 4) similarities."""
     inverse = np.zeros_like(S)
     inverse[:, :3, :3] = np.swapaxes(S[:, :3, :3], 1, 2) / (scales(S) ** 2)[:, None, None]
     inverse[:, :3, 3] = -np.einsum("nij,nj->ni", inverse[:, :3, :3], S[:, :3, 3])
@@ -48,7 +48,7 @@ def scales(S: np.ndarray) -> np.ndarray:
 
 
 def adjoint_sim3(S: np.ndarray) -> np.ndarray:
-    """(N, 7, 7): ``S exp(x) S^-1 = exp(adjoint x)``."""
+    """(N, 7, 7) adjoints: ``S exp(x) S^-1 = exp(adjoint x)``."""
     L, t, s = S[:, :3, :3], S[:, :3, 3], scales(S)
     R = L / s[:, None, None]
     A = np.zeros((len(S), 7, 7))
@@ -61,7 +61,7 @@ def adjoint_sim3(S: np.ndarray) -> np.ndarray:
 
 
 def inverse_jacobians(twists: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Left and right inverse Jacobians (N, 7, 7) of the logarithm at twists of modest size.
+    """Left and right inverse Jacobians (N, 7, 7) of the logarithm at moderate twists.
 
     ``log(exp(a) S) = log S + left a`` and ``log(S exp(b)) = log S + right b`` to first order.
     """
@@ -89,7 +89,7 @@ def hat(v: np.ndarray) -> np.ndarray:
 
 
 def _mean_of_exp(omega: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """(N, 3, 3): the integral of ``exp(u (sigma I + [omega]x))`` over u from 0 to 1."""
+    """(N, 3, 3) integral of ``exp(u (sigma I + [omega]x))`` over u from 0 to 1."""
     theta = np.linalg.norm(omega, axis=1)
     K = hat(omega / np.where(theta > 0, theta, 1.0)[:, None])
     along = _phi(sigma.astype(complex)).real
@@ -102,6 +102,6 @@ def _mean_of_exp(omega: np.ndarray, sigma: np.ndarray) -> np.ndarray:
 
 
 def _phi(z: np.ndarray) -> np.ndarray:
-    """(exp(z) - 1) / z of complex numbers, 1 at zero."""
+    """Function (exp(z) - 1) / z of complex numbers, 1 at zero."""
     small = np.abs(z) < 1e-12
     return np.where(small, 1.0, np.expm1(z) / np.where(small, 1.0, z))

@@ -1,4 +1,4 @@
-"""Kernels of place recognition: a tree of descriptors, and an inverted file."""
+"""Kernels of place recognition: vocabulary tree and inverted file."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ from slam.features._hamming import hamming
 
 
 class Tree(NamedTuple):
-    """A vocabulary tree; node 0 is the root, the children of a node are consecutive.
+    """Vocabulary tree; node 0 is the root, the children of a node are consecutive.
 
     Attributes:
         descriptor: (N, 4) uint64 centre of each node.
@@ -27,7 +27,7 @@ class Tree(NamedTuple):
 
 
 class InvertedFile(NamedTuple):
-    """For every word the keyframes that show it, in one block of entries each.
+    """Keyframes that contain each word, one block of entries per word.
 
     Attributes:
         start: (W,) int64 first entry of each word's block.
@@ -46,7 +46,7 @@ class InvertedFile(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def descend(tree, descriptors, level):
-    """Word of each descriptor, and the node of ``level`` on the way to it (the word where that is higher).
+    """Word of each descriptor, and its ancestor at ``level`` (or the word itself if that is higher).
 
     Args:
         tree: Tree.
@@ -79,16 +79,16 @@ def descend(tree, descriptors, level):
 
 @njit(cache=True, nogil=True)
 def file_words(inverted, end, keyframe, words, weights):
-    """Enter a keyframe's words; a block that is full moves to the end, with twice the room.
+    """Add a keyframe's words; a full block moves to the end with twice its capacity.
 
     Args:
         inverted: InvertedFile, with enough entries from ``end`` on.
-        end: first entry that belongs to no block.
+        end: first entry outside all blocks.
         keyframe: row.
         words, weights: its bag of words.
 
     Returns:
-        The end after that.
+        The new end.
     """
     for i in range(len(words)):
         w = words[i]
@@ -109,13 +109,13 @@ def file_words(inverted, end, keyframe, words, weights):
 
 @njit(cache=True, nogil=True)
 def grown(capacity):
-    """Room of a block that has outgrown its own."""
+    """Capacity of a block after it has grown."""
     return max(4, 2 * capacity)
 
 
 @njit(cache=True, nogil=True)
 def room_needed(inverted, words):
-    """Entries that :func:`file_words` would take from the end at the most."""
+    """Largest number of entries that :func:`file_words` takes from the end."""
     need = 0
     for w in words:
         if inverted.length[w] == inverted.capacity[w]:
@@ -125,7 +125,7 @@ def room_needed(inverted, words):
 
 @njit(cache=True, nogil=True)
 def remove_words(inverted, keyframe, words):
-    """Take a keyframe's words out; the last entry of each block fills the gap."""
+    """Remove a keyframe's words; the last entry of each block fills the gap."""
     for w in words:
         last = inverted.start[w] + inverted.length[w] - 1
         entry = inverted.start[w]
@@ -142,7 +142,7 @@ def look_up(inverted, n_keyframes, words, weights):
 
     Args:
         inverted: InvertedFile.
-        n_keyframes: rows of the answer.
+        n_keyframes: rows of the result.
         words, weights: the image's bag of words, weights positive with sum 1.
 
     Returns:
@@ -155,24 +155,24 @@ def look_up(inverted, n_keyframes, words, weights):
         for entry in range(start, start + inverted.length[words[i]]):
             k = inverted.keyframe[entry]
             common[k] += 1
-            # 1 - |a - b| / 2 of two vectors of norm 1 is the sum of the lesser of each pair.
+            # 1 - |a - b| / 2 of two vectors of norm 1 is the sum of the smaller of each pair.
             score[k] += min(weights[i], inverted.weight[entry])
     return common, score
 
 
 @njit(cache=True, nogil=True)
 def score_groups(eligible, score, covisibility, group_size):
-    """Score candidates together with what is about them.
+    """Score candidates together with their covisible keyframes.
 
     Args:
         eligible: (K,) bool candidates.
         score: (K,) float64.
         covisibility: (C, C) int32, C >= K.
-        group_size: the most covisible keyframes of a candidate that form its group.
+        group_size: number of the most covisible keyframes that form a candidate's group.
 
     Returns:
         total (K,) float64 sum of the scores of the group's candidates; best (K,) int32 the group's candidate
-        with the highest score. Zero and -1 for those not eligible.
+        with the highest score. Zero and -1 for ineligible ones.
     """
     n = len(eligible)
     total = np.zeros(n, np.float64)
@@ -196,7 +196,7 @@ def score_groups(eligible, score, covisibility, group_size):
 
 @njit(cache=True, nogil=True)
 def match_in_nodes(descriptors_a, nodes_a, rows_a, descriptors_b, order_b, start_b, max_distance, ratio):
-    """Nearest neighbours among the features of the same node.
+    """Match features with their nearest neighbours in the same node.
 
     Args:
         descriptors_a, nodes_a: (n, 4) uint64 and (n,) int32 of one image.
@@ -205,7 +205,7 @@ def match_in_nodes(descriptors_a, nodes_a, rows_a, descriptors_b, order_b, start
         order_b: (m,) its rows, ordered by node.
         start_b: (nodes + 1,) where each node starts in ``order_b``.
         max_distance: bits.
-        ratio: best over second best distance at the most.
+        ratio: largest ratio of best to second best distance.
 
     Returns:
         (m,) int32 row of A for each of B, -1 for none.

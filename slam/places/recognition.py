@@ -1,4 +1,4 @@
-"""Place recognition: which keyframes may show what this image shows.
+"""Place recognition: find keyframes that may show the same place as an image.
 
 Source: Galvez-Lopez, Tardos, "Bags of Binary Words for Fast Place Recognition in Image Sequences", 2012;
 candidates as in Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, sections V-C and VII-A.
@@ -21,7 +21,7 @@ from slam.places._vocabulary_kernels import InvertedFile, Tree
 VOCABULARY_FILE = Path(__file__).parent / "data" / "vocabulary.npz"
 
 _DIRECT_LEVEL = 2
-"""Level of the nodes within which features are matched: about ten features of an image in each."""
+"""Tree level of the nodes within which features are matched; a node has about ten features of an image."""
 _COMMON_SHARE = 0.8
 _TOTAL_SHARE = 0.75
 _GROUP_SIZE = 10
@@ -42,7 +42,7 @@ class BowVector(Unchanging):
     nodes: np.ndarray
 
     def score(self, other: "BowVector") -> float:
-        """Likeness of two images: 1 for the same bag, 0 without a word in common."""
+        """Similarity of two images: 1 for equal bags of words, 0 without common words."""
         _, mine, theirs = np.intersect1d(self.words, other.words, assume_unique=True, return_indices=True)
         return float(np.minimum(self.weights[mine], other.weights[theirs]).sum())
 
@@ -55,7 +55,7 @@ class Vocabulary(Unchanging):
 
     Attributes:
         tree: its arrays.
-        provenance: what it was trained on.
+        provenance: description of the training data.
     """
 
     def __init__(self, tree: Tree, provenance: dict) -> None:
@@ -68,7 +68,7 @@ class Vocabulary(Unchanging):
         return len(self.tree.weight)
 
     def transform(self, descriptors: np.ndarray) -> BowVector:
-        """The bag of words of an image.
+        """Compute the bag of words of an image.
 
         Args:
             descriptors: (n, 4) uint64.
@@ -86,10 +86,10 @@ class Vocabulary(Unchanging):
 
     @staticmethod
     def load(path: Path) -> "Vocabulary":
-        """Read what :meth:`save` has written.
+        """Read a vocabulary written by :meth:`save`.
 
         Raises:
-            ValueError: the file is something else.
+            ValueError: the file is not a vocabulary.
         """
         with np.load(path) as data:
             try:
@@ -102,19 +102,18 @@ class Vocabulary(Unchanging):
 
 @cache
 def shipped_vocabulary() -> Vocabulary:
-    """The vocabulary that comes with the package, read once."""
+    """Vocabulary of the package, loaded once."""
     return Vocabulary.load(VOCABULARY_FILE)
 
 
 class KeyframeDatabase:
-    """The keyframes of one map by the words they show.
+    """Keyframes of one map, indexed by visual words.
 
-    It follows its map by itself: whoever asks for candidates gets them from the keyframes that the map has
-    then. Until somebody asks, keyframes cost nothing here.
+    The database follows its map: a query for candidates first adds new keyframes and removes culled ones.
 
     Args:
         map_: the map.
-        vocabulary: the words; those that come with the package where None.
+        vocabulary: the visual words; the package's vocabulary if None.
     """
 
     def __init__(self, map_: Map, vocabulary: Vocabulary | None = None) -> None:
@@ -130,15 +129,15 @@ class KeyframeDatabase:
         self._end = 0
 
     def __len__(self) -> int:
-        """Keyframes on file."""
+        """Number of keyframes in the database."""
         return sum(self._filed)
 
     def bow(self, keyframe: int) -> BowVector:
-        """The bag of words of a keyframe that is on file."""
+        """Bag of words of a keyframe in the database."""
         return self._bows[keyframe]
 
     def add(self) -> None:
-        """File the next keyframe of the map."""
+        """Add the next keyframe of the map."""
         keyframe = len(self._bows)
         bow = self.vocabulary.transform(self.map.features(keyframe).descriptors)
         self._reserve(kernels.room_needed(self._file, bow.words))
@@ -147,14 +146,14 @@ class KeyframeDatabase:
         self._filed.append(True)
 
     def erase(self, keyframe: int) -> None:
-        """Take a keyframe off file; nothing is done where it is off already."""
+        """Remove a keyframe, if it is in the database."""
         if self._filed[keyframe]:
             kernels.remove_words(self._file, keyframe, self._bows[keyframe].words)
             self._filed[keyframe] = False
             self._bows[keyframe] = _EMPTY_BAG
 
     def update(self) -> None:
-        """File the keyframes that the map has gained, erase those it has culled."""
+        """Add the map's new keyframes, remove the culled ones."""
         for _ in range(len(self._bows), self.map.n_keyframes):
             self.add()
         bad = self.map.arrays.kf_bad[: self.map.n_keyframes]
@@ -162,24 +161,24 @@ class KeyframeDatabase:
             self.erase(int(k))
 
     def query(self, bow: BowVector) -> tuple[np.ndarray, np.ndarray]:
-        """Compare an image with every keyframe on file.
+        """Compare an image with every keyframe in the database.
 
         Returns:
-            Per row: (n,) int32 words in common, (n,) float64 score as :meth:`BowVector.score`.
+            Per row: (n,) int32 number of common words, (n,) float64 score as :meth:`BowVector.score`.
         """
         return kernels.look_up(self._file, len(self._bows), bow.words, bow.weights)
 
     def relocalization_candidates(self, bow: BowVector) -> list[int]:
-        """Keyframes of the map that may show what an image shows, the best first."""
+        """Keyframes that may show the same place as an image, best first."""
         self.update()
         common, score = self.query(bow)
         return self._best_groups(common, score, common > 0)
 
     def loop_candidates(self, keyframe: int) -> list[int]:
-        """Keyframes that may show the same place as this one and are not its neighbours, the best first.
+        """Keyframes, not neighbours, that may show the same place as this one, best first.
 
-        A candidate is at least as like the keyframe as the least like of its neighbours. Without neighbours
-        there are none.
+        A candidate is at least as similar to the keyframe as its least similar neighbour. Without neighbours
+        there are no candidates.
         """
         self.update()
         neighbours = self.map.neighbours(keyframe, self.map.n_keyframes)
@@ -193,7 +192,7 @@ class KeyframeDatabase:
         return self._best_groups(common, score, elsewhere & (score >= score[neighbours].min()))
 
     def _best_groups(self, common: np.ndarray, score: np.ndarray, possible: np.ndarray) -> list[int]:
-        """The best keyframe of each group of covisible keyframes that together score well."""
+        """Best keyframe of each group of covisible keyframes with a high total score."""
         likeness = common * self._discount
         eligible = possible & (likeness > _COMMON_SHARE * likeness.max(initial=0.0))
         total, best = kernels.score_groups(eligible, score, self.map.arrays.covisibility, _GROUP_SIZE)
@@ -203,16 +202,16 @@ class KeyframeDatabase:
 
     @property
     def _discount(self) -> np.ndarray:
-        """(n,) of keyframes with more words than usual: they have more in common with any image.
+        """(n,) factor that discounts keyframes with many words, which share more words with any image.
 
-        The first two of a map, found among many features, would shut out all others.
+        The first two keyframes of a map have many features and would otherwise suppress all others.
         """
         words = np.array([len(bow.words) for bow in self._bows])
         usual = np.median(words[words > 0]) if words.any() else 1.0
         return np.minimum(1.0, usual / np.maximum(words, 1))
 
     def _reserve(self, entries: int) -> None:
-        """Make room for that many more entries."""
+        """Reserve room for ``entries`` more entries."""
         f = self._file
         have, need = len(f.keyframe), self._end + entries
         if need > have:
@@ -232,17 +231,17 @@ def match_by_bow(
     max_distance: int,
     ratio: float,
 ) -> np.ndarray:
-    """Match two images without any idea of where the match should be, within the nodes of the vocabulary.
+    """Match two images without guidance, within the nodes of the vocabulary.
 
     Args:
         features_a, bow_a: one image.
         rows_a: (q,) int its features to match.
         features_b, bow_b: the other.
-        max_distance: a match differs in at most this many bits.
-        ratio: the nearest must be nearer than this times the second nearest of the same node.
+        max_distance: largest distance of a match, bits.
+        ratio: the nearest must be nearer than ``ratio`` times the second nearest of the same node.
 
     Returns:
-        (k, 2) int32 rows (index in A, index in B), by index in B; no index occurs twice, and all turn by
+        (k, 2) int32 rows (index in A, index in B), by index in B; no index occurs twice, and all rotate by
         about the same angle.
     """
     order = np.argsort(bow_b.nodes, kind="stable")

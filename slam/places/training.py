@@ -1,4 +1,4 @@
-"""Training of a vocabulary: hierarchical k-majority clustering of descriptors, deterministic from a seed.
+"""Training of a vocabulary by hierarchical k-majority clustering, deterministic given a seed.
 
 Source: Galvez-Lopez, Tardos, "Bags of Binary Words for Fast Place Recognition in Image Sequences", 2012,
 section III; seeding as in Arthur, Vassilvitskii, "k-means++", 2007.
@@ -25,8 +25,8 @@ def train_vocabulary(
         images: (n, 4) uint64 descriptors per training image.
         branching: children of a node.
         levels: steps from the root to a word.
-        seed: of the clustering.
-        provenance: what the images are; kept with the vocabulary.
+        seed: seed of the clustering.
+        provenance: description of the images, stored with the vocabulary.
 
     Raises:
         ValueError: there is no descriptor, or the tree has no level or branch.
@@ -41,13 +41,13 @@ def train_vocabulary(
     for image in images:
         words, _ = kernels.descend(tree, np.ascontiguousarray(image), 0)
         seen_in[np.unique(words)] += 1
-    # A word that no image shows cannot be told from one that is as rare as can be.
+    # A word in no image gets the weight of a word in one image.
     weight = np.log(len(images) / np.maximum(seen_in, 1.0)).astype(np.float32).astype(np.float64)
     return Vocabulary(tree._replace(weight=weight), provenance or {})
 
 
 def _grow(descriptors: np.ndarray, branching: int, levels: int, seed: int) -> Tree:
-    """The tree, level by level; a node with too few descriptors to divide is a word."""
+    """Build the tree level by level; a node too small to divide is a word."""
     centres = [np.zeros((1, 4), np.uint64)]
     first_child, n_children = [0], [0]
     open_nodes = [(0, np.arange(len(descriptors)))]
@@ -83,12 +83,12 @@ def cluster(descriptors: np.ndarray, k: int, rng: np.random.Generator) -> tuple[
 
     Args:
         descriptors: (n, 4) uint64, n > 0.
-        k: clusters wanted.
+        k: number of clusters.
         rng: stream of the seeding.
 
     Returns:
-        centres (c, 4) uint64 whose every bit is the majority's of the cluster, owner (n,) int64. No cluster
-        is empty; fewer than ``k`` where there are fewer different descriptors.
+        centres (c, 4) uint64, each bit that of the cluster's majority, owner (n,) int64. No cluster is empty;
+        fewer than ``k`` if there are fewer different descriptors.
     """
     centres = _seeds(descriptors, k, rng)
     owner = np.full(len(descriptors), -1, np.int64)
@@ -101,7 +101,7 @@ def cluster(descriptors: np.ndarray, k: int, rng: np.random.Generator) -> tuple[
 
 
 def _seeds(descriptors: np.ndarray, k: int, rng: np.random.Generator) -> np.ndarray:
-    """Descriptors far from each other: each drawn in proportion to its squared distance to those before."""
+    """Initial centres, each drawn in proportion to its squared distance to the previous ones."""
     chosen = [int(rng.integers(len(descriptors)))]
     nearest = np.full(len(descriptors), 1 << 30, np.int64)
     while len(chosen) < k:
@@ -121,7 +121,7 @@ def _approach(descriptors, chosen, nearest):
 
 @njit(cache=True, nogil=True)
 def _assign(descriptors, centres, owner):
-    """Give every descriptor to its nearest centre, the first of equals; how many changed."""
+    """Assign every descriptor to its nearest centre, the first of equals; number of changes."""
     changed = 0
     for i in range(descriptors.shape[0]):
         best, least = 0, 257
@@ -136,7 +136,7 @@ def _assign(descriptors, centres, owner):
 
 @njit(cache=True, nogil=True)
 def _majority(descriptors, owner, centres):
-    """Centres whose bits are those of most members; a centre without members stays."""
+    """Centres with the majority's bits; a centre without members is kept."""
     k = centres.shape[0]
     ones = np.zeros((k, 256), np.int64)
     members = np.zeros(k, np.int64)

@@ -1,9 +1,8 @@
-"""What happens to a keyframe behind tracking's back: local mapping, then loop closing.
+"""Backend: local mapping and loop closing of each new keyframe, in lockstep or in threads.
 
-One code for two ways of running it. In lockstep each keyframe is dealt with before the next frame is taken.
-Threaded, mapping and loop closing have a thread each; they change the map step by step under a lock, and
-what concerns more than the map (poses of frames, the tracker, events) is handed to the tracking thread, which
-applies it between two frames.
+In lockstep mode each keyframe is processed before the next frame. In threaded mode mapping and loop closing
+have a thread each; they change the map step by step under a lock. Changes to anything else (poses of frames,
+the tracker, events) are handed to the tracking thread, which applies them between two frames.
 """
 
 import threading
@@ -26,7 +25,7 @@ from slam.runtime.worker import Worker
 
 
 class ExecutionMode(StrEnum):
-    """How tracking, mapping and loop closing share time."""
+    """Mode in which tracking, mapping and loop closing share time."""
 
     LOCKSTEP = "lockstep"
     THREADED = "threaded"
@@ -50,7 +49,7 @@ class KeyframeTask:
 
 @dataclass(frozen=True)
 class Mapped:
-    """The frame has become a keyframe, and the map has grown from it."""
+    """The frame has become a keyframe and the map has grown."""
 
     frame: Frame
     keyframe: int
@@ -59,18 +58,18 @@ class Mapped:
 
 @dataclass(frozen=True)
 class Corrected:
-    """A loop was found; ``twin`` is the map as it should be, ``factor`` see :func:`correct_loop`."""
+    """A loop was found; ``corrected_map`` is the corrected copy, ``factor`` see :func:`correct_loop`."""
 
     task: KeyframeTask
     loop: Loop
-    twin: Map
+    corrected_map: Map
     factor: np.ndarray
     cpu_ms: float
 
 
 @dataclass(frozen=True)
 class Adjusted:
-    """Global bundle adjustment after a loop has ended."""
+    """Global bundle adjustment after a loop closure has ended."""
 
     task: KeyframeTask
     loop: Loop
@@ -80,7 +79,7 @@ class Adjusted:
 
 @dataclass(frozen=True)
 class Searched:
-    """Loop detection has found nothing."""
+    """Loop detection has found no loop."""
 
     cpu_ms: float
 
@@ -95,14 +94,14 @@ class _Pending:
 
 
 class Backend:
-    """Deals with keyframes in the order in which they come.
+    """Processes keyframes in the order in which they come.
 
     Args:
-        apply: told of every change, always on the thread that calls into this object.
+        apply: called with every change, always on the thread that calls this object.
         mode: see the module.
 
     Attributes:
-        lock: to be held by whoever reads the map while mapping may run.
+        lock: to be held while reading the map when mapping may run.
     """
 
     def __init__(self, apply: Callable[[Change], None], mode: ExecutionMode) -> None:
@@ -110,7 +109,7 @@ class Backend:
         self.mode = mode
         self.lock: AbstractContextManager = threading.RLock() if threaded else nullcontext()
         self._apply = apply
-        # Held while the map's keyframes and points may come and go.
+        # Held while keyframes and points may be added or removed.
         self._gate: AbstractContextManager = threading.Lock() if threaded else nullcontext()
         self._pending: deque[_Pending] = deque()
         self._news = threading.Event() if threaded else None
@@ -118,26 +117,26 @@ class Backend:
 
     @property
     def idle(self) -> bool:
-        """Whether mapping would begin with a keyframe at once."""
+        """True if mapping would start on a keyframe at once."""
         return self._workers is None or self._workers[0].pending == 0
 
     def submit(self, task: KeyframeTask) -> None:
-        """Make a keyframe, let the map grow, look for a loop and close it.
+        """Make a keyframe, extend the map, detect a loop and close it.
 
         Raises:
-            Exception: what an earlier task has raised on its thread.
+            Exception: the exception of an earlier task on its thread.
         """
         self._on(0, lambda: self._map(task))
 
     def collect(self) -> None:
-        """Apply what the threads have handed over since the last call; nothing in lockstep."""
+        """Apply the changes handed over by the threads since the last call; none in lockstep."""
         while self._pending:
             pending = self._pending.popleft()
             self._apply(pending.change)
             pending.applied.set()
 
     def drain(self) -> None:
-        """Wait until every keyframe has been dealt with, and apply what comes of it."""
+        """Wait until every keyframe has been processed, and apply the changes."""
         if self._workers is None or self._news is None:
             return
         while any(worker.pending for worker in self._workers):
@@ -149,7 +148,7 @@ class Backend:
         self.collect()
 
     def close(self) -> None:
-        """Wait for what is left and end the threads."""
+        """Wait for pending work and stop the threads."""
         self.drain()
         for worker in self._workers or ():
             worker.close()
@@ -179,9 +178,9 @@ class Backend:
         loop, around = found
         with self._gate:
             with timer("detect"):
-                twin = self._copy_of(map_)
-                factor = correct_loop(twin, loop, around)
-            self._hand_over(Corrected(task, loop, twin, factor, timer.cpu_ms["detect"]), wait=True)
+                corrected = self._copy_of(map_)
+                factor = correct_loop(corrected, loop, around)
+            self._hand_over(Corrected(task, loop, corrected, factor, timer.cpu_ms["detect"]), wait=True)
         timer = StageTimer()
         with timer("adjust"):
             adjustment = adjust_globally(

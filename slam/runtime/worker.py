@@ -1,4 +1,4 @@
-"""A thread that works off jobs in order, and never swallows what goes wrong."""
+"""Worker thread that runs jobs in order and passes exceptions on."""
 
 import threading
 from collections import deque
@@ -6,13 +6,13 @@ from collections.abc import Callable
 
 
 class Worker:
-    """One background thread with a queue.
+    """One background thread with a job queue.
 
-    An exception in a job stops the thread; it is raised again in whoever next hands it a job or waits for
-    it. An instance belongs to one owner, who must call :meth:`close`.
+    An exception in a job stops the thread; it is raised again in the caller's next call. An instance belongs
+    to one owner, who must call :meth:`close`.
 
     Args:
-        name: of the thread, as debuggers show it.
+        name: name of the thread in debuggers.
     """
 
     def __init__(self, name: str) -> None:
@@ -26,30 +26,30 @@ class Worker:
 
     @property
     def pending(self) -> int:
-        """Jobs that wait or run."""
+        """Number of jobs that wait or run."""
         with self._changed:
             return len(self._jobs) + self._busy
 
     def submit(self, job: Callable[[], None]) -> None:
-        """Queue a job. Raises what an earlier one has raised."""
+        """Queue a job. Raises the exception of an earlier one."""
         with self._changed:
             self._raise()
             self._jobs.append(job)
             self._changed.notify_all()
 
     def drain(self) -> None:
-        """Wait until nothing is left to do. Raises what a job has raised."""
+        """Wait until all jobs are done. Raises the exception of a job."""
         with self._changed:
             self._changed.wait_for(lambda: self._error or not (self._jobs or self._busy))
             self._raise()
 
     def check(self) -> None:
-        """Raise what a job has raised, if one has."""
+        """Raise the exception of a job, if there is one."""
         with self._changed:
             self._raise()
 
     def close(self) -> None:
-        """End the thread after the job that runs; jobs that wait are dropped."""
+        """Stop the thread after the running job; waiting jobs are dropped."""
         with self._changed:
             self._closing = True
             self._changed.notify_all()

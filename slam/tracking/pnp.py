@@ -1,4 +1,4 @@
-"""A camera's pose from map points and where it sees them, many of which may be wrong."""
+"""Camera pose from 3D-2D matches with outliers (PnP in RANSAC)."""
 
 import cv2
 import numpy as np
@@ -17,21 +17,21 @@ def ransac_pnp(
     method: int = cv2.SOLVEPNP_EPNP,
     confidence: float = 0.999,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """The pose that most matches agree with, by RANSAC.
+    """Estimate the pose with most inliers by RANSAC.
 
     Args:
         xyz: (n, 3) points, frame map.
         xy: (n, 2) their undistorted keypoints, px.
         view: intrinsics.
         rng: seeds the RANSAC.
-        iterations: of the RANSAC at the most.
-        error_px: reprojection error up to which a match agrees.
-        min_inliers: matches that must agree.
-        method: OpenCV's number of the solver of each sample.
-        confidence: that the best pose has been drawn, at which it stops.
+        iterations: most RANSAC iterations.
+        error_px: largest reprojection error of an inlier.
+        min_inliers: fewest inliers of an accepted pose.
+        method: OpenCV's flag of the minimal solver.
+        confidence: probability of having drawn the best pose, at which RANSAC stops.
 
     Returns:
-        T_cam_map (4, 4) and (n,) bool which agree; None where there is no such pose.
+        T_cam_map (4, 4) and the inlier mask (n,) bool; None if no pose is accepted.
 
     Source: Lepetit, Moreno-Noguer, Fua, "EPnP", 2009.
     """
@@ -54,7 +54,7 @@ def ransac_pnp(
         return None
     agree = np.zeros(len(xyz), np.bool_)
     agree[inliers.ravel()] = True
-    # SQPnP, unlike the closing step of the RANSAC, takes points in a plane as well as any.
+    # Unlike the final step of OpenCV's RANSAC, SQPnP handles coplanar points.
     solved, rotation, translation = cv2.solvePnP(xyz[agree], xy[agree], K, None, flags=cv2.SOLVEPNP_SQPNP)
     if not solved:
         return None

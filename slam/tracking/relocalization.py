@@ -1,4 +1,4 @@
-"""Relocalization: find again, from one frame alone, a place that the map knows.
+"""Relocalization: recognise a mapped place from a single frame and estimate its pose.
 
 Source: Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, section V-C.
 """
@@ -10,7 +10,7 @@ import numpy as np
 
 from slam.core.frame import Frame
 from slam.map.map import Map
-from slam.matching import guided as matching
+from slam.matching import guided
 from slam.places.recognition import BowVector, KeyframeDatabase, match_by_bow
 from slam.tracking.pnp import ransac_pnp
 from slam.tracking.tracker import optimize_frame
@@ -21,14 +21,14 @@ class RelocalizationConfig:
     """Thresholds of relocalization.
 
     Attributes:
-        candidates: the most keyframes tried per frame, the likeliest first.
+        candidates: most keyframes tried per frame, the most similar first.
         ratio: best over second best descriptor distance of an unguided match.
         min_matches: unguided matches with a keyframe's points, below which it is not tried.
         ransac_iterations, ransac_error_px: of the pose from three points; level 0.
-        min_pose_inliers: matches that agree with a pose, below which it is not believed.
-        radii_px: windows of the two guided searches about points on level 0 seen off their mean direction.
+        min_pose_inliers: fewest inliers of a pose that is used further.
+        radii_px: windows of the two guided searches, for points of level 0 seen off their mean direction.
         min_inliers: map matches that survive pose optimisation, for the place to be accepted.
-        local_map_keyframes: cap on the local map searched.
+        local_map_keyframes: most keyframes of the local map searched.
     """
 
     candidates: int = 5
@@ -44,14 +44,14 @@ class RelocalizationConfig:
 
 @dataclass(frozen=True)
 class RelocalizationOutcome:
-    """What came of one frame.
+    """Outcome of relocalizing one frame.
 
     Attributes:
         success: the frame has a pose in the map, matches and a reference keyframe.
-        keyframe: the candidate that led there, -1 for none.
-        inliers: map matches of the pose; of the best attempt where all failed.
+        keyframe: the candidate used, -1 for none.
+        inliers: map matches of the pose; of the best attempt if all failed.
         matches: matches of that attempt, before its last pose optimisation.
-        reason: why it failed, by the attempt that came farthest; empty on success.
+        reason: reason of the failure, of the attempt that came farthest; empty on success.
     """
 
     success: bool
@@ -65,7 +65,7 @@ _FAILURES = ("no_candidates", "too_few_bow_matches", "no_pose", "too_few_pose_in
 
 
 class Relocalizer:
-    """Places single frames in one map."""
+    """Relocalizes single frames in one map."""
 
     def __init__(self, map_: Map, database: KeyframeDatabase, config: RelocalizationConfig) -> None:
         self.map = map_
@@ -73,11 +73,11 @@ class Relocalizer:
         self._database = database
 
     def relocalize(self, frame: Frame, rng: np.random.Generator) -> RelocalizationOutcome:
-        """Try the likeliest keyframes in turn.
+        """Try the most similar keyframes in turn.
 
         Args:
-            frame: features only; pose, matches and reference keyframe are filled in where it succeeds, and
-                left unknown where it does not.
+            frame: features only; pose, matches and reference keyframe are set on success and left unknown
+                on failure.
             rng: stream of the RANSAC.
         """
         bow = self._database.vocabulary.transform(frame.features.descriptors)
@@ -96,7 +96,7 @@ class Relocalizer:
     def _try(
         self, frame: Frame, bow: BowVector, keyframe: int, rng: np.random.Generator
     ) -> RelocalizationOutcome:
-        """Unguided matches, a pose from three of them, guided matches."""
+        """Match unguided, estimate a pose from three points, match guided."""
         rows, points = self._match(frame, bow, keyframe)
         matches = len(rows)
         if matches < self.config.min_matches:
@@ -124,7 +124,7 @@ class Relocalizer:
         return RelocalizationOutcome(True, keyframe, inliers, matches)
 
     def _match(self, frame: Frame, bow: BowVector, keyframe: int) -> tuple[np.ndarray, np.ndarray]:
-        """Rows of the frame and the map points of the keyframe that they look like."""
+        """Rows of the frame and the keyframe's map points that match them."""
         observed = self.map.observed_points(keyframe)
         pairs = match_by_bow(
             self.map.features(keyframe),
@@ -132,18 +132,18 @@ class Relocalizer:
             np.flatnonzero(observed >= 0),
             frame.features,
             bow,
-            matching.NEAR,
+            guided.NEAR,
             self.config.ratio,
         )
         return pairs[:, 1], observed[pairs[:, 0]]
 
     def _search(self, frame: Frame, radius_px: float) -> tuple[int, int]:
-        """Look for all of the local map about the pose, and refine it; (matches, inliers)."""
+        """Match the local map around the pose and refine it; (matches, inliers)."""
         m, f = self.map, frame.features
-        _, candidates = matching.collect_local_map(
+        _, candidates = guided.collect_local_map(
             m.arrays, m.n_keyframes, m.n_points, frame.point, self.config.local_map_keyframes
         )
-        matching.match_local_points(
+        guided.match_local_points(
             m.arrays, m.view, frame.T_cam_map, candidates,
             f.xy, f.octave, f.descriptors, f.cell_start, frame.point, radius_px / 4.0, 0.9, False,
         )  # fmt: skip
@@ -153,7 +153,7 @@ class Relocalizer:
     def _set_reference(self, frame: Frame) -> None:
         """Refer the frame to the keyframe that shares most of its points."""
         m = self.map
-        keyframes, _ = matching.collect_local_map(m.arrays, m.n_keyframes, m.n_points, frame.point, 1)
+        keyframes, _ = guided.collect_local_map(m.arrays, m.n_keyframes, m.n_points, frame.point, 1)
         frame.reference_keyframe = int(keyframes[0])
         frame.T_cam_reference = frame.T_cam_map @ np.linalg.inv(m.T_cam_map(frame.reference_keyframe))
 

@@ -1,4 +1,4 @@
-"""Tracking: the pose of every frame from its matches with the map."""
+"""Tracking: estimate the pose of every frame from its matches with the map."""
 
 from copy import copy
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from slam.core.frame import Frame
 from slam.core.timing import StageTimer
 from slam.map._map_kernels import count_observed, resolve_points
 from slam.map.map import Map
-from slam.matching import guided as matching
+from slam.matching import guided
 from slam.optimization.pose import optimize_pose
 from slam.places.recognition import match_by_bow, shipped_vocabulary
 
@@ -19,15 +19,15 @@ class TrackingConfig:
     """Thresholds of the tracker.
 
     Attributes:
-        search_radius_px: window about a point predicted from the last frame, level 0; doubled once.
-        gap_radius_px: the same once frames have been passed over, for all of the local map; doubled twice.
-        min_motion_matches, min_motion_inliers: below, the motion model gives way to the reference keyframe.
+        search_radius_px: window around a point predicted from the last frame, level 0; doubled once.
+        gap_radius_px: the same after passed-over frames, for the whole local map; doubled twice.
+        min_motion_matches, min_motion_inliers: below, the reference keyframe replaces the motion model.
         reference_ratio: best over second best descriptor distance of a match with the reference keyframe.
-        min_reference_matches: below, the reference keyframe is given up too.
+        min_reference_matches: below, tracking by the reference keyframe fails too.
         min_inliers: map matches that survive pose optimisation, below which tracking is lost.
-        cautious_inliers, cautious_s: the same, for so long after a relocalization.
-        min_share: share of the map matches that must survive it, below which the frame is refused; 0 for any.
-        local_map_keyframes: cap on the local map.
+        cautious_inliers, cautious_s: the same for this time after a relocalization.
+        min_share: share of inliers among the map matches, below which the frame is rejected; 0 for any.
+        local_map_keyframes: most keyframes of the local map.
         keyframe_share: a keyframe is made when inliers fall below this share of the reference's points.
         keyframe_interval_s: least time between keyframes.
     """
@@ -49,7 +49,7 @@ class TrackingConfig:
 
 @dataclass(frozen=True)
 class TrackingOutcome:
-    """What tracking made of a frame: success, counts, and why it failed."""
+    """Outcome of tracking a frame: success, counts and reason of failure."""
 
     success: bool
     inliers: int
@@ -58,7 +58,7 @@ class TrackingOutcome:
 
 
 class Tracker:
-    """Tracks frames, in order of time or against it, in one map.
+    """Tracks frames in one map, forward or backward in time.
 
     Attributes:
         last: the last tracked frame.
@@ -77,24 +77,24 @@ class Tracker:
         self._cautious_until_s = -np.inf
 
     def start(self, frame: Frame, keyframe: int, velocity: np.ndarray | None = None) -> None:
-        """Begin from a frame whose pose and matches are known."""
+        """Start from a frame with known pose and matches."""
         self.last = frame
         self.velocity = velocity
         self.keyframe_made(frame, keyframe)
 
     def keyframe_requested(self, frame: Frame) -> None:
-        """Take note that ``frame`` is to become a keyframe: the next one has to wait its time."""
+        """Start the least interval to the next keyframe at ``frame``, which will become one."""
         self._last_keyframe_stamp_s = frame.features.stamp_s
 
     def resume(self, frame: Frame) -> None:
-        """Go on from a frame that was found without this tracker's help, as if at rest."""
+        """Continue from a relocalized frame, with zero velocity."""
         self.last, self.velocity = frame, np.eye(4)
         self._passed_over = 0
         self._last_keyframe_stamp_s = frame.features.stamp_s
         self._cautious_until_s = frame.features.stamp_s + self.config.cautious_s
 
     def corrected(self, factor: np.ndarray) -> None:
-        """Follow a map whose lengths have changed by ``factor`` (n_keyframes,) about each keyframe."""
+        """Follow a map whose lengths have changed by ``factor`` (n_keyframes,) around each keyframe."""
         if self.last is None:
             return
         own = factor[self.last.reference_keyframe]
@@ -106,7 +106,7 @@ class Tracker:
         self._refreshed_last()
 
     def keyframe_made(self, frame: Frame, keyframe: int) -> None:
-        """Take note that ``frame`` has become ``keyframe``: it owns the points that mapping found in it."""
+        """Take over that ``frame`` has become ``keyframe``, with the points that mapping created in it."""
         frame.point[:] = self.map.observed_points(keyframe)
         frame.reference_keyframe = keyframe
         frame.T_cam_reference = np.eye(4)
@@ -114,7 +114,7 @@ class Tracker:
         self._last_keyframe_stamp_s = frame.features.stamp_s
 
     def rebase(self, map_: Map, last: Frame) -> None:
-        """Go on in a map that has absorbed this tracker's; ``last`` is already expressed in it."""
+        """Continue in a map that has absorbed this tracker's; ``last`` is already expressed in it."""
         self.map = map_
         self.last = last
         last.T_cam_map = last.T_cam_reference @ map_.T_cam_map(last.reference_keyframe)
@@ -157,7 +157,7 @@ class Tracker:
             last.T_cam_reference = last.T_cam_map @ np.linalg.inv(self.map.T_cam_map(last.reference_keyframe))
 
     def wants_keyframe(self, frame: Frame, inliers: int) -> bool:
-        """Whether the map should grow here: fewer known points in view than where it grew last."""
+        """Return True if the frame sees too few of its reference keyframe's points."""
         if abs(frame.features.stamp_s - self._last_keyframe_stamp_s) < self.config.keyframe_interval_s - 1e-6:
             return False
         known = count_observed(
@@ -191,17 +191,17 @@ class Tracker:
         return optimize_frame(frame, self.map) >= self.config.min_motion_inliers
 
     def _track_across_gap(self, frame: Frame, last: Frame) -> bool:
-        """Look for the local map ever wider, about the pose carried on and about the last reference keyframe.
+        """Match the local map around the predicted pose and the last reference keyframe's.
 
-        A pose that many frames have been carried over may be far off, and the few points of a plane then
-        agree with a wrong one. The keyframe's is sound, being adjusted with others. Of the two ways to set
-        out, that with more inliers counts.
+        A pose predicted over many frames may be far off, and the few points of a plane may then fit a wrong
+        pose. The keyframe's pose is reliable: bundle adjustment has refined it. Of the two starts, the one
+        with more inliers is used.
         """
         if self.velocity is None:
             return False
         m = self.map
         starts = self.velocity @ last.T_cam_map, m.T_cam_map(m.live(last.reference_keyframe))
-        _, candidates = matching.collect_local_map(
+        _, candidates = guided.collect_local_map(
             m.arrays, m.n_keyframes, m.n_points, last.point, self.config.local_map_keyframes
         )
         for radius_px in self.config.gap_radius_px * np.array([1.0, 2.0, 4.0]):
@@ -215,10 +215,10 @@ class Tracker:
     def _place_about(
         self, frame: Frame, T_cam_map: np.ndarray, candidates: np.ndarray, radius_px: float
     ) -> tuple[int, np.ndarray, np.ndarray]:
-        """Inliers, pose and matches of the frame with points looked for where a pose would show them."""
+        """Inliers, pose and matches of the frame with points projected by an assumed pose."""
         m, f = self.map, frame.features
         frame.point, frame.T_cam_map = np.full(len(f), -1, np.int32), T_cam_map
-        _, count = matching.match_local_points(
+        _, count = guided.match_local_points(
             m.arrays, m.view, T_cam_map, candidates,
             f.xy, f.octave, f.descriptors, f.cell_start, frame.point, radius_px / 4.0, 0.8, False,
         )  # fmt: skip
@@ -227,14 +227,14 @@ class Tracker:
 
     def _match_last(self, frame: Frame, last: Frame, predicted: np.ndarray, radius_px: float) -> int:
         f, g = frame.features, last.features
-        frame.point, count = matching.match_last_frame(
+        frame.point, count = guided.match_last_frame(
             self.map.arrays, self.map.view, predicted, last.point, g.octave, g.angle_deg,
             f.xy, f.octave, f.angle_deg, f.descriptors, f.cell_start, radius_px,
         )  # fmt: skip
         return count
 
     def _track_reference_keyframe(self, frame: Frame, last: Frame) -> bool:
-        """Match with the points of the reference keyframe by their words, wherever they are in the image."""
+        """Match with the reference keyframe's points by bag of words, without prediction."""
         f = frame.features
         k = self.map.live(last.reference_keyframe)
         reference = self.map.features(k)
@@ -246,7 +246,7 @@ class Tracker:
         vocabulary = shipped_vocabulary()
         pairs = match_by_bow(
             reference, vocabulary.transform(reference.descriptors), rows,
-            f, vocabulary.transform(f.descriptors), matching.NEAR, self.config.reference_ratio,
+            f, vocabulary.transform(f.descriptors), guided.NEAR, self.config.reference_ratio,
         )  # fmt: skip
         if len(pairs) < self.config.min_reference_matches:
             return False
@@ -257,12 +257,12 @@ class Tracker:
     def _track_local_map(self, frame: Frame) -> tuple[int, int]:
         """Match the frame with its local map; (inliers, matches)."""
         m, f = self.map, frame.features
-        keyframes, self._local_points = matching.collect_local_map(
+        keyframes, self._local_points = guided.collect_local_map(
             m.arrays, m.n_keyframes, m.n_points, frame.point, self.config.local_map_keyframes
         )
         if not len(keyframes):
             return 0, 0
-        matching.match_local_points(
+        guided.match_local_points(
             m.arrays, m.view, frame.T_cam_map, self._local_points,
             f.xy, f.octave, f.descriptors, f.cell_start, frame.point, 1.0, 0.8, True,
         )  # fmt: skip
@@ -282,7 +282,7 @@ class Tracker:
 
 
 def optimize_frame(frame: Frame, map_: Map) -> int:
-    """Refine a frame's pose on the map points matched to it, and let go of those that do not fit; inliers."""
+    """Refine a frame's pose by its map matches and remove outliers; number of inliers."""
     rows = np.flatnonzero(frame.point >= 0)
     f, view = frame.features, map_.view
     pose, inlier = optimize_pose(

@@ -1,4 +1,4 @@
-"""Whole runs of Dual-SLAM on toy sequences, for the tests of it."""
+"""Runs of Dual-SLAM on toy sequences."""
 
 from dataclasses import replace
 from unittest.mock import patch
@@ -18,15 +18,14 @@ from slam.runtime.backend import ExecutionMode
 from slam.warmup import CAMERA
 
 STEP_M = 0.05
-# A breakage that is mended, as events.
-MENDED = ["breakage", "map_saved", "reinit_start", "initialized", "reinit_done", "recovery_start"]
-MENDED += ["recovery_end", "fusion"]
-# The sequences are short: a map of a second and a half is worth keeping.
+# The events of a breakage with a successful recovery.
+RECOVERED = ["breakage", "map_saved", "reinit_start", "initialized", "reinit_done", "recovery_start"]
+RECOVERED += ["recovery_end", "fusion"]
+# The sequences are short: maps of 1.5 s are kept.
 CONFIG = replace(default_config(CAMERA), min_map_keyframes=3)
 
 
-# Most of what is tested is recovery: in a scene that is still in view, place
-# recognition would be there first.
+# Most tests are about recovery: in a scene that is still in view, place recognition would act first.
 RECOVERY_ONLY = DualConfig(threads=(ThreadSpec("orb"),), relocalization=False, place_merging=None)
 
 
@@ -36,7 +35,7 @@ def dual(config=RECOVERY_ONLY, mode=ExecutionMode.LOCKSTEP):
 
 
 def play(count, *spans):
-    """A toy sequence with blank spans: the system, its answers, the truth."""
+    """A toy sequence with blank spans: the system, its results, the truth."""
     images, stamps_s, T_world_cam = toy(count, 0, STEP_M)
     system = dual()
     return system, feed(system, blanked(images, *spans), stamps_s), T_world_cam
@@ -48,7 +47,7 @@ def of(system, kind):
 
 
 def scale_between(path: MapTrajectory, T_world_cam, first, last):
-    """Metres per map unit over a stretch of frames."""
+    """Metres per map unit over a range of frames."""
     here = (path.frames >= first) & (path.frames <= last)
     assert here.sum() > 20
     truth = T_world_cam[path.frames[here], :3, 3]
@@ -56,14 +55,14 @@ def scale_between(path: MapTrajectory, T_world_cam, first, last):
 
 
 def with_threads(count, spans, threads, check=True, **config):
-    """A run over a toy sequence with blank spans, with recovery threads of the test's own.
+    """A run over a toy sequence with blank spans, with given recovery threads.
 
     Args:
-        count: frames.
-        spans: of frames that are blank.
+        count: number of frames.
+        spans: ranges of blank frames.
         threads: recovery threads, in their order.
-        check: prove the maps in the end.
-        config: of Dual-SLAM.
+        check: check the maps at the end.
+        config: settings of Dual-SLAM.
     """
     images, stamps_s, _ = toy(count, 0, STEP_M)
     system = with_own_threads(threads, **config)
@@ -74,7 +73,7 @@ def with_threads(count, spans, threads, check=True, **config):
 
 
 def with_own_threads(threads, mode=ExecutionMode.LOCKSTEP, seeds=(), **config):
-    """A system whose recovery threads are the test's own, registered for it."""
+    """A system with given recovery threads, registered for it."""
     own = {f"own {i}": lambda _, t=thread: t for i, thread in enumerate(threads)}
     with patch.dict(RECOVERY_KINDS, own):
         specs = tuple(map(ThreadSpec, own, seeds or [0] * len(threads)))
@@ -82,7 +81,7 @@ def with_own_threads(threads, mode=ExecutionMode.LOCKSTEP, seeds=(), **config):
 
 
 class Slow(OrbRecovery):
-    """The recovery thread, said to take some seconds per buffered frame."""
+    """The ORB recovery thread with a declared cost in seconds per buffered frame."""
 
     def __init__(self, frame_s, config=None):
         super().__init__(config or RecoveryConfig())

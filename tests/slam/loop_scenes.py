@@ -1,6 +1,7 @@
-"""A ring of keyframes whose end, having drifted, sees again what its beginning saw."""
+"""A ring of keyframes whose drifted end sees the same points as its start."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from slam_scenes import CAMERA, VIEW
@@ -36,7 +37,14 @@ class Ring:
         return -np.einsum("nji,nj->ni", T[:, :3, :3], T[:, :3, 3])
 
 
-def ring(keyframes=60, overlap=6, points=3000, drift=(0.0, 0.0, 0.002, 0.01, 0.0, 0.004, 0.006), seed=0):
+def ring(keyframes=60, overlap=6):
+    """A ring with a map of its own; the rest is shared and read only."""
+    built = _ring(keyframes, overlap)
+    return replace(built, map=built.map.copy())
+
+
+@cache
+def _ring(keyframes, overlap, points=3000, drift=(0.0, 0.0, 0.002, 0.01, 0.0, 0.004, 0.006), seed=0):
     """Keyframes once round a ring and ``overlap`` further, looking out; each step drifts by a twist."""
     rng = np.random.default_rng(seed)
     angle = rng.uniform(0, 2 * np.pi, points)

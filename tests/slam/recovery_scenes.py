@@ -1,4 +1,4 @@
-"""Recovery tasks as real runs over toy images give them, for the tests of the recovery threads."""
+"""Recovery tasks of real runs over toy images, for the tests of the recovery threads."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -15,19 +15,19 @@ from slam.map.trajectory import keyframe_trajectory
 BLIND = range(50, 56)
 FADED = range(50, 80)
 _FADED_CONTRAST = 0.05
-_HASTE = 3
+_FADED_SPEED = 3
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What a recovery thread was given in a run, the images of the run and the truth (n, 4, 4)."""
+    """Task of a recovery thread in a run, the images of the run and the truth (n, 4, 4)."""
 
     task: RecoveryTask
     images: list
     T_world_cam: np.ndarray
 
     def again(self, seed=0):
-        """The task anew: nothing of it has been used."""
+        """A fresh copy of the task."""
         task = self.task
         return replace(
             task,
@@ -38,7 +38,7 @@ class Scene:
         )
 
     def run(self, kind, config=None, blind=()):
-        """What a thread of a kind makes of it, with more frames blind than the run had."""
+        """Result of a thread of a kind, with more blank frames than the run had."""
         task = self.again()
         if blind:
             frames = [f if f.index not in blind else _without_features(f) for f in task.backward]
@@ -47,16 +47,16 @@ class Scene:
         return build_thread(ThreadSpec(kind, config=config)).run(task)
 
     def scale_error(self, result):
-        """How far the scale of an alignment is from the truth, as a share."""
-        met = result.alignment
-        old = next(m for m in self.task.old_maps if m.map_id == met.old_map_id)
-        seam = old.frame_index(met.old_keyframe)
+        """Relative error of an alignment's scale."""
+        alignment = result.alignment
+        old = next(m for m in self.task.old_maps if m.map_id == alignment.old_map_id)
+        seam = old.frame_index(alignment.old_keyframe)
         metres_old = self._metres(keyframe_trajectory(old), seam)
         metres_new = self._metres(keyframe_trajectory(self.task.new_map), self.task.first.features.index)
-        return met.scale * metres_old / metres_new - 1
+        return alignment.scale * metres_old / metres_new - 1
 
     def errors_m(self, result):
-        """Distance of every frame placed from where it was, by frame, all being aligned with the truth."""
+        """Position error of every placed frame, by frame, after alignment with the truth."""
         forward = keyframe_trajectory(self.task.new_map)
         placed = [
             np.linalg.inv(f.T_cam_reference @ result.map.T_cam_map(f.reference_keyframe))
@@ -79,8 +79,8 @@ class Scene:
         return errors_m(part, self.T_world_cam)[1]
 
 
-class _Given:
-    """A thread that only keeps what it is given."""
+class _Recording:
+    """A thread that only records its task."""
 
     name = "given"
     needs_images = False
@@ -95,7 +95,7 @@ class _Given:
 
 
 def _scene(images, T_world_cam):
-    given = _Given()
+    given = _Recording()
     system = with_own_threads([given])
     for image, stamp_s in zip(images, np.arange(len(images)) / 30.0, strict=True):
         feed(system, [image], [stamp_s], check=False)
@@ -106,20 +106,19 @@ def _scene(images, T_world_cam):
 
 @cache
 def blind_scene():
-    """Six frames show nothing, and the camera goes on as before."""
+    """Six blank frames while the camera moves on."""
     images, _, T_world_cam = toy(110, 0, STEP_M)
     return _scene(blanked(images, BLIND), T_world_cam)
 
 
 @cache
 def faded_scene():
-    """For a second there is hardly any contrast, and the camera hastens: the places have nothing in common.
+    """One second of very low contrast and fast motion: the views before and after do not overlap.
 
-    No corner of an image stands out then, and neither the motion before nor that after it tells how far the
-    camera went.
+    These images have no ORB corners, and the motion before or after does not predict the camera's path.
     """
     images, _, T_world_cam = toy(185, 0, STEP_M)
-    kept = np.cumsum([0] + [_HASTE if i in FADED else 1 for i in range(1, 120)])
+    kept = np.cumsum([0] + [_FADED_SPEED if i in FADED else 1 for i in range(1, 120)])
     shown = [images[k] for k in kept]
     faded = [
         np.rint(120 + _FADED_CONTRAST * (image - 120.0)).astype(np.uint8) if i in FADED else image
@@ -136,7 +135,7 @@ def _without_features(features):
 
 
 def same_map(a, b):
-    """Whether two maps are the same, bit by bit."""
+    """Return True if two maps are the same, bit by bit."""
     arrays = zip(a.arrays, b.arrays, strict=True)
     return (a.n_keyframes, a.n_points) == (b.n_keyframes, b.n_points) and all(
         x.tobytes() == y.tobytes() for x, y in arrays

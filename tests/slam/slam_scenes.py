@@ -1,4 +1,4 @@
-"""Made-up maps, point worlds and short image sequences that the tests of ``slam`` share."""
+"""Synthetic maps, point worlds and short image sequences shared by the tests of ``slam``."""
 
 import hashlib
 import json
@@ -50,7 +50,7 @@ def make_frame(index, rng, n=60, T=None):
 
 
 def random_map(rng, keyframes=6, points=80, map_id=0):
-    """A map of random associations: sound to ``Map.check``, without geometric meaning."""
+    """A map of random associations: valid to ``check_map``, without geometric meaning."""
     built = Map(map_id, VIEW)
     for k in range(keyframes):
         built.add_keyframe(make_frame(k, rng), k - 1)
@@ -80,7 +80,7 @@ def scene(rng, n=400):
 
 
 def seen_from(m, frame, T_cam_map):
-    """The frame that a camera at another pose would have: same descriptors, moved keypoints."""
+    """The frame of a camera at another pose: same descriptors, moved keypoints."""
     xyz = m.arrays.pt_xyz[frame.point] @ T_cam_map[:3, :3].T + T_cam_map[:3, 3]
     xy = xyz[:, :2] / xyz[:, 2:] * (CAMERA.fx, CAMERA.fy) + (CAMERA.cx, CAMERA.cy)
     f = frame.features
@@ -105,33 +105,33 @@ def rigid(t=(0.0, 0.0, 0.0), rotvec_deg=(0.0, 0.0, 0.0)):
 
 
 def walk(i, step=0.06):
-    """T_cam_world of frame ``i``: to the right, swaying a little in every other direction."""
+    """T_cam_world of frame ``i``: to the right, with small motions in all other directions."""
     T_world_cam = rigid((step * i, 0.08 * np.sin(i / 9), 0.1 * np.sin(i / 15)), (0, 3 * np.sin(i / 20), 1))
     return np.linalg.inv(T_world_cam)
 
 
 @dataclass
 class Sighting:
-    """A frame, and for each of its keypoints the point of the world that it shows, -1 for none."""
+    """A frame, and the world point of each of its keypoints, -1 for none."""
 
     frame: Frame
     ids: np.ndarray
     T_cam_world: np.ndarray
 
     def again(self):
-        """The same image as a fresh frame, free of matches and pose."""
+        """The same image as a new frame, without matches and pose."""
         return Frame(self.frame.features)
 
     def rows_of(self, ids):
-        """Rows of the keypoints that show any of these points."""
+        """Rows of the keypoints of any of these points."""
         return np.flatnonzero(np.isin(self.ids, ids) & (self.ids >= 0))
 
 
 class PointWorld:
-    """Points along a corridor of view, each with a descriptor and a size of its own.
+    """Points along a path, each with its own descriptor and size.
 
-    Observations are what a perfect detector would report, with noise where asked for, so that tests know
-    which point of the world every keypoint shows.
+    Observations are those of a perfect detector, with noise on request, so that tests know the world point of
+    every keypoint.
     """
 
     def __init__(self, seed=0, points=4000, reach=(-3.0, 16.0)):
@@ -145,7 +145,7 @@ class PointWorld:
         self.size = rng.uniform(5.0, 14.0, points)
 
     def see(self, index, T_cam_world, rng, noise_px=0.0, bits=0, share=0.7, clutter=40):
-        """What a camera sees.
+        """Simulate the frame of a camera.
 
         Args:
             index: frame number.
@@ -153,8 +153,8 @@ class PointWorld:
             rng: stream of the noise.
             noise_px: standard deviation of the keypoints on level 0.
             bits: descriptor bits flipped per observation.
-            share: of the points in view that are detected.
-            clutter: keypoints that show nothing of the world.
+            share: share of the points in view that are detected.
+            clutter: keypoints without a world point.
         """
         xyz = self.xyz @ T_cam_world[:3, :3].T + T_cam_world[:3, 3]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -182,14 +182,14 @@ class PointWorld:
         return Sighting(frame, np.array(shown), T_cam_world)
 
     def map_of(self, sightings, rng, noise=0.0, keep=1.0, map_id=0):
-        """A map whose frame is the world's: a keyframe per sighting, a point per world point seen twice.
+        """Build a map in the world's frame: a keyframe per sighting, a point per world point seen twice.
 
         Args:
-            sightings: the keyframes to be.
+            sightings: the frames of the keyframes.
             rng: stream of the noise.
             noise: standard deviation of the points, metres.
-            keep: share of the points that the map knows.
-            map_id: its number.
+            keep: share of the points in the map.
+            map_id: id of the map.
 
         Returns:
             The map, and the map point of each world point, -1 for none.
@@ -214,7 +214,7 @@ class PointWorld:
 
 
 def tracked_in(built, point_of, sighting, reference, T_cam_map=None):
-    """The sighting as a frame tracked in a map of the world: matches by truth, the true pose or another."""
+    """The sighting as a frame tracked in a map of the world, with true matches and a given or true pose."""
     frame = sighting.again()
     frame.point[:] = np.where(sighting.ids >= 0, point_of[sighting.ids], NO_POINT)
     frame.T_cam_map = (sighting.T_cam_world if T_cam_map is None else T_cam_map).copy()
@@ -224,7 +224,7 @@ def tracked_in(built, point_of, sighting, reference, T_cam_map=None):
 
 
 def world_ids(built, sightings):
-    """The world point that each point of a map stands for, and whether all its observations show that one.
+    """World point of each map point, and a mask of the points with observations of that one only.
 
     Args:
         built: the map, whose keyframe rows are those of ``sightings``.
@@ -253,28 +253,58 @@ def pose_error(T, truth):
 # -- short image sequences -----------------------------------------------------------------------------------
 
 
-@cache
 def toy(count, seed=0, step_m=0.03):
-    """A made-up sequence: images, stamps (n,), T_world_cam (n, 4, 4). Shared: not to be written to."""
+    """A synthetic sequence: images, stamps (n,), T_world_cam (n, 4, 4). Shared: read only.
+
+    It is the start of a longer one, so that tests of different lengths share it.
+    """
+    images, stamps_s, T_world_cam = _toy(190 if seed == 0 or count > 120 else 120, seed, step_m)
+    return images[:count], stamps_s[:count], T_world_cam[:count]
+
+
+@cache
+def _toy(count, seed, step_m):
     images, stamps_s, T_world_cam = zip(*warmup.toy_frames(count, seed=seed, step_m=step_m), strict=True)
     return list(images), np.array(stamps_s), np.array(T_world_cam)
 
 
 def blanked(images, *spans):
-    """The images, showing nothing in the given ranges."""
+    """The images, blank in the given ranges."""
     blank = np.full_like(images[0], 120)
     return [blank if any(i in span for span in spans) else image for i, image in enumerate(images)]
 
 
 def feed(system, images, stamps_s, check=True):
-    """Run a system over frames; with ``check``, prove every map after every frame."""
+    """Run a system over frames and finish it.
+
+    With ``check``, all maps are checked after every frame that can change their structure, those with a
+    keyframe or an event, and at the end.
+    """
     results = []
     for image, stamp_s in zip(images, stamps_s, strict=True):
+        events = len(system.events)
         results.append(system.process(image, float(stamp_s)))
-        for map_id in system.maps() if check else ():
-            check_map(system.map(map_id))
+        if check and (results[-1].is_keyframe or len(system.events) > events):
+            check_maps(system)
     system.finish()
+    if check:
+        check_maps(system)
     return results
+
+
+def feed_until(system, images, stamps_s, kind):
+    """Feed frames up to the first event of a kind, without finishing; the frames fed."""
+    for i, (image, stamp_s) in enumerate(zip(images, stamps_s, strict=True)):
+        system.process(image, float(stamp_s))
+        if kind in kinds(system):
+            return i + 1
+    raise AssertionError(f"no {kind} in {len(images)} frames: {kinds(system)}")
+
+
+def check_maps(system):
+    """Check the invariants of all maps of a system."""
+    for map_id in system.maps():
+        check_map(system.map(map_id))
 
 
 def kinds(system):
@@ -296,7 +326,7 @@ def rms(values):
 
 
 def fingerprint(system):
-    """A digest of all that a system has produced: poses, maps and events, bit by bit, CPU times left out."""
+    """Digest of a system's poses, maps and events, bit by bit, without CPU times."""
     digest = hashlib.sha256()
     for path in (*system.trajectories(), *system.keyframe_trajectories()):
         for array in (path.frames, path.stamps_s, path.T_map_cam):
@@ -310,7 +340,7 @@ def fingerprint(system):
 
 
 def on_one_core(module, call):
-    """What a call of a function of a test module prints in another process, on one core where it can be."""
+    """Output of a function of a test module in another process, on one core if possible."""
     script = (
         "import os\n"
         "if hasattr(os, 'sched_setaffinity'): os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
@@ -325,7 +355,7 @@ def on_one_core(module, call):
 
 
 def digest_of_run(kind, count, *spans):
-    """What a system makes of a toy sequence that is blank in ``spans`` of (first, end).
+    """Run a system over a toy sequence that is blank in ``spans`` of (first, end).
 
     Returns:
         Its fingerprint and the kinds of its events, as one line.

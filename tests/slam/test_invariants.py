@@ -1,4 +1,4 @@
-"""Every invariant of a whole system is noticed where it is broken; so is a story that cannot be."""
+"""Every broken invariant of a system is reported, and so are inconsistent events."""
 
 from dataclasses import replace
 
@@ -15,8 +15,8 @@ from slam.warmup import CAMERA
 
 
 @pytest.fixture(scope="module")
-def mended():
-    """A Dual-SLAM that has been through a breakage and a fusion, and its answers."""
+def recovered():
+    """A Dual-SLAM system after a breakage and a fusion, and its results."""
     images, stamps_s, _ = toy(100, 0, STEP_M)
     system = build_system("dual", CAMERA, 0, CONFIG, dual=RECOVERY_ONLY)
     results = feed(system, blanked(images, range(50, 56)), stamps_s, check=False)
@@ -25,13 +25,13 @@ def mended():
 
 
 @pytest.fixture
-def system(mended):
-    """A system of its own for each test."""
-    return mended[0].snapshot().restore()
+def system(recovered):
+    """A copy of the system for each test."""
+    return recovered[0].snapshot().restore()
 
 
-@pytest.mark.parametrize(("kind", "frames"), [("base", 60), ("dual", 100)])
-def test_a_system_is_sound_at_any_time_and_checking_changes_nothing(mended, kind, frames):
+@pytest.mark.parametrize(("kind", "frames"), [("base", 53), ("dual", 100)])
+def test_a_system_is_valid_at_any_time_and_the_check_changes_nothing(recovered, kind, frames):
     images, stamps_s, _ = toy(100, 0, STEP_M)
     system = build_system(kind, CAMERA, 0, CONFIG, dual=RECOVERY_ONLY)
     check_system(system)
@@ -39,7 +39,7 @@ def test_a_system_is_sound_at_any_time_and_checking_changes_nothing(mended, kind
         check_result(system.process(image, float(stamp_s)))
         check_system(system)
     if kind == "dual":
-        for checked, plain in zip(system.trajectories(), mended[0].trajectories(), strict=True):
+        for checked, plain in zip(system.trajectories(), recovered[0].trajectories(), strict=True):
             assert checked.T_map_cam.tobytes() == plain.T_map_cam.tobytes()
 
 
@@ -176,20 +176,20 @@ def map_without_beginning(system):
 BROKEN = {
     map_broken: "map 0: observation counts disagree",
     two_roots: "map 0: the spanning tree has 2 roots",
-    keyframe_of_a_future_frame: "a keyframe of a frame that has not been",
+    keyframe_of_a_future_frame: "a keyframe of a future frame",
     no_poses: "no frame has a pose",
-    pose_of_a_future_frame: "a pose of a frame that has not been",
+    pose_of_a_future_frame: "a pose of a future frame",
     pose_on_an_unknown_keyframe: "a pose on a keyframe that does not exist",
     pose_not_finite: "the pose of a frame is not finite",
     poses_out_of_order: "poses run against time",
-    sought_under_a_taken_number: "a new map is sought under the number of one that exists",
+    sought_under_a_taken_number: "the new map has the id of an existing one",
     current_map_gone: "the current map does not exist",
     tracker_elsewhere: "the tracker works in another map",
     mapper_elsewhere: "the mapper works in another map",
     young_point_unknown: "the mapper watches a point that does not exist",
     velocity_not_finite: "velocity is not finite",
     no_last_frame: "no last frame",
-    last_on_no_keyframe: "the last frame hangs on no keyframe",
+    last_on_no_keyframe: "the last frame has no reference keyframe",
     last_matches_no_point: "the last frame matches no point",
     map_misnumbered: "map 0 has another number",
     poses_of_no_map: "poses of a map that does not exist",
@@ -202,8 +202,8 @@ BROKEN = {
     buffer_against_time: "the buffer runs against time",
     buffer_behind: "the buffer lacks the newest frame",
     buffer_too_long: "the buffer has outgrown its cap",
-    event_of_a_future_frame: "an event of a frame that has not been",
-    map_without_beginning: "2 maps begun, 0 dropped, 1 fused: 2 left",
+    event_of_a_future_frame: "an event of a future frame",
+    map_without_beginning: "2 maps initialized, 0 dropped, 1 fused: 2 left",
 }
 
 
@@ -214,95 +214,95 @@ def test_a_broken_invariant_is_named(system, corrupt):
         check_system(system)
 
 
-def test_an_answer_holds_together(mended):
-    _, results = mended
+def test_a_broken_result_is_refused(recovered):
+    _, results = recovered
     tracked, lost = results[-1], next(r for r in results if r.frame == 50)
     for wrong, why in (
-        (replace(tracked, T_map_cam=None), "a pose or none"),
-        (replace(lost, T_map_cam=np.eye(4)), "a pose or none"),
+        (replace(tracked, T_map_cam=None), "and pose disagree"),
+        (replace(lost, T_map_cam=np.eye(4)), "and pose disagree"),
         (replace(tracked, T_map_cam=np.full((4, 4), np.nan)), "not finite"),
         (replace(tracked, T_map_cam=2 * np.eye(4)), "no rotation"),
-        (replace(tracked, reason="bored"), "a reason why not"),
-        (replace(tracked, inlier_mask=tracked.inlier_mask[1:]), "keypoints and marks disagree"),
+        (replace(tracked, reason="bored"), "with a reason of failure"),
+        (replace(tracked, inlier_mask=tracked.inlier_mask[1:]), "keypoints and mask disagree"),
     ):
         with pytest.raises(InvariantError, match=why):
             check_result(wrong)
 
 
-# -- stories ---------------------------------------------------------------------------------------------
+# -- events ----------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
-def story(mended):
-    """The events of the mended breakage by kind: each there once, but for the beginning of the two maps."""
-    events = list(mended[0].events)
+def run_events(recovered):
+    """The events of the run by kind; each kind occurs once, except ``initialized``."""
+    events = list(recovered[0].events)
     check_events(events)
     return events
 
 
-def place(story, kind):
-    return next(i for i, e in enumerate(story) if e.kind == kind)
+def place(run_events, kind):
+    return next(i for i, e in enumerate(run_events) if e.kind == kind)
 
 
-def test_a_recovery_ends_once_and_only_where_it_has_begun(story):
-    start, end = place(story, "recovery_start"), place(story, "recovery_end")
+def test_a_recovery_ends_once_and_only_if_started(run_events):
+    start, end = place(run_events, "recovery_start"), place(run_events, "recovery_end")
     with pytest.raises(InvariantError, match=r"recovery_end at frame .*: the recovery does not"):
-        check_events(story[:start] + story[start + 1 :])
+        check_events(run_events[:start] + run_events[start + 1 :])
     with pytest.raises(InvariantError, match="the recovery does not"):
-        check_events([*story[: end + 1], story[end]])
+        check_events([*run_events[: end + 1], run_events[end]])
     with pytest.raises(InvariantError, match="the recovery runs"):
-        check_events([*story[: start + 1], story[start]])
+        check_events([*run_events[: start + 1], run_events[start]])
 
 
 @pytest.mark.parametrize("kind", ["breakage", "map_saved", "recovery_start", "reinit_done"])
-def test_an_event_is_of_a_map_that_exists(story, kind):
-    at = place(story, kind)
+def test_an_event_is_of_a_map_that_exists(run_events, kind):
+    at = place(run_events, kind)
     with pytest.raises(InvariantError, match=f"{kind} at frame"):
-        check_events([*story[:at], replace(story[at], map_id=9)])
+        check_events([*run_events[:at], replace(run_events[at], map_id=9)])
 
 
 @pytest.mark.parametrize("kind", ["recovery_start", "recovery_end", "fusion"])
-def test_recovery_and_fusion_name_an_old_map_that_exists(story, kind):
-    at = place(story, kind)
-    with pytest.raises(InvariantError, match=f"{kind} at frame .*: there is no old map 9"):
-        check_events([*story[:at], replace(story[at], old_map_id=9)])
+def test_recovery_and_fusion_have_an_existing_old_map(run_events, kind):
+    at = place(run_events, kind)
+    with pytest.raises(InvariantError, match=f"{kind} at frame .*: old map 9 does not exist"):
+        check_events([*run_events[:at], replace(run_events[at], old_map_id=9)])
 
 
-def test_a_map_begins_once(story):
-    with pytest.raises(InvariantError, match="there is a map 0 already"):
-        check_events([story[0], story[0]])
+def test_a_map_is_initialized_once(run_events):
+    with pytest.raises(InvariantError, match="map 0 exists already"):
+        check_events([run_events[0], run_events[0]])
 
 
-def test_a_dropped_map_is_no_more(story):
-    at = place(story, "breakage")
-    breakage = story[at]
+def test_a_dropped_map_does_not_exist(run_events):
+    at = place(run_events, "breakage")
+    breakage = run_events[at]
     dropped = ev.MapDropped(
-        frame=breakage.frame, stamp_s=breakage.stamp_s, map_id=0, reason="made_up", keyframes=3
+        frame=breakage.frame, stamp_s=breakage.stamp_s, map_id=0, reason="synthetic", keyframes=3
     )
-    with pytest.raises(InvariantError, match=r"map_dropped at frame .*: there is no map 0"):
-        check_events([*story[: at + 1], dropped, dropped])
+    with pytest.raises(InvariantError, match=r"map_dropped at frame .*: map 0 does not exist"):
+        check_events([*run_events[: at + 1], dropped, dropped])
 
 
-def test_a_new_map_stands_where_one_was_sought(story):
-    at = place(story, "reinit_done")
-    with pytest.raises(InvariantError, match="no map was sought"):
-        check_events([*story[: at + 1], story[at]])
+def test_a_new_map_needs_a_reinitialization(run_events):
+    at = place(run_events, "reinit_done")
+    with pytest.raises(InvariantError, match="no reinitialization was started"):
+        check_events([*run_events[: at + 1], run_events[at]])
 
 
-def test_events_follow_time(story):
-    breakage = story[place(story, "breakage")]
-    later = replace(breakage, frame=story[-1].frame + 1)
+def test_events_are_in_order_of_time(run_events):
+    breakage = run_events[place(run_events, "breakage")]
+    later = replace(breakage, frame=run_events[-1].frame + 1)
     with pytest.raises(InvariantError, match="events run against time"):
-        check_events([*story, replace(later, stamp_s=0.0)])
+        check_events([*run_events, replace(later, stamp_s=0.0)])
     with pytest.raises(InvariantError, match="has another time"):
-        check_events([*story, replace(story[-1], stamp_s=0.0)])
+        check_events([*run_events, replace(run_events[-1], stamp_s=0.0)])
     with pytest.raises(InvariantError, match="comes after one of frame"):
-        check_events([story[0], replace(breakage, frame=60, stamp_s=2.0), breakage])
+        check_events([run_events[0], replace(breakage, frame=60, stamp_s=2.0), breakage])
     with pytest.raises(InvariantError, match="is at no frame"):
-        check_events([replace(story[0], frame=-1)])
+        check_events([replace(run_events[0], frame=-1)])
 
 
-def test_the_scale_of_a_fusion_is_positive(story):
-    at = place(story, "fusion")
+def test_the_scale_of_a_fusion_is_positive(run_events):
+    at = place(run_events, "fusion")
     with pytest.raises(InvariantError, match="scale -1"):
-        check_events([*story[:at], replace(story[at], scale=-1.0)])
+        check_events([*run_events[:at], replace(run_events[at], scale=-1.0)])

@@ -1,4 +1,4 @@
-"""The base system on footage of real cameras, against their measured paths; skipped where there is none."""
+"""The base system on recorded sequences against their ground truth; skipped without them."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ DATA = Path(__file__).parents[2].parent / "shared" / "data"
 
 
 def run(name, count, kind="base"):
-    """The first frames of a sequence: the system, its answers, the truth."""
+    """The first frames of a sequence: the system, its results, the truth."""
     if not (DATA / name).is_dir():
         pytest.skip(f"no {DATA / name}")
     sequence = load_sequence(DATA / name)
@@ -38,7 +38,7 @@ def test_a_drive_is_tracked():
     path = system.trajectories()[0]
     errors, _ = errors_m(path, T_world_cam)
     assert len(path.frames) >= 150
-    # Of 90 m or so.
+    # Of about 90 m.
     assert rms(errors) < 0.6
 
 

@@ -1,4 +1,4 @@
-"""The base over rendered scenarios: it closes loops and finds its place again, the same bits on one core."""
+"""The base on rendered scenarios: it closes loops and relocalizes, with the same bits on one core."""
 
 from dataclasses import replace
 
@@ -32,12 +32,12 @@ def run(sequence, **loops):
 
 
 def digest_of_scenario(*scenario):
-    """What the base makes of a scenario, bit by bit."""
+    """Digest of the base's run over a scenario."""
     return fingerprint(run(rendered(*scenario))[0])
 
 
 def agrees_on_one_core(system, scenario):
-    """Whether another process on one core has the same bits in the end."""
+    """Return True if another process on one core gives the same bits."""
     call = f"digest_of_scenario(*{scenario!r})"
     return on_one_core("test_rendered_scenarios", call) == fingerprint(system)
 
@@ -54,7 +54,7 @@ def test_a_clean_room_is_tracked():
     assert agrees_on_one_core(system, scenario)
 
 
-def test_a_block_is_closed_and_most_of_the_drift_goes():
+def test_a_loop_around_a_block_is_closed_and_corrects_most_of_the_drift():
     scenario = ("loop/city", 3, 60.0)
     sequence = rendered(*scenario)
     closed, _ = run(sequence)
@@ -65,7 +65,7 @@ def test_a_block_is_closed_and_most_of_the_drift_goes():
     assert agrees_on_one_core(closed, scenario)
 
 
-def test_after_a_covered_lens_it_finds_its_place_within_a_second():
+def test_after_a_covered_lens_it_relocalizes_within_a_second():
     scenario = ("covered-lens", 2, 30.0)
     sequence = rendered(*scenario)
     system, results = run(sequence)

@@ -1,4 +1,4 @@
-"""What a system is given: images in any layout and of any content, and what is no image or no time."""
+"""Input of a system: images of any layout and content, invalid images and times."""
 
 from dataclasses import replace
 
@@ -25,11 +25,26 @@ def sequence():
     return toy(100, step_m=0.05)
 
 
-@pytest.mark.parametrize("layout", ["columns", "read_only", "strided", "reused"])
-def test_the_layout_of_an_image_in_memory_does_not_matter(sequence, layout):
+@pytest.fixture(scope="module")
+def healthy(sequence):
+    """A snapshot of a system that is tracking, by kind, and that of the base after 15 frames."""
     images, stamps_s, _ = sequence
-    plain, other = base(), base()
-    feed(plain, images[:15], stamps_s[:15], check=False)
+    snapshots = {}
+    for kind in ("base", "dual"):
+        system = build_system(kind, CAMERA)
+        for i, (image, stamp_s) in enumerate(zip(images[:50], stamps_s[:50], strict=True)):
+            if i == 15:
+                snapshots["start"] = system.snapshot()
+            system.process(image, stamp_s)
+        assert system.state is TrackingState.TRACKING
+        snapshots[kind] = system.snapshot()
+    return snapshots
+
+
+@pytest.mark.parametrize("layout", ["columns", "read_only", "strided", "reused"])
+def test_the_layout_of_an_image_in_memory_does_not_matter(sequence, healthy, layout):
+    images, stamps_s, _ = sequence
+    other = base()
     buffer = np.empty(SHAPE, np.uint8)
     for image, stamp_s in zip(images[:15], stamps_s[:15], strict=True):
         given = image
@@ -45,7 +60,7 @@ def test_the_layout_of_an_image_in_memory_does_not_matter(sequence, layout):
             given = buffer
         other.process(given, stamp_s)
         buffer[:] = 0
-    assert fingerprint(other) == fingerprint(plain)
+    assert other.events and fingerprint(other) == fingerprint(healthy["start"].restore())
 
 
 # -- misuse --------------------------------------------------------------------------------------------------
@@ -70,40 +85,39 @@ def test_the_layout_of_an_image_in_memory_does_not_matter(sequence, layout):
     ],
     ids=lambda image: f"{getattr(image, 'dtype', type(image).__name__)}{getattr(image, 'shape', '')}",
 )
-def test_what_is_no_image_is_refused(image):
+def test_an_invalid_image_is_refused(image):
     system = base()
     with pytest.raises(ValueError, match="frame 0"):
         system.process(image, 0.0)
 
 
 @pytest.mark.parametrize("stamp_s", [1.0, 0.5, -1.0, np.nan, np.inf, -np.inf, None, "2.0"])
-def test_a_time_that_is_no_later_is_refused(stamp_s):
+def test_an_invalid_or_earlier_time_is_refused(stamp_s):
     system = base()
     system.process(GREY, 1.0)
     with pytest.raises(ValueError, match="frame 1"):
         system.process(GREY, stamp_s)
 
 
-def test_a_first_time_must_be_a_time():
+def test_the_first_time_must_be_finite():
     for stamp_s in (np.nan, -np.inf):
         with pytest.raises(ValueError):
             base().process(GREY, stamp_s)
     assert base().process(GREY, -5.0).frame == 0
 
 
-def test_misuse_leaves_the_system_as_it_was(sequence):
+def test_misuse_leaves_the_system_unchanged(sequence, healthy):
     images, stamps_s, _ = sequence
-    plain, abused = base(), base()
-    feed(plain, images[:25], stamps_s[:25], check=False)
-    for image, stamp_s in zip(images[:25], stamps_s[:25], strict=True):
+    abused = base()
+    for image, stamp_s in zip(images[:15], stamps_s[:15], strict=True):
         abused.process(image, stamp_s)
         for wrong in ((image[1:], stamp_s + 0.01), (image, stamp_s), (image, np.nan)):
             with pytest.raises(ValueError):
                 abused.process(*wrong)
-    assert fingerprint(abused) == fingerprint(plain)
+    assert fingerprint(abused) == fingerprint(healthy["start"].restore())
 
 
-def test_what_cannot_be_built_is_refused():
+def test_an_unknown_system_and_a_too_small_camera_are_refused():
     with pytest.raises(ValueError, match="unknown system"):
         build_system("triple", CAMERA)
     with pytest.raises(ValueError, match="too small"):
@@ -140,19 +154,13 @@ CONTENT = {
 }
 
 
-@pytest.mark.parametrize("kind", ["base", "dual"])
-@pytest.mark.parametrize("content", CONTENT)
-def test_no_content_raises(sequence, content, kind):
-    """At the start, while initialising, while tracking and at the end: at worst the system is lost."""
-    images, stamps_s, _ = sequence
-    images = list(images[:66])
-    spots = {*range(3), *range(5, 7), *range(50, 53), *range(64, 66)}
+def feed_spoilt(system, sequence, first, end, content, spots):
+    """Feed a part of the sequence in which some frames have other content; check every result."""
+    images, stamps_s = list(sequence[0][:end]), sequence[1][:end]
     for i in spots:
         images[i] = CONTENT[content](i)
-    system = build_system(kind, CAMERA, 0)
-    results = feed(system, images, stamps_s[:66])
+    results = feed(system, images[first:], stamps_s[first:])
     assert {r.frame for r in results if r.state is TrackingState.TRACKING}.isdisjoint(spots)
-    assert "initialized" in kinds(system) and "breakage" in kinds(system)
     for r in results:
         assert (r.T_map_cam is not None) is (r.state is TrackingState.TRACKING)
         assert r.T_map_cam is None or np.isfinite(r.T_map_cam).all()
@@ -160,11 +168,26 @@ def test_no_content_raises(sequence, content, kind):
         assert np.isfinite(path.T_map_cam).all()
 
 
+@pytest.mark.parametrize("content", CONTENT)
+def test_no_content_raises_during_initialization(sequence, content):
+    system = base()
+    feed_spoilt(system, sequence, 0, 30, content, {*range(3), *range(5, 7)})
+    assert kinds(system) == ["initialized"]
+
+
 @pytest.mark.parametrize("kind", ["base", "dual"])
 @pytest.mark.parametrize("content", CONTENT)
-def test_a_sequence_of_nothing_else_yields_no_map(content, kind):
-    system = build_system(kind, CAMERA, 0)
-    for i in range(8):
+def test_no_content_raises_during_tracking_or_after_a_breakage(sequence, healthy, content, kind):
+    """At worst tracking is lost."""
+    system = healthy[kind].restore()
+    feed_spoilt(system, sequence, 50, 62, content, {*range(50, 53), *range(60, 62)})
+    assert "breakage" in kinds(system)
+
+
+@pytest.mark.parametrize("content", CONTENT)
+def test_a_sequence_of_one_content_yields_no_map(content):
+    system = build_system("dual", CAMERA, 0)
+    for i in range(6):
         result = system.process(CONTENT[content](i), i / 30)
         assert result.state is TrackingState.NOT_INITIALIZED and result.reason
     assert system.maps() == [] and system.trajectories() == [] and system.events == []

@@ -1,10 +1,13 @@
-"""The warm-up goes through all that has kernels of its own, so that no run has to stop to compile."""
+"""The warm-up compiles all kernels, so that no run has to."""
+
+import pytest
 
 from slam import factory
 from slam.warmup import warm_up
 
 
-def test_it_comes_to_a_recovery_by_either_thread_a_fusion_and_a_relocalization(monkeypatch):
+@pytest.mark.slow
+def test_the_warmup_runs_both_recovery_threads_a_fusion_and_a_relocalization(monkeypatch):
     built, build, told = {}, factory.build_system, []
 
     def build_system(kind, *arguments, **options):

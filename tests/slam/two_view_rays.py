@@ -1,4 +1,4 @@
-"""Rays of two cameras that see the same points, and the errors of a motion by their definition."""
+"""Rays of two cameras with common points, and the errors of a motion by definition."""
 
 import numpy as np
 
@@ -38,7 +38,7 @@ def views(seed, n=200, noise_px=0.0, direction=None, depth=(5, 20), outliers=0.0
 
 
 def matches_of(rays_1, rays_2, sigma):
-    """As the kernels take them."""
+    """Matches as the kernels take them."""
     return np.ascontiguousarray(np.column_stack([rays_1, rays_2, sigma]).T)
 
 
@@ -49,7 +49,7 @@ def errors_of(T, rays_1, rays_2, sigma):
     return out
 
 
-def errors_twin(T, rays_1, rays_2, sigma):
+def errors_reference(T, rays_1, rays_2, sigma):
     """The errors match by match, from the essential matrix and the vanishing point of the ray."""
     R, t = T[:3, :3], T[:3, 3]
     E = np.cross(np.eye(3), t) @ R
@@ -71,6 +71,6 @@ def errors_twin(T, rays_1, rays_2, sigma):
 
 
 def loss(off, behind):
-    """Tukey's loss as in textbooks, so scaled that it is the square for small errors."""
+    """Tukey's loss, scaled to equal the square for small errors."""
     e2 = (off**2 + behind**2) / TUKEY**2
     return TUKEY**2 / 3 * np.where(e2 < 1, 1 - (1 - np.minimum(e2, 1)) ** 3, 1.0)

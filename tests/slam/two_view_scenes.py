@@ -9,7 +9,7 @@ K = np.array([[500.0, 0, 320], [0, 505, 240], [0, 0, 1]])
 
 def rigid(translation, rotation):
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = so3_exp(*rotation), translation
+    T[:3, :3], T[:3, 3] = so3_exp(*map(float, rotation)), translation
     return T
 
 

@@ -1,4 +1,4 @@
-"""Map fusion: one map out of two that a similarity relates. Source: paper, Sec. III-C, Eq. 2."""
+"""Map fusion: make one map of two, given a similarity between them. Source: paper, Sec. III-C, Eq. 2."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,13 +19,13 @@ from slam.optimization.sim3_algebra import invert_sim3
 
 @dataclass(frozen=True)
 class FusionConfig(AlignmentConfig):
-    """Acceptance of a fusion: of each alignment, and of several together.
+    """Acceptance thresholds of a fusion: of each alignment, and of several together.
 
     Attributes:
-        max_frame_gap: frames between keyframes of the two maps that may be compared.
-        max_scale_change, max_rotation_deg, max_shift: how far two alignments, at different keyframes of the
-            old map, may differ and still confirm each other; the shift is in median depths.
-        confirmations: alignments that must agree.
+        max_frame_gap: most frames between two keyframes that are compared.
+        max_scale_change, max_rotation_deg, max_shift: largest differences between two alignments, at
+            different keyframes of the old map, that confirm each other; the shift is in median depths.
+        confirmations: number of alignments that must agree.
     """
 
     max_frame_gap: int = 5
@@ -36,7 +36,7 @@ class FusionConfig(AlignmentConfig):
 
 
 def agree(old: Map, first: Alignment, second: Alignment, config: FusionConfig) -> bool:
-    """Whether two alignments at different keyframes of the old map tell the same similarity."""
+    """Return True if two alignments at different old keyframes give the same similarity."""
     if first.old_map_id != second.old_map_id or first.old_keyframe == second.old_keyframe:
         return False
     s_1, R_1, _ = sim3_decompose(first.S_old_new)
@@ -54,11 +54,11 @@ def agree(old: Map, first: Alignment, second: Alignment, config: FusionConfig) -
 
 @dataclass(frozen=True)
 class Fused:
-    """What became of the new map's rows.
+    """Position of the new map's rows in the fused map.
 
     Attributes:
         keyframes, points: offsets of its rows in the old map.
-        factor: (n_keyframes,) on lengths about each keyframe of the fused map, from the seam's optimisation.
+        factor: (n_keyframes,) scale change of lengths around each keyframe, from the seam's optimisation.
     """
 
     keyframes: int
@@ -73,22 +73,22 @@ def fuse(
     mapping: LocalMappingConfig,
     renewed: bool = True,
 ) -> Fused:
-    """Take the new map into the old one, whose frame is kept.
+    """Fuse the new map into the old one, whose frame is kept.
 
-    The new map is placed by the last alignment; where more are given, the essential graph over the seam is
-    optimised with all of them, the old keyframes held.
+    The last alignment places the new map. If there are more, the essential graph over the seam is optimised
+    with all of them; the old keyframes are fixed.
 
     Args:
         old: changed in place.
         new: moved into the old map's frame in place, then copied.
         alignments: those that agree; the accepted one last.
         mapping: settings of the seam's fusion and bundle adjustment.
-        renewed: old keyframes younger than the seam are by-passed: a recovery has covered their frames anew,
-            and they are the ones that the breakage may have corrupted.
+        renewed: cull old keyframes younger than the seam: a recovery has covered their frames again, and the
+            breakage may have corrupted them.
     """
     accepted = alignments[-1]
     if renewed:
-        _bypass_younger(old, seam_frame(old, alignments))
+        _cull_younger(old, seam_frame(old, alignments))
     new.transform(*sim3_decompose(accepted.S_old_new))
     keyframes, points = old.absorb(new)
     for k in range(keyframes, old.n_keyframes):
@@ -105,18 +105,18 @@ def fuse(
 
 
 def seam_frame(old: Map, alignments: Sequence[Alignment]) -> int:
-    """The youngest frame at which the new map has been found to fit the old one."""
+    """Index of the youngest frame at which the two maps were aligned."""
     return max(old.frame_index(a.old_keyframe) for a in alignments)
 
 
-def _bypass_younger(old: Map, frame: int) -> None:
+def _cull_younger(old: Map, frame: int) -> None:
     for k in old.keyframes():
         if old.frame_index(int(k)) > frame and old.parent(int(k)) >= 0:
             old.cull_keyframe(int(k))
 
 
 def _optimize_seam(fused: Map, alignments: Sequence[Alignment], first_new: int) -> np.ndarray:
-    """Optimise the essential graph of the new side over the seam; (n_keyframes,) factor on lengths."""
+    """Optimise the new map's essential graph over the seam; (n_keyframes,) scale change of lengths."""
     rows = fused.keyframes()
     bad = fused.arrays.kf_bad
     standing = [a for a in alignments if not (bad[a.new_keyframe + first_new] or bad[a.old_keyframe])]
@@ -129,7 +129,7 @@ def _optimize_seam(fused: Map, alignments: Sequence[Alignment], first_new: int) 
     inner = inner[inner.min(axis=1) >= first_new]
     to_placed = alignments[-1].S_old_new
     measured = [
-        # Both ends by this alignment: the new keyframe stands where the last one has put it.
+        # The new keyframe has the pose of the last alignment: express it by this one.
         T[i] @ to_placed @ sim3_inverse(a.S_old_new) @ np.linalg.inv(T[j])
         for (i, j), a in zip(seam, standing, strict=True)
     ]
@@ -150,7 +150,7 @@ def _optimize_seam(fused: Map, alignments: Sequence[Alignment], first_new: int) 
 
 
 def _fuse_seam(fused: Map, old_keyframe: int, new_keyframe: int) -> None:
-    """Join the duplicates that are left about the seam, both ways."""
+    """Fuse the remaining duplicate points around the seam, in both directions."""
     old_side = [old_keyframe, *fused.neighbours(old_keyframe, 10)]
     new_side = [new_keyframe, *fused.neighbours(new_keyframe, 10)]
     for targets, sources in ((new_side, old_side), (old_side, new_side)):

@@ -1,4 +1,4 @@
-"""Saved maps met again: place recognition between the current map and those whose recovery has failed."""
+"""Place recognition between the current map and saved maps whose recovery has failed."""
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
@@ -12,15 +12,15 @@ from slam.map.map import Map
 from slam.optimization.sim3 import sim3_inverse
 from slam.places.recognition import KeyframeDatabase
 
-_CANDIDATES = 2  # likeliest keyframes of a saved map that are compared with a new keyframe
-_WAITING = 3  # newest keyframes that are looked for in saved maps, when that has had to wait
+_CANDIDATES = 2  # most similar keyframes of a saved map that are compared with a new keyframe
+_WAITING = 3  # newest keyframes kept for a delayed search
 
 
 class PlaceMerger:
-    """Compares keyframes of the current map with the saved maps, as loop closing does within one map.
+    """Recognises saved maps from keyframes of the current one, as in loop closing.
 
     Args:
-        config: acceptance; the gap between frames does not matter here.
+        config: acceptance thresholds; ``max_frame_gap`` is not used.
         seed: the system's.
     """
 
@@ -31,7 +31,7 @@ class PlaceMerger:
         self._found: dict[tuple[int, int], list[Alignment]] = {}
 
     def note(self, keyframe: int) -> None:
-        """The current map has a new keyframe, to be looked for when there is time."""
+        """Add a new keyframe of the current map to the next search."""
         self._waiting = [*self._waiting[1 - _WAITING :], keyframe]
 
     def search(
@@ -41,16 +41,16 @@ class PlaceMerger:
         database_of: Callable[[int], KeyframeDatabase],
         lock: AbstractContextManager,
     ) -> tuple[Alignment, ...]:
-        """Look for the noted keyframes in the saved maps.
+        """Search the saved maps for the noted keyframes.
 
         Args:
             current: the map of the keyframes.
-            saved: maps, none of which grows.
-            database_of: place recognition in a map, by its number.
+            saved: saved maps; none of them grows.
+            database_of: keyframe database of a map, by its id.
             lock: held while the current map is read.
 
         Returns:
-            Alignments with one saved map that agree, as :meth:`offer` gives them.
+            Alignments with one saved map that agree, as from :meth:`offer`.
         """
         keyframes, self._waiting = self._waiting, []
         for keyframe in keyframes:
@@ -67,17 +67,17 @@ class PlaceMerger:
     def offer(
         self, current: Map, keyframe: int, old: Map, database: KeyframeDatabase, rng: np.random.Generator
     ) -> tuple[Alignment, ...]:
-        """Look for a new keyframe's place in a saved map.
+        """Search a saved map for the place of a new keyframe.
 
         Args:
             current: the map of the keyframe.
             keyframe: its row.
             old: a saved map.
-            database: its keyframes.
+            database: keyframe database of the saved map.
             rng: stream of the RANSAC.
 
         Returns:
-            Alignments at different keyframes that agree, the last found last; none while there are too few.
+            Alignments at different keyframes that agree, the newest last; empty while there are too few.
         """
         known = self._found.setdefault((old.map_id, current.map_id), [])
         bow = database.vocabulary.transform(current.features(keyframe).descriptors)
@@ -91,17 +91,22 @@ class PlaceMerger:
                 return (*agreeing, alignment)
         return ()
 
-    def moved_on(self) -> None:
-        """The current map is another one."""
+    def reset_keyframes(self) -> None:
+        """Clear the noted keyframes: the current map has changed."""
         self._waiting.clear()
 
-    def forget(self) -> None:
-        """What was found is void: maps have changed."""
+    def reset_alignments(self) -> None:
+        """Discard the alignments found so far: a map has changed."""
         self._found.clear()
 
 
-def turned(alignment: Alignment, new_map_id: int) -> Alignment:
-    """The same alignment with the two maps' parts exchanged; ``new_map_id``: the map that was the new one."""
+def inverted(alignment: Alignment, new_map_id: int) -> Alignment:
+    """Exchange the two maps of an alignment.
+
+    Args:
+        alignment: between an old and a new map.
+        new_map_id: id of the new map, the old one in the result.
+    """
     return Alignment(
         sim3_inverse(alignment.S_old_new),
         1.0 / alignment.scale,

@@ -1,4 +1,4 @@
-"""What follows a map into the one that has absorbed it: the tracker, the mapper, the frames of a recovery."""
+"""Rebase of tracker, mapper and a recovery's frames onto the map that has absorbed theirs."""
 
 from collections.abc import Sequence
 
@@ -11,20 +11,20 @@ from slam.tracking.tracker import Tracker
 
 
 def rebase_tracking(tracker: Tracker, mapper: LocalMapper, old: Map, fused: Fused, scale: float) -> None:
-    """Go on in the map that has absorbed the one tracked in.
+    """Move tracking and mapping to the map that has absorbed the tracked one.
 
     Args:
         tracker, mapper: of the absorbed map.
         old: the map that has absorbed it.
-        fused: where its rows are.
-        scale: took its lengths to the old map's.
+        fused: position of its rows.
+        scale: factor from its lengths to the old map's.
     """
     last = tracker.last
     if last is None:
         raise RuntimeError("the tracker has not been started")
     row = last.reference_keyframe + fused.keyframes
     scale *= fused.factor[row]
-    _refer(last, row, scale)
+    _set_reference(last, row, scale)
     last.point[last.point >= 0] += fused.points
     resolve_points(old.arrays, last.point)
     if tracker.velocity is not None:
@@ -38,17 +38,17 @@ def rebase_frames(frames: Sequence[Frame], keyframes: int, fused: Fused, scale: 
     """Refer the frames that a recovery has tracked to the fused map.
 
     Args:
-        frames: tracked in the recovery's copy of the new map; changed in place, their points are void.
+        frames: tracked in the recovery's copy of the new map; changed in place, their points not updated.
         keyframes: offset of the copy's rows in the new map.
-        fused: where the new map's rows are.
-        scale: takes the copy's lengths to the old map's.
+        fused: position of the new map's rows.
+        scale: factor from the copy's lengths to the old map's.
     """
     for frame in frames:
         row = frame.reference_keyframe + keyframes + fused.keyframes
-        _refer(frame, row, scale * fused.factor[row])
+        _set_reference(frame, row, scale * fused.factor[row])
 
 
-def _refer(frame: Frame, keyframe: int, scale: float) -> None:
+def _set_reference(frame: Frame, keyframe: int, scale: float) -> None:
     frame.reference_keyframe = keyframe
     frame.T_cam_reference = frame.T_cam_reference.copy()
     frame.T_cam_reference[:3, 3] *= scale

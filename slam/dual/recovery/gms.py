@@ -1,4 +1,4 @@
-"""A third recovery thread: ORB matches that motion statistics support, and EPnP, backward.
+"""Third recovery thread: grid-based motion statistics (GMS) matches and EPnP, backward.
 
 Source: the method of Dual-SLAM's released code, which matches every frame with the last backward keyframe.
 """
@@ -20,10 +20,10 @@ class GmsRecoveryConfig(RecoveryConfig):
     """Settings of the GMS thread.
 
     Attributes:
-        threshold_factor: of GMS: how much support a match needs from its surroundings.
-        ransac_iterations, ransac_error_px: of the pose.
-        min_pose_inliers: matches that it must agree with.
-        min_inliers: map points of the local map that it must agree with in the end.
+        threshold_factor: of GMS: support that a match needs from its neighbourhood.
+        ransac_iterations, ransac_error_px: of the pose RANSAC.
+        min_pose_inliers: fewest matches that are inliers of the pose.
+        min_inliers: fewest inliers after local map matching.
     """
 
     threshold_factor: float = 6.0
@@ -34,7 +34,7 @@ class GmsRecoveryConfig(RecoveryConfig):
 
 
 class GmsRecovery:
-    """Frames placed by their GMS matches with the last backward keyframe."""
+    """Recovery that places frames by GMS matches with the last backward keyframe."""
 
     name = "gms"
     needs_images = False
@@ -62,7 +62,7 @@ class GmsTracker(Tracker):
         self.start(task.first, self._keyframe)
 
     def track(self, frame: Frame) -> TrackingOutcome:
-        """Place the frame by its matches with the last keyframe, then match it with the local map.
+        """Place the frame by matches with the last keyframe, then match the local map.
 
         Args:
             frame: features only; pose, matches and reference keyframe are filled in.
@@ -89,7 +89,7 @@ class GmsTracker(Tracker):
         inliers, matches = optimize_frame(frame, m), len(pairs)
         if inliers >= config.min_pose_inliers:
             inliers, matches = self._track_local_map(frame)
-        # Beyond a gap the pose has nothing but these matches, and all that comes after rests on it.
+        # After a gap only these matches support the pose, and all later poses depend on it.
         if inliers < (self.config.cautious_inliers if self._passed_over else config.min_inliers):
             return TrackingOutcome(False, inliers, matches, "too_few_local_map_inliers")
         self._accept(frame, last)
@@ -100,6 +100,6 @@ class GmsTracker(Tracker):
         self._passed_over += 1
 
     def keyframe_made(self, frame: Frame, keyframe: int) -> None:
-        """Take note that ``frame`` has become ``keyframe``."""
+        """Take over that ``frame`` has become ``keyframe``."""
         super().keyframe_made(frame, keyframe)
         self._keyframe = keyframe

@@ -1,4 +1,4 @@
-"""Recovery: the new map, extended backward in time over the buffer until it meets the old one.
+"""Interface of recovery threads, which extend the new map backward to an old one.
 
 Source: paper, Sec. III-B and Algorithm 1.
 """
@@ -20,18 +20,18 @@ from slam.tracking.tracker import TrackingConfig
 
 @dataclass(frozen=True)
 class RecoveryTask:
-    """What a recovery thread is given.
+    """Input of a recovery thread.
 
     Attributes:
-        new_map: a copy of its own to extend.
+        new_map: the thread's own copy of the new map, to be extended.
         first: the new map's first frame, tracked in it.
         backward: buffered frames before it, newest first.
-        old_maps: the saved maps that the buffer reaches, newest first, not to be changed.
-        step: T_cam_last of one frame backward, as far as the new map's first motion tells.
+        old_maps: the saved maps that the buffer reaches, newest first; read only.
+        step: T_cam_last of one frame backward, from the new map's first motion.
         rng: stream of this thread.
-        camera: what the images were taken with.
+        camera: the camera of the images.
         image_of: the (H, W) uint8 image of a frame by its index; the first frame's and the buffered ones'
-            are there for a thread that has said that it needs images.
+            are available to a thread that declares ``needs_images``.
     """
 
     new_map: Map
@@ -46,19 +46,19 @@ class RecoveryTask:
 
 @dataclass
 class RecoveryResult:
-    """What a recovery thread made of it.
+    """Result of a recovery thread.
 
     Attributes:
         success: an alignment was found and confirmed.
-        stage: where it failed: ``propagation``, ``overlap`` or ``sim3``; empty on success.
-        reason: why.
-        frames_covered: buffered frames gone back over.
-        frames_passed_over: those of them that could not be placed.
-        keyframes_made: keyframes that the new map has gained.
+        stage: the stage that failed: ``propagation``, ``overlap`` or ``sim3``; empty on success.
+        reason: reason of the failure.
+        frames_covered: number of buffered frames processed.
+        frames_passed_over: those of them that got no pose.
+        keyframes_made: keyframes added to the new map.
         alignments_tried: pairs of keyframes at which the maps were compared.
         inliers: of the last placed frame, or of the alignment on success.
         alignment: the accepted similarity, None on failure.
-        confirming: the earlier ones that agree with it.
+        confirming: the earlier alignments that agree with it.
         map: the new map as extended.
         frames: the frames placed backward.
     """
@@ -79,10 +79,10 @@ class RecoveryResult:
 
 @dataclass(frozen=True)
 class RecoveryCost:
-    """What a thread's steps take on one core, measured; lockstep mode reckons the time of a recovery by it.
+    """Measured time of a thread's steps on one core, for lockstep mode.
 
     Attributes:
-        frame_ms: per buffered frame gone over.
+        frame_ms: per buffered frame processed.
         keyframe_ms: per keyframe made.
         alignment_ms: per pair of keyframes compared.
     """
@@ -92,7 +92,7 @@ class RecoveryCost:
     alignment_ms: float
 
     def seconds(self, result: RecoveryResult) -> float:
-        """The time that a recovery with this result takes."""
+        """Duration of a recovery with this result."""
         return 1e-3 * (
             self.frame_ms * result.frames_covered
             + self.keyframe_ms * result.keyframes_made
@@ -101,12 +101,12 @@ class RecoveryCost:
 
 
 class RecoveryThread(Protocol):
-    """One way of going back. It keeps nothing from one run to the next.
+    """A kind of recovery thread; it keeps no state between runs.
 
     Attributes:
-        name: of its kind.
-        needs_images: whether frames must be held as images and not only as features.
-        cost: the time that its steps take.
+        name: name of the kind.
+        needs_images: the buffer must hold images, not only features.
+        cost: time of its steps.
     """
 
     name: str
@@ -114,7 +114,7 @@ class RecoveryThread(Protocol):
     cost: RecoveryCost
 
     def run(self, task: RecoveryTask) -> RecoveryResult:
-        """Go back over the buffer until the maps meet or the way is lost."""
+        """Go backward over the buffer until the maps overlap or tracking fails."""
         ...
 
 
@@ -123,9 +123,9 @@ class RecoveryConfig:
     """Settings of a recovery thread; kinds with settings of their own extend it.
 
     Attributes:
-        max_unusable_s: how long a run of frames it may pass over before it gives up; 0 for none, as in the
+        max_unusable_s: longest run of frames without a pose before the thread fails; 0 for none, as in the
             paper, infinity for any number, as in its released code.
-        tracking, mapping, fusion: settings of the parts that it reuses.
+        tracking, mapping, fusion: settings of the components that it reuses.
     """
 
     max_unusable_s: float = 2.0
@@ -134,13 +134,13 @@ class RecoveryConfig:
     fusion: FusionConfig = field(default_factory=FusionConfig)
 
     def __post_init__(self) -> None:
-        """Check what has no other guard."""
+        """Check the settings."""
         if not self.max_unusable_s >= 0:
             raise ValueError(f"max_unusable_s must be 0 or more, is {self.max_unusable_s}")
 
     @classmethod
     def extending(cls, config: "RecoveryConfig | None") -> Self:
-        """These settings, where ``config`` has them; what is shared taken from it, where it has not."""
+        """Return ``config`` if it is of this class, else settings with its shared fields."""
         if isinstance(config, cls):
             return config
         shared = {f.name: getattr(config, f.name) for f in fields(RecoveryConfig)} if config else {}

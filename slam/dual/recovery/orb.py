@@ -14,26 +14,26 @@ class OrbRecoveryConfig(RecoveryConfig):
     """Settings of the ORB thread.
 
     Attributes:
-        min_share: least share of a frame's map matches that must fit its pose; with less the frame is passed
-            over. Tracking forward has no such bound: it cannot jump to a later frame that is sound.
+        min_share: least share of inliers among a frame's map matches; with less the frame is passed over.
+            Forward tracking has no such bound: it cannot skip to a better frame.
     """
 
     min_share: float = 0.6
 
 
 class OrbRecovery:
-    """The base system's tracking and mapping, run against time, but stricter with every frame."""
+    """The base system's tracking and mapping, run backward with a stricter inlier threshold."""
 
     name = "orb"
     needs_images = False
-    # One core, 640x480, 1,000 features: rounded up from 0.9, 15 and 4.7 measured, to agree with whole runs.
+    # One core, 640x480, 1,000 features; rounded from 0.9, 15 and 4.7 measured, to agree with whole runs.
     cost = RecoveryCost(frame_ms=2.0, keyframe_ms=20.0, alignment_ms=4.0)
 
     def __init__(self, config: RecoveryConfig | None = None) -> None:
         self.config = OrbRecoveryConfig.extending(config)
 
     def run(self, task: RecoveryTask) -> RecoveryResult:
-        """Track the buffered frames newest first, each where the motion so far predicts it."""
+        """Track the buffered frames newest first, with a motion model."""
         tracking = replace(self.config.tracking, min_share=self.config.min_share)
         tracker = Tracker(task.new_map, tracking, StageTimer())
         tracker.start(task.first, task.first.reference_keyframe, task.step)

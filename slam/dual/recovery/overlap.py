@@ -1,4 +1,4 @@
-"""Overlap the old maps: alignments where two maps have keyframes of about the same time, confirmed."""
+"""Overlap of the extended map with old maps, tested at keyframes of similar time."""
 
 from slam.core.frame import Frame
 from slam.dual.fusion.fuse import FusionConfig, agree
@@ -8,10 +8,10 @@ from slam.map.map import Map
 
 
 class Overlap:
-    """Watches for the old maps: aligns where two maps have keyframes of about the same time.
+    """Aligns the extended map with old maps at keyframes of about the same time.
 
     Attributes:
-        tried: pairs of keyframes compared.
+        tried: number of keyframe pairs compared.
         confirming: the earlier alignments that agree with the last one.
     """
 
@@ -28,15 +28,15 @@ class Overlap:
 
     @property
     def accepted(self) -> Alignment:
-        """The alignment that was confirmed last."""
+        """The last alignment found."""
         return self._found[-1]
 
     def possible(self, frame: Frame) -> bool:
-        """Whether an old map has a keyframe of this very frame."""
+        """Return True if an old map has a keyframe of this same frame."""
         return any(frame.features.index in keyframes for keyframes in self._keyframes)
 
     def attempt(self, frame: Frame, keyframe: int) -> bool:
-        """Align at this keyframe with every old map that it may meet; True once enough alignments agree."""
+        """Align this keyframe with every old map close in time; True once enough alignments agree."""
         index = frame.features.index
         for old, keyframes in zip(self._task.old_maps, self._keyframes, strict=True):
             near = [f for f in keyframes if abs(f - index) <= self._config.max_frame_gap]
@@ -56,7 +56,7 @@ class Overlap:
         return len(self.confirming) + 1 >= self._config.confirmations
 
     def verdict(self) -> tuple[str, str]:
-        """(stage, reason) of a failure to meet."""
+        """(stage, reason) of a recovery without a confirmed alignment."""
         if self._found:
             return "sim3", "alignments_do_not_agree" if len(self._found) > 1 else "alignment_not_confirmed"
         if "sim3" in self._failures:

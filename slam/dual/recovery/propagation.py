@@ -1,4 +1,4 @@
-"""The way back over the buffer, the same for every kind of recovery thread but for how a frame gets its pose.
+"""Backward propagation over the buffer, shared by all recovery threads.
 
 Source: paper, Sec. III-B and Algorithm 1.
 """
@@ -13,13 +13,13 @@ from slam.tracking.tracker import Tracker
 def propagate(
     task: RecoveryTask, config: RecoveryConfig, tracker: Tracker, mapper: LocalMapper
 ) -> RecoveryResult:
-    """Place the buffered frames newest first, map as forward mapping does, try to meet the old maps.
+    """Track the buffered frames newest first, map them, align with the old maps.
 
     Args:
-        task: what is given; its new map is extended in place.
+        task: input; its new map is extended in place.
         config: settings.
-        tracker: places frames in the new map; it stands at the task's first frame.
-        mapper: grows the new map.
+        tracker: estimates poses in the new map; started at the task's first frame.
+        mapper: extends the new map.
     """
     result = RecoveryResult(task.new_map)
     overlap = Overlap(task, config.fusion)
@@ -44,9 +44,9 @@ def propagate(
             keyframe = mapper.insert(frame)
             result.keyframes_made += 1
             tracker.keyframe_made(frame, keyframe)
-            met = overlap.attempt(frame, keyframe)
+            confirmed = overlap.attempt(frame, keyframe)
             result.alignments_tried = overlap.tried
-            if met:
+            if confirmed:
                 result.success = True
                 result.alignment = overlap.accepted
                 result.confirming = overlap.confirming

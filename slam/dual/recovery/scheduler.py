@@ -1,7 +1,7 @@
-"""The recovery threads of one breakage, run one after another beside tracking.
+"""Scheduler of the recovery threads of one breakage, which run one after another beside tracking.
 
-In lockstep they are run at once, and each is said to have ended when its cost model says that it would have:
-what comes of it does not depend on the load of the machine. Threaded they have a thread of their own.
+In lockstep mode they run at once, and each counts as ended when its cost model says that it would have ended:
+results do not depend on the load of the machine. In threaded mode they run in a worker thread.
 """
 
 from collections import deque
@@ -16,13 +16,13 @@ from slam.runtime.worker import Worker
 
 @dataclass(frozen=True)
 class ThreadOutcome:
-    """A recovery thread that has ended.
+    """Outcome of a finished recovery thread.
 
     Attributes:
-        number: from 1.
-        name: of its kind.
-        result: what it made of it.
-        cpu_ms: what that took.
+        number: position of the thread, from 1.
+        name: kind of the thread.
+        result: its result.
+        cpu_ms: CPU milliseconds of the run.
         ends_s: the time at which it counts as ended, in lockstep.
         is_last: no thread comes after it.
     """
@@ -36,11 +36,11 @@ class ThreadOutcome:
 
 
 class RecoveryScheduler:
-    """Runs the recovery threads.
+    """Runs the recovery threads in order.
 
     Args:
         mode: see the module.
-        exhaustive: run every thread, also after one has succeeded.
+        exhaustive: run every thread, even after one has succeeded.
     """
 
     def __init__(self, mode: ExecutionMode, exhaustive: bool) -> None:
@@ -49,12 +49,12 @@ class RecoveryScheduler:
         self._worker = Worker("recovery") if mode is ExecutionMode.THREADED else None
 
     def start(self, threads: Sequence[RecoveryThread], tasks: Sequence[RecoveryTask], stamp_s: float) -> None:
-        """Set the threads going.
+        """Start the threads.
 
         Args:
             threads: in the order in which they run.
-            tasks: one for each, sharing nothing that a thread changes.
-            stamp_s: the time now.
+            tasks: one for each; they share nothing that a thread changes.
+            stamp_s: the current time.
         """
         job = self._run(threads, tasks, stamp_s)
         if self._worker is None:
@@ -63,21 +63,29 @@ class RecoveryScheduler:
             self._worker.submit(lambda: self._outcomes.extend(job))
 
     def ended(self, stamp_s: float) -> Iterator[ThreadOutcome]:
-        """The threads that have ended by now, each told of once. Raises what a thread has raised."""
+        """Yield each finished thread once.
+
+        Raises:
+            Exception: the exception of a thread.
+        """
         if self._worker is not None:
             self._worker.check()
         while self._outcomes and (self._worker is not None or self._outcomes[0].ends_s <= stamp_s):
             yield self._outcomes.popleft()
 
     def rest(self) -> Iterator[ThreadOutcome]:
-        """Wait for all threads; those not told of yet. Raises what a thread has raised."""
+        """Wait for all threads, then yield those not yielded yet.
+
+        Raises:
+            Exception: the exception of a thread.
+        """
         if self._worker is not None:
             self._worker.drain()
         while self._outcomes:
             yield self._outcomes.popleft()
 
     def close(self) -> None:
-        """End the thread."""
+        """Stop the worker thread, if there is one."""
         if self._worker is not None:
             self._worker.close()
 

@@ -1,8 +1,7 @@
 """Recovery thread 2: SIFT matches and PnP, backward. Source: paper, Algorithm 1, lines 15-25.
 
-It predicts no motion: a frame gets its pose from SIFT features alone, however far the camera has moved
-since the last one placed, as long as the two see the same thing. The map grows with ORB features on these
-poses.
+It has no motion model: a frame gets its pose from SIFT matches alone, however far the camera has moved since
+the last placed frame, as long as the views overlap. The map grows with ORB features on these poses.
 """
 
 from dataclasses import dataclass
@@ -14,10 +13,16 @@ from slam.core.timing import StageTimer
 from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
 from slam.dual.recovery.propagation import propagate
 from slam.dual.recovery.sift_mapping import SiftMapper
-from slam.features import sift as sift_features
-from slam.features.sift import SiftFrame
+from slam.features.sift import (
+    SiftFrame,
+    detect,
+    match,
+    rays,
+    take_depth_from_points,
+    triangulate_pairs,
+)
 from slam.map._map_kernels import count_observed, resolve_points
-from slam.matching import guided as matching
+from slam.matching import guided
 from slam.optimization.pose import CHI2_2DOF, optimize_pose
 from slam.tracking.pnp import ransac_pnp
 from slam.tracking.tracker import Tracker, TrackingOutcome
@@ -28,18 +33,18 @@ class SiftRecoveryConfig(RecoveryConfig):
     """Settings of the SIFT thread.
 
     Attributes:
-        n_features: SIFT features per frame at the most.
-        contrast: of SIFT: half of its usual value, since weak texture is what this thread is there for.
+        n_features: most SIFT features per frame.
+        contrast: contrast threshold of SIFT, half of the usual value: this thread serves weak texture.
         ratio: best over second best descriptor distance of a SIFT match.
-        ransac_iterations, ransac_error_px: of the pose.
-        min_sift_inliers, min_points: SIFT features and map points that a pose must agree with.
-        min_sift_inliers_alone: SIFT features that it must agree with where the map points are fewer.
-        young_points: points with three observations, below which a keyframe is part of a beginning.
-        min_parallax_deg: least angle between the rays from which a SIFT feature gets its place.
-        depth_radius_px: how far from a map point's keypoint a SIFT feature may lie to take its depth, until
-            it is triangulated.
-        adjusted_keyframes: how many of those made last have their SIFT features in bundle adjustment.
-        paired_keyframes: in how many of them new points are sought, even if none are shared.
+        ransac_iterations, ransac_error_px: of the pose RANSAC.
+        min_sift_inliers, min_points: fewest SIFT features and map points that are inliers of a pose.
+        min_sift_inliers_alone: fewest SIFT inliers if the map points are fewer than ``min_points``.
+        young_points: points with three observations, below which the map around a keyframe counts as young.
+        min_parallax_deg: least angle between the rays that triangulate a SIFT feature.
+        depth_radius_px: largest distance to a map point's keypoint at which a SIFT feature takes its depth,
+            until it is triangulated.
+        adjusted_keyframes: number of newest keyframes with SIFT features in bundle adjustment.
+        paired_keyframes: number of them matched for new points even without covisibility.
     """
 
     n_features: int = 1000
@@ -58,7 +63,7 @@ class SiftRecoveryConfig(RecoveryConfig):
 
 
 class SiftRecovery:
-    """Frames placed by SIFT features, mapped by ORB features."""
+    """Recovery that places frames by SIFT features and maps ORB features."""
 
     name = "sift"
     needs_images = True
@@ -69,7 +74,7 @@ class SiftRecovery:
         self.config = SiftRecoveryConfig.extending(config)
 
     def run(self, task: RecoveryTask) -> RecoveryResult:
-        """Place the buffered frames newest first, each by its SIFT matches with the last one placed."""
+        """Place the buffered frames newest first, each by SIFT matches with the last one."""
         tracker = SiftTracker(task, self.config)
         mapper = SiftMapper(
             task.new_map,
@@ -83,11 +88,11 @@ class SiftRecovery:
 
 
 class SiftTracker(Tracker):
-    """Places frames by SIFT features; matches the map's ORB features on these poses.
+    """Places frames by SIFT features, then matches the map's ORB features.
 
-    A SIFT feature has its place from the depth of a map point seen beside it at first, and as soon as there
-    is parallax from the frame in which it was first seen. Places are kept in the camera of the last frame
-    that saw them, which follows the map as bundle adjustment moves it.
+    A SIFT feature takes its depth from a nearby map point at first; once there is parallax with the frame
+    that saw it first, it is triangulated. Positions are kept relative to the last frame that saw them and so
+    follow the map when bundle adjustment moves it.
     """
 
     def __init__(self, task: RecoveryTask, config: SiftRecoveryConfig) -> None:
@@ -98,10 +103,10 @@ class SiftTracker(Tracker):
         self._tracks = 0
         self.last_sift = self._keyframe_sift = self._detect(task.first)
         self.start(task.first, task.first.reference_keyframe)
-        self._enter(self.last_sift)
+        self._register(self.last_sift)
 
     def track(self, frame: Frame) -> TrackingOutcome:
-        """Place the frame by its SIFT matches with the last frame placed, else with the last keyframe.
+        """Place the frame by SIFT matches with the last placed frame or the last keyframe.
 
         Args:
             frame: features only; pose, matches and reference keyframe are filled in.
@@ -113,11 +118,11 @@ class SiftTracker(Tracker):
         return outcome
 
     def pass_over(self, frame: Frame) -> None:
-        """Skip an unusable frame: the next one is matched with what this one should have been."""
+        """Skip an unusable frame: the next one is matched with the same frame."""
         self._passed_over += 1
 
     def wants_keyframe(self, frame: Frame, inliers: int) -> bool:
-        """As forward tracking has it, but as soon as it may be where the map has hardly begun or ends."""
+        """Decide as forward tracking does, but earlier where the map is young or ends."""
         waited_s = abs(frame.features.stamp_s - self._last_keyframe_stamp_s)
         if waited_s < self.config.keyframe_interval_s - 1e-6:
             return False
@@ -129,7 +134,7 @@ class SiftTracker(Tracker):
         return super().wants_keyframe(frame, inliers)
 
     def keyframe_made(self, frame: Frame, keyframe: int) -> None:
-        """Take note that ``frame``, the last one placed, has become ``keyframe``."""
+        """Take over that ``frame``, the last placed one, has become ``keyframe``."""
         super().keyframe_made(frame, keyframe)
         self._keyframe_sift = self.last_sift
 
@@ -138,15 +143,15 @@ class SiftTracker(Tracker):
     def _detect(self, frame: Frame) -> SiftFrame:
         c = self._sift_config
         image = self._task.image_of(frame.features.index)
-        return sift_features.detect(image, frame, self._task.camera, c.n_features, c.contrast)
+        return detect(image, frame, self._task.camera, c.n_features, c.contrast)
 
     def _place(self, sift: SiftFrame, reference: SiftFrame) -> TrackingOutcome:
         config, frame, m = self._sift_config, sift.frame, self.map
-        pairs = sift_features.match(reference, sift, config.ratio)
+        pairs = match(reference, sift, config.ratio)
         placed = pairs[reference.known[pairs[:, 0]]]
         if len(placed) < config.min_sift_inliers:
             return TrackingOutcome(False, 0, len(placed), "too_few_sift_matches")
-        xyz = reference.places(placed[:, 0], self._pose_of(reference.frame))
+        xyz = reference.positions(placed[:, 0], self._pose_of(reference.frame))
         found = ransac_pnp(
             xyz, sift.xy[placed[:, 1]], m.view, self._task.rng,
             config.ransac_iterations, config.ransac_error_px, config.min_sift_inliers,
@@ -158,7 +163,7 @@ class SiftTracker(Tracker):
         agree, points, matches = self._match_map(sift, reference.frame.point, xyz, placed[:, 1])
         sift_inliers = int(agree.sum())
         alone = points < config.min_points
-        # Beyond a gap the pose has nothing but these matches, and all that comes after rests on it.
+        # After a gap only these matches support the pose, and all later poses depend on it.
         too_few = self._passed_over and sift_inliers + points < self.config.cautious_inliers
         if too_few or sift_inliers < (config.min_sift_inliers_alone if alone else config.min_sift_inliers):
             return TrackingOutcome(False, points, matches, "too_few_inliers")
@@ -168,31 +173,31 @@ class SiftTracker(Tracker):
         self._accept(frame, reference.frame)
         wrong = np.zeros(len(sift.xy), np.bool_)
         wrong[placed[~agree, 1]] = True
-        self._hand_on(sift, reference, pairs[~wrong[pairs[:, 1]]])
-        self._enter(sift)
+        self._pass_tracks_on(sift, reference, pairs[~wrong[pairs[:, 1]]])
+        self._register(sift)
         return TrackingOutcome(True, points, matches)
 
     def _match_map(
         self, sift: SiftFrame, seen: np.ndarray, xyz: np.ndarray, rows: np.ndarray
     ) -> tuple[np.ndarray, int, int]:
-        """Match the local map about the pose and refine it by both kinds of features.
+        """Match the local map around the pose and refine it by both kinds of features.
 
         Args:
-            sift: the frame, posed.
+            sift: the frame, with a pose.
             seen: map points that the reference frame sees, -1 for none.
-            xyz, rows: (k, 3) places of the features ``rows``.
+            xyz, rows: (k, 3) positions of the features ``rows``.
 
         Returns:
-            Which of the features agree (k,) bool, map points that agree, map points matched.
+            Inlier mask of the features (k,) bool, number of map point inliers, number of map points matched.
         """
         m, frame, f = self.map, sift.frame, sift.frame.features
-        _, candidates = matching.collect_local_map(
+        _, candidates = guided.collect_local_map(
             m.arrays, m.n_keyframes, m.n_points, seen, self.config.local_map_keyframes
         )
         frame.point[:] = -1
         agree, matches = np.zeros(len(rows), np.bool_), 0
         for widen, last in ((2.0, False), (1.0, True)):
-            matching.match_local_points(
+            guided.match_local_points(
                 m.arrays, m.view, frame.T_cam_map, candidates,
                 f.xy, f.octave, f.descriptors, f.cell_start, frame.point, widen, 0.8, last,
             )  # fmt: skip
@@ -210,36 +215,36 @@ class SiftTracker(Tracker):
         return agree, int((frame.point >= 0).sum()), matches
 
     def _set_reference(self, frame: Frame, reference: Frame) -> None:
-        """Refer the frame to the keyframe that shares most of its points, or to its predecessor's."""
+        """Set the reference: the keyframe with most common points, or the predecessor's."""
         m = self.map
-        keyframes, _ = matching.collect_local_map(m.arrays, m.n_keyframes, m.n_points, frame.point, 1)
+        keyframes, _ = guided.collect_local_map(m.arrays, m.n_keyframes, m.n_points, frame.point, 1)
         frame.reference_keyframe = (
             int(keyframes[0]) if len(keyframes) else m.live(reference.reference_keyframe)
         )
 
-    def _hand_on(self, sift: SiftFrame, reference: SiftFrame, pairs: np.ndarray) -> None:
-        """What is known of a feature passes to its match: where it was first seen, and its place."""
+    def _pass_tracks_on(self, sift: SiftFrame, reference: SiftFrame, pairs: np.ndarray) -> None:
+        """Pass first view and position of each feature to its match, triangulated where possible."""
         theirs, own = pairs.T
         view, T = self.map.view, sift.frame.T_cam_map
         sift.follow(own, reference, theirs)
-        sift.set_places(own, reference.places(theirs, self._pose_of(reference.frame)), T)
+        sift.set_positions(own, reference.positions(theirs, self._pose_of(reference.frame)), T)
         poses = np.empty((len(self._placed), 4, 4))
         for number in np.unique(sift.seen_from[own]):
             poses[number] = self._pose_of(self._placed[number])
-        xyz, disagrees = sift_features.triangulate_pairs(
+        xyz, disagrees = triangulate_pairs(
             poses[sift.seen_from[own]],
-            sift_features.rays(sift.seen_at[own], view),
+            rays(sift.seen_at[own], view),
             np.ascontiguousarray(T),
-            sift_features.rays(sift.xy[own], view),
+            rays(sift.xy[own], view),
             CHI2_2DOF / (sift.inv_sigma2[own] * view.fx * view.fy),
             float(np.cos(np.deg2rad(self._sift_config.min_parallax_deg))),
         )
         seen = np.isfinite(xyz[:, 0])
-        sift.set_places(own[seen], xyz[seen], T)
+        sift.set_positions(own[seen], xyz[seen], T)
         sift.forget(own[disagrees])
 
-    def _enter(self, sift: SiftFrame) -> None:
-        """The frame is placed: features new in it take their depth from the map points beside them."""
+    def _register(self, sift: SiftFrame) -> None:
+        """Register a placed frame; its new features take their depth from nearby map points."""
         frame, m = sift.frame, self.map
         new = np.flatnonzero(sift.seen_from < 0)
         sift.seen_from[new] = len(self._placed)
@@ -247,7 +252,7 @@ class SiftTracker(Tracker):
         self._tracks += len(new)
         self._placed.append(frame)
         rows = np.flatnonzero(frame.point >= 0)
-        sift_features.take_depth_from_points(
+        take_depth_from_points(
             sift,
             m.arrays.pt_xyz[frame.point[rows]],
             frame.features.xy[rows],
@@ -258,5 +263,5 @@ class SiftTracker(Tracker):
         self.last_sift = sift
 
     def _pose_of(self, frame: Frame) -> np.ndarray:
-        """(4, 4) T_cam_map of a placed frame, as the map stands now."""
+        """(4, 4) T_cam_map of a placed frame in the current map."""
         return frame.T_cam_reference @ self.map.T_cam_map(frame.reference_keyframe)

@@ -1,4 +1,4 @@
-"""Local mapping of ORB features on poses that SIFT features hold as well.
+"""Local mapping of ORB features on poses that SIFT features constrain too.
 
 Source: paper, Algorithm 1, line 20: bundle adjustment and reconstruction with ORB features on SIFT's poses.
 """
@@ -16,23 +16,23 @@ from slam.mapping._triangulation_search import new_points
 from slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
 from slam.optimization.bundle_adjustment import local_bundle_adjust
 
-_MIN_VIEWS = 3  # of a SIFT feature: two agree on any place along their epipolar line
-_HELD = 2  # of the keyframes made last, the oldest, which hold place and scale for the others
+_MIN_VIEWS = 3  # of a SIFT feature: two views agree on any point along their epipolar line
+_FIXED = 2  # oldest of the newest keyframes, which fix position and scale for the others
 
 
 class SiftMapper(LocalMapper):
-    """Local mapping that knows the SIFT features of the keyframes made last.
+    """Local mapping with the SIFT features of the newest keyframes.
 
-    They take part in bundle adjustment, and points are sought between those keyframes even if they share
-    none: through a stretch and beyond it where no ORB features are found again, that is how the map goes on.
+    They take part in bundle adjustment, and those keyframes are matched for new points even if they share
+    none: so the map continues across frames in which no ORB features are matched.
 
     Args:
         map_: the map.
         config: settings.
-        first: the view that recovery starts from, of keyframe 0.
-        latest: gives the view that is being made a keyframe.
-        kept: how many keyframes' SIFT features are kept.
-        paired: among how many of them points are sought.
+        first: view of keyframe 0, at which recovery starts.
+        latest: returns the view of the frame that becomes a keyframe.
+        kept: number of keyframes whose SIFT features are kept.
+        paired: number of them matched for new points.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class SiftMapper(LocalMapper):
         self._views: dict[int, SiftFrame] = {0: first}
 
     def adjust_keyframes(self, free: np.ndarray) -> None:
-        """Bundle adjustment of the keyframes marked in ``free``, of those made last, and of their points.
+        """Bundle-adjust the keyframes marked in ``free``, the newest ones, and their points.
 
         Args:
             free: (n_keyframes,) bool.
@@ -60,7 +60,7 @@ class SiftMapper(LocalMapper):
         made = [k for k in self._views if not a.kf_bad[k]]
         free = free.copy()
         free[made] = True
-        free[made[: min(_HELD, len(made) - 1)]] = False
+        free[made[: min(_FIXED, len(made) - 1)]] = False
         cameras, points, obs_camera, obs_point, obs_keypoint = local_problem(
             a, m.n_keyframes, m.n_points, free, self.config.fixed
         )
@@ -89,13 +89,13 @@ class SiftMapper(LocalMapper):
         xyz = result.points[len(points) :][sift.point]
         for c in np.unique(sift.camera):
             own, seen = sift.camera == c, self._views[int(cameras[c])]
-            seen.set_places(sift.row[own], xyz[own], result.T_cam_map[c])
+            seen.set_positions(sift.row[own], xyz[own], result.T_cam_map[c])
             seen.forget(sift.row[own & ~good[count:]])
 
     # -- steps -------------------------------------------------------------------------------------------
 
     def _create_points(self, keyframe: int) -> None:
-        """Triangulate matches with covisible keyframes, and with those made last."""
+        """Triangulate matches with covisible keyframes and with the newest ones."""
         self._views[keyframe] = self._latest()
         for old in list(self._views)[: -self._kept]:
             del self._views[old]
@@ -108,7 +108,7 @@ class SiftMapper(LocalMapper):
                 self._young = np.concatenate([self._young, created])
 
     def _triangulate_at(self, keyframe: int, other: int, depth: float) -> np.ndarray:
-        """Rows of the points found between two keyframes, none of which need have any, at about ``depth``."""
+        """Rows of the points triangulated between two keyframes, which need not have any, near ``depth``."""
         m, config = self.map, self.config
         between = m.T_cam_map(keyframe) @ np.linalg.inv(m.T_cam_map(other))
         if depth <= 0 or np.linalg.norm(between[:3, 3]) < config.min_baseline * depth:
@@ -122,7 +122,7 @@ class SiftMapper(LocalMapper):
         return np.arange(first, first + len(own))
 
     def _sift_problem(self, cameras: np.ndarray) -> "_SiftProblem":
-        """What the SIFT features seen from ``cameras`` (C,), keyframe rows, add to a bundle adjustment."""
+        """Bundle adjustment terms of the SIFT features seen from ``cameras`` (C,), keyframe rows."""
         seen = [
             (c, self._views[int(k)], self.map.T_cam_map(int(k)))
             for c, k in enumerate(cameras)
@@ -131,13 +131,13 @@ class SiftMapper(LocalMapper):
         track = np.concatenate([v.track for _, v, _ in seen])
         row = np.concatenate([np.arange(len(v.track)) for _, v, _ in seen])
         camera = np.concatenate([np.full(len(v.track), c) for c, v, _ in seen])
-        places = np.concatenate([v.places(np.arange(len(v.track)), T) for _, v, T in seen])
+        positions = np.concatenate([v.positions(np.arange(len(v.track)), T) for _, v, T in seen])
         names, point, counts = np.unique(track, return_inverse=True, return_counts=True)
         xyz = np.full((len(names), 3), np.nan)
-        # Of several places of a feature the one of the keyframe made last is left standing.
+        # Of several positions of a feature, that of the newest keyframe is used.
         made = np.argsort(cameras[camera], kind="stable")
-        made = made[np.isfinite(places[made, 0])]
-        xyz[point[made]] = places[made]
+        made = made[np.isfinite(positions[made, 0])]
+        xyz[point[made]] = positions[made]
         use = (counts >= _MIN_VIEWS) & np.isfinite(xyz[:, 0])
         keep = use[point]
         return _SiftProblem(
@@ -152,7 +152,7 @@ class SiftMapper(LocalMapper):
 
 @dataclass(frozen=True)
 class _SiftProblem:
-    """Observations (n,) of SIFT features, camera by camera, and the places of their points (p, 3)."""
+    """Observations (n,) of SIFT features, ordered by camera, and their points (p, 3)."""
 
     camera: np.ndarray
     row: np.ndarray

@@ -15,7 +15,7 @@ LENSES = {
 
 
 def distort(camera, ideal):
-    """Slow twin: the radtan polynomial, on pixels."""
+    """NumPy reference: the radtan polynomial, on pixels."""
     k1, k2, p1, p2, k3 = camera.distortion
     x, y = (ideal[:, 0] - camera.cx) / camera.fx, (ideal[:, 1] - camera.cy) / camera.fy
     r2 = x * x + y * y
@@ -42,7 +42,7 @@ def test_undistort_without_distortion_is_the_same_array():
 
 
 @pytest.mark.parametrize("distortion", [CAMERA.distortion, LENSES["barrel"]])
-def test_undistort_takes_no_points(distortion):
+def test_undistort_accepts_an_empty_array(distortion):
     camera = replace(CAMERA, distortion=distortion)
     assert camera.undistort_points(np.empty((0, 2), np.float32)).shape == (0, 2)
 
@@ -52,7 +52,7 @@ def test_bounds_without_distortion_are_the_edges_of_the_image():
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_bounds_hold_every_undistorted_pixel_tightly(lens):
+def test_bounds_enclose_every_undistorted_pixel_tightly(lens):
     camera = replace(CAMERA, distortion=LENSES[lens])
     x_min, y_min, x_max, y_max = camera.undistorted_bounds()
     grid = np.stack(np.meshgrid(np.arange(640), np.arange(480)), axis=-1).reshape(-1, 2).astype(np.float32)
@@ -109,7 +109,7 @@ FISHEYE = replace(CAMERA, fx=300.0, fy=302.0, distortion=(-0.01, 0.02, -0.012, 0
 
 
 def distort_equidistant(camera, ideal):
-    """Slow twin: the angle's polynomial, on pixels."""
+    """NumPy reference: the angle's polynomial, on pixels."""
     x, y = (ideal[:, 0] - camera.cx) / camera.fx, (ideal[:, 1] - camera.cy) / camera.fy
     radius = np.hypot(x, y)
     theta = np.arctan(radius)

@@ -1,4 +1,4 @@
-"""The feature buffer is a ring in normal operation, holds on while frozen, and never outgrows its cap."""
+"""The feature buffer is a ring, grows while frozen, and never exceeds its cap."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def held(buffer):
     return [f.index for f in buffer.backward_from(10**9)][::-1]
 
 
-def test_the_ring_holds_its_span_and_no_more():
+def test_the_ring_holds_its_span_only():
     buffer = FeatureBuffer(1.0, 4.0)
     for i in range(100):
         buffer.append(FRAMES[i])
@@ -35,26 +35,26 @@ def test_the_ring_holds_its_span_and_no_more():
         assert len(buffer) == len(expected)
 
 
-def test_frozen_it_keeps_what_it_has_and_grows():
+def test_a_frozen_buffer_keeps_its_frames_and_grows():
     buffer = filled(110, frozen_from=50)
     assert held(buffer) == list(range(held(filled(50))[0], 110))
 
 
-def test_frozen_it_never_outgrows_its_cap():
+def test_a_frozen_buffer_never_exceeds_its_cap():
     buffer = filled(190, frozen_from=50)
     first = held(buffer)[0]
     assert FRAMES[189].stamp_s - FRAMES[first].stamp_s <= 4.0 + 1e-9
     assert len(buffer) >= 4.0 * FPS - 1
 
 
-def test_released_it_is_a_ring_again():
+def test_a_released_buffer_is_a_ring_again():
     buffer = filled(110, frozen_from=50)
     buffer.frozen = False
     buffer.append(FRAMES[110])
     assert held(buffer) == held(filled(111))
 
 
-def test_going_backward_gives_the_frames_before_newest_first():
+def test_backward_frames_are_newest_first():
     buffer = filled(60)
     first = held(buffer)[0]
     assert [f.index for f in buffer.backward_from(50)] == list(range(49, first - 1, -1))
@@ -63,7 +63,7 @@ def test_going_backward_gives_the_frames_before_newest_first():
     assert len(buffer) == 60 - first, "looking takes nothing out"
 
 
-def test_it_reaches_the_frames_it_holds_and_newer_ones():
+def test_the_buffer_reaches_held_and_newer_frames():
     buffer = filled(60)
     first = held(buffer)[0]
     assert not buffer.reaches(first - 1)
@@ -71,14 +71,14 @@ def test_it_reaches_the_frames_it_holds_and_newer_ones():
     assert not FeatureBuffer(1.0, 1.0).reaches(0)
 
 
-def test_its_memory_is_that_of_the_frames_it_holds():
+def test_the_size_is_that_of_the_held_frames():
     buffer = filled(70)
     assert buffer.nbytes == sum(FRAMES[i].nbytes for i in held(buffer)) > 0
     assert FeatureBuffer(1.0, 1.0).nbytes == 0
 
 
 @pytest.mark.parametrize(("span_s", "cap_s"), [(0.0, 1.0), (-1.0, 1.0), (2.0, 1.0), (np.nan, 1.0)])
-def test_absurd_spans_are_refused(span_s, cap_s):
+def test_invalid_spans_are_refused(span_s, cap_s):
     with pytest.raises(ValueError, match="span_s"):
         FeatureBuffer(span_s, cap_s)
 
@@ -87,7 +87,7 @@ def test_absurd_spans_are_refused(span_s, cap_s):
 
 
 def picture(i):
-    """A smooth (48, 64) image of its own for every frame."""
+    """A different smooth (48, 64) image for every frame."""
     y, x = np.mgrid[:48, :64]
     return (128 + 60 * np.sin(x / 9 + i) + 40 * np.cos(y / 7 - i)).astype(np.uint8)
 
@@ -99,7 +99,7 @@ def pictured(count, span_s=1.0):
     return buffer
 
 
-def test_images_are_held_packed_and_given_back_nearly_as_they_were():
+def test_images_are_compressed_with_little_loss():
     buffer = pictured(20)
     images = buffer.images()
     for i in range(20):
@@ -110,7 +110,7 @@ def test_images_are_held_packed_and_given_back_nearly_as_they_were():
     assert 0 < packed < 20 * picture(0).nbytes
 
 
-def test_images_go_with_their_frames():
+def test_images_leave_with_their_frames():
     buffer = pictured(60)
     images, here = buffer.images(), held(buffer)
     for i in range(60):
@@ -123,7 +123,7 @@ def test_images_go_with_their_frames():
     assert again.nbytes < 1.5 * buffer.nbytes, "memory does not grow with the run"
 
 
-def test_images_once_given_outlive_the_ring():
+def test_returned_images_outlive_the_ring():
     buffer = pictured(30)
     images = buffer.images()
     for i in range(30, 150):
@@ -134,7 +134,7 @@ def test_images_once_given_outlive_the_ring():
         images(100)
 
 
-def test_images_are_held_only_where_they_are_asked_for():
+def test_images_are_held_only_on_request():
     buffer = FeatureBuffer(1.0, 4.0)
     buffer.append(FRAMES[0], picture(0))
     assert buffer.nbytes == FRAMES[0].nbytes

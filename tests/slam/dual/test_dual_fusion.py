@@ -1,4 +1,4 @@
-"""Two maps of one world: their similarity is found, is refused where there is none, and joins them."""
+"""Two maps of one world: their similarity is estimated or refused, and they are fused."""
 
 from dataclasses import replace
 
@@ -41,7 +41,7 @@ def built(world, sightings):
 
 @pytest.fixture
 def maps(built):
-    """The old map in the frame of the world, the new one in a frame and scale of its own."""
+    """The old map in the frame of the world, the new one in another frame and scale."""
     return tuple(m.copy() for m in built)
 
 
@@ -83,7 +83,7 @@ def test_the_similarity_between_two_maps_is_recovered(maps, pair):
     assert alignment.new_keyframe == at(NEW, pair[1])
 
 
-def test_the_points_that_it_identifies_are_the_same(sightings, maps):
+def test_matched_points_are_the_same_world_points(sightings, maps):
     old, new = maps
     alignment, _, _ = aligned(maps, 25, 25)
     ids_old, _ = world_ids(old, [sightings[i] for i in OLD])
@@ -92,11 +92,11 @@ def test_the_points_that_it_identifies_are_the_same(sightings, maps):
     assert len(np.unique(alignment.old_points)) == alignment.inliers
 
 
-def test_guided_search_adds_to_the_matches_by_descriptor(maps):
-    """Keypoints that have come out very different are not matched blindly, but where they should lie."""
+def test_guided_search_adds_matches(maps):
+    """Keypoints with very different descriptors are matched only near their predicted positions."""
     _, new = maps
     rows = np.arange(*new.keypoints(at(NEW, 25)).indices(10**6))[::2]
-    # 60 bits: too far for a blind match.
+    # 60 bits: too far for an unguided match.
     new.arrays.kp_descriptor[rows, 0] ^= np.uint64(2**60 - 1)
     alignment, _, _ = aligned(maps, 25, 25)
     changed = np.isin(alignment.new_points, new.arrays.kp_point[rows])
@@ -108,7 +108,7 @@ def test_the_same_seed_gives_the_same_alignment(maps):
     np.testing.assert_array_equal(first.S_old_new, second.S_old_new)
 
 
-def test_no_overlap_is_refused_as_such(world, maps):
+def test_maps_without_overlap_are_refused(world, maps):
     """The ends of the two maps show different parts of the world."""
     rng = np.random.default_rng(24)
     far = {i: world.see(i, walk(i), rng, noise_px=0.5, bits=8) for i in (140, 145)}
@@ -146,7 +146,7 @@ def test_a_corrupted_map_is_refused(maps, corruption, seed):
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3])
-def test_some_wrong_points_are_borne(maps, share):
+def test_some_wrong_points_are_tolerated(maps, share):
     old, _ = maps
     rng = np.random.default_rng(5)
     points = points_of(old, at(OLD, 25))
@@ -157,7 +157,7 @@ def test_some_wrong_points_are_borne(maps, share):
     assert np.isin(alignment.old_points, wrong).mean() < 0.05
 
 
-def test_every_bar_of_acceptance_is_observed(maps):
+def test_every_threshold_is_applied(maps):
     _, _, matches = aligned(maps, 25, 25)
     for field, value, reason in (
         ("min_candidates", 10**6, "overlap"),
@@ -177,7 +177,7 @@ def test_alignments_at_different_keyframes_confirm_each_other(maps):
     assert agree(maps[0], first, second, CONFIG) and agree(maps[0], second, first, CONFIG)
 
 
-def test_an_alignment_is_no_witness_of_its_own(maps):
+def test_an_alignment_does_not_confirm_itself(maps):
     first, second = aligned(maps, 25, 25)[0], aligned(maps, 25, 20)[0]
     assert not agree(maps[0], first, first, CONFIG)
     assert not agree(maps[0], first, second, CONFIG)
@@ -201,7 +201,7 @@ def test_alignments_with_different_maps_do_not_confirm_each_other(maps):
     ],
 )
 def test_alignments_that_differ_too_much_do_not_agree(maps, change, agrees):
-    """Scale, turn and shift, each about the points that were seen, of six metres in depth."""
+    """Scale, rotation and shift about the observed points, at six metres in depth."""
     old, _ = maps
     first, second = aligned(maps, 30, 30)[0], aligned(maps, 25, 25)[0]
     scale, turn_deg, shift = change
@@ -216,7 +216,7 @@ def test_alignments_that_differ_too_much_do_not_agree(maps, change, agrees):
 
 @pytest.fixture
 def fused(maps):
-    """The maps joined at frame 25: the map, row offsets, and what was before."""
+    """The maps fused at frame 25: the map, row offsets, and values before the fusion."""
     old, new = maps
     before = {
         "T_old": {k: old.T_cam_map(k) for k in range(old.n_keyframes)},
@@ -241,7 +241,7 @@ def test_fusion_keeps_the_frame_of_the_old_map(fused):
         assert distance < 0.05 and angle < 0.3
 
 
-def test_the_new_keyframes_come_to_their_places(fused, sightings):
+def test_the_new_keyframes_are_near_the_truth(fused, sightings):
     old, keyframes, _, _, _ = fused
     for k, i in enumerate(NEW):
         distance, angle = pose_error(old.T_cam_map(keyframes + k), sightings[i].T_cam_world)
@@ -257,8 +257,8 @@ def test_the_scale_of_the_new_part_is_that_of_the_old(fused, world, sightings):
     assert s == pytest.approx(1, abs=0.01)
 
 
-def test_duplicates_are_joined(fused, sightings):
-    """Where both maps looked, a place of the world is one point, seen from both sides."""
+def test_duplicate_points_are_fused(fused, sightings):
+    """A world point in both maps becomes one point, observed from both sides."""
     old, keyframes, _, alignment, before = fused
     assert len(old.points()) < before["points"] - 0.9 * alignment.inliers
     ids, pure = world_ids(old, [sightings[i] for i in (*OLD, *NEW)])
@@ -269,7 +269,7 @@ def test_duplicates_are_joined(fused, sightings):
     assert old.arrays.covisibility[at(OLD, 25), keyframes + at(NEW, 25)] > 0.9 * alignment.inliers
 
 
-def test_identified_points_are_one_row_from_now_on(fused):
+def test_matched_points_become_one_row(fused):
     old, _, points, alignment, _ = fused
     alive = ~old.arrays.pt_bad[alignment.old_points]
     assert alive.mean() > 0.7, "all but those that only the bypassed keyframes saw"
@@ -278,8 +278,8 @@ def test_identified_points_are_one_row_from_now_on(fused):
     np.testing.assert_array_equal(old.arrays.pt_replaced[theirs], alignment.old_points[alive])
 
 
-def test_old_keyframes_younger_than_the_seam_are_bypassed(fused):
-    """They are what the breakage may have spoilt; frames that hang on them go on following the map."""
+def test_old_keyframes_younger_than_the_seam_are_culled(fused):
+    """The breakage may have corrupted them; frames that refer to them still follow the map."""
     old, keyframes, _, _, before = fused
     live = old.keyframes().tolist()
     assert live == [at(OLD, i) for i in OLD if i <= 25] + [keyframes + k for k in range(len(NEW))]
@@ -293,8 +293,8 @@ def test_the_spanning_tree_is_one_tree(fused):
     assert old.parent(keyframes) == at(OLD, 25)
 
 
-def test_the_seam_is_adjusted(maps):
-    """An alignment a little off leaves errors of several pixels at the seam, unless adjusted."""
+def test_the_seam_is_bundle_adjusted(maps):
+    """A slightly wrong alignment would leave errors of several pixels at the seam."""
     old, new = maps
     alignment, _, _ = aligned(maps, 25, 25)
     where = old.arrays.pt_xyz[alignment.old_points].mean(0)
@@ -312,7 +312,7 @@ def test_the_seam_is_adjusted(maps):
 
 
 def test_a_map_can_be_fused_twice(fused, world):
-    """A third part, of yet another scale, joins what the first two have become."""
+    """A third map, of another scale, is fused with the result of the first two."""
     old, _, _, _, _ = fused
     rng = np.random.default_rng(26)
     frames = range(60, 90, 5)

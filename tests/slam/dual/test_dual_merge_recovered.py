@@ -1,4 +1,4 @@
-"""A map grown forward takes over what its copy has grown backward."""
+"""Merging of a map extended forward with its copy extended backward."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ OLD = range(0, 35, 5)  # frames that are the old map's keyframes
 FIRST, LAST = 45, 65  # frames of the new map when it is copied
 SCALE = 0.5
 MOVED = rigid((1.0, -2.0, 0.5), (10, -20, 15))
-# What the map's gauge does between the copy and the graft.
+# Change of the map's gauge between copy and merge.
 DRIFT = (1.1, rigid(rotvec_deg=(3, 5, -2))[:3, :3], np.array([0.4, -0.3, 0.2]))
 
 
@@ -39,8 +39,8 @@ def in_new_map(T_cam_world):
 
 
 @pytest.fixture(scope="module")
-def begun(world, sightings):
-    """The new map as it is copied, and its points by those of the world."""
+def start_map(world, sightings):
+    """The new map when it is copied, and its points by world point."""
     seen = [sightings[i] for i in range(FIRST, LAST + 1, 5)]
     built, point_of = world.map_of(seen, np.random.default_rng(34), noise=0.005, map_id=1)
     built.transform(SCALE, MOVED[:3, :3], MOVED[:3, 3])
@@ -48,10 +48,10 @@ def begun(world, sightings):
 
 
 @pytest.fixture(scope="module")
-def recovered(world, sightings, begun):
-    """What a recovery makes of the copy: grown backward to the old map."""
+def recovered(world, sightings, start_map):
+    """The copy, extended backward to the old map by a recovery."""
     old, _ = world.map_of([sightings[i] for i in OLD], np.random.default_rng(33), noise=0.005)
-    built, point_of = begun
+    built, point_of = start_map
     copy = built.copy()
     first = tracked_in(copy, point_of, sightings[FIRST], 0, copy.T_cam_map(0))
     step = copy.T_cam_map(0) @ np.linalg.inv(in_new_map(sightings[FIRST + 1].T_cam_world))
@@ -64,9 +64,9 @@ def recovered(world, sightings, begun):
 
 
 @pytest.fixture(scope="module")
-def grown(sightings, begun):
-    """The same map, grown forward meanwhile, its gauge and scale no longer what they were."""
-    built, point_of = begun
+def grown(sightings, start_map):
+    """The same map, extended forward meanwhile, with another gauge and scale."""
+    built, point_of = start_map
     forward = built.copy()
     mapper = LocalMapper(forward, LocalMappingConfig())
     for i in range(LAST + 5, 86, 5):
@@ -77,10 +77,10 @@ def grown(sightings, begun):
 
 
 @pytest.fixture
-def merged(grown, recovered, begun):
-    """The map after the graft, where the copy went, and both as they were before."""
+def merged(grown, recovered, start_map):
+    """The merged map, the position of the copy's rows, and both maps before."""
     forward, copy = grown.copy(), recovered.map.copy()
-    rows = begun[0].n_keyframes, begun[0].n_points
+    rows = start_map[0].n_keyframes, start_map[0].n_points
     done = merge_recovered(forward, recovered.map.copy(), *rows)
     assert done is not None
     return forward, done, grown, copy, rows
@@ -89,7 +89,7 @@ def merged(grown, recovered, begun):
 S_DRIFT = sim3_matrix(*DRIFT)
 
 
-def test_the_map_is_sound_and_has_the_keyframes_of_both(merged):
+def test_the_map_is_valid_and_has_the_keyframes_of_both(merged):
     m, done, grown, copy, (keyframes, _) = merged
     check_map(m)
     assert (done.keyframes, done.points) == (grown.n_keyframes, grown.n_points)
@@ -100,7 +100,7 @@ def test_the_map_is_sound_and_has_the_keyframes_of_both(merged):
     assert [k for k in range(m.n_keyframes) if m.parent(k) < 0] == [0]
 
 
-def test_the_change_of_gauge_and_scale_meanwhile_is_followed(merged, sightings):
+def test_a_change_of_gauge_and_scale_meanwhile_is_compensated(merged, sightings):
     m, done, _, _, _ = merged
     assert sim3_decompose(done.S_map_copy)[0] == pytest.approx(DRIFT[0], rel=0.01)
     s, R, t = DRIFT
@@ -113,7 +113,7 @@ def test_the_change_of_gauge_and_scale_meanwhile_is_followed(merged, sightings):
         assert distance < 0.04 * s and angle < 0.4, m.frame_index(int(k))
 
 
-def test_no_point_that_both_had_is_lost(merged):
+def test_no_common_point_is_lost(merged):
     m, done, grown, copy, (_, points) = merged
     both = ~grown.arrays.pt_bad[:points] & ~copy.arrays.pt_bad[:points]
     assert both.sum() > 200
@@ -136,14 +136,14 @@ def test_the_observations_of_both_are_kept(merged):
         kept += (after & before).sum()
         observed += before.sum()
     assert kept > 0.98 * observed
-    # New and old parts are connected through what the first keyframe sees, as they were in the copy.
+    # New and old parts are connected by the first keyframe's points, as in the copy.
     for k in range(keyframes, copy.n_keyframes):
         shared = m.arrays.covisibility[0, done.keyframes + k]
         assert shared >= 0.9 * copy.arrays.covisibility[0, k]
 
 
-def test_the_alignment_moves_along(merged, recovered, sightings):
-    """It takes the map as it is now to the old one, whose frame is the world's."""
+def test_the_alignment_is_transformed_too(merged, recovered, sightings):
+    """It maps the present map to the old one, whose frame is the world's."""
     m, done, _, _, _ = merged
     for alignment in (*recovered.confirming, recovered.alignment):
         moved = done.moved(alignment, m)
@@ -159,14 +159,14 @@ def test_the_alignment_moves_along(merged, recovered, sightings):
         np.testing.assert_allclose(moved.S_old_new, expected, atol=1e-9)
 
 
-def test_frames_that_hang_on_a_keyframe_which_the_copy_has_culled_stay_in_place(grown, recovered, begun):
+def test_frames_of_a_keyframe_culled_in_the_copy_keep_their_poses(grown, recovered, start_map):
     forward, copy = grown.copy(), recovered.map.copy()
     for k in (1, 2):
         copy.cull_keyframe(k)
-    backward = begun[0].n_keyframes + 1
+    backward = start_map[0].n_keyframes + 1
     copy.cull_keyframe(backward)
     before = {k: copy.T_cam_map(k) for k in (1, 2, backward)}
-    done = merge_recovered(forward, copy, begun[0].n_keyframes, begun[0].n_points)
+    done = merge_recovered(forward, copy, start_map[0].n_keyframes, start_map[0].n_points)
     assert done is not None
     check_map(forward)
     for k, T in before.items():
@@ -177,9 +177,9 @@ def test_frames_that_hang_on_a_keyframe_which_the_copy_has_culled_stay_in_place(
         assert distance < 0.03 and angle < 0.3
 
 
-def test_points_that_each_has_found_in_the_same_keypoint_are_one(grown, recovered, begun):
+def test_two_new_points_of_one_keypoint_are_joined(grown, recovered, start_map):
     forward, copy = grown.copy(), recovered.map.copy()
-    rows = begun[0].n_keyframes, begun[0].n_points
+    rows = start_map[0].n_keyframes, start_map[0].n_points
     backward = rows[0]
 
     def free(m, k):
@@ -199,14 +199,14 @@ def test_points_that_each_has_found_in_the_same_keypoint_are_one(grown, recovere
     assert forward.arrays.pt_replaced[done.points + theirs] == own
 
 
-def test_keyframes_that_the_map_has_culled_do_not_come_back(grown, recovered, begun):
+def test_keyframes_culled_in_the_map_stay_culled(grown, recovered, start_map):
     forward = grown.copy()
     for k in (2, 3):
         forward.cull_keyframe(k)
-    done = merge_recovered(forward, recovered.map.copy(), begun[0].n_keyframes, begun[0].n_points)
+    done = merge_recovered(forward, recovered.map.copy(), start_map[0].n_keyframes, start_map[0].n_points)
     assert done is not None
     check_map(forward)
-    points = begun[0].n_points
+    points = start_map[0].n_points
     both = shared(grown, recovered.map, points)
     both &= ~forward.arrays.pt_bad[:points]
     assert forward.arrays.pt_bad[done.points : done.points + points][both].all(), "no point comes back either"
@@ -216,38 +216,40 @@ def test_keyframes_that_the_map_has_culled_do_not_come_back(grown, recovered, be
     assert distance < 0.03 and angle < 0.3
 
 
-def test_too_little_left_in_common_is_refused_and_nothing_done(grown, recovered, begun):
+def test_too_few_common_points_are_refused_without_changes(grown, recovered, start_map):
     forward, copy = grown.copy(), recovered.map.copy()
-    forward.arrays.pt_bad[: begun[0].n_points] = True
+    forward.arrays.pt_bad[: start_map[0].n_points] = True
     before, theirs = forward.copy(), copy.copy()
-    assert merge_recovered(forward, copy, begun[0].n_keyframes, begun[0].n_points) is None
+    assert merge_recovered(forward, copy, start_map[0].n_keyframes, start_map[0].n_points) is None
     for one, other in ((forward, before), (copy, theirs)):
         assert one.n_keyframes == other.n_keyframes
         for x, y in zip(one.arrays, other.arrays, strict=True):
             np.testing.assert_array_equal(x, y)
 
 
-def test_points_as_good_as_at_infinity_do_not_turn_the_map(grown, recovered, begun):
+def test_points_near_infinity_do_not_affect_the_similarity(grown, recovered, start_map):
     forward, copy = grown.copy(), recovered.map.copy()
-    both = np.flatnonzero(shared(forward, copy, begun[0].n_points))
+    both = np.flatnonzero(shared(forward, copy, start_map[0].n_points))
     far = both[:: len(both) // 5]
     rng = np.random.default_rng(35)
     for arrays in (forward.arrays, copy.arrays):  # how far is anybody's guess
         arrays.pt_xyz[far] *= 1e6 * rng.uniform(0.5, 2.0, (len(far), 1))
-    done = merge_recovered(forward, copy, begun[0].n_keyframes, begun[0].n_points)
+    done = merge_recovered(forward, copy, start_map[0].n_keyframes, start_map[0].n_points)
     assert done is not None
-    expected = merge_recovered(grown.copy(), recovered.map.copy(), begun[0].n_keyframes, begun[0].n_points)
+    expected = merge_recovered(
+        grown.copy(), recovered.map.copy(), start_map[0].n_keyframes, start_map[0].n_points
+    )
     np.testing.assert_allclose(done.S_map_copy, expected.S_map_copy, atol=2e-3)
 
 
-def test_points_on_a_line_do_not_tell_how_the_map_has_moved(grown, recovered, begun):
+def test_collinear_points_are_refused(grown, recovered, start_map):
     forward, copy = grown.copy(), recovered.map.copy()
-    both = shared(forward, copy, begun[0].n_points)
+    both = shared(forward, copy, start_map[0].n_points)
     for arrays in (forward.arrays, copy.arrays):
         arrays.pt_xyz[: len(both)][both] = np.linspace(1.0, 2.0, both.sum())[:, None] * [1.0, 2.0, 3.0]
-    assert merge_recovered(forward, copy, begun[0].n_keyframes, begun[0].n_points) is None
+    assert merge_recovered(forward, copy, start_map[0].n_keyframes, start_map[0].n_points) is None
 
 
 def shared(forward, copy, points):
-    """Which points the map and its copy both still have."""
+    """Points that the map and its copy both still have."""
     return ~forward.arrays.pt_bad[:points] & ~copy.arrays.pt_bad[:points]

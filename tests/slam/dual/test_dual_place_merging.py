@@ -1,10 +1,10 @@
-"""A saved map whose recovery has failed is joined when its place is seen again, and only then."""
+"""A saved map whose recovery has failed is fused when its place is recognised, and only then."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from dual_scenes import CONFIG, MENDED, RECOVERY_ONLY, STEP_M, dual, of, scale_between
+from dual_scenes import CONFIG, RECOVERED, RECOVERY_ONLY, STEP_M, dual, of, scale_between
 from slam_scenes import blanked, errors_m, feed, kinds, rms, toy
 
 from slam.core.events import TrackingState
@@ -15,7 +15,7 @@ from slam.dual.recovery.registry import ThreadSpec
 from slam.map.invariants import check_map
 from slam.warmup import CAMERA
 
-# Recovery gives up at the first frame that it cannot use: only the place is left.
+# Recovery fails at the first unusable frame: only place recognition is left.
 BY_PLACE = replace(
     RECOVERY_ONLY,
     threads=(ThreadSpec("orb", 0, RecoveryConfig(max_unusable_s=0.0)),),
@@ -24,17 +24,17 @@ BY_PLACE = replace(
 
 
 @pytest.fixture(scope="module")
-def joined():
-    """What the saved map has seen is still in view after the breakage."""
+def fused_by_place():
+    """The scene of the saved map is still in view after the breakage."""
     images, stamps_s, T_world_cam = toy(130, 0, STEP_M)
     system = dual(BY_PLACE)
     results = feed(system, blanked(images, range(50, 56)), stamps_s)
     return system, results, T_world_cam
 
 
-def test_a_map_met_again_is_fused_by_place(joined):
-    system, results, _ = joined
-    assert kinds(system) == ["initialized", *MENDED]
+def test_a_recognised_map_is_fused_by_place(fused_by_place):
+    system, results, _ = fused_by_place
+    assert kinds(system) == ["initialized", *RECOVERED]
     (end,) = of(system, "recovery_end")
     assert (end.success, end.stage) == (False, "propagation")
     (fusion,) = of(system, "fusion")
@@ -45,8 +45,8 @@ def test_a_map_met_again_is_fused_by_place(joined):
     assert all(r.state is TrackingState.TRACKING for r in results[fusion.frame :])
 
 
-def test_it_has_one_scale_and_frame_then(joined):
-    system, results, T_world_cam = joined
+def test_the_fused_map_has_one_scale_and_frame(fused_by_place):
+    system, results, T_world_cam = fused_by_place
     (path,) = system.trajectories()
     assert rms(errors_m(path, T_world_cam)[0]) < 0.05
     before, after = (scale_between(path, T_world_cam, *side) for side in ((0, 49), (70, 129)))
@@ -56,39 +56,40 @@ def test_it_has_one_scale_and_frame_then(joined):
         assert np.linalg.norm(r.T_map_cam[:3, 3] - at[r.frame][:3, 3]) < 0.03
 
 
-def test_nothing_of_the_saved_map_is_by_passed(joined):
-    """No recovery has covered those frames anew."""
-    system, _, _ = joined
+def test_no_keyframe_of_the_saved_map_is_culled_at_the_seam(fused_by_place):
+    """No recovery has covered those frames again."""
+    system, _, _ = fused_by_place
     frames = system.trajectories()[0].frames.tolist()
     assert set(range(10, 50)) <= set(frames)
     keyframes = system.keyframe_trajectories()[0].frames
     assert ((keyframes > 40) & (keyframes < 50)).any()
 
 
-def test_another_place_is_never_taken_for_it():
+def test_another_place_is_not_recognised():
     (here, stamps_s, _), (there, _, _) = toy(120, 0, STEP_M), toy(120, 7, STEP_M)
     system = dual(BY_PLACE)
-    feed(system, blanked([*here[:56], *there[56:]], range(50, 56)), stamps_s)
+    feed(system, blanked([*here[:56], *there[56:]], range(50, 56)), stamps_s, check=False)
     assert "fusion" not in kinds(system)
     assert sorted(system.maps()) == [0, 1]
 
 
-def test_it_may_be_switched_off():
-    images, stamps_s, _ = toy(100, 0, STEP_M)
+def test_place_merging_can_be_switched_off(fused_by_place):
+    images, stamps_s, _ = toy(130, 0, STEP_M)
+    count = of(fused_by_place[0], "fusion")[0].frame + 3
     system = dual(replace(BY_PLACE, place_merging=None))
-    feed(system, blanked(images, range(50, 56)), stamps_s)
-    assert "fusion" not in kinds(system)
+    feed(system, blanked(images, range(50, 56))[:count], stamps_s[:count], check=False)
+    assert kinds(system) == kinds(fused_by_place[0])[:-1]
 
 
 class BackToTheFirst(DualSlam):
-    """A system that, once two maps are saved, looks for itself in the first of them."""
+    """A system that, once two maps are saved, relocalizes in the first of them."""
 
-    def _may_return_to(self):
+    def _relocalization_maps(self):
         return self._saved[1:]
 
 
-def test_back_in_an_older_map_it_is_that_one_which_takes_in_the_newer():
-    """Recognised in the first map while the second is saved, the camera comes to what the second has seen."""
+def test_the_older_map_absorbs_the_newer_when_the_older_is_tracked():
+    """Relocalized in the first map while the second is saved, the camera reaches the second's scene."""
     images, _, T_world_cam = toy(130, 0, STEP_M)
     _, stamps_s, _ = toy(150, 0, STEP_M)
     order = [*range(100), *range(45, 95)]
@@ -96,7 +97,7 @@ def test_back_in_an_older_map_it_is_that_one_which_takes_in_the_newer():
     shown = blanked([images[i] for i in order], range(50, 56), range(97, 100))
     merger = dual(BY_PLACE)._place_merger
     for i, (image, stamp_s) in enumerate(zip(shown, stamps_s, strict=True)):
-        if i == 100:  # until now the two would have met
+        if i == 100:  # before, the two maps would have been fused
             system._place_merger = merger
         system.process(image, float(stamp_s))
     system.finish()

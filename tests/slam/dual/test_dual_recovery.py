@@ -1,4 +1,4 @@
-"""Going backward over the buffer: the way to the old map, what may be passed over, and where it ends."""
+"""Backward propagation over the buffer: to the old map, over unusable frames, and its failures."""
 
 from dataclasses import replace
 
@@ -39,8 +39,8 @@ def saved(world, sightings):
 
 
 @pytest.fixture(scope="module")
-def begun(world, sightings):
-    """The map begun after the breakage, of a frame and scale of its own, and its points."""
+def start_map(world, sightings):
+    """The new map after the breakage, of another frame and scale, and its points."""
     seen = [sightings[i] for i in range(FIRST, 66, 5)]
     built, point_of = world.map_of(seen, np.random.default_rng(34), noise=0.005, map_id=1)
     built.transform(SCALE, MOVED[:3, :3], MOVED[:3, 3])
@@ -55,12 +55,12 @@ def in_new_map(T_cam_world):
 
 
 def no_image(index):
-    """No frame is held as an image."""
+    """Fail: no frame is held as an image."""
     raise KeyError(index)
 
 
-def task(begun, sightings, old_maps, backward, seed=0):
-    built, point_of = begun
+def task(start_map, sightings, old_maps, backward, seed=0):
+    built, point_of = start_map
     own = built.copy()
     first = tracked_in(own, point_of, sightings[FIRST], 0, own.T_cam_map(0))
     step = in_new_map(sightings[FIRST].T_cam_world) @ np.linalg.inv(
@@ -82,14 +82,14 @@ def recover(task_, **config):
 
 
 @pytest.fixture(scope="module")
-def success(begun, sightings, saved):
+def success(start_map, sightings, saved):
     untouched = saved.copy()
-    result = recover(task(begun, sightings, [saved], buffered(sightings)))
+    result = recover(task(start_map, sightings, [saved], buffered(sightings)))
     return result, untouched
 
 
 def same(a, b):
-    """Whether two maps are the same, bit by bit."""
+    """Return True if two maps are the same, bit by bit."""
     arrays = zip(a.arrays, b.arrays, strict=True)
     return (a.n_keyframes, a.n_points) == (b.n_keyframes, b.n_points) and all(
         x.tobytes() == y.tobytes() for x, y in arrays
@@ -97,7 +97,7 @@ def same(a, b):
 
 
 def disturbed(features, view):
-    """Every other keypoint out of place, within the search windows: their points match and do not fit."""
+    """Every other keypoint displaced within the search windows: their points match and are outliers."""
     off = 3.2 * view.scale[features.octave] * np.sin(np.arange(len(features)) * np.pi / 2)
     return replace(features, xy=features.xy + np.stack([0 * off, off], axis=1))
 
@@ -105,7 +105,7 @@ def disturbed(features, view):
 # -- success -------------------------------------------------------------------------------------------------
 
 
-def test_the_old_map_is_met_across_blind_frames(success):
+def test_the_old_map_is_reached_across_blank_frames(success):
     result, _ = success
     assert result.success and (result.stage, result.reason) == ("", "")
     assert result.frames_passed_over == len(BLIND)
@@ -115,7 +115,7 @@ def test_the_old_map_is_met_across_blind_frames(success):
     check_map(result.map)
 
 
-def test_two_meetings_are_needed(success):
+def test_two_alignments_are_needed(success):
     """The accepted alignment is the second one: that of the youngest keyframe has been confirmed by it."""
     result, _ = success
     assert OLD[result.alignment.old_keyframe] < OLD[-1]
@@ -123,7 +123,7 @@ def test_two_meetings_are_needed(success):
     assert abs(result.frames_covered - covered) <= FusionConfig().max_frame_gap
 
 
-def test_the_similarity_brings_the_new_cameras_to_their_places(success, sightings):
+def test_the_similarity_places_the_new_cameras_near_the_truth(success, sightings):
     result, _ = success
     assert result.alignment is not None
     s, R, t = sim3_decompose(result.alignment.S_old_new)
@@ -133,12 +133,12 @@ def test_the_similarity_brings_the_new_cameras_to_their_places(success, sighting
         assert np.linalg.norm(centre - np.linalg.inv(sightings[i].T_cam_world)[:3, 3]) < 0.15
 
 
-def test_the_first_keyframes_are_told_of_in_the_old_map(success, begun, sightings):
-    """Culled or not, and they alone."""
+def test_the_first_keyframes_are_reported_in_the_old_map(success, start_map, sightings):
+    """Culled or not, and only those."""
     result, _ = success
     extended = result.map.copy()
     extended.cull_keyframe(2)
-    placed = placed_keyframes(extended, begun[0].n_keyframes, result.alignment)
+    placed = placed_keyframes(extended, start_map[0].n_keyframes, result.alignment)
     assert [k.frame for k in placed] == list(range(FIRST, 66, 5))
     for keyframe in placed:
         assert keyframe.stamp_s == pytest.approx(keyframe.frame / FPS)
@@ -149,17 +149,17 @@ def test_the_first_keyframes_are_told_of_in_the_old_map(success, begun, sighting
         assert distance < 0.15 and angle < 1.0
 
 
-def test_the_new_map_grows_backward(success, begun):
+def test_the_new_map_grows_backward(success, start_map):
     result, _ = success
-    added = [result.map.frame_index(k) for k in range(begun[0].n_keyframes, result.map.n_keyframes)]
+    added = [result.map.frame_index(k) for k in range(start_map[0].n_keyframes, result.map.n_keyframes)]
     assert len(added) >= 2
     assert added == sorted(added, reverse=True)
     assert min(added) < BLIND[0] and max(added) < FIRST
-    assert len(result.map.points()) > len(begun[0].points())
+    assert len(result.map.points()) > len(start_map[0].points())
 
 
-def test_every_frame_tracked_backward_has_a_pose_of_its_own(success, sightings):
-    """Also the last one before the blind frames, whose pose the motion model carried on."""
+def test_every_frame_tracked_backward_has_its_own_pose(success, sightings):
+    """Also the last one before the blank frames, from which the motion model predicts."""
     result, _ = success
     frames = [f.features.index for f in result.frames]
     expected = [i for i in range(FIRST - 1, frames[-1] - 1, -1) if i not in BLIND]
@@ -170,49 +170,51 @@ def test_every_frame_tracked_backward_has_a_pose_of_its_own(success, sightings):
         assert distance < 0.05 and angle < 0.5
 
 
-def test_the_old_map_and_the_given_features_stay_as_they_were(success, saved):
+def test_the_old_map_and_the_features_are_not_changed(success, saved):
     assert same(saved, success[1])
 
 
-def test_the_same_seed_recovers_the_same(success, begun, sightings, saved):
-    again = recover(task(begun, sightings, [saved], buffered(sightings)))
+def test_the_same_seed_gives_the_same_recovery(success, start_map, sightings, saved):
+    again = recover(task(start_map, sightings, [saved], buffered(sightings)))
     assert again.alignment is not None
     np.testing.assert_array_equal(again.alignment.S_old_new, success[0].alignment.S_old_new)
     assert same(again.map, success[0].map)
 
 
-def test_of_several_old_maps_the_one_that_fits_is_met(world, begun, sightings, saved):
+def test_of_several_old_maps_the_matching_one_is_aligned(world, start_map, sightings, saved):
     """A younger map of another scene stands at the same frames; it is tried, and the older one met."""
     rng = np.random.default_rng(36)
     elsewhere = PointWorld(seed=77)
     other, _ = elsewhere.map_of([elsewhere.see(i, walk(i), rng) for i in (25, 30)], rng, map_id=5)
-    result = recover(task(begun, sightings, [other, saved], buffered(sightings)))
+    result = recover(task(start_map, sightings, [other, saved], buffered(sightings)))
     assert result.alignment is not None and result.alignment.old_map_id == 0
 
 
-def test_frames_in_which_many_matches_do_not_fit_are_passed_over(begun, sightings, saved):
-    """A pose that they yield is no base to go on from."""
+def test_frames_with_many_outliers_are_passed_over(start_map, sightings, saved):
+    """Their pose is not reliable enough to continue from."""
     poor = range(38, 42)
     backward = [
-        disturbed(features, begun[0].view) if features.index in poor else features
+        disturbed(features, start_map[0].view) if features.index in poor else features
         for features in buffered(sightings)
     ]
-    strict = recover(task(begun, sightings, [saved], backward))
+    strict = recover(task(start_map, sightings, [saved], backward))
     assert strict.success and not {f.features.index for f in strict.frames} & set(poor)
-    anything = OrbRecovery(OrbRecoveryConfig(min_share=0.0)).run(task(begun, sightings, [saved], backward))
+    anything = OrbRecovery(OrbRecoveryConfig(min_share=0.0)).run(
+        task(start_map, sightings, [saved], backward)
+    )
     assert set(poor) <= {f.features.index for f in anything.frames}
 
 
-def test_the_motion_model_carries_the_camera_over_a_long_blind_stretch(begun, sightings, saved):
-    """Half a second, over which nothing is found where it was last seen."""
-    job = task(begun, sightings, [saved], buffered(sightings, blind=range(22, 38)))
+def test_the_motion_model_bridges_many_blank_frames(start_map, sightings, saved):
+    """Half a second: nothing is near its last position afterwards."""
+    job = task(start_map, sightings, [saved], buffered(sightings, blind=range(22, 38)))
     result = recover(job, tracking=TrackingConfig(min_reference_matches=10**6))
     assert result.success and result.frames_passed_over == 16
 
 
-def test_the_limit_is_on_each_blind_stretch_not_on_their_sum(begun, sightings, saved):
+def test_the_limit_is_on_each_run_of_blank_frames(start_map, sightings, saved):
     blind = {*range(31, 38), *range(40, 44)}
-    job = task(begun, sightings, [saved], buffered(sightings, blind=blind))
+    job = task(start_map, sightings, [saved], buffered(sightings, blind=blind))
     result = recover(job, max_unusable_s=9.5 / FPS)
     assert result.success and result.frames_passed_over == len(blind)
 
@@ -227,64 +229,64 @@ def failed(result, old, untouched):
     return result.stage, result.reason
 
 
-def test_a_blind_stretch_too_long_ends_the_propagation(begun, sightings, saved):
+def test_too_many_blank_frames_end_the_propagation(start_map, sightings, saved):
     untouched = saved.copy()
-    job = task(begun, sightings, [saved], buffered(sightings))
+    job = task(start_map, sightings, [saved], buffered(sightings))
     result = recover(job, max_unusable_s=(len(BLIND) - 2) / FPS)
     assert failed(result, saved, untouched) == ("propagation", "too_few_matches_with_last_frame")
     assert result.frames_covered == FIRST - BLIND[0] - 1
     assert BLIND[0] < min(f.features.index for f in result.frames)
 
 
-def test_nothing_usable_at_all_ends_the_propagation(begun, sightings, saved):
+def test_blank_frames_only_end_the_propagation(start_map, sightings, saved):
     untouched = saved.copy()
     result = recover(
-        task(begun, sightings, [saved], buffered(sightings, blind=range(FIRST))), max_unusable_s=0.5
+        task(start_map, sightings, [saved], buffered(sightings, blind=range(FIRST))), max_unusable_s=0.5
     )
     assert failed(result, saved, untouched) == ("propagation", "too_few_matches_with_last_frame")
     assert result.frames == []
 
 
-def test_a_buffer_that_ends_before_the_old_map_is_told(begun, sightings, saved):
+def test_a_buffer_that_ends_before_the_old_map_is_reported(start_map, sightings, saved):
     untouched = saved.copy()
-    result = recover(task(begun, sightings, [saved], buffered(sightings, oldest=38)))
+    result = recover(task(start_map, sightings, [saved], buffered(sightings, oldest=38)))
     assert failed(result, saved, untouched) == ("overlap", "old_map_not_reached")
     assert result.frames_covered == FIRST - 38 and len(result.frames) == FIRST - 38
 
 
-def test_an_empty_buffer_is_told(begun, sightings, saved):
-    result = recover(task(begun, sightings, [saved], []))
+def test_an_empty_buffer_is_reported(start_map, sightings, saved):
+    result = recover(task(start_map, sightings, [saved], []))
     assert (result.stage, result.reason, result.frames_covered) == ("overlap", "old_map_not_reached", 0)
 
 
-def test_an_old_map_with_nothing_in_common_is_told(world, begun, sightings):
-    """The frames of its keyframes are gone over, but what it made of them was another scene."""
+def test_an_old_map_without_common_points_is_reported(world, start_map, sightings):
+    """Its keyframes have the right frame indices, but show another scene."""
     rng = np.random.default_rng(37)
     elsewhere = PointWorld(seed=78)
     other, _ = elsewhere.map_of([elsewhere.see(i, walk(i), rng) for i in OLD], rng)
     untouched = other.copy()
-    result = recover(task(begun, sightings, [other], buffered(sightings)))
+    result = recover(task(start_map, sightings, [other], buffered(sightings)))
     assert failed(result, other, untouched) == ("overlap", "too_few_common_points")
 
 
-def test_a_corrupted_old_map_is_not_met(begun, sightings, saved):
+def test_a_corrupted_old_map_is_not_aligned(start_map, sightings, saved):
     broken = saved.copy()
     points = broken.points()
     broken.arrays.pt_xyz[points] = np.random.default_rng(38).permutation(broken.arrays.pt_xyz[points])
     untouched = broken.copy()
-    result = recover(task(begun, sightings, [broken], buffered(sightings)))
+    result = recover(task(start_map, sightings, [broken], buffered(sightings)))
     assert failed(result, broken, untouched) == ("sim3", "too_few_inliers")
 
 
-def test_a_single_meeting_is_no_proof(begun, sightings, saved):
+def test_a_single_alignment_is_not_confirmed(start_map, sightings, saved):
     untouched = saved.copy()
-    result = recover(task(begun, sightings, [saved], buffered(sightings, oldest=29)))
+    result = recover(task(start_map, sightings, [saved], buffered(sightings, oldest=29)))
     assert failed(result, saved, untouched) == ("sim3", "alignment_not_confirmed")
     lax = RecoveryConfig(fusion=replace(FusionConfig(), confirmations=1))
-    assert OrbRecovery(lax).run(task(begun, sightings, [saved], buffered(sightings, oldest=29))).success
+    assert OrbRecovery(lax).run(task(start_map, sightings, [saved], buffered(sightings, oldest=29))).success
 
 
-def test_meetings_that_contradict_each_other_are_no_proof(world, begun, sightings):
+def test_contradicting_alignments_are_refused(world, start_map, sightings):
     """An old map whose two parts have different scales, as after a drift: each fits, both do not."""
     rng = np.random.default_rng(39)
     torn, _ = world.map_of([sightings[i] for i in (12, 24)], rng, noise=0.005)
@@ -295,6 +297,6 @@ def test_meetings_that_contradict_each_other_are_no_proof(world, begun, sighting
     untouched = torn.copy()
     config = RecoveryConfig(fusion=replace(FusionConfig(), max_frame_gap=0))
     result = OrbRecovery(config).run(
-        task(begun, sightings, [torn], (f for f in buffered(sightings, oldest=20) if f.index != 25))
+        task(start_map, sightings, [torn], (f for f in buffered(sightings, oldest=20) if f.index != 25))
     )
     assert failed(result, torn, untouched) == ("sim3", "alignments_do_not_agree")

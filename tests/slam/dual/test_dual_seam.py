@@ -1,4 +1,4 @@
-"""The seam of a fusion: alignments that differ a little are met as well as can be, not the last one alone."""
+"""The seam of a fusion: slightly differing alignments are all taken into account."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ from slam_scenes import PointWorld, pose_error, rigid, walk
 
 from slam.dual.fusion import fuse as fusion
 from slam.dual.fusion.fuse import FusionConfig, agree, fuse
-from slam.dual.fusion.place_merging import turned
+from slam.dual.fusion.place_merging import inverted
 from slam.loop_closing.map_alignment import align
 from slam.map.invariants import check_map
 from slam.mapping.local_mapping import LocalMappingConfig
@@ -47,7 +47,7 @@ def maps(built):
 
 
 def changed(old, alignment, scale, shift):
-    """An alignment that differs by this about the points that it was made by."""
+    """A changed alignment, scaled and shifted about its own points."""
     where = old.arrays.pt_xyz[alignment.old_points].mean(0)
     off = rigid(where) @ rigid((shift, 0, 0)) @ sim3_matrix(scale, np.eye(3), np.zeros(3)) @ rigid(-where)
     S = off @ alignment.S_old_new
@@ -56,13 +56,13 @@ def changed(old, alignment, scale, shift):
 
 @pytest.fixture
 def without_adjustment(monkeypatch):
-    """Fusion as far as the essential graph: bundle adjustment would mend what is looked at."""
+    """Fusion without bundle adjustment, which would correct the errors under test."""
     monkeypatch.setattr(fusion.LocalMapper, "adjust", lambda self, keyframe: None)
     monkeypatch.setattr(fusion, "_fuse_seam", lambda *args: None)
 
 
 def misfits(fused, keyframes, placed, new):
-    """How far each alignment would have its keyframe from where it is."""
+    """Distance of each alignment's keyframe from the position given by the alignment."""
     misfit = []
     for a in placed:
         camera = a.S_old_new @ np.linalg.inv(new.T_cam_map(a.new_keyframe))
@@ -72,7 +72,7 @@ def misfits(fused, keyframes, placed, new):
 
 
 @pytest.mark.usefixtures("without_adjustment")
-def test_alignments_that_differ_are_both_met_better_than_by_placing_rigidly(maps, built):
+def test_differing_alignments_are_both_satisfied_better_than_by_a_rigid_placement(maps, built):
     old, new, (first, last) = maps
     first, last = changed(old, first, 1.015, 0.08), changed(old, last, 0.985, -0.08)
     assert agree(old, first, last, CONFIG)
@@ -86,14 +86,14 @@ def test_alignments_that_differ_are_both_met_better_than_by_placing_rigidly(maps
     assert max(after) < 0.6 * max(before)
     assert sum(np.square(after)) < 0.5 * sum(np.square(before))
     assert (alone.factor == 1).all()
-    # Lengths about the keyframes lie between what the two alignments say.
+    # Lengths around the keyframes lie between those of the two alignments.
     factor = settled.factor[settled.keyframes + NEW.index(30)]
     assert 1.0 < factor < 1.001 * first.scale / last.scale
     np.testing.assert_allclose(settled.factor[: settled.keyframes], 1, atol=1e-9)
 
 
 @pytest.mark.usefixtures("without_adjustment")
-def test_old_keyframes_are_held(maps):
+def test_old_keyframes_are_fixed(maps):
     old, new, (first, last) = maps
     first = changed(old, first, 1.02, 0.05)
     before = {int(k): old.T_cam_map(int(k)) for k in old.keyframes()}
@@ -102,8 +102,8 @@ def test_old_keyframes_are_held(maps):
         np.testing.assert_allclose(old.T_cam_map(k), T, atol=1e-9)
 
 
-def test_an_alignment_whose_keyframe_is_gone_is_left_out(maps):
-    """The others count as they would without it, each at its own keyframe."""
+def test_an_alignment_with_a_culled_keyframe_is_not_used(maps):
+    """The result is the same as without it."""
     old, new, (first, last) = maps
     first = changed(old, first, 1.02, 0.05)
     gone = changed(old, replace(first, new_keyframe=NEW.index(25), old_keyframe=OLD.index(25)), 1.0, 0.3)
@@ -117,19 +117,19 @@ def test_an_alignment_whose_keyframe_is_gone_is_left_out(maps):
         np.testing.assert_array_equal(with_it.T_cam_map(int(k)), without.T_cam_map(int(k)))
 
 
-def test_the_seam_stays_an_edge_of_the_essential_graph(maps):
+def test_the_seam_becomes_edges_of_the_essential_graph(maps):
     old, new, (first, last) = maps
     fused = fuse(old, new, [first, last], LocalMappingConfig())
     for a in (first, last):
         assert (a.new_keyframe + fused.keyframes, a.old_keyframe) in old.loop_edges
 
 
-def test_an_alignment_turned_round_fuses_the_other_way(maps, sightings):
-    """The map begun first may be the one that is tracked in: it takes in the saved one."""
+def test_an_inverted_alignment_fuses_the_other_way(maps, sightings):
+    """The older map may be the tracked one: it absorbs the saved one."""
     old, new, found = maps
-    back = [turned(a, new.map_id) for a in found]
+    back = [inverted(a, new.map_id) for a in found]
     assert back[0].old_map_id == new.map_id and back[0].inliers == found[0].inliers
-    # Here the second map is the one that stays, in its own frame and scale.
+    # Here the second map is kept, in its own frame and scale.
     fused = fuse(new, old, back, LocalMappingConfig(), renewed=False)
     check_map(new)
     S_world_map = sim3_inverse(sim3_matrix(SCALE, MOVED[:3, :3], MOVED[:3, 3]))

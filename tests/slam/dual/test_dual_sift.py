@@ -1,4 +1,4 @@
-"""Recovery by SIFT features: where they are better than ORB with a motion model, and the parts of it."""
+"""Recovery by SIFT features: scenes in which ORB with a motion model fails, and its components."""
 
 from dataclasses import replace
 
@@ -13,33 +13,42 @@ from slam.core.frame import Frame
 from slam.dual.recovery.interface import RecoveryConfig
 from slam.dual.recovery.registry import ThreadSpec, build_thread
 from slam.dual.recovery.sift import SiftRecoveryConfig, SiftTracker
-from slam.features import sift as sift_features
+from slam.features import sift
 from slam.features.sift import SiftFrame
 from slam.map.invariants import check_map
 
-# -- where the motion model fails ----------------------------------------------------------------------------
+# -- a scene in which the motion model fails -----------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
-def faded():
-    return faded_scene().run("sift")
+def faded_run():
+    """The result of the SIFT thread, and the frames whose images it used."""
+    scene, used = faded_scene(), []
+    task = scene.again()
+    task = replace(task, image_of=lambda index: used.append(index) or scene.images[index])
+    return build_thread(ThreadSpec("sift")).run(task), used
 
 
-@pytest.mark.parametrize("limit_s", [RecoveryConfig().max_unusable_s, float("inf")])
-def test_thread_1_does_not_find_the_old_map_beyond_a_faded_stretch(limit_s):
-    result = faded_scene().run("orb", RecoveryConfig(max_unusable_s=limit_s))
+@pytest.fixture(scope="module")
+def faded(faded_run):
+    return faded_run[0]
+
+
+def test_the_orb_thread_fails_to_cross_faded_frames():
+    """No limit of unusable frames helps."""
+    result = faded_scene().run("orb", RecoveryConfig(max_unusable_s=float("inf")))
     assert not result.success
     assert result.frames_passed_over >= len(FADED)
 
 
-def test_thread_2_does(faded):
+def test_the_sift_thread_crosses_faded_frames(faded):
     assert faded.success and (faded.stage, faded.reason) == ("", "")
     assert abs(faded_scene().scale_error(faded)) < 0.05
     check_map(faded.map)
 
 
-def test_it_follows_the_camera_where_no_orb_feature_is_left(faded):
-    """Over a path of 4.5 m, of which nothing is seen at both ends."""
+def test_it_tracks_the_camera_without_orb_features(faded):
+    """Over a path of 4.5 m, whose ends share no view."""
     errors = faded_scene().errors_m(faded)
     assert set(FADED) <= set(errors)
     assert max(errors.values()) < 0.1
@@ -47,7 +56,7 @@ def test_it_follows_the_camera_where_no_orb_feature_is_left(faded):
     assert sum(seen[i] == 0 for i in FADED) > 25
 
 
-def test_the_map_begins_again_beyond_the_stretch(faded):
+def test_the_map_grows_again_beyond_the_faded_frames(faded):
     m = faded.map
     beyond = [k for k in m.keyframes() if m.frame_index(int(k)) < FADED.start]
     assert len(beyond) >= 2
@@ -55,24 +64,20 @@ def test_the_map_begins_again_beyond_the_stretch(faded):
 
 
 @pytest.mark.slow
-def test_the_same_seed_does_it_again_bit_by_bit(faded):
+def test_the_same_seed_gives_the_same_recovery_bit_by_bit(faded):
     again = faded_scene().run("sift")
     assert same_map(again.map, faded.map)
     assert again.alignment.S_old_new.tobytes() == faded.alignment.S_old_new.tobytes()
 
 
-def test_it_looks_at_each_image_once_and_at_no_other():
-    scene = blind_scene()
-    seen = []
-    task = scene.again()
-    task = replace(task, image_of=lambda index: seen.append(index) or scene.images[index])
-    result = build_thread(ThreadSpec("sift")).run(task)
-    first = task.first.features.index
-    assert seen == list(range(first, first - result.frames_covered - 1, -1))
+def test_each_image_is_used_once(faded_run):
+    result, used = faded_run
+    first = faded_scene().task.first.features.index
+    assert used == list(range(first, first - result.frames_covered - 1, -1))
 
 
-def test_a_frame_that_the_last_one_does_not_help_to_place_is_matched_with_the_last_keyframe():
-    """Of the last frame only a third is to be seen, of the next one the rest."""
+def test_a_frame_that_does_not_match_the_last_one_is_matched_with_the_last_keyframe():
+    """A third of the last frame is visible, and the rest of the next one."""
     images, _, _ = toy(110, 0, STEP_M)
     task = blind_scene().again()
     shown = {i: images[i].copy() for i in (BLIND.stop - 1, BLIND.stop - 2)}
@@ -93,7 +98,7 @@ def view_of(xy, descriptors, T=None):
 
 
 def random_views(rng, n=60):
-    """Two frames that show the same things, in another order and a little changed, among others."""
+    """Two frames with the same features, shuffled and slightly changed, and further ones."""
     base = rng.integers(0, 120, (n, 128)).astype(np.uint8)
     order = rng.permutation(n)
     changed = np.clip(base[order].astype(int) + rng.integers(-6, 7, (n, 128)), 0, 255).astype(np.uint8)
@@ -105,7 +110,7 @@ def random_views(rng, n=60):
 
 def test_matches_are_mutual_nearest_neighbours_that_pass_the_ratio_test():
     a, b, order = random_views(np.random.default_rng(1))
-    pairs = sift_features.match(a, b, 0.8)
+    pairs = sift.match(a, b, 0.8)
     assert len(pairs) == len(order)
     assert (order[pairs[:, 1]] == pairs[:, 0]).all()
     there = cv2.BFMatcher(cv2.NORM_L2).knnMatch(
@@ -121,47 +126,47 @@ def test_matches_are_mutual_nearest_neighbours_that_pass_the_ratio_test():
     assert {tuple(p) for p in pairs.tolist()} == clear & back
 
 
-def test_what_looks_like_two_things_is_not_matched():
+def test_ambiguous_features_are_not_matched():
     a, b, _ = random_views(np.random.default_rng(2))
     twice = view_of(np.concatenate([b.xy, b.xy[:1]]), np.concatenate([b.descriptors, b.descriptors[:1]]))
-    pairs = sift_features.match(a, twice, 0.8)
+    pairs = sift.match(a, twice, 0.8)
     assert not np.isin(pairs[:, 1], (0, len(b.xy))).any()
     assert len(pairs) == 59
 
 
-def test_an_image_that_shows_nothing_has_no_features():
+def test_a_blank_image_has_no_features():
     frame = make_frame(0, np.random.default_rng(0), n=5)
-    nothing = sift_features.detect(np.full((480, 640), 90, np.uint8), frame, CAMERA, 100, 0.04)
+    nothing = sift.detect(np.full((480, 640), 90, np.uint8), frame, CAMERA, 100, 0.04)
     assert nothing.xy.shape == (0, 2) and nothing.descriptors.shape == (0, 128)
     assert nothing.depth == 0.0
     a, _, _ = random_views(np.random.default_rng(3))
-    assert len(sift_features.match(a, nothing, 0.8)) == len(sift_features.match(nothing, a, 0.8)) == 0
+    assert len(sift.match(a, nothing, 0.8)) == len(sift.match(nothing, a, 0.8)) == 0
 
 
-def test_features_are_undistorted_and_at_most_so_many():
+def test_features_are_undistorted_and_limited_in_number():
     bent = replace(CAMERA, distortion=(-0.2, 0.05, 0.0, 0.0, 0.0))
-    image = cv2.resize(toy(20)[0][0], (640, 480))
+    image = cv2.resize(toy(20, 0, STEP_M)[0][0], (640, 480))
     frame = make_frame(0, np.random.default_rng(0), n=5)
-    plain, undone = (sift_features.detect(image, frame, camera, 200, 0.04) for camera in (CAMERA, bent))
+    plain, undone = (sift.detect(image, frame, camera, 200, 0.04) for camera in (CAMERA, bent))
     assert 150 <= len(plain.xy) <= 210 and (plain.inv_sigma2 <= 1).all()
     np.testing.assert_allclose(undone.xy, bent.undistort_points(plain.xy.astype(np.float32)), atol=1e-3)
 
 
-def test_a_feature_takes_the_depth_of_the_map_point_beside_it():
+def test_a_feature_takes_the_depth_of_a_nearby_map_point():
     xy = np.array([[100.0, 100.0], [300.0, 200.0], [500.0, 400.0]])
     seen = view_of(xy, np.zeros((3, 128), np.uint8))
     T = rigid((0.3, -0.2, 0.5), (3, 8, -5))
     beside = np.array([[104.0, 101.0], [330.0, 200.0], [500.0, 397.0]])
-    xyz_cam = sift_features.rays(beside, VIEW) * np.array([[4.0], [5.0], [6.0]])
+    xyz_cam = sift.rays(beside, VIEW) * np.array([[4.0], [5.0], [6.0]])
     xyz = (xyz_cam - T[:3, 3]) @ T[:3, :3]
-    sift_features.take_depth_from_points(seen, xyz, beside, T, VIEW, 6.0)
+    sift.take_depth_from_points(seen, xyz, beside, T, VIEW, 6.0)
     assert seen.known.tolist() == [True, False, True]
-    np.testing.assert_allclose(seen.xyz_cam[[0, 2]], sift_features.rays(xy[[0, 2]], VIEW) * [[4.0], [6.0]])
+    np.testing.assert_allclose(seen.xyz_cam[[0, 2]], sift.rays(xy[[0, 2]], VIEW) * [[4.0], [6.0]])
     assert seen.depth == pytest.approx(5.0)
-    np.testing.assert_allclose(seen.places(np.array([0]), T)[0] @ T[:3, :3].T + T[:3, 3], seen.xyz_cam[0])
+    np.testing.assert_allclose(seen.positions(np.array([0]), T)[0] @ T[:3, :3].T + T[:3, 3], seen.xyz_cam[0])
 
 
-def test_triangulation_of_pairs_tells_points_from_what_cannot_be():
+def test_triangulation_of_pairs_rejects_what_is_inconsistent():
     rng = np.random.default_rng(5)
     xyz = np.column_stack([rng.uniform(-2, 2, (6, 2)), rng.uniform(4, 7, 6)])
     T_2 = rigid((-0.5, 0.1, 0.05), (1, -3, 2))
@@ -171,7 +176,7 @@ def test_triangulation_of_pairs_tells_points_from_what_cannot_be():
     rays_2 = xyz @ T_2[:3, :3].T + T_2[:3, 3]
     rays_1, rays_2 = rays_1 / rays_1[:, 2:], rays_2 / rays_2[:, 2:]
     rays_1[4, 1] += 0.05  # off the epipolar line
-    found, disagrees = sift_features.triangulate_pairs(
+    found, disagrees = sift.triangulate_pairs(
         T_1, rays_1, T_2, rays_2, np.full(6, 1e-5), float(np.cos(np.deg2rad(1.0)))
     )
     assert disagrees.tolist() == [False] * 4 + [True, False]
@@ -179,17 +184,17 @@ def test_triangulation_of_pairs_tells_points_from_what_cannot_be():
     np.testing.assert_allclose(found[[0, 1, 2, 5]], xyz[[0, 1, 2, 5]], atol=1e-6)
 
 
-def test_features_kept_are_found_once_per_image_and_the_same(monkeypatch):
+def test_cached_features_are_detected_once_per_image_and_equal(monkeypatch):
     images, frame = toy(2, 0, STEP_M)[0], Frame(make_frame(0, np.random.default_rng(0)).features)
 
     def found(image, count=200):
-        return sift_features.detect(image, frame, CAMERA, count, 0.04)
+        return sift.detect(image, frame, CAMERA, count, 0.04)
 
     plain = [found(image) for image in images]
     calls = []
-    real = sift_features.cv2.SIFT_create
-    monkeypatch.setattr(sift_features.cv2, "SIFT_create", lambda **k: calls.append(k) or real(**k))
-    with sift_features.features_kept():
+    real = sift.cv2.SIFT_create
+    monkeypatch.setattr(sift.cv2, "SIFT_create", lambda **k: calls.append(k) or real(**k))
+    with sift.features_kept():
         kept = [found(image) for image in (*images, *images)]
         found(images[0], 100)
     assert len(calls) == 3
@@ -200,4 +205,4 @@ def test_features_kept_are_found_once_per_image_and_the_same(monkeypatch):
     kept[0].xyz_cam[:] = 1
     assert not kept[2].known.any() and (kept[2].seen_at == plain[0].seen_at).all()
     found(images[0])
-    assert len(calls) == 4  # outside nothing is held
+    assert len(calls) == 4, "no cache outside the context"

@@ -1,12 +1,12 @@
-"""Dual-SLAM over whole sequences: one map in the end where the base is lost."""
+"""Dual-SLAM over whole sequences: it ends with one map where the base is lost."""
 
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from dual_scenes import CONFIG, MENDED, RECOVERY_ONLY, STEP_M, of, play, scale_between, with_threads
-from slam_scenes import blanked, errors_m, feed, kinds, rms, toy
+from dual_scenes import CONFIG, RECOVERED, RECOVERY_ONLY, STEP_M, of, play, scale_between, with_threads
+from slam_scenes import blanked, check_maps, errors_m, feed, kinds, rms, toy
 
 from slam.core.events import TrackingState
 from slam.dual.dual_slam import DualSlam
@@ -19,14 +19,14 @@ from slam.warmup import CAMERA
 
 
 @pytest.fixture(scope="module")
-def mended():
+def recovered():
     """Six blank frames in the middle."""
     return play(130, range(50, 56))
 
 
-def test_it_ends_in_one_fused_map(mended):
-    system, results, T_world_cam = mended
-    assert kinds(system) == ["initialized", *MENDED]
+def test_a_breakage_ends_in_one_fused_map(recovered):
+    system, results, T_world_cam = recovered
+    assert kinds(system) == ["initialized", *RECOVERED]
     assert system.maps() == [0] and system.current_map_id == 0
     assert results[-1].state is TrackingState.TRACKING and results[-1].map_id == 0
     (path,) = system.trajectories()
@@ -36,29 +36,28 @@ def test_it_ends_in_one_fused_map(mended):
     assert rms(errors) < 0.04 and errors.max() < 0.12
 
 
-def test_the_base_does_not_and_up_to_the_breakage_they_are_one(mended):
-    """While nothing that it knows is before the camera, the base has nothing to go on."""
+def test_the_base_is_lost_and_identical_up_to_the_breakage(recovered):
     images, stamps_s, _ = toy(130, 0, STEP_M)
     system = build_system("base", CAMERA, 0, CONFIG)
-    results = feed(system, blanked(images[:75], range(50, 75)), stamps_s[:75])
+    results = feed(system, blanked(images[:54], range(50, 54)), stamps_s[:54])
     assert kinds(system) == ["initialized", "breakage"]
     assert results[-1].state is TrackingState.RELOCALIZING
     assert system.trajectories()[0].frames[-1] == 49
-    assert [e.record() for e in system.events] == [e.record() for e in mended[0].events[:2]]
-    for r, q in zip(mended[1][:50], results[:50], strict=True):
+    assert [e.record() for e in system.events] == [e.record() for e in recovered[0].events[:2]]
+    for r, q in zip(recovered[1][:50], results[:50], strict=True):
         assert (r.state, r.inliers, r.is_keyframe) == (q.state, q.inliers, q.is_keyframe)
         assert r.T_map_cam is None or r.T_map_cam.tobytes() == q.T_map_cam.tobytes()
 
 
-def test_both_sides_of_the_breakage_have_one_scale(mended):
-    system, _, T_world_cam = mended
+def test_both_sides_of_the_breakage_have_one_scale(recovered):
+    system, _, T_world_cam = recovered
     (path,) = system.trajectories()
     before, after = (scale_between(path, T_world_cam, *side) for side in ((0, 49), (56, 129)))
     assert before / after == pytest.approx(1, abs=0.05)
 
 
-def test_the_events_tell_what_happened(mended):
-    system, _, _ = mended
+def test_the_events_describe_the_recovery(recovered):
+    system, _, _ = recovered
     by_kind = {e.kind: e for e in system.events}
     broken, saved = by_kind["breakage"], by_kind["map_saved"]
     assert (broken.frame, broken.map_id, saved.frame, saved.map_id) == (50, 0, 50, 0)
@@ -75,24 +74,24 @@ def test_the_events_tell_what_happened(mended):
     fusion = by_kind["fusion"]
     assert fusion.accepted and (fusion.old_map_id, fusion.map_id) == (0, 0)
     assert 40 <= fusion.inliers <= end.inliers
-    # Both maps began with unit median depth of much the same scene.
+    # Both maps were initialized with unit median depth of a similar scene.
     assert fusion.scale == pytest.approx(1, abs=0.2)
     for event in system.events:
         record = event.record()
         assert json.loads(json.dumps(record)) == record
 
 
-def test_recovery_waits_for_a_sound_new_map(mended):
-    system, results, _ = mended
+def test_recovery_starts_at_the_required_number_of_keyframes(recovered):
+    system, results, _ = recovered
     start = of(system, "recovery_start")[0].frame
     made = [r.frame for r in results if r.is_keyframe and 56 <= r.frame <= start]
     # The first keyframe is the reference frame of the initialisation, declared with the second.
     assert len(made) + 1 == system.dual.start_keyframes
 
 
-def test_tracking_goes_on_in_the_old_frame_and_scale(mended):
-    """The pose of the frame at which the maps are fused, and of those after it, is the final one nearly."""
-    system, results, _ = mended
+def test_tracking_continues_in_the_old_frame_and_scale(recovered):
+    """Poses from the frame of the fusion on are close to the final ones."""
+    system, results, _ = recovered
     (path,) = system.trajectories()
     at = {int(f): T for f, T in zip(path.frames, path.T_map_cam, strict=True)}
     fused = of(system, "fusion")[0].frame
@@ -104,21 +103,21 @@ def test_tracking_goes_on_in_the_old_frame_and_scale(mended):
     assert lengths.max() < 2 * np.median(lengths)
 
 
-def test_old_keyframes_younger_than_the_seam_are_gone(mended):
-    system, _, _ = mended
+def test_old_keyframes_younger_than_the_seam_are_culled(recovered):
+    system, _, _ = recovered
     m = system.current_map
     frames = np.array([m.frame_index(int(k)) for k in m.keyframes()])
     parents = [k for k in range(m.n_keyframes) if m.parent(k) < 0]
     assert parents == [0]
     assert (frames < 50).any() and (frames > 56).any()
     assert len(m.keyframes()) < m.n_keyframes
-    # The frame where the maps met is a keyframe of both, and one pose of the path.
+    # The frame of the alignment is a keyframe of both maps, and one pose of the trajectory.
     (path,) = system.keyframe_trajectories()
     assert path.frames.tolist() == sorted(set(frames.tolist()))
 
 
-def test_settings_in_force_include_those_of_recovery(mended):
-    settings = json.loads(json.dumps(mended[0].settings))
+def test_settings_include_those_of_recovery(recovered):
+    settings = json.loads(json.dumps(recovered[0].settings))
     assert settings["dual"]["buffer_s"] == 10.0
     assert settings["dual"]["threads"][0]["kind"] == "orb"
     assert (
@@ -128,7 +127,7 @@ def test_settings_in_force_include_those_of_recovery(mended):
 
 
 class Rescaled(DualSlam):
-    """A system whose second map comes out at 0.4 of the scale, as in front of a scene of other depth."""
+    """A system whose second map has 0.4 of the scale."""
 
     def _start_map(self, initial):
         if self.current_map_id == 1:
@@ -136,8 +135,11 @@ class Rescaled(DualSlam):
         super()._start_map(initial)
 
 
-def test_maps_of_different_scale_become_one_scale():
-    """All that is carried over is rescaled: map, frames tracked forward and backward, motion model."""
+def test_maps_of_different_scale_are_fused_to_one_scale():
+    """Map, frames tracked forward and backward and motion model are rescaled.
+
+    A second blank delays the new map; the frames before it are covered backward.
+    """
     images, stamps_s, T_world_cam = toy(130, 0, STEP_M)
     images = blanked(images, range(50, 56), range(58, 60))
     system = Rescaled(CAMERA, 0, CONFIG, RECOVERY_ONLY)
@@ -149,10 +151,15 @@ def test_maps_of_different_scale_become_one_scale():
             velocity = system.tracker.velocity
             assert velocity is not None
             step = np.linalg.norm(velocity[:3, 3])
+    assert kinds(system) == ["initialized", *RECOVERED]
     assert of(system, "fusion")[0].scale == pytest.approx(1 / 0.4, rel=0.15)
+    assert of(system, "reinit_done")[0].frame > 60
+    assert of(system, "recovery_end")[0].frames_passed_over == 8
+    check_maps(system)
     (path,) = system.trajectories()
     errors, metres = errors_m(path, T_world_cam)
     assert {56, 57} <= set(path.frames.tolist())
+    assert not {*range(50, 56), 58, 59} & set(path.frames.tolist())
     assert errors.max() < 0.12
     before, after = (scale_between(path, T_world_cam, *side) for side in ((0, 49), (60, 129)))
     assert before / after == pytest.approx(1, abs=0.05)
@@ -162,11 +169,11 @@ def test_maps_of_different_scale_become_one_scale():
         assert np.linalg.norm(r.T_map_cam[:3, 3] - at[r.frame][:3, 3]) < 0.02
 
 
-# -- more than one -------------------------------------------------------------------------------------------
+# -- two breakages -------------------------------------------------------------------------------------------
 
 
 class Recording(OrbRecovery):
-    """The recovery thread, which keeps what it was given."""
+    """The ORB recovery thread, which records its tasks."""
 
     def __init__(self):
         super().__init__(RecoveryConfig())
@@ -178,11 +185,11 @@ class Recording(OrbRecovery):
         return super().run(replace(task, backward=backward))
 
 
-def test_two_breakages_in_a_row_are_both_mended():
+def test_two_breakages_in_a_row_are_both_recovered():
     thread = Recording()
     system = with_threads(185, [range(50, 56), range(120, 126)], [thread])
     T_world_cam = toy(185, 0, STEP_M)[2]
-    assert kinds(system) == ["initialized", *MENDED, *MENDED]
+    assert kinds(system) == ["initialized", *RECOVERED, *RECOVERED]
     assert system.maps() == [0]
     (path,) = system.trajectories()
     assert rms(errors_m(path, T_world_cam)[0]) < 0.05
@@ -191,31 +198,19 @@ def test_two_breakages_in_a_row_are_both_mended():
     assert [e.map_id for e in of(system, "reinit_done")] == [1, 2]
     assert [[m.map_id for m in task.old_maps] for task, _ in thread.tasks] == [[0], [0]]
     for (task, seen), metres in zip(thread.tasks, scales[1:], strict=True):
-        # From the new map's first frame backward, by the motion of a single frame, which is to the left.
+        # Backward from the new map's first frame; the motion of one frame backward is to the left.
         first = task.first.features.index
         assert seen == list(range(first - 1, seen[-1] - 1, -1)) and seen[-1] < 50
         assert task.new_map.frame_index(0) == first
         assert task.step[0, 3] * metres == pytest.approx(STEP_M, rel=0.4)
 
 
-def test_a_breakage_while_initialising_is_only_a_delay():
-    """The frames between it and the new map are covered backward, each with a pose of its own."""
-    system, _, T_world_cam = play(130, range(50, 56), range(58, 60))
-    assert kinds(system) == ["initialized", *MENDED]
-    assert of(system, "reinit_done")[0].frame > 60
-    assert of(system, "recovery_end")[0].frames_passed_over == 8
-    (path,) = system.trajectories()
-    assert {56, 57} <= set(path.frames.tolist())
-    assert not {*range(50, 56), 58, 59} & set(path.frames.tolist())
-    errors, _ = errors_m(path, T_world_cam)
-    assert errors.max() < 0.12
-
-
-def test_a_new_map_that_breaks_before_its_recovery_is_dropped_and_the_first_one_met():
+def test_a_new_map_that_breaks_before_its_recovery_is_dropped():
+    """The next map's recovery then reaches the first map, over the frames of both."""
     system, _, T_world_cam = play(140, range(50, 56), range(66, 69))
     assert kinds(system) == [
         "initialized", "breakage", "map_saved", "reinit_start", "initialized", "reinit_done",
-        "breakage", "map_dropped", "reinit_start", *MENDED[3:],
+        "breakage", "map_dropped", "reinit_start", *RECOVERED[3:],
     ]  # fmt: skip
     dropped = of(system, "map_dropped")[0]
     assert (dropped.map_id, dropped.frame, dropped.reason) == (1, 66, "broke_before_recovery")
@@ -224,15 +219,15 @@ def test_a_new_map_that_breaks_before_its_recovery_is_dropped_and_the_first_one_
     assert end.frames_passed_over == 9
     assert system.maps() == [0]
     (path,) = system.trajectories()
-    # What the dropped map had tracked is tracked again, backward.
+    # The dropped map's frames are tracked again, backward.
     assert set(range(61, 66)) <= set(path.frames.tolist())
     assert rms(errors_m(path, T_world_cam)[0]) < 0.05
     scales = [scale_between(path, T_world_cam, *part) for part in ((0, 49), (69, 139))]
     assert max(scales) / min(scales) < 1.05
 
 
-def test_a_first_map_too_young_is_dropped_as_in_the_base():
+def test_a_first_map_with_too_few_keyframes_is_dropped_as_in_the_base():
     system, _, _ = play(45, range(7, 9))
-    assert kinds(system) == ["initialized", "breakage", "map_dropped", "reinit_start", *MENDED[3:5]]
+    assert kinds(system) == ["initialized", "breakage", "map_dropped", "reinit_start", *RECOVERED[3:5]]
     assert of(system, "map_dropped")[0].reason == "too_few_keyframes"
     assert system.maps() == [1]

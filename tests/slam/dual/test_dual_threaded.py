@@ -1,11 +1,11 @@
-"""Recovery beside tracking, on a thread of its own."""
+"""Recovery beside tracking, in its own thread."""
 
 import threading
 import time
 
 import numpy as np
 import pytest
-from dual_scenes import MENDED, STEP_M, of, scale_between, with_own_threads
+from dual_scenes import RECOVERED, STEP_M, of, scale_between, with_own_threads
 from slam_scenes import blanked, errors_m, kinds, rms, toy
 
 from slam.core.events import TrackingState
@@ -20,22 +20,22 @@ PATIENCE_S = 60.0
 
 
 class Waiting(OrbRecovery):
-    """A recovery thread that begins only when it is let."""
+    """A recovery thread that waits for a release."""
 
     def __init__(self):
         super().__init__(RecoveryConfig())
-        self.begun, self.let = threading.Event(), threading.Event()
+        self.started, self.released = threading.Event(), threading.Event()
         self.on = ""
 
     def run(self, task):
         self.on = threading.current_thread().name
-        self.begun.set()
-        assert self.let.wait(PATIENCE_S)
+        self.started.set()
+        assert self.released.wait(PATIENCE_S)
         return super().run(task)
 
 
 class Breaking:
-    """A recovery thread in which something goes wrong."""
+    """A recovery thread that raises an exception."""
 
     name = "breaking"
     needs_images = False
@@ -50,7 +50,7 @@ def threaded(threads, **config):
 
 
 def feed_in_time(system, first, last, until=None):
-    """Feed frames of the toy sequence, with the time between them that a keyframe needs."""
+    """Feed frames of the toy sequence, waiting for mapping after each."""
     images, stamps_s, _ = toy(150, 0, STEP_M)
     images = blanked(images, BLANK)
     results = []
@@ -64,41 +64,41 @@ def feed_in_time(system, first, last, until=None):
     return results
 
 
-def test_a_held_up_recovery_holds_up_no_frame_and_the_end_waits_for_it():
+def test_a_slow_recovery_delays_no_frame_and_finish_waits_for_it():
     before = set(threading.enumerate())
     thread = Waiting()
     system = threaded([thread])
-    results = feed_in_time(system, 0, 130)
-    assert thread.begun.is_set() and thread.on == "recovery"
+    results = feed_in_time(system, 0, 120)
+    assert thread.started.is_set() and thread.on == "recovery"
     start = of(system, "recovery_start")[0].frame
     assert len(results) - start > 20
     assert all(r.state is TrackingState.TRACKING and r.map_id == 1 for r in results[start:])
     assert of(system, "recovery_end") == []
-    thread.let.set()
+    thread.released.set()
     system.finish()
     assert set(threading.enumerate()) == before
-    assert kinds(system) == ["initialized", *MENDED]
-    assert system.maps() == [0] and of(system, "fusion")[0].frame == 129
+    assert kinds(system) == ["initialized", *RECOVERED]
+    assert system.maps() == [0] and of(system, "fusion")[0].frame == 119
     check_map(system.current_map)
     (path,) = system.trajectories()
     T_world_cam = toy(150, 0, STEP_M)[2]
     assert rms(errors_m(path, T_world_cam)[0]) < 0.06
-    before, after = (scale_between(path, T_world_cam, *side) for side in ((0, 49), (56, 129)))
+    before, after = (scale_between(path, T_world_cam, *side) for side in ((0, 49), (56, 119)))
     assert before / after == pytest.approx(1, abs=0.05)
 
 
-def test_the_same_story_ends_in_one_fused_map_that_is_tracked_in():
+def test_a_threaded_recovery_ends_in_one_fused_tracked_map():
     thread = Waiting()
-    thread.let.set()
+    thread.released.set()
     system = threaded([thread])
-    results = feed_in_time(system, 0, 120)
+    results = feed_in_time(system, 0, 110)
     give_up_s = time.monotonic() + PATIENCE_S
     while not of(system, "fusion") and time.monotonic() < give_up_s and len(results) < 149:
         time.sleep(0.1)
         results += feed_in_time(system, len(results), len(results) + 1)
     fused = of(system, "fusion")[0].frame
     system.finish()
-    assert kinds(system) == ["initialized", *MENDED]
+    assert kinds(system) == ["initialized", *RECOVERED]
     assert system.maps() == [0] and system.current_map_id == 0
     assert all(r.state is TrackingState.TRACKING and r.map_id == 0 for r in results[fused:])
     check_map(system.current_map)
@@ -108,19 +108,19 @@ def test_the_same_story_ends_in_one_fused_map_that_is_tracked_in():
     assert rms(errors_m(system.trajectories()[0], toy(150, 0, STEP_M)[2])[0]) < 0.06
 
 
-def test_what_goes_wrong_in_a_recovery_reaches_who_feeds_frames():
+def test_an_exception_in_a_recovery_reaches_the_caller():
     before = set(threading.enumerate())
     system = threaded([Breaking()])
     with pytest.raises(ZeroDivisionError, match="in the recovery thread"):
         feed_in_time(system, 0, 150)
-    assert of(system, "recovery_start"), "not before it has begun"
+    assert of(system, "recovery_start"), "not before it has started"
     with pytest.raises(ZeroDivisionError, match="in the recovery thread"):
         system.finish()
     assert set(threading.enumerate()) <= before
 
 
-def test_outcomes_are_told_of_as_they_come():
-    """The second thread still runs when the first one's failure is known."""
+def test_outcomes_are_yielded_when_threads_finish():
+    """The first one's failure is reported while the second thread runs."""
 
     class Ending:
         def __init__(self, name, success, gate=None):

@@ -48,7 +48,7 @@ def test_pattern_reaches_as_far_as_the_border():
     assert reach == BORDER_PX
 
 
-def test_descriptors_equal_the_slow_twin_up_to_the_border():
+def test_descriptors_agree_with_numpy_up_to_the_border():
     blurred = blur_of_opencv_orb(textured())
     xs, ys = positions(60)
     angles = np.random.default_rng(2).uniform(0, 360, 60).astype(np.float32)
@@ -88,7 +88,7 @@ def test_orientations_equal_those_of_opencv():
     assert len(found) > 300 and np.abs(off).max() < 0.02  # cv2.fastAtan2 is that coarse
 
 
-def test_orientations_equal_the_slow_twin_up_to_the_border():
+def test_orientations_agree_with_numpy_up_to_the_border():
     image = textured(5)
     xs, ys = positions(50)
     half = [15, 15, 15, 15, 14, 14, 14, 13, 13, 12, 11, 10, 9, 8, 6, 3]

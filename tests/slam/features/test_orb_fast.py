@@ -50,18 +50,18 @@ def corners_of(image, border=4, threshold=20, min_threshold=20, cell_px=30):
 
 
 @pytest.mark.parametrize("kind", IMAGES)
-def test_contrast_equals_the_slow_twin(kind):
+def test_contrast_agrees_with_numpy(kind):
     image = make_image(kind)
     assert np.array_equal(contrast_of(image)[3:-3, 3:-3], slow_contrast(image))
 
 
-def test_contrast_leaves_the_margin_alone():
+def test_contrast_does_not_write_the_margin():
     out = contrast_of(make_image("noise"), margin=5)
     out[5:-5, 5:-5] = 77
     assert (out == 77).all()
 
 
-def test_contrast_of_an_image_without_an_inside_is_nothing():
+def test_contrast_of_a_too_small_image_writes_nothing():
     assert (contrast_of(np.zeros((6, 6), np.uint8)) == 77).all()
     assert corners_of(np.zeros((8, 8), np.uint8)) == []
 
@@ -105,7 +105,7 @@ def test_weak_corners_only_fill_cells_without_strong_ones(cell_px):
     assert any(c[2] <= threshold for c in found) == (cell_px < 1000)
 
 
-def test_corners_keep_clear_of_the_border():
+def test_corners_are_not_in_the_border():
     xs, ys = np.array([c[:2] for c in corners_of(make_image("noise"), border=18)]).T
     assert xs.min() >= 18 and xs.max() < 131 - 18 and ys.min() >= 18 and ys.max() < 90 - 18
     assert 18 in xs and 131 - 19 in xs and 18 in ys and 90 - 19 in ys

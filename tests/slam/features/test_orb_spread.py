@@ -43,7 +43,7 @@ def slow_spread(xs, ys, contrasts, n_wanted):
 
 @pytest.mark.parametrize("kind", ["even", "clump"])
 @pytest.mark.parametrize("n_wanted", [1, 2, 3, 50, 301, 790])
-def test_choice_equals_the_slow_twin(kind, n_wanted):
+def test_the_choice_agrees_with_python(kind, n_wanted):
     xs, ys, contrasts = make_corners(kind)
     chosen = spread_corners(xs, ys, contrasts, HEIGHT, WIDTH, n_wanted)
     assert chosen.dtype == np.int32
@@ -52,13 +52,13 @@ def test_choice_equals_the_slow_twin(kind, n_wanted):
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("n_wanted", [5, 60, 333])
-def test_choice_is_unique_and_nearly_full(seed, n_wanted):
+def test_the_choice_is_unique_and_nearly_complete(seed, n_wanted):
     chosen = spread_corners(*make_corners("clump", seed=seed), HEIGHT, WIDTH, n_wanted)
     assert n_wanted - 2 <= len(chosen) <= n_wanted
     assert len(np.unique(chosen)) == len(chosen)
 
 
-def test_a_clump_does_not_take_the_places_of_the_rest():
+def test_a_cluster_does_not_displace_other_corners():
     xs, ys, contrasts = make_corners("clump")
     contrasts[(xs < 40) & (ys < 40)] = 255  # by contrast alone the clump would win every place
     chosen = spread_corners(xs, ys, contrasts, HEIGHT, WIDTH, 100)
@@ -73,5 +73,5 @@ def test_few_corners_are_all_kept():
     assert len(spread_corners(xs[:0], ys[:0], contrasts[:0], HEIGHT, WIDTH, 30)) == 0
 
 
-def test_none_wanted_gives_none():
+def test_none_requested_gives_none():
     assert len(spread_corners(*make_corners("even"), HEIGHT, WIDTH, 0)) == 0

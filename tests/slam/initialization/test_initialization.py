@@ -1,4 +1,4 @@
-"""The first map: when it is made, that it is the scene up to scale, and when another frame is awaited."""
+"""Initialization: the first map equals the scene up to scale, and unsuitable frames are refused."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def offer(seeker, frame, seed=0, map_id=4):
 
 
 def first_map(seed=0, **settings):
-    """The map, the two sightings it is made of, and the reasons of the frames refused before."""
+    """The map, its two sightings, and the reasons of the frames refused before."""
     rng = np.random.default_rng(seed)
     seeker = initializer(**settings)
     sightings, reasons = [], []
@@ -45,7 +45,7 @@ def first_map(seed=0, **settings):
 
 
 @pytest.mark.parametrize("matcher", MATCHERS)
-def test_a_few_frames_of_motion_make_a_map_that_is_the_scene_up_to_scale(matcher):
+def test_a_few_frames_of_motion_give_a_map_of_the_scene_up_to_scale(matcher):
     for seed in range(3):
         initial, (one, two), reasons, _ = first_map(seed, matcher=matcher)
         assert reasons[0] == "reference_frame" and len(reasons) <= 8
@@ -75,7 +75,7 @@ def test_the_map_starts_at_the_origin_with_unit_median_depth():
     assert np.median(depth) == pytest.approx(1.0, rel=0.02)
 
 
-def test_both_frames_are_handed_over_as_tracked():
+def test_both_frames_are_returned_as_tracked():
     initial, *_, seeker = first_map()
     for keyframe, frame in enumerate((initial.first, initial.second)):
         np.testing.assert_array_equal(frame.point, initial.map.observed_points(keyframe))
@@ -95,7 +95,7 @@ def test_the_same_frames_and_seed_give_the_same_bits(matcher):
 
 
 @pytest.mark.parametrize("matcher", MATCHERS)
-def test_nothing_is_made_of_a_camera_that_stands_or_turns(matcher):
+def test_a_static_or_rotating_camera_gives_no_map(matcher):
     for turn_deg in (0.0, 0.3):
         rng = np.random.default_rng(1)
         seeker = initializer(matcher=matcher)
@@ -107,7 +107,7 @@ def test_nothing_is_made_of_a_camera_that_stands_or_turns(matcher):
         assert seeker.reference is not None and seeker.reference.features.index == 0
 
 
-def test_a_frame_of_few_keypoints_is_no_reference_and_ends_the_one_there_is():
+def test_a_frame_with_few_keypoints_clears_the_reference():
     rng = np.random.default_rng(2)
     seeker = initializer()
     few = make_frame(0, rng, n=99)
@@ -119,7 +119,7 @@ def test_a_frame_of_few_keypoints_is_no_reference_and_ends_the_one_there_is():
     assert seeker.reference is None
 
 
-def test_a_frame_that_matches_little_is_the_next_reference():
+def test_a_frame_with_few_matches_becomes_the_reference():
     rng = np.random.default_rng(3)
     seeker = initializer()
     offer(seeker, look(0, rng).frame)
@@ -131,7 +131,7 @@ def test_a_frame_that_matches_little_is_the_next_reference():
     assert seeker.reference is None
 
 
-def test_matches_are_followed_beyond_the_search_window():
+def test_matches_are_tracked_beyond_the_search_window():
     settings = {"radius_px": 25.0, "two_view": TwoViewConfig(min_parallax_deg=60.0)}
     rng = np.random.default_rng(8)
     frames = [look(i, rng).frame for i in range(7)]
@@ -142,8 +142,8 @@ def test_matches_are_followed_beyond_the_search_window():
     assert offer(at_once, frames[-1])[1] == "too_few_matches"
 
 
-def test_gms_starts_a_map_where_each_frame_is_beyond_the_window_of_the_one_before():
-    """Turning by 120 px a frame, moving on: the windowed search starts over with every frame."""
+def test_gms_initializes_with_motions_beyond_the_search_window():
+    """With a rotation of 120 px per frame the windowed search restarts at every frame."""
     rng = np.random.default_rng(9)
 
     def leap(i):
@@ -166,7 +166,7 @@ def test_gms_starts_a_map_where_each_frame_is_beyond_the_window_of_the_one_befor
     assert distance < 0.1 * np.linalg.norm(truth[:3, 3]) and turn_deg < 0.4
 
 
-def test_gms_starts_no_later():
+def test_gms_initializes_no_later():
     for seed in range(3):
         taken = {matcher: len(first_map(seed, matcher=matcher)[2]) for matcher in MATCHERS}
         assert taken["gms"] <= taken["windowed"]
@@ -177,7 +177,7 @@ def test_an_unknown_matcher_is_refused():
         InitializationConfig(matcher="psychic")  # pyright: ignore[reportArgumentType]
 
 
-def test_the_reason_of_the_geometry_is_passed_on():
+def test_the_reason_of_the_two_view_geometry_is_reported():
     rng = np.random.default_rng(4)
     seeker = initializer(two_view=TwoViewConfig(min_parallax_deg=60.0))
     offer(seeker, look(0, rng).frame)
@@ -185,7 +185,7 @@ def test_the_reason_of_the_geometry_is_passed_on():
     assert (initial, reason) == (None, "low_parallax") and matches >= 100
 
 
-def test_too_few_points_after_adjustment_start_over_from_the_frame():
+def test_too_few_points_after_adjustment_restart_from_the_frame():
     rng = np.random.default_rng(5)
     seeker = initializer(min_points=100_000)
     reasons = []
@@ -200,8 +200,8 @@ def test_too_few_points_after_adjustment_start_over_from_the_frame():
     assert reasons[-1] == "few_points_after_adjustment"
 
 
-def test_coarse_keypoints_count_for_their_noise(monkeypatch):
-    """The geometry is told the scale of each match's pyramid level."""
+def test_coarse_keypoints_are_weighted_by_their_noise(monkeypatch):
+    """The geometry gets the scale of each match's pyramid level."""
     seen = []
 
     def spy(pixels_1, pixels_2, K, rng, config, scale):

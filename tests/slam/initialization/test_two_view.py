@@ -1,4 +1,4 @@
-"""Two views are reconstructed where they tell the motion, and refused for the right reason elsewhere."""
+"""Two views are reconstructed if they determine the motion, else refused with the right reason."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def reconstruct(pixels_1, pixels_2, config=None, seed=1):
         ("plane", "homography", 0),
     ],
 )
-def test_scenes_are_reconstructed_and_none_wrongly(kind, model, least, baseline):
+def test_scenes_are_reconstructed_and_never_wrongly(kind, model, least, baseline):
     successes = 0
     for seed in range(12):
         T, points, u, v, wrong = scene(kind, seed, baseline=baseline)
@@ -46,8 +46,8 @@ def test_scenes_are_reconstructed_and_none_wrongly(kind, model, least, baseline)
     assert successes >= least
 
 
-def test_the_direction_is_better_for_every_match():
-    """The motion is that of all matches: its errors are what the noise leaves open, no more."""
+def test_the_direction_uses_all_matches():
+    """The motion fits all matches: its error is that expected from the noise."""
     errors = []
     for seed in range(10):
         T, _, u, v, _ = scene("general", seed)
@@ -55,7 +55,7 @@ def test_the_direction_is_better_for_every_match():
     assert np.median(errors) < 0.7 and max(errors) < 2.0
 
 
-def test_noisier_matches_count_less_where_told():
+def test_noisier_matches_have_less_weight():
     def errors(told):
         found = []
         for seed in range(8):
@@ -86,8 +86,8 @@ def test_pure_rotation_is_refused_for_its_parallax(seed, noise):
 
 @pytest.mark.parametrize("seed", [2, 4, 5])
 @pytest.mark.parametrize("turn_deg", [0.5, 0.6])
-def test_a_small_turn_among_keypoints_on_whole_pixels_is_not_taken_for_a_move(seed, turn_deg):
-    """Most rows stay what they were by rounding, as in a move sideways."""
+def test_a_small_rotation_of_rounded_keypoints_is_not_taken_for_a_translation(seed, turn_deg):
+    """Rounding keeps most rows, as in a sideways motion."""
     rng, n = np.random.default_rng(seed), 2000
     scale = 1.2 ** rng.integers(0, 8, n)
     rays = np.column_stack([rng.uniform([20, 20], [620, 460], (n, 2)), np.ones(n)]) @ np.linalg.inv(K).T
@@ -102,13 +102,13 @@ def test_a_small_turn_among_keypoints_on_whole_pixels_is_not_taken_for_a_move(se
     assert (result.success, result.reason) == (False, "low_parallax")
 
 
-def test_standing_still_is_refused_for_its_parallax():
+def test_a_static_camera_is_refused_for_its_parallax():
     _, _, u, _, _ = scene("rotation", n=200)
     result = reconstruct(u, u.copy())
     assert (result.success, result.reason) == (False, "low_parallax")
 
 
-def test_too_little_parallax_is_refused_by_the_bound_given():
+def test_parallax_below_the_threshold_is_refused():
     T, _, u, v, _ = scene("general", baseline=0.2)
     result = reconstruct(u, v)
     assert result.success
@@ -120,7 +120,7 @@ def test_too_little_parallax_is_refused_by_the_bound_given():
 
 
 def test_a_plane_with_two_explanations_is_refused():
-    """On the way towards a tilted plane, a second plane and motion explain the views as well."""
+    """In motion towards a tilted plane, a second plane and motion explain the views as well."""
     _, points, u, _, _ = scene("plane", outliers=0.0)
     T = rigid([0.0, 0.0, -0.5], [0.0, 0.0, 0.0])
     v = project(T, points) + np.random.default_rng(0).normal(0, 0.3, u.shape)
@@ -129,8 +129,8 @@ def test_a_plane_with_two_explanations_is_refused():
     assert reconstruct(u, v, TwoViewConfig(min_lead_sigmas=0.0)).success
 
 
-def test_a_plane_with_some_points_before_it_has_one_explanation():
-    """What tells the two motions of a plane from each other is any structure besides the plane."""
+def test_a_plane_with_points_in_front_has_one_explanation():
+    """Structure outside the plane distinguishes its two motions."""
     T = rigid([0.0, 0.0, -0.5], [0.0, 0.0, 0.0])
     for share, reason in ((0.0, "ambiguous"), (0.3, "")):
         _, points, u, _, _ = scene("plane", outliers=0.0)
@@ -142,8 +142,8 @@ def test_a_plane_with_some_points_before_it_has_one_explanation():
     assert direction_error_deg(result.T_2_1[:3, 3], T[:3, 3]) < 2.0
 
 
-def test_a_direction_that_the_matches_leave_open_is_refused():
-    """Under little parallax a sideways move and a turn look alike; more noise leaves more open."""
+def test_an_ill_conditioned_direction_is_refused():
+    """With little parallax a sideways motion and a rotation look alike, more so with noise."""
     reasons = []
     for noise in (0.2, 1.5, 4.0):
         _, _, u, v, _ = scene("general", 3, outliers=0.0, baseline=0.3, noise=noise)
@@ -164,13 +164,13 @@ class TestRivals:
     def rivals(self, angle_deg, best, other):
         return _rivals(self.motion(0.0, best), self.motion(angle_deg, other), self.CONFIG)
 
-    def test_a_motion_that_explains_as_much_is_a_rival_unless_it_is_the_same(self):
+    def test_an_equally_good_motion_is_a_rival_unless_it_is_the_same(self):
         costs = np.random.default_rng(0).chisquare(1, 200)
         assert self.rivals(180.0, costs, costs)
         assert self.rivals(20.0, costs, costs)
         assert not self.rivals(19.0, costs, costs)
 
-    def test_a_lead_that_a_few_matches_make_is_none(self):
+    def test_a_lead_of_a_few_matches_does_not_count(self):
         best = np.random.default_rng(1).chisquare(1, 200)
         for count, rival in ((3, True), (60, False)):
             other = best.copy()
@@ -185,7 +185,7 @@ class TestRivals:
         for sigmas, rival in ((2.0, True), (5.0, False)):
             assert self.rivals(90.0, best, best + lead + sigmas * lead.std() / np.sqrt(400)) == rival
 
-    def test_a_lead_far_below_the_noise_is_none_however_regular(self):
+    def test_a_lead_far_below_the_noise_does_not_count(self):
         best = np.zeros(300)
         assert self.rivals(90.0, best, best + 1e-3)
         assert not self.rivals(90.0, best, best + 1.0)
@@ -209,7 +209,7 @@ def test_matches_without_a_geometry_are_refused():
 @pytest.mark.parametrize("spread", [0.0, 600.0])
 @pytest.mark.parametrize("slope", [0.0, 0.5, -0.75])
 @pytest.mark.parametrize("noise", [0.0, 0.2, 0.5])
-def test_matches_on_a_point_or_a_line_are_refused(spread, slope, noise):
+def test_coincident_or_collinear_matches_are_refused(spread, slope, noise):
     rng = np.random.default_rng(0)
     x = 20 + spread * rng.random(150)
     u = np.column_stack([x, 50 + slope * x]) + rng.normal(0, noise, (150, 2))
@@ -219,8 +219,8 @@ def test_matches_on_a_point_or_a_line_are_refused(spread, slope, noise):
 
 
 @pytest.mark.parametrize("seed", [2, 18, 26, 113, 152, 184])
-def test_matches_on_a_line_are_refused_though_a_wild_motion_fits_them(seed):
-    """Large turns that bring the scene next to the camera; picked out of many lines."""
+def test_collinear_matches_are_refused_even_if_a_motion_fits(seed):
+    """Large rotations that place the scene next to the camera; selected from many lines."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(100, 300))
     x = 20 + 600 * rng.random(n)
@@ -231,7 +231,7 @@ def test_matches_on_a_line_are_refused_though_a_wild_motion_fits_them(seed):
     assert not reconstruct(u, v).success
 
 
-def test_points_are_kept_up_to_the_nominal_noise_however_good_most_matches_are():
+def test_points_are_kept_up_to_the_nominal_noise():
     T, _, u, v, _ = scene("general", outliers=0.0, noise=0.1)
     worse = np.arange(len(u)) % 4 == 0
     v[worse] += np.random.default_rng(0).uniform(-0.9, 0.9, (worse.sum(), 2))
@@ -245,7 +245,7 @@ def test_too_few_points_are_refused():
     assert reconstruct(u, v, TwoViewConfig(min_points=110)).reason == "few_points"
 
 
-def test_same_seed_same_bits():
+def test_the_same_seed_gives_the_same_bits():
     _, _, u, v, _ = scene("general", n=150)
     first, second = reconstruct(u, v, seed=5), reconstruct(u, v, seed=5)
     np.testing.assert_array_equal(first.T_2_1, second.T_2_1)
@@ -254,7 +254,7 @@ def test_same_seed_same_bits():
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_matches_that_are_no_pairs_of_pixels_are_refused(bad):
+def test_invalid_matches_are_refused(bad):
     _, _, u, v, _ = scene("general")
     with pytest.raises(ValueError, match="pairs"):
         reconstruct(u, v[:-1])
@@ -264,7 +264,7 @@ def test_matches_that_are_no_pairs_of_pixels_are_refused(bad):
 
 
 @pytest.mark.parametrize("scale", [np.ones(3), np.zeros(300), np.full(300, np.nan)])
-def test_scales_that_are_none_are_refused(scale):
+def test_invalid_scales_are_refused(scale):
     _, _, u, v, _ = scene("general")
     with pytest.raises(ValueError, match="scale"):
         two_view_reconstruction(u, v, K, np.random.default_rng(0), None, scale)

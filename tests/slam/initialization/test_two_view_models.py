@@ -44,7 +44,7 @@ def test_scores_agree_with_their_definition():
         assert any(inliers)
 
 
-def test_missing_and_singular_models_score_nothing():
+def test_missing_and_singular_models_score_zero():
     _, _, u, v, _ = scene("general", n=60)
     for score, mask in (
         homography_score(None, u, v, 1.0),
@@ -54,7 +54,7 @@ def test_missing_and_singular_models_score_nothing():
         assert score == 0.0 and not mask.any()
 
 
-def test_the_true_motion_is_among_those_of_its_matrices():
+def test_the_true_motion_is_among_the_decompositions():
     T, *_ = scene("plane")
     t = T[:3, 3]
     normal = np.array([0.5, -0.3, 1.0])
@@ -67,7 +67,7 @@ def test_the_true_motion_is_among_those_of_its_matrices():
         assert all(np.linalg.norm(M[:3, 3]) == pytest.approx(1.0) for M in motions)
 
 
-def test_a_motion_triangulates_its_points_and_its_mirror_none():
+def test_a_motion_triangulates_its_points_and_the_mirrored_one_none():
     T, points, u, v, _ = scene("general", n=80, outliers=0.0, noise=0.0)
     T[:3, 3] /= 0.4
     inliers = np.arange(80) > 9

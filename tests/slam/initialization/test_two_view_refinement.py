@@ -1,9 +1,9 @@
-"""Refined motions are minima of the cost they claim, whatever the start, the outliers and the noise."""
+"""Refined motions are minima of the robust cost, for any start, outliers and noise."""
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from two_view_rays import FOCAL, angle_deg, errors_of, errors_twin, loss, rigid, views
+from two_view_rays import FOCAL, angle_deg, errors_of, errors_reference, loss, rigid, views
 
 from slam.initialization._two_view_refinement import TUKEY, moved, refined, tangent
 from slam.optimization._se3 import so3_exp
@@ -34,8 +34,8 @@ def off_by(T, rng, direction=0.05, turn=0.005):
     return start
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_the_cost_is_as_low_as_an_oracle_gets_it(seed):
+@pytest.mark.parametrize("seed", range(3))
+def test_the_cost_agrees_with_scipy(seed):
     T, rays_1, rays_2, sigma = views(seed, noise_px=0.7, outliers=0.15)
     start = off_by(T, np.random.default_rng(seed), 0.01, 0.001)
     found = refined(start, rays_1, rays_2, sigma, iterations=50)
@@ -43,7 +43,7 @@ def test_the_cost_is_as_low_as_an_oracle_gets_it(seed):
     def at(step):
         motion = np.eye(4)
         motion[:3, :3], motion[:3, 3] = moved(start[:3, :3].copy(), start[:3, 3].copy(), step)
-        return errors_twin(motion, rays_1, rays_2, sigma)
+        return errors_reference(motion, rays_1, rays_2, sigma)
 
     def tukey(e2):
         left = np.maximum(1 - e2 / TUKEY**2, 0)
@@ -51,7 +51,9 @@ def test_the_cost_is_as_low_as_an_oracle_gets_it(seed):
 
     oracle = least_squares(lambda step: np.hypot(*at(step)), np.zeros(5), loss=tukey, x_scale=0.01)
     assert found.cost <= 2 * oracle.cost * (1 + 1e-3)
-    np.testing.assert_allclose(found.errors.T, errors_twin(found.T_2_1, rays_1, rays_2, sigma), atol=1e-6)
+    np.testing.assert_allclose(
+        found.errors.T, errors_reference(found.T_2_1, rays_1, rays_2, sigma), atol=1e-6
+    )
     np.testing.assert_allclose(found.costs, loss(*found.errors.T), atol=1e-9)
     np.testing.assert_allclose(found.T_2_1[:3, :3] @ found.T_2_1[:3, :3].T, np.eye(3), atol=1e-9)
     assert np.linalg.norm(found.T_2_1[:3, 3]) == pytest.approx(1.0)
@@ -65,7 +67,7 @@ def test_perfect_matches_give_the_motion_back():
         np.testing.assert_allclose(found.T_2_1, T, atol=1e-6)
 
 
-def test_outliers_do_not_count():
+def test_outliers_have_no_influence():
     T, rays_1, rays_2, sigma = views(7, n=300, noise_px=0.5)
     alone = refined(T, rays_1, rays_2, sigma)
     rng = np.random.default_rng(0)
@@ -79,7 +81,7 @@ def test_outliers_do_not_count():
     np.testing.assert_allclose(with_outliers.costs[300:], TUKEY**2 / 3)
 
 
-def test_a_wide_start_reaches_farther():
+def test_a_wider_loss_converges_from_farther_away():
     def reached(widest):
         count = 0
         for seed in range(20):
@@ -93,7 +95,7 @@ def test_a_wide_start_reaches_farther():
     assert reached(8.0) > reached(1.0)
 
 
-def test_only_the_turn_is_refined_where_asked():
+def test_the_direction_can_be_kept():
     T, rays_1, rays_2, sigma = views(4, noise_px=0.5)
     start = off_by(T, np.random.default_rng(0), 0.1, 0.01)
     found = refined(start, rays_1, rays_2, sigma, turn_only=True)
@@ -103,7 +105,7 @@ def test_only_the_turn_is_refined_where_asked():
     assert free.cost < found.cost < loss(*errors_of(start, rays_1, rays_2, sigma)).sum()
 
 
-def test_the_information_foretells_the_scatter():
+def test_the_information_predicts_the_scatter():
     T, rays_1, rays_2, sigma = views(5, noise_px=0.5)
     perfect = views(5)
     rng = np.random.default_rng(1)
@@ -117,7 +119,7 @@ def test_the_information_foretells_the_scatter():
     assert (ratio > 0.6).all() and (ratio < 1.7).all()
 
 
-def test_matches_that_say_nothing_are_survived():
+def test_uninformative_matches_give_finite_results():
     rays = np.zeros((120, 2))
     found = refined(rigid((1, 0, 0), (0, 0, 0)), rays, rays.copy(), np.full(120, 1 / FOCAL))
     assert np.isfinite(found.T_2_1).all() and found.cost == 0.0

@@ -1,4 +1,4 @@
-"""The search finds every motion that explains the matches, and what speaks for and against each."""
+"""The search finds every motion that explains the matches."""
 
 from itertools import pairwise
 
@@ -33,7 +33,7 @@ def angle_deg(a, b):
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.3])
-def test_the_truth_is_found_from_any_start(outliers):
+def test_the_true_motion_is_found_from_any_start(outliers):
     for seed in range(6):
         rng = np.random.default_rng(seed)
         T = rigid(rng.normal(size=3), rng.normal(0, 0.05, 3))
@@ -46,7 +46,7 @@ def test_the_truth_is_found_from_any_start(outliers):
 
 
 def test_both_explanations_of_a_plane_are_found():
-    """Moving towards a tilted plane: direction and normal may change roles."""
+    """In motion towards a tilted plane, direction and normal may be exchanged."""
     rng = np.random.default_rng(0)
     T = rigid((0, 0, -1))
     normal = np.array([0.5, -0.3, 1.0])
@@ -59,7 +59,7 @@ def test_both_explanations_of_a_plane_are_found():
     assert minima[1].cost < 1.1 * minima[0].cost
 
 
-def test_copies_of_a_motion_are_one():
+def test_duplicates_of_a_motion_are_removed():
     rng = np.random.default_rng(1)
     T = rigid((1, 0.2, 0.1), (0.02, 0.01, 0))
     matches = views(T, lambda h: rng.uniform(5, 20, len(h)), rng)
@@ -74,7 +74,7 @@ def test_copies_of_a_motion_are_one():
     assert kept[1] is far
 
 
-def test_motions_around_keep_their_distance_and_try_the_weakest_way():
+def test_motions_around_keep_their_angle_and_include_the_worst_determined():
     rng = np.random.default_rng(2)
     for direction in ((1, 0.2, 0.1), (0.1, 0.2, -1), (0.3, 1, 0.5)):
         T = rigid(direction, (0.02, 0.01, 0))
@@ -90,7 +90,7 @@ def test_motions_around_keep_their_distance_and_try_the_weakest_way():
         assert min(costs[0], costs[half]) < np.median(costs)
 
 
-def test_matches_without_any_order_are_survived():
+def test_random_matches_give_finite_results():
     rng = np.random.default_rng(3)
     matches = rng.uniform(-0.5, 0.5, (150, 2)), rng.uniform(-0.5, 0.5, (150, 2)), np.full(150, 1 / FOCAL)
     minima, noise = search_motions([rigid((1, 0, 0))], *matches)

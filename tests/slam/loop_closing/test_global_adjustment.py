@@ -1,4 +1,4 @@
-"""An adjustment of the map as it was, applied to the map that it has grown into."""
+"""An adjustment of an earlier state of the map, applied to the present map."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def closed():
     return r.map
 
 
-def test_the_map_is_left_alone_until_it_is_applied(closed):
+def test_the_map_is_unchanged_until_the_adjustment_is_applied(closed):
     before = [array.copy() for array in closed.arrays]
     adjustment = adjust_globally(closed)
     for old, new in zip(before, closed.arrays, strict=True):
@@ -33,7 +33,7 @@ def test_the_map_is_left_alone_until_it_is_applied(closed):
     assert not (closed.arrays.kp_point[rows] == adjustment.of_points).any()
 
 
-def test_what_has_come_since_follows_its_parent(closed):
+def test_newer_keyframes_and_points_follow_their_parents(closed):
     adjustment = adjust_globally(closed)
     parent = closed.n_keyframes - 1
     frame = make_frame(999, np.random.default_rng(0), T=np.linalg.inv(np.diag([1.0, 1, 1, 1])))
@@ -50,7 +50,7 @@ def test_what_has_come_since_follows_its_parent(closed):
     np.testing.assert_allclose(in_camera, (0.1, 0.2, 3.0), atol=1e-12)
 
 
-def test_what_has_gone_since_stays_gone(closed):
+def test_what_was_culled_since_stays_culled(closed):
     adjustment = adjust_globally(closed)
     closed.cull_keyframe(12)
     lost = int(closed.points()[5])
@@ -62,8 +62,8 @@ def test_what_has_gone_since_stays_gone(closed):
     assert closed.arrays.kf_bad[12] and closed.arrays.pt_bad[lost]
 
 
-def test_it_matters_not_whether_culled_keyframes_keep_their_keypoints(closed):
-    """Outliers are told by keyframe and keypoint, of one culled since and of those whose rows have moved."""
+def test_removed_keypoints_of_culled_keyframes_do_not_matter(closed):
+    """Outliers are given by keyframe and keypoint, which stay valid when rows move."""
     a = closed.arrays
     for k in (5, 20):
         a.kp_xy[closed.keypoints(k).start + np.flatnonzero(closed.observed_points(k) >= 0)[:3]] += 100.0

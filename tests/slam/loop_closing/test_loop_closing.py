@@ -1,4 +1,4 @@
-"""Loops are found where a place is seen again for several keyframes, and only there."""
+"""Loops are detected where a place is recognised by several keyframes, and only there."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from slam.optimization.sim3 import horn_sim3, sim3_decompose
 
 
 class Oracle:
-    """Stands for place recognition: answers with given candidates."""
+    """Mock of place recognition that returns given candidates."""
 
     def __init__(self, candidates):
         self.candidates = candidates
@@ -30,7 +30,7 @@ def drifted():
 
 
 def same_place(r, keyframe):
-    """The keyframe of the first round that stands where this one does."""
+    """The keyframe of the first round at the same place."""
     return keyframe - 60
 
 
@@ -65,7 +65,7 @@ def test_the_third_consistent_keyframe_closes_the_loop(drifted):
     assert set(loop.points) <= set(around)
 
 
-def test_what_it_finds_closes_the_ring():
+def test_the_detected_loop_closes_the_ring():
     r = ring(keyframes=60, overlap=6)
     d = detector(r, {k: [same_place(r, k)] for k in range(60, 66)})
     (loop, around) = run(d, range(60, 63))[62]
@@ -86,24 +86,24 @@ def test_a_candidate_elsewhere_is_refused(drifted):
     assert not any(run(d, range(60, 66)).values())
 
 
-def test_candidates_that_jump_about_are_not_believed(drifted):
+def test_inconsistent_candidates_are_refused(drifted):
     """The right place, but never twice in a row."""
     d = detector(drifted, {60: [0], 61: [30], 62: [2], 63: [40], 64: [4]})
     assert not any(run(d, range(60, 65)).values())
 
 
-def test_too_few_points_of_the_surroundings_are_not_enough(drifted):
+def test_too_few_points_of_the_surroundings_are_refused(drifted):
     d = detector(drifted, {k: [same_place(drifted, k)] for k in range(60, 66)}, min_matches=100_000)
     assert not any(run(d, range(60, 66)).values())
 
 
-def test_after_a_loop_it_rests(drifted):
+def test_no_loop_is_detected_shortly_after_another(drifted):
     candidates = {k: [same_place(drifted, k)] for k in range(60, 66)}
     d = detector(drifted, candidates, consistency=1, min_gap=4)
     assert [k for k, loop in run(d, range(60, 66)).items() if loop] == [60, 64]
 
 
-def test_a_culled_keyframe_is_passed_over():
+def test_a_culled_keyframe_is_skipped():
     r = ring(keyframes=60, overlap=6)
     d = detector(r, {k: [same_place(r, k)] for k in range(60, 66)}, consistency=1)
     r.map.cull_keyframe(63)

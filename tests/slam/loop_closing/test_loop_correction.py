@@ -1,4 +1,4 @@
-"""A drifted ring is closed: the drift is spread, duplicates become one, the map stays whole."""
+"""A drifted ring is closed: drift is distributed, duplicates are fused, the map stays valid."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def drifted():
     return r
 
 
-def test_the_drift_is_a_third_at_the_most_and_less_after_adjustment(drifted):
+def test_the_drift_is_less_than_a_third_and_less_again_after_adjustment(drifted):
     before = error_m(drifted)
     correct_loop(drifted.map, drifted.loop, drifted.loop_points)
     check_map(drifted.map)
@@ -36,7 +36,7 @@ def test_the_drift_is_a_third_at_the_most_and_less_after_adjustment(drifted):
     assert error_m(drifted) < after / 3
 
 
-def test_a_loop_found_before_keypoints_moved_is_closed_alike(drifted):
+def test_removed_keypoints_do_not_change_the_correction(drifted):
     m = drifted.map
     m.cull_keyframe(30)
     packed = m.copy()
@@ -48,7 +48,7 @@ def test_a_loop_found_before_keypoints_moved_is_closed_alike(drifted):
     check_map(packed)
 
 
-def test_both_sides_share_their_points_afterwards(drifted):
+def test_both_sides_share_their_points_after_the_correction(drifted):
     m, k, q = drifted.map, drifted.loop.keyframe, drifted.loop.loop_keyframe
     points = len(m.points())
     assert m.arrays.covisibility[k, q] == 0
@@ -57,12 +57,12 @@ def test_both_sides_share_their_points_afterwards(drifted):
     assert len(m.points()) <= points - len(drifted.loop.points)
     assert (k, q) in m.loop_edges
     assert [k, q] in essential_edges(m).tolist()
-    # Neighbours beside the matched keyframe were joined too.
+    # Points of neighbouring keyframes were fused too.
     assert m.arrays.covisibility[k - 1, q - 1] > 50
 
 
 def test_lengths_follow_the_correction(drifted):
-    """The factor is that by which the surroundings of a keyframe were too large."""
+    """The factor corrects the excess scale around a keyframe."""
     m = drifted.map
     m.cull_keyframe(30)
     parent = m.parent(30)
@@ -85,7 +85,7 @@ def _depths(m, k):
     return (m.arrays.pt_xyz[points[points >= 0]] @ T[:3, :3].T + T[:3, 3])[:, 2]
 
 
-def test_the_graph_holds_the_tree_the_strong_ties_and_nothing_twice(drifted):
+def test_the_essential_graph_has_tree_and_strong_edges_once(drifted):
     m = drifted.map
     edges = essential_edges(m)
     assert len({frozenset(e) for e in edges.tolist()}) == len(edges)

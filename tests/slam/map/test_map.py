@@ -1,4 +1,4 @@
-"""The map keeps its invariants under every operation, and observation lists say what the owner says."""
+"""The map keeps its invariants under every operation."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def test_invariants_hold_after_random_edits():
         if edit == 0:
             kernels.remove_point(m.arrays, rng.choice(good))
         elif edit == 1:
-            kernels.replace_point(m.arrays, *rng.choice(good, 2, replace=False), VIEW.scale)
+            kernels.replace_point(m.arrays, *rng.choice(good, 2, replace=False).astype(np.int32), VIEW.scale)
         elif edit == 2:
             rows = np.flatnonzero(m.arrays.kp_point[: m.arrays.kf_start[m.n_keyframes]] >= 0)
             kernels.erase_observation(m.arrays, rng.choice(rows), MIN_OBSERVATIONS)
@@ -30,7 +30,7 @@ def test_invariants_hold_after_random_edits():
         check_map(m)
 
 
-def test_check_notices_a_broken_association():
+def test_the_check_reports_a_broken_association():
     m = random_map(np.random.default_rng(2))
     row = np.flatnonzero(m.arrays.kp_point[: m.arrays.kf_start[m.n_keyframes]] >= 0)[0]
     m.arrays.kp_point[row] = -1
@@ -49,7 +49,7 @@ def test_a_keyframe_observes_a_point_once():
 
 def test_replacement_is_followed_by_frames():
     m = random_map(np.random.default_rng(4))
-    a, b, c, d = (int(p) for p in m.points()[:4])
+    a, b, c, d = m.points()[:4].astype(np.int32)
     kernels.replace_point(m.arrays, a, b, VIEW.scale)
     kernels.replace_point(m.arrays, b, c, VIEW.scale)
     kernels.remove_point(m.arrays, d)
@@ -68,7 +68,7 @@ def test_a_culled_keyframe_follows_its_parent():
     np.testing.assert_allclose(m.T_cam_map(3), before @ m.T_cam_map(2), atol=1e-12)
 
 
-def test_a_culled_keyframe_lets_go_of_its_features():
+def test_a_culled_keyframe_releases_its_features():
     m = random_map(np.random.default_rng(5))
     kept, others = m.features(3), [m.features(k) for k in (2, 4)]
     m.cull_keyframe(3)
@@ -93,7 +93,7 @@ def test_transform_moves_points_and_cameras_together():
         np.testing.assert_allclose(seen, 2.5 * seen_before[k], atol=1e-9)
 
 
-def test_absorb_keeps_both_maps_whole():
+def test_absorb_keeps_both_maps_valid():
     rng = np.random.default_rng(7)
     a, b = random_map(rng), random_map(rng, keyframes=5, points=60, map_id=1)
     b.cull_keyframe(2)
@@ -110,12 +110,12 @@ def test_absorb_keeps_both_maps_whole():
 
 def test_a_copy_is_independent():
     m = random_map(np.random.default_rng(8))
-    twin = m.copy()
-    kernels.remove_point(twin.arrays, int(twin.points()[0]))
-    twin.cull_keyframe(3)
+    copied = m.copy()
+    kernels.remove_point(copied.arrays, int(copied.points()[0]))
+    copied.cull_keyframe(3)
     check_map(m)
-    check_map(twin)
-    assert len(m.keyframes()) == len(twin.keyframes()) + 1
+    check_map(copied)
+    assert len(m.keyframes()) == len(copied.keyframes()) + 1
 
 
 def test_the_representative_descriptor_has_the_least_median_distance():
@@ -138,23 +138,23 @@ def arrays_of(m):
     return [array.tobytes() for array in m.arrays]
 
 
-def test_points_are_replaced_in_order_as_one_by_one():
-    """Chains and repetitions included; -1 leaves a point alone."""
+def test_replacing_points_together_equals_one_by_one():
+    """Including chains and repetitions; -1 keeps a point."""
     rng = np.random.default_rng(6)
     at_once = random_map(rng)
     one_by_one = at_once.copy()
     olds = rng.choice(at_once.points(), 40).astype(np.int32)
     news = np.where(rng.random(40) < 0.2, -1, rng.choice(at_once.points(), 40)).astype(np.int32)
     kernels.replace_points(at_once.arrays, olds, news, VIEW.scale)
-    for old, new in zip(olds.tolist(), news.tolist(), strict=True):
+    for old, new in zip(olds, news, strict=True):
         if new >= 0:
             kernels.replace_point(one_by_one.arrays, old, new, VIEW.scale)
     assert arrays_of(at_once) == arrays_of(one_by_one)
     check_map(at_once)
 
 
-def test_a_keyframe_takes_over_points_as_one_by_one():
-    """Into free keypoints they go, where it has one already the two become it."""
+def test_taking_over_points_together_equals_one_by_one():
+    """Free keypoints observe them; points of occupied keypoints are joined."""
     rng = np.random.default_rng(7)
     at_once = random_map(rng)
     one_by_one = at_once.copy()
@@ -165,10 +165,10 @@ def test_a_keyframe_takes_over_points_as_one_by_one():
     own = one_by_one.observed_points(keyframe)
     joined = 0
     for row in np.flatnonzero(points >= 0).tolist():
-        point = int(points[row])
+        point = points[row]
         if own[row] >= 0:
             joined += 1
-            kernels.replace_point(one_by_one.arrays, point, int(own[row]), VIEW.scale)
+            kernels.replace_point(one_by_one.arrays, point, own[row], VIEW.scale)
         elif kernels.add_observation(one_by_one.arrays, start + row, point):
             kernels.refresh_point(one_by_one.arrays, point, VIEW.scale)
     assert joined > 3

@@ -1,4 +1,4 @@
-"""Keypoints of culled keyframes make room, and nobody can tell."""
+"""Keypoints of culled keyframes are removed without other effects."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def observers(m, point):
     return found
 
 
-def test_what_is_left_is_as_it_was(whole):
+def test_the_rest_of_the_map_is_unchanged(whole):
     packed = whole.copy()
     drop_culled_keypoints(packed.arrays, packed.n_keyframes, packed.n_points)
     check_map(packed)
@@ -43,7 +43,7 @@ def test_what_is_left_is_as_it_was(whole):
     np.testing.assert_array_equal(packed.arrays.covisibility, whole.arrays.covisibility)
 
 
-def test_culled_keyframes_are_left_with_none(whole):
+def test_culled_keyframes_have_no_keypoints_left(whole):
     gone = culled_keypoints(whole.arrays, whole.n_keyframes)
     used = int(whole.arrays.kf_start[whole.n_keyframes])
     assert gone == sum(whole.keypoints(k).stop - whole.keypoints(k).start for k in CULLED) > 0
@@ -59,7 +59,7 @@ def test_culled_keyframes_are_left_with_none(whole):
             np.testing.assert_array_equal(old, new)
 
 
-def test_a_map_that_culls_as_it_gains_does_not_grow_its_keypoints(whole):
+def test_a_map_that_culls_reuses_its_capacity(whole):
     """Two thousand keyframes of 400 keypoints are made, nearly all are culled."""
     rng, sizes = np.random.default_rng(0), []
     frame = make_frame(100, rng, n=400)
@@ -73,7 +73,7 @@ def test_a_map_that_culls_as_it_gains_does_not_grow_its_keypoints(whole):
     check_map(whole)
 
 
-def test_a_map_that_keeps_what_it_gains_grows():
+def test_a_map_that_does_not_cull_grows():
     m = random_map(np.random.default_rng(3), keyframes=3, points=20)
     frame = make_frame(100, np.random.default_rng(0), n=400)
     for _ in range(60):

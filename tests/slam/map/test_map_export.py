@@ -1,4 +1,4 @@
-"""Maps as COLMAP models: read back by pycolmap, they are the same map."""
+"""Maps as COLMAP models: read back by pycolmap, they are unchanged."""
 
 from dataclasses import replace
 
@@ -49,7 +49,7 @@ def test_poses_names_and_keypoints(mapped, read_back):
 
 
 def test_the_reprojection_error_is_the_map_s(mapped, read_back):
-    """Half a pixel between the conventions would show: the map's own errors are the judge."""
+    """A wrong half pixel between the conventions would change the errors."""
     map_, _ = mapped
     a = map_.arrays
     rows = np.flatnonzero(a.kp_point >= 0)
@@ -80,7 +80,7 @@ def test_points_take_the_grey_of_the_images(mapped, read_back):
         ({"distortion": (0.01, -0.002, 0.0, 0.0), "model": "equidistant"}, "OPENCV_FISHEYE"),
     ],
 )
-def test_the_lens_projects_as_ours(mapped, lens, model):
+def test_the_exported_lens_projects_as_ours(mapped, lens, model):
     """Undistorting a pixel with our camera and projecting it with COLMAP's gives the pixel back."""
     camera = replace(CAMERA, **lens)
     theirs = colmap_model(mapped[0], camera).camera(1)

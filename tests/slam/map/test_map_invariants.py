@@ -1,4 +1,4 @@
-"""Every invariant of a map is noticed where it is broken, and named."""
+"""Every broken invariant of a map is reported by name."""
 
 import numpy as np
 import pytest
@@ -9,12 +9,12 @@ from slam.map.invariants import InvariantError, check_map
 
 @pytest.fixture
 def sound():
-    """A map with a culled keyframe and a replaced point, which is sound."""
+    """A valid map with a culled keyframe and a replaced point."""
     from slam.map import _map_kernels as kernels
 
     m = random_map(np.random.default_rng(11))
     m.cull_keyframe(3)
-    kernels.replace_point(m.arrays, int(m.points()[0]), int(m.points()[1]), m.view.scale)
+    kernels.replace_point(m.arrays, *m.points()[:2].astype(np.int32), m.view.scale)
     check_map(m)
     return m
 
@@ -230,7 +230,7 @@ BROKEN = {
     culled_pose_not_finite: "a culled keyframe's pose is not finite",
     parent_unknown: "a parent that does not exist",
     root_culled: "a root keyframe is culled",
-    under_a_culled_one: "hangs under a culled one",
+    under_a_culled_one: "has a culled parent",
     tree_in_a_circle: "the spanning tree has a cycle",
 }
 
@@ -249,7 +249,7 @@ def test_checking_changes_nothing(sound):
         assert mine.tobytes() == theirs.tobytes()
 
 
-def test_a_map_without_points_and_one_without_keyframes_are_sound():
+def test_a_map_without_points_and_one_without_keyframes_are_valid():
     from slam.map import _map_kernels as kernels
     from slam.map.map import Map
 

@@ -1,4 +1,4 @@
-"""Frame poses follow their keyframes wherever the map takes them."""
+"""Frame poses follow their keyframes."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def record(m, count=8, map_id=0):
     return poses, offsets
 
 
-def test_a_frame_is_where_it_was_tracked(m):
+def test_a_frame_has_its_tracked_pose(m):
     poses, offsets = record(m)
     path = poses.trajectory(0, m)
     assert path.map_id == 0 and path.frames.tolist() == list(range(8))
@@ -61,7 +61,7 @@ def test_a_frame_of_a_culled_keyframe_follows_the_parent(m):
     np.testing.assert_allclose(poses.trajectory(0, m).T_map_cam[2], shift @ before[2], atol=1e-12)
 
 
-def test_the_path_turns_and_moves_with_the_map(m):
+def test_the_trajectory_moves_with_the_map(m):
     poses, _ = record(m, count=5)
     Q = rigid(rotvec_deg=(10, 20, 30))[:3, :3]
     before = poses.trajectory(0, m).T_map_cam
@@ -71,7 +71,7 @@ def test_the_path_turns_and_moves_with_the_map(m):
     np.testing.assert_allclose(after[:, :3, 3], before[:, :3, 3] @ Q.T + (1, 2, 3), atol=1e-12)
 
 
-def test_the_last_record_of_a_frame_counts(m):
+def test_the_last_record_of_a_frame_is_used(m):
     poses, _ = record(m)
     better = rigid((0.7, 0, 0))
     poses.add(0, tracked(3, m, 1, better))
@@ -104,8 +104,8 @@ def test_a_dropped_map_has_no_frames(m):
     assert poses.trajectory(0, m).T_map_cam.shape == (0, 4, 4)
 
 
-def test_joined_frames_follow_the_absorbed_keyframes(m):
-    """They stay where they were in it as it moves and scales; a frame that both maps have is not doubled."""
+def test_frames_of_an_absorbed_map_follow_its_keyframes(m):
+    """Their poses follow its motion and scale; a frame of both maps occurs once."""
     other = random_map(np.random.default_rng(2), map_id=1)
     poses, _ = record(m)
     for i in range(5, 12):
@@ -125,7 +125,7 @@ def test_joined_frames_follow_the_absorbed_keyframes(m):
 
 
 def test_keyframes_are_listed_in_order_of_time_without_the_culled(m):
-    """A recovery inserts keyframes against time; a frame where two maps met is a keyframe twice."""
+    """A recovery inserts keyframes backward in time; a frame of a fusion is a keyframe twice."""
     late = m.add_keyframe(make_frame(9, RNG), 5)
     again = m.add_keyframe(make_frame(1, RNG, T=rigid((0, 0, 1))), 0)
     m.cull_keyframe(4)

@@ -1,4 +1,4 @@
-"""What becomes of a map that is given a keyframe: it grows true, joins doubles, tightens, sheds weight."""
+"""Local mapping of a keyframe: new points, fusion of duplicates, bundle adjustment, culling."""
 
 import numpy as np
 import pytest
@@ -19,13 +19,13 @@ def world():
 
 @pytest.fixture(scope="module")
 def sightings(world):
-    """Keyframes to be, every tenth of a second or so of a walk."""
+    """Frames of the keyframes, about ten per second of a walk."""
     rng = np.random.default_rng(12)
     return [world.see(i, walk(i), rng, NOISE_PX, bits=8) for i in range(0, 60, 5)]
 
 
 def start(world, sightings, noise=0.01, keep=0.4, keyframes=3, config=None):
-    """A map of the first keyframes that knows some of the points, and its mapper."""
+    """A map of the first keyframes with some of the points, and its mapper."""
     built, point_of = world.map_of(sightings[:keyframes], np.random.default_rng(13), noise, keep)
     return LocalMapper(built, config or LocalMappingConfig()), point_of
 
@@ -37,7 +37,7 @@ def next_frame(mapper, point_of, sighting, shake=0.0):
 
 
 def distances(built, world, points, ids):
-    """How far points are from the truth, up to the gauge: one held camera leaves the scale free."""
+    """Errors of points up to scale, which one fixed camera leaves free."""
     s, R, t = horn_sim3(world.xyz[ids[points]], built.arrays.pt_xyz[points])
     assert abs(s - 1) < 0.05
     return np.linalg.norm(s * built.arrays.pt_xyz[points] @ R.T + t - world.xyz[ids[points]], axis=1)
@@ -79,7 +79,7 @@ def test_new_points_are_near_the_truth_and_purely_observed(world, sightings):
     assert (mapper.map.arrays.pt_observations[new] >= 2).all()
 
 
-def test_points_are_found_in_more_neighbours_than_those_they_came_from(world, sightings):
+def test_points_are_matched_in_further_neighbours(world, sightings):
     """Triangulation gives two observations, fusion the others."""
     mapper, point_of = start(world, sightings)
     known = mapper.map.n_points
@@ -98,7 +98,7 @@ def test_without_baseline_parallax_or_neighbours_nothing_is_created(world, sight
     check_map(mapper.map)
 
 
-def test_a_walk_of_keyframes_keeps_the_map_sound_and_true(world, sightings):
+def test_a_walk_keeps_the_map_valid_and_accurate(world, sightings):
     """Every keyframe is tracked from the points of the last one, with noise; drift stays small."""
     mapper, point_of = start(world, sightings, noise=0.0, keep=0.6)
     good = pure = ids = np.empty(0)
@@ -120,8 +120,8 @@ def test_a_walk_of_keyframes_keeps_the_map_sound_and_true(world, sightings):
 # -- fusion --------------------------------------------------------------------------------------------------
 
 
-def test_two_points_for_one_place_become_one(world, sightings):
-    """The new keyframe brings doubles of points that its neighbours know already."""
+def test_duplicate_points_become_one(world, sightings):
+    """The new keyframe has duplicates of points that its neighbours observe."""
     mapper, point_of = start(world, sightings, noise=0.002)
     m = mapper.map
     frame = next_frame(mapper, point_of, sightings[3])
@@ -140,11 +140,10 @@ def test_two_points_for_one_place_become_one(world, sightings):
     assert len(doubles) > 60
     mapper.insert(frame)
     check_map(m)
-    resolved = np.array(doubles, np.int32)
-    kernels.resolve_points(m.arrays, resolved[:, 0])
-    kernels.resolve_points(m.arrays, resolved[:, 1])
-    joined = resolved[:, 0] == resolved[:, 1]
-    assert joined.mean() > 0.9
+    resolved = [np.array(points, np.int32) for points in zip(*doubles, strict=True)]
+    for points in resolved:
+        kernels.resolve_points(m.arrays, points)
+    assert np.equal(*resolved).mean() > 0.9
 
 
 # -- adjustment ----------------------------------------------------------------------------------------------
@@ -165,13 +164,13 @@ def test_adjustment_lowers_the_reprojection_error_to_the_noise(world, sightings)
     # A little below the noise, since points and poses follow some of it.
     assert 0.6 * NOISE_PX < rms(after) < 1.02 * NOISE_PX
     assert len(after) > 0.9 * len(before)
-    # With every keyframe free, the oldest holds the gauge.
+    # With every keyframe free, the oldest fixes the gauge.
     np.testing.assert_array_equal(m.T_cam_map(0), held)
     for k in range(1, 5):
         assert pose_error(m.T_cam_map(k), sightings[k].T_cam_world)[1] < 0.1
 
 
-def test_adjustment_moves_its_window_and_holds_the_rest(world, sightings):
+def test_adjustment_moves_its_window_only(world, sightings):
     mapper, _ = start(world, sightings, keep=0.8, keyframes=8, config=LocalMappingConfig(window=3))
     m = mapper.map
     before = m.arrays.kf_T_cam_map[:8].copy()
@@ -197,7 +196,7 @@ def test_adjustment_drops_wrong_observations(world, sightings):
 
 
 def test_keyframes_that_add_nothing_are_culled(world):
-    """Many looks from about one place: few are kept, unless culling is turned off."""
+    """Many keyframes at one place: few are kept, unless culling is disabled."""
     rng = np.random.default_rng(15)
     near = [world.see(i, walk(0.5 * i), rng, NOISE_PX, bits=8, share=0.9) for i in range(0, 20, 2)]
     left = {}
@@ -210,7 +209,7 @@ def test_keyframes_that_add_nothing_are_culled(world):
     assert len(left[1.1]) == len(near)
     assert len(left[0.9]) <= 6
     assert left[0.9][0] == 0
-    # What is left still carries the map.
+    # The remaining ones still observe the map.
     assert len(mapper.map.points()) > 200
 
 
@@ -232,11 +231,11 @@ def test_young_points_that_are_not_found_again_are_dropped(world, sightings):
     assert len(unfound) > 50
     assert a.pt_bad[unfound].all()
     assert (a.pt_bad[found] & (a.pt_replaced[found] < 0)).mean() < 0.1
-    # A point has to prove itself while it is young only.
+    # Only young points are checked.
     assert (a.pt_bad[established] & (a.pt_replaced[established] < 0)).mean() < 0.1
 
 
-def test_points_that_no_third_keyframe_takes_up_are_dropped_in_time(world, sightings):
+def test_points_without_a_third_observer_are_dropped_in_time(world, sightings):
     mapper, point_of = start(world, sightings)
     m = mapper.map
     old = m.n_points
@@ -244,7 +243,7 @@ def test_points_that_no_third_keyframe_takes_up_are_dropped_in_time(world, sight
     a = m.arrays
     new = m.points()
     new = new[new >= old]
-    # Seen by two, and looking like nothing that a third one sees.
+    # Observed by two, and without a match in a third one.
     lonely = new[a.pt_observations[new] == 2]
     assert len(lonely) > 20
     a.pt_descriptor[lonely] ^= np.uint64(2**64 - 1)
@@ -257,10 +256,10 @@ def test_points_that_no_third_keyframe_takes_up_are_dropped_in_time(world, sight
     assert young[1] == 0
 
 
-# -- going on in another map ---------------------------------------------------------------------------------
+# -- absorption ----------------------------------------------------------------------------------------------
 
 
-def test_mapping_goes_on_in_a_map_that_has_absorbed_its_own(world, sightings):
+def test_mapping_continues_in_a_map_that_has_absorbed_its_own(world, sightings):
     mapper, point_of = start(world, sightings)
     mapper.insert(next_frame(mapper, point_of, sightings[3]))
     other, _ = world.map_of(sightings[-3:], np.random.default_rng(16), map_id=1)

@@ -58,7 +58,7 @@ def test_hamming_equals_the_bits_that_differ():
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize(("max_distance", "ratio"), [(60, 0.8), (256, 1.0), (120, 0.95), (0, 1.0)])
-def test_matches_equal_the_slow_twin(seed, max_distance, ratio):
+def test_matches_agree_with_numpy(seed, max_distance, ratio):
     rng = np.random.default_rng(seed)
     b = random_descriptors(rng, 90)
     # Several of A want the same one of B, at different and at equal distances.
@@ -83,9 +83,9 @@ def test_noisy_copies_find_their_originals():
 def test_ambiguous_descriptor_is_not_matched():
     rng = np.random.default_rng(6)
     a = random_descriptors(rng, 1)
-    twins = np.concatenate([with_flipped_bits(rng, a, 20), with_flipped_bits(rng, a, 21)])
-    assert len(match_brute_force(a, twins, 50, 0.9)) == 0
-    assert match_brute_force(a, twins, 50, 0.99).tolist() == [[0, 0]]
+    pairs = np.concatenate([with_flipped_bits(rng, a, 20), with_flipped_bits(rng, a, 21)])
+    assert len(match_brute_force(a, pairs, 50, 0.9)) == 0
+    assert match_brute_force(a, pairs, 50, 0.99).tolist() == [[0, 0]]
 
 
 def test_single_candidate_passes_the_ratio():
@@ -95,7 +95,7 @@ def test_single_candidate_passes_the_ratio():
 
 
 @pytest.mark.parametrize(("n", "m"), [(0, 5), (5, 0), (0, 0)])
-def test_nothing_matches_nothing(n, m):
+def test_empty_inputs_have_no_matches(n, m):
     rng = np.random.default_rng(8)
     matches = match_brute_force(random_descriptors(rng, n), random_descriptors(rng, m), 256, 1.0)
     assert matches.shape == (0, 2) and matches.dtype == np.int32
@@ -118,7 +118,7 @@ def test_layout_of_the_input_does_not_matter():
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 6.0, 90.0, 179.0, 359.0])
-def test_common_turn_survives_and_strays_do_not(turn_deg):
+def test_matches_with_a_common_rotation_are_kept(turn_deg):
     rng = np.random.default_rng(10)
     angle_a = rng.uniform(0, 360, 300).astype(np.float32)
     angle_b = ((angle_a + turn_deg + rng.normal(0, 2, 300)) % 360).astype(np.float32)

@@ -1,4 +1,4 @@
-"""GMS keeps right matches and lets wrong ones go, wherever the keypoints went."""
+"""GMS keeps correct matches and removes wrong ones, for any motion of the keypoints."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ def sight(i, T_cam_world, seed=0, bits=25):
 
 
 def two_views(turn_deg=14.0, seed=0):
-    """Two views of the world, the second turned by 120 px and moved a little."""
+    """Two views of the world, the second rotated by 120 px and slightly moved."""
     one, two = sight(0, rigid(), seed), sight(1, rigid((0.05, 0, 0), (0, turn_deg, 0)), seed)
     return one, two
 
@@ -38,7 +38,7 @@ def match(one, two, **settings):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_what_is_kept_is_right_and_most_that_is_right_is_kept(seed):
+def test_most_correct_matches_and_few_others_are_kept(seed):
     one, two = two_views(seed=seed)
     a, b = one.frame.features, two.frame.features
     nearest = match_brute_force(a.descriptors, b.descriptors, 256, 1e3)
@@ -48,13 +48,13 @@ def test_what_is_kept_is_right_and_most_that_is_right_is_kept(seed):
     assert count_right(kept, one, two) > 0.8 * count_right(nearest, one, two)
 
 
-def test_unrelated_images_have_hardly_a_match():
+def test_unrelated_images_have_few_matches():
     rng = np.random.default_rng(0)
     a, b = (make_frame(i, rng, n=1000).features for i in range(2))
     assert len(match_gms(a, b, SIZE_PX)) < 20
 
 
-def test_more_support_asked_for_keeps_fewer():
+def test_a_higher_threshold_keeps_fewer_matches():
     one, two = two_views()
     kept = [len(match(one, two, threshold_factor=factor)) for factor in (3.0, 6.0, 12.0)]
     assert kept[0] >= kept[1] > kept[2]
@@ -68,7 +68,7 @@ def test_matches_are_one_to_one_in_order_and_the_same_every_time():
     np.testing.assert_array_equal(pairs, match(*two_views()))
 
 
-def test_coarse_levels_are_left_out_where_asked():
+def test_coarse_levels_can_be_left_out():
     one, two = two_views()
     octave = one.frame.features.octave
     every, fine = match(one, two), match(one, two, max_octave=2)
@@ -76,7 +76,7 @@ def test_coarse_levels_are_left_out_where_asked():
     assert 0 < len(fine) < len(every)
 
 
-def test_a_turned_image_is_matched_where_asked():
+def test_a_rotated_image_is_matched_on_request():
     """The second image is the first upside down."""
     one, _ = two_views()
     f = one.frame.features
@@ -93,7 +93,7 @@ def test_a_frame_without_keypoints_matches_nothing():
         assert match_gms(a, b, SIZE_PX).shape == (0, 2)
 
 
-def test_keypoints_on_the_edges_of_the_image_are_survived():
+def test_keypoints_on_the_image_border_are_accepted():
     rng = np.random.default_rng(1)
     n = 600
     xy = rng.uniform((0, 0), (639, 479), (n, 2)).astype(np.float32)
@@ -106,7 +106,7 @@ def test_keypoints_on_the_edges_of_the_image_are_survived():
         rng.integers(0, 2**63, (n, 4)).astype(np.uint64),
     )
     frame = FrameFeatures.build(0, 0.0, features, CAMERA, VIEW)
-    # Undistorted places may lie far outside of the image; they do not count.
+    # Undistorted positions may lie far outside of the image; they are not used.
     frame = replace(frame, xy=frame.xy * 10.0 - 3000.0)
     pairs = match_gms(frame, frame, SIZE_PX)
     assert len(pairs) > 0.8 * n

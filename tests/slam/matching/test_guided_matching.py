@@ -6,11 +6,11 @@ from slam_scenes import VIEW, make_frame, random_map, scene, seen_from
 from slam.core.frame import Frame
 from slam.map.invariants import check_map
 from slam.mapping._local_problem import local_problem
-from slam.matching import guided as matching
+from slam.matching import guided
 
 
-def nearest_in_window_twin(features, taken, u, v, radius, low, high, query, ratio):
-    """The slow way: every keypoint, in the order of the frame's rows."""
+def nearest_in_window_reference(features, taken, u, v, radius, low, high, query, ratio):
+    """Search over every keypoint, in the order of the frame's rows."""
     distance = np.bitwise_count(features.descriptors ^ query).sum(1).astype(int)
     near = (np.abs(features.xy - (u, v)) <= radius).all(1) & ~taken
     near &= (features.octave >= low) & (features.octave <= high)
@@ -27,7 +27,7 @@ def nearest_in_window_twin(features, taken, u, v, radius, low, high, query, rati
     return int(best), int(distance[best])
 
 
-def test_window_search_agrees_with_its_twin():
+def test_the_window_search_agrees_with_numpy():
     rng = np.random.default_rng(0)
     f = make_frame(0, rng, n=900).features
     hits = 0
@@ -38,8 +38,8 @@ def test_window_search_agrees_with_its_twin():
         radius, low = rng.uniform(5, 120), int(rng.integers(-1, 5))
         taken = rng.random(len(f)) < 0.1
         args = (float(u), float(v), float(radius), low, low + 2, query, float(rng.uniform(0.6, 1.0)))
-        got = matching.nearest_in_window(VIEW, f.xy, f.octave, f.descriptors, f.cell_start, 0, taken, *args)
-        expected = nearest_in_window_twin(f, taken, *args)
+        got = guided.nearest_in_window(VIEW, f.xy, f.octave, f.descriptors, f.cell_start, 0, taken, *args)
+        expected = nearest_in_window_reference(f, taken, *args)
         assert got[0] == expected[0] or got[1] == expected[1] < 257
         hits += got[0] >= 0
     assert hits > 100
@@ -58,7 +58,7 @@ def test_points_of_the_last_frame_are_found_again():
     T = moved_camera()
     current, truth = seen_from(m, frame, T)
     g, f = frame.features, current.features
-    point, count = matching.match_last_frame(
+    point, count = guided.match_last_frame(
         m.arrays, VIEW, T, frame.point, g.octave, g.angle_deg,
         f.xy, f.octave, f.angle_deg, f.descriptors, f.cell_start, 5.0,
     )  # fmt: skip
@@ -75,7 +75,7 @@ def test_local_points_are_found_and_counted_as_visible():
     current, truth = seen_from(m, frame, np.eye(4))
     f = current.features
     point = np.full(len(f), -1, np.int32)
-    expected, added = matching.match_local_points(
+    expected, added = guided.match_local_points(
         m.arrays,
         VIEW,
         np.eye(4),
@@ -95,19 +95,19 @@ def test_local_points_are_found_and_counted_as_visible():
     assert (m.arrays.pt_visible[frame.point] == 2).sum() == expected
 
 
-def test_a_common_rotation_is_kept_and_others_go():
+def test_only_matches_with_a_common_rotation_are_kept():
     rng = np.random.default_rng(3)
     turn = np.where(np.arange(200) < 150, rng.normal(40, 3, 200), rng.uniform(0, 360, 200))
     matched = np.arange(200, dtype=np.int32)
-    left = matching.keep_common_rotation(matched, turn)
+    left = guided.keep_common_rotation(matched, turn)
     assert (matched[:150] >= 0).all()
     assert left == (matched >= 0).sum() < 175
 
 
-def test_the_local_map_holds_the_keyframes_that_share_points_and_their_neighbours():
+def test_the_local_map_has_keyframes_with_common_points_and_their_neighbours():
     m = random_map(np.random.default_rng(4), keyframes=8, points=120)
     point = m.points()[:5].astype(np.int32)
-    keyframes, points = matching.collect_local_map(m.arrays, m.n_keyframes, m.n_points, point, 80)
+    keyframes, points = guided.collect_local_map(m.arrays, m.n_keyframes, m.n_points, point, 80)
     votes = np.zeros(8, int)
     for p in point:
         e = int(m.arrays.pt_head[p])
@@ -120,7 +120,7 @@ def test_the_local_map_holds_the_keyframes_that_share_points_and_their_neighbour
     assert set(points.tolist()) == set(owned[owned >= 0].tolist())
 
 
-def test_duplicates_of_a_keyframe_are_joined():
+def test_duplicates_of_a_keyframe_are_fused():
     m, frame = scene(np.random.default_rng(5), n=150)
     m.arrays.pt_max_distance[: m.n_points] = (
         np.linalg.norm(m.arrays.pt_xyz[: m.n_points], axis=1) * (VIEW.scale[frame.features.octave])
@@ -130,7 +130,7 @@ def test_duplicates_of_a_keyframe_are_joined():
     second = m.add_keyframe(again, 0)
     start = m.keypoints(second).start
     doubles = [m.create_point(m.arrays.pt_xyz[frame.point[i]] * 1.0005, start + i) for i in range(50)]
-    matching.fuse_into_keyframe(m.arrays, VIEW, second, frame.point, 3.0)
+    guided.fuse_into_keyframe(m.arrays, VIEW, second, frame.point, 3.0)
     check_map(m)
     assert (m.arrays.pt_bad[doubles]).sum() + (m.arrays.pt_bad[frame.point[:50]]).sum() >= 45
     assert m.arrays.covisibility[0, second] >= 140

@@ -1,4 +1,4 @@
-"""The ways to match a frame with the reference frame of initialisation."""
+"""Matchers of a frame with the reference frame of initialisation."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def right(pairs, one, two):
     return ((shown >= 0) & (shown == two.ids[pairs[:, 1]])).sum()
 
 
-def test_the_windowed_matcher_is_the_windowed_search_followed_from_frame_to_frame():
+def test_the_windowed_matcher_tracks_from_frame_to_frame():
     sightings = [look(i) for i in range(6)]
     a = sightings[0].frame.features
     matcher = windowed(25.0)
@@ -51,7 +51,7 @@ def test_the_windowed_matcher_is_the_windowed_search_followed_from_frame_to_fram
         np.testing.assert_array_equal(pairs, np.column_stack([found, matched[found]]))
 
 
-def windowed_twin(a, b, around, radius_px, max_octave, ratio):
+def windowed_reference(a, b, around, radius_px, max_octave, ratio):
     """Match by match over all of the second frame; ties go to the keypoint that comes first."""
     bits = (
         np.unpackbits(a.descriptors.view(np.uint8), axis=1),
@@ -77,9 +77,8 @@ def windowed_twin(a, b, around, radius_px, max_octave, ratio):
     return matched, keep_common_rotation(matched, turn)
 
 
-@pytest.mark.parametrize("bits", [2, 20])
-@pytest.mark.parametrize("radius_px", [4.0, 100.0])
-def test_the_windowed_search_compares_each_keypoint_with_all_of_its_level_around(bits, radius_px):
+@pytest.mark.parametrize(("bits", "radius_px"), [(2, 4.0), (20, 100.0)])
+def test_the_windowed_search_agrees_with_numpy(bits, radius_px):
     a, b = look(0, bits=bits).frame.features, look(1, bits=bits).frame.features
     around = a.xy + np.random.default_rng(0).normal(0, 3.0, a.xy.shape)
     around[:3] = (-500.0, 10.0), (10.0, -500.0), (5000.0, 5000.0)
@@ -89,7 +88,7 @@ def test_the_windowed_search_compares_each_keypoint_with_all_of_its_level_around
             a.xy, a.octave, a.angle_deg, a.descriptors, around, VIEW,
             b.xy, b.octave, b.angle_deg, b.descriptors, b.cell_start, radius_px, max_octave, ratio,
         )  # fmt: skip
-        expected, expected_count = windowed_twin(a, b, around, radius_px, max_octave, ratio)
+        expected, expected_count = windowed_reference(a, b, around, radius_px, max_octave, ratio)
         np.testing.assert_array_equal(matched, expected)
         assert count == expected_count
         counts.append(count)
@@ -112,7 +111,7 @@ def test_matches_are_one_to_one_in_order_and_right(make):
 
 
 @pytest.mark.parametrize("make", [windowed, gms])
-def test_a_new_reference_forgets_the_one_before(make):
+def test_a_new_reference_replaces_the_previous_one(make):
     used, fresh = make(), make()
     used.start(look(0).frame.features)
     used.match(look(4).frame.features)
@@ -122,12 +121,12 @@ def test_a_new_reference_forgets_the_one_before(make):
 
 
 @pytest.mark.parametrize("make", [windowed, gms])
-def test_without_a_reference_there_is_nothing_to_match(make):
+def test_matching_without_a_reference_is_refused(make):
     with pytest.raises(RuntimeError, match="no reference"):
         make().match(look(0).frame.features)
 
 
-def test_gms_goes_on_where_everything_has_left_its_window():
+def test_gms_matches_keypoints_that_have_left_their_windows():
     one, two = look(0), look(1, turn_deg=18.0)
     near, far = windowed(), gms()
     for matcher in (near, far):
@@ -138,7 +137,7 @@ def test_gms_goes_on_where_everything_has_left_its_window():
     assert right(pairs, one, two) > 0.95 * len(pairs)
 
 
-def test_gms_adds_to_what_the_windows_hold():
+def test_gms_adds_matches_to_those_of_the_windows():
     one, two = look(0), look(3)
     settings = {"max_octave": 4}
     both, near = gms(40.0, **settings), windowed(40.0, **settings)
@@ -151,8 +150,8 @@ def test_gms_adds_to_what_the_windows_hold():
     assert max(one.frame.features.octave[[row for row, _ in found]]) == 4
 
 
-def test_the_windows_follow_what_gms_has_found():
-    """After a jump the keypoints are looked for where GMS saw them."""
+def test_the_windows_follow_the_matches_of_gms():
+    """After a jump the windows are at the keypoints matched by GMS."""
     one, jumped, after = look(0), look(1, turn_deg=18.0), look(2, turn_deg=18.0)
     matcher = gms()
     matcher.start(one.frame.features)

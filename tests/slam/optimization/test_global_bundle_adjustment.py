@@ -1,4 +1,4 @@
-"""Global bundle adjustment: the same cost as ours, whose weights pycolmap's cameras cannot have."""
+"""Global bundle adjustment by pycolmap has the same cost as ours, with weights per octave."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def adjusted(problem, iterations=100, apart=False):
 
 
 @pytest.mark.parametrize("outliers", [False, True])
-def test_the_cost_is_that_of_our_own_with_octave_weights(outliers):
+def test_the_cost_agrees_with_our_bundle_adjustment(outliers):
     _, start = scene(n_fixed=1, cameras=6, n_points=60, spread=0.02)
     if outliers:
         start.pixels[::9] += 12.0
@@ -35,7 +35,7 @@ def test_the_cost_is_that_of_our_own_with_octave_weights(outliers):
     np.testing.assert_allclose(theirs.chi2, chi2, rtol=1e-9)
 
 
-def test_the_first_camera_holds_and_the_rest_find_the_truth():
+def test_the_first_camera_is_fixed_and_the_others_find_the_truth():
     truth, start = scene(n_fixed=1, noise=0.0)
     result = adjusted(start)
     np.testing.assert_array_equal(result.T_cam_map[0], start.T[0])
@@ -45,7 +45,7 @@ def test_the_first_camera_holds_and_the_rest_find_the_truth():
     assert (result.chi2 < CHI2_2DOF).all()
 
 
-def test_unseen_points_stay_and_repeats_are_equal():
+def test_unseen_points_are_unchanged_and_repetitions_equal():
     _, start = scene(n_fixed=1)
     keep = start.point != 3
     start.camera, start.point = start.camera[keep], start.point[keep]
@@ -63,7 +63,7 @@ def test_misuse_is_refused():
         adjusted(start)
 
 
-def test_apart_it_gives_the_same_bits_and_leaves_the_terminal_alone(capfd):
+def test_a_separate_process_gives_the_same_bits_and_no_output(capfd):
     _, start = scene(n_fixed=1)
     here, apart = adjusted(start), adjusted(start, apart=True)
     assert here.T_cam_map.tobytes() == apart.T_cam_map.tobytes()

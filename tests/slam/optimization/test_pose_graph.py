@@ -38,7 +38,7 @@ def test_exp_is_the_matrix_exponential(size):
 
 
 @pytest.mark.parametrize("kept", [[0, 1, 2], [3, 4, 5], [6], [0, 1, 2, 3, 4, 5]])
-def test_exp_where_parts_vanish(kept):
+def test_exp_of_twists_with_zero_parts(kept):
     x = np.zeros((5, 7))
     x[:, kept] = twists(5, 1.0)[:, kept]
     np.testing.assert_allclose(exp_sim3(x), [expm(generator(t)) for t in x], rtol=1e-12, atol=1e-12)
@@ -74,7 +74,7 @@ def test_the_jacobians_are_the_derivatives_of_the_logarithm(size):
 
 
 def drifting_loop(n, seed=0, drift=0.02):
-    """A loop of cameras whose odometry drifts in turn, place and scale, and the edge that closes it."""
+    """A loop of cameras with drift in rotation, position and scale, and the edge that closes it."""
     rng = np.random.default_rng(seed)
     truth = np.empty((n, 4, 4))
     for k in range(n):
@@ -94,7 +94,7 @@ def drifting_loop(n, seed=0, drift=0.02):
     return truth, start, pairs, measured, fixed
 
 
-def test_it_finds_the_minimum_that_a_dense_solver_finds():
+def test_the_minimum_agrees_with_a_dense_solver():
     _, start, edges, measured, fixed = drifting_loop(12)
 
     def residual(x):
@@ -112,7 +112,7 @@ def test_it_finds_the_minimum_that_a_dense_solver_finds():
     np.testing.assert_allclose(ours.S_cam_map, best, atol=1e-4)
 
 
-def test_it_takes_the_drift_out_of_a_loop():
+def test_the_drift_of_a_loop_is_corrected():
     truth, start, edges, measured, fixed = drifting_loop(200, drift=0.003)
     after = optimize_pose_graph(start, edges, measured, fixed).S_cam_map
     centres = [-np.linalg.solve(S[:, :3, :3], S[:, :3, 3:])[:, :, 0] for S in (truth, start, after)]
@@ -121,7 +121,7 @@ def test_it_takes_the_drift_out_of_a_loop():
     assert np.abs(np.log(scales(after))).mean() < np.abs(np.log(scales(start))).mean() / 3
 
 
-def test_a_consistent_graph_stays_and_fixed_nodes_always_do():
+def test_a_consistent_graph_and_fixed_nodes_are_unchanged():
     truth, _, edges, _, fixed = drifting_loop(30)
     exact = truth[edges[:, 0]] @ invert_sim3(truth[edges[:, 1]])
     still = optimize_pose_graph(truth, edges, exact, fixed)

@@ -14,7 +14,7 @@ INTRINSICS = (FX, FY, CX, CY)
 
 def rigid(translation, rotation):
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = so3_exp(*rotation), translation
+    T[:3, :3], T[:3, 3] = so3_exp(*map(float, rotation)), translation
     return T
 
 
@@ -66,7 +66,7 @@ def test_a_step_is_the_matrix_exponential(size):
     np.testing.assert_allclose(stepped(T, twist), expm(twist_matrix(twist)) @ T, atol=2e-14)
 
 
-def test_orthonormalise_removes_rounding_and_leaves_the_translation():
+def test_orthonormalise_removes_rounding_and_keeps_the_translation():
     T = rigid([1.0, 2, 3], [0.3, -0.2, 0.9])
     spoilt = T.copy()
     spoilt[:3, :3] += 1e-7 * np.random.default_rng(0).normal(size=(3, 3))
@@ -99,7 +99,7 @@ def test_cholesky_refuses_what_is_not_positive_definite(A):
 
 @pytest.mark.parametrize("huber2", [0.0, CHI2_2DOF])
 def test_linearisation_agrees_with_finite_differences(huber2):
-    """NumPy twin: residuals by matrix algebra, derivatives by central differences, IRLS weights."""
+    """NumPy reference: residuals by matrix algebra, derivatives by central differences, IRLS weights."""
     _, start, points, pixels, inv_sigma2 = problem(outliers=20)
     active = np.random.default_rng(0).random(len(points)) < 0.8
     H, gradient = np.empty((6, 6)), np.empty(6)
@@ -140,7 +140,7 @@ def test_perfect_data_give_back_the_true_pose():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_outliers_are_found_and_do_not_pull(seed):
+def test_outliers_are_found_and_have_no_influence(seed):
     truth, start, points, pixels, inv_sigma2 = problem(seed, n=200, outliers=80)
     sigma = 1.0 / np.sqrt(inv_sigma2)
     pixels[:80] += np.sign(pixels[:80] - project(truth, points[:80])) * 3 * sigma[:80, None]
@@ -150,7 +150,7 @@ def test_outliers_are_found_and_do_not_pull(seed):
     np.testing.assert_allclose(pose, truth, atol=0.05)
 
 
-def test_inliers_are_those_within_chi_square_at_the_pose_returned():
+def test_inliers_are_within_chi_square_at_the_returned_pose():
     _, start, points, pixels, inv_sigma2 = problem(outliers=30)
     pose, inlier = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
     chi2 = (whitened(pose, points, pixels, inv_sigma2) ** 2).sum(axis=1)
@@ -166,7 +166,7 @@ def test_the_last_rounds_are_plain_least_squares_on_the_inliers():
     assert reached == pytest.approx(cost, rel=1e-6)
 
 
-def test_points_behind_the_camera_are_outliers_and_do_no_harm():
+def test_points_behind_the_camera_are_outliers_without_influence():
     truth, start, points, pixels, inv_sigma2 = problem()
     mirrored = 2 * -(truth[:3, :3].T @ truth[:3, 3]) - points[:20]
     np.testing.assert_allclose(project(truth, mirrored), project(truth, points[:20]))
@@ -183,7 +183,7 @@ def test_points_behind_the_camera_are_outliers_and_do_no_harm():
     np.testing.assert_allclose(pose, alone, atol=1e-5)
 
 
-def test_accurate_octaves_weigh_more():
+def test_accurate_octaves_have_more_weight():
     """With the coarse half shifted by three pixels, the answer follows the half with the small variance."""
     _, start, points, pixels, _ = problem(noise=0.0)
     pixels[:60] += 3.0
@@ -211,7 +211,7 @@ def test_non_finite_observations_are_left_out(bad):
     np.testing.assert_array_equal(pose, expected)
 
 
-def test_a_non_finite_pose_is_given_back():
+def test_a_non_finite_pose_is_returned_unchanged():
     _, start, points, pixels, inv_sigma2 = problem()
     start[0, 3] = np.nan
     pose, inlier = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
@@ -235,7 +235,7 @@ def test_degenerate_systems_stay_finite(case):
     np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
 
 
-def test_input_is_untouched_and_other_types_are_taken():
+def test_input_is_unchanged_and_other_types_are_accepted():
     _, start, points, pixels, inv_sigma2 = problem()
     before = start.copy()
     expected, _ = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)

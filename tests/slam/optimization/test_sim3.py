@@ -85,7 +85,7 @@ def test_matrix_inverse_and_decomposition_agree():
 
 
 @pytest.mark.parametrize("linear", [np.diag([1.0, 1, -1]), np.zeros((3, 3)), np.diag([1.0, np.nan, 1.0])])
-def test_what_is_no_similarity_is_refused(linear):
+def test_an_invalid_similarity_is_refused(linear):
     with np.errstate(invalid="ignore"), pytest.raises(ValueError, match="not a similarity"):
         sim3_decompose(np.block([[linear, np.zeros((3, 1))], [np.eye(4)[3:]]]))
 
@@ -109,7 +109,7 @@ def test_a_step_is_the_exponential_to_first_order():
 
 @pytest.mark.parametrize("turn", [0.0, 1e-6, 0.3, np.pi / 2, np.pi - 1e-6, np.pi])
 @pytest.mark.parametrize("n", [3, 4, 50])
-def test_horn_knows_the_answer(turn, n):
+def test_horn_recovers_an_exact_similarity(turn, n):
     rng = np.random.default_rng(n)
     axis = rng.normal(size=3)
     R = Rotation.from_rotvec(turn * axis / np.linalg.norm(axis)).as_matrix()
@@ -120,7 +120,7 @@ def test_horn_knows_the_answer(turn, n):
     np.testing.assert_allclose(t, [1.0, -2.0, 3.0], atol=1e-9)
 
 
-def test_horn_is_right_on_a_plane():
+def test_horn_recovers_the_similarity_of_coplanar_points():
     (s, R, t), pairs = problem(plane=True)
     found = horn_sim3(pairs.points_1, pairs.points_2)
     assert found[0] == pytest.approx(s)
@@ -130,7 +130,7 @@ def test_horn_is_right_on_a_plane():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_horn_is_the_least_squares_solution(seed):
-    """NumPy twin: the SVD form of Umeyama, 1991, which is another way to the same minimum."""
+    """NumPy reference: the SVD form of Umeyama, 1991, which is another way to the same minimum."""
     _, pairs = problem(seed, n=30, depth_noise=0.2)
     a, b = pairs.points_1, pairs.points_2
     a_0, b_0 = a - a.mean(axis=0), b - b.mean(axis=0)
@@ -152,7 +152,7 @@ def test_horn_never_gives_a_reflection():
 
 
 @pytest.mark.parametrize("case", ["two", "line", "point", "nan", "lengths"])
-def test_horn_refuses_what_does_not_determine_it(case):
+def test_horn_refuses_degenerate_points(case):
     b = np.random.default_rng(0).normal(size=(10, 3))
     a = 2 * b
     if case == "two":
@@ -195,7 +195,7 @@ def test_perfect_pairs_are_all_inliers():
     assert_similar(result, truth, 1e-9)
 
 
-def test_scale_can_be_held():
+def test_scale_can_be_fixed():
     (_, R, t), pairs = problem()
     pairs = replace(pairs, points_2=(pairs.points_1 - t) @ R)
     result = ransac_sim3(*pairs.arguments(), np.random.default_rng(0), fixed_scale=True)
@@ -222,7 +222,7 @@ def test_too_few_pairs_are_refused(n):
         assert result.inliers.shape == (n,) and not result.inliers.any()
 
 
-def test_points_on_a_line_are_refused():
+def test_collinear_points_are_refused():
     _, pairs = problem()
     line = np.outer(np.linspace(1, 2, 150), [0.5, 0.2, 4.0])
     pairs = replace(pairs, points_1=line, points_2=line, pixels_1=project(line), pixels_2=project(line))
@@ -240,7 +240,7 @@ def test_non_finite_points_are_left_out():
     assert_similar(refined, truth, 1e-6)
 
 
-def test_same_stream_same_bits():
+def test_the_same_stream_gives_the_same_bits():
     _, pairs = problem(wrong=75, pixel_noise=0.7, depth_noise=0.01)
     first, second = (ransac_sim3(*pairs.arguments(), np.random.default_rng(3)) for _ in range(2))
     assert first.s == second.s
@@ -341,7 +341,7 @@ def test_perfect_pairs_give_back_the_truth():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_refinement_betters_ransac_and_drops_the_wrong(seed):
+def test_refinement_improves_ransac_and_drops_outliers(seed):
     truth, pairs = problem(seed, wrong=60, pixel_noise=0.7, depth_noise=0.01)
     rough = ransac_sim3(*pairs.arguments(), np.random.default_rng(0))
     result = optimize_sim3(rough.s, rough.R, rough.t, *pairs.arguments())
@@ -353,7 +353,7 @@ def test_refinement_betters_ransac_and_drops_the_wrong(seed):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_one_frame_in_two_maps_has_its_scale_from_the_depths(seed):
-    """Without a baseline between the cameras reprojection leaves scale open; depths must hold it."""
+    """Without a baseline between the cameras only depths determine the scale."""
     (s, R, t), pairs = problem(seed, pixel_noise=0.7, depth_noise=0.03, baseline=0.0)
     start = sim3_matrix(1.04 * s, R, t)
     result = optimize_sim3(*sim3_decompose(start), *pairs.arguments())
@@ -361,7 +361,7 @@ def test_one_frame_in_two_maps_has_its_scale_from_the_depths(seed):
     assert result.s == pytest.approx(s, rel=0.015)
 
 
-def test_refinement_can_hold_the_scale():
+def test_refinement_can_fix_the_scale():
     (s, R, t), pairs = problem(pixel_noise=0.5)
     result = optimize_sim3(1.01 * s, R, t, *pairs.arguments(), fixed_scale=True)
     assert result.s == pytest.approx(1.01 * s, rel=1e-12)
@@ -377,7 +377,7 @@ def test_depth_information_is_that_of_the_scatter():
     assert depth_information(S, perfect.points_1, perfect.points_2) == pytest.approx(1e6)
 
 
-def test_a_hopeless_start_fails_quietly():
+def test_a_bad_start_fails_without_an_error():
     _, pairs = problem()
     turned = np.diag([-1.0, 1.0, -1.0])
     result = optimize_sim3(1.0, turned, np.zeros(3), *pairs.arguments())

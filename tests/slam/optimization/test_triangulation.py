@@ -1,4 +1,4 @@
-"""Points from two views: the least-squares point, or none."""
+"""Triangulation from two views: the least-squares point, or none."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def test_triangulation_of_perfect_observations_is_exact_at_small_parallax():
         np.testing.assert_allclose(found, point, rtol=1e-11 / baseline)
 
 
-def test_triangulation_refuses_what_is_not_in_front_of_both():
+def test_triangulation_refuses_points_not_in_front_of_both():
     T_1, T_2 = np.eye(4), rigid([-0.5, 0, 0], [0.0, 0, 0])
     assert np.isfinite(triangulate(T_1, T_2, 0.0, 0.0, -0.1, 0.0)).all()
     assert np.isnan(triangulate(T_1, T_2, 0.0, 0.0, 0.1, 0.0)).all()  # rays that part

@@ -1,4 +1,4 @@
-"""Retrieval: scores and candidates against a slow twin, the database's books, guided matching."""
+"""Retrieval: scores and candidates against NumPy, updates of the database, matching by words."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ KEYFRAMES, PLACES = 24, 3
 
 @pytest.fixture(scope="module")
 def places():
-    """Three stretches of a corridor, each seen by eight keyframes of one map; and sightings beside them."""
+    """Three parts of a corridor, each seen by eight keyframes of one map, and sightings beside them."""
     world, rng = PointWorld(points=6000, reach=(-3.0, 36.0)), np.random.default_rng(1)
     at = [place * 250 + 8 * n for place in range(PLACES) for n in range(KEYFRAMES // PLACES)]
     seen = [world.see(i, walk(i), rng, noise_px=0.5, bits=6) for i in at]
@@ -42,7 +42,7 @@ def place_of(keyframe):
 # -- queries -------------------------------------------------------------------------------------------------
 
 
-def test_scores_are_those_of_the_bags_one_by_one(places, database):
+def test_scores_agree_with_pairs_of_bags(places, database):
     for sighting in places[3][::5]:
         bow = bow_of(places, sighting)
         common, score = database.query(bow)
@@ -73,7 +73,7 @@ def test_the_database_follows_its_map(places, database):
     assert (score[:KEYFRAMES][~gone] == before[1][~gone]).all()
 
 
-def test_a_keyframe_culled_before_it_was_filed_is_never_found(places):
+def test_a_keyframe_culled_before_it_was_added_is_never_found(places):
     built, *_, vocabulary = places
     database = KeyframeDatabase(built.copy(), vocabulary)
     database.map.cull_keyframe(7)
@@ -83,8 +83,8 @@ def test_a_keyframe_culled_before_it_was_filed_is_never_found(places):
     assert common[7] == 0 and score[7] == 0 and common[6] > 0
 
 
-def test_what_is_erased_leaves_room(places, database):
-    """A map that culls as many keyframes as it gains does not grow its database."""
+def test_removed_keyframes_leave_room(places, database):
+    """A map that culls as many keyframes as it adds does not grow its database."""
     m, size = database.map, 0
     for step in range(200):
         frame = places[3][step % KEYFRAMES].again()
@@ -98,7 +98,7 @@ def test_what_is_erased_leaves_room(places, database):
     assert len(database) == (~m.arrays.kf_bad[: m.n_keyframes]).sum()
 
 
-def test_a_map_that_is_absorbed_is_found_in_the_one_that_absorbs(places):
+def test_an_absorbed_map_is_found_in_the_absorbing_one(places):
     built, *_, vocabulary = places
     m = built.copy()
     database = KeyframeDatabase(m, vocabulary)
@@ -128,7 +128,7 @@ def slow_groups(m, common, score, possible):
     return list(dict.fromkeys(groups[k][1] for k in order))
 
 
-def test_relocalization_candidates_are_those_of_the_slow_rule(places, database):
+def test_relocalization_candidates_agree_with_numpy(places, database):
     for sighting in places[3]:
         bow = bow_of(places, sighting)
         common, score = database.query(bow)
@@ -149,8 +149,8 @@ def test_an_empty_image_and_an_empty_map_have_no_candidates(places, database):
     assert empty.relocalization_candidates(bow_of(places, places[3][0])) == []
 
 
-def test_loop_candidates_are_a_place_seen_before_and_no_neighbours(places):
-    """The camera comes back to the first place, with points of its own: nothing is covisible yet."""
+def test_loop_candidates_show_the_same_place_and_are_no_neighbours(places):
+    """The camera returns to the first place with new points: no keyframe is covisible yet."""
     built, *_, vocabulary = places
     world, rng = PointWorld(points=6000, reach=(-3.0, 36.0)), np.random.default_rng(5)
     back = [world.see(3000 + i, walk(8 * i + 3), rng, noise_px=0.5, bits=6) for i in range(4)]
@@ -164,7 +164,7 @@ def test_loop_candidates_are_a_place_seen_before_and_no_neighbours(places):
         assert not set(candidates) & set(range(KEYFRAMES, KEYFRAMES + 4))
 
 
-def test_a_new_place_has_no_loop_candidates_as_like_as_its_neighbours(places, database):
+def test_a_new_place_has_no_loop_candidates(places, database):
     found = [k for k in range(KEYFRAMES) for c in database.loop_candidates(k) if place_of(c) != place_of(k)]
     assert not found
 
@@ -195,7 +195,7 @@ def slow_match(a, bow_a, rows, b, bow_b, most, ratio):
     return [(best[j][0], j) for j in sorted(best)]
 
 
-def test_matches_are_those_of_the_slow_search_in_equal_nodes(places):
+def test_matches_agree_with_numpy_in_equal_nodes(places):
     _, _, seen, beside, _ = places
     a, b = seen[3], beside[3]
     rows = np.arange(0, len(a.ids), 2)
@@ -203,12 +203,12 @@ def test_matches_are_those_of_the_slow_search_in_equal_nodes(places):
     slow = slow_match(a.frame.features, bows[0], rows, b.frame.features, bows[1], 50, 0.8)
     fast = match_by_bow(a.frame.features, bows[0], rows, b.frame.features, bows[1], 50, 0.8)
     assert fast.dtype == np.int32 and set(map(tuple, fast.tolist())) <= set(slow)
-    # The check of orientations takes out few: those of clutter.
+    # The check of orientations removes few matches: those of clutter.
     assert len(fast) > 0.95 * len(slow) > 50
     assert (a.ids[fast[:, 0]] == b.ids[fast[:, 1]]).mean() > 0.98
 
 
-def test_matches_turn_alike(places):
+def test_matches_have_a_common_rotation(places):
     _, _, seen, _, _ = places
     a, rng = seen[3].frame.features, np.random.default_rng(0)
     wrong = rng.choice(len(a), 40, replace=False)
@@ -222,7 +222,7 @@ def test_matches_turn_alike(places):
     assert np.isin(pairs[:, 0], wrong).sum() <= 10
 
 
-def test_nothing_matches_nothing(places):
+def test_empty_inputs_have_no_matches(places):
     _, _, seen, _, vocabulary = places
     a = seen[0].frame.features
     empty = Features(*(np.empty((0, *x), t) for x, t in (((2,), "f4"), ((), "i4"), ((), "f4"), ((), "f4"))),

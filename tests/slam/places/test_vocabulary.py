@@ -1,4 +1,4 @@
-"""The vocabulary: the tree, its training, the bag of words and the file that is shipped."""
+"""The vocabulary: tree, training, bag of words and the shipped file."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from slam.places.training import cluster, train_vocabulary
 
 
 def random_images(seed=0, images=12, features=300, places=40, flips=12):
-    """Descriptors that scatter about a few centres, each image with centres of its own choice."""
+    """Descriptors scattered around a few centres, different ones in each image."""
     rng = np.random.default_rng(seed)
     centres = rng.integers(0, 2**64, (places, 4), dtype=np.uint64)
     made = []
@@ -28,7 +28,7 @@ def scattered(descriptors, flips, rng):
 
 
 def distances(a, b):
-    """(n, m) Hamming distances, the slow way."""
+    """(n, m) Hamming distances by NumPy."""
     bits = [np.unpackbits(np.ascontiguousarray(x).view(np.uint8).reshape(len(x), 32), axis=1) for x in (a, b)]
     return (bits[0][:, None] != bits[1][None]).sum(axis=2)
 
@@ -55,7 +55,7 @@ def vocabulary(images):
 # -- the tree ------------------------------------------------------------------------------------------------
 
 
-def test_words_and_nodes_are_those_of_the_slow_descent(vocabulary, images):
+def test_words_and_nodes_agree_with_numpy(vocabulary, images):
     descriptors = images[3][:80]
     for level in (0, 1, 2, 3, 9):
         words, nodes = kernels.descend(vocabulary.tree, descriptors, level)
@@ -86,7 +86,7 @@ def test_training_is_fixed_by_its_seed(images, vocabulary, tmp_path):
     assert first != other
 
 
-def test_clusters_that_are_there_are_found():
+def test_existing_clusters_are_found():
     rng = np.random.default_rng(3)
     centres = rng.integers(0, 2**64, (6, 4), dtype=np.uint64)
     truth = rng.integers(0, 6, 600)
@@ -98,7 +98,7 @@ def test_clusters_that_are_there_are_found():
     assert (nearest.argmin(axis=1)[owner] == truth).all()
 
 
-def test_fewer_descriptors_than_branches_are_words_each():
+def test_with_few_descriptors_each_is_a_word():
     rng = np.random.default_rng(0)
     few = rng.integers(0, 2**64, (3, 4), dtype=np.uint64)
     found, owner = cluster(np.repeat(few, 5, axis=0), 10, rng)
@@ -108,7 +108,7 @@ def test_fewer_descriptors_than_branches_are_words_each():
     assert vocabulary.n_words == 3
 
 
-def test_words_that_few_images_show_weigh_more(vocabulary, images):
+def test_rare_words_have_more_weight(vocabulary, images):
     words = [np.unique(kernels.descend(vocabulary.tree, image, 0)[0]) for image in images]
     shown = np.bincount(np.concatenate(words), minlength=vocabulary.n_words)
     expected = np.log(len(images) / np.maximum(shown, 1))
@@ -116,7 +116,7 @@ def test_words_that_few_images_show_weigh_more(vocabulary, images):
 
 
 @pytest.mark.parametrize(("images", "branching", "levels"), [([], 10, 4), ("some", 1, 4), ("some", 10, 0)])
-def test_what_cannot_be_trained_is_an_error(images, branching, levels):
+def test_invalid_training_is_refused(images, branching, levels):
     with pytest.raises(ValueError):
         train_vocabulary(random_images(images=2) if images else [], branching, levels, 0)
 
@@ -145,7 +145,7 @@ def test_the_score_is_one_minus_half_the_distance(vocabulary, images):
     assert a.score(a) == pytest.approx(1) and b.score(a) == a.score(b)
 
 
-def test_no_features_are_no_words(vocabulary):
+def test_no_features_give_no_words(vocabulary):
     bow = vocabulary.transform(np.empty((0, 4), np.uint64))
     assert len(bow.words) == len(bow.weights) == len(bow.nodes) == 0
     assert bow.score(bow) == 0
@@ -154,7 +154,7 @@ def test_no_features_are_no_words(vocabulary):
 # -- the file ------------------------------------------------------------------------------------------------
 
 
-def test_a_saved_vocabulary_is_read_back_as_it_was(vocabulary, images, tmp_path):
+def test_a_saved_vocabulary_is_read_back_unchanged(vocabulary, images, tmp_path):
     kept = Vocabulary(vocabulary.tree, {"seed": 7})
     kept.save(tmp_path / "words.npz")
     read = Vocabulary.load(tmp_path / "words.npz")
@@ -164,13 +164,13 @@ def test_a_saved_vocabulary_is_read_back_as_it_was(vocabulary, images, tmp_path)
     assert isinstance(read.transform(images[0]), BowVector)
 
 
-def test_another_file_is_not_taken_for_a_vocabulary(tmp_path):
+def test_another_file_is_refused(tmp_path):
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     with pytest.raises(ValueError, match="not a vocabulary"):
         Vocabulary.load(tmp_path / "other.npz")
 
 
-def test_the_shipped_vocabulary_is_small_and_says_where_it_comes_from():
+def test_the_shipped_vocabulary_is_small_and_has_its_provenance():
     assert VOCABULARY_FILE.stat().st_size < 1_000_000
     vocabulary = shipped_vocabulary()
     assert vocabulary.n_words > 9000

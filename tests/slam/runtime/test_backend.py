@@ -1,4 +1,4 @@
-"""Mapping and loop closing behind tracking, in lockstep and on threads of their own."""
+"""Mapping and loop closing beside tracking, in lockstep and in threads."""
 
 import threading
 import time
@@ -15,12 +15,12 @@ from slam.map.invariants import check_map
 from slam.runtime.backend import ExecutionMode
 from slam.warmup import CAMERA
 
-COUNT, STEP_M = 90, 0.05
+COUNT, STEP_M = 65, 0.05
 THREADED = ExecutionMode.THREADED
 
 
 def fed_in_time(system, images, stamps_s, pause_s=0.02):
-    """Frames with a little time between them, as a camera leaves it."""
+    """Feed frames with some time between them, as from a camera."""
     results = []
     for image, stamp_s in zip(images, stamps_s, strict=True):
         results.append(system.process(image, float(stamp_s)))
@@ -51,7 +51,7 @@ def test_threads_track_and_map_as_lockstep_does(sequence):
 
 
 def test_tracking_does_not_wait_for_mapping(sequence, monkeypatch):
-    """A mapper that takes its time holds up no frame; frames that would be keyframes meanwhile are not."""
+    """With a slow mapper, tracking continues and makes no further keyframes meanwhile."""
     images, stamps_s, _ = sequence
     system = build_system("base", CAMERA, 0, mode=THREADED)
     gate, inside = threading.Event(), threading.Event()
@@ -77,7 +77,7 @@ def test_tracking_does_not_wait_for_mapping(sequence, monkeypatch):
     check_map(system.current_map)
 
 
-def test_what_goes_wrong_on_a_thread_reaches_the_caller(sequence, monkeypatch):
+def test_an_exception_in_a_thread_reaches_the_caller(sequence, monkeypatch):
     images, stamps_s, _ = sequence
     system = build_system("base", CAMERA, 0, mode=THREADED)
 
@@ -95,17 +95,17 @@ def test_what_goes_wrong_on_a_thread_reaches_the_caller(sequence, monkeypatch):
         go_on()
 
 
-def test_a_breakage_waits_for_mapping_and_leaves_a_whole_map(sequence):
-    images, stamps_s, _ = sequence
+def test_a_breakage_waits_for_mapping_and_leaves_a_valid_map(sequence):
+    images, stamps_s, _ = (each[:45] for each in sequence)
     for kind in ("base", "dual"):
         system = build_system(kind, CAMERA, 0, mode=THREADED)
-        fed_in_time(system, blanked(images, range(60, 64)), stamps_s, pause_s=0.0)
+        fed_in_time(system, blanked(images, range(36, 40)), stamps_s, pause_s=0.0)
         assert "breakage" in kinds(system)
         for map_id in system.maps():
             check_map(system.map(map_id))
 
 
-def test_a_snapshot_is_of_lockstep_only(sequence):
+def test_a_snapshot_needs_lockstep_mode(sequence):
     system = build_system("base", CAMERA, 0, mode=THREADED)
     with pytest.raises(RuntimeError, match="lockstep"):
         system.snapshot()
@@ -116,7 +116,7 @@ def test_a_snapshot_is_of_lockstep_only(sequence):
 
 
 def drifted(scale):
-    """A detector's finding: the newest keyframe is where it is, but in lengths off by ``scale``."""
+    """A detector that reports a loop at the keyframe's own place, with lengths off by ``scale``."""
 
     def detect(self, keyframe, rng):
         if keyframe < 6 or self._last_loop:
@@ -133,11 +133,11 @@ def drifted(scale):
 
 
 @pytest.mark.parametrize("mode", list(ExecutionMode))
-def test_a_loop_is_taken_in_and_tracking_goes_on(sequence, monkeypatch, mode):
+def test_a_loop_is_corrected_and_tracking_continues(sequence, monkeypatch, mode):
     images, stamps_s, _ = sequence
     monkeypatch.setattr("slam.loop_closing.detection.LoopDetector.detect", drifted(1.25))
     monkeypatch.setattr(
-        "slam.runtime.backend.adjust_globally", lambda map_, iterations, apart: _as_it_is(map_)
+        "slam.runtime.backend.adjust_globally", lambda map_, iterations, apart: _unchanged(map_)
     )
     system = build_system("base", CAMERA, 0, mode=mode)
     feeding = fed_in_time if mode is THREADED else feed
@@ -148,13 +148,13 @@ def test_a_loop_is_taken_in_and_tracking_goes_on(sequence, monkeypatch, mode):
     assert all(r.state is TrackingState.TRACKING for r in results[system.events[0].frame :])
     assert sum(r.loop_cpu_ms for r in results) > closed.cpu_ms
     check_map(system.current_map)
-    # Steps of frames shrink towards the loop as the lengths about their keyframes do, and none jumps.
+    # Steps of frames shrink towards the loop as the lengths around their keyframes do, without jumps.
     path = system.trajectories()[0]
     steps = np.linalg.norm(np.diff(path.T_map_cam[:, :3, 3], axis=0), axis=1) / np.diff(path.frames)
     assert steps.max() < 3 * np.median(steps)
 
 
-def _as_it_is(map_):
+def _unchanged(map_):
     rows, points = map_.keyframes(), map_.points()
     nothing = np.empty(0, np.int32)
     return GlobalAdjustment(

@@ -1,4 +1,4 @@
-"""The background thread: order, waiting, and errors that come back."""
+"""The background thread: order, waiting, and errors."""
 
 import threading
 
@@ -14,7 +14,7 @@ def worker():
     w.close()
 
 
-def test_jobs_run_in_order_on_a_thread_of_their_own(worker):
+def test_jobs_run_in_order_on_their_own_thread(worker):
     done = []
     for i in range(50):
         worker.submit(lambda i=i: done.append((i, threading.current_thread().name)))
@@ -23,7 +23,7 @@ def test_jobs_run_in_order_on_a_thread_of_their_own(worker):
     assert worker.pending == 0
 
 
-def test_pending_counts_what_waits_and_what_runs(worker):
+def test_pending_counts_waiting_and_running_jobs(worker):
     gate, started = threading.Event(), threading.Event()
 
     def held():
@@ -39,7 +39,7 @@ def test_pending_counts_what_waits_and_what_runs(worker):
     assert worker.pending == 0
 
 
-def test_an_error_comes_back_to_who_waits_and_to_who_goes_on(worker):
+def test_an_error_is_raised_by_drain_and_submit(worker):
     def fail():
         raise ZeroDivisionError("in the job")
 
@@ -50,7 +50,7 @@ def test_an_error_comes_back_to_who_waits_and_to_who_goes_on(worker):
         worker.submit(lambda: None)
 
 
-def test_closing_drops_what_waits():
+def test_closing_drops_waiting_jobs():
     w, done = Worker("test"), []
     gate, started = threading.Event(), threading.Event()
 
@@ -66,7 +66,7 @@ def test_closing_drops_what_waits():
     assert done == []
 
 
-def test_an_error_can_be_asked_for_without_waiting(worker):
+def test_an_error_can_be_checked_without_waiting(worker):
     def fail():
         raise ZeroDivisionError("in a job")
 

@@ -1,4 +1,4 @@
-"""A pose from points of which many are wrong."""
+"""A pose from points with many outliers."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def seen(rng, n, wrong, flat=False):
 
 
 @pytest.mark.parametrize("flat", [False, True])
-def test_the_pose_is_that_of_the_matches_that_are_right(flat):
+def test_the_pose_is_that_of_the_inliers(flat):
     T, xyz, xy = seen(np.random.default_rng(44), 100, 40, flat)
     found = ransac_pnp(xyz, xy, VIEW, np.random.default_rng(0), 300, 4.0, 20)
     assert found is not None
@@ -33,7 +33,7 @@ def test_the_pose_is_the_same_for_the_same_stream():
     assert a[0].tobytes() == b[0].tobytes() and (a[1] == b[1]).all()
 
 
-def test_there_is_no_pose_of_wrong_or_of_too_few_matches():
+def test_wrong_or_too_few_matches_give_no_pose():
     rng = np.random.default_rng(46)
     _, xyz, xy = seen(rng, 60, 60)
     assert ransac_pnp(xyz, xy, VIEW, rng, 300, 4.0, 20) is None

@@ -1,4 +1,4 @@
-"""The tracker predicts, falls back, gives up for a reason, and does all of it in either direction of time."""
+"""The tracker predicts, falls back and fails with a reason, in both directions of time."""
 
 from dataclasses import replace
 
@@ -22,14 +22,14 @@ def world():
 
 @pytest.fixture(scope="module")
 def sightings(world):
-    """What a walking camera sees, with the noise of real features."""
+    """The frames of a moving camera, with the noise of real features."""
     rng = np.random.default_rng(2)
     return [world.see(i, walk(i), rng, noise_px=0.5, bits=8) for i in range(LAST + 1)]
 
 
 @pytest.fixture
 def known(world, sightings):
-    """A fresh map of the whole way, true to a few millimetres, and its map point for each world point."""
+    """A new map of the whole path, accurate to a few millimetres, and its points by world point."""
     return world.map_of(sightings[::5], np.random.default_rng(3), noise=0.004)
 
 
@@ -86,7 +86,7 @@ def test_a_walk_is_tracked_in_either_direction_of_time(known, sightings, order):
     check_map(known[0])
 
 
-def test_both_directions_track_equally_well(known, sightings):
+def test_both_directions_of_time_track_equally_well(known, sightings):
     errors = []
     for order in (range(1, LAST + 1), range(LAST - 1, -1, -1)):
         tracker = started(known, sightings[order[0] - order.step])
@@ -100,7 +100,7 @@ def test_both_directions_track_equally_well(known, sightings):
 
 
 def test_a_pose_is_kept_relative_to_the_reference_keyframe(known, sightings):
-    """What mapping does to the reference keyframe between frames, the last frame follows."""
+    """The last frame follows when mapping moves its reference keyframe."""
     built, _ = known
     tracker = started(known, sightings[0], step_between(sightings[0], sightings[1]))
     for i in (1, 2):
@@ -118,7 +118,7 @@ def test_a_pose_is_kept_relative_to_the_reference_keyframe(known, sightings):
     assert not far(frame, moved)
 
 
-def test_seen_points_are_counted_as_visible_and_found(known, sightings):
+def test_observed_points_are_counted_as_visible_and_found(known, sightings):
     a = known[0].arrays
     visible, found = a.pt_visible.copy(), a.pt_found.copy()
     frame = sightings[1].again()
@@ -141,8 +141,8 @@ def test_the_velocity_is_the_last_step(known, sightings):
     assert max(pose_error(tracker.velocity, step_between(sightings[1], sightings[2]))) < 0.2
 
 
-def test_the_motion_model_is_what_finds_a_frame_far_off(known, sightings):
-    """A step of 100 px or so is found by prediction alone, and is not found where the camera was."""
+def test_the_motion_model_finds_a_frame_far_away(known, sightings):
+    """A step of about 100 px is tracked with prediction, and not without."""
     step = step_between(sightings[0], sightings[16])
     frame = sightings[16].again()
     assert started(known, sightings[0], step, NO_FALLBACK).track(frame).success
@@ -152,14 +152,14 @@ def test_the_motion_model_is_what_finds_a_frame_far_off(known, sightings):
 
 
 @pytest.mark.parametrize("velocity", [None, rigid((1.5, 0, 0))], ids=["unknown", "wrong"])
-def test_the_reference_keyframe_stands_in_for_the_motion_model(known, sightings, velocity):
+def test_the_reference_keyframe_replaces_the_motion_model(known, sightings, velocity):
     frame = sightings[8].again()
     assert started(known, sightings[0], velocity).track(frame).success
     assert not far(frame, sightings[8])
     assert not started(known, sightings[0], velocity, NO_FALLBACK).track(sightings[8].again()).success
 
 
-def test_a_culled_reference_keyframe_is_stood_in_for_by_its_parent(known, sightings):
+def test_the_parent_replaces_a_culled_reference_keyframe(known, sightings):
     built, _ = known
     tracker = started(known, sightings[10])
     built.cull_keyframe(2)
@@ -169,10 +169,10 @@ def test_a_culled_reference_keyframe_is_stood_in_for_by_its_parent(known, sighti
     assert frame.reference_keyframe != 2
 
 
-# -- giving up -----------------------------------------------------------------------------------------------
+# -- failure -------------------------------------------------------------------------------------------------
 
 
-def test_a_foreign_scene_is_not_tracked_and_changes_nothing(known, sightings):
+def test_another_scene_is_not_tracked_and_changes_nothing(known, sightings):
     foreign = PointWorld(seed=99).see(1, walk(1), np.random.default_rng(0))
     tracker = started(known, sightings[0], np.eye(4))
     last, velocity = tracker.last, tracker.velocity
@@ -189,8 +189,8 @@ def test_a_frame_without_features_is_not_tracked(known, sightings):
     assert outcome.reason == "too_few_matches_with_last_frame"
 
 
-def test_too_few_points_in_the_local_map_are_told_apart(known, sightings):
-    """Enough for the prediction, too few to trust the pose; one more than the least is enough."""
+def test_too_few_points_in_the_local_map_have_their_own_reason(known, sightings):
+    """Enough for the prediction, too few to accept the pose; one more than the threshold is enough."""
     config = TrackingConfig()
     for count, success in ((config.min_inliers - 5, False), (config.min_inliers + 10, True)):
         whole, f = sightings[1], sightings[1].frame.features
@@ -219,7 +219,7 @@ def track_until(tracker, sightings, stop):
 
 @pytest.mark.parametrize("gap", [4, 12])
 def test_tracking_resumes_across_a_gap(known, sightings, gap):
-    """Passed-over frames carry the pose on; without that the camera is sought where it was."""
+    """The pose is predicted over passed-over frames; without, the search is at the old pose."""
     carried, stuck = started(known, sightings[0]), started(known, sightings[0])
     for tracker in (carried, stuck):
         track_until(tracker, sightings, 8)
@@ -237,8 +237,8 @@ def test_tracking_resumes_across_a_gap(known, sightings, gap):
     assert not far(after, sightings[9 + gap])
 
 
-def test_a_gap_is_searched_ever_wider(known, sightings):
-    """A turn that the motion model could not foresee is found in a wide window, not in a narrow one."""
+def test_after_a_gap_the_search_window_grows(known, sightings):
+    """An unpredicted rotation is found in a wide window, not in a narrow one."""
     for radius_px, success in ((1.0, False), (20.0, True)):
         tracker = started(known, sightings[0], np.eye(4), replace(NO_FALLBACK, gap_radius_px=radius_px))
         for i in range(1, 10):
@@ -248,8 +248,8 @@ def test_a_gap_is_searched_ever_wider(known, sightings):
         assert far(frame, sightings[10]) is not success
 
 
-def test_the_velocity_outlives_a_gap(known, sightings):
-    """The step over the gap is no velocity: that of the frames before it goes on."""
+def test_the_velocity_is_kept_over_a_gap(known, sightings):
+    """The step over the gap is not used as velocity; the one before the gap is kept."""
     tracker = started(known, sightings[0])
     track_until(tracker, sightings, 8)
     before = np.array(tracker.velocity)
@@ -261,8 +261,8 @@ def test_the_velocity_outlives_a_gap(known, sightings):
     assert max(pose_error(tracker.velocity, step_between(sightings[16], sightings[17]))) < 0.2
 
 
-def test_passing_over_leaves_the_tracked_frame_as_it_was(known, sightings):
-    """The frame before a gap has been handed out: its own pose is not to be carried on with the tracker's."""
+def test_passing_over_does_not_change_the_tracked_frame(known, sightings):
+    """The frame before a gap keeps its own pose; only the tracker's is predicted."""
     tracker = started(known, sightings[0])
     track_until(tracker, sightings, 7)
     frame = sightings[7].again()
@@ -274,7 +274,7 @@ def test_passing_over_leaves_the_tracked_frame_as_it_was(known, sightings):
     np.testing.assert_allclose(frame.T_cam_reference, T_cam_reference, atol=1e-12)
 
 
-def test_passing_over_without_a_velocity_stays_in_place(known, sightings):
+def test_passing_over_without_a_velocity_keeps_the_pose(known, sightings):
     tracker = started(known, sightings[0])
     for i in range(1, 5):
         tracker.pass_over(nothing(i))
@@ -286,7 +286,7 @@ def test_passing_over_without_a_velocity_stays_in_place(known, sightings):
 # -- keyframes -----------------------------------------------------------------------------------------------
 
 
-def test_a_keyframe_is_wanted_where_fewer_points_are_known_and_not_too_soon(known, sightings):
+def test_a_keyframe_is_requested_with_few_known_points_and_not_too_soon(known, sightings):
     config = TrackingConfig()
     tracker = started(known, sightings[20])
     for i, stamp_frames in ((21, 1), (24, 4), (16, 4)):
@@ -294,12 +294,12 @@ def test_a_keyframe_is_wanted_where_fewer_points_are_known_and_not_too_soon(know
         outcome = tracker.track(frame)
         assert outcome.success
         late = stamp_frames / FPS >= config.keyframe_interval_s - 1e-6
-        # Either direction of time: what counts is the distance from the last keyframe.
+        # In both directions of time, the distance from the last keyframe matters.
         assert tracker.wants_keyframe(frame, 0) is late
         assert not tracker.wants_keyframe(frame, 10**6)
 
 
-def test_a_new_keyframe_becomes_the_reference_and_gives_its_points(known, sightings):
+def test_a_new_keyframe_becomes_the_reference_with_its_points(known, sightings):
     built, point_of = known
     tracker = started(known, sightings[0])
     frame = sightings[3].again()
@@ -309,12 +309,12 @@ def test_a_new_keyframe_becomes_the_reference_and_gives_its_points(known, sighti
     np.testing.assert_array_equal(frame.point, built.observed_points(row))
     assert frame.reference_keyframe == row
     np.testing.assert_array_equal(frame.T_cam_map, built.T_cam_map(row))
-    # A keyframe has just been made: none is wanted at once.
+    # A keyframe has just been made: no other is requested at once.
     assert not tracker.wants_keyframe(frame, 0)
 
 
-def test_tracking_goes_on_in_a_map_that_has_absorbed_its_own(world, known, sightings):
-    """Rows shift, the scale is that of the other map, and the next frame is tracked as if nothing were."""
+def test_tracking_continues_in_a_map_that_has_absorbed_its_own(world, known, sightings):
+    """Rows shift, the scale is that of the other map, and the next frame is tracked."""
     built, _ = known
     tracker = started(known, sightings[20])
     for i in (21, 22):
@@ -338,8 +338,8 @@ def test_tracking_goes_on_in_a_map_that_has_absorbed_its_own(world, known, sight
     assert distance < 0.04 and angle < 0.3
 
 
-def test_a_gap_that_was_entered_on_a_wrong_turn_is_got_over(known, sightings):
-    """The last pose before a gap may be poor, and what was carried on from it far off by its end."""
+def test_a_gap_entered_with_a_wrong_pose_is_bridged(known, sightings):
+    """The last pose before a gap may be poor, and its prediction far off at the end."""
     turn = rigid(np.zeros(3), rotvec_deg=(0.0, 4.0, 0.0))
     tracker = started(known, sightings[0], turn, NO_FALLBACK)
     for i in range(1, 12):
@@ -350,8 +350,8 @@ def test_a_gap_that_was_entered_on_a_wrong_turn_is_got_over(known, sightings):
     assert not far(frame, sightings[12])
 
 
-def test_a_pose_that_many_matches_deny_is_refused_where_a_share_is_asked(known, sightings):
-    """Half of the keypoints displaced, within the search windows: their points are matched and do not fit."""
+def test_a_pose_with_too_many_outliers_is_refused_with_a_least_share(known, sightings):
+    """Half of the keypoints are displaced within the search windows: their matches are outliers."""
     features = sightings[1].frame.features
     off = 3.2 * known[0].view.scale[features.octave] * np.sin(np.arange(len(features)) * np.pi / 2)
     displaced = replace(features, xy=features.xy + np.stack([0 * off, off], axis=1))
