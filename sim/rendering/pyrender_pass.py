@@ -5,8 +5,10 @@ centre, and coarse beyond some ten metres. Its scene is general; here it is stat
 finds out anew in each frame is found out once.
 """
 
+import ctypes
 import os
 import sys
+from collections.abc import Callable
 from types import ModuleType
 
 import numpy as np
@@ -14,9 +16,10 @@ import OpenGL
 from OpenGL.plugins import PlatformPlugin
 
 from scenarios.errors import InputError
-from sim.rendering.gl_context import PYRENDER, shared_context
+from sim.rendering.gl_context import PYRENDER, GlContext, shared_context
 
 _PLATFORM = "dslab"
+_GL_LOWER_LEFT, _GL_ZERO_TO_ONE = 0x8CA1, 0x935F  # arguments of glClipControl
 
 
 def _prepare_imports() -> None:
@@ -62,6 +65,7 @@ class Pass(pyrender.Renderer):
         for texture in self._mesh_textures:
             texture.source = None
         self._configure_main_framebuffer()
+        self._reverse_depth = _clip_control(self._context)
 
     def draw(self, scene: pyrender.Scene, colours: dict[pyrender.Node, np.ndarray] | None = None) -> None:
         """Draw the visible nodes, by their textures or in flat colours (3,) of 0 to 255."""
@@ -104,7 +108,7 @@ class Pass(pyrender.Renderer):
         super()._configure_forward_pass_viewport(flags)
         GL.glDepthFunc(GL.GL_GREATER)
         GL.glClearDepth(0.0)
-        GL.glClipControl(GL.GL_LOWER_LEFT, GL.GL_ZERO_TO_ONE)
+        self._reverse_depth(_GL_LOWER_LEFT, _GL_ZERO_TO_ONE)
 
     def _configure_main_framebuffer(self) -> None:
         if self._main_fb is not None:
@@ -121,7 +125,8 @@ class Pass(pyrender.Renderer):
             GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, storage, *size)
             GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, place, GL.GL_RENDERBUFFER, buffer)
         status = GL.glCheckFramebufferStatus(GL.GL_FRAMEBUFFER)
-        if status != GL.GL_FRAMEBUFFER_COMPLETE or not GL.glClipControl:
+        extensions = GL.glGetString(GL.GL_EXTENSIONS).split()
+        if status != GL.GL_FRAMEBUFFER_COMPLETE or b"GL_ARB_clip_control" not in extensions:
             raise InputError("GL", "the driver has no reversed depth in floats", "use Mesa 22 or newer")
         # pyrender's buffer of several samples and the one it is resolved into are one.
         self._main_cb_ms, self._main_db_ms, self._main_fb_ms = self._main_cb, self._main_db, self._main_fb
@@ -129,6 +134,11 @@ class Pass(pyrender.Renderer):
 
     def _read_main_framebuffer(self, scene, flags) -> None:
         """Read by ``read``."""
+
+
+def _clip_control(context: GlContext) -> Callable[[int, int], None]:
+    """Return ``glClipControl``, which pyrender's version of PyOpenGL does not have."""
+    return ctypes.CFUNCTYPE(None, ctypes.c_uint, ctypes.c_uint)(context.address("glClipControl"))
 
 
 class _SparingProgram:
