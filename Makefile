@@ -1,17 +1,17 @@
-# Everything on a machine with Python 3.11+, make and pip: `make demo`, `make test`.
+# Needs Python 3.11 to 3.13, make and pip; installs nothing outside this folder: `make demo`, `make test`.
 PYTHON ?= python3
 UV := .tools/bin/uv
 BIN := .venv/bin
 OUT ?= out/demo
 
-.PHONY: demo test test-all lint format bench vocabulary setup clean
+.PHONY: help demo test test-all lint format bench vocabulary setup clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo    render a scenario that breaks the base, run it and Dual-SLAM on it, show the result (OUT=$(OUT))"
 	@echo "make test    the test suite without the slow tests    make test-all   all of it"
 	@echo "make lint    formatting, lint, types, layers            make bench      speed of the tracker"
-	@echo "make vocabulary   train anew what recognises places (minutes)"
+	@echo "make vocabulary   train the place recognition vocabulary (minutes)"
 	@echo "make clean   remove the virtual environment, tools, outputs and compiled kernels"
 
 setup: .venv/.ready
@@ -25,6 +25,7 @@ setup: .venv/.ready
 	@$(UV) sync --quiet --frozen --extra evo --python $(PYTHON)
 	@$(BIN)/python -m sim.rendering.gl_setup --uv $(UV)
 	@$(BIN)/dslab warmup
+	@echo "dslab setup: done; \`source .venv/bin/activate\` puts dslab onto the PATH"
 	@touch $@
 
 demo: setup

@@ -2,6 +2,8 @@
 
 import os
 import sys
+from importlib import metadata
+from typing import Annotated
 
 import typer
 
@@ -38,6 +40,22 @@ app.add_typer(experiment.app, name="experiment")
 app.command("paper")(paper_command)
 app.add_typer(bench.app, name="bench")
 app.add_typer(vocabulary.app, name="vocabulary")
+
+
+def _print_version(requested: bool) -> None:
+    if requested:
+        typer.echo(f"dual-slam-lab {metadata.version('dual-slam-lab')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    _version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit."),
+    ] = False,
+) -> None:
+    pass
 
 
 def main() -> None:

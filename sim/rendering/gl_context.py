@@ -1,8 +1,7 @@
-"""A headless OpenGL context, made through ctypes: EGL without a surface, else OSMesa.
+"""A headless OpenGL context, created through ctypes: EGL without a surface, else OSMesa.
 
-MuJoCo's own context classes need PyOpenGL and a choice by environment variable, and OSMesa's crashes on
-close; here MuJoCo finds a context that is already current and asks for none. Import this module before
-``mujoco``.
+MuJoCo's own context classes need PyOpenGL and a choice by environment variable, and its OSMesa class crashes
+on close. With this module MuJoCo finds a current context and creates none. Import it before ``mujoco``.
 
 ``DSLAB_GL`` = ``egl`` or ``osmesa`` forces a backend, ``software`` is EGL without a GPU;
 ``DSLAB_OSMESA_LIBRARY`` names the OSMesa library.
@@ -11,6 +10,7 @@ close; here MuJoCo finds a context that is already current and asks for none. Im
 import ctypes
 import functools
 import os
+import sys
 import sysconfig
 from ctypes import c_char_p, c_int, c_void_p
 from pathlib import Path
@@ -18,32 +18,34 @@ from typing import Protocol
 
 from scenarios.errors import InputError
 
-# MuJoCo must load no GL library of its own choice.
+# MuJoCo must not load a GL library itself.
 os.environ["MUJOCO_GL"] = "disable"
 
+EGL_COMMAND = "apt-get install libegl1 libgl1-mesa-dri"
+OSMESA_WHEEL = "lavavu-osmesa==1.9.10"
 REMEDY = (
-    "install EGL (Debian, Ubuntu: apt-get install libegl1 libgl1-mesa-dri) or, without root, the OSMesa"
-    " library (pip install --no-deps lavavu-osmesa==1.9.10)"
+    f"install EGL (Debian, Ubuntu: {EGL_COMMAND}) or, without root, the OSMesa library"
+    f" (pip --python {sys.executable} install --no-deps {OSMESA_WHEEL})"
 )
-MUJOCO, PYRENDER = "mujoco", "pyrender"  # users of contexts
+MUJOCO, PYRENDER = "mujoco", "pyrender"  # the users of contexts
 _GL_VENDOR, _GL_RENDERER, _GL_VERSION, _GL_RGBA, _GL_UNSIGNED_BYTE = 0x1F00, 0x1F01, 0x1F02, 0x1908, 0x1401
 
 
 class GlUnavailableError(Exception):
-    """One backend cannot make a context; the text says why."""
+    """Report that one backend cannot create a context, with the reason."""
 
 
 class GlContext(Protocol):
-    """A context of one backend, without any window."""
+    """An OpenGL context of one backend, without a window."""
 
     backend: str
 
     def make_current(self) -> None:
-        """Bind the context to the calling thread; raises GlUnavailableError if it cannot be."""
+        """Bind the context to the calling thread; raises GlUnavailableError on failure."""
         ...
 
     def address(self, function: str) -> int:
-        """Address of a GL function, 0 if absent; the context must be current."""
+        """Return the address of a GL function, 0 if absent; the context must be current."""
         ...
 
 
@@ -54,10 +56,10 @@ def _function(library: ctypes.CDLL, name: str, result: type | None, *arguments: 
 
 
 class EglContext:
-    """EGL without a surface: on the first GPU that works, else on Mesa's surfaceless platform.
+    """EGL context without a surface, on the first working GPU, else in Mesa's software renderer.
 
     Args:
-        gpu: False to leave GPUs alone; Mesa's software renderer gives the same frames on every machine.
+        gpu: False to use no GPU; Mesa's software renderer gives the same frames on every machine.
     """
 
     backend = "egl"
@@ -81,10 +83,10 @@ class EglContext:
             if context:
                 self._display, self._context = display, context
                 return
-        raise GlUnavailableError("EGL: no display of it offers desktop OpenGL")
+        raise GlUnavailableError("EGL: no display offers desktop OpenGL")
 
     def _displays(self, gpu: bool):
-        """Initialised displays, the preferred first."""
+        """Yield initialised displays, the preferred first."""
         address = self._address(b"eglGetPlatformDisplayEXT")
         if not address:
             return
@@ -119,7 +121,7 @@ class EglContext:
         return b"EGL_MESA_device_software" in (text or b"")
 
     def _context_on(self, display: int) -> int | None:
-        """A context on the display that can be made current without a surface, or None."""
+        """Create a context that becomes current without a surface, or return None."""
         if not self._bind_api(self._OPENGL_API):
             return None
         wanted = (c_int * 5)(self._RENDERABLE_TYPE, self._OPENGL_BIT, self._SURFACE_TYPE, 0, self._NONE)
@@ -138,16 +140,16 @@ class EglContext:
             raise GlUnavailableError("EGL: the context is in use by another thread")
 
     def address(self, function: str) -> int:
-        """Address of a GL function, 0 if absent."""
+        """Return the address of a GL function, 0 if absent."""
         return self._address(function.encode()) or 0
 
 
 class OsMesaContext:
-    """Mesa's off-screen software rendering into memory of ours."""
+    """OSMesa context: Mesa's software renderer, drawing into memory of this process."""
 
     backend = "osmesa"
 
-    _SIZE_PX = 16  # frames are rendered into framebuffer objects; this buffer is never looked at
+    _SIZE_PX = 16  # frames are rendered into framebuffer objects; this buffer is never read
 
     def __init__(self) -> None:
         library = self._load()
@@ -158,7 +160,7 @@ class OsMesaContext:
         create = _function(library, "OSMesaCreateContextExt", c_void_p, c_int, c_int, c_int, c_int, c_void_p)
         self._context = create(_GL_RGBA, 24, 8, 0, None)
         if not self._context:
-            raise GlUnavailableError("OSMesa: the library makes no context")
+            raise GlUnavailableError("OSMesa: the library creates no context")
         self._buffer = (ctypes.c_ubyte * (4 * self._SIZE_PX**2))()
         self.make_current()
 
@@ -170,7 +172,7 @@ class OsMesaContext:
         for name in names:
             try:
                 _load_neighbours(Path(name))
-                # Global, because MuJoCo looks for the GL functions among the loaded symbols.
+                # Global because MuJoCo looks up the GL functions among the loaded symbols.
                 return ctypes.CDLL(name, mode=ctypes.RTLD_GLOBAL)
             except OSError as error:
                 problems.append(str(error))
@@ -184,18 +186,18 @@ class OsMesaContext:
             raise GlUnavailableError("OSMesa: the context cannot be made current")
 
     def address(self, function: str) -> int:
-        """Address of a GL function, 0 if absent."""
+        """Return the address of a GL function, 0 if absent."""
         return self._address(function.encode()) or 0
 
 
 def _osmesa_in_wheel() -> list[str]:
-    """Paths of OSMesa libraries that the wheel ``lavavu-osmesa`` put into site-packages."""
+    """Return the paths of the OSMesa libraries that the wheel put into site-packages."""
     packages = Path(sysconfig.get_paths()["platlib"])
     return sorted(str(path) for path in packages.glob("lavavu_osmesa.libs/libOSMesa*.so*"))
 
 
 def _load_neighbours(library: Path) -> None:
-    """Load the libraries a wheel ships beside ``library``; they carry no path to find each other by."""
+    """Load the libraries that a wheel ships beside ``library``, which do not find each other."""
     if not library.parent.name.endswith(".libs"):
         return
     waiting = [path for path in sorted(library.parent.glob("*.so*")) if path != library]
@@ -205,7 +207,7 @@ def _load_neighbours(library: Path) -> None:
             try:
                 ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
             except OSError:
-                left.append(path)  # one of its own dependencies comes later
+                left.append(path)  # one of its dependencies comes later
         if len(left) == len(waiting):
             return
         waiting = left
@@ -216,26 +218,26 @@ _BACKENDS = {
     "osmesa": OsMesaContext,
     "software": functools.partial(EglContext, gpu=False),
 }
-_UNASKED = ("egl", "osmesa")
+_DEFAULTS = ("egl", "osmesa")
 
 
 @functools.cache
 def shared_context(user: str = MUJOCO) -> GlContext:
-    """The process's one context of a user, made at the first call and current on return of that call.
+    """Return the process's one context of a user, created and made current by the first call.
 
-    It can be current in one thread at a time. A process that has made it must not fork.
+    It can be current in one thread at a time. A process that has created it must not fork.
 
     Args:
-        user: whose state the context holds; libraries that set GL state must not share one.
+        user: the library whose GL state the context holds; libraries must not share one.
 
     Raises:
-        InputError: no backend works, or ``DSLAB_GL`` names none.
+        InputError: no backend works, or ``DSLAB_GL`` is unknown.
     """
     forced = os.environ.get("DSLAB_GL", "")
     if forced and forced not in _BACKENDS:
         raise InputError("DSLAB_GL", f"unknown GL backend {forced!r}", f"use one of {', '.join(_BACKENDS)}")
     problems = []
-    for name in [forced] if forced else _UNASKED:
+    for name in [forced] if forced else _DEFAULTS:
         try:
             return _BACKENDS[name]()
         except GlUnavailableError as error:
@@ -244,7 +246,7 @@ def shared_context(user: str = MUJOCO) -> GlContext:
 
 
 def gl_info() -> dict[str, str]:
-    """Backend, vendor, renderer and version of the context in use, by these names.
+    """Return backend, vendor, renderer and version of MuJoCo's context, by these names.
 
     Raises:
         InputError: no backend works.

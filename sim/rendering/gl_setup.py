@@ -1,16 +1,14 @@
-"""Make headless OpenGL work, once after the install: ``python -m sim.rendering.gl_setup --uv PATH``.
+"""Check headless OpenGL once after the install: ``python -m sim.rendering.gl_setup --uv PATH``.
 
-Tries in this order: what is there; Debian's EGL packages, as root where apt-get is; the OSMesa wheel.
+Where no driver works it adds the OSMesa wheel, which needs no root, and names the command for EGL.
 """
 
 import argparse
-import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
-from sim.rendering.gl_context import REMEDY
+from sim.rendering.gl_context import EGL_COMMAND, OSMESA_WHEEL, REMEDY
 
 _PROBE = """
 from scenarios.errors import InputError
@@ -21,90 +19,67 @@ except InputError as error:
     raise SystemExit(error.problem)
 print(info["backend"], info["renderer"], info["version"], sep=", ")
 """
-_PACKAGES = ("libegl1", "libgl1-mesa-dri")
-_TIMEOUT_S = 900
+_PROBE_TIMEOUT_S, _INSTALL_TIMEOUT_S = 60, 900
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Find or install a GL implementation, one line per step.
+    """Find a GL implementation or install the OSMesa wheel, one line per step.
 
     Args:
         arguments: command line without the program's name.
 
     Returns:
-        0 if a context can be made in the end, 2 otherwise.
+        0 if a context can be created in the end, 2 otherwise.
     """
-    parser = argparse.ArgumentParser(description="Find or install headless OpenGL.")
+    parser = argparse.ArgumentParser(
+        description="Check headless OpenGL; install the OSMesa wheel if it fails."
+    )
     parser.add_argument("--uv", type=Path, required=True, help="the uv that installed the packages")
     uv = parser.parse_args(arguments).uv
-    works, what = probe()
-    if works:
-        _say(what)
-        return 0
-    _say(f"not usable yet: {what}")
-    if _can_install_packages():
-        _say(f"installing {' '.join(_PACKAGES)} with apt-get")
-        install_packages()
-        works, what = probe()
+    works, text = probe()
     if not works:
-        _say("installing the OSMesa library (84 MB) from a wheel")
+        _say(f"not usable yet: {text}")
+        _say(f"installing the OSMesa library (84 MB) as a wheel; for EGL instead: {EGL_COMMAND}")
         install_wheel(uv)
-        works, what = probe()
-    _say(what if works else f"no headless OpenGL: {REMEDY}")
+        works, text = probe()
+    _say(text if works else f"no headless OpenGL: {REMEDY}")
     return 0 if works else 2
 
 
 def probe() -> tuple[bool, str]:
-    """Whether a context can be made, and its name or why not; apart, as a driver can crash its process."""
+    """Try to create a context, in a child process because a driver can crash its process.
+
+    Returns:
+        True and the name of the context, or False and the reason.
+    """
     try:
         run = subprocess.run(
-            [sys.executable, "-c", _PROBE], capture_output=True, text=True, timeout=60, check=False
+            [sys.executable, "-c", _PROBE],
+            capture_output=True,
+            text=True,
+            timeout=_PROBE_TIMEOUT_S,
+            check=False,
         )
     except subprocess.TimeoutExpired:
-        return False, "making a GL context hangs"
+        return False, "creating a GL context hangs"
     if run.returncode == 0:
         return True, run.stdout.strip()
     reason = run.stderr.strip().splitlines()
-    return False, reason[-1] if reason else f"making a GL context ends with signal {-run.returncode}"
+    return False, reason[-1] if reason else f"creating a GL context ends with signal {-run.returncode}"
 
 
-def install_packages() -> bool:
-    """Install Debian's EGL and software renderer; the caller is root."""
-    environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
-    # A bare machine has no package lists. Where they cannot be fetched, the packages may still be cached.
-    _run(["apt-get", "-qq", "update"], environment)
-    install = ["apt-get", "-qq", "install", "-y", "--no-install-recommends", *_PACKAGES]
-    return _run(install, environment)
-
-
-def install_wheel(uv: Path) -> bool:
-    """Add the locked extra ``osmesa`` to the environment, leaving everything else in it as it is."""
-    # Both extras are named because a sync replaces the set of extras it was last given.
-    return _run(
-        [str(uv), "sync", "--quiet", "--frozen", "--inexact", "--extra", "osmesa", "--extra", "evo"],
-        os.environ,
-    )
-
-
-def _can_install_packages() -> bool:
-    if os.environ.get("DSLAB_GL") == "osmesa":
-        return False  # the packages bring EGL
-    return sys.platform == "linux" and os.geteuid() == 0 and shutil.which("apt-get") is not None
-
-
-def _run(command: list[str], environment) -> bool:
-    """Run an installer; a failure is one line, since the next route may work."""
+def install_wheel(uv: Path) -> None:
+    """Add the OSMesa wheel to this environment; a failure is one line."""
+    # Its declared dependencies serve a viewer, not the library.
+    command = [str(uv), "pip", "install", "--quiet", "--python", sys.executable, "--no-deps", OSMESA_WHEEL]
     try:
-        run = subprocess.run(
-            command, env=dict(environment), capture_output=True, text=True, timeout=_TIMEOUT_S, check=False
-        )
+        run = subprocess.run(command, capture_output=True, text=True, timeout=_INSTALL_TIMEOUT_S, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
-        _say(f"{Path(command[0]).name} failed: {error}")
-        return False
+        _say(f"uv failed: {error}")
+        return
     if run.returncode:
         lines = (run.stderr.strip() or run.stdout.strip() or "no message").splitlines()
-        _say(f"{Path(command[0]).name} failed: {lines[-1]}")
-    return run.returncode == 0
+        _say(f"uv failed: {lines[-1]}")
 
 
 def _say(text: str) -> None:

@@ -1,7 +1,7 @@
-"""PyOpenGL's view of a context of ``sim.rendering.gl_context``; PyOpenGL imports this module itself.
+"""The PyOpenGL platform of pyrender's context; PyOpenGL imports this module itself.
 
-Its own platforms look for libGL or libOSMesa by name, which a headless machine lacks or hides in a wheel.
-Here every GL function is what the context says it is.
+PyOpenGL's own platforms look for libGL or libOSMesa by name; a headless machine may have neither.
+This one asks the context of ``sim.rendering.gl_context`` for every GL function.
 """
 
 import ctypes
@@ -12,20 +12,20 @@ from sim.rendering.gl_context import PYRENDER, shared_context
 
 
 class ContextPlatform(BasePlatform):
-    """GL functions of the context of pyrender, which must be current when PyOpenGL is imported."""
+    """GL functions of pyrender's context, which must be current when PyOpenGL is imported."""
 
     DEFAULT_FUNCTION_TYPE = staticmethod(ctypes.CFUNCTYPE)
     GL = GLU = GLUT = GLE = None
 
     def GetCurrentContext(self) -> int:
-        """A key for what PyOpenGL keeps per context; there is only one."""
+        """Return the key of PyOpenGL's data per context; there is one context."""
         return 1
 
     def getExtensionProcedure(self, name: bytes) -> int:
-        """Address of a GL function, 0 if absent."""
+        """Return the address of a GL function, 0 if absent."""
         return shared_context(PYRENDER).address(name.decode())
 
     def constructFunction(self, functionName, dll, *arguments, **named):
-        """A function by its address; raises AttributeError if it is absent."""
+        """Build a function from its address; raises AttributeError if it is absent."""
         named["force_extension"] = True
         return super().constructFunction(functionName, dll, *arguments, **named)

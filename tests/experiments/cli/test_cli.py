@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import time
+from importlib import metadata
 
 import pytest
 from slam_fakes import fake_factory, make_sequence
@@ -35,6 +36,10 @@ def test_every_command_has_help_with_an_example(dslab, command):
     code, out, _ = dslab(*command, "--help")
     assert code == 0
     assert f"dslab {' '.join(command)}" in out.split("Options")[0].split("Usage:")[1].split("\n", 1)[1]
+
+
+def test_version_is_one_line(dslab):
+    assert dslab("--version") == (0, f"dual-slam-lab {metadata.version('dual-slam-lab')}\n", "")
 
 
 def test_help_loads_nothing_heavy():

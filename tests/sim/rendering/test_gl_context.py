@@ -8,7 +8,7 @@ from scenarios.errors import InputError
 from sim.rendering.gl_context import gl_info, shared_context
 
 
-def test_info_names_the_implementation():
+def test_info_describes_the_implementation():
     info = gl_info()
     assert info["backend"] in ("egl", "osmesa")
     assert all(info[key] for key in ("vendor", "renderer", "version"))
@@ -30,11 +30,12 @@ def test_without_any_gl_one_line_says_what_to_install(monkeypatch):
     with pytest.raises(InputError) as error:
         shared_context.__wrapped__()
     assert "libegl1" in error.value.remedy
+    assert f"pip --python {sys.executable} install" in error.value.remedy
     assert "\n" not in str(error.value)
 
 
 def test_a_forced_mujoco_backend_is_overruled():
-    # MuJoCo would otherwise import its own OSMesa wrapper, which is absent here.
+    # MuJoCo would otherwise import its own OSMesa wrapper, whose library may be absent.
     code = "from sim.rendering.gl_context import gl_info; import mujoco; print(gl_info()['backend'])"
     environment = {**os.environ, "MUJOCO_GL": "osmesa"}
     run = subprocess.run(
