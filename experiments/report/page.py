@@ -4,8 +4,7 @@ import base64
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
+from experiments.pages import render_page
 from experiments.report.describe import FILTERS
 from experiments.report.paper_figures import PAPER
 from experiments.report.plots.draw import Plot
@@ -20,17 +19,13 @@ def report_html(report: dict[str, Any], plots: dict[str, Plot]) -> str:
         report: as `report_content` makes it.
         plots: by name.
     """
-    environment = Environment(
-        loader=FileSystemLoader(_TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= FILTERS | {"data_uri": _data_uri}
-    style = (_TEMPLATES / "style.css").read_text(encoding="utf-8")
-    return environment.get_template("page.html.j2").render(
-        report=report, plots=plots, paper=PAPER, style=style, threads=report["analysis"]["threads"]
+    return render_page(
+        _TEMPLATES,
+        FILTERS | {"data_uri": _data_uri},
+        report=report,
+        plots=plots,
+        paper=PAPER,
+        threads=report["analysis"]["threads"],
     )
 
 

@@ -5,7 +5,7 @@ import json
 import re
 import shutil
 import subprocess
-import sys
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,6 +23,7 @@ from experiments.report.content import report_content
 from experiments.report.describe import percent
 from experiments.report.page import report_html
 from experiments.report.paths_file import add_paths, paths_of, read_paths
+from experiments.report.plots import draw
 from experiments.report.plots.calibration import draw_calibration
 from experiments.report.plots.draw import Plot, rendered
 from experiments.report.plots.paths import draw_paths
@@ -44,7 +45,10 @@ def made(tmp_path_factory) -> SimpleNamespace:
     spec = FakeSpec(doses=1)
     table = fake_table(spec, seed=0, hardness=1.5)
     report = report_content(spec, table, folder, FEW)
-    write_files(report, folder)
+    with pytest.MonkeyPatch.context() as patch:
+        # The figures are drawn; as files they take seconds.
+        patch.setattr(draw, "rendered", lambda name, alt, figure: replace(PLOT, name=name, alt=alt))
+        write_files(report, folder)
     read = json.loads((folder / "report.json").read_text())
     html = (folder / "report.html").read_text()
     return SimpleNamespace(folder=folder, spec=spec, table=table, report=read, html=html, page=Page(html))
@@ -159,7 +163,7 @@ def test_the_page_is_made_for_all(made):
     assert ("html", {"lang": "en"}) in made.page.elements
 
 
-def test_the_plots_are_there_as_png_and_svg(made):
+def test_every_plot_is_written_as_png_and_svg(made):
     wanted = {"calibration", "dependence", "dose_response", "heterogeneity", "timeline", "end_errors"}
     files = {path.name for path in (made.folder / "plots").iterdir()}
     assert files == {f"{name}.{form}" for name in wanted for form in ("png", "svg")}
@@ -168,14 +172,10 @@ def test_the_plots_are_there_as_png_and_svg(made):
 
 
 def test_the_same_figures_give_the_same_files(made):
-    plots = {path.stem: PLOT for path in (made.folder / "plots").glob("*.svg")}
-    assert report_html(made.report, plots) == report_html(made.report, plots)
     with settings():
-        figure = draw_calibration(made.report)
-        assert figure is not None
-        again = rendered("calibration", "", figure)
-    assert again.svg == (made.folder / "plots" / "calibration.svg").read_bytes()
-    assert again.png == (made.folder / "plots" / "calibration.png").read_bytes()
+        first, second = (rendered("calibration", "", draw_calibration(made.report)) for _ in range(2))
+    assert first == second
+    assert first.png.startswith(b"\x89PNG") and b"</svg>" in first.svg
 
 
 def test_an_experiment_without_a_unit_has_a_report(tmp_path):
@@ -187,24 +187,26 @@ def test_an_experiment_without_a_unit_has_a_report(tmp_path):
     assert report["failures"] == []
 
 
-def test_one_thread_and_two_systems_and_no_crossing_arm(tmp_path):
+@pytest.fixture(scope="module")
+def odd(tmp_path_factory):
+    """A report of one thread and two systems without a crossing arm, of records of two code states."""
     spec = FakeSpec(doses=1, units=6, threads=(ThreadChoice(kind="orb"),), systems=("dual", "dual+"))
-    table = fake_table(spec)
+    table = pd.concat([fake_table(spec, units=3), fake_table(spec, units=3, code="0ld")], ignore_index=True)
     for name in [name for name in table.columns if name.startswith("cross_")]:
         table[name] = pd.Series(pd.NA, index=table.index, dtype=table[name].dtype)
-    report = report_content(spec, table, tmp_path, FEW)
-    assert "dual+" in report_html(report, {})
-    systems = [(row["system"], row["family"]) for row in report["tables"]["table_2"]]
+    return report_content(spec, table, tmp_path_factory.mktemp("odd"), FEW)
+
+
+def test_one_thread_and_two_systems_and_no_crossing_arm(odd):
+    assert "dual+" in report_html(odd, {})
+    systems = [(row["system"], row["family"]) for row in odd["tables"]["table_2"]]
     assert len(systems) == 8 and ("dual+", "all") in systems
-    assert draw_calibration(report) is None
+    assert draw_calibration(odd) is None
 
 
-def test_records_of_several_code_states_give_a_warning(tmp_path):
-    spec = FakeSpec(doses=1, units=2)
-    table = pd.concat([fake_table(spec, units=1), fake_table(spec, units=1, code="0ld")], ignore_index=True)
-    report = report_content(spec, table, tmp_path, FEW)
-    assert any("2 states of the sources" in warning for warning in report["warnings"])
-    assert report["sources"]["code"] == {"0ld": 3, "c0de": 3}
+def test_records_of_several_code_states_give_a_warning(odd):
+    assert any("2 states of the sources" in warning for warning in odd["warnings"])
+    assert odd["sources"]["code"] == {"0ld": 18, "c0de": 18}
 
 
 def test_text_from_specs_and_records_is_escaped(made):
@@ -219,8 +221,7 @@ def test_text_from_specs_and_records_is_escaped(made):
 @pytest.fixture
 def folder(made, tmp_path, monkeypatch) -> Path:
     """A folder that `read_experiment` knows, with the figures of the made report and one plot."""
-    reader = SimpleNamespace(read_experiment=lambda where: (made.spec, made.table))
-    monkeypatch.setitem(sys.modules, "experiments.campaign.folder", reader)
+    monkeypatch.setattr("experiments.campaign.folder.read_experiment", lambda where: (made.spec, made.table))
     monkeypatch.setattr(
         write, "report_content", lambda spec, table, where: json.loads(json.dumps(made.report))
     )
@@ -239,11 +240,11 @@ def test_recordings_are_made_once_and_linked(made, folder, monkeypatch):
     monkeypatch.setattr("experiments.eq1.trial.record_runs", record_runs, raising=False)
     monkeypatch.setattr("sim.sequence_rendering.render_sequence", lambda scenario: scenario.frame_count)
     monkeypatch.setattr(recordings, "paths_of", lambda runs: {"truth": np.zeros((4, 3))})
-    told = []
-    page = write_report(folder, recordings=3, progress=lambda done, total: told.append((done, total)))
+    steps = []
+    page = write_report(folder, recordings=3, progress=lambda done, total: steps.append((done, total)))
     first = made.report["failures"][:3]
     assert recorded == [(unit["cell"], unit["index"], made.spec.frames) for unit in first]
-    assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    assert steps == [(0, 3), (1, 3), (2, 3), (3, 3)]
     places = [f"recordings/{unit['unit_id']}.rrd" for unit in first]
     links = [attrs.get("href") for tag, attrs in Page(page.read_text()).elements if tag == "a"]
     assert [link for link in links if link.startswith("recordings/")] == places
@@ -319,8 +320,9 @@ def test_a_browser_shows_every_plot_without_complaint(made, tmp_path):
             document.title = `${shown} shown, ${missing} missing, ${wide} beyond the edge`;
         });
     </script>"""
+    html = write_files(made.report, tmp_path).read_text()
     copy = tmp_path / "watched.html"
-    copy.write_text(made.html.replace("<head>", "<head>" + watch))
+    copy.write_text(html.replace("<head>", "<head>" + watch))
     plots = sum(tag == "img" for tag, _ in made.page.elements)
     for width in (400, 1400):
         done = subprocess.run(
