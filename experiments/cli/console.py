@@ -1,4 +1,4 @@
-"""What the commands share: consoles, progress bars, the setting of libraries."""
+"""Common parts of the commands: options, consoles, progress bars."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -15,7 +15,7 @@ err = Console(stderr=True, highlight=False)
 
 
 class FormatChoice(StrEnum):
-    """The forms of sequence folders that can be written."""
+    """Writable forms of sequence folders."""
 
     TUM = "tum"
     KITTI = "kitti"
@@ -23,7 +23,7 @@ class FormatChoice(StrEnum):
 
 
 class ModeChoice(StrEnum):
-    """How tracking, mapping and loop closing share time."""
+    """Scheduling of tracking, mapping and loop closing."""
 
     LOCKSTEP = "lockstep"
     THREADED = "threaded"
@@ -33,23 +33,25 @@ ModeOption = Annotated[
     ModeChoice,
     typer.Option(
         "--mode",
-        help="lockstep: the same seed gives the same bits; threaded: mapping and loop closing run beside "
-        "tracking.",
+        help="lockstep: the same seed gives the same bits; threaded: mapping and loop closing run in "
+        "parallel with tracking.",
     ),
 ]
 RealTimeOption = Annotated[
     bool,
-    typer.Option("--real-time", help="Feed frames at the pace of their stamps, drop and count late ones."),
+    typer.Option(
+        "--real-time", help="Feed frames at the rate of their stamps; late ones are dropped and counted."
+    ),
 ]
 RendererOption = Annotated[
     str | None,
-    typer.Option("--renderer", help="What renders a scenario: mujoco (the default) or pyrender."),
+    typer.Option("--renderer", help="Renderer of scenarios: mujoco (the default) or pyrender."),
 ]
 SeedOption = typer.Option(None, "--seed", min=0, help="Root seed; the scenario's own by default.")
 
 
 def check_real_time(real_time: bool, mode: ModeChoice) -> None:
-    """Raise InputError for a pace that a mode is not made for."""
+    """Raise InputError for --real-time outside threaded mode."""
     from scenarios.errors import InputError
 
     if real_time and mode is not ModeChoice.THREADED:
@@ -57,7 +59,7 @@ def check_real_time(real_time: bool, mode: ModeChoice) -> None:
 
 
 def single_threaded_opencv() -> None:
-    """OpenCV's own threads would take the cores that runs and figures are measured on."""
+    """Switch off OpenCV's own threads, which would disturb measurements."""
     import cv2
 
     cv2.setNumThreads(1)
@@ -65,7 +67,7 @@ def single_threaded_opencv() -> None:
 
 @contextmanager
 def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
-    """Progress on stderr, one bar per step; yields a callback of (step, done, total)."""
+    """Show progress on stderr, one bar per step; yields a callback of (step, done, total)."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as progress:
         tasks: dict[str, int] = {}
@@ -79,17 +81,17 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
 
 
 def print_json_line(value: dict) -> None:
-    """One line of JSON on stdout, unwrapped."""
+    """Print one unwrapped line of JSON on stdout."""
     print(json.dumps(value, allow_nan=False))
 
 
 def number(value: float | None, digits: int = 3, unit: str = "") -> str:
-    """A figure for a table; a dash where there is none."""
+    """Figure for a table; a dash for None."""
     if value is None:
         return "-"
     return f"{value:.{digits}f}{unit}"
 
 
 def share(value: float | None) -> str:
-    """A share as a percentage; a dash where there is none."""
+    """Share as a percentage; a dash for None."""
     return "-" if value is None else f"{100 * value:.1f} %"

@@ -1,4 +1,4 @@
-"""``dslab export``: a sequence or a scenario as a folder in another form."""
+"""``dslab export``: write a sequence or a scenario as a folder in another form."""
 
 from pathlib import Path
 from typing import Annotated
@@ -10,16 +10,16 @@ from experiments.cli.console import FormatChoice, out, progress_bars
 
 def export_command(
     source: Annotated[str, typer.Argument(help="A sequence folder, a scenario's name or its YAML file.")],
-    out_dir: Annotated[Path, typer.Option("--out", help="Folder to make; absent or empty.")],
-    form: Annotated[FormatChoice, typer.Option("--format", help="The form to write.")],
+    out_dir: Annotated[Path, typer.Option("--out", help="Output folder; absent or empty.")],
+    form: Annotated[FormatChoice, typer.Option("--format", help="Form to write.")],
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Root seed; default: the scenario's own.", show_default=False)
+        int | None, typer.Option(min=0, help="Root seed; default: that of the scenario.", show_default=False)
     ] = None,
     depth: Annotated[
         bool | None,
         typer.Option(
             "--depth/--no-depth",
-            help="Depth images (TUM form); default: if a folder has them.",
+            help="Depth images (TUM form); default: if the folder has them.",
             show_default=False,
         ),
     ] = None,

@@ -1,4 +1,4 @@
-"""The page of a gallery: one HTML file beside its pictures, without a script."""
+"""Page of a gallery: one HTML file without a script, beside its pictures."""
 
 from collections.abc import Sequence as Many
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from scenarios.segment_text import SEGMENT_MODELS
 
 _TEMPLATES = Path(__file__).with_name("templates")
 _SHOWN_BLUR_PX = 2.0
-# Steps of the golden angle around the circle of hues: neighbours in the list are far apart.
+# The golden angle: neighbours in the list get distant hues.
 _HUE_STEP_DEG = 137.508
 
 
@@ -60,11 +60,11 @@ class Entry:
 
 
 def gallery_html(entries: Many[Entry], made_by: str) -> str:
-    """The HTML file.
+    """Write the HTML text.
 
     Args:
         entries: at least one; members of a family follow one another.
-        made_by: program and version, for the foot of the page.
+        made_by: program and version, for the footer.
     """
     filters = (
         curves, describe_kind, describe_severity, describe_span, facts, frame_facts, height_colour,

@@ -1,4 +1,4 @@
-"""The path from above, as SVG over the outline of the world."""
+"""Map of a path from above, as SVG over the outline of the world."""
 
 import math
 from collections.abc import Iterator
@@ -42,7 +42,7 @@ _SCALE = Markup(
 
 
 def plan_map(sheet: Sheet) -> Markup:
-    """Map with start, end, direction, segments, numbered frames with viewing direction, and a scale."""
+    """Draw path, direction, segments, numbered frames with viewing directions, and a scale."""
     frame, track = sheet.map_frame, sheet.track
     path = frame.place(track.position_m[:, :2])
     marks = [
@@ -64,7 +64,7 @@ def plan_map(sheet: Sheet) -> Markup:
 
 
 def height_colour(share: float) -> str:
-    """Colour of a height, 0 for the lowest of a path and 1 for the highest."""
+    """Colour of a height, 0 for the lowest and 1 for the highest of a path."""
     red, green, blue = np.rint(_LOW + share * (_HIGH - _LOW)).astype(int)
     return f"#{red:02x}{green:02x}{blue:02x}"
 
@@ -95,7 +95,7 @@ def _line(path: np.ndarray, colour: str | None = None) -> Markup:
 
 
 def _by_height(path: np.ndarray, height_m: np.ndarray) -> Iterator[Markup]:
-    """The path in pieces of one colour each."""
+    """Draw the path in pieces of one colour each."""
     share = (height_m - height_m.min()) / np.ptp(height_m)
     step = np.minimum((share * _HEIGHT_STEPS).astype(int), _HEIGHT_STEPS - 1)
     bounds = [0, *(np.flatnonzero(np.diff(step)) + 1).tolist(), len(path) - 1]
@@ -111,7 +111,7 @@ def _segments(sheet: Sheet) -> Iterator[Markup]:
 
 
 def _arrows(path: np.ndarray) -> Iterator[Markup]:
-    """Arrow heads at equal distances along the path."""
+    """Draw arrow heads at equal distances along the path."""
     along = arc_length(path)
     for reached in along[-1] * (np.arange(_ARROWS) + 0.5) / _ARROWS:
         at = min(int(np.searchsorted(along, reached)), len(path) - 2)
@@ -130,7 +130,7 @@ def _frames(sheet: Sheet) -> Iterator[Markup]:
 
 
 def _scale_bar(px_per_m: float, height_px: float) -> Markup:
-    """A bar of 1, 2 or 5 times a power of ten metres."""
+    """Draw a bar of 1, 2 or 5 times a power of ten metres."""
     at_least_m = _SHORTEST_BAR / px_per_m
     power = 10 ** math.floor(math.log10(at_least_m))
     length_m = next(factor * power for factor in (1, 2, 5, 10) if factor * power >= at_least_m)

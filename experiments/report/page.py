@@ -1,4 +1,4 @@
-"""The page of a report: one HTML file that holds all it shows."""
+"""Page of a report: one self-contained HTML file."""
 
 import base64
 from pathlib import Path
@@ -13,10 +13,10 @@ _TEMPLATES = Path(__file__).with_name("templates")
 
 
 def report_html(report: dict[str, Any], plots: dict[str, Plot]) -> str:
-    """The HTML file: figures rounded from the object that report.json holds, plots as data URIs, no script.
+    """Write the HTML text: rounded figures, plots as data URIs, no script.
 
     Args:
-        report: as `report_content` makes it.
+        report: figures from `report_content`.
         plots: by name.
     """
     return render_page(

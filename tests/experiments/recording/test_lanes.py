@@ -143,7 +143,7 @@ def test_a_recovered_frame_is_known_from_the_fusion_on():
 def test_marks_stand_where_the_camera_was():
     record = run()
     marks = RunPaths(record, lay_out(record)).marks()
-    assert [(m.frame, m.words, m.broke) for m in marks] == [
+    assert [(m.frame, m.label, m.broke) for m in marks] == [
         (BREAKS, "breakage", True),
         (NEW_MAP, "fused", False),
     ]
