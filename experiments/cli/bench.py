@@ -8,10 +8,12 @@ from rich.table import Table
 from typer.core import TyperGroup
 
 from experiments.cli.console import (
+    JsonOption,
     ModeChoice,
     ModeOption,
     RealTimeOption,
     RendererOption,
+    SourceArgument,
     check_real_time,
     number,
     out,
@@ -53,9 +55,7 @@ app = typer.Typer(help=_HELP, cls=_SlamByDefault)
 
 @app.command("slam")
 def slam_command(
-    source: Annotated[
-        str, typer.Argument(help="A sequence folder, a scenario's name or its YAML file.")
-    ] = "clean-room",
+    source: SourceArgument = "clean-room",
     runs: Annotated[
         int | None,
         typer.Option(min=1, help="Number of runs; default: 1, with a peer 5.", show_default=False),
@@ -72,7 +72,7 @@ def slam_command(
             "folder it must write trajectory.txt and summary.json with cpu_ms_median, tracked and frames.",
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as one line of JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Measure the speed of the tracker: CPU milliseconds per stage, frames per second, memory, map size.
 
@@ -169,7 +169,7 @@ def sim_command(
     processes: Annotated[int, typer.Option(min=1, help="Number of rendering processes.")] = 2,
     frames: Annotated[int, typer.Option(min=1, help="Frames per process and figure.")] = 120,
     renderer: RendererOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as one line of JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Measure the simulator at 640x480: frames per second, building time of a large city, memory.
 
@@ -228,7 +228,7 @@ def experiment_command(
     experiment: Annotated[str, typer.Argument(metavar="NAME|SPEC.yaml", help="The experiment.")] = "smoke",
     units: Annotated[int, typer.Option(min=1, help="Units per lap.")] = 4,
     workers: Annotated[int, typer.Option(min=2, help="Workers of the second lap.")] = 2,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as one line of JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Measure units per hour on one worker and on several, and the shares of their CPU time.
 

@@ -1,14 +1,18 @@
 """Common parts of the commands: options, consoles, progress bars."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+if TYPE_CHECKING:
+    from sim.sequence import SegmentTruth
 
 out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)
@@ -47,7 +51,9 @@ RendererOption = Annotated[
     str | None,
     typer.Option("--renderer", help="Renderer of scenarios: mujoco (the default) or pyrender."),
 ]
-SeedOption = typer.Option(None, "--seed", min=0, help="Root seed; the scenario's own by default.")
+SourceArgument = Annotated[str, typer.Argument(help="A sequence folder, a scenario's name or its YAML file.")]
+FolderOption = Annotated[Path, typer.Option("--out", help="Output folder; absent or empty.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one line of JSON.")]
 
 
 def check_real_time(real_time: bool, mode: ModeChoice) -> None:
@@ -78,6 +84,13 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
             progress.update(tasks[step], completed=done, total=total)
 
         yield show
+
+
+def print_segments(segments: "Iterable[SegmentTruth]") -> None:
+    """Print the frames on which each segment acts."""
+    for segment in segments:
+        span = f"frames {segment.first_frame} to {segment.last_frame}"
+        out.print(f"  {segment.kind}: {span if segment.first_frame >= 0 else 'acts on no frame'}")
 
 
 def print_json_line(value: dict) -> None:

@@ -6,7 +6,14 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli.console import FormatChoice, out, progress_bars, single_threaded_opencv
+from experiments.cli.console import (
+    FolderOption,
+    FormatChoice,
+    out,
+    print_segments,
+    progress_bars,
+    single_threaded_opencv,
+)
 
 
 def degrade_command(
@@ -17,7 +24,7 @@ def degrade_command(
             help="kind:key=value,...; repeatable. Times count from the first frame.", show_default=False
         ),
     ],
-    out_dir: Annotated[Path, typer.Option("--out", help="Output folder; absent or empty.")],
+    out_dir: FolderOption,
     form: Annotated[
         FormatChoice | None,
         typer.Option(
@@ -66,7 +73,5 @@ def degrade_command(
         degraded = degrade_sequence(sequence, segments, seed, Path(scratch), show)
         with_depth = target is Form.TUM and degraded.depths is not None
         write_sequence(degraded, out_dir, target, readings, with_depth, show)
-    for truth in degraded.segments:
-        span = f"frames {truth.first_frame} to {truth.last_frame}"
-        typer.echo(f"  {truth.kind}: {span if truth.first_frame >= 0 else 'acts on no frame'}")
+    print_segments(degraded.segments)
     out.print(f"{out_dir}: {len(degraded)} frames in {target} form" + (", with imu0" if readings else ""))

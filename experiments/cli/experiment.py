@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from experiments.cli.console import err, number, out, print_json_line, progress_bars
+from experiments.cli.console import JsonOption, err, number, out, print_json_line, progress_bars
 from experiments.cli.experiment_progress import estimates_text, experiment_progress
 from experiments.cli.fuzz import fuzz_command
 
@@ -31,7 +31,6 @@ MemoryOption = Annotated[
     int,
     typer.Option(min=0, metavar="MB", help="Memory limit of a worker; a unit above it is retried; 0: none."),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one line of JSON.")]
 _TIMEOUT_S, _MEMORY_MB = 1800.0, 4000
 
 

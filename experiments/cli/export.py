@@ -1,16 +1,15 @@
 """``dslab export``: write a sequence or a scenario as a folder in another form."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from experiments.cli.console import FormatChoice, out, progress_bars
+from experiments.cli.console import FolderOption, FormatChoice, SourceArgument, out, progress_bars
 
 
 def export_command(
-    source: Annotated[str, typer.Argument(help="A sequence folder, a scenario's name or its YAML file.")],
-    out_dir: Annotated[Path, typer.Option("--out", help="Output folder; absent or empty.")],
+    source: SourceArgument,
+    out_dir: FolderOption,
     form: Annotated[FormatChoice, typer.Option("--format", help="Form to write.")],
     seed: Annotated[
         int | None, typer.Option(min=0, help="Root seed; default: that of the scenario.", show_default=False)

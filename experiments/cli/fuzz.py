@@ -1,17 +1,16 @@
 """``dslab experiment fuzz``."""
 
 from collections import Counter
-from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.table import Table
 
-from experiments.cli.console import ModeChoice, ModeOption, out, progress_bars
+from experiments.cli.console import FolderOption, ModeChoice, ModeOption, out, progress_bars
 
 
 def fuzz_command(
-    out_dir: Annotated[Path, typer.Option("--out", help="Result folder; absent or empty.")],
+    out_dir: FolderOption,
     units: Annotated[int, typer.Option(min=1, help="Number of scenarios, one seed each.")] = 20,
     start: Annotated[int, typer.Option(min=0, help="First seed.")] = 0,
     systems: Annotated[str, typer.Option("--system", help="Systems, separated by commas.")] = "base,dual",

@@ -1,15 +1,14 @@
 """``dslab scenarios gallery``."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from experiments.cli.console import out, progress_bars, single_threaded_opencv
+from experiments.cli.console import FolderOption, out, progress_bars, single_threaded_opencv
 
 
 def gallery_command(
-    out_dir: Annotated[Path, typer.Option("--out", help="Output folder; absent or empty.")],
+    out_dir: FolderOption,
     names: Annotated[
         list[str] | None,
         typer.Argument(help="Families, members or .yaml files; default: all of dslab.", metavar="[NAME]..."),

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from experiments.cli.console import out, print_json_line
+from experiments.cli.console import JsonOption, out, print_json_line
 
 Row = dict[str, Any]
 
@@ -16,7 +16,7 @@ def paper_command(
     out_dir: Annotated[
         Path | None, typer.Option("--out", help="Folder for paper.json and the plot; absent or empty.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as one line of JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Test Pr(failure) = p0 · prⁿ on the counts in Tables II and III of the paper.
 

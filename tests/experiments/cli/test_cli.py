@@ -18,7 +18,7 @@ from scenarios.errors import InputError
 
 @pytest.fixture
 def synthetic(monkeypatch):
-    """`dslab run anything` runs the fake over the synthetic sequence."""
+    """`dslab run` of any source runs the fake system over a synthetic sequence."""
     sequence = make_sequence()
     monkeypatch.setattr(sources, "open_sequence", lambda source, seed, show, **options: sequence)
     monkeypatch.setattr(
@@ -64,7 +64,7 @@ def test_run_prints_a_table_for_people(dslab, synthetic, tmp_path):
     assert "1 / 1" in out and "91.7 %" in out
 
 
-def test_a_taken_folder_is_one_line_and_exit_2(dslab, synthetic, tmp_path):
+def test_a_folder_with_files_is_one_line_and_exit_2(dslab, synthetic, tmp_path):
     (tmp_path / "x").write_text("")
     code, out, err = dslab("run", "x", "--out", str(tmp_path))
     assert (code, out) == (2, "")
@@ -108,7 +108,7 @@ def test_doctor_without_gl_reports_the_rest_and_exits_2(dslab, monkeypatch):
     assert err.startswith("error: GL: ") and err.count("\n") == 1
 
 
-def test_bench_pools_the_runs(dslab, monkeypatch, synthetic):
+def test_bench_pools_the_frames_of_all_runs(dslab, monkeypatch, synthetic):
     monkeypatch.setattr("slam.warmup.warm_up", lambda progress: None)
     code, out, _ = dslab("bench", "x", "--runs", "2", "--json")
     figures = json.loads(out.splitlines()[-1])
@@ -118,7 +118,7 @@ def test_bench_pools_the_runs(dslab, monkeypatch, synthetic):
 
 
 @pytest.mark.parametrize("arguments", [["x"], ["slam", "x"], ["--seed", "3", "x"]], ids=" ".join)
-def test_bench_without_a_command_is_that_of_the_tracker(dslab, monkeypatch, synthetic, arguments):
+def test_bench_without_a_command_measures_the_tracker(dslab, monkeypatch, synthetic, arguments):
     monkeypatch.setattr("slam.warmup.warm_up", lambda progress: None)
     code, out, _ = dslab("bench", *arguments, "--json")
     assert code == 0

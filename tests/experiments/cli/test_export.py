@@ -19,7 +19,7 @@ world: {kind: corridor, length_m: 10, turns: 0}
 camera: {width_px: 96, height_px: 64, fx_px: 70, fy_px: 70, cx_px: 47.5, cy_px: 31.5, fps: 20, %s}
 segments: [{kind: motion_blur, start_s: 0.4, duration_s: 0.3, exposure_s: 0.04}]
 """
-# One seed for all: the world that was built last is kept.
+# The same seed everywhere: only the last world is cached.
 SEED = ("--seed", "3")
 FISHEYE = "distortion: {model: equidistant, k1: -0.01, k2: 0.02}"
 

@@ -1,4 +1,4 @@
-"""``dslab paper``: the paper's own counts against Eq. 1."""
+"""``dslab paper``: Eq. 1 on the counts of the paper."""
 
 import json
 

@@ -77,7 +77,7 @@ def test_the_page_names_every_scenario_once(gallery, page):
         assert f"dslab render {name} --seed 0 --out DIR" in page.text
 
 
-def test_the_page_is_well_formed_and_its_links_lead_somewhere(page):
+def test_the_page_is_well_formed_and_its_links_have_targets(page):
     ids = Counter(attrs["id"] for _, attrs in page.elements if "id" in attrs)
     assert set(ids.values()) == {1}
     for attrs in page.all("a"):
@@ -85,13 +85,13 @@ def test_the_page_is_well_formed_and_its_links_lead_somewhere(page):
     assert not page.all("script")
 
 
-def test_descriptions_are_text_and_no_markup(page):
+def test_descriptions_are_escaped(page):
     assert not [attrs for attrs in page.all("b") if attrs]
     assert 'Two <b>short</b> corridors & "more".' in page.text
     assert "Nothing happens." in page.text
 
 
-def test_every_picture_is_there_and_every_file_is_shown(gallery, page):
+def test_every_picture_exists_and_every_file_is_shown(gallery, page):
     folder = gallery[0].page.parent
     shown = {attrs["src"] for attrs in page.all("img")} | {attrs["href"] for attrs in page.all("image")}
     assert all(attrs["alt"] for attrs in page.all("img"))
@@ -126,7 +126,7 @@ def test_parameters_are_shown_with_the_drawn_values(page, scenario_files):
     assert f"{drawn.segments[0].illumination:.4g}" in page.text
 
 
-def test_a_thumbnail_is_the_frame_of_the_sequence_made_smaller(gallery, scenario_files, tmp_path):
+def test_a_thumbnail_is_the_reduced_frame_of_the_sequence(gallery, scenario_files, tmp_path):
     folder = gallery[0].page.parent
     whole = render_sequence(load_family(scenario_files / "pair.yaml" / "dim").sample(0), cache_dir=tmp_path)
     pictures = sorted((folder / "pictures" / "pair.dim" / "seed-0").glob("*.jpg"))
@@ -188,11 +188,11 @@ def test_the_command_passes_its_options_on_and_prints_the_page(dslab, monkeypatc
 
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium")
-def test_a_browser_shows_every_picture_without_complaint(gallery, page, tmp_path):
+def test_a_browser_shows_every_picture_without_errors(gallery, page, tmp_path):
     folder = shutil.copytree(gallery[0].page.parent, tmp_path / "copy")
     pictures = len(page.all("img"))
     assert seen_by_browser(folder, tmp_path) == (f"{pictures} shown, 0 missing", False)
-    # What would be missing is noticed: the page's first picture, shown in the contents and below, and a map.
+    # A missing file is detected: here the first picture, shown twice on the page, and a map.
     (folder / page.all("img")[0]["src"]).unlink()
     (folder / page.all("image")[0]["href"]).unlink()
     assert seen_by_browser(folder, tmp_path) == (f"{pictures - 2} shown, 3 missing", True)

@@ -26,7 +26,7 @@ def plan_of(frames: int) -> FramePlan:
 
 
 @pytest.mark.parametrize("count", [1, 9])
-def test_every_segment_has_a_frame_and_the_rest_is_spread(count):
+def test_every_segment_has_a_frame_and_the_others_are_spread(count):
     plan = plan_of(300)
     segments = tuple(
         parse_segment(f"fog:start_s={t},duration_s=0.4,extinction_per_m=1") for t in (3, 3.5, 20)
@@ -44,11 +44,11 @@ def test_a_sequence_of_few_frames_shows_each_once():
     assert chosen_frames(plan_of(3), (), 8) == [0, 1, 2]
 
 
-def test_frames_are_chosen_among_those_that_were_not_dropped():
+def test_dropped_frames_are_not_chosen():
     segment = parse_segment("frame_drops:start_s=3,duration_s=1,share=1")
     plan = FrameDropsDegradation().apply(plan_of(100), segment)  # pyright: ignore
     chosen = chosen_frames(plan, (segment,), 4)
-    # The segment's last frame always stays.
+    # The last frame of the segment is never dropped.
     assert plan.frame[chosen].tolist().count(39) == 1
 
 
@@ -71,7 +71,7 @@ def test_a_level_cut_is_the_floor_plan():
     assert len(level_cut(world, 3.0)) == 0
 
 
-def test_the_outline_is_drawn_where_things_stand():
+def test_the_outline_is_drawn_at_the_place_of_the_objects():
     frame = frame_of(np.array([[0.0, 0.0], [10.0, 5.0]]))
     world = WorldModel([box((4, 2, 0), (6, 3, 2))], 118.0)
     picture = draw_outline(world, np.full(5, 1.5), frame)

@@ -1,4 +1,4 @@
-"""The report of an experiment: its figures are those of the table, its page shows them and stands alone."""
+"""Report of an experiment: its figures are those of the table, its page is self-contained."""
 
 import errno
 import json
@@ -76,7 +76,7 @@ def test_figures_are_those_of_the_table(made):
             assert level["predicted"]["value"] == pytest.approx(predicted, rel=0.5, abs=0.02)
 
 
-def test_units_are_all_accounted_for(made):
+def test_every_unit_is_counted_once(made):
     units = made.report["units"]
     assert units["planned"] == units["recorded"] == len(made.table) == 120
     assert units["completed"] + units["void"] + units["errors"] == 120
@@ -99,7 +99,7 @@ def test_every_recovery_of_table_3_is_a_success_or_a_failure(made):
     assert second["reduction_of_breakage"] == 1 - rows[-1]["failure"] / rows[-1]["needs_recovery"]
 
 
-def test_time_of_recovery_counts_only_threads_that_the_system_would_run(made):
+def test_recovery_time_counts_only_threads_that_the_system_would_run(made):
     done = made.table[(made.table["outcome"] == "completed") & made.table["reinit"].fillna(False)]
     first = done["free_r1_cpu_ms"]
     second = done["free_r2_cpu_ms"].where(~done["free_r1_declared"], 0)
@@ -122,7 +122,7 @@ def test_every_failed_unit_is_listed_with_its_command(made):
     assert "dual failure (n = 1, 2)" in what and "silent failure" in what and "false recovery" in what
 
 
-def test_the_page_says_first_that_the_verdict_is_withdrawn(made):
+def test_the_page_begins_with_the_withdrawn_verdict(made):
     text = made.page.text
     verdict = made.report["verdict"]
     assert text.index(verdict["headline"]) < text.index("Predicted and measured", text.index("Skip to") + 400)
@@ -152,7 +152,7 @@ def test_the_page_stands_alone(made):
             assert attrs["aria-labelledby"] in ids
 
 
-def test_the_page_is_made_for_all(made):
+def test_the_page_is_accessible(made):
     tags = [tag for tag, _ in made.page.elements]
     assert tags.count("h1") == 1 and tags.count("main") == 1
     levels = [int(tag[1]) for tag in tags if re.fullmatch(r"h[1-6]", tag)]
@@ -288,13 +288,13 @@ def test_paths_are_kept_and_shown(made, tmp_path):
     }
     figure = draw_paths(paths, {"b": "cell 0"})
     assert figure is not None and figure.axes[0].get_title() == "cell 0"
-    # From above: the two axes in which the path extends.
+    # Drawn in the plane of the two longest axes.
     assert np.array_equal(figure.axes[0].lines[0].get_xydata(), truth[:, :2])
     assert "paths from above" in report_html(made.report, {"paths": PLOT})
     assert read_paths(tmp_path / "elsewhere") == {}
 
 
-def test_the_path_of_a_broken_run_ends_where_it_broke():
+def test_the_path_of_a_broken_run_ends_at_the_breakage():
     sequence = make_sequence()
     build = fake_factory(sequence, breaks_at=220)
     paths = paths_of([execute(sequence, kind, 0, build=build) for kind in ("base", "dual")])
@@ -308,7 +308,7 @@ def test_the_path_of_a_broken_run_ends_where_it_broke():
 
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium")
-def test_a_browser_shows_every_plot_without_complaint(made, tmp_path):
+def test_a_browser_shows_every_plot_without_errors(made, tmp_path):
     watch = """<script>
         let missing = 0;
         addEventListener('error', () => { missing += 1; }, true);
