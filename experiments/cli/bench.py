@@ -74,7 +74,7 @@ def slam_command(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure the speed of the tracker: CPU milliseconds per stage, frames per second, memory, map size.
+    """Measure the tracker: CPU milliseconds per stage, frames per second, memory, map size.
 
     Kernels are compiled before the measurement. With `--peer`, both systems are compared on the same frames:
     tracking CPU per frame, ATE, share of frames tracked. For example:
@@ -230,7 +230,7 @@ def experiment_command(
     workers: Annotated[int, typer.Option(min=2, help="Workers of the second lap.")] = 2,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure units per hour on one worker and on several, and the shares of their CPU time.
+    """Measure units per hour on one and several workers, and shares of CPU time.
 
     The cache of rendered sequences is not used. On a shared machine, use the shares of CPU time. For example:
 

@@ -141,7 +141,7 @@ def power_command(
     cells: Annotated[int, typer.Option(min=1, help="Number of cells tested together (Holm correction).")] = 1,
     as_json: JsonOption = False,
 ) -> None:
-    """Print the number of units per cell needed for a ratio and a power. For example:
+    """Print the units per cell needed for a ratio and a power. For example:
 
     `dslab experiment power --p0 0.25 --pr 0.2 --n 2 --ratio 2 --power 0.8`
 

@@ -31,7 +31,7 @@ def export_command(
         ),
     ] = None,
 ) -> None:
-    """Write a sequence or a scenario in TUM, KITTI or EuRoC form, with its ground truth.
+    """Write a sequence or scenario in TUM, KITTI or EuRoC form, with ground truth.
 
     Sequences are read in those forms and in TUM-mono form; `dslab run` takes any of them.
 

@@ -46,7 +46,7 @@ def fuzz_command(
 
 
 def _print_failure(row: dict) -> None:
-    """Print the failure of a run with its traceback and the command to repeat it, if it failed."""
+    """Print failure, traceback and repeat command of a failed run."""
     from experiments.fuzz.fuzzing import failed, replay_command
 
     for bad in failed([row]):

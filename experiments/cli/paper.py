@@ -18,7 +18,7 @@ def paper_command(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Test Pr(failure) = p0 · prⁿ on the counts in Tables II and III of the paper.
+    """Test Pr(failure) = p0 · prⁿ on Tables II and III of the paper.
 
     Runs no SLAM. With --out writes paper.json, paper.png and paper.svg. For example:
 

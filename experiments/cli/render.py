@@ -39,7 +39,7 @@ def render_command(
         bool, typer.Option("--no-cache", help="Render without using or filling the cache.")
     ] = False,
 ) -> None:
-    """Render a scenario to a folder in TUM, KITTI or EuRoC form: frames, exact ground truth, segments.
+    """Render a scenario in TUM, KITTI or EuRoC form: frames, exact ground truth, segments.
 
     For example:
 

@@ -48,7 +48,7 @@ def show(
         typer.Option(min=0, help="Draw with this seed and write out every default.", show_default=False),
     ] = None,
 ) -> None:
-    """Print a scenario or family as written, or with a seed the scenario drawn from it.
+    """Print a scenario or family as written, or the scenario drawn with a seed.
 
     Either is YAML to start your own from.
 

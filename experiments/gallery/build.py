@@ -79,7 +79,7 @@ def make_gallery(
 
 
 def _families(names: list[str]) -> list[tuple[Family, Family]]:
-    """Each family to sample with the family it is a member of, once, members in sequence."""
+    """Each family to sample, once, with its group; members follow one another."""
     found: dict[str, Family] = {}
     groups: dict[Path, Family] = {}
     for name in names or family_names():

@@ -52,7 +52,7 @@ def frame_of(xy_m: np.ndarray) -> MapFrame:
 
 
 def draw_outline(world: WorldModel, heights_m: np.ndarray, frame: MapFrame) -> np.ndarray:
-    """Draw the outline as an (h, w, 4) uint8 picture, grey lines on a transparent ground.
+    """Draw the outline, (h, w, 4) uint8, as grey lines on a transparent ground.
 
     Args:
         world: the world to cut.
@@ -73,7 +73,7 @@ def draw_outline(world: WorldModel, heights_m: np.ndarray, frame: MapFrame) -> n
 
 
 def level_cut(world: WorldModel, z_m: float) -> np.ndarray:
-    """End points, (n, 2, 2), of the lines in which the world's triangles cross a level."""
+    """Ends, (n, 2, 2), of the lines where the world's triangles cross a level."""
     corners = np.concatenate([s.vertices[s.triangles] for s in world.surfaces])
     above_m = corners[..., 2] - z_m
     corners = corners[(above_m.max(axis=1) > 0) & (above_m.min(axis=1) <= 0)]

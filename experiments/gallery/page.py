@@ -82,7 +82,7 @@ def gallery_html(entries: Many[Entry], made_by: str) -> str:
 
 
 def parameter_rows(entry: Entry) -> list[tuple[str, ...]]:
-    """Label, distribution and value per seed of each drawn parameter; equal rows of options only once."""
+    """Label, distribution and value per seed of each drawn parameter, without equal rows."""
     family = entry.family
     rows = {}
     for place, distribution in family.parameters.items():

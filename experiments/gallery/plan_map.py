@@ -64,7 +64,7 @@ def plan_map(sheet: Sheet) -> Markup:
 
 
 def height_colour(share: float) -> str:
-    """Colour of a height, 0 for the lowest and 1 for the highest of a path."""
+    """Colour of a relative height, 0 for the lowest and 1 for the highest."""
     red, green, blue = np.rint(_LOW + share * (_HIGH - _LOW)).astype(int)
     return f"#{red:02x}{green:02x}{blue:02x}"
 

@@ -1,4 +1,4 @@
-"""Curves and ticks along the time of a sequence."""
+"""Curves and ticks over the time of a sequence."""
 
 import math
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ _NEAR_THE_END = 0.94
 
 
 def curves(sheet: Sheet) -> dict[str, str]:
-    """SVG points of speed, angular rate and, where the path climbs, height, by label with range and unit."""
+    """SVG points of speed, angular rate and, for a climb, height, by label."""
     track = sheet.track
     found = {
         f"speed, to {measured(track.speed_mps.max())} m/s": _points(track.stamps_s, track.speed_mps, 0.0),
@@ -42,8 +42,9 @@ def _points(stamps_s: np.ndarray, values: np.ndarray, base: float) -> str:
 
 
 def ticks(duration_s: float) -> Iterator[tuple[float, str]]:
-    """Time and CSS class of each tick; the first and a last one near the end stay within the axis."""
+    """Time and CSS class of each tick."""
     power = 10 ** math.floor(math.log10(duration_s / _MOST_TICKS))
     step_s = next(f * power for f in (1, 2, 5, 10) if f * power * _MOST_TICKS >= duration_s)
     for stamp_s in np.arange(0, duration_s + 1e-9, step_s):
+        # The first and a last one near the end are shifted into the axis.
         yield stamp_s, "first" if stamp_s == 0 else "last" if stamp_s > _NEAR_THE_END * duration_s else ""

@@ -6,7 +6,7 @@ _LEVELS = {"breakage": "ERROR", "map_dropped": "WARN"}
 
 
 def describe_event(event: Event) -> tuple[str, str]:
-    """Text and log level of an event: time, frame, kind and the fields that are not empty.
+    """Text and log level of an event: time, frame, kind, non-empty fields.
 
     Lists are given by their length.
     """

@@ -41,8 +41,9 @@ def draw_truth(stream: Stream, sequence: Sequence, scene: Scene, shrink: float) 
 
 
 def pinhole(sequence: Sequence, shrink: float, size: float, color: Color) -> rr.Pinhole:
-    """Camera of the sequence; pixel (0, 0) is a corner in rerun, here the centre of the first pixel."""
+    """Pinhole camera of the sequence for rerun."""
     camera = sequence.camera
+    # Pixel (0, 0) is a corner in rerun, here the centre of the first pixel.
     K = np.array([[camera.fx, 0, camera.cx + 0.5], [0, camera.fy, camera.cy + 0.5], [0, 0, 1]])
     K[:2] *= shrink
     return rr.Pinhole(
@@ -104,7 +105,7 @@ class RunDrawing:
             self._stream.log(f"events/{self._name}", event.frame, line)
 
     def _draw_camera(self) -> None:
-        """Draw the estimated camera in the colour of its state; without a pose it keeps its place."""
+        """Draw the estimated camera in the colour of its state; without a pose it stays."""
         entity, state = f"{self._world}/camera", None
         for result in self._record.results:
             if result.state != state:
@@ -119,7 +120,7 @@ class RunDrawing:
             self._stream.poses(entity, live.frames, alignment.poses(live.T_map_cam))
 
     def _draw_paths(self) -> None:
-        """Draw the paths over time: live per map, recovered, and the true path without a pose."""
+        """Draw the paths over time: live per map, recovered, and lost."""
         last = len(self._record.results) - 1
         step = max(1, round(_STEP_S * self._record.sequence.camera.fps))
         changes = {e.frame for e in self._record.events}

@@ -31,7 +31,7 @@ class Lane:
     colors: dict[str, Color] = field(default_factory=dict)
 
     def add(self, frame: int, value: str, color: Color | None = None) -> None:
-        """Set the value from a frame on; a second value for a frame replaces the first."""
+        """Set the value from a frame on; a later call for the frame replaces it."""
         if self.changes and self.changes[-1][0] == frame:
             self.changes.pop()
         if not self.changes or self.changes[-1][1] != value:
@@ -87,7 +87,7 @@ def _marks(record: RunRecord) -> Lane:
 
 
 def _mark_list(events: Iterable[Event]) -> list[tuple[int, str, Color]]:
-    """(frame, label, colour) per frame; events of one frame share a mark, in the last one's colour."""
+    """Marks as (frame, label, colour); events of one frame share a mark."""
     marks: list[tuple[int, str, Color]] = []
     for event in events:
         found = _mark(event)
@@ -119,7 +119,7 @@ _MARKS: dict[str, tuple[str, Color]] = {
 
 
 def _recoveries(record: RunRecord) -> list[Lane]:
-    """One lane per recovery thread: at work from start to end, then its outcome as a mark."""
+    """One lane per recovery thread: at work, then its outcome as a mark."""
     threads = sorted({e.thread for e in record.events if isinstance(e, RecoveryStart | RecoveryEnd)})
     return [_recovery(record, thread) for thread in threads]
 

@@ -51,7 +51,7 @@ class RunPaths:
             self._placed[trajectory.frames] = trajectory.T_map_cam[:, :3, 3]
 
     def live(self, map_id: int, frame: int) -> np.ndarray:
-        """(n, 4, 4) live camera poses in a map up to a frame, in the world."""
+        """Live camera poses, (n, 4, 4) in the world, in a map up to a frame."""
         live = self._record.live[map_id]
         poses = live.T_map_cam[live.frames <= frame]
         return self._scene.alignments[map_id].poses(poses)

@@ -117,9 +117,9 @@ def _warnings(units: dict[str, Any], table: pd.DataFrame) -> list[str]:
 
 def _calibration(analysis: dict[str, Any]) -> list[dict[str, Any]]:
     """One point per cell and n; cells are numbered from 1 in order."""
-    wanted = ("n", "predicted", "measured", "ratio", "verdict", "holm_p", "power_ratio_2")
+    names = ("n", "predicted", "measured", "ratio", "verdict", "holm_p", "power_ratio_2")
     return [
-        {"number": place, "cell": cell["cell"]} | {name: level[name] for name in wanted}
+        {"number": place, "cell": cell["cell"]} | {name: level[name] for name in names}
         for place, cell in enumerate(analysis["cells"], 1)
         for level in cell["levels"]
     ]

@@ -12,7 +12,7 @@ from experiments.statistics.paper import TABLE_II, TABLE_III
 
 @dataclass(frozen=True)
 class PaperSequence:
-    """A row of Table I: median RMSE in metres over ten trials; None without a map.
+    """Row of Table I: median RMSE in metres over ten trials, None without a map.
 
     Attributes:
         unstable: True if some trials of ORB-SLAM failed.

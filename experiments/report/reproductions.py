@@ -1,4 +1,4 @@
-"""Tables I to III and Figures 6, 7 and 9 of the paper, reproduced from an experiment's units.
+"""Tables I to III and Figures 6, 7 and 9 of the paper, from an experiment.
 
 Families of cells take the place of the paper's data sets. The data and the failures differ from the paper's:
 compare patterns, not numbers.
@@ -121,7 +121,7 @@ def _recoveries(units: pd.DataFrame, threads: int) -> dict[str, Any]:
 def initialisation(
     table: pd.DataFrame, systems: Mapping[str, str], frames_per_s: Mapping[str, float]
 ) -> list[dict[str, Any]]:
-    """Seconds to a new map per cell, from the breakage and from the end of the exposed segment.
+    """Seconds to a new map per cell, after the breakage and after the exposed segment.
 
     Args:
         table: the records.
@@ -171,7 +171,7 @@ def _profile(row: pd.Series) -> dict[str, Any]:
 
 
 def end_errors(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Position errors of the last pose in metres per cell and unit; None without a pose."""
+    """Position error of the last pose in metres per cell and unit, or None."""
     cells = (
         (cell, units.sort_values("index")) for cell, units in completed(table).groupby("cell", sort=False)
     )

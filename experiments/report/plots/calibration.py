@@ -20,7 +20,7 @@ _LOWEST = 1e-6
 
 
 def draw_calibration(report: dict[str, Any]) -> Figure | None:
-    """Draw the measured over the predicted share of every cell and n, on log axes with intervals.
+    """Draw measured against predicted shares of every cell and n, on log axes.
 
     A share below the range of the axes, such as zero, is drawn on their edge.
     """

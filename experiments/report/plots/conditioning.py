@@ -60,7 +60,7 @@ def _draw_panel(axes: Axes, errors: dict[str, Any], marks: list[dict[str, Any]])
 
 
 def _draw_slope(axes: Axes, errors: dict[str, Any]) -> None:
-    """Draw the slope over all gaps through the centre of the medians; it has no intercept of its own."""
+    """Draw the slope over all gaps; without an intercept, through the centre of the medians."""
     slope = errors["slope"]["value"]
     points = [(g["baseline_m"], g["error"]["value"]) for g in errors["gaps"] if g["error"]["value"]]
     if slope is None or len(points) < 2:

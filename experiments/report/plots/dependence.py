@@ -19,7 +19,7 @@ _WIDEST = 100.0
 
 
 def draw_dependence(report: dict[str, Any]) -> Figure | None:
-    """Draw the ratios rho_j = P(R_j|B) / P(R_j) with intervals on a log axis; 1 is independence."""
+    """Draw the ratios rho_j = P(R_j|B) / P(R_j) with intervals; 1 is independence."""
     cells = report["analysis"]["cells"]
     rows = [
         (place, thread["thread"], thread["rho"])

@@ -25,7 +25,7 @@ _LEAST_SHARE = 1e-5
 
 
 def draw_dose_response(report: dict[str, Any]) -> Figure | None:
-    """Draw p0 and every pr_j against severity with fits and bands, a panel per degradation kind."""
+    """Draw p0 and every pr_j against severity, a panel per degradation kind."""
     fits = [fit for fit in report["analysis"]["dose_response"] if fit["points"]]
     kinds = {kind: list(own) for kind, own in groupby(fits, key=lambda fit: fit["kind"])}
     if not kinds:
@@ -87,7 +87,7 @@ def _quantity_words(quantity: str) -> str:
 
 
 def draw_heterogeneity(report: dict[str, Any]) -> Figure | None:
-    """Draw per n Eq. 1 within cells, Eq. 1 of the pooled shares, and the measured share."""
+    """Draw Eq. 1 within cells, Eq. 1 of pooled shares and measured shares, per n."""
     levels = [
         level for level in report["analysis"]["heterogeneity"]["eckhardt_lee"] if level["measured"]["units"]
     ]

@@ -8,7 +8,7 @@ from experiments.report.plots.style import GREEN, ORANGE, bars, log_ticks, new_f
 
 
 def draw_paper(rows: list[dict[str, Any]]) -> Figure:
-    """Draw prediction by Eq. 1 for two threads and published failures, per row of Table III.
+    """Draw published failures and predictions of Eq. 1 per row of Table III.
 
     Args:
         rows: rows of the re-analysis as plain data.

@@ -16,7 +16,7 @@ _STYLES = {
 
 
 def draw_paths(paths: dict[str, dict[str, np.ndarray]], names: dict[str, str]) -> Figure | None:
-    """Draw a panel per unit, in the plane of the two longest axes of the true path.
+    """Draw a panel per unit, in the plane of the path's two longest axes.
 
     Args:
         paths: paths from `paths_file.read_paths`.

@@ -58,7 +58,7 @@ def percent_axis(axis: Any) -> None:
 
 
 def log_ticks(axis: Any, low: float, high: float) -> None:
-    """Set ticks at 1, 2 and 5 on a short axis, at powers of ten on a long one."""
+    """Set log ticks at 1, 2 and 5, or at powers of ten on long axes."""
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 150 * low else (1.0,), numticks=20))
 
 

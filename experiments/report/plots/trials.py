@@ -1,4 +1,4 @@
-"""Plots of single trials: profiles over frames (Fig. 7 of the paper), last errors (Fig. 9)."""
+"""Plots of single trials: profiles over frames (Fig. 7), last errors (Fig. 9)."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""The demonstration writes its files, replaces only its own, and prints a table of the outcome."""
+"""The demonstration writes its files, replaces only its own, and prints a table."""
 
 import io
 

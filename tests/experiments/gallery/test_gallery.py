@@ -49,7 +49,7 @@ def scenario_files(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def gallery(scenario_files, tmp_path_factory):
-    """A gallery of a family of two and a lone scenario, and the steps of its progress."""
+    """A gallery of a family of two and a lone scenario, and its progress steps."""
     steps = []
     names = [str(scenario_files / name) for name in ("lone.yaml", "pair.yaml", "pair.yaml/dim")]
     made = make_gallery(
@@ -199,7 +199,7 @@ def test_a_browser_shows_every_picture_without_errors(gallery, page, tmp_path):
 
 
 def seen_by_browser(folder, profile) -> tuple[str, bool]:
-    """Pictures that a headless Chromium shows, all details open, and True if its console has messages."""
+    """Pictures shown and missing in a headless Chromium, and True for console messages."""
     html = (
         (folder / "index.html")
         .read_text()

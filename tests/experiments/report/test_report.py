@@ -164,10 +164,10 @@ def test_the_page_is_accessible(made):
 
 
 def test_every_plot_is_written_as_png_and_svg(made):
-    wanted = {"calibration", "dependence", "dose_response", "heterogeneity", "timeline", "end_errors"}
+    names = {"calibration", "dependence", "dose_response", "heterogeneity", "timeline", "end_errors"}
     files = {path.name for path in (made.folder / "plots").iterdir()}
-    assert files == {f"{name}.{form}" for name in wanted for form in ("png", "svg")}
-    assert sum(tag == "img" for tag, _ in made.page.elements) == len(wanted)
+    assert files == {f"{name}.{form}" for name in names for form in ("png", "svg")}
+    assert sum(tag == "img" for tag, _ in made.page.elements) == len(names)
     assert sorted(path.name for path in made.folder.iterdir()) == ["plots", "report.html", "report.json"]
 
 
@@ -189,7 +189,7 @@ def test_an_experiment_without_a_unit_has_a_report(tmp_path):
 
 @pytest.fixture(scope="module")
 def odd(tmp_path_factory):
-    """A report of one thread and two systems without a crossing arm, of records of two code states."""
+    """Report of one thread, two systems, two code states and no crossing arm."""
     spec = FakeSpec(doses=1, units=6, threads=(ThreadChoice(kind="orb"),), systems=("dual", "dual+"))
     table = pd.concat([fake_table(spec, units=3), fake_table(spec, units=3, code="0ld")], ignore_index=True)
     for name in [name for name in table.columns if name.startswith("cross_")]:
