@@ -1,4 +1,4 @@
-"""The demonstration: one scenario through several systems, with a picture and one recording of all."""
+"""Demonstration: several systems on one scenario, with a picture and a common recording."""
 
 from collections.abc import Callable
 from collections.abc import Sequence as Many
@@ -25,18 +25,18 @@ def run_demo(
     build: SystemFactory | None = None,
     systems: Many[SystemKind] = SYSTEMS,
 ) -> dict[SystemKind, dict]:
-    """Run the systems and write a folder for each, and recording.rrd and demo.png of all beside them.
+    """Run the systems and write a folder for each, with a common recording.rrd and demo.png.
 
     Args:
         sequence: the rendered scenario.
         seed: root seed of the systems.
         out_dir: absent, empty, or an earlier demonstration, which is replaced.
         progress: called with (step, done, total).
-        build: makes the systems; ``slam.factory.build_system`` by default.
-        systems: which, in the order in which they are shown.
+        build: factory of the systems; ``slam.factory.build_system`` by default.
+        systems: kinds of systems, in display order.
 
     Returns:
-        The summary of each system.
+        Summary of each system.
 
     Raises:
         InputError: the folder is taken or not writable, or the disk is full.

@@ -8,10 +8,12 @@ from rich.table import Table
 from typer.core import TyperGroup
 
 from experiments.cli.console import (
+    JsonOption,
     ModeChoice,
     ModeOption,
     RealTimeOption,
     RendererOption,
+    SourceArgument,
     check_real_time,
     number,
     out,
@@ -22,9 +24,9 @@ from experiments.cli.console import (
 )
 from experiments.cli.run import SystemChoice
 
-_HELP = """Measure the speed of the tracker, with `sim` of the simulator, with `experiment` of whole units.
+_HELP = """Measure the speed of the tracker (`slam`), the simulator (`sim`) or whole units (`experiment`).
 
-`dslab bench` alone and `dslab bench SOURCE` are `dslab bench slam`. For example:
+`dslab bench` and `dslab bench SOURCE` are short for `dslab bench slam`. For example:
 
 `dslab bench`
 
@@ -40,7 +42,7 @@ _RUNS, _RUNS_WITH_PEER = 1, 5
 
 
 class _SlamByDefault(TyperGroup):
-    """What names no command goes to ``slam``."""
+    """Command group that passes arguments without a command to ``slam``."""
 
     def parse_args(self, ctx, args: list[str]) -> list[str]:
         if not args or args[0] not in {*self.commands, *ctx.help_option_names}:
@@ -53,12 +55,10 @@ app = typer.Typer(help=_HELP, cls=_SlamByDefault)
 
 @app.command("slam")
 def slam_command(
-    source: Annotated[
-        str, typer.Argument(help="A sequence folder, a scenario's name or its YAML file.")
-    ] = "clean-room",
+    source: SourceArgument = "clean-room",
     runs: Annotated[
         int | None,
-        typer.Option(min=1, help="How often to run it; 1, with a peer 5.", show_default=False),
+        typer.Option(min=1, help="Number of runs; default: 1, with a peer 5.", show_default=False),
     ] = None,
     system: Annotated[SystemChoice, typer.Option(help="The SLAM system.")] = SystemChoice.BASE,
     seed: Annotated[int | None, typer.Option(min=0, help="Root seed.")] = None,
@@ -68,16 +68,16 @@ def slam_command(
     peer: Annotated[
         str | None,
         typer.Option(
-            help="Command of another system, run in turn with ours: given a TUM-form folder and a result "
-            "folder, it must leave trajectory.txt and summary.json with cpu_ms_median, tracked and frames.",
+            help="Command of another system, run in turn with ours: from a TUM-form folder and a result "
+            "folder it must write trajectory.txt and summary.json with cpu_ms_median, tracked and frames.",
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as one line of JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
-    """Measure the speed of the tracker: CPU milliseconds per stage, frames per second, memory, map size.
+    """Measure the tracker: CPU milliseconds per stage, frames per second, memory, map size.
 
-    Kernels are compiled before anything is measured. With `--peer`, both systems are compared on the same
-    frames: tracking CPU per frame, ATE, share of frames tracked. For example:
+    Kernels are compiled before the measurement. With `--peer`, both systems are compared on the same frames:
+    tracking CPU per frame, ATE, share of frames tracked. For example:
 
     `dslab bench slam path/to/sequence --runs 3`
 
@@ -113,7 +113,7 @@ def slam_command(
         return
     out.print(_stages_table(figures))
     out.print(
-        f"{number(figures['frames_per_s'], 1)} frames per second in all, "
+        f"{number(figures['frames_per_s'], 1)} frames per second overall, "
         f"peak memory {number(figures['peak_rss_mb'], 0)} MiB, "
         f"{figures['keyframes']} keyframes, {figures['map_points']} map points, "
         f"{figures['tracked']} of {figures['frames']} frames tracked"
@@ -155,7 +155,7 @@ def _comparison_table(comparison: dict[str, Any], runs: int) -> Table:
         ("tracking CPU ms per frame", "cpu_ms_median", lambda value: number(value, 2)),
         ("ATE m (RMSE, Sim(3))", "ate_m", lambda value: number(value, 4)),
         ("frames tracked live", "share_tracked", share),
-        ("frames with a pose in the end", "share_with_pose", share),
+        ("frames with a final pose", "share_with_pose", share),
         ("first tracked frame", "first_tracked_frame", lambda value: number(value, 0)),
     )
     for name, figure, shown in rows:
@@ -166,15 +166,14 @@ def _comparison_table(comparison: dict[str, Any], runs: int) -> Table:
 
 @app.command("sim")
 def sim_command(
-    processes: Annotated[int, typer.Option(min=1, help="How many render at once.")] = 2,
+    processes: Annotated[int, typer.Option(min=1, help="Number of rendering processes.")] = 2,
     frames: Annotated[int, typer.Option(min=1, help="Frames per process and figure.")] = 120,
     renderer: RendererOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as one line of JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
-    """Measure the simulator at 640x480: frames per second, a large city's building time, memory.
+    """Measure the simulator at 640x480: frames per second, building time of a large city, memory.
 
-    Processes start together once all are ready. Where the machine is shared with other work, look at the
-    CPU time of a frame. For example:
+    Processes start together once all are ready. On a shared machine, use the CPU time per frame. For example:
 
     `dslab bench sim`
     """
@@ -187,29 +186,29 @@ def sim_command(
         print_json_line(figures)
         return
     out.print(_rates_table(figures))
-    build, asked = figures["build"], figures["asked"]
+    build, targets = figures["build"], figures["asked"]
     out.print(
         f"City of 1 km: built in {number(build['build_s'], 1)} s, {number(build['build_cpu_s'], 1)} s of CPU "
-        f"(asked: at most {number(asked['build_s'], 0)} s), "
-        f"loaded into the renderer in {number(build['load_s'], 1)} s more; "
+        f"(limit: {number(targets['build_s'], 0)} s), "
+        f"then loaded into the renderer in {number(build['load_s'], 1)} s; "
         f"peak memory {number(build['peak_rss_mb'], 0)} MiB"
     )
 
 
 def _rates_table(figures: dict[str, Any]) -> Table:
-    asked = figures["asked"]
+    targets = figures["asked"]
     table = Table(
         title=f"{figures['renderer']}, {figures['processes']} processes, "
         f"{'x'.join(map(str, figures['size_px']))}"
     )
     table.add_column("frames")
-    for column in ("per second", "asked", "CPU ms each", "per second, cores free", "peak MiB", "asked"):
+    for column in ("per second", "target", "CPU ms each", "per second, free cores", "peak MiB", "limit"):
         table.add_column(column, justify="right")
     rows = [
-        (f"rendered, {name.replace('_', ' ')}", row, f">= {number(asked['rendered_per_s'], 0)}")
+        (f"rendered, {name.replace('_', ' ')}", row, f">= {number(targets['rendered_per_s'], 0)}")
         for name, row in figures["rendered"].items()
     ]
-    rows.append(("degraded", figures["degraded"]["sharp"], f">= {number(asked['degraded_per_s'], 0)}"))
+    rows.append(("degraded", figures["degraded"]["sharp"], f">= {number(targets['degraded_per_s'], 0)}"))
     rows.append(("degraded and blurred", figures["degraded"]["blurred"], "-"))
     for name, row, least in rows:
         table.add_row(
@@ -219,7 +218,7 @@ def _rates_table(figures: dict[str, Any]) -> Table:
             number(row["cpu_ms"], 1),
             number(row["frames_per_s_alone"], 1),
             number(row["peak_rss_mb"], 0),
-            f"<= {number(asked['peak_rss_mb'], 0)}",
+            f"<= {number(targets['peak_rss_mb'], 0)}",
         )
     return table
 
@@ -229,12 +228,11 @@ def experiment_command(
     experiment: Annotated[str, typer.Argument(metavar="NAME|SPEC.yaml", help="The experiment.")] = "smoke",
     units: Annotated[int, typer.Option(min=1, help="Units per lap.")] = 4,
     workers: Annotated[int, typer.Option(min=2, help="Workers of the second lap.")] = 2,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as one line of JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
-    """Measure units per hour on one worker and on several, and where their time goes.
+    """Measure units per hour on one and several workers, and shares of CPU time.
 
-    Nothing is taken from the cache of rendered sequences. Where the machine is shared with other work, look
-    at the shares, which are of CPU time. For example:
+    The cache of rendered sequences is not used. On a shared machine, use the shares of CPU time. For example:
 
     `dslab bench experiment`
 
@@ -258,6 +256,6 @@ def experiment_command(
         table.add_row(str(lap["workers"]), str(lap["units"]), number(lap["units_per_hour"], 1), each, *shares)
     out.print(table)
     out.print(
-        f"{workers} workers against one: {number(figures['speed_up'], 2)} times the units per hour "
-        f"({number(figures['speed_up_cores_free'], 2)} with a free core for each, by CPU time)"
+        f"{workers} workers compared with one: {number(figures['speed_up'], 2)} times the units per hour "
+        f"({number(figures['speed_up_cores_free'], 2)} with a free core each, by CPU time)"
     )

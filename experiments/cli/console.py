@@ -1,21 +1,25 @@
-"""What the commands share: consoles, progress bars, the setting of libraries."""
+"""Common parts of the commands: options, consoles, progress bars."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+if TYPE_CHECKING:
+    from sim.sequence import SegmentTruth
 
 out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)
 
 
 class FormatChoice(StrEnum):
-    """The forms of sequence folders that can be written."""
+    """Writable forms of sequence folders."""
 
     TUM = "tum"
     KITTI = "kitti"
@@ -23,7 +27,7 @@ class FormatChoice(StrEnum):
 
 
 class ModeChoice(StrEnum):
-    """How tracking, mapping and loop closing share time."""
+    """Scheduling of tracking, mapping and loop closing."""
 
     LOCKSTEP = "lockstep"
     THREADED = "threaded"
@@ -33,23 +37,27 @@ ModeOption = Annotated[
     ModeChoice,
     typer.Option(
         "--mode",
-        help="lockstep: the same seed gives the same bits; threaded: mapping and loop closing run beside "
-        "tracking.",
+        help="lockstep: the same seed gives the same bits; threaded: mapping and loop closing run in "
+        "parallel with tracking.",
     ),
 ]
 RealTimeOption = Annotated[
     bool,
-    typer.Option("--real-time", help="Feed frames at the pace of their stamps, drop and count late ones."),
+    typer.Option(
+        "--real-time", help="Feed frames at the rate of their stamps; late ones are dropped and counted."
+    ),
 ]
 RendererOption = Annotated[
     str | None,
-    typer.Option("--renderer", help="What renders a scenario: mujoco (the default) or pyrender."),
+    typer.Option("--renderer", help="Renderer of scenarios: mujoco (the default) or pyrender."),
 ]
-SeedOption = typer.Option(None, "--seed", min=0, help="Root seed; the scenario's own by default.")
+SourceArgument = Annotated[str, typer.Argument(help="A sequence folder, a scenario's name or its YAML file.")]
+FolderOption = Annotated[Path, typer.Option("--out", help="Output folder; absent or empty.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one line of JSON.")]
 
 
 def check_real_time(real_time: bool, mode: ModeChoice) -> None:
-    """Raise InputError for a pace that a mode is not made for."""
+    """Raise InputError for --real-time outside threaded mode."""
     from scenarios.errors import InputError
 
     if real_time and mode is not ModeChoice.THREADED:
@@ -57,7 +65,7 @@ def check_real_time(real_time: bool, mode: ModeChoice) -> None:
 
 
 def single_threaded_opencv() -> None:
-    """OpenCV's own threads would take the cores that runs and figures are measured on."""
+    """Switch off OpenCV's own threads, which would disturb measurements."""
     import cv2
 
     cv2.setNumThreads(1)
@@ -65,7 +73,7 @@ def single_threaded_opencv() -> None:
 
 @contextmanager
 def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
-    """Progress on stderr, one bar per step; yields a callback of (step, done, total)."""
+    """Show progress on stderr, one bar per step; yields a callback of (step, done, total)."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as progress:
         tasks: dict[str, int] = {}
@@ -78,18 +86,25 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
         yield show
 
 
+def print_segments(segments: "Iterable[SegmentTruth]") -> None:
+    """Print the frames on which each segment acts."""
+    for segment in segments:
+        span = f"frames {segment.first_frame} to {segment.last_frame}"
+        out.print(f"  {segment.kind}: {span if segment.first_frame >= 0 else 'acts on no frame'}")
+
+
 def print_json_line(value: dict) -> None:
-    """One line of JSON on stdout, unwrapped."""
+    """Print one unwrapped line of JSON on stdout."""
     print(json.dumps(value, allow_nan=False))
 
 
 def number(value: float | None, digits: int = 3, unit: str = "") -> str:
-    """A figure for a table; a dash where there is none."""
+    """Figure for a table; a dash for None."""
     if value is None:
         return "-"
     return f"{value:.{digits}f}{unit}"
 
 
 def share(value: float | None) -> str:
-    """A share as a percentage; a dash where there is none."""
+    """Share as a percentage; a dash for None."""
     return "-" if value is None else f"{100 * value:.1f} %"

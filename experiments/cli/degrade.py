@@ -1,4 +1,4 @@
-"""``dslab degrade``: a sequence folder with degradations put into its frames."""
+"""``dslab degrade``: add degradations to a sequence folder."""
 
 import tempfile
 from pathlib import Path
@@ -6,32 +6,41 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli.console import FormatChoice, out, progress_bars, single_threaded_opencv
+from experiments.cli.console import (
+    FolderOption,
+    FormatChoice,
+    out,
+    print_segments,
+    progress_bars,
+    single_threaded_opencv,
+)
 
 
 def degrade_command(
-    source: Annotated[Path, typer.Argument(help="A sequence folder, real or rendered.")],
+    source: Annotated[Path, typer.Argument(help="A sequence folder, recorded or rendered.")],
     segment: Annotated[
         list[str],
         typer.Option(
-            help="kind:key=value,...; may be repeated. Times count from the first frame.", show_default=False
+            help="kind:key=value,...; repeatable. Times count from the first frame.", show_default=False
         ),
     ],
-    out_dir: Annotated[Path, typer.Option("--out", help="Folder to make; absent or empty.")],
+    out_dir: FolderOption,
     form: Annotated[
         FormatChoice | None,
         typer.Option(
-            "--format", help="The form to write; default: the folder's, TUM for TUM-mono.", show_default=False
+            "--format",
+            help="Form to write; default: that of the folder, TUM for TUM-mono.",
+            show_default=False,
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Root seed of what is random in the segments.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Root seed of random effects in the segments.")] = 0,
 ) -> None:
     """Degrade a folder in TUM, KITTI, EuRoC or TUM-mono form.
 
-    Written are the frames with ground truth, calibration and what there is of depth images (TUM form) and
-    inertial readings (EuRoC form), and segments.json and frame_truth.csv, which say when each segment truly
-    acts and how much. Segments of different kinds may lie over one another. Kinds that act on images, stamps
-    or the choice of frames work on any folder; fog needs depth images.
+    Writes the frames with ground truth and calibration, depth images (TUM form) and inertial readings (EuRoC
+    form) if present, and segments.json and frame_truth.csv with the true times and strengths of the segments.
+    Segments of different kinds may overlap. Kinds that act on images, stamps or the choice of frames work on
+    any folder; fog needs depth images.
 
     For example:
 
@@ -56,7 +65,7 @@ def degrade_command(
     readings = open_imu(str(source), sequence.stamps_s) if target is Form.EUROC else None
     claim_output_dir(out_dir)
     single_threaded_opencv()
-    # Beside the result, where there is room for it.
+    # Beside the result: the temporary disk may be too small.
     with (
         tempfile.TemporaryDirectory(prefix=".dslab-", dir=out_dir.resolve().parent) as scratch,
         progress_bars() as show,
@@ -64,7 +73,5 @@ def degrade_command(
         degraded = degrade_sequence(sequence, segments, seed, Path(scratch), show)
         with_depth = target is Form.TUM and degraded.depths is not None
         write_sequence(degraded, out_dir, target, readings, with_depth, show)
-    for truth in degraded.segments:
-        span = f"frames {truth.first_frame} to {truth.last_frame}"
-        typer.echo(f"  {truth.kind}: {span if truth.first_frame >= 0 else 'acts on no frame'}")
+    print_segments(degraded.segments)
     out.print(f"{out_dir}: {len(degraded)} frames in {target} form" + (", with imu0" if readings else ""))

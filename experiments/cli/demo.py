@@ -10,7 +10,7 @@ from rich.table import Table
 from experiments.cli.console import number, out, progress_bars, share, single_threaded_opencv
 
 SCENARIO = "breakage"
-"""The scenario that is shown."""
+"""Default scenario of the demonstration."""
 
 
 def demo_command(
@@ -18,9 +18,9 @@ def demo_command(
         Path, typer.Option("--out", help="Result folder; an earlier demonstration is replaced.")
     ] = Path("out/demo"),
     scenario: Annotated[str, typer.Option(help="Scenario: a name or a YAML file.")] = SCENARIO,
-    seed: Annotated[int | None, typer.Option(min=0, help="Root seed; the scenario's own by default.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Root seed; default: that of the scenario.")] = None,
 ) -> None:
-    """Render a scenario that breaks the base, run it and Dual-SLAM on it and show what happened.
+    """Render a scenario that breaks the base, run base and Dual-SLAM, and show the results.
 
     For example:
 
@@ -41,13 +41,13 @@ def demo_command(
     title = f"{spec.name}, seed {spec.seed}, {spec.duration_s:g} s, {len(sequence)} frames"
     out.print(demo_table(summaries, title))
     out.print(f"picture    {out_dir / PICTURE_FILE}")
-    out.print(f"recording  {out_dir / RECORDING_FILE}  (look at it: dslab view {out_dir})")
+    out.print(f"recording  {out_dir / RECORDING_FILE}  (open it: dslab view {out_dir})")
     for kind in summaries:
         out.print(f"{kind:10s} {out_dir / kind}")
 
 
 def demo_table(summaries: dict, title: str) -> Table:
-    """Per system one row for the whole and one per injected segment."""
+    """Table with one row per system and one per injected segment."""
     table = Table(title=title, box=box.SIMPLE, show_edge=False, padding=(0, 1, 0, 0))
     table.add_column("")
     for column in ("tracked", "with\npose", "breakages", "recovered", "relocalized", "ATE"):
@@ -59,9 +59,9 @@ def demo_table(summaries: dict, title: str) -> Table:
             part = f"{segment['kind'].replace('_', ' ')} {segment['start_s']:g}-{segment['end_s']:g} s"
             table.add_row(f" {part}", *_cells(segment, segment["ate_m"], segment["ate_frames"]))
     table.caption = (
-        "Tracked: of the frames, as they came. With pose: in the end, in the map with\n"
-        "most frames; ATE: their RMSE after Sim(3) alignment. Recovered: the maps were\n"
-        f"fused. A breakage up to {_grace_s():g} s after a segment is the segment's."
+        "Tracked: frames with a live pose. With pose: frames with a final pose in the\n"
+        "largest map; ATE: their RMSE after Sim(3) alignment. Recovered: the maps were\n"
+        f"fused. A breakage up to {_grace_s():g} s after a segment counts for the segment."
     )
     return table
 

@@ -12,7 +12,7 @@ from scenarios.errors import InputError
 
 
 def doctor_command() -> None:
-    """Report GL renderer, versions, cores, memory and caches; exit code 2 if something needed is missing.
+    """Report GL renderer, versions, cores, memory and caches; exit code 2 without OpenGL.
 
     Example: `dslab doctor`
     """

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from experiments.cli.console import err, number, out, print_json_line, progress_bars
+from experiments.cli.console import JsonOption, err, number, out, print_json_line, progress_bars
 from experiments.cli.experiment_progress import estimates_text, experiment_progress
 from experiments.cli.fuzz import fuzz_command
 
@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from experiments.campaign.status import ExperimentStatus
     from experiments.eq1.spec import ExperimentSpec
 
-_HELP = """Many units through base and Dual-SLAM: run, resume, look, replay, report.
+_HELP = """Run many units with base and Dual-SLAM: run, resume, status, replay, report.
 
-A folder holds an experiment: its spec, its ledger with a row per unit, what is made of them. For example:
+The folder of an experiment holds its spec, a ledger with one row per unit, and results. For example:
 
 `dslab experiment run smoke --out out/smoke`
 
@@ -26,41 +26,38 @@ app = typer.Typer(help=_HELP, no_args_is_help=True)
 app.command("fuzz")(fuzz_command)
 
 FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of an experiment.")]
-TimeoutOption = Annotated[float, typer.Option(min=1, help="The longest that a unit may take, seconds.")]
+TimeoutOption = Annotated[float, typer.Option(min=1, help="Time limit of a unit in seconds.")]
 MemoryOption = Annotated[
     int,
-    typer.Option(
-        min=0, metavar="MB", help="Memory at which a worker is ended and its unit tried again; 0: any."
-    ),
+    typer.Option(min=0, metavar="MB", help="Memory limit of a worker; a unit above it is retried; 0: none."),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one line of JSON.")]
 _TIMEOUT_S, _MEMORY_MB = 1800.0, 4000
 
 
 @app.command("run")
 def run_command(
-    experiment: Annotated[
-        str, typer.Argument(metavar="NAME|SPEC.yaml", help="A preset or a spec of your own.")
-    ],
+    experiment: Annotated[str, typer.Argument(metavar="NAME|SPEC.yaml", help="A preset or a spec file.")],
     out_dir: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the experiment.")],
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; by default one per core.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one per core.")] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="Dask scheduler to use, in place of processes of this machine."),
+        typer.Option(metavar="URL", help="Dask scheduler to use instead of processes of this machine."),
     ] = None,
-    units: Annotated[int | None, typer.Option(min=1, help="Units per cell, in place of the spec's.")] = None,
+    units: Annotated[
+        int | None, typer.Option(min=1, help="Units per cell instead of those of the spec.")
+    ] = None,
     timeout: TimeoutOption = _TIMEOUT_S,
     memory: MemoryOption = _MEMORY_MB,
     retry_errors: Annotated[
         bool,
-        typer.Option("--retry-errors", help="Try units again that were given up for infrastructure errors."),
+        typer.Option("--retry-errors", help="Retry units that were given up for infrastructure errors."),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run an experiment, or go on with it: units that the folder holds already are not run again.
+    """Run or resume an experiment; units that the folder already holds are not run again.
 
-    May be interrupted at any time, also by `kill -9`: units under way are lost, the others stay. The rows are
-    the same for any number of workers. For example:
+    It may be interrupted at any time, also by `kill -9`: only running units are lost. The rows are the same
+    for any number of workers. For example:
 
     `dslab experiment run smoke --out out/smoke`
 
@@ -91,7 +88,7 @@ def run_command(
                 spec, out_dir, lambda: open_worker_pool(settings, run_unit), rule, retry_errors, show
             )
     except KeyboardInterrupt:
-        err.print(f"{out_dir} keeps the units that have ended: run the same command again", soft_wrap=True)
+        err.print(f"{out_dir} keeps the finished units: run the same command again to resume", soft_wrap=True)
         raise
     if as_json:
         status_command(out_dir, as_json=True)
@@ -107,7 +104,7 @@ def run_command(
 
 @app.command("status")
 def status_command(folder: FolderArgument, as_json: JsonOption = False) -> None:
-    """Show where an experiment stands, also while it runs. For example:
+    """Show the progress of an experiment, also while it runs. For example:
 
     `dslab experiment status out/smoke`
     """
@@ -121,7 +118,7 @@ def status_command(folder: FolderArgument, as_json: JsonOption = False) -> None:
         print_json_line(plain(asdict(status)))
         return
     out.print(_status_table(status))
-    out.print(f"{status.done} of {status.total} units, {number(status.wall_s / 3600, 2)} h of one worker")
+    out.print(f"{status.done} of {status.total} units, {number(status.wall_s / 3600, 2)} h of worker time")
     if status.failed_attempts:
         out.print(f"{status.failed_attempts} attempts ended in infrastructure errors")
     for unit_id, message in status.given_up:
@@ -132,17 +129,19 @@ def status_command(folder: FolderArgument, as_json: JsonOption = False) -> None:
 
 @app.command("power")
 def power_command(
-    p0: Annotated[float, typer.Option(help="Guessed share of units that break.")],
+    p0: Annotated[float, typer.Option(help="Assumed share of units with a breakage.")],
     pr: Annotated[
-        list[float], typer.Option(help="Guessed failure of a recovery thread; repeat for each of n.")
+        list[float], typer.Option(help="Assumed failure rate of a recovery thread; repeat for each of n.")
     ],
-    n: Annotated[int | None, typer.Option(min=1, help="Threads, where all have the one pr given.")] = None,
-    ratio: Annotated[float, typer.Option(help="Measured over predicted that shall be seen.")] = 2.0,
-    power: Annotated[float, typer.Option(help="Probability with which it shall be seen.")] = 0.8,
-    cells: Annotated[int, typer.Option(min=1, help="Cells tested together: Holm's correction.")] = 1,
+    n: Annotated[
+        int | None, typer.Option(min=1, help="Number of threads, if one pr is given for all.")
+    ] = None,
+    ratio: Annotated[float, typer.Option(help="Ratio of measured to predicted failures to detect.")] = 2.0,
+    power: Annotated[float, typer.Option(help="Probability of detection.")] = 0.8,
+    cells: Annotated[int, typer.Option(min=1, help="Number of cells tested together (Holm correction).")] = 1,
     as_json: JsonOption = False,
 ) -> None:
-    """Print the units per cell that a wanted ratio and power need, before anything runs. For example:
+    """Print the units per cell needed for a ratio and a power. For example:
 
     `dslab experiment power --p0 0.25 --pr 0.2 --n 2 --ratio 2 --power 0.8`
 
@@ -155,35 +154,37 @@ def power_command(
 
     if n is not None and len(pr) not in (1, n):
         raise InputError(
-            "--n", f"is {n}, and {len(pr)} values of --pr are given", "give one --pr, or n of them"
+            "--n", f"is {n}, but {len(pr)} values of --pr are given", "give one --pr, or n of them"
         )
     each = tuple(pr * n) if n is not None and len(pr) == 1 else tuple(pr)
     try:
         plan = units_needed(p0, each, ratio, power, alpha=0.05 / cells)
     except ValueError as error:
-        raise InputError("dslab experiment power", str(error), "give other guesses") from None
+        raise InputError("dslab experiment power", str(error), "give other assumptions") from None
     if as_json:
         print_json_line(asdict(plan))
         return
-    out.print(f"predicted {plan.predicted:.4g}, measured if {ratio:g} times as high: {plan.measured:.4g}")
+    out.print(f"predicted {plan.predicted:.4g}; {ratio:g} times as high: {plan.measured:.4g}")
     if plan.units is None:
         out.print(f"over ten million units per cell would be needed (power with these: {plan.power:.2f})")
         return
-    out.print(f"{plan.units} completed units per cell give a power of {plan.power:.2f} (wanted: {power:g})")
+    out.print(
+        f"{plan.units} completed units per cell give a power of {plan.power:.2f} (requested: {power:g})"
+    )
 
 
 @app.command("replay")
 def replay_command(
     folder: FolderArgument,
-    unit: Annotated[str, typer.Argument(help="Its id, or as much as makes it unique, or CELL:INDEX.")],
+    unit: Annotated[str, typer.Argument(help="Id of the unit or a unique prefix, or CELL:INDEX.")],
     rerun: Annotated[
-        Path | None, typer.Option(metavar="FILE.rrd", help="Save its recording: see `dslab view`.")
+        Path | None, typer.Option(metavar="FILE.rrd", help="Save a recording for `dslab view`.")
     ] = None,
     timeout: TimeoutOption = _TIMEOUT_S,
     memory: MemoryOption = _MEMORY_MB,
     as_json: JsonOption = False,
 ) -> None:
-    """Run one unit again and say whether it comes out as the ledger has it. Exit code 1 where it does not.
+    """Replay one unit and compare it with the ledger; exit code 1 if they differ.
 
     For example:
 
@@ -215,7 +216,7 @@ def export_command(
     folder: FolderArgument,
     csv: Annotated[bool, typer.Option("--csv", help="Write units.csv too.")] = False,
 ) -> None:
-    """Write the ledger as units.parquet, one row per unit, and the infrastructure errors beside it.
+    """Write the ledger as units.parquet, one row per unit, and a file of infrastructure errors.
 
     For example:
 
@@ -230,10 +231,10 @@ def export_command(
 def report_command(
     folder: FolderArgument,
     recordings: Annotated[
-        int, typer.Option(min=0, help="Run this many of the failed units again and link their recordings.")
+        int, typer.Option(min=0, help="Number of failed units to replay; the report links their recordings.")
     ] = 0,
 ) -> None:
-    """Write report.html, report.json and the plots of an experiment into its folder. For example:
+    """Write report.html, report.json and plots into the folder of an experiment. For example:
 
     `dslab experiment report out/smoke --recordings 3`
     """
@@ -288,13 +289,13 @@ def _print_replay(done, rerun: Path | None) -> None:
         markup=False,
     )
     if done.recorded is None:
-        out.print("the ledger does not have it yet")
+        out.print("not yet in the ledger")
     elif done.differing:
         for name in done.differing:
             out.print(f"{name}: {record[name]!r}, in the ledger {done.recorded[name]!r}", markup=False)
         if record["code"] != done.recorded["code"]:
-            out.print(f"the code has changed since: go back to commit {done.recorded['commit']}")
+            out.print(f"the code has changed: the ledger is of commit {done.recorded['commit']}")
     else:
-        out.print("it agrees with the ledger in every column but those of time and memory")
+        out.print("agrees with the ledger in every column except time and memory")
     if rerun is not None and rerun.is_file():
-        out.print(f"look at it: dslab view {rerun}")
+        out.print(f"open it: dslab view {rerun}")

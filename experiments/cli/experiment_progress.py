@@ -1,4 +1,4 @@
-"""How a running experiment shows on the terminal."""
+"""Progress of a running experiment on the terminal."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def experiment_progress(name: str) -> Iterator[Callable[["Tally"], None]]:
-    """A bar on stderr with rate, time left and what the units say so far; yields what it is to be told by."""
+    """Show a bar with rate, time left and estimates on stderr; yields its update callback."""
     columns = (TextColumn(name), BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
     started_s = time.monotonic()
     with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as progress:
@@ -32,7 +32,7 @@ def experiment_progress(name: str) -> Iterator[Callable[["Tally"], None]]:
 
 
 def pace_text(tally: "Tally", elapsed_s: float) -> str:
-    """Units per hour and time left, at the pace of this run so far."""
+    """Units per hour and time left, from this run."""
     if tally.workers == 0:
         return "waiting for workers"
     if not tally.ended_here:
@@ -43,7 +43,7 @@ def pace_text(tally: "Tally", elapsed_s: float) -> str:
 
 
 def estimates_text(tally: "Tally") -> str:
-    """Running estimates: mere shares, since they are looked at all the time."""
+    """Running estimates as shares; intervals would not be valid under repeated looks."""
 
     def part(label: str, events: int) -> str:
         share = f"{events / tally.completed:.2f}" if tally.completed else "-"

@@ -1,25 +1,24 @@
-"""``dslab export``: a sequence or a scenario as a folder in another form."""
+"""``dslab export``: write a sequence or a scenario as a folder in another form."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from experiments.cli.console import FormatChoice, out, progress_bars
+from experiments.cli.console import FolderOption, FormatChoice, SourceArgument, out, progress_bars
 
 
 def export_command(
-    source: Annotated[str, typer.Argument(help="A sequence folder, a scenario's name or its YAML file.")],
-    out_dir: Annotated[Path, typer.Option("--out", help="Folder to make; absent or empty.")],
-    form: Annotated[FormatChoice, typer.Option("--format", help="The form to write.")],
+    source: SourceArgument,
+    out_dir: FolderOption,
+    form: Annotated[FormatChoice, typer.Option("--format", help="Form to write.")],
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Root seed; default: the scenario's own.", show_default=False)
+        int | None, typer.Option(min=0, help="Root seed; default: that of the scenario.", show_default=False)
     ] = None,
     depth: Annotated[
         bool | None,
         typer.Option(
             "--depth/--no-depth",
-            help="Depth images (TUM form); default: if a folder has them.",
+            help="Depth images (TUM form); default: if the folder has them.",
             show_default=False,
         ),
     ] = None,
@@ -32,7 +31,7 @@ def export_command(
         ),
     ] = None,
 ) -> None:
-    """Write a sequence or a scenario in TUM, KITTI or EuRoC form, with its ground truth.
+    """Write a sequence or scenario in TUM, KITTI or EuRoC form, with ground truth.
 
     Sequences are read in those forms and in TUM-mono form; `dslab run` takes any of them.
 

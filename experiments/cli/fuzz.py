@@ -1,28 +1,27 @@
 """``dslab experiment fuzz``."""
 
 from collections import Counter
-from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.table import Table
 
-from experiments.cli.console import ModeChoice, ModeOption, out, progress_bars
+from experiments.cli.console import FolderOption, ModeChoice, ModeOption, out, progress_bars
 
 
 def fuzz_command(
-    out_dir: Annotated[Path, typer.Option("--out", help="Result folder; absent or empty.")],
+    out_dir: FolderOption,
     units: Annotated[int, typer.Option(min=1, help="Number of scenarios, one seed each.")] = 20,
-    start: Annotated[int, typer.Option(min=0, help="The first seed.")] = 0,
-    systems: Annotated[str, typer.Option("--system", help="Systems, with commas.")] = "base,dual",
+    start: Annotated[int, typer.Option(min=0, help="First seed.")] = 0,
+    systems: Annotated[str, typer.Option("--system", help="Systems, separated by commas.")] = "base,dual",
     mode: ModeOption = ModeChoice.LOCKSTEP,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
-    timeout_s: Annotated[float, typer.Option(min=1, help="Longest that one run may take.")] = 600.0,
+    timeout_s: Annotated[float, typer.Option(min=1, help="Time limit of a run in seconds.")] = 600.0,
 ) -> None:
-    """Run random scenarios and prove after each that nothing raised, hung or left an inconsistent map behind.
+    """Run random scenarios and check that no run raises, hangs or leaves an inconsistent map.
 
-    Writes units.jsonl, one row per run, the same for any number of processes. The exit code is 1 where any
-    run failed. For example:
+    Writes units.jsonl, one row per run, the same for any number of processes. The exit code is 1 if any run
+    failed. For example:
 
     `dslab experiment fuzz --units 20 --system base,dual --out out/fuzz`
     """
@@ -35,11 +34,11 @@ def fuzz_command(
     with progress_bars() as show:
         show("experiment fuzz", 0, units * len(kinds))
 
-        def told(row: dict, done: int, total: int) -> None:
+        def report(row: dict, done: int, total: int) -> None:
             show("experiment fuzz", done, total)
             _print_failure(row)
 
-        rows = run_fuzz(chosen, out_dir, workers, timeout_s, told)
+        rows = run_fuzz(chosen, out_dir, workers, timeout_s, report)
     out.print(_table(rows, kinds))
     out.print(f"one row per run in {out_dir / 'units.jsonl'}")
     if failed(rows):
@@ -47,7 +46,7 @@ def fuzz_command(
 
 
 def _print_failure(row: dict) -> None:
-    """What went wrong in a run, with its traceback and how to run it again; nothing where nothing did."""
+    """Print failure, traceback and repeat command of a failed run."""
     from experiments.fuzz.fuzzing import failed, replay_command
 
     for bad in failed([row]):
@@ -70,7 +69,7 @@ def _kinds(text: str) -> tuple:
     wrong = [kind for kind in kinds if kind not in known]
     if wrong or len(set(kinds)) < len(kinds):
         raise InputError(
-            "--system", f"{text!r} is no list of systems", f"use one or more of {','.join(known)}"
+            "--system", f"{text!r} is not a list of systems", f"use one or more of {','.join(known)}"
         )
     return kinds
 

@@ -1,28 +1,25 @@
-"""``dslab scenarios gallery``: a page that shows scenarios."""
+"""``dslab scenarios gallery``."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from experiments.cli.console import out, progress_bars, single_threaded_opencv
+from experiments.cli.console import FolderOption, out, progress_bars, single_threaded_opencv
 
 
 def gallery_command(
-    out_dir: Annotated[Path, typer.Option("--out", help="Folder to make; absent or empty.")],
+    out_dir: FolderOption,
     names: Annotated[
         list[str] | None,
-        typer.Argument(
-            help="Families, members or .yaml files; all that come with dslab by default.", metavar="[NAME]..."
-        ),
+        typer.Argument(help="Families, members or .yaml files; default: all of dslab.", metavar="[NAME]..."),
     ] = None,
-    seeds: Annotated[int, typer.Option(min=1, max=100, help="Sequences of each, one seed each.")] = 3,
-    frames: Annotated[int, typer.Option(min=1, max=100, help="Frames of each sequence.")] = 8,
+    seeds: Annotated[int, typer.Option(min=1, max=100, help="Sequences per scenario, one seed each.")] = 3,
+    frames: Annotated[int, typer.Option(min=1, max=100, help="Frames per sequence.")] = 8,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
 ) -> None:
-    """Make a page of every scenario: thumbnails, a map of the path, segments, what varies and how.
+    """Make a page of scenarios: thumbnails, a map of the path, segments, drawn parameters.
 
-    The folder holds index.html and its pictures, needs no network and opens from the disk. For example:
+    The folder holds index.html and its pictures; it opens from the disk without a network. For example:
 
     `dslab scenarios gallery --out out/gallery --workers 2`
 
@@ -34,7 +31,7 @@ def gallery_command(
     check_free(out_dir)
     single_threaded_opencv()
     with progress_bars() as show:
-        step = "looking at sequences"
+        step = "sequences"
         made = make_gallery(
             names or [], out_dir, seeds, frames, workers, lambda done, total: show(step, done, total)
         )

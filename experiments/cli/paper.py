@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from experiments.cli.console import out, print_json_line
+from experiments.cli.console import JsonOption, out, print_json_line
 
 Row = dict[str, Any]
 
@@ -16,11 +16,11 @@ def paper_command(
     out_dir: Annotated[
         Path | None, typer.Option("--out", help="Folder for paper.json and the plot; absent or empty.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as one line of JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
-    """Read the paper's Tables II and III again: do its own counts agree with Pr(failure) = p0 · prⁿ?
+    """Test Pr(failure) = p0 · prⁿ on Tables II and III of the paper.
 
-    Runs nothing. With --out writes paper.json, paper.png and paper.svg. For example:
+    Runs no SLAM. With --out writes paper.json, paper.png and paper.svg. For example:
 
     `dslab paper`
 
@@ -40,11 +40,11 @@ def paper_command(
         print_json_line(figures)
         return
     _print(rows)
-    out.print("Mind:")
+    out.print("Note:")
     for caveat in CAVEATS:
         out.print(f"- {caveat}")
     if out_dir is not None:
-        out.print(f"{out_dir / 'paper.json'}, with paper.png and paper.svg beside it", soft_wrap=True)
+        out.print(f"{out_dir / 'paper.json'}, paper.png and paper.svg", soft_wrap=True)
 
 
 def _write(figures: dict[str, Any], out_dir: Path) -> None:
@@ -55,9 +55,7 @@ def _write(figures: dict[str, Any], out_dir: Path) -> None:
     from experiments.runs.output import new_directory
 
     with settings(), new_directory(out_dir) as partial:
-        plot = rendered(
-            "paper", "Eq. 1's prediction beside the published failures", draw_paper(figures["rows"])
-        )
+        plot = rendered("paper", "Prediction of Eq. 1 and published failures", draw_paper(figures["rows"]))
         (partial / "paper.svg").write_bytes(plot.svg)
         (partial / "paper.png").write_bytes(plot.png)
         (partial / "paper.json").write_text(to_json(figures, indent=1) + "\n", encoding="utf-8")
@@ -67,14 +65,14 @@ def _print(rows: list[Row]) -> None:
     from experiments.report.describe import ends, ends_percent, number, p_value, percent
 
     def counted(name: str) -> Callable[[Row], str]:
-        def words(row: Row) -> str:
+        def cell(row: Row) -> str:
             share = row[name]
             return f"{share['events']}/{share['units']}  {percent(share['estimate'])}\n{ends_percent(share)}"
 
-        return words
+        return cell
 
     def estimated(*place: str) -> Callable[[Row], str]:
-        def words(row: Row) -> str:
+        def cell(row: Row) -> str:
             estimate: Any = row
             for name in place:
                 estimate = estimate[name]
@@ -82,10 +80,10 @@ def _print(rows: list[Row]) -> None:
                 return f"{number(estimate['value'])}\n{ends(estimate)}"
             return f"{percent(estimate['value'])}\n{ends_percent(estimate)}"
 
-        return words
+        return cell
 
     tables: dict[str, dict[str, Callable[[Row], str]]] = {
-        "What the paper counted; below each share its 95 % Clopper-Pearson interval": {
+        "Counts of the paper; below each share its 95 % Clopper-Pearson interval": {
             "ORB-SLAM fails": counted("base_failure"),
             "p0: needs recovery": counted("p0"),
             "thread 1 fails": counted("thread_1"),
@@ -96,10 +94,10 @@ def _print(rows: list[Row]) -> None:
             "measured": counted("measured"),
             "measured / predicted": estimated("ratio"),
             "p: threads fail alike": lambda row: p_value(row["alike_p"]),
-            "ratio_if_alike: ten trials as one": estimated("ratio_if_alike"),
+            "ratio_if_alike: ten trials counted as one": estimated("ratio_if_alike"),
         },
-        "Another model: some breakages are hopeless": {
-            "hopeless": estimated("mixture", "share_hopeless"),
+        "Alternative model: some breakages are unrecoverable": {
+            "unrecoverable": estimated("mixture", "share_hopeless"),
             "pr of the rest": estimated("mixture", "pr_rest"),
         },
     }

@@ -1,4 +1,4 @@
-"""``dslab scenarios``: see, check and export scenarios and families of them."""
+"""``dslab scenarios``: list, show, check and draw scenarios and their families."""
 
 import json
 from pathlib import Path
@@ -15,16 +15,18 @@ CHECKED_SEEDS = 20
 
 app = typer.Typer(
     no_args_is_help=True,
-    help="See, check and export scenarios: what happens, as YAML.",
+    help="List, show, check and draw scenarios, which are YAML files.",
     rich_markup_mode="rich",
 )
 
 
 @app.command("list")
 def list_scenarios() -> None:
-    """The scenarios and families that come with dslab.
+    """List the scenarios and families of dslab.
 
-    A family's members are named FAMILY/MEMBER; the bare name leaves the member to the seed.
+    Members of a family are named FAMILY/MEMBER; with FAMILY alone the seed selects the member.
+
+    Example: [bold]dslab scenarios list[/bold]
     """
     from scenarios.describe_family import describe_members, describe_parameters
     from scenarios.families import library_names, load_family
@@ -32,9 +34,9 @@ def list_scenarios() -> None:
     table = Table("family", "members", "drawn by the seed", show_lines=True)
     for name in library_names():
         family = load_family(name)
-        what = f"[bold]{name}[/bold]\n{family.description}"
+        title = f"[bold]{name}[/bold]\n{family.description}"
         drawn = [f"{field}: {words}" for field, words in describe_parameters(family).items()]
-        table.add_row(what, describe_members(family) or "-", "\n".join(drawn) or "-")
+        table.add_row(title, describe_members(family) or "-", "\n".join(drawn) or "-")
     Console().print(table)
 
 
@@ -43,10 +45,10 @@ def show(
     scenario: Annotated[str, typer.Argument(help="Name or .yaml file.", metavar="NAME")],
     seed: Annotated[
         int | None,
-        typer.Option(min=0, help="Draw with this seed, and write every default out.", show_default=False),
+        typer.Option(min=0, help="Draw with this seed and write out every default.", show_default=False),
     ] = None,
 ) -> None:
-    """A scenario or family as it is written; with a seed the one scenario that is drawn.
+    """Print a scenario or family as written, or the scenario drawn with a seed.
 
     Either is YAML to start your own from.
 
@@ -70,7 +72,9 @@ def validate(
 ) -> None:
     """Check a scenario file; exit code 2 and one line if it is not valid.
 
-    From a family, each member of it, 20 scenarios are drawn.
+    From each member of a family, 20 scenarios are drawn.
+
+    Example: [bold]dslab scenarios validate mine.yaml[/bold]
     """
     from scenarios.families import load_family_file
 
@@ -91,7 +95,10 @@ def validate(
 
 @app.command()
 def schema() -> None:
-    """The JSON Schema of a scenario file, for editors and other tools."""
+    """Print the JSON Schema of scenario files, for editors and other tools.
+
+    Example: [bold]dslab scenarios schema > scenario.schema.json[/bold]
+    """
     from scenarios.schema import json_schema
 
     typer.echo(json.dumps(json_schema(), indent=2))

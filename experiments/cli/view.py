@@ -12,7 +12,7 @@ from scenarios.errors import InputError
 
 def view_command(
     path: Annotated[Path, typer.Argument(help="A result folder, or its recording.rrd.")],
-    at: Annotated[float | None, typer.Option(min=0, help="Time to open at, seconds.")] = None,
+    at: Annotated[float | None, typer.Option(min=0, help="Opening time in seconds.")] = None,
 ) -> None:
     """Open a recording in the rerun viewer at its first breakage.
 
@@ -33,7 +33,7 @@ def view_command(
 
 
 def _first_breakage_s(folder: Path) -> float:
-    """The first breakage that the summaries beside the recording tell of, else the start."""
+    """Time of the first breakage in the summaries beside the recording, else 0."""
     from experiments.demo import MARKER_FILE
     from experiments.result_folder import SUMMARY_FILE
 
@@ -43,7 +43,7 @@ def _first_breakage_s(folder: Path) -> float:
 
 
 def _read(file: Path) -> dict:
-    """The object in a JSON file; an empty one where there is none."""
+    """Object in a JSON file, else an empty one."""
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):

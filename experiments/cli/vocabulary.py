@@ -7,12 +7,12 @@ import typer
 
 from experiments.cli.console import err, out, progress_bars, single_threaded_opencv
 
-app = typer.Typer(help="The vocabulary of place recognition.", no_args_is_help=True)
+app = typer.Typer(help="Train and show the vocabulary of place recognition.", no_args_is_help=True)
 
 
 @app.callback()
 def _group() -> None:
-    """The vocabulary of place recognition."""
+    """Train and show the vocabulary of place recognition."""
 
 
 @app.command("train")
@@ -22,10 +22,10 @@ def train_command(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the clustering.")] = 0,
     cache: Annotated[
         Path | None,
-        typer.Option(help="Keep the rendered frames here; default: keep none.", show_default=False),
+        typer.Option(help="Folder that keeps the rendered frames; default: none.", show_default=False),
     ] = None,
 ) -> None:
-    """Render the training frames and train the vocabulary that the SLAM ships with.
+    """Render the training frames and train the vocabulary of the package.
 
     For example: `dslab vocabulary train --out slam/data/vocabulary.npz`
     """
@@ -45,9 +45,14 @@ def train_command(
 
 @app.command("show")
 def show_command(
-    file: Annotated[Path | None, typer.Argument(help="An .npz file; the one shipped by default.")] = None,
+    file: Annotated[
+        Path | None, typer.Argument(help="An .npz file; default: the one of the package.")
+    ] = None,
 ) -> None:
-    """Print what a vocabulary was trained on, as JSON."""
+    """Print the training data of a vocabulary as JSON.
+
+    Example: `dslab vocabulary show`
+    """
     from experiments.cli.console import print_json_line
     from scenarios.errors import InputError
     from slam.places.recognition import VOCABULARY_FILE, Vocabulary

@@ -4,7 +4,7 @@ from experiments.cli.console import err, progress_bars, single_threaded_opencv
 
 
 def warmup_command() -> None:
-    """Compile the kernels once; later runs load them from the cache.
+    """Compile the kernels; later runs load them from the cache.
 
     Example: `dslab warmup`
     """

@@ -1,4 +1,4 @@
-"""From names of scenarios to a folder with a page that shows them."""
+"""Build of a gallery: a folder with a page that shows scenarios."""
 
 from collections.abc import Callable, Generator
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -21,13 +21,13 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Gallery:
-    """What has been made.
+    """A finished gallery.
 
     Attributes:
-        page: the file to open.
-        scenarios: families without members and members.
+        page: HTML file.
+        scenarios: number of members and of families without members.
         sheets: scenarios times seeds.
-        size_bytes: of the whole folder.
+        size_bytes: size of the folder.
     """
 
     page: Path
@@ -47,23 +47,23 @@ def make_gallery(
     """Make a folder with a page of thumbnails, maps and segments of every scenario.
 
     Args:
-        names: families, members or YAML files; a family stands for all of its members. Empty for all that
-            come with the package.
+        names: families, members or YAML files; a family stands for all of its members. Empty for all of the
+            package.
         out_dir: absent or empty.
-        seeds: how many of each, from the family's own on.
-        frames: how many of each sequence; more where there are more segments.
-        workers: processes; what is made does not depend on it.
+        seeds: number of seeds per scenario, from the seed of its family on.
+        frames: number of frames per sequence, at least one per segment.
+        workers: processes; the result does not depend on it.
         progress: called with (sequences done, sequences in all).
 
     Raises:
-        InputError: a name or a file is no scenario, two scenarios share a name, no GL, the folder is taken
-            or not writable, or the disk is full.
+        InputError: a name or a file is no scenario, two scenarios share a name, no GL, the folder is not
+            empty or not writable, or the disk is full.
     """
     found = _families(names)
     samples = [family.sample(family.seed + k) for family, _ in found for k in range(seeds)]
     with new_directory(out_dir) as folder:
         sheets: dict[tuple[str, int], Sheet] = {}
-        # Closed before the folder goes away, so that no worker writes into it any more.
+        # Closed before the folder is removed, so that no worker writes into it.
         with closing(_sheets(samples, frames, folder, workers)) as made:
             for sheet in made:
                 sheets[sheet.scenario.name, sheet.scenario.seed] = sheet
@@ -79,7 +79,7 @@ def make_gallery(
 
 
 def _families(names: list[str]) -> list[tuple[Family, Family]]:
-    """Every family that is sampled, with the one whose member it is; each once, members side by side."""
+    """Each family to sample, once, with its group; members follow one another."""
     found: dict[str, Family] = {}
     groups: dict[Path, Family] = {}
     for name in names or family_names():

@@ -1,4 +1,4 @@
-"""What stands about a path, seen from above: the world cut level at the camera's height."""
+"""Outline of the world from above: a horizontal cut at the height of the camera."""
 
 from dataclasses import dataclass
 
@@ -10,9 +10,9 @@ from sim.worlds.base import WorldModel
 _SIZE = 480.0
 _SMALLEST = 170.0
 _MARGIN_SHARE, _MARGIN_M = 0.08, 2.0
-# Pixels of the outline per unit of the map, for sharp screens.
+# Pixels of the outline per unit of the map, for high-resolution screens.
 _DETAIL = 2
-# Cuts at the camera's height and below, where low things stand; storeys lie farther apart than the grid.
+# Cuts at the camera's height and below, for low objects; storeys are farther apart than the grid.
 _CUTS_BELOW_M = (0.0, 1.0)
 _STOREY_M = 2.0
 _GREY = 128
@@ -21,12 +21,12 @@ _SUBPIXEL_BITS = 4
 
 @dataclass(frozen=True)
 class MapFrame:
-    """The piece of the ground that a map shows, x to the right and y up.
+    """Area of the ground that a map shows, x to the right and y up.
 
     Attributes:
-        left_m, top_m: its corner.
+        left_m, top_m: upper left corner.
         px_per_m: scale of the map.
-        width_px, height_px: of the map.
+        width_px, height_px: size of the map.
     """
 
     left_m: float
@@ -36,12 +36,12 @@ class MapFrame:
     height_px: float
 
     def place(self, xy_m: np.ndarray) -> np.ndarray:
-        """(..., 2) map coordinates, y downward, of (..., 2) points of the ground."""
+        """Map (..., 2) points of the ground to (..., 2) map coordinates, y downward."""
         return (np.asarray(xy_m) - [self.left_m, self.top_m]) * [self.px_per_m, -self.px_per_m]
 
 
 def frame_of(xy_m: np.ndarray) -> MapFrame:
-    """A frame about (N, 2) points of the ground."""
+    """Frame around (N, 2) points of the ground."""
     low, high = xy_m.min(axis=0), xy_m.max(axis=0)
     extent = high - low + 2 * max(_MARGIN_SHARE * float((high - low).max()), _MARGIN_M)
     px_per_m = _SIZE / float(extent.max())
@@ -52,12 +52,12 @@ def frame_of(xy_m: np.ndarray) -> MapFrame:
 
 
 def draw_outline(world: WorldModel, heights_m: np.ndarray, frame: MapFrame) -> np.ndarray:
-    """(h, w, 4) uint8 picture of the map: grey lines on nothing.
+    """Draw the outline, (h, w, 4) uint8, as grey lines on a transparent ground.
 
     Args:
-        world: what is cut.
-        heights_m: (N,) heights of the path; every storey it passes is cut.
-        frame: of the map.
+        world: the world to cut.
+        heights_m: (N,) heights of the path; every storey that it passes is cut.
+        frame: area of the map.
     """
     size = (round(frame.height_px * _DETAIL), round(frame.width_px * _DETAIL))
     lines = np.zeros(size, np.uint8)
@@ -73,13 +73,13 @@ def draw_outline(world: WorldModel, heights_m: np.ndarray, frame: MapFrame) -> n
 
 
 def level_cut(world: WorldModel, z_m: float) -> np.ndarray:
-    """(n, 2, 2) ends of the lines in which the world's triangles cross a level."""
+    """Ends, (n, 2, 2), of the lines where the world's triangles cross a level."""
     corners = np.concatenate([s.vertices[s.triangles] for s in world.surfaces])
     above_m = corners[..., 2] - z_m
     corners = corners[(above_m.max(axis=1) > 0) & (above_m.min(axis=1) <= 0)]
     ends = np.roll(corners, -1, axis=1)
     from_m, to_m = corners[..., 2] - z_m, ends[..., 2] - z_m
-    # Of a triangle that crosses, two sides do.
+    # A triangle that crosses the level has two sides that cross it.
     crosses = (from_m > 0) != (to_m > 0)
     share = from_m[crosses] / (from_m - to_m)[crosses]
     met = corners[crosses] + share[:, None] * (ends - corners)[crosses]
@@ -87,7 +87,7 @@ def level_cut(world: WorldModel, z_m: float) -> np.ndarray:
 
 
 def _draw(lines: np.ndarray, ends: np.ndarray) -> None:
-    """Draws (n, 2, 2) lines, those outside the picture left out."""
+    """Draw (n, 2, 2) lines, except those outside the picture."""
     low, high = ends.min(axis=1), ends.max(axis=1)
     seen = (high > 0).all(axis=1) & (low < lines.shape[::-1]).all(axis=1)
     fixed = np.rint(ends[seen] * 2**_SUBPIXEL_BITS).astype(np.int32)

@@ -1,4 +1,4 @@
-"""What a gallery shows of one scenario with one seed, as plain data and picture files."""
+"""Sheet of one scenario with one seed: plain data and picture files."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,7 @@ from sim.preview import Preview, preview
 from sim.sequence_rendering import RenderBackend
 
 THUMB_PIXELS = 60_000
-"""Size of a thumbnail, whatever the shape of the frames."""
+"""Pixels of a thumbnail of any shape."""
 
 _QUALITY = 80
 _MEASURE_STEP_S = 0.01
@@ -24,17 +24,17 @@ _TRACK_POINTS, _SEGMENT_POINTS = 1000, 24
 
 @dataclass(frozen=True)
 class Thumb:
-    """One frame.
+    """Thumbnail of one frame.
 
     Attributes:
-        file: of the thumbnail, relative to the gallery.
-        width_px, height_px: of the thumbnail.
-        frame: place in the sequence.
+        file: path of the thumbnail, relative to the gallery.
+        width_px, height_px: size of the thumbnail.
+        frame: index in the sequence.
         stamp_s: true time of the frame.
-        segment: index of the scenario's segment in whose time it lies, None for a clean frame.
-        blur_px: median length of its motion blur.
-        position_m: (3,) of the camera.
-        gaze: (2,) optical axis from above, shorter than 1 where the camera looks up or down.
+        segment: index of the scenario's segment at this time, None for a clean frame.
+        blur_px: median length of motion blur.
+        position_m: (3,) position of the camera.
+        gaze: (2,) optical axis from above, shorter than 1 if the camera looks up or down.
     """
 
     file: str
@@ -50,14 +50,14 @@ class Thumb:
 
 @dataclass(frozen=True)
 class Track:
-    """The camera's true motion, segments that move it included, thinned for drawing.
+    """True motion of the camera, including moving segments, thinned for drawing.
 
     Attributes:
-        stamps_s: (T,) rising, the whole sequence.
-        position_m: (T, 3).
-        speed_mps, rate_degps: (T,) highest of the time up to the next stamp.
-        length_m: of the path.
-        climb_m: from its lowest to its highest point.
+        stamps_s: (T,) increasing times over the sequence.
+        position_m: (T, 3) positions.
+        speed_mps, rate_degps: (T,) maxima up to the next stamp.
+        length_m: length of the path.
+        climb_m: height of its highest above its lowest point.
         segments_m: (n, 3) path of each segment of the scenario.
     """
 
@@ -75,12 +75,12 @@ class Sheet:
     """One scenario with one seed.
 
     Attributes:
-        scenario: as sampled.
-        frames: of the whole sequence.
-        thumbs: in time order.
-        track: the motion.
-        map_frame: what the map from above shows.
-        outline_file: picture of what stands about the path, relative to the gallery.
+        scenario: the sampled scenario.
+        frames: number of frames of the sequence.
+        thumbs: thumbnails in time order.
+        track: motion of the camera.
+        map_frame: area of the map.
+        outline_file: picture of the outline of the world, relative to the gallery.
     """
 
     scenario: Scenario
@@ -92,16 +92,16 @@ class Sheet:
 
 
 def make_sheet(scenario: Scenario, frames: int, folder: Path, backend: RenderBackend | None = None) -> Sheet:
-    """Plan a sequence, film some of its frames, write their thumbnails and the outline of its world.
+    """Plan a sequence, render some frames, write thumbnails and the outline of the world.
 
     Args:
-        scenario: what happens, with its own seed.
-        frames: how many frames; more where there are more segments.
-        folder: of the gallery; the pictures go into one of its folders.
-        backend: what renders; None for MuJoCo.
+        scenario: the scenario with its seed.
+        frames: number of frames, at least one per segment.
+        folder: folder of the gallery; pictures go into a folder inside it.
+        backend: render backend; None for MuJoCo.
 
     Raises:
-        InputError: no GL, or the world's sizes do not fit.
+        InputError: no GL, or impossible sizes of the world.
     """
     look = preview(scenario, backend)
     pictures = f"pictures/{scenario.name.replace('/', '.')}/seed-{scenario.seed}"
@@ -115,12 +115,12 @@ def make_sheet(scenario: Scenario, frames: int, folder: Path, backend: RenderBac
 
 
 def chosen_frames(plan: FramePlan, segments: tuple[SegmentBase, ...], count: int) -> list[int]:
-    """Frames spread over a sequence, one in the middle of every segment among them; rising, no two alike.
+    """Choose frames spread over a sequence, with the middle of every segment, increasing.
 
     Args:
-        shoot: the plan.
-        segments: of the scenario; one between two frames has no frame.
-        count: how many frames; there are more if there are more segments.
+        plan: the frame plan.
+        segments: segments of the scenario; one between two frames has no frame.
+        count: number of frames, at least one per segment.
     """
     middles = set()
     for segment in segments:
@@ -129,7 +129,7 @@ def chosen_frames(plan: FramePlan, segments: tuple[SegmentBase, ...], count: int
             from_middle_s = np.abs(plan.stamps_s[inside] - (segment.start_s + segment.end_s) / 2)
             middles.add(int(inside[np.argmin(from_middle_s)]))
     spread = np.unique(np.linspace(0, len(plan.stamps_s) - 1, count).round().astype(int)).tolist()
-    # Each middle takes the place of the nearest frame of the even spread.
+    # Each middle replaces the nearest frame of the even spread.
     for middle in sorted(middles):
         if spread:
             spread.remove(min(spread, key=lambda frame: abs(frame - middle)))
@@ -188,7 +188,7 @@ def _track(motion: Motion, scenario: Scenario) -> Track:
 
 
 def _write(path: Path, image: np.ndarray) -> None:
-    """Encoded here and written by Python, which raises where OpenCV only says no."""
+    """Write an image; Python raises on a write error where OpenCV only returns False."""
     options = (
         [cv2.IMWRITE_JPEG_QUALITY, _QUALITY] if path.suffix == ".jpg" else [cv2.IMWRITE_PNG_COMPRESSION, 9]
     )

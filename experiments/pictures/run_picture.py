@@ -1,4 +1,4 @@
-"""The demonstration in one picture: paths from above, inliers over time, sample frames."""
+"""Picture of runs: paths from above, inliers over time, sample frames."""
 
 from pathlib import Path
 
@@ -27,12 +27,12 @@ def draw_runs(path: Path, sequence: Sequence, records: dict[SystemKind, RunRecor
 def runs_figure(sequence: Sequence, records: dict[SystemKind, RunRecord]) -> Figure:
     """Draw sample frames, paths and inliers of some runs over one sequence.
 
-    Paths are the final ones of each map, aligned to the truth for display only; green is what a recovery has
-    placed afterwards. A cross marks a breakage, a disc a recovery.
+    Each map is drawn with its final path, aligned to the truth for display only; frames placed by a recovery
+    are green. A cross marks a breakage, a disc a recovery.
 
     Args:
-        sequence: the frames that were fed.
-        records: one run per system, by its name.
+        sequence: the input sequence.
+        records: one run per system, by name.
     """
     figure = Figure(figsize=(13, 8.2), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
@@ -48,7 +48,7 @@ def runs_figure(sequence: Sequence, records: dict[SystemKind, RunRecord]) -> Fig
 
 
 def _sample_frames(sequence: Sequence) -> list[int]:
-    """The middle of every segment, filled up with frames spread over the sequence."""
+    """Middle frame of every segment, then frames spread over the sequence."""
     acting = [s for s in sequence.segments if s.first_frame >= 0]
     chosen = [(s.first_frame + s.last_frame) // 2 for s in acting][:_SAMPLES]
     spread = np.linspace(0.03, 0.97, _SAMPLES - len(chosen)) * (len(sequence) - 1)
@@ -90,7 +90,7 @@ def _draw_paths(
         _mark(axes, scene.T_world_cam[:, ground, 3], outcomes)
     unplaced = len(record.trajectories) - len(scene.final)
     if unplaced:
-        note = f"{unplaced} map(s) not drawn: not like the truth at any scale"
+        note = f"{unplaced} map(s) not drawn: no alignment with the truth"
         axes.text(0.01, 0.01, note, transform=axes.transAxes, fontsize=8, color=_LOST_COLOR)
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.06)
@@ -101,7 +101,7 @@ def _draw_paths(
 
 
 def _draw_truth(axes: Axes, sequence: Sequence, path: np.ndarray) -> None:
-    """The true path from above, (N, 2), and wide under it what was done to the frames."""
+    """Draw the true path from above, (N, 2), over wide lines for the segments."""
     axes.plot(*path.T, color="0.72", linewidth=4, label="truth", zorder=1)
     for segment in sequence.segments:
         inside = path[segment.first_frame : segment.last_frame + 1]
@@ -145,7 +145,7 @@ def _mark(axes: Axes, positions: np.ndarray, outcomes: list[BreakageOutcome]) ->
 def _draw_inliers(axes: Axes, sequence: Sequence, records: dict[SystemKind, RunRecord]) -> None:
     for index, segment in enumerate(sequence.segments):
         if segment.first_frame >= 0:
-            # Names of segments over one another stand one below the other.
+            # Labels of overlapping segments are stacked.
             over = sum(
                 s.first_frame <= segment.first_frame <= s.last_frame for s in sequence.segments[:index]
             )
@@ -165,13 +165,13 @@ def _draw_inliers(axes: Axes, sequence: Sequence, records: dict[SystemKind, RunR
             sequence.stamps_s,
             [r.inliers for r in record.results],
             color=_system_color(place),
-            # All are the same up to the first breakage; the widest lines are drawn first.
+            # All curves are equal up to the first breakage; the widest is drawn first.
             linewidth=1.2 + 1.4 * (len(records) - 1 - place),
             alpha=0.9 if place == len(records) - 1 else 0.5,
             label=kind,
         )
     axes.set_xlim(sequence.stamps_s[0], sequence.stamps_s[-1])
-    # The few frames in which a map begins have many times as many, and would flatten all others.
+    # The few frames of an initialization have many more inliers and would flatten the curves.
     every = [r.inliers for record in records.values() for r in record.results]
     axes.set_ylim(0, 1.4 * max(1.0, float(np.percentile(every, 98))))
     axes.set_xlabel("s", fontsize=8)

@@ -1,8 +1,8 @@
-"""Runs as a rerun recording, any number of systems side by side. Only this package imports rerun."""
+"""Recordings of runs for rerun, systems side by side. Only this package imports rerun."""
 
 import os
 
-# rerun reads this when it is loaded. Its writer logs what is raised here as an error of its own.
+# rerun reads this on import. Without it the writer logs errors that are raised here anyway.
 os.environ.setdefault("RUST_LOG", "off")
 
 from experiments.recording.recorder import Recording, SystemRecorder

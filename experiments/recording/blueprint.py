@@ -1,4 +1,4 @@
-"""How a recording opens: the systems side by side, lanes and curves over one time, at the first breakage."""
+"""Layout of a recording: systems side by side, lanes and curves over a shared time."""
 
 from collections.abc import Sequence as Many
 
@@ -12,21 +12,21 @@ from experiments.runs.execution import RunRecord
 from slam.core.events import Breakage
 
 _BEFORE_S, _AFTER_S = 1.0, 6.0
-"""What is selected, about the first breakage."""
+"""Selected time around the first breakage."""
 _GRID = (255, 255, 255, 10)
 _SHARED_TIME = rrb.TimeAxis(link="linktoglobal")
 
 
 def make_blueprint(records: Many[RunRecord], scene: Scene, shrink: float) -> rrb.Blueprint:
-    """The layout for some runs over one sequence.
+    """Make the layout for runs over one sequence.
 
-    A blueprint cannot set the time cursor. It opens at the end, where all is drawn, with the time about the
+    A blueprint cannot set the time cursor. It opens at the end of the recording, with the time around the
     first breakage selected; :func:`experiments.recording.viewer.open_viewer` sets the cursor on the breakage.
 
     Args:
-        records: one per system.
-        scene: of all of them together.
-        shrink: size of the recorded images over that of the fed ones.
+        records: one run per system.
+        scene: common scene of all runs.
+        shrink: scale of the recorded images relative to the input images.
     """
     camera = records[0].sequence.camera
     size = camera.width_px * shrink, camera.height_px * shrink
@@ -63,12 +63,12 @@ def make_blueprint(records: Many[RunRecord], scene: Scene, shrink: float) -> rrb
 
 
 def _world_view(kind: str, scene: Scene) -> rrb.Spatial3DView:
-    """The 3D view of one system, framed on the path."""
+    """3D view of one system, framed on the path."""
     across = np.roll(np.abs(scene.up), 1) * 0.8 + np.roll(np.abs(scene.up), 2) * 0.6
     eye = scene.centre + scene.extent * (1.15 * scene.up - 0.55 * across)
-    where = "map, aligned to the truth for display" if scene.T_world_cam is not None else "map"
+    title = "map, aligned to the truth for display" if scene.T_world_cam is not None else "map"
     return rrb.Spatial3DView(
-        name=f"{kind}: {where}",
+        name=f"{kind}: {title}",
         origin="world",
         contents=["+ world", "+ world/true_path", "+ world/true_camera", f"+ world/{part(kind)}/**"],
         line_grid=rrb.LineGrid3D(color=_GRID),
@@ -105,6 +105,6 @@ def _time_panel(records: Many[RunRecord]) -> rrb.TimePanel:
 
 
 def _usual_ms(records: Many[RunRecord]) -> float:
-    """Top of the time plot: the first frame, which loads the kernels, would flatten all others."""
+    """Upper limit of the time plot, without the first frame, which loads the kernels."""
     times = [sum(r.ms.values()) for record in records for r in record.results]
     return max(1.0, 1.5 * float(np.percentile(times, 98)))

@@ -1,4 +1,4 @@
-"""Events as lines of text."""
+"""Text of events."""
 
 from slam.core.events import Event
 
@@ -6,9 +6,9 @@ _LEVELS = {"breakage": "ERROR", "map_dropped": "WARN"}
 
 
 def describe_event(event: Event) -> tuple[str, str]:
-    """(text, level) of an event for the log: what happened when, then its fields but for empty ones.
+    """Text and log level of an event: time, frame, kind, non-empty fields.
 
-    Of a field that holds many things their number is told.
+    Lists are given by their length.
     """
     fields = event.record()
     kind, frame, stamp_s = fields.pop("event"), fields.pop("frame"), fields.pop("stamp_s")

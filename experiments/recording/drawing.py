@@ -1,4 +1,4 @@
-"""What of a run is drawn when it is over: paths, maps, marks, plots, lanes, the log."""
+"""Drawing of a finished run: paths, maps, marks, plots, lanes, log."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -20,13 +20,13 @@ _STEP_S = 0.5
 
 
 def draw_truth(stream: Stream, sequence: Sequence, scene: Scene, shrink: float) -> None:
-    """The world's axes, and the true path and camera where they are known.
+    """Draw the axes of the world, and the true path and camera where known.
 
     Args:
         stream: the file.
-        sequence: what was fed.
-        scene: of all runs together.
-        shrink: size of the recorded images over that of the fed ones.
+        sequence: the input sequence.
+        scene: common scene of all runs.
+        shrink: scale of the recorded images relative to the input images.
     """
     stream.static("world", _view_coordinates(scene.up))
     if scene.T_world_cam is None:
@@ -41,8 +41,9 @@ def draw_truth(stream: Stream, sequence: Sequence, scene: Scene, shrink: float) 
 
 
 def pinhole(sequence: Sequence, shrink: float, size: float, color: Color) -> rr.Pinhole:
-    """The sequence's camera; rerun's pixel (0, 0) is a corner, ours the centre of the first pixel."""
+    """Pinhole camera of the sequence for rerun."""
     camera = sequence.camera
+    # Pixel (0, 0) is a corner in rerun, here the centre of the first pixel.
     K = np.array([[camera.fx, 0, camera.cx + 0.5], [0, camera.fy, camera.cy + 0.5], [0, 0, 1]])
     K[:2] *= shrink
     return rr.Pinhole(
@@ -56,10 +57,10 @@ def pinhole(sequence: Sequence, shrink: float, size: float, color: Color) -> rr.
 
 @dataclass(frozen=True)
 class MapSnapshot:
-    """The map as it stood at one frame, in its own frame.
+    """Points of a map at one frame, in map coordinates.
 
     Attributes:
-        frame, map_id: when, and which.
+        frame, map_id: frame of the snapshot and id of the map.
         points: (n, 3) float32 map units.
     """
 
@@ -69,14 +70,14 @@ class MapSnapshot:
 
 
 class RunDrawing:
-    """Draws one run under its system's name.
+    """Draw one run under the name of its system.
 
     Args:
         stream: the file.
         record: the run.
-        scene: where its maps are in the world.
-        extent: of everything drawn, for the sizes of symbols.
-        shrink: size of the recorded images over that of the fed ones.
+        scene: alignment of its maps with the world.
+        extent: extent of all drawn paths, for the sizes of symbols.
+        shrink: scale of the recorded images relative to the input images.
     """
 
     def __init__(self, stream: Stream, record: RunRecord, scene: Scene, extent: float, shrink: float) -> None:
@@ -90,7 +91,7 @@ class RunDrawing:
         self._world = f"world/{self._name}"
 
     def draw(self, snapshots: "Iterable[MapSnapshot]", color: Color) -> None:
-        """Everything; the colour is that of the system's curves."""
+        """Draw everything; ``color`` is that of the system's curves."""
         self._draw_camera()
         self._draw_paths()
         self._draw_maps(snapshots)
@@ -104,7 +105,7 @@ class RunDrawing:
             self._stream.log(f"events/{self._name}", event.frame, line)
 
     def _draw_camera(self) -> None:
-        """The estimated camera, in the colour of its state; where it has no pose it stays where it was."""
+        """Draw the estimated camera in the colour of its state; without a pose it stays."""
         entity, state = f"{self._world}/camera", None
         for result in self._record.results:
             if result.state != state:
@@ -119,7 +120,7 @@ class RunDrawing:
             self._stream.poses(entity, live.frames, alignment.poses(live.T_map_cam))
 
     def _draw_paths(self) -> None:
-        """The paths so far, step by step: live per map, recovered, the true one where none is known."""
+        """Draw the paths over time: live per map, recovered, and lost."""
         last = len(self._record.results) - 1
         step = max(1, round(_STEP_S * self._record.sequence.camera.fps))
         changes = {e.frame for e in self._record.events}
@@ -136,7 +137,7 @@ class RunDrawing:
         self._stream.log(f"{self._world}/{name}", frame, line)
 
     def _draw_maps(self, snapshots: "Iterable[MapSnapshot]") -> None:
-        """Points and keyframes, each map in its colour, as they stood at the time."""
+        """Draw points and keyframes over time, each map in its colour."""
         keyframes = np.array([r.frame for r in self._record.results if r.is_keyframe], int)
         for snapshot in snapshots:
             map_id, frame = snapshot.map_id, snapshot.frame
@@ -159,7 +160,7 @@ class RunDrawing:
             points = rr.Points3D(
                 [m.position for m in so_far],
                 colors=[palette.LOST if m.broke else palette.FUSED for m in so_far],
-                labels=[m.words for m in so_far],
+                labels=[m.label for m in so_far],
                 show_labels=True,
                 radii=rr.Radius.ui_points(6.0),
             )
@@ -179,7 +180,7 @@ class RunDrawing:
 
 
 def draw_lane(stream: Stream, under: str, lane: Lane) -> None:
-    """A lane as a row of the timeline view."""
+    """Draw a lane as a row of the timeline view."""
     entity = f"{under}/{part(lane.name)}"
     values = list(lane.colors)
     colors = np.array([palette.rgba(c) for c in lane.colors.values()], np.uint32)

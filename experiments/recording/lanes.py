@@ -1,4 +1,4 @@
-"""The lanes of a run: what state it was in when, read off its results and events and nothing else."""
+"""Lanes of a run: its states over time, from its results and events alone."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from experiments.runs.execution import RunRecord
 from slam.core.events import Event, Fusion, RecoveryEnd, RecoveryStart
 
 MARK_SHARE = 0.08
-"""What takes no time is shown this share of the run long, for its word to be read."""
+"""Length of a momentary event, as a share of the run, so that its label is readable."""
 
 _STATE_WORDS = {"not_initialized": "initialising"}
 
@@ -21,9 +21,9 @@ class Lane:
     """One row of the timeline.
 
     Attributes:
-        name: what it tells of, one word.
+        name: one word.
         changes: (frame, value) in order of frames; a value holds until the next, empty for none.
-        colors: of every value that occurs.
+        colors: colour of every value.
     """
 
     name: str
@@ -31,7 +31,7 @@ class Lane:
     colors: dict[str, Color] = field(default_factory=dict)
 
     def add(self, frame: int, value: str, color: Color | None = None) -> None:
-        """From this frame on the value holds; of two for one frame the later stands."""
+        """Set the value from a frame on; a later call for the frame replaces it."""
         if self.changes and self.changes[-1][0] == frame:
             self.changes.pop()
         if not self.changes or self.changes[-1][1] != value:
@@ -40,22 +40,22 @@ class Lane:
             self.colors[value] = color
 
     def at(self, frame: int) -> str:
-        """The value that holds at a frame."""
+        """Value at a frame."""
         return next((value for f, value in reversed(self.changes) if f <= frame), "")
 
 
 def system_lanes(record: RunRecord) -> list[Lane]:
-    """State, marks of events, one lane per recovery thread, and what each frame was worth in the end."""
-    return [_states(record), _marks(record), *_recoveries(record), _ends(record)]
+    """Lanes of state, events, each recovery thread, and final outcome of each frame."""
+    return [_states(record), _marks(record), *_recoveries(record), _outcomes(record)]
 
 
 def segment_lane(record: RunRecord) -> Lane:
-    """What was done to the frames. Segments over one another are one value, in the last one's colour."""
+    """Lane of injected segments; overlapping segments share a value, in the last one's colour."""
     lane = Lane("segment")
     for frame in range(len(record.results)):
         kinds = record.sequence.kinds_at(frame)
-        words = " + ".join(kinds).replace("_", " ")
-        lane.add(frame, words, palette.segment_color(kinds[-1]) if kinds else None)
+        label = " + ".join(kinds).replace("_", " ")
+        lane.add(frame, label, palette.segment_color(kinds[-1]) if kinds else None)
     return lane
 
 
@@ -72,7 +72,7 @@ def _states(record: RunRecord) -> Lane:
 
 
 def _marks(record: RunRecord) -> Lane:
-    """Breakages and what ended them. A mark gives way to the next."""
+    """Lane of breakages, recoveries and other events; a mark ends when the next begins."""
     lane = Lane("events")
     length = _mark_frames(record)
     ends_at: int | None = None
@@ -87,16 +87,16 @@ def _marks(record: RunRecord) -> Lane:
 
 
 def _mark_list(events: Iterable[Event]) -> list[tuple[int, str, Color]]:
-    """(frame, words, colour), one per frame: events of one frame share a mark, in the last one's colour."""
+    """Marks as (frame, label, colour); events of one frame share a mark."""
     marks: list[tuple[int, str, Color]] = []
     for event in events:
         found = _mark(event)
         if found is None:
             continue
-        words, color = found
+        label, color = found
         if marks and marks[-1][0] == event.frame:
-            words = f"{marks.pop()[1]}, {words}"
-        marks.append((event.frame, words, color))
+            label = f"{marks.pop()[1]}, {label}"
+        marks.append((event.frame, label, color))
     return marks
 
 
@@ -119,7 +119,7 @@ _MARKS: dict[str, tuple[str, Color]] = {
 
 
 def _recoveries(record: RunRecord) -> list[Lane]:
-    """A lane per recovery thread: at work from its start to its end, then how it ended, as a mark."""
+    """One lane per recovery thread: at work, then its outcome as a mark."""
     threads = sorted({e.thread for e in record.events if isinstance(e, RecoveryStart | RecoveryEnd)})
     return [_recovery(record, thread) for thread in threads]
 
@@ -149,7 +149,7 @@ def _failure(event: RecoveryEnd) -> tuple[str, Color]:
     return (f"failed: {event.stage}" if event.stage else "failed"), palette.REFUSED
 
 
-def _ends(record: RunRecord) -> Lane:
+def _outcomes(record: RunRecord) -> Lane:
     words = {
         FrameOutcome.TRACKED: ("pose", palette.TRACKED),
         FrameOutcome.RECOVERED: ("pose by recovery", palette.RECOVERED),

@@ -1,4 +1,4 @@
-"""The colours of a recording: one meaning, one colour, in every view."""
+"""Colours of a recording, the same in every view."""
 
 Color = tuple[int, int, int]
 
@@ -41,20 +41,20 @@ _OTHER_SEGMENT: Color = (176, 96, 96)
 
 
 def map_color(map_id: int) -> Color:
-    """The colour of a map's points, keyframes and path."""
+    """Colour of the points, keyframes and path of a map."""
     return _MAPS[map_id % len(_MAPS)]
 
 
 def system_color(index: int) -> Color:
-    """The colour of a system's curves where several are drawn in one plot."""
+    """Colour of a system's curves in a shared plot."""
     return _SYSTEMS[index % len(_SYSTEMS)]
 
 
 def segment_color(kind: str) -> Color:
-    """The colour of an injected segment."""
+    """Colour of an injected segment."""
     return _SEGMENTS.get(kind, _OTHER_SEGMENT)
 
 
 def rgba(color: Color) -> int:
-    """0xRRGGBBAA, opaque."""
+    """Opaque colour as 0xRRGGBBAA."""
     return color[0] << 24 | color[1] << 16 | color[2] << 8 | 255

@@ -1,4 +1,4 @@
-"""The paths of a run as they were known at a frame, in the world. Arrays in, line strips out."""
+"""Paths of a run as known at a frame, as line strips in the world."""
 
 from dataclasses import dataclass
 
@@ -11,32 +11,32 @@ from experiments.runs.execution import RunRecord
 from slam.core.events import Breakage, Event, Fusion, Relocalized
 
 MAX_PATH = 600
-"""The most points of a path that are drawn."""
+"""Largest number of points of a drawn path."""
 
 
 @dataclass(frozen=True)
 class Mark:
-    """A place on the path where something happened.
+    """Position of an event on the path.
 
     Attributes:
-        frame: when.
+        frame: frame of the event.
         position: (3,) float64 in the world.
-        broke: a breakage; else what mended one.
-        words: its label.
+        broke: True for a breakage, False for the end of one.
+        label: text shown at the mark.
     """
 
     frame: int
     position: np.ndarray
     broke: bool
-    words: str
+    label: str
 
 
 class RunPaths:
-    """The paths of one run, cut by what became of their frames.
+    """Paths of one run, cut by the outcomes of its frames.
 
     Args:
         record: the run.
-        scene: where its maps are in the world.
+        scene: alignment of its maps with the world.
     """
 
     def __init__(self, record: RunRecord, scene: Scene) -> None:
@@ -51,24 +51,24 @@ class RunPaths:
             self._placed[trajectory.frames] = trajectory.T_map_cam[:, :3, 3]
 
     def live(self, map_id: int, frame: int) -> np.ndarray:
-        """(n, 4, 4) camera poses in the world, as they were given up to a frame while in a map."""
+        """Live camera poses, (n, 4, 4) in the world, in a map up to a frame."""
         live = self._record.live[map_id]
         poses = live.T_map_cam[live.frames <= frame]
         return self._scene.alignments[map_id].poses(poses)
 
     def live_strips(self, map_id: int, frame: int) -> list[np.ndarray]:
-        """The path in a map up to a frame, cut where frames are missing."""
+        """Live path in a map up to a frame, cut where frames are missing."""
         frames = self._record.live[map_id].frames
         return strips(frames[frames <= frame], self.live(map_id, frame)[:, :3, 3])
 
     def recovered_strips(self, frame: int) -> list[np.ndarray]:
-        """What a recovery applied by this frame has placed, where it is in the end."""
+        """Final path of the frames that recoveries placed up to a frame."""
         chosen = self._recovered & (self._known_from <= frame) & np.isfinite(self._placed).all(axis=1)
         frames = np.flatnonzero(chosen)
         return strips(frames, self._placed[frames])
 
     def lost_strips(self, frame: int) -> list[np.ndarray]:
-        """The true path where no pose is known at a frame, from the first breakage on; none without truth."""
+        """True path of frames without a pose, from the first breakage up to a frame."""
         truth, first = self._scene.T_world_cam, self._first_breakage()
         if truth is None or first is None:
             return []
@@ -79,20 +79,20 @@ class RunPaths:
         return strips(frames, truth[frames, :3, 3])
 
     def marks(self) -> list[Mark]:
-        """Breakages, fusions and relocalizations where the camera was, in order."""
+        """Breakages, fusions and relocalizations at the position of the camera, in order."""
         found = []
         for event in self._record.events:
-            words = _mark_words(event)
-            position = None if words is None else self._position(event.frame)
-            if words is not None and position is not None:
-                found.append(Mark(event.frame, position, isinstance(event, Breakage), words))
+            label = _label(event)
+            position = None if label is None else self._position(event.frame)
+            if label is not None and position is not None:
+                found.append(Mark(event.frame, position, isinstance(event, Breakage), label))
         return found
 
     def _first_breakage(self) -> int | None:
         return min((e.frame for e in self._record.events if isinstance(e, Breakage)), default=None)
 
     def _position(self, frame: int) -> np.ndarray | None:
-        """The true position, else the last one placed before it; None where there is neither."""
+        """True position at a frame, else the last estimated one before it, else None."""
         truth = self._scene.T_world_cam
         if truth is not None and np.isfinite(truth[frame]).all():
             return truth[frame, :3, 3]
@@ -100,7 +100,7 @@ class RunPaths:
         return self._placed[known[-1]] if len(known) else None
 
 
-def _mark_words(event: Event) -> str | None:
+def _label(event: Event) -> str | None:
     if isinstance(event, Breakage):
         return "breakage"
     if isinstance(event, Fusion) and event.accepted:
@@ -109,7 +109,7 @@ def _mark_words(event: Event) -> str | None:
 
 
 def strips(frames: np.ndarray, positions: np.ndarray) -> list[np.ndarray]:
-    """A path cut where frames are missing, thinned to what the eye can follow.
+    """Cut a path where frames are missing, and thin it for display.
 
     Args:
         frames: (n,) int increasing.
@@ -123,5 +123,5 @@ def strips(frames: np.ndarray, positions: np.ndarray) -> list[np.ndarray]:
 
 
 def thin(rows: np.ndarray, most: int) -> np.ndarray:
-    """At most so many rows, evenly spread."""
+    """Select at most ``most`` rows, evenly spaced."""
     return rows[:: max(1, -(-len(rows) // most))]

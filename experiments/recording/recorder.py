@@ -1,4 +1,4 @@
-"""Records the runs of one or more systems over a sequence into one file."""
+"""Recorder of runs of one or more systems over a sequence, into one file."""
 
 from collections.abc import Sequence as Many
 from pathlib import Path
@@ -28,19 +28,19 @@ _MAX_POINTS = 3000
 
 
 class Recording:
-    """Writes the runs of some systems over one sequence to one .rrd file.
+    """Writer of runs over one sequence to one .rrd file.
 
-    Frames go in as they come, everything that needs the truth or the whole run at the end. The systems run
-    one after the other, each watched by what :meth:`watch` gives; then :meth:`finish`. Estimates are placed
-    in the world per map by :func:`experiments.evaluation.scene.lay_out`, for display only.
+    Frames are written as they come; what needs the truth or the whole run is written at the end. The systems
+    run one after the other, each observed by the result of :meth:`watch`; then call :meth:`finish`. Estimates
+    are aligned with the world per map by :func:`experiments.evaluation.scene.lay_out`, for display only.
 
-    Images go in once for all systems, at ``IMAGES_PER_S`` at most, JPEG-compressed: a minute of 640 x 480 at
-    30 fps with two systems stays under 60 MB.
+    Images are written once for all systems, at most ``IMAGES_PER_S`` per second, as JPEG: a minute of
+    640 x 480 at 30 fps with two systems stays under 60 MB.
 
     Args:
-        path: the file to write.
-        sequence: what is fed, with its truth.
-        systems: names of the systems, in the order in which they are shown.
+        path: file to write.
+        sequence: the input sequence, with its ground truth.
+        systems: names of the systems, in display order.
 
     Raises:
         OSError: the file cannot be written.
@@ -63,15 +63,15 @@ class Recording:
         self._stream.close(failed is not None)
 
     def watch(self, system: str) -> "SystemRecorder":
-        """The observer of one system's run."""
+        """Create the observer of one system's run."""
         self._watchers[system] = SystemRecorder(self, system)
         return self._watchers[system]
 
     def finish(self, records: Many[RunRecord]) -> None:
-        """Write what is known only at the end: the aligned paths, plots, lanes and the blueprint.
+        """Write aligned paths, plots, lanes and the blueprint.
 
         Args:
-            records: the runs, one per system watched.
+            records: the runs, one per observed system.
         """
         scenes = [lay_out(record) for record in records]
         scene = together(scenes)
@@ -84,7 +84,7 @@ class Recording:
         self._stream.blueprint(make_blueprint(records, scene, self._shrink))
 
     def show_image(self, frame: int, image: np.ndarray) -> None:
-        """Put in a frame's image, unless it is there already."""
+        """Write the image of a frame, once for all systems."""
         if frame in self._shown:
             return
         self._shown.add(frame)
@@ -95,7 +95,7 @@ class Recording:
         self._stream.log("camera/image", frame, rr.EncodedImage(contents=encoded, media_type="image/jpeg"))
 
     def show_features(self, system: str, result: TrackingResult) -> None:
-        """Put in a frame's features, apart those that are inliers of the map."""
+        """Write the features of a frame, inliers of the map separately."""
         pixels = ((result.keypoints_px + 0.5) * self._shrink).astype(np.float32)
         inlier = result.inlier_mask & is_tracked(result)
         for name, chosen, color, radius in (
@@ -107,15 +107,15 @@ class Recording:
 
     @property
     def stride(self) -> int:
-        """Frames from one image to the next."""
+        """Number of frames from one image to the next."""
         return max(1, round(self._sequence.camera.fps / IMAGES_PER_S))
 
 
 class SystemRecorder:
-    """Watches one system's run for a recording; made by :meth:`Recording.watch`.
+    """Observer of one system's run, made by :meth:`Recording.watch`.
 
     Attributes:
-        snapshots: the map now and then, thinned.
+        snapshots: the thinned map at intervals.
     """
 
     def __init__(self, recording: Recording, system: str) -> None:
@@ -126,7 +126,7 @@ class SystemRecorder:
         self._state = ""
 
     def frame(self, image: np.ndarray, result: TrackingResult, system: SlamSystem) -> None:
-        """Record one frame: image, features and, now and then, the map."""
+        """Record one frame: image, features and, at intervals, the map."""
         changed = result.state != self._state
         self._state = result.state
         if changed or result.frame % self._recording.stride == 0:

@@ -1,4 +1,4 @@
-"""An .rrd file being written: its stream, its times, and why it could not be written."""
+"""Writer of an .rrd file: entities, times, write errors."""
 
 import errno
 import os
@@ -16,15 +16,15 @@ _NO_SPACE_BYTES = 1 << 20
 
 
 class Stream:
-    """Entities by path and frame; every frame is on both time lines, ``frame`` and ``time``.
+    """Writer of entities by path and frame, on the time lines ``frame`` and ``time``.
 
     Args:
-        path: the file to write.
+        path: file to write.
         title: name of the recording.
         stamps_s: (N,) float64 times of the frames.
 
     Raises:
-        OSError: the file cannot be written; from :meth:`close` too.
+        OSError: the file cannot be written; also from :meth:`close`.
     """
 
     def __init__(self, path: Path, title: str, stamps_s: np.ndarray) -> None:
@@ -40,7 +40,7 @@ class Stream:
         self._rec.send_recording_name(title)
 
     def close(self, failed: bool) -> None:
-        """End the file; ``failed``: something else already went wrong, of which to tell instead."""
+        """Close the file; write errors are raised unless the caller has ``failed`` already."""
         try:
             self._rec.flush()
         except RuntimeError as error:
@@ -50,18 +50,18 @@ class Stream:
             self._rec.disconnect()
 
     def static(self, entity: str, *archetypes: Any) -> None:
-        """What holds at all times."""
+        """Write data for all times."""
         for archetype in archetypes:
             self._rec.log(entity, archetype, static=True)
 
     def log(self, entity: str, frame: int, archetype: Any) -> None:
-        """What holds from a frame on."""
+        """Write data from a frame on."""
         self._rec.set_time("frame", sequence=frame)
         self._rec.set_time("time", duration=float(self._stamps_s[frame]))
         self._rec.log(entity, archetype)
 
     def columns(self, entity: str, frames: Iterable[int], columns: Any) -> None:
-        """What holds from each of some frames on, one row for each."""
+        """Write one row of data per frame."""
         frames = np.asarray(list(frames), int)
         if not len(frames):
             return
@@ -72,7 +72,7 @@ class Stream:
         self._rec.send_columns(entity, times, columns)
 
     def poses(self, entity: str, frames: Iterable[int], T_world_cam: np.ndarray) -> None:
-        """(n, 4, 4) poses of an entity, one per frame."""
+        """Write (n, 4, 4) poses of an entity, one per frame."""
         quaternions = Rotation.from_matrix(T_world_cam[:, :3, :3]).as_quat() if len(T_world_cam) else []
         self.columns(
             entity,
@@ -81,16 +81,16 @@ class Stream:
         )
 
     def blueprint(self, blueprint: Any) -> None:
-        """How the viewer opens the file."""
+        """Set the layout with which the viewer opens the file."""
         self._rec.send_blueprint(blueprint)
 
     def _write_error(self) -> OSError:
-        """Why the file could not be written; rerun's writer does not say."""
+        """Find the cause of a write error, which rerun does not report."""
         full = shutil.disk_usage(self._path.parent).free < _NO_SPACE_BYTES
         code = errno.ENOSPC if full else errno.EIO
         return OSError(code, os.strerror(code), str(self._path))
 
 
 def part(name: str) -> str:
-    """A name as one part of an entity path."""
+    """Escape a name as one part of an entity path."""
     return rr.escape_entity_path_part(name)

@@ -1,4 +1,4 @@
-"""A recording opened in the viewer."""
+"""Viewer of recordings."""
 
 import socket
 import sys
@@ -9,7 +9,7 @@ def open_viewer(path: Path, stamp_s: float) -> None:
     """Open a recording in the viewer, paused at a time; the viewer outlives this process.
 
     Raises:
-        ConnectionError: the viewer does not start, for want of a display as a rule.
+        ConnectionError: the viewer does not start, usually without a display.
     """
     from rerun.experimental import ViewerClient
 

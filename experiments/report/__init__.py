@@ -1,1 +1,1 @@
-"""The report of an experiment: one page to read, its figures as JSON, its plots as files."""
+"""Report of an experiment: a page, its figures as JSON, its plots as files."""

@@ -1,4 +1,4 @@
-"""Every figure of a report as one object: what report.json holds and the page shows rounded."""
+"""All figures of a report as one object: exact in report.json, rounded on the page."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,21 +23,21 @@ FORMAT = 1
 def report_content(
     spec: "ExperimentSpec", table: pd.DataFrame, folder: Path, settings: AnalysisSettings | None = None
 ) -> dict[str, Any]:
-    """Analyse an experiment's records and put all that is to be told into plain data.
+    """Analyse the records of an experiment and return the figures as plain data.
 
     Args:
         spec: the ExperimentSpec.
-        table: its records, as many as there are, with the columns of `records.columns`.
-        folder: of the experiment, for commands that replay units.
-        settings: of the analysis; the default ones if None.
+        table: the records so far, with the columns of `records.columns`.
+        folder: folder of the experiment, for commands that replay units.
+        settings: settings of the analysis; the defaults if None.
 
     Returns:
-        Dicts, lists and Python scalars; floats as computed.
+        Dicts, lists and Python scalars; floats unrounded.
     """
     cells = spec.cell_names()
     families = {name: cell.image.split("/")[0] for name, cell in spec.cells.items()}
     systems = {name: str(cell.system) for name, cell in spec.cells.items()}
-    # Frame rate and duration are alike in all units of a cell.
+    # All units of a cell have the same frame rate and duration.
     scenarios = {cell: spec.unit(cell, 0).scenario for cell in cells}
     table = _in_order_of_cells(table, cells)
     threads = len(spec.threads)
@@ -79,7 +79,7 @@ def report_content(
 
 
 def _in_order_of_cells(table: pd.DataFrame, cells: list[str]) -> pd.DataFrame:
-    """By cell as the spec names them, then by number of unit."""
+    """Records in the order of cells in the spec, then of units."""
     places = {cell: place for place, cell in enumerate(cells)}
     place = table["cell"].map(places).fillna(len(cells))
     return table.assign(_place=place).sort_values(["_place", "index"], kind="stable").drop(columns="_place")
@@ -98,39 +98,39 @@ def _about(spec: "ExperimentSpec") -> dict[str, Any]:
 
 
 def _warnings(units: dict[str, Any], table: pd.DataFrame) -> list[str]:
-    said = []
+    warnings = []
     if units["missing"]:
-        said.append(
-            f"{units['missing']} of {units['planned']} planned units are not recorded. While a run is going "
-            "on, only the anytime-valid intervals of p0 hold however often one looks; where a stopping "
-            "rule has ended a cell, its missing units are not wanted."
+        warnings.append(
+            f"{units['missing']} of {units['planned']} planned units are not recorded. During a run only the "
+            "anytime-valid intervals of p0 allow repeated looks; in a cell ended by a stopping rule the "
+            "missing units are not needed."
         )
     for name, what in (("code", "the sources of sim, scenarios and slam"), ("commit", "the repository")):
         versions = len(set(table[name].dropna()))
         if versions > 1:
-            said.append(f"The records are of {versions} states of {what}: they may not be comparable.")
+            warnings.append(f"The records are of {versions} states of {what}: they may not be comparable.")
     dirty = sum(str(commit).endswith("-dirty") for commit in table["commit"].dropna())
     if dirty:
-        said.append(f"{dirty} records are of a work tree with uncommitted changes.")
-    return said
+        warnings.append(f"{dirty} records are of a work tree with uncommitted changes.")
+    return warnings
 
 
 def _calibration(analysis: dict[str, Any]) -> list[dict[str, Any]]:
-    """One mark per cell and n; cells are numbered from 1 in their order."""
-    wanted = ("n", "predicted", "measured", "ratio", "verdict", "holm_p", "power_ratio_2")
+    """One point per cell and n; cells are numbered from 1 in order."""
+    names = ("n", "predicted", "measured", "ratio", "verdict", "holm_p", "power_ratio_2")
     return [
-        {"number": place, "cell": cell["cell"]} | {name: level[name] for name in wanted}
+        {"number": place, "cell": cell["cell"]} | {name: level[name] for name in names}
         for place, cell in enumerate(analysis["cells"], 1)
         for level in cell["levels"]
     ]
 
 
 def _lengths(analysis: dict[str, Any], table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Frames to cross in both arms, and how far the difference alone would change a prediction."""
-    done = outcomes.completed(table)
+    """Frames to cross in both arms, and the effect of the difference on a prediction."""
+    completed = outcomes.completed(table)
     rows = []
     for cell in analysis["cells"]:
-        own = done[done["cell"] == cell["cell"]]
+        own = completed[completed["cell"] == cell["cell"]]
         free, crossing = (
             outcomes.spread(own[f"{arm}_frames_to_cross"].astype("Float64")) for arm in ("free", "cross")
         )

@@ -1,4 +1,4 @@
-"""Figures as people read them: rounded, with their intervals; report.json holds them whole."""
+"""Figures as text: rounded, with intervals; report.json holds them unrounded."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,7 +7,7 @@ NONE = "–"
 
 
 def percent(value: float | None) -> str:
-    """A share as a percentage, with more digits the smaller it is."""
+    """Percentage of a share; small shares keep two significant digits."""
     if value is None:
         return NONE
     hundredth = 100 * value
@@ -17,7 +17,7 @@ def percent(value: float | None) -> str:
 
 
 def number(value: float | None) -> str:
-    """A figure with three significant digits; whole numbers whole."""
+    """Figure with three significant digits; integers in full."""
     if value is None:
         return NONE
     if isinstance(value, int) or (value == int(value) and abs(value) < 1e5):
@@ -30,19 +30,19 @@ def number(value: float | None) -> str:
 
 
 def metres(value: float | None) -> str:
-    """To the centimetre."""
+    """Length in metres, to the centimetre."""
     return NONE if value is None else f"{value:.2f}"
 
 
 def p_value(value: float | None) -> str:
-    """A p-value; the very small ones only as such."""
+    """P-value; below 0.001 only as a bound."""
     if value is None:
         return NONE
     return "< 0.001" if value < 0.001 else f"{value:.3f}" if value < 0.1 else f"{value:.2f}"
 
 
 def proportion(share: dict[str, Any] | None) -> str:
-    """Events of units, the share, its interval."""
+    """Events of units, their share and its interval."""
     if share is None:
         return NONE
     if not share["units"]:
@@ -51,32 +51,32 @@ def proportion(share: dict[str, Any] | None) -> str:
 
 
 def ends(of: dict[str, Any]) -> str:
-    """The ends of an interval."""
+    """Limits of an interval."""
     return _between(of, number)
 
 
 def ends_percent(of: dict[str, Any]) -> str:
-    """The ends of an interval of a share."""
+    """Limits of an interval of a share."""
     return _between(of, percent)
 
 
 def share_of(estimate: dict[str, Any] | None) -> str:
-    """An estimated probability with its interval, as percentages."""
+    """Estimated probability with its interval, as percentages."""
     return _estimate(estimate, percent)
 
 
 def figure_of(estimate: dict[str, Any] | None) -> str:
-    """An estimate with its interval."""
+    """Estimate with its interval."""
     return _estimate(estimate, number)
 
 
 def counts(values: dict[str, int]) -> str:
-    """Names with their counts."""
+    """List of names with their counts."""
     return ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in values.items()) or NONE
 
 
 def plural(count: int, noun: str) -> str:
-    """A count with its noun."""
+    """Count with its noun."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 

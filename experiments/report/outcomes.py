@@ -1,4 +1,4 @@
-"""What became of the units: counts, failures one by one, why and where they happened."""
+"""Outcomes of the units: counts, list of failures, their reasons and stages."""
 
 import shlex
 from pathlib import Path
@@ -14,21 +14,21 @@ ARMS = ("free", "cross")
 
 
 def completed(table: pd.DataFrame) -> pd.DataFrame:
-    """The units that count."""
+    """Completed units of a table."""
     return rows_where(table, table["outcome"] == Outcome.COMPLETED)
 
 
 def rows_where(table: pd.DataFrame, mask: pd.Series) -> pd.DataFrame:
-    """The rows in which a column of truth values is true; null is false."""
+    """Rows in which a boolean column is true; null counts as false."""
     return table.loc[is_true(mask), :]
 
 
 def unit_counts(table: pd.DataFrame, planned: dict[str, int]) -> dict[str, Any]:
-    """How many units were planned, are there, count, are void or errors; in all and per cell.
+    """Count planned, recorded, completed, void and failed units, in total and per cell.
 
     Args:
         table: the records.
-        planned: budget of units per cell.
+        planned: planned units per cell.
     """
     per_cell = []
     for cell in dict.fromkeys([*planned, *table["cell"].dropna()]):
@@ -53,18 +53,18 @@ def _counts(rows: pd.DataFrame, planned: int) -> dict[str, int]:
 
 
 def failures(table: pd.DataFrame, threads: int, folder: Path) -> list[dict[str, Any]]:
-    """Every unit with a dual failure, a false recovery or a silent failure, in the order of the table.
+    """Units with a dual failure, a false recovery or a silent failure, in table order.
 
     Args:
         table: the records.
         threads: n, the number of recovery threads.
-        folder: of the experiment, for the command that replays the unit.
+        folder: folder of the experiment, for the command that replays a unit.
     """
     found = []
     place = shlex.quote(str(folder))
     for _, row in completed(table).iterrows():
-        what = _what_failed(row, threads)
-        if what:
+        failed = _failures_of(row, threads)
+        if failed:
             unit = str(row["unit_id"])
             found.append(
                 {
@@ -72,7 +72,7 @@ def failures(table: pd.DataFrame, threads: int, folder: Path) -> list[dict[str, 
                     "cell": row["cell"],
                     "index": int(row["index"]),
                     "world_seed": as_data(row["world_seed"]),
-                    "what": what,
+                    "what": failed,
                     "breakage_reason": as_data(row["breakage_reason"]) or "",
                     "threads": _thread_failures(row, threads),
                     "command": f"dslab experiment replay {place} {unit} --rerun {unit}.rrd",
@@ -82,31 +82,31 @@ def failures(table: pd.DataFrame, threads: int, folder: Path) -> list[dict[str, 
     return found
 
 
-def _what_failed(row: pd.Series, threads: int) -> list[str]:
-    """In words; empty where nothing did."""
-    levels = [n for n in range(1, threads + 1) if _said(row[dual_column(n)])]
-    what = [f"dual failure (n = {', '.join(map(str, levels))})"] if levels else []
+def _failures_of(row: pd.Series, threads: int) -> list[str]:
+    """Names of the failures of a unit."""
+    levels = [n for n in range(1, threads + 1) if _is_set(row[dual_column(n)])]
+    found = [f"dual failure (n = {', '.join(map(str, levels))})"] if levels else []
     for arm, place in (("free", ""), ("cross", " in the crossing arm")):
-        false = [j for j in range(1, threads + 1) if _said(row[thread_column(arm, j, "false")])]
-        what += [f"false recovery by thread {j}{place}" for j in false]
-    return [*what, "silent failure"] if _said(row["silent_failure"]) else what
+        false = [j for j in range(1, threads + 1) if _is_set(row[thread_column(arm, j, "false")])]
+        found += [f"false recovery by thread {j}{place}" for j in false]
+    return [*found, "silent failure"] if _is_set(row["silent_failure"]) else found
 
 
 def _thread_failures(row: pd.Series, threads: int) -> list[dict[str, Any]]:
     failed = []
     for thread in range(1, threads + 1):
-        if _said(row[thread_column("free", thread, "failed")]):
+        if _is_set(row[thread_column("free", thread, "failed")]):
             stage, reason = (row[thread_column("free", thread, name)] for name in ("stage", "reason"))
             failed.append({"thread": thread, "stage": as_data(stage) or "", "reason": as_data(reason) or ""})
     return failed
 
 
-def _said(value: Any) -> bool:
+def _is_set(value: Any) -> bool:
     return not pd.isna(value) and bool(value)
 
 
 def taxonomy(table: pd.DataFrame, threads: int) -> dict[str, Any]:
-    """Why tracking broke, at which stage recoveries failed and for which reason, silences and delays."""
+    """Reasons of breakages, stages and reasons of failed recoveries, silent failures, delays."""
     rows = completed(table)
     per_cell = []
     for cell, of_cell in rows.groupby("cell", sort=False):
@@ -168,17 +168,17 @@ def _named(row: pd.Series) -> dict[str, Any]:
 
 
 def costs(table: pd.DataFrame) -> dict[str, Any]:
-    """CPU time in seconds of the completed units and the largest memory."""
+    """CPU time of the completed units in seconds, and their peak memory."""
     rows = completed(table)
     sums = {name: float(rows[name].fillna(0).sum()) for name in ("render_s", "slam_s", "cpu_s", "wall_s")}
     return sums | {"peak_rss_mb": max((float(v) for v in rows["peak_rss_mb"].dropna()), default=None)}
 
 
 def sources(table: pd.DataFrame) -> dict[str, Any]:
-    """Which code the records are of, and how many of each."""
+    """Count the records of each state of the code."""
     return {"code": counted(table["code"]), "commits": counted(table["commit"])}
 
 
 def recovered(rows: pd.DataFrame, thread: int) -> pd.Series:
-    """Where a thread of the free arm was due and did relate the maps."""
+    """True where a required recovery of the free arm aligned the maps."""
     return is_false(rows[thread_column("free", thread, "failed")])

@@ -1,11 +1,10 @@
-"""The page of a report: one HTML file that holds all it shows."""
+"""Page of a report: one self-contained HTML file."""
 
 import base64
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
+from experiments.pages import render_page
 from experiments.report.describe import FILTERS
 from experiments.report.paper_figures import PAPER
 from experiments.report.plots.draw import Plot
@@ -14,23 +13,19 @@ _TEMPLATES = Path(__file__).with_name("templates")
 
 
 def report_html(report: dict[str, Any], plots: dict[str, Plot]) -> str:
-    """The HTML file: figures rounded from the object that report.json holds, plots as data URIs, no script.
+    """Write the HTML text: rounded figures, plots as data URIs, no script.
 
     Args:
-        report: as `report_content` makes it.
+        report: figures from `report_content`.
         plots: by name.
     """
-    environment = Environment(
-        loader=FileSystemLoader(_TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= FILTERS | {"data_uri": _data_uri}
-    style = (_TEMPLATES / "style.css").read_text(encoding="utf-8")
-    return environment.get_template("page.html.j2").render(
-        report=report, plots=plots, paper=PAPER, style=style, threads=report["analysis"]["threads"]
+    return render_page(
+        _TEMPLATES,
+        FILTERS | {"data_uri": _data_uri},
+        report=report,
+        plots=plots,
+        paper=PAPER,
+        threads=report["analysis"]["threads"],
     )
 
 

@@ -1,7 +1,7 @@
-"""Figures of the paper that stand beside a report's own.
+"""Figures of the paper, shown beside those of a report.
 
 Source: Huang et al., "Dual-SLAM: A framework for robust single camera navigation", IROS 2020, Table I;
-Tables II and III are in ``statistics.paper``, which reads them again.
+Tables II and III are in ``statistics.paper``.
 """
 
 from dataclasses import dataclass
@@ -12,10 +12,10 @@ from experiments.statistics.paper import TABLE_II, TABLE_III
 
 @dataclass(frozen=True)
 class PaperSequence:
-    """A row of Table I: median RMSE in metres over ten trials; None where the system never made a map.
+    """Row of Table I: median RMSE in metres over ten trials, None without a map.
 
     Attributes:
-        unstable: some trials of ORB-SLAM failed.
+        unstable: True if some trials of ORB-SLAM failed.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Paths of units that were run again, kept in the experiment's folder for the overlays of Fig. 8."""
+"""Paths of replayed units, kept in the experiment's folder for plots like Fig. 8."""
 
 import os
 from collections.abc import Sequence
@@ -17,15 +17,14 @@ Paths = dict[str, np.ndarray]
 
 
 def paths_of(runs: Sequence[RunRecord]) -> Paths:
-    """The true path and, of base and Dual-SLAM, the path of the map with most frames.
+    """True path, and paths of the largest maps of base and Dual-SLAM.
 
     Args:
-        runs: of base and Dual-SLAM over one sequence with truth.
+        runs: runs of base and Dual-SLAM over one sequence with ground truth.
 
     Returns:
-        Per name of `WHICH` (N, 3) float32, one row per frame: positions in the world in metres, NaN where
-        there is none. Estimates are aligned to the truth for the eye; a system whose maps are like the truth
-        at no scale is left out.
+        By name in `WHICH`, (N, 3) float32 positions in the world in metres, one row per frame, NaN for none.
+        Estimates are aligned to the truth for display; a system whose maps cannot be aligned is left out.
     """
     truth = runs[0].sequence.T_world_cam
     if truth is None:
@@ -41,7 +40,7 @@ def paths_of(runs: Sequence[RunRecord]) -> Paths:
 
 
 def add_paths(folder: Path, unit_id: str, paths: Paths) -> None:
-    """Put a unit's paths into the folder's file, in the place of earlier ones."""
+    """Store the paths of a unit in the folder's file, replacing earlier ones."""
     file = folder / PATHS_FILE
     arrays = {f"{unit_id}.{which}": path for which, path in paths.items()}
     if file.is_file():
@@ -56,7 +55,7 @@ def add_paths(folder: Path, unit_id: str, paths: Paths) -> None:
 
 
 def read_paths(folder: Path) -> dict[str, Paths]:
-    """Paths per unit id, of the first few; empty where no unit was run again."""
+    """Paths of the first few replayed units by unit id."""
     file = folder / PATHS_FILE
     if not file.is_file():
         return {}

@@ -1,4 +1,4 @@
-"""Results of the statistics as the plain data of report.json."""
+"""Plain data for report.json from results of the statistics."""
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -11,7 +11,7 @@ from experiments.statistics.intervals import Proportion
 
 
 def as_data(value: Any) -> Any:
-    """Dicts, lists and Python scalars of dataclasses however nested; a proportion gets its estimate too."""
+    """Convert nested dataclasses to plain data; a proportion gets its estimate too."""
     if is_dataclass(value) and not isinstance(value, type):
         data = {field.name: as_data(getattr(value, field.name)) for field in fields(value)}
         return {"estimate": value.estimate, **data} if isinstance(value, Proportion) else data
@@ -23,22 +23,22 @@ def as_data(value: Any) -> Any:
 
 
 def is_true(column: pd.Series) -> pd.Series:
-    """Where a nullable column is true; false where it says nothing."""
+    """True where a nullable column is true; null gives false."""
     return column.fillna(False).astype(bool)
 
 
 def is_false(column: pd.Series) -> pd.Series:
-    """Where a nullable column is false; false too where it says nothing."""
+    """True where a nullable column is false; null gives false."""
     return ~column.fillna(True).astype(bool)
 
 
 def numbers(column: pd.Series) -> list[float]:
-    """The values of a column that are there."""
+    """Values of a column without nulls."""
     return [float(value) for value in column.dropna()]
 
 
 def spread(column: pd.Series) -> dict[str, Any]:
-    """Count, median, quartiles and range of the values that are there."""
+    """Count, median, quartiles and range of the values of a column, without nulls."""
     values = pd.Series(numbers(column), dtype=float)
     names = {"low": 0.0, "quartile_1": 0.25, "median": 0.5, "quartile_3": 0.75, "high": 1.0}
     return {"units": len(values)} | {
@@ -47,7 +47,7 @@ def spread(column: pd.Series) -> dict[str, Any]:
 
 
 def counted(column: pd.Series) -> dict[str, int]:
-    """How often each text of a column occurs, most frequent first, then by name."""
+    """Count each text of a column, most frequent first, then by name."""
     counts = column.dropna()[lambda texts: texts != ""].value_counts()
     return {
         str(text): int(n) for text, n in sorted(counts.items(), key=lambda item: (-item[1], str(item[0])))

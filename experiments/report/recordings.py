@@ -1,4 +1,4 @@
-"""Recordings of failed units, made by running them again."""
+"""Recordings of failed units, made by replaying them."""
 
 import os
 from collections.abc import Callable
@@ -21,24 +21,24 @@ def add_recordings(
     count: int,
     progress: Callable[[int, int], None],
 ) -> None:
-    """Record the first failed units, but those recorded earlier, and keep their paths.
+    """Record the first failed units that have no recording, and store their paths.
 
     Args:
-        report: as `report_content` makes it; its failures get the places of their recordings, relative to
+        report: figures from `report_content`; its failures get the paths of their recordings, relative to
             the folder.
-        spec: of the experiment.
-        folder: of the experiment.
-        count: of recordings wanted.
-        progress: called with recordings made and wanted.
+        spec: spec of the experiment.
+        folder: folder of the experiment.
+        count: requested number of recordings.
+        progress: called with the numbers of recordings done and requested.
     """
-    wanted = report["failures"][:count]
+    chosen = report["failures"][:count]
     (folder / FOLDER).mkdir(exist_ok=True)
-    for done, failure in enumerate(wanted):
-        progress(done, len(wanted))
+    for done, failure in enumerate(chosen):
+        progress(done, len(chosen))
         failure["recording"] = f"{FOLDER}/{failure['unit_id']}.rrd"
         if not (folder / failure["recording"]).is_file():
             _record(spec.unit(failure["cell"], failure["index"]), failure["unit_id"], folder)
-    progress(len(wanted), len(wanted))
+    progress(len(chosen), len(chosen))
 
 
 def _record(unit: "UnitSpec", unit_id: str, folder: Path) -> None:

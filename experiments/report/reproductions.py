@@ -1,7 +1,7 @@
-"""Tables I to III and Figures 6, 7 and 9 of the paper, made anew of an experiment's units.
+"""Tables I to III and Figures 6, 7 and 9 of the paper, from an experiment.
 
-Families of cells stand where the paper has data sets: what is beside the paper's figures was measured on
-other data, with other failures, and is to be read for its pattern.
+Families of cells take the place of the paper's data sets. The data and the failures differ from the paper's:
+compare patterns, not numbers.
 """
 
 from collections.abc import Iterator, Mapping
@@ -15,11 +15,11 @@ from experiments.report.plain_data import as_data, is_false, is_true, numbers, s
 from experiments.statistics.intervals import clopper_pearson
 
 UNITS_PER_CELL_OF_TIMELINE = 10
-"""As many trials as the paper shows of a sequence."""
+"""Number of trials per sequence in the paper."""
 
 
 def table_1(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Accuracy per cell: median ATE of base and Dual-SLAM, with the shares that a median hides."""
+    """Accuracy per cell: median ATE of base and Dual-SLAM, shares tracked and failed."""
     rows = []
     for cell, units in completed(table).groupby("cell", sort=False):
         failed = {"base": units["base_failure"], "dual": units["dual_failure"]}
@@ -39,13 +39,13 @@ def table_1(table: pd.DataFrame) -> list[dict[str, Any]]:
 def table_2(
     table: pd.DataFrame, threads: int, families: Mapping[str, str], systems: Mapping[str, str]
 ) -> list[dict[str, Any]]:
-    """Failures of the base and of the dual with each number of threads, per system, family and in all.
+    """Failures of base and Dual-SLAM for each number of threads, per system and family.
 
     Args:
         table: the records.
         threads: n.
-        families: of the cells: what stands where the paper has a data set.
-        systems: of the cells.
+        families: family of each cell, in place of the paper's data sets.
+        systems: system of each cell.
     """
     return [
         names | _failure_rates(units, threads)
@@ -56,7 +56,7 @@ def table_2(
 def _groups(
     rows: pd.DataFrame, families: Mapping[str, str], systems: Mapping[str, str]
 ) -> Iterator[tuple[dict[str, str], pd.DataFrame]]:
-    """Units of each system: those of each family, then all."""
+    """Yield the units of each system, per family and then all."""
     system_of, family_of = rows["cell"].map(systems), rows["cell"].map(families)
     for system in dict.fromkeys(systems.values()):
         own = rows_where(rows, system_of == system)
@@ -84,7 +84,7 @@ def _failure_rates(units: pd.DataFrame, threads: int) -> dict[str, Any]:
 def table_3(
     table: pd.DataFrame, threads: int, families: Mapping[str, str], systems: Mapping[str, str]
 ) -> list[dict[str, Any]]:
-    """How often recovery was needed, how it went with which thread, its mean CPU time.
+    """Recoveries per system and family: needed, failed, succeeded by thread, mean CPU time.
 
     Arguments as `table_2`.
     """
@@ -99,34 +99,34 @@ def _recoveries(units: pd.DataFrame, threads: int) -> dict[str, Any]:
     cpu_s = pd.Series(0.0, index=broken.index)
     with_thread = []
     for thread in range(1, threads + 1):
-        # The system deploys one thread after the other until one declares success, be it false.
+        # The system runs one thread after the other until one declares success, even falsely.
         cpu_s += (
             broken[thread_column("free", thread, "cpu_ms")].fillna(0).astype(float).where(waiting, 0) / 1e3
         )
         declared = waiting & is_true(broken[thread_column("free", thread, "declared")])
         with_thread.append(int((declared & recovered(broken, thread)).sum()))
         waiting &= ~declared
-    tried = is_true(broken["reinit"])
+    attempted = is_true(broken["reinit"])
     return {
         "trials": len(units),
         "needs_recovery": len(broken),
         "failure": len(broken) - sum(with_thread),
-        "no_reinit": int((~tried).sum()),
+        "no_reinit": int((~attempted).sum()),
         "success": sum(with_thread),
         "with_thread": with_thread,
-        "mean_recovery_cpu_s": float(cpu_s[tried].mean()) if tried.any() else None,
+        "mean_recovery_cpu_s": float(cpu_s[attempted].mean()) if attempted.any() else None,
     }
 
 
 def initialisation(
     table: pd.DataFrame, systems: Mapping[str, str], frames_per_s: Mapping[str, float]
 ) -> list[dict[str, Any]]:
-    """Seconds until a new map stands, per cell: after the breakage, and after the exposed segment's end.
+    """Seconds to a new map per cell, after the breakage and after the exposed segment.
 
     Args:
         table: the records.
-        systems: of the cells.
-        frames_per_s: of the cells.
+        systems: system of each cell.
+        frames_per_s: frame rate of each cell.
     """
     rows = []
     for cell, units in completed(table).groupby("cell", sort=False):
@@ -135,17 +135,17 @@ def initialisation(
             "after_breakage": units["reinit_frame"] - units["breakage_frame"],
             "after_segment": units["cross_reinit_frame"] - units["end_frame"],
         }
-        told = {f"{name}_s": spread(frames.astype("Float64") / rate) for name, frames in waits.items()}
-        rows.append({"cell": cell, "system": systems[str(cell)], **told})
+        seconds = {f"{name}_s": spread(frames.astype("Float64") / rate) for name, frames in waits.items()}
+        rows.append({"cell": cell, "system": systems[str(cell)], **seconds})
     return rows
 
 
 def timeline(table: pd.DataFrame, frames: Mapping[str, int]) -> list[dict[str, Any]]:
-    """Profiles of the first trials of every cell: frames at which tracking broke, was taken up, was bridged.
+    """Profiles of the first trials of every cell: frames of breakage and reinitialization.
 
     Args:
         table: the records.
-        frames: frames of a sequence per cell.
+        frames: frames per sequence of each cell.
     """
     profiles = []
     for cell, units in completed(table).groupby("cell", sort=False):
@@ -171,7 +171,7 @@ def _profile(row: pd.Series) -> dict[str, Any]:
 
 
 def end_errors(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Position error of the last pose in metres, per cell and unit, of base and dual; None without a pose."""
+    """Position error of the last pose in metres per cell and unit, or None."""
     cells = (
         (cell, units.sort_values("index")) for cell, units in completed(table).groupby("cell", sort=False)
     )

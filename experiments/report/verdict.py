@@ -1,4 +1,4 @@
-"""What was found, in plain words that say no more than the figures do."""
+"""Findings of a report as sentences."""
 
 from typing import Any
 
@@ -8,15 +8,15 @@ VERDICTS = ("consistent", "optimistic", "pessimistic", "undecided")
 
 
 def verdict(analysis: dict[str, Any], kinds: dict[str, Any]) -> dict[str, Any]:
-    """Why no verdict is given, and what the tests said all the same.
+    """Reasons for withholding a verdict, and the results of the tests.
 
     Args:
-        analysis: as plain data.
-        kinds: the kinds of world told apart, as plain data.
+        analysis: the analysis as plain data.
+        kinds: results per kind of world as plain data.
     """
     levels = [_level(analysis, n) for n in range(1, analysis["threads"] + 1)]
     return {
-        "headline": "No verdict on Eq. 1: it is withdrawn until it is measured anew.",
+        "headline": "No verdict on Eq. 1: it is withdrawn until a new measurement.",
         "reasons": _reasons(kinds),
         "tests_headline": _tests_headline(levels),
         "levels": [
@@ -30,14 +30,14 @@ def verdict(analysis: dict[str, Any], kinds: dict[str, Any]) -> dict[str, Any]:
 def _meanings(settings: dict[str, Any]) -> dict[str, str]:
     ratio, power = number(settings["power_ratio"]), number(settings["power_wanted"])
     return {
-        "consistent": f"the test does not reject Eq. 1 and would have noticed a ratio of {ratio} with a "
-        f"power of at least {power}; not to reject is not to confirm",
-        "optimistic": "Eq. 1 promises too much: significantly more dual failures were measured than it "
+        "consistent": f"the test does not reject Eq. 1 and would have detected a ratio of {ratio} with a "
+        f"power of at least {power}; this does not confirm Eq. 1",
+        "optimistic": "Eq. 1 is too optimistic: significantly more dual failures were measured than it "
         "predicts",
-        "pessimistic": "Eq. 1 promises too little: significantly fewer dual failures were measured than it "
-        "predicts",
-        "undecided": f"Eq. 1 is not rejected, but too few units could tell: a ratio of {ratio} would have "
-        f"been noticed with a power below {power}",
+        "pessimistic": "Eq. 1 is too pessimistic: significantly fewer dual failures were measured than "
+        "it predicts",
+        "undecided": f"Eq. 1 is not rejected, but there are too few units: the power to detect a ratio "
+        f"of {ratio} is below {power}",
     }
 
 
@@ -63,32 +63,32 @@ def _level(analysis: dict[str, Any], n: int) -> dict[str, Any]:
 
 
 def _reasons(kinds: dict[str, Any]) -> list[str]:
-    """Why the tests below decide nothing."""
-    said = [
+    """Reasons why the tests decide nothing."""
+    reasons = [
         f"The sample is {plural(kinds['worlds'], 'world')}, not {plural(kinds['units'], 'unit')}: units of "
-        "one world succeed and fail together, and the tests below take them for independent."
+        "one world succeed and fail together, but the tests below assume independent units."
     ]
     if kinds["mixed"]:
-        said.append(
+        reasons.append(
             f"{len(kinds['mixed'])} of the cells mix {' and '.join(kinds['kinds'])}. A mixture of an easy "
             "and a hard population refutes Eq. 1 by itself, even if it holds in each of them."
         )
         for level in kinds["levels"]:
-            said.append(
+            reasons.append(
                 f"n = {level['n']}: measured {share_of(level['measured'])} with worlds as the sample; Eq. 1 "
                 f"predicts {percent(level['predicted_by_cell'])} from whole cells and "
-                f"{percent(level['predicted_by_kind'])} with the kinds of world told apart."
+                f"{percent(level['predicted_by_kind'])} from each kind of world separately."
             )
-    return said
+    return reasons
 
 
 def _tests_headline(levels: list[dict[str, Any]]) -> str:
     if not any(level["overall"] and level["overall"]["measured"]["units"] for level in levels):
-        return "Nothing can be said yet: no unit is completed."
+        return "No result yet: no unit is completed."
     total = {v: sum(level["counts"][v] for level in levels) for v in VERDICTS}
     tests = sum(total.values())
     if total["undecided"] == tests:
-        return "Undecided: nowhere are there units enough to tell whether Eq. 1 holds."
+        return "Undecided: no cell has enough units to test Eq. 1."
     rest = f" {total['undecided']} of {tests} verdicts are undecided." if total["undecided"] else ""
     if total["optimistic"] and total["pessimistic"]:
         return (
@@ -99,63 +99,63 @@ def _tests_headline(levels: list[dict[str, Any]]) -> str:
         way, which = ("more", "optimistic") if total["optimistic"] else ("fewer", "pessimistic")
         off = f"Eq. 1 is rejected in {total[which]} of {tests} verdicts"
         return f"{off}: {way} dual failures than it predicts.{rest}"
-    return f"Eq. 1 is not rejected in {total['consistent']} of {tests} verdicts that could tell.{rest}"
+    return f"Eq. 1 is not rejected in {total['consistent']} of {tests} verdicts with enough power.{rest}"
 
 
 def _sentences(level: dict[str, Any], analysis: dict[str, Any]) -> list[str]:
-    settings, said = analysis["settings"], []
+    settings, sentences = analysis["settings"], []
     if level["power_low"] is not None:
         low, high = (number(round(level[f"power_{end}"], 2)) for end in ("low", "high"))
-        said.append(
-            f"The power to notice a ratio of {number(settings['power_ratio'])} is {low} to {high}; it "
+        sentences.append(
+            f"The power to detect a ratio of {number(settings['power_ratio'])} is {low} to {high}; it "
             f"reaches {number(settings['power_wanted'])} in {plural(level['powered'], 'cell')}."
         )
-    said.append(
+    sentences.append(
         f"Agreement within a factor of {number(settings['equivalence_ratio'])} is shown in "
         f"{plural(level['equivalent'], 'cell')} (equivalence test, uncorrected)."
     )
-    return said
+    return sentences
 
 
 def _overall(level: dict[str, Any]) -> str | None:
-    """What was measured of all units beside what Eq. 1 predicts, and whether the intervals overlap."""
+    """Comparison of measured and predicted failures over all units."""
     overall = level["overall"]
     if not overall or not overall["measured"]["units"]:
         return None
     measured, within = overall["measured"], overall["within"]
-    said = (
+    text = (
         f"All cells together, n = {level['n']}: dual failures were measured in {proportion(measured)}. "
         f"Eq. 1 within each cell predicts {share_of(within)}, "
         f"Eq. 1 of the pooled shares {share_of(overall['pooled'])}."
     )
     if within["low"] is None or within["high"] is None:
-        return said
+        return text
     apart = (
         "above" if measured["low"] > within["high"] else "below" if measured["high"] < within["low"] else None
     )
     if apart is None:
-        return f"{said} The intervals of measured and predicted within cells overlap."
-    return f"{said} The measured interval lies {apart} that of the prediction within cells."
+        return f"{text} The intervals of measured and predicted within cells overlap."
+    return f"{text} The measured interval lies {apart} that of the prediction within cells."
 
 
 def _dependence(analysis: dict[str, Any]) -> list[str]:
-    """The odds ratios over all units, and how often independence is rejected within worlds."""
-    said = []
+    """Odds ratios over all units, and number of cells in which independence is rejected."""
+    sentences = []
     alpha = analysis["settings"]["alpha"]
     for thread in range(1, analysis["threads"] + 1):
         own = [t for cell in analysis["cells"] for t in cell["threads"] if t["thread"] == thread]
-        told = [t for t in own if t["fisher_p"] is not None]
+        tested = [t for t in own if t["fisher_p"] is not None]
         within = [t for t in own if t["mantel_haenszel_p"] is not None]
-        if told:
-            rejected = sum(t["fisher_p"] < alpha for t in told)
+        if tested:
+            rejected = sum(t["fisher_p"] < alpha for t in tested)
             rejected_within = sum(t["mantel_haenszel_p"] < alpha for t in within)
-            least = p_value(min(t["fisher_p"] for t in told))
-            said.append(
+            least = p_value(min(t["fisher_p"] for t in tested))
+            sentences.append(
                 f"Thread {thread}: independence of breakage and recovery failure is rejected in {rejected} "
-                f"of {plural(len(told), 'cell')} on the whole (least p {least}, uncorrected) and in "
+                f"of {plural(len(tested), 'cell')} over all worlds (least p {least}, uncorrected) and in "
                 f"{rejected_within} of {len(within)} within worlds."
             )
     for name, estimate in analysis["heterogeneity"]["gee"].items():
         if estimate["value"] is not None and "odds" in name:
-            said.append(f"Over all units, {name}: {figure_of(estimate)}.")
-    return said
+            sentences.append(f"Over all units, {name}: {figure_of(estimate)}.")
+    return sentences

@@ -1,4 +1,4 @@
-"""Writes a report: report.html, report.json, plots/, and recordings where they are asked for."""
+"""Files of a report: report.html, report.json, plots/, and recordings on request."""
 
 import errno
 import os
@@ -21,21 +21,21 @@ PAGE, FIGURES, PLOTS = "report.html", "report.json", "plots"
 def write_report(
     folder: Path, recordings: int = 0, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> Path:
-    """Write the report of an experiment into its folder, over an earlier one.
+    """Write the report of an experiment into its folder, replacing an earlier one.
 
-    Nothing half-written is ever left under the final names. An unfinished experiment gets a report that says
-    so.
+    No partial file is left under a final name. The report of an unfinished experiment says that units are
+    missing.
 
     Args:
-        folder: of the experiment.
-        recordings: this many of the failed units are run again and recorded, in the order of the list.
-        progress: called with recordings made and wanted.
+        folder: folder of the experiment.
+        recordings: number of failed units to replay and record, in the order of the list.
+        progress: called with the numbers of recordings done and requested.
 
     Returns:
         The path of report.html.
 
     Raises:
-        InputError: it is no experiment's folder, or it cannot be written to.
+        InputError: the folder holds no experiment, or is not writable.
     """
     from experiments.campaign.folder import read_experiment
 
@@ -51,7 +51,7 @@ def write_report(
 
 
 def write_files(report: dict[str, Any], folder: Path) -> Path:
-    """Draw the plots and write page, figures and plots; returns the path of the page."""
+    """Draw the plots, write page, figures and plots, and return the path of the page."""
     plots = draw_plots(report, folder)
     page = report_html(report, plots)
     _put_plots(folder, plots)
@@ -70,7 +70,7 @@ def _put(path: Path, text: str) -> None:
 
 
 def _put_plots(folder: Path, plots: dict[str, Plot]) -> None:
-    """A new folder of plots in the place of the old one, so that none of an earlier report stays."""
+    """Replace the folder of plots, so that no plot of an earlier report remains."""
     final = folder / PLOTS
     partial = folder / f".{PLOTS}.partial-{uuid4().hex[:8]}"
     old = partial.with_name(partial.name + "-old")

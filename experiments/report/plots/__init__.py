@@ -1,1 +1,1 @@
-"""The plots of a report; each is drawn from the figures of report.json and from nothing else."""
+"""Plots of a report, each drawn from the figures of report.json alone."""

@@ -1,4 +1,4 @@
-"""Predicted against measured: the picture of Eq. 1."""
+"""Plot of measured against predicted failures: a test of Eq. 1."""
 
 import math
 from typing import Any
@@ -20,9 +20,9 @@ _LOWEST = 1e-6
 
 
 def draw_calibration(report: dict[str, Any]) -> Figure | None:
-    """Every cell and n: what Eq. 1 predicts across, what was measured up, both on log axes with intervals.
+    """Draw measured against predicted shares of every cell and n, on log axes.
 
-    A share below the axes' range, zero among them, stands on their edge.
+    A share below the range of the axes, such as zero, is drawn on their edge.
     """
     marks = report["calibration"]
     drawn = [
@@ -47,11 +47,11 @@ def draw_calibration(report: dict[str, Any]) -> Figure | None:
 
 
 def _floor(drawn: list[dict[str, Any]]) -> float:
-    """A power of ten below every share that is not zero."""
+    """Power of ten below every share above zero."""
     values = [v for m in drawn for v in (m["predicted"]["value"], m["measured"]["estimate"]) if v]
     lows = [v for m in drawn for v in (m["predicted"]["low"], m["measured"]["low"]) if v]
     least = min(values, default=0.1)
-    # Lower ends of intervals may run far down: half a decade below the least share is enough to see them.
+    # Lower limits may be very small: the axes show at most a decade below the least share.
     return max(10 ** math.floor(math.log10(max(min([least, *lows], default=0.1), least / 10))), _LOWEST)
 
 

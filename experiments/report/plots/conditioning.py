@@ -1,4 +1,4 @@
-"""Pose error of two views against their baseline: the picture of the paper's Fig. 2."""
+"""Plot of two-view pose error against baseline, after Fig. 2 of the paper."""
 
 import math
 from typing import Any
@@ -15,7 +15,7 @@ _COLOURS = (BLUE, ORANGE, GREEN, PURPLE)
 
 
 def draw_conditioning(report: dict[str, Any]) -> Figure | None:
-    """Per error a panel, axes logarithmic: a mark per lead-in and gap, medians with intervals, the slope."""
+    """Draw a log-log panel per error: points per lead-in and gap, medians with intervals, slope."""
     found = report["analysis"]["conditioning"]
     if not found:
         return None
@@ -49,8 +49,8 @@ def _draw_panel(axes: Axes, errors: dict[str, Any], marks: list[dict[str, Any]])
         )  # fmt: skip
     axes.set(xscale="log", yscale="log")
     slope = errors["slope"]["value"]
-    told = "" if slope is None else f": slope {number(slope)}"
-    axes.set_title(QUANTITY_WORDS[quantity] + told, fontsize=10)
+    suffix = "" if slope is None else f": slope {number(slope)}"
+    axes.set_title(QUANTITY_WORDS[quantity] + suffix, fontsize=10)
     axes.set_xlabel("true baseline (m)")
     axes.set_ylabel("error (deg)")
     for axis, limits in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
@@ -60,7 +60,7 @@ def _draw_panel(axes: Axes, errors: dict[str, Any], marks: list[dict[str, Any]])
 
 
 def _draw_slope(axes: Axes, errors: dict[str, Any]) -> None:
-    """The slope over all gaps, through the middle of the medians: it has no level of its own."""
+    """Draw the slope over all gaps; without an intercept, through the centre of the medians."""
     slope = errors["slope"]["value"]
     points = [(g["baseline_m"], g["error"]["value"]) for g in errors["gaps"] if g["error"]["value"]]
     if slope is None or len(points) < 2:

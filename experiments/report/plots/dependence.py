@@ -1,4 +1,4 @@
-"""How many times likelier recovery fails where tracking broke: one row per cell and thread."""
+"""Plot of the risk ratio of failed recovery given breakage, per cell and thread."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ _WIDEST = 100.0
 
 
 def draw_dependence(report: dict[str, Any]) -> Figure | None:
-    """The ratios rho_j = P(R_j|B) / P(R_j) with intervals on a log axis; 1 is independence."""
+    """Draw the ratios rho_j = P(R_j|B) / P(R_j) with intervals; 1 is independence."""
     cells = report["analysis"]["cells"]
     rows = [
         (place, thread["thread"], thread["rho"])
@@ -47,7 +47,7 @@ def draw_dependence(report: dict[str, Any]) -> Figure | None:
     axes.set_yticks(range(len(cells)), [shorten(cell["cell"]) for cell in cells])
     axes.set_ylim(len(cells) - 0.4, -0.6)
     axes.set_xscale("log")
-    axes.set_xlabel("P(Rⱼ | B) / P(Rⱼ): 1 where recovery fails as often whether or not tracking broke")
+    axes.set_xlabel("P(Rⱼ | B) / P(Rⱼ): 1 if recovery fails equally often with and without breakage")
     log_ticks(axes.xaxis, *axes.get_xlim())
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.xaxis.set_minor_formatter(NullFormatter())

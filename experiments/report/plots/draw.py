@@ -1,4 +1,4 @@
-"""All plots of a report as files in memory."""
+"""Plots of a report as files in memory."""
 
 import io
 from collections.abc import Callable, Mapping
@@ -22,13 +22,13 @@ _PNG_DPI = 110
 
 @dataclass(frozen=True)
 class Plot:
-    """One plot.
+    """One plot as files.
 
     Attributes:
-        name: of its files, without ending.
-        alt: what it shows, for those who do not see it.
-        svg, png: the files.
-        width_px, height_px: of the SVG at its natural size.
+        name: file name without suffix.
+        alt: text alternative.
+        svg, png: contents of the files.
+        width_px, height_px: natural size of the SVG.
     """
 
     name: str
@@ -40,16 +40,16 @@ class Plot:
 
 
 def draw_plots(report: dict[str, Any], folder: Path) -> dict[str, Plot]:
-    """Every plot for which there are figures, by name.
+    """Draw every plot that has figures; returns plots by name.
 
     Args:
-        report: as `report_content` makes it.
-        folder: of the experiment, where trajectories may lie.
+        report: figures from `report_content`.
+        folder: folder of the experiment, which may hold trajectories.
     """
     cells = len(report["analysis"]["cells"])
     drawings: Mapping[str, tuple[str, Callable[[], Figure | None]]] = {
         "calibration": (
-            f"Predicted against measured share of dual failures, {len(report['calibration'])} marks, as in "
+            f"Predicted against measured share of dual failures, {len(report['calibration'])} points, as in "
             "the table of cells.",
             lambda: draw_calibration(report),
         ),
@@ -70,7 +70,7 @@ def draw_plots(report: dict[str, Any], folder: Path) -> dict[str, Plot]:
             lambda: draw_conditioning(report),
         ),
         "timeline": (
-            "Per trial, the frames that base and Dual-SLAM tracked, lost, bridged.",
+            "Per trial, the frames that base and Dual-SLAM tracked, lost or recovered.",
             lambda: draw_timeline(report),
         ),
         "paths": (
@@ -88,13 +88,13 @@ def draw_plots(report: dict[str, Any], folder: Path) -> dict[str, Plot]:
 
 
 def _unit_names(report: dict[str, Any]) -> dict[str, str]:
-    """Cell and index of the units that the report names."""
+    """Cell and index of each unit in the report, by unit id."""
     named = [*report["failures"], *({"cell": c["cell"], **u} for c in report["timeline"] for u in c["units"])]
     return {unit["unit_id"]: f"{unit['cell']} · {unit['index']}" for unit in named}
 
 
 def rendered(name: str, alt: str, figure: Figure) -> Plot:
-    """A figure as its two files; within `settings`."""
+    """Save a figure in both formats; call within `settings`."""
     files = {}
     for form, metadata in (("svg", {"Date": None, "Creator": None}), ("png", {"Software": None})):
         file = io.BytesIO()

@@ -1,4 +1,4 @@
-"""Dose-response curves, and models of how failures coincide beside what was measured."""
+"""Plots of dose and response, and of models of coinciding failures."""
 
 from itertools import groupby
 from typing import Any
@@ -25,7 +25,7 @@ _LEAST_SHARE = 1e-5
 
 
 def draw_dose_response(report: dict[str, Any]) -> Figure | None:
-    """Per kind of degradation a panel: p0 and every pr_j against severity, with fits and their bands."""
+    """Draw p0 and every pr_j against severity, a panel per degradation kind."""
     fits = [fit for fit in report["analysis"]["dose_response"] if fit["points"]]
     kinds = {kind: list(own) for kind, own in groupby(fits, key=lambda fit: fit["kind"])}
     if not kinds:
@@ -56,7 +56,7 @@ def _draw_fit(axes: Axes, fit: dict[str, Any], place: float) -> None:
         axes.plot(severity, middle, color=colour, linewidth=1.6)
         axes.fill_between(severity, low, high, color=colour, alpha=0.12, linewidth=0)
     doses = [point["severity"] for point in fit["points"]]
-    # Points at one dose stand a little beside each other.
+    # Points of equal dose are drawn side by side.
     shift = place * 0.02 * ((max(doses) - min(doses)) or 1)
     label = _quantity_words(fit["quantity"])
     for point in fit["points"]:
@@ -87,7 +87,7 @@ def _quantity_words(quantity: str) -> str:
 
 
 def draw_heterogeneity(report: dict[str, Any]) -> Figure | None:
-    """Per n: Eq. 1 within cells, Eq. 1 of the pooled shares, and what was measured; a log axis."""
+    """Draw Eq. 1 within cells, Eq. 1 of pooled shares and measured shares, per n."""
     levels = [
         level for level in report["analysis"]["heterogeneity"]["eckhardt_lee"] if level["measured"]["units"]
     ]
@@ -105,7 +105,7 @@ def draw_heterogeneity(report: dict[str, Any]) -> Figure | None:
             axes.errorbar(at, place, xerr=xerr, fmt="o", color=colour, elinewidth=1.6, clip_on=False)
     axes.set_yticks(range(len(rows)), [name for name, *_ in rows])
     axes.set(xscale="log", ylim=(len(rows) - 0.5, -0.5), xlim=(floor, None))
-    axes.set_xlabel("share of units in which the whole fails")
+    axes.set_xlabel("share of units in which the whole system fails")
     log_ticks(axes.xaxis, *axes.get_xlim())
     percent_axis(axes.xaxis)
     for line in range(len(_models(levels[0])), len(rows), len(_models(levels[0]))):

@@ -1,4 +1,4 @@
-"""The paper's own tables against Eq. 1."""
+"""Plot of the paper's own tables against Eq. 1."""
 
 from typing import Any
 
@@ -8,10 +8,10 @@ from experiments.report.plots.style import GREEN, ORANGE, bars, log_ticks, new_f
 
 
 def draw_paper(rows: list[dict[str, Any]]) -> Figure:
-    """Per row of Table III: Eq. 1's prediction for two threads and the published failures, both of trials.
+    """Draw published failures and predictions of Eq. 1 per row of Table III.
 
     Args:
-        rows: the re-analysis as plain data.
+        rows: rows of the re-analysis as plain data.
     """
     figure = new_figure(1.6 + 0.42 * len(rows))
     axes = figure.subplots()
@@ -35,6 +35,6 @@ def draw_paper(rows: list[dict[str, Any]]) -> Figure:
     axes.set(xscale="log", ylim=(len(rows) - 0.5, -0.5))
     log_ticks(axes.xaxis, *axes.get_xlim())
     percent_axis(axes.xaxis)
-    axes.set_xlabel("share of trials in which the whole fails (trials taken for independent)")
+    axes.set_xlabel("share of trials in which the whole system fails (assuming independent trials)")
     figure.legend(loc="outside upper left", ncols=2, fontsize=9)
     return figure

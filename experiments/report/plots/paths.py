@@ -16,11 +16,11 @@ _STYLES = {
 
 
 def draw_paths(paths: dict[str, dict[str, np.ndarray]], names: dict[str, str]) -> Figure | None:
-    """Per unit a panel from above: along the two axes in which the true path extends most.
+    """Draw a panel per unit, in the plane of the path's two longest axes.
 
     Args:
-        paths: as `paths_file.read_paths` gives them.
-        names: words for a unit's title, by its id.
+        paths: paths from `paths_file.read_paths`.
+        names: panel titles by unit id.
     """
     shown: list[tuple[str, dict[str, Any]]] = [(unit, own) for unit, own in paths.items() if "truth" in own]
     if not shown:

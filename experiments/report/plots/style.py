@@ -1,4 +1,4 @@
-"""What the plots share: size, colours, marks. Colours are told apart by colour-blind eyes (Okabe and Ito)."""
+"""Common style of the plots. Colours are safe for colour-blind readers (Okabe and Ito)."""
 
 from typing import Any
 
@@ -24,50 +24,50 @@ _SETTINGS = {
     "grid.linewidth": 0.6,
     "axes.axisbelow": True,
     "legend.frameon": False,
-    # The same figures give the same file.
+    # Equal figures give equal files.
     "svg.hashsalt": "dual-slam-lab",
 }
 
 
 def settings():
-    """The context in which plots are made and saved."""
+    """Context for drawing and saving plots."""
     return rc_context(_SETTINGS)
 
 
 def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
-    """A figure outside pyplot's global state."""
+    """Create a figure outside the global state of pyplot."""
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
 def thread_colour(number: int) -> str:
-    """The colour of recovery thread j, and of what n = j threads give."""
+    """Colour of recovery thread j and of results for n = j."""
     return THREAD_COLOURS[(number - 1) % len(THREAD_COLOURS)]
 
 
 def bars(estimate: float, low: float, high: float) -> list[list[float]]:
-    """Error bars as matplotlib wants them: distances, never negative."""
+    """Error bars for matplotlib: distances, never negative."""
     return [[max(estimate - low, 0.0)], [max(high - estimate, 0.0)]]
 
 
 def percent_axis(axis: Any) -> None:
-    """Tick labels as percentages, on a log axis too."""
+    """Format tick labels as percentages, also on a log axis."""
     axis.set_major_formatter(lambda value, _: f"{100 * value:.4g} %")
     axis.set_minor_formatter(NullFormatter())
 
 
 def log_ticks(axis: Any, low: float, high: float) -> None:
-    """Ticks at 1, 2 and 5 where an axis is short, at powers of ten where it is long."""
+    """Set log ticks at 1, 2 and 5, or at powers of ten on long axes."""
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 150 * low else (1.0,), numticks=20))
 
 
 def shorten(text: str, length: int = 22) -> str:
-    """A name that fits a tick label."""
+    """Shorten a name to fit a tick label."""
     return text if len(text) <= length else text[: length - 1] + "…"
 
 
 def direct_legend(axes: Axes, **where: Any) -> None:
-    """A legend, where there is anything to tell."""
+    """Add a legend if any artist has a label."""
     if axes.get_legend_handles_labels()[0]:
         axes.legend(**({"fontsize": 9} | where))

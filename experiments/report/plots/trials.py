@@ -1,4 +1,4 @@
-"""Trials one by one: profiles over frames (Fig. 7 of the paper) and errors of the last pose (Fig. 9)."""
+"""Plots of single trials: profiles over frames (Fig. 7), last errors (Fig. 9)."""
 
 from typing import Any
 
@@ -22,7 +22,7 @@ _COLUMNS = 3
 
 
 def draw_timeline(report: dict[str, Any]) -> Figure | None:
-    """Per cell a panel, per trial two bars: base above, Dual-SLAM below; frames across."""
+    """Draw two bars per trial over frames, base above Dual-SLAM, a panel per cell."""
     cells = [cell for cell in report["timeline"] if cell["units"]]
     if not cells:
         return None
@@ -54,7 +54,7 @@ def _draw_trial(axes: Axes, place: int, unit: dict[str, Any], frames: int) -> No
 
 
 def base_parts(unit: dict[str, Any], frames: int) -> list[tuple[int, int, str]]:
-    """What the base had: (first frame, frame after, part). When it relocalized is not recorded."""
+    """Parts of a base run as (first frame, frame after, part); relocalization has no frame."""
     if not unit["breakage"] or unit["breakage_frame"] is None:
         return [(0, frames, "tracked")]
     broke = unit["breakage_frame"]
@@ -63,7 +63,7 @@ def base_parts(unit: dict[str, Any], frames: int) -> list[tuple[int, int, str]]:
 
 
 def dual_parts(unit: dict[str, Any], frames: int) -> list[tuple[int, int, str]]:
-    """What Dual-SLAM had, as base_parts."""
+    """Parts of a Dual-SLAM run, in the form of base_parts."""
     if not unit["breakage"] or unit["breakage_frame"] is None:
         return [(0, frames, "tracked")]
     broke, again = unit["breakage_frame"], unit["reinit_frame"]
@@ -77,7 +77,7 @@ def dual_parts(unit: dict[str, Any], frames: int) -> list[tuple[int, int, str]]:
 
 
 def draw_end_errors(report: dict[str, Any]) -> Figure | None:
-    """Cells across, trials up, colour the position error of the last pose; base beside Dual-SLAM."""
+    """Draw the position error of the last pose per cell and trial, base beside Dual-SLAM."""
     cells = report["end_errors"]
     values = [v for cell in cells for name in ("base_m", "dual_m") for v in cell[name] if v]
     if not values:

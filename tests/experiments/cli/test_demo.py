@@ -1,4 +1,4 @@
-"""The demonstration leaves its files, replaces only its own, and its table says what happened."""
+"""The demonstration writes its files, replaces only its own, and prints a table."""
 
 import io
 
@@ -21,7 +21,7 @@ def demo(tmp_path_factory):
     return out, sequence, summaries
 
 
-def test_a_folder_per_system_and_one_recording_and_picture_of_all_are_there(demo):
+def test_each_system_has_a_folder_and_all_share_one_recording_and_picture(demo):
     out, _, _ = demo
     for kind in ("base", "dual+"):
         assert {"summary.json", "trajectory.txt"} <= {p.name for p in (out / kind).iterdir()}
@@ -38,23 +38,20 @@ def test_the_viewer_opens_the_demonstration_at_the_first_breakage(demo, monkeypa
     assert opened == [(out / "recording.rrd", pytest.approx(160 / 30))]
 
 
-def test_any_systems_can_be_shown(tmp_path):
-    sequence = make_sequence(60, segment=None)
-    made = run_demo(sequence, 0, tmp_path / "out", build=fake_factory(sequence), systems=["dual"])
-    assert list(made) == ["dual"] and (tmp_path / "out" / "demo.png").is_file()
-
-
-def test_a_second_demonstration_replaces_the_first_but_no_other_folder(demo, tmp_path):
-    out, sequence, _ = demo
-    (out / "dual+" / "stale").write_text("")
-    run_demo(sequence, 0, out, build=fake_factory(sequence))
-    assert not (out / "dual+" / "stale").exists()
-    (tmp_path / "mine").write_text("")
+def test_a_demonstration_of_any_systems_replaces_an_earlier_one_but_no_other_folder(tmp_path):
+    sequence, out = make_sequence(30, segment=None), tmp_path / "out"
+    for _ in range(2):
+        made = run_demo(sequence, 0, out, build=fake_factory(sequence), systems=["dual"])
+        assert list(made) == ["dual"] and (out / "demo.png").is_file()
+        assert not (out / "dual" / "stale").exists()
+        (out / "dual" / "stale").write_text("")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "precious").write_text("")
     with pytest.raises(InputError):
-        run_demo(sequence, 0, tmp_path, build=fake_factory(sequence))
+        run_demo(sequence, 0, tmp_path / "mine", build=fake_factory(sequence))
 
 
-def test_the_table_fits_a_terminal_and_tells_base_from_dual(demo):
+def test_the_table_fits_a_terminal_and_separates_base_from_dual(demo):
     _, _, summaries = demo
     console = Console(width=80, record=True, file=io.StringIO())
     console.print(demo_table(summaries, "made-up"))

@@ -1,4 +1,4 @@
-"""``dslab export``: the same sequence in every form, and one line for every fault."""
+"""``dslab export``, `render` and `degrade`: the same sequence in every form, one line per fault."""
 
 import numpy as np
 import pytest
@@ -13,16 +13,19 @@ from sim.sensors.imu import GRAVITY_MPS2
 
 SPEC = """
 name: trial
+seed: 5
 duration_s: 1
-world: {kind: room}
+world: {kind: corridor, length_m: 10, turns: 0}
 camera: {width_px: 96, height_px: 64, fx_px: 70, fy_px: 70, cx_px: 47.5, cy_px: 31.5, fps: 20, %s}
 segments: [{kind: motion_blur, start_s: 0.4, duration_s: 0.3, exposure_s: 0.04}]
 """
+# The same seed everywhere: only the last world is cached.
+SEED = ("--seed", "3")
 FISHEYE = "distortion: {model: equidistant, k1: -0.01, k2: 0.02}"
 
 
 @pytest.fixture(autouse=True)
-def own_cache(tmp_path_factory, monkeypatch):
+def shared_cache(tmp_path_factory, monkeypatch):
     monkeypatch.setenv("DSLAB_CACHE_DIR", str(tmp_path_factory.getbasetemp() / "export-cache"))
 
 
@@ -40,7 +43,7 @@ def export(*arguments: str) -> None:
 
 @pytest.mark.parametrize("form", ["tum", "kitti", "euroc"])
 def test_an_exported_scenario_is_the_scenario(scenario, tmp_path, form):
-    export(scenario, "--seed", "3", "--format", form, "--out", str(tmp_path / "out"))
+    export(scenario, *SEED, "--format", form, "--out", str(tmp_path / "out"))
     rendered, read = open_sequence(scenario, 3), open_sequence(str(tmp_path / "out"))
     assert read.camera == rendered.camera and len(read) == 20
     for index in range(20):
@@ -50,11 +53,11 @@ def test_an_exported_scenario_is_the_scenario(scenario, tmp_path, form):
     assert read.segments == rendered.segments and read.meta["seed"] == 3
 
 
-def test_a_distorted_camera_passes_from_the_scenario_through_the_files(tmp_path):
+def test_a_distorted_camera_passes_through_the_files(tmp_path):
     (tmp_path / "fisheye.yaml").write_text(SPEC % FISHEYE)
-    export(str(tmp_path / "fisheye.yaml"), "--format", "euroc", "--out", str(tmp_path / "euroc"))
+    export(str(tmp_path / "fisheye.yaml"), *SEED, "--format", "euroc", "--out", str(tmp_path / "euroc"))
     export(str(tmp_path / "euroc"), "--format", "tum", "--out", str(tmp_path / "tum"))
-    first, last = open_sequence(str(tmp_path / "fisheye.yaml")), open_sequence(str(tmp_path / "tum"))
+    first, last = open_sequence(str(tmp_path / "fisheye.yaml"), 3), open_sequence(str(tmp_path / "tum"))
     assert last.camera == first.camera and first.camera.model == "equidistant"
     np.testing.assert_array_equal(last.frames[7], first.frames[7])
 
@@ -67,29 +70,27 @@ def dslab(*arguments: str) -> str:
     return " ".join(result.output.split())
 
 
-def test_inertial_readings_follow_the_scenario_s_motion(scenario, tmp_path):
-    export(scenario, "--format", "euroc", "--imu", "--out", str(tmp_path / "out"))
+def test_synthetic_inertial_readings_are_repeatable(scenario, tmp_path):
+    export(scenario, *SEED, "--format", "euroc", "--imu", "--out", str(tmp_path / "out"))
     readings = load_euroc_imu(tmp_path / "out")
     sequence = open_sequence(str(tmp_path / "out"))
     assert readings.stamps_s[0] == 0 and readings.stamps_s[-1] == pytest.approx(sequence.stamps_s[-1])
     R = sequence.T_world_cam[::10, :3, :3] @ readings.model.T_cam_imu[:3, :3]
     force = np.einsum("nij,nj->ni", R, readings.accel_mps2[::100])
     assert np.abs(force - [0, 0, 9.81]).max() < 3
-    export(scenario, "--format", "euroc", "--imu", "--out", str(tmp_path / "again"))
+    export(scenario, *SEED, "--format", "euroc", "--imu", "--out", str(tmp_path / "again"))
     again = load_euroc_imu(tmp_path / "again")
     np.testing.assert_array_equal(again.gyro_radps, readings.gyro_radps)
     np.testing.assert_array_equal(again.accel_mps2, readings.accel_mps2)
 
 
 @pytest.mark.parametrize("command", ["render", "export"])
-def test_a_scenario_with_a_sensor_becomes_a_folder_whose_readings_integrate_to_its_truth(tmp_path, command):
+def test_inertial_readings_in_a_folder_integrate_to_the_true_motion(tmp_path, command):
     spec = SPEC % "noise_sigma: 1" + "imu: {preset: perfect, rate_hz: 400}\n"
     spec = spec.replace("}]", "}, {kind: fast_rotation, start_s: 0.2, duration_s: 0.6, rate_degps: 90}]")
     (tmp_path / "flight.yaml").write_text(spec)
     out = tmp_path / "out"
-    text = dslab(
-        command, str(tmp_path / "flight.yaml"), "--seed", "4", "--format", "euroc", "--out", str(out)
-    )
+    text = dslab(command, str(tmp_path / "flight.yaml"), *SEED, "--format", "euroc", "--out", str(out))
     assert "imu0" in text
     sequence, readings = open_sequence(str(out)), load_euroc_imu(out)
     assert readings.model.rate_hz == 400 and readings.model.accel_walk == 0
@@ -111,23 +112,30 @@ def test_a_scenario_with_a_sensor_becomes_a_folder_whose_readings_integrate_to_i
     assert np.rad2deg(relative.magnitude()) < 0.01
 
 
-def test_a_sensor_changes_no_frame_and_is_told_to_be_left_out_elsewhere(scenario, tmp_path):
+def test_an_imu_changes_no_frame_and_other_forms_leave_it_out(scenario, tmp_path):
     spec = (tmp_path / "trial.yaml").read_text()
     (tmp_path / "imu.yaml").write_text(spec + "imu: {preset: realsense}\n")
-    text = dslab("render", str(tmp_path / "imu.yaml"), "--out", str(tmp_path / "tum"))
+    text = dslab("render", str(tmp_path / "imu.yaml"), *SEED, "--out", str(tmp_path / "tum"))
     assert "inertial readings are left out, use --format euroc" in text
-    with_imu, without = open_sequence(str(tmp_path / "tum")), open_sequence(scenario)
+    with_imu, without = open_sequence(str(tmp_path / "tum")), open_sequence(scenario, 3)
     for index in range(20):
         np.testing.assert_array_equal(with_imu.frames[index], without.frames[index])
     text = dslab(
-        "export", str(tmp_path / "imu.yaml"), "--format", "euroc", "--no-imu", "--out", str(tmp_path / "e")
+        "export",
+        str(tmp_path / "imu.yaml"),
+        *SEED,
+        "--format",
+        "euroc",
+        "--no-imu",
+        "--out",
+        str(tmp_path / "e"),
     )
     assert "imu0" not in text and load_euroc_imu(tmp_path / "e") is None
 
 
-def test_depth_is_written_where_it_is_asked_for_or_there(scenario, tmp_path):
+def test_depth_is_written_on_request_and_kept_where_present(scenario, tmp_path):
     tum, again, euroc = (str(tmp_path / name) for name in ("tum", "again", "euroc"))
-    export(scenario, "--format", "tum", "--depth", "--out", tum)
+    export(scenario, *SEED, "--format", "tum", "--depth", "--out", tum)
     export(tum, "--format", "tum", "--out", again)
     first, second = open_sequence(tum), open_sequence(again)
     for index in (0, 11, 19):
@@ -135,7 +143,7 @@ def test_depth_is_written_where_it_is_asked_for_or_there(scenario, tmp_path):
         np.testing.assert_array_equal(second.depths[index], first.depths[index])
     assert "depth images are left out" in dslab("export", tum, "--format", "euroc", "--out", euroc)
     with pytest.raises(InputError, match="kitti has no depth images; use --format tum"):
-        export(scenario, "--format", "kitti", "--depth", "--out", str(tmp_path / "no"))
+        export(scenario, *SEED, "--format", "kitti", "--depth", "--out", str(tmp_path / "no"))
     with pytest.raises(InputError, match="no depth images"):
         export(euroc, "--format", "tum", "--depth", "--out", str(tmp_path / "no"))
     assert not (tmp_path / "no").exists()
@@ -148,11 +156,11 @@ SEGMENTS = (
 
 
 @pytest.mark.parametrize("form", ["tum", "kitti", "euroc"])
-def test_a_degraded_folder_keeps_its_form_and_all_that_it_held(tmp_path, form):
+def test_a_degraded_folder_keeps_its_form_and_contents(tmp_path, form):
     (tmp_path / "trial.yaml").write_text(SPEC % "noise_sigma: 1" + "imu: {preset: euroc}\n")
     source, out = str(tmp_path / "source"), str(tmp_path / "out")
     more = ["--depth"] if form == "tum" else []
-    dslab("render", str(tmp_path / "trial.yaml"), "--format", form, *more, "--out", source)
+    dslab("render", str(tmp_path / "trial.yaml"), *SEED, "--format", form, *more, "--out", source)
     options = [word for text in SEGMENTS for word in ("--segment", text)]
     text = dslab("degrade", source, *options, "--out", out)
     assert f"20 frames in {form} form" in text
@@ -177,16 +185,16 @@ def test_a_degraded_folder_keeps_its_form_and_all_that_it_held(tmp_path, form):
         np.testing.assert_allclose(second.model.T_cam_imu, first.model.T_cam_imu, atol=1e-12)
 
 
-def test_faults_are_one_line_and_leave_nothing(scenario, tmp_path):
+def test_bad_input_leaves_nothing_behind(scenario, tmp_path):
     out = str(tmp_path / "out")
     with pytest.raises(InputError, match="kitti has no inertial readings; use --format euroc"):
-        export(scenario, "--format", "kitti", "--imu", "--out", out)
+        export(scenario, *SEED, "--format", "kitti", "--imu", "--out", out)
     (tmp_path / "fisheye.yaml").write_text(SPEC % FISHEYE)
     with pytest.raises(InputError, match="rectified"):
-        export(str(tmp_path / "fisheye.yaml"), "--format", "kitti", "--out", out)
+        export(str(tmp_path / "fisheye.yaml"), *SEED, "--format", "kitti", "--out", out)
     assert not (tmp_path / "out").exists()
-    export(scenario, "--format", "tum", "--out", out)
+    export(scenario, *SEED, "--format", "tum", "--out", out)
     with pytest.raises(InputError, match="no continuous motion"):
         export(out, "--format", "euroc", "--imu", "--out", str(tmp_path / "more"))
     with pytest.raises(InputError, match="not empty"):
-        export(scenario, "--format", "tum", "--out", out)
+        export(scenario, *SEED, "--format", "tum", "--out", out)

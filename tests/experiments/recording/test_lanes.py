@@ -1,4 +1,4 @@
-"""The lanes of a recording say what the events and results say, and nothing else."""
+"""Lanes of a recording agree with the events and results."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ def run(kind: str = "dual", **script) -> RunRecord:
 
 
 def recovered(record: RunRecord, first: int, last: int) -> RunRecord:
-    """The run with poses for some more frames in the end, as a recovery leaves them."""
+    """The run with additional final poses, as a recovery adds them."""
     main = record.trajectories[0]
     alike = np.linalg.inv(main.T_map_cam[0])
     frames = np.union1d(main.frames, np.arange(first, last + 1))
@@ -58,7 +58,7 @@ def end(frame: int, thread: int, success: bool) -> ev.RecoveryEnd:
     )  # fmt: skip
 
 
-def test_the_state_of_the_base():
+def test_the_state_lane_follows_the_base():
     state = lane(run("base", relocalizes_after=50), "state")
     assert state.changes == [
         (0, "initialising"), (5, "tracking"), (BREAKS, "lost"), (BREAKS + 1, "relocalizing"),
@@ -67,14 +67,14 @@ def test_the_state_of_the_base():
     assert set(state.colors) == {value for _, value in state.changes}
 
 
-def test_the_state_names_the_map_where_there_are_several():
+def test_the_state_names_the_map_if_there_are_several():
     state = lane(run(recovers=False), "state")
     assert [value for _, value in state.changes] == [
         "initialising", "tracking, map 0", "initialising", "tracking, map 1",
     ]  # fmt: skip
 
 
-def test_marks_of_events_end_and_give_way():
+def test_a_mark_ends_after_its_length_or_at_the_next_mark():
     marks = lane(run(), "events")
     # 24 of 300 frames each.
     assert marks.changes == [
@@ -94,7 +94,7 @@ def test_marks_of_events_end_and_give_way():
     ]  # fmt: skip
 
 
-def test_recovery_threads_have_a_lane_each_from_start_to_end():
+def test_each_recovery_thread_has_a_lane_from_start_to_end():
     record = with_events(
         run(), start(170, 1), end(200, 1, False), start(200, 2), end(260, 2, True), start(290, 1)
     )
@@ -105,19 +105,19 @@ def test_recovery_threads_have_a_lane_each_from_start_to_end():
     assert not [x for x in system_lanes(run("base")) if x.name.startswith("recovery")]
 
 
-def test_a_recovery_within_one_frame_shows_how_it_ended():
+def test_a_recovery_within_one_frame_shows_its_outcome():
     record = with_events(run(), start(200, 1), end(200, 1, True))
     assert lane(record, "recovery_1").changes == [(200, "succeeded"), (224, "")]
 
 
-def test_the_outcome_is_what_each_frame_was_worth_in_the_end():
+def test_the_outcome_lane_shows_the_final_outcome_of_each_frame():
     record = recovered(run(), BREAKS + 6, NEW_MAP - 1)
     assert lane(record, "outcome").changes == [
         (0, "no pose"), (5, "pose"), (BREAKS, "no pose"), (BREAKS + 6, "pose by recovery"), (NEW_MAP, "pose"),
     ]  # fmt: skip
 
 
-def test_frames_placed_by_initialisation_are_not_recovered():
+def test_frames_placed_by_initialization_are_not_recovered():
     assert frame_outcomes(recovered(run(), 2, 4))[:6] == [
         FrameOutcome.NONE,
         FrameOutcome.NONE,
@@ -131,7 +131,7 @@ def test_frames_of_a_dropped_map_have_no_pose():
     assert found[100] is FrameOutcome.TRACKED and found[250] is FrameOutcome.NONE
 
 
-def test_a_recovered_frame_is_known_from_the_fusion_on():
+def test_a_recovered_frame_is_known_from_the_fusion_onwards():
     record = recovered(run(), BREAKS, NEW_MAP - 1)
     assert known_from(record.events, 300)[[0, BREAKS, NEW_MAP, NEW_MAP + 1]].tolist() == [180, 180, 180, 300]
     paths = RunPaths(record, lay_out(record))
@@ -140,17 +140,17 @@ def test_a_recovered_frame_is_known_from_the_fusion_on():
     assert 20 <= len(green) <= 21 and paths.lost_strips(NEW_MAP) == []
 
 
-def test_marks_stand_where_the_camera_was():
+def test_marks_lie_at_the_position_of_the_camera():
     record = run()
     marks = RunPaths(record, lay_out(record)).marks()
-    assert [(m.frame, m.words, m.broke) for m in marks] == [
+    assert [(m.frame, m.label, m.broke) for m in marks] == [
         (BREAKS, "breakage", True),
         (NEW_MAP, "fused", False),
     ]
     np.testing.assert_allclose(marks[0].position, record.sequence.T_world_cam[BREAKS, :3, 3])
 
 
-def test_segments_over_one_another_share_the_lane():
+def test_overlapping_segments_share_the_lane():
     record = run()
     assert segment_lane(record).changes == [(0, ""), (150, "low texture"), (181, "")]
 

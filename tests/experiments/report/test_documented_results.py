@@ -1,4 +1,4 @@
-"""The committed results: report.json follows from the records beside it, the README from report.json."""
+"""Committed results: report.json follows from the records, the README from report.json."""
 
 import json
 from pathlib import Path
@@ -35,15 +35,15 @@ def test_the_report_follows_from_the_records(report):
     assert again["units"] == report["units"]
 
 
-def test_the_readme_says_what_the_records_say(report):
+def test_the_readme_agrees_with_the_records(report):
     readme = " ".join((ROOT / "README.md").read_text().split())
     kinds = report["kinds_of_world"]
     for level in kinds["levels"]:
         measured, by_cell, by_kind = (
             level[name] for name in ("measured", "predicted_by_cell", "predicted_by_kind")
         )
-        told = f"{percent(measured['value'])} % [{percent(measured['low'])}, {percent(measured['high'])}]"
-        assert f"| {level['n']} | {told} | {percent(by_cell)} % | {percent(by_kind)} % |" in readme
+        shown = f"{percent(measured['value'])} % [{percent(measured['low'])}, {percent(measured['high'])}]"
+        assert f"| {level['n']} | {shown} | {percent(by_cell)} % | {percent(by_kind)} % |" in readme
     rows = [row for row in kinds["rows"] if not row["cell"].startswith("fast_rotation")]
     for world in ("room", "corridor"):
         broke, units = (sum(r[name] for r in rows if r["world"] == world) for name in ("breakages", "units"))

@@ -1,4 +1,4 @@
-"""Parts of a report: words, plots, profiles of trials."""
+"""Parts of a report: text, plots, profiles of trials."""
 
 import pytest
 from report_fakes import FakeSpec, fake_table
@@ -34,7 +34,7 @@ def test_small_shares_keep_their_digits(value, words):
     assert percent(value) == words
 
 
-def test_figures_are_told_with_their_intervals():
+def test_figures_are_given_with_their_intervals():
     share = {"events": 3, "units": 40, "estimate": 0.075, "low": 0.016, "high": 0.204}
     assert proportion(share) == "3 of 40: 7.5 % (1.6 to 20.4 %)"
     assert proportion(share | {"events": 0, "units": 0, "estimate": None}) == "0 of 0"
@@ -74,9 +74,9 @@ def analysis(words: list[str], measured: tuple[float, float], within: tuple[floa
 ONE_KIND = {"worlds": 15, "units": 522, "mixed": [], "kinds": ["room"], "levels": []}
 
 
-def test_whatever_the_tests_say_no_verdict_is_given():
-    told = verdict(analysis(["optimistic"] * 9, (0.06, 0.1), (0.01, 0.05)), ONE_KIND)
-    assert told["headline"].startswith("No verdict") and "15 worlds, not 522 units" in told["reasons"][0]
+def test_no_verdict_is_given_for_any_result_of_the_tests():
+    text = verdict(analysis(["optimistic"] * 9, (0.06, 0.1), (0.01, 0.05)), ONE_KIND)
+    assert text["headline"].startswith("No verdict") and "15 worlds, not 522 units" in text["reasons"][0]
     mixed = verdict(analysis(["optimistic"], (0.06, 0.1), (0.01, 0.05)), ONE_KIND | {"mixed": ["blur/1"]})
     assert "1 of the cells mix" in mixed["reasons"][1]
 
@@ -84,10 +84,10 @@ def test_whatever_the_tests_say_no_verdict_is_given():
 @pytest.mark.parametrize(
     ("words", "headline"),
     [
-        (["undecided"] * 3, "Undecided: nowhere are there units enough"),
+        (["undecided"] * 3, "Undecided: no cell has enough units"),
         (
             ["consistent", "undecided"],
-            "not rejected in 1 of 2 verdicts that could tell. 1 of 2 verdicts are undecided",
+            "not rejected in 1 of 2 verdicts with enough power. 1 of 2 verdicts are undecided",
         ),
         (["optimistic", "consistent"], "rejected in 1 of 2 verdicts: more dual failures"),
         (["pessimistic", "pessimistic"], "rejected in 2 of 2 verdicts: fewer dual failures"),
@@ -95,21 +95,21 @@ def test_whatever_the_tests_say_no_verdict_is_given():
     ],
 )
 def test_the_headline_follows_the_verdicts(words, headline):
-    told = verdict(analysis(words, (0.01, 0.1), (0.01, 0.05)), ONE_KIND)
-    assert headline in told["tests_headline"]
-    assert told["levels"][0]["counts"]["undecided"] == words.count("undecided")
-    assert told["levels"][0]["powered"] == len(words) - words.count("undecided")
+    text = verdict(analysis(words, (0.01, 0.1), (0.01, 0.05)), ONE_KIND)
+    assert headline in text["tests_headline"]
+    assert text["levels"][0]["counts"]["undecided"] == words.count("undecided")
+    assert text["levels"][0]["powered"] == len(words) - words.count("undecided")
 
 
 @pytest.mark.parametrize(
     ("measured", "words"),
     [((0.01, 0.1), "overlap"), ((0.06, 0.1), "lies above"), ((0.001, 0.005), "lies below")],
 )
-def test_what_all_cells_say_together_goes_by_the_intervals(measured, words):
+def test_the_sentence_on_all_cells_follows_the_intervals(measured, words):
     assert words in verdict(analysis(["undecided"], measured, (0.01, 0.05)), ONE_KIND)["levels"][0]["told"]
 
 
-def test_a_profile_tells_what_was_bridged_and_what_was_lost():
+def test_a_profile_separates_recovered_from_lost_frames():
     assert base_parts(PROFILE, 300) == [(0, 120, "tracked"), (120, 300, "lost for good")]
     assert base_parts(PROFILE | {"relocalized": True}, 300)[1][2] == "relocalized later"
     assert base_parts(PROFILE | {"breakage": False}, 300) == [(0, 300, "tracked")]
@@ -137,19 +137,19 @@ def mark(predicted: float, measured: float, word: str = "consistent") -> dict:
     }
 
 
-def test_marks_of_the_calibration_lie_where_they_should():
+def test_points_of_the_calibration_lie_at_their_shares():
     figure = draw_calibration({"calibration": [mark(0.01, 0.2), mark(0.05, 0.0)]})
     assert figure is not None
     axes = figure.axes[0]
     assert axes.get_xscale() == axes.get_yscale() == "log"
     centres = [tuple(container[0].get_xydata()[0]) for container in axes.containers]
     floor = axes.get_ylim()[0]
-    # No failure at all stands on the edge, not outside the plot.
+    # A share of zero lies on the edge, not outside the plot.
     assert centres == [(0.01, 0.2), (0.05, floor)]
     assert draw_calibration({"calibration": []}) is None
 
 
-def test_counts_of_units_per_cell_name_what_is_missing():
+def test_counts_per_cell_include_missing_units():
     spec = FakeSpec(doses=1, units=10)
     counted = unit_counts(fake_table(spec, units=8), dict.fromkeys(spec.cell_names(), 10))
     assert counted["missing"] == 6 and [row["missing"] for row in counted["per_cell"]] == [2, 2, 2]
