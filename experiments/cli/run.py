@@ -84,10 +84,10 @@ def run_command(
     """
     from experiments.result_folder import run_sequence
     from experiments.runs.execution import system_factory
-    from experiments.runs.output import check_free
     from experiments.runs.pacing import RealTime
     from experiments.runs.sources import open_sequence
     from scenarios.errors import InputError
+    from sim.io.folders import check_free
     from slam.warmup import warm_up
 
     check_real_time(real_time, mode)

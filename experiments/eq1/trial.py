@@ -1,4 +1,4 @@
-"""One unit of an experiment: one lead-in, its arms, their judgement, as one flat record. Never raises."""
+"""One unit of an experiment: one lead-in, its arms and their judgement, as one flat record."""
 
 import time
 import traceback
@@ -32,15 +32,15 @@ from slam.features.sift import features_kept
 
 
 def run_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict[str, Any]:
-    """Run one unit: a pure function of its spec, but for the times that it takes.
+    """Run one unit: a pure function of its spec, except for the measured times. Never raises.
 
     Args:
-        unit: all that decides the record.
+        unit: everything that determines the record.
         cache_dir: folder of rendered sequences; None for the default one.
         recording: file for a recording of base and Dual-SLAM, which takes two more runs.
 
     Returns:
-        The columns of ``experiments.eq1.records``. Whatever goes wrong in the programs is the outcome
+        The columns of ``experiments.eq1.records``. An error in the programs gives the outcome
         ``infrastructure_error`` with its message, never a failure of the SLAM.
     """
     record = empty_record(unit)
@@ -55,7 +55,7 @@ def run_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | No
         record |= _judged(unit, sequence, slam)
         if recording is not None:
             record_runs(unit, sequence, recording)
-    except Exception as error:  # the one place that may: a broken unit must not end the experiment
+    except Exception as error:  # a broken unit must not end the experiment
         record |= {"outcome": Outcome.INFRASTRUCTURE_ERROR.value, "message": _message(error)}
     return record | {
         "render_s": render.seconds,
@@ -67,7 +67,7 @@ def run_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | No
 
 
 def record_runs(unit: UnitSpec, sequence: Sequence, path: Path) -> list[RunRecord]:
-    """Record base and Dual-SLAM, each from the start: they do there what they do in the unit."""
+    """Run and record base and Dual-SLAM from the start; they behave as in the unit."""
     from experiments.recording import Recording
 
     kinds = ("base", unit.system)
@@ -121,7 +121,7 @@ def _lead_in_fault(branch: BranchRun, exposure: Exposure) -> str | None:
 
 
 def _current_path(branch: BranchRun) -> MapTrajectory:
-    """The poses of the lead-in as its map stands now."""
+    """The poses of the lead-in in the current map."""
     current = branch.system.current_map_id
     return next(path for path in branch.system.trajectories() if path.map_id == current)
 

@@ -1,4 +1,4 @@
-"""Do forward and backward failures depend on each other? Two by two tables of paired units."""
+"""Dependence of forward and backward failures: two-by-two tables of paired units."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ _POSTERIOR = "interval of posterior draws, one unit's worth of prior"
 
 @dataclass(frozen=True)
 class PairedCounts:
-    """Units by whether A and whether R."""
+    """Units counted by A and R."""
 
     both: int
     only_a: int
@@ -25,12 +25,12 @@ class PairedCounts:
 
     @classmethod
     def of_units(cls, a: Bools, r: Bools) -> "PairedCounts":
-        """Count (N,) by (N,)."""
+        """Count units from (N,) A and (N,) R."""
         return cls(int((a & r).sum()), int((a & ~r).sum()), int((~a & r).sum()), int((~a & ~r).sum()))
 
     @property
     def units(self) -> int:
-        """All of them."""
+        """Number of units."""
         return self.both + self.only_a + self.only_r + self.neither
 
     @property
@@ -54,7 +54,7 @@ def conditional_ratio(
 
 
 def phi(counts: PairedCounts, draws: int, rng: np.random.Generator, confidence: float = 0.95) -> Estimate:
-    """Correlation of A and R; undetermined where one of them always or never happened."""
+    """Correlation of A and R; undetermined if one of them always or never happened."""
     method = f"phi; {_POSTERIOR}"
     cells = np.array([[counts.both], [counts.only_a], [counts.only_r], [counts.neither]], float)
     if (cells[0] + cells[1]) * (cells[0] + cells[2]) * (cells[1] + cells[3]) * (cells[2] + cells[3]) == 0:
@@ -64,7 +64,7 @@ def phi(counts: PairedCounts, draws: int, rng: np.random.Generator, confidence: 
 
 
 def fisher(counts: PairedCounts) -> float | None:
-    """Two-sided exact p of independence; None where one of the two always or never happened."""
+    """Two-sided exact p of independence; None if A or R always or never happened."""
     table = np.array(counts.table)
     if 0 in (*table.sum(axis=0), *table.sum(axis=1)):
         return None
@@ -72,7 +72,7 @@ def fisher(counts: PairedCounts) -> float | None:
 
 
 def mcnemar(counts: PairedCounts) -> float | None:
-    """Two-sided exact p of P(A) = P(R) on paired units; None of no units, 1 where no pair differs."""
+    """Two-sided exact p of P(A) = P(R) on paired units; None without units, 1 if no pair differs."""
     if counts.units == 0:
         return None
     differing = counts.only_a + counts.only_r
@@ -84,8 +84,8 @@ def mantel_haenszel(
 ) -> tuple[Estimate, float | None]:
     """Common odds ratio of A and R within strata (worlds), and the p of independence within them.
 
-    Only strata in which both A and R vary tell; without one, all is undetermined. Dependence on the whole
-    that is gone within worlds is uneven difficulty of the worlds.
+    Only strata in which both A and R vary are informative; without one, all is undetermined. Overall
+    dependence that vanishes within worlds comes from the worlds' uneven difficulty.
 
     Source: Mantel & Haenszel, J. National Cancer Institute 1959.
     """
@@ -94,10 +94,10 @@ def mantel_haenszel(
     tables = np.zeros((int(index.max()) + 1 if index.size else 0, 2, 2))
     np.add.at(tables, (index, (~a).astype(int), (~r).astype(int)), 1)
     rows, columns = tables.sum(axis=2), tables.sum(axis=1)
-    telling = tables[(rows.min(axis=1) > 0) & (columns.min(axis=1) > 0)] if len(tables) else tables
-    if len(telling) == 0:
+    informative = tables[(rows.min(axis=1) > 0) & (columns.min(axis=1) > 0)] if len(tables) else tables
+    if len(informative) == 0:
         return Estimate.undetermined(method), None
-    found = StratifiedTable(np.moveaxis(telling, 0, -1))
+    found = StratifiedTable(np.moveaxis(informative, 0, -1))
     with np.errstate(all="ignore"):
         p = float(found.test_null_odds(correction=False).pvalue)
         value = float(found.oddsratio_pooled)

@@ -1,4 +1,4 @@
-"""Uneven difficulty: models of why failures coincide although, at each difficulty, they are independent."""
+"""Models of uneven difficulty: failures coincide although they are independent at each difficulty."""
 
 from collections.abc import Mapping, Sequence
 
@@ -19,10 +19,10 @@ _SWEEPS = 300
 def eckhardt_lee(
     cells: Sequence[JointCounts], draws: int, rng: np.random.Generator, confidence: float = 0.95
 ) -> EckhardtLee | None:
-    """Eq. 1 averaged over cells, against Eq. 1 of the averages; cells weigh by their units.
+    """Eq. 1 averaged over cells, against Eq. 1 of the averages, cells weighted by their units.
 
-    The first is at least the second where p0 and pr rise together: a benchmark that pools easy and hard
-    sequences refutes Eq. 1 even where it holds in every one.
+    The first is at least the second if p0 and pr rise together: a benchmark that pools easy and hard
+    sequences refutes Eq. 1 even if it holds in each of them.
 
     Args:
         cells: counts of the cells at one n.
@@ -31,7 +31,7 @@ def eckhardt_lee(
         confidence: of the intervals.
 
     Returns:
-        None where no cell has a unit.
+        None if no cell has a unit.
 
     Source: Eckhardt & Lee, IEEE Trans. Software Engineering 1985.
     """
@@ -58,11 +58,11 @@ def eckhardt_lee(
 
 
 def beta_binomial(quantity: str, events: Floats, units: Floats) -> BetaBinomial:
-    """Fit θ ~ Beta to counts of groups that each have a θ of their own.
+    """Fit θ ~ Beta to the counts of groups that each have their own θ.
 
     Args:
-        quantity: what was counted, for the result.
-        events, units: (G,) per group; groups with no unit say nothing.
+        quantity: name of the count, copied to the result.
+        events, units: (G,) per group; groups without units are ignored.
     """
     events, units = np.asarray(events, float), np.asarray(units, float)
     events, units = events[units > 0], units[units > 0]
@@ -109,7 +109,7 @@ def beta_factor(cells: Mapping[str, JointCounts], confidence: float = 0.95) -> B
     The cells' p0 and pr_j are taken as measured, and the interval is the likelihood's given them.
 
     Returns:
-        None where no cell has a breakage.
+        None if no cell has a breakage.
 
     Source: Fleming, "A reliability model for common mode failures", 1975.
     """
@@ -151,11 +151,11 @@ def mixture(
     rng: np.random.Generator,
     confidence: float = 0.95,
 ) -> Mixture | None:
-    """Fit hopeless breakages and the rest, of which each thread fails alike and independently.
+    """Fit two classes: hopeless breakages, and the rest, where threads fail independently and alike.
 
     Args:
-        failed_threads: per breakage, how many of the threads failed, all having been run.
-        threads: n; fewer than two cannot tell the classes apart.
+        failed_threads: number of failed threads per breakage, all having been run.
+        threads: n; the classes cannot be separated with fewer than two.
         draws: from the posterior of the counts, for the intervals.
         rng: of the draws.
         confidence: of the intervals.

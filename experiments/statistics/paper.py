@@ -1,4 +1,4 @@
-"""The paper's Tables II and III, and what they say of Eq. 1 when read again.
+"""Reanalysis of the paper's Tables II and III with respect to Eq. 1.
 
 Source: Huang et al., "Dual-SLAM: A framework for robust single camera navigation", IROS 2020,
     Tables I to III.
@@ -23,7 +23,7 @@ class PaperCounts:
 
     Attributes:
         system, dataset: as the paper names them.
-        trials: all.
+        trials: number of trials.
         breakages: "Needs Recovery".
         with_one: recovered by the first thread.
         with_two: recovered by the second, after the first had failed.
@@ -40,7 +40,7 @@ class PaperCounts:
 
     @property
     def first_failed(self) -> int:
-        """Breakages after which the first thread failed; the second ran on these alone."""
+        """Breakages after which the first thread failed; only on these did the second run."""
         return self.with_two + self.failures
 
 
@@ -82,7 +82,7 @@ class PaperAnalysis:
         base_failure: ORB-SLAM's share of failures in Table II.
         p0: breakages of trials.
         thread_1: failures of breakages, which stands for pr.
-        thread_2: failures of the breakages that thread 1 had failed at.
+        thread_2: failures of the breakages at which thread 1 had failed.
         measured: failures of trials.
         predicted: p0 · pr².
         ratio: measured over predicted.
@@ -105,7 +105,7 @@ class PaperAnalysis:
 
 
 def reanalyse(confidence: float = 0.95, draws: int = 20_000, seed: int = 0) -> tuple[PaperAnalysis, ...]:
-    """Every row of Table III and the total of each system, in the paper's order, totals last per system."""
+    """Reanalyse every row of Table III, and the total of each system after its rows."""
     found = []
     for system in dict.fromkeys(row.system for row in TABLE_III):
         rows = [row for row in TABLE_III if row.system == system]
@@ -127,7 +127,7 @@ def total(rows: list[PaperCounts]) -> PaperCounts:
 
 
 def reanalyse_row(counts: PaperCounts, confidence: float, draws: int, seed: int) -> PaperAnalysis:
-    """Eq. 1 on one row."""
+    """Reanalyse one row."""
     datasets = [counts.dataset] if counts.dataset in TABLE_II else list(TABLE_II)
     failures, trials = (sum(TABLE_II[d]["ORB-SLAM"][i] for d in datasets) for i in range(2))
     rng = rng_for(seed, "paper", counts.system, counts.dataset)
@@ -169,7 +169,7 @@ def _posterior(
 
 
 def _mixture(counts: PaperCounts, confidence: float, draws: int, rng: np.random.Generator) -> Mixture:
-    """Threads stop at the first success, hence pr = with_two / with_one, where a share of 0 allows it."""
+    """Fit the mixture; threads stop at the first success, hence pr = with_two / with_one."""
     ends = np.array([counts.with_one, counts.with_two, counts.failures], float)
     hopeless, pr = _classes(ends[None] / ends.sum())
     drawn_hopeless, drawn_pr = _classes(rng.dirichlet(ends + 0.5, draws))
@@ -182,11 +182,11 @@ def _mixture(counts: PaperCounts, confidence: float, draws: int, rng: np.random.
 
 
 def _classes(shares: Floats) -> tuple[Floats, Floats]:
-    """Share of the hopeless and pr of the rest, from shares recovered by thread 1, by thread 2, by none."""
+    """Share of hopeless breakages and pr of the rest, from shares recovered by thread 1, 2, none."""
     one, two, none = shares.T
     pr = two / one
     hopeless = 1 - one / np.maximum(1 - pr, 1e-12)
-    # Fewer failures than the rest alone would have: no hopeless ones, all threads alike.
+    # Fewer failures than the rest alone would have: no hopeless breakages, all threads alike.
     alike = (two + 2 * none) / (one + 2 * two + 2 * none)
     return np.maximum(hopeless, 0), np.where(hopeless >= 0, pr, alike)
 

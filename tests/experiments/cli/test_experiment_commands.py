@@ -28,7 +28,7 @@ def smoke(dslab, shared_pool, monkeypatch, tmp_path):
     def opened(settings, job):
         yield WorkerPool(shared, job, settings, tmp_path)
 
-    monkeypatch.setattr("experiments.campaign.worker_pool.open_worker_pool", opened)
+    monkeypatch.setattr("experiments.campaign.worker_pool.embedded_worker_pool", opened)
     monkeypatch.setattr("experiments.campaign.replay.embedded_worker_pool", opened)
     monkeypatch.setattr("experiments.eq1.trial.run_unit", made_up_unit)
     code, out, _ = dslab("experiment", "run", "smoke", "--out", tmp_path / "s", "--units", "3")

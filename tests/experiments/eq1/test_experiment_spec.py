@@ -139,7 +139,7 @@ def test_a_family_may_be_taken_member_by_member_or_as_a_whole(tmp_path):
             ":11: degradations[0]: dose: a segment of kind motion_blur has no",
         ),
         ("doses: [0.1, 0.2]", "doses: [0.1, 2]", ":13: degradations[0].doses[1]: 2.0 is not valid"),
-        ("doses: [0.1, 0.2]", "doses: [0.1, 0.1]", ":11: degradations[0]: two doses are told by the same"),
+        ("doses: [0.1, 0.2]", "doses: [0.1, 0.1]", ":11: degradations[0]: two doses have the same"),
         ("axis: {choice: [yaw, pitch]}", "axis: up", ":20: degradations[1].fields.axis: 'up' is not valid"),
         ("length_m: {uniform: [30, 60]}", "length_m: 3", ":5: bases.passage.world.length_m: 3 is not valid"),
         ("{uniform: [30, 60]}", "{uniform: [30]}", ":5: bases.passage.world.length_m: uniform [30] has no"),
