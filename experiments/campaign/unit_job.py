@@ -92,6 +92,9 @@ def dask_setup(worker: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     single_threaded()
+    # What is imported stays: the collection after each task need not visit it.
+    gc.collect()
+    gc.freeze()
 
 
 @contextmanager

@@ -240,13 +240,12 @@ def _share(
 def _false(
     rows: pd.DataFrame, declared: str, false: str, interval: Callable[[int, int], Proportion]
 ) -> Proportion:
-    recovered = rows[rows[declared].fillna(False).to_numpy(bool)]
-    return _share(recovered, false, interval)
+    recovered = rows[declared].fillna(False).to_numpy(bool)
+    return _share(rows.loc[recovered, [false]], false, interval)
 
 
 def _stages(rows: pd.DataFrame, failed: str, stage: str) -> dict[str, int]:
-    hit = rows[rows[failed].fillna(False).to_numpy(bool)]
-    names = hit[stage].fillna("unknown").astype(str)
+    names = rows.loc[rows[failed].fillna(False).to_numpy(bool), stage].fillna("unknown").astype(str)
     return {str(name): int(number) for name, number in names.value_counts().sort_index().items()}
 
 

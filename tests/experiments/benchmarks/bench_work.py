@@ -5,7 +5,7 @@ import time
 
 
 def start_time(index: int):
-    """Work of which the first process is ready a second before the second one."""
+    """Work for which the first process is ready a second before the second."""
     time.sleep(1.0 * index)
 
     def work() -> int:

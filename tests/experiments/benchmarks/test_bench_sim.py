@@ -26,6 +26,7 @@ def test_each_work_has_a_process_of_its_own():
     assert len(pids) == 2 and os.getpid() not in pids
 
 
+@pytest.mark.slow
 def test_a_process_that_fails_ends_the_others_and_is_reported():
     with pytest.raises(ValueError, match="the second one"):
         run_together(fail_in_one, (), 2)

@@ -18,8 +18,8 @@ from experiments.eq1.records import decided
 from experiments.eq1.spec import load_spec
 from scenarios.errors import InputError
 
-# A shell has what it starts in the background ignore interrupts.
-HEARING = f"""
+# Programs that a shell starts in the background ignore interrupts.
+HANDLES_INTERRUPTS = f"""
 import signal, sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})
 signal.signal(signal.SIGINT, signal.default_int_handler)
 """
@@ -49,7 +49,7 @@ def command(tmp_path):
 
     def made(program, *arguments):
         script = tmp_path / "program.py"
-        script.write_text(HEARING + program)
+        script.write_text(HANDLES_INTERRUPTS + program)
         return [sys.executable, str(script), *map(str, arguments)]
 
     return made

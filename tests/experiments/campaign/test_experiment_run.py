@@ -66,7 +66,7 @@ def test_errors_given_up_are_tried_again_on_request_only(run_made_up, tmp_path):
     assert (tally.ended_here, tally.errors, tally.retries) == (1, 0, 1)
 
 
-def test_a_folder_of_another_spec_or_of_other_things_or_in_use_is_refused(run_made_up, tmp_path):
+def test_a_folder_of_another_spec_or_with_other_files_or_in_use_is_refused(run_made_up, tmp_path):
     plan, folder = MadeUp({"ok": 2}), tmp_path / "x"
     run_made_up(plan)
     spec, before = (folder / SPEC_FILE).read_text(), rows_of(folder, plan)
@@ -143,7 +143,7 @@ def test_a_missing_scheduler_is_reported_in_one_line(tmp_path, monkeypatch):
         run_experiment(MadeUp({"ok": 1}), tmp_path / "x", lambda: open_worker_pool(settings, made_up_unit))
 
 
-def test_nothing_listens_beyond_this_machine(shared_pool):
+def test_all_ports_are_bound_to_loopback(shared_pool):
     me = psutil.Process()
     for process in (me, *me.children(recursive=True)):
         for connection in process.net_connections():

@@ -57,28 +57,29 @@ def test_units_that_raise_or_return_bad_records_are_tried_again_and_kept_as_erro
 
 
 def test_slam_failures_are_never_tried_again(run_made_up, tmp_path):
-    plan = MadeUp({"ok": 12})
+    plan = MadeUp({"a": 6, "b": 6, "c": 6})
     tally = run_made_up(plan)
     assert tally.breakages > 0 and tally.void > 0 and tally.retries == 0
     assert {(path.stat().st_size) for path in (tmp_path / "tries").iterdir()} == {1}
 
 
-def test_a_unit_that_crashes_or_hangs_is_reported_and_tried_again_and_harms_no_other(run_made_up, tmp_path):
-    plan = MadeUp({"crash-1": 1, "spin-1": 1, "slow-0.1": 6})
+def test_a_unit_that_hangs_is_ended_and_reported_and_tried_again_and_harms_no_other(run_made_up, tmp_path):
+    plan = MadeUp({"spin-1": 1, "slow-0.1": 4})
     tally = run_made_up(plan, timeout_s=2.0)
-    rows, (crash, hang) = outcomes(tmp_path / "x", plan)
-    assert [r["attempts"] for r in rows] == [2, 2] + [1] * 6 and tally.errors == 0
-    assert "Segmentation fault" in crash["message"]
-    assert hang["message"] == "not done after 2 s: its process was ended"
-    assert "in made_up_unit" in crash["report"] and "in made_up_unit" in hang["report"]
+    rows, (error,) = outcomes(tmp_path / "x", plan)
+    assert [r["attempts"] for r in rows] == [2, 1, 1, 1, 1] and tally.errors == 0
+    assert error["message"] == "not done after 2 s: its process was ended"
+    assert "in made_up_unit" in error["report"]
 
 
 @pytest.mark.slow
-def test_a_unit_that_always_crashes_is_given_up(run_made_up, tmp_path, one_try):
-    plan = MadeUp({"crash": 1, "ok": 2})
+def test_a_unit_that_crashes_is_reported_and_given_up_and_harms_no_other(run_made_up, tmp_path, one_try):
+    plan = MadeUp({"crash": 1, "slow-0.2": 4})
     tally = run_made_up(plan)
-    rows, _ = outcomes(tmp_path / "x", plan)
-    assert rows[0]["outcome"] == "infrastructure_error" and (tally.done, tally.errors) == (3, 1)
+    rows, (error,) = outcomes(tmp_path / "x", plan)
+    assert rows[0]["outcome"] == "infrastructure_error" and (tally.done, tally.errors) == (5, 1)
+    assert [r["attempts"] for r in rows] == [1] * 5
+    assert "Segmentation fault" in error["message"] and "in made_up_unit" in error["report"]
 
 
 @pytest.mark.slow

@@ -73,7 +73,7 @@ def test_a_unit_is_written_once(tmp_path):
         assert len(ledger.rows()) == 1
 
 
-def test_errors_are_apart_from_the_units_and_those_given_up_can_be_due_again(tmp_path):
+def test_errors_are_kept_apart_and_units_given_up_can_be_retried(tmp_path):
     unit = PLAN.unit("a", 0)
     with Ledger.open(tmp_path, PLAN) as ledger:
         for attempt in (1, 2):
@@ -150,7 +150,7 @@ def test_added_rows_outlive_kill_9(tmp_path):
         assert [r["index"] for r in ledger.rows()] == [0, 1, 2]
 
 
-def test_one_driver_at_a_time_and_the_next_after_kill_9(tmp_path):
+def test_the_folder_has_one_driver_at_a_time_and_is_free_after_kill_9(tmp_path):
     script = (
         "import sys, time; from pathlib import Path\n"
         "from experiments.campaign.folder_lock import sole_driver\n"

@@ -1,4 +1,4 @@
-"""A peer: run in turn with ours on the same frames, judged by the same code; faults are one line."""
+"""A peer system: run in turn on the same frames, judged by the same code; its faults are one line."""
 
 import json
 import shlex
@@ -16,7 +16,7 @@ from scenarios.errors import InputError
 from sim.io.tum import write_tum
 
 FRAMES = 60
-# Keeps a log of who ran, copies the truth from frame `first` on at half the scale with noise.
+# Logs its run, copies the truth from frame `first` on at half the scale with noise.
 PEER = """
 import json, pathlib, random, sys
 option, log, seq, out = sys.argv[1], *map(pathlib.Path, sys.argv[2:])
@@ -63,7 +63,7 @@ def compared(sequence, source, peer_command, runs=2, build=None):
         ]
 
 
-def test_both_take_turns_and_are_judged_alike(sequence, folder, tmp_path):
+def test_both_systems_take_turns_and_are_judged_alike(sequence, folder, tmp_path):
     log = tmp_path / "log"
 
     def build(kind, camera, seed):
@@ -81,14 +81,14 @@ def test_both_take_turns_and_are_judged_alike(sequence, folder, tmp_path):
     assert found["ratio"]["cpu_ms_median"] == pytest.approx(found["ours"]["cpu_ms_median"] / 16.0)
     assert (found["ours"]["first_tracked_frame"], found["peer"]["first_tracked_frame"]) == (5, 12)
     assert found["ratio"]["share_tracked"] == pytest.approx((FRAMES - 5) / (FRAMES - 12))
-    # Noise of 0.01 m at the truth's scale, and of 0.02 at half of it: 0.04 m, less what alignment takes up.
+    # Noise of 0.01 m at the truth's scale, and of 0.02 at half of it: 0.04 m, minus what alignment absorbs.
     assert found["ours"]["ate_m"] == pytest.approx(np.sqrt(3) * 0.01, rel=0.25)
     assert found["peer"]["ate_m"] == pytest.approx(np.sqrt(3) * 0.04, rel=0.25)
     assert found["ratio"]["ate_m"] == pytest.approx(found["ours"]["ate_m"] / found["peer"]["ate_m"])
 
 
-def test_frames_placed_afterwards_count_as_posed_not_as_tracked(sequence, folder, tmp_path):
-    """Ours: live from frame 5 on, in the end from 3. The peer: live 20 frames, in the end 48."""
+def test_frames_posed_afterwards_do_not_count_as_tracked(sequence, folder, tmp_path):
+    """Ours: live poses from frame 5 on, final ones from 3. The peer: 20 live poses, 48 final ones."""
 
     class Placing(FakeSystem):
         def trajectories(self):
@@ -109,7 +109,7 @@ def test_frames_placed_afterwards_count_as_posed_not_as_tracked(sequence, folder
     assert found["ratio"]["share_with_pose"] == pytest.approx(57 / 48)
 
 
-def test_the_median_over_the_runs_counts(sequence, folder, tmp_path):
+def test_figures_are_medians_over_the_runs(sequence, folder, tmp_path):
     """A peer whose cost differs from run to run: 10, 30, 20 ms."""
     script = PEER.replace(
         "cpu_ms_median=16.0", "cpu_ms_median={1: 10.0, 2: 30.0, 3: 20.0}[len(log.read_text().split())]"
@@ -119,7 +119,7 @@ def test_the_median_over_the_runs_counts(sequence, folder, tmp_path):
     assert found["peer"]["cpu_ms_median"] == 20.0
 
 
-def test_what_is_no_tum_folder_is_written_as_one(sequence, tmp_path):
+def test_another_source_is_written_as_a_tum_folder(sequence, tmp_path):
     found = compared(sequence, "clean-room", command(tmp_path, PEER, "--first=0", tmp_path / "log"), runs=1)
     assert found["peer"]["share_tracked"] == 1.0
     assert found["peer"]["ate_m"] > 0.01
@@ -193,7 +193,7 @@ def faked(monkeypatch, sequence):
     return modes
 
 
-def test_five_runs_by_default_and_every_one_in_the_json(dslab, faked, folder, tmp_path):
+def test_there_are_five_runs_by_default_and_the_json_lists_all(dslab, faked, folder, tmp_path):
     peer = command(tmp_path, PEER, "--first=0", tmp_path / "log")
     code, out, _ = dslab("bench", str(folder), "--peer", peer, "--json")
     assert code == 0

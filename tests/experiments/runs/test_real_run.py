@@ -37,10 +37,10 @@ def sequence():
 
 @pytest.fixture(scope="module")
 def runs(sequence, tmp_path_factory):
-    """Summaries of base and Dual-SLAM, recorded, and the folder of their results."""
+    """Summaries of base and Dual-SLAM, the latter recorded, and the folder of their results."""
     folder, build = tmp_path_factory.mktemp("runs"), system_factory(dual=RECOVERY_ALONE)
     base, dual = (
-        run_sequence(sequence, kind, 0, folder / kind, recording=True, build=build)
+        run_sequence(sequence, kind, 0, folder / kind, recording=kind == "dual", build=build)
         for kind in ("base", "dual")
     )
     return base, dual, folder

@@ -107,10 +107,11 @@ def test_shared_difficulty_is_called_optimistic_and_dependent():
     assert found.heterogeneity.beta_factor[0].beta.low > 0.02
 
 
-def test_few_units_are_undecided_with_a_note():
-    found = analyse(_experiment(units=12, kinds=("blur",)), 2, QUICK)
-    assert found.cells[0].levels[1].verdict == "undecided"
+def test_few_units_are_undecided_and_shared_worlds_are_noted():
+    found = analyse(_experiment(units=12, units_per_world=4, kinds=("blur",)), 2, QUICK)
+    assert found.cells[0].levels[1].verdict == "undecided" and found.cells[0].worlds == 3
     assert any("undecided" in note and "no support" in note for note in found.notes)
+    assert any("share worlds" in note for note in found.notes)
 
 
 def test_holm_corrects_over_the_tested_cells():
@@ -118,12 +119,6 @@ def test_holm_corrects_over_the_tested_cells():
     raw = [c.levels[0].lrt_p for c in found.cells]
     corrected = [c.levels[0].holm_p for c in found.cells]
     assert min(corrected) == pytest.approx(min(1.0, min(raw) * sum(p is not None for p in raw)))
-
-
-def test_clusters_are_noted():
-    found = analyse(_experiment(units_per_world=4, kinds=("blur",)), 1, QUICK)
-    assert found.cells[0].worlds == 10
-    assert any("share worlds" in note for note in found.notes)
 
 
 def test_doses_run_per_kind_and_quantity():
@@ -164,9 +159,8 @@ def _none_failing(table):
         _all_failing,
         _none_failing,
         lambda t: t.drop(columns=[c for c in t if c.startswith("cross_")]),
-        lambda t: t.assign(severity=None),
         lambda t: t.assign(outcome="infrastructure_error", breakage=None),
-        lambda t: t.astype({"cross_r1_failed": object, "breakage": object}),
+        lambda t: t.assign(severity=None).astype({"cross_r1_failed": object, "breakage": object}),
     ],
 )
 def test_tables_with_little_information_are_accepted(change):

@@ -68,17 +68,17 @@ def test_beta_factor_is_recovered(beta):
 
 def test_mixture_is_recovered_and_covers():
     rng, held = np.random.default_rng(3), []
-    for _ in range(100):
+    for _ in range(60):
         hopeless = rng.random(150) < 0.2
         failed = np.where(hopeless, 2, rng.binomial(2, 0.15, 150))
-        found = mixture(failed.tolist(), 2, 400, rng)
+        found = mixture(failed.tolist(), 2, 200, rng)
         held.append(
             (
                 found.share_hopeless.low <= 0.2 <= found.share_hopeless.high,
                 found.pr_rest.low <= 0.15 <= found.pr_rest.high,
             )
         )
-    assert np.all(np.mean(held, axis=0) >= 0.95 - 0.015 - 3 * np.sqrt(0.05 * 0.95 / 100))
+    assert np.all(np.mean(held, axis=0) >= 0.95 - 0.015 - 3 * np.sqrt(0.05 * 0.95 / 60))
     large = mixture(np.where(rng.random(50_000) < 0.2, 3, rng.binomial(3, 0.4, 50_000)).tolist(), 3, 100, rng)
     assert (large.share_hopeless.value, large.pr_rest.value) == pytest.approx((0.2, 0.4), abs=0.02)
 
@@ -115,7 +115,7 @@ def test_dose_response_covers_as_stated_with_three_severities_of_forty():
     severities = np.array([1.0, 2, 3])
     p = 1 / (1 + np.exp(-(-2.4 + 1.2 * severities)))
     rng, held = np.random.default_rng(5), []
-    for _ in range(80):
+    for _ in range(50):
         found = dose_response("blur", "p0", _points(severities, rng.binomial(40, p), 40))
         ed50, middle = found.ed50, found.curve[20]
         held.append(
@@ -126,7 +126,7 @@ def test_dose_response_covers_as_stated_with_three_severities_of_forty():
             )
         )
     shares = np.mean(held, axis=0)
-    assert all(within_monte_carlo(s, 0.95, 80) for s in shares), shares
+    assert all(within_monte_carlo(s, 0.95, 50) for s in shares), shares
 
 
 def test_separated_severities_give_a_finite_curve_and_a_wide_interval():

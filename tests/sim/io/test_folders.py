@@ -1,4 +1,4 @@
-"""Result folders are whole or absent, whatever ends the work."""
+"""Folders are written whole or not at all, however the work ends."""
 
 import errno
 
