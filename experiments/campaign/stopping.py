@@ -10,7 +10,7 @@ from experiments.statistics.sequences import confidence_sequence
 if TYPE_CHECKING:
     from experiments.eq1.spec import Stopping
 
-ASKED_EVERY = 10
+EVALUATED_EVERY = 10
 
 
 class NarrowEnough:
@@ -29,7 +29,7 @@ class NarrowEnough:
 
     def checkpoints(self, budget: int) -> Sequence[int]:
         """Numbers of units at which it is evaluated."""
-        return range(self._stopping.min_units, budget, ASKED_EVERY)
+        return range(self._stopping.min_units, budget, EVALUATED_EVERY)
 
     def is_met(self, records: Sequence[Mapping[str, Any]]) -> bool:
         """True if the first units of a cell are enough; void ones and errors do not count."""

@@ -7,14 +7,13 @@ import faulthandler
 import gc
 import signal
 import sys
-import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from experiments.eq1.record_table import normalise
-from experiments.eq1.records import Outcome, empty_record
+from experiments.eq1.records import Outcome, empty_record, error_message
 from experiments.eq1.units import UnitSpec
 
 Task = Callable[..., Any]
@@ -36,7 +35,7 @@ def run_task(
 
     Args:
         task: called with the item and the options.
-        item: what to run the task on.
+        item: argument of the task.
         timeout_s: longest duration of the task.
         report: file for the stack of every thread if the process dies; None for standard error.
         options: keyword arguments of the task.
@@ -66,9 +65,7 @@ def unit_record(
     try:
         return normalise(job(unit, cache_dir=cache_dir, recording=recording), threads)
     except Exception as error:  # any error ends this attempt only
-        at = traceback.extract_tb(error.__traceback__)[-1]
-        message = f"{type(error).__name__}: {error} ({Path(at.filename).name}:{at.lineno})"
-        return normalise(empty_record(unit) | {"message": message}, threads)
+        return normalise(empty_record(unit) | {"message": error_message(error)}, threads)
 
 
 def is_infrastructure_error(record: Mapping[str, Any]) -> bool:
@@ -92,7 +89,7 @@ def dask_setup(worker: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     single_threaded()
-    # What is imported stays: the collection after each task need not visit it.
+    # Imported modules stay: the collection after each task need not visit them.
     gc.collect()
     gc.freeze()
 

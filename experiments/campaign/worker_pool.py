@@ -83,7 +83,7 @@ class _Assignment:
     item: Any
     future: "Future"
     report: Path | None
-    began_s: float
+    started_s: float
     absent_since_s: float | None = None
 
 
@@ -199,7 +199,7 @@ class WorkerPool:
         report = ""
         if assignment.report is not None and assignment.report.is_file():
             report = assignment.report.read_text(errors="replace").strip()[:_REPORT_CHARACTERS]
-        late = time.monotonic() - assignment.began_s >= self._settings.timeout_s
+        late = time.monotonic() - assignment.started_s >= self._settings.timeout_s
         timed_out = not message and (late or report.startswith("Timeout"))
         if timed_out:
             message = f"not done after {self._settings.timeout_s:g} s: its process was ended"
@@ -218,18 +218,18 @@ class WorkerPool:
         """Give up items whose worker has left, or is late and does not end itself."""
         if not self._assigned:
             return []
-        now_s, there = time.monotonic(), set(self.workers())
+        now_s, present = time.monotonic(), set(self.workers())
         given_up = []
         for worker, assignment in self._assigned.items():
-            if worker in there:
+            if worker in present:
                 assignment.absent_since_s = None
-                if now_s - assignment.began_s > self._settings.timeout_s + _LATE_S:
+                if now_s - assignment.started_s > self._settings.timeout_s + _LATE_S:
                     given_up.append(worker)
             elif assignment.absent_since_s is None:
                 assignment.absent_since_s = now_s
             elif now_s - assignment.absent_since_s > _ABSENT_S:
                 given_up.append(worker)
-        return [self._give_up(worker, worker in there) for worker in given_up]
+        return [self._give_up(worker, worker in present) for worker in given_up]
 
     def _give_up(self, worker: str, alive: bool) -> Ended:
         assignment = self._assigned.pop(worker)

@@ -88,7 +88,7 @@ def _first_exposed(record: RunRecord, reference: Reference) -> BreakageOutcome |
 
 
 def _loss(record: RunRecord, exposure: Exposure, first: BreakageOutcome | None) -> LossAudit | None:
-    """When the pose was truly lost, up to the declaration; None where it cannot be judged."""
+    """True loss of the pose, up to the declaration; None if it cannot be judged."""
     end = exposure.last_frame if first is None else first.breakage.frame
     audit = audit_loss_in(record, exposure.onset_frame, end)
     return None if isinstance(audit, Undefined) else audit

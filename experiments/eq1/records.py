@@ -4,16 +4,19 @@ Booleans are null if they do not apply: a recovery that was never due has neithe
 follow Eq. 1: B a breakage, R_j the failure of recovery thread j, D_n the failure of Dual-SLAM with n threads.
 """
 
+import traceback
 from enum import StrEnum
+from pathlib import Path
 from typing import Any, Literal
 
 from experiments.eq1.units import UnitSpec
+from scenarios.errors import InputError
 
 ColumnType = Literal["bool", "int", "float", "text"]
 
 
 class Outcome(StrEnum):
-    """How a unit ended."""
+    """Outcome of a unit."""
 
     COMPLETED = "completed"
     VOID = "void"
@@ -160,3 +163,11 @@ def empty_record(unit: UnitSpec) -> dict[str, Any]:
         "message": "",
         "attempts": 1,
     }
+
+
+def error_message(error: Exception) -> str:
+    """One line about an error; with its type and place unless it is an InputError."""
+    if isinstance(error, InputError):
+        return str(error)
+    at = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({Path(at.filename).name}:{at.lineno})"

@@ -1,7 +1,6 @@
 """One unit of an experiment: one lead-in, its arms and their judgement, as one flat record."""
 
 import time
-import traceback
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +18,12 @@ from experiments.eq1.arms import (
 from experiments.eq1.conditioning import judge_pairs
 from experiments.eq1.judging import judge_crossing, judge_free
 from experiments.eq1.lead_in import lead_in_fault
-from experiments.eq1.records import Outcome, empty_record
+from experiments.eq1.records import Outcome, empty_record, error_message
 from experiments.eq1.recovery_judging import Reference
 from experiments.eq1.units import UnitSpec
 from experiments.runs.execution import RunRecord, execute, system_factory
 from experiments.runs.memory import peak_rss_mb, reset_peak
 from experiments.runs.provenance import code_hash, commit
-from scenarios.errors import InputError
 from sim.sequence import Sequence
 from slam.core.results import MapTrajectory
 from slam.features.sift import features_kept
@@ -56,7 +54,7 @@ def run_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | No
         if recording is not None:
             record_runs(unit, sequence, recording)
     except Exception as error:  # a broken unit must not end the experiment
-        record |= {"outcome": Outcome.INFRASTRUCTURE_ERROR.value, "message": _message(error)}
+        record |= {"outcome": Outcome.INFRASTRUCTURE_ERROR.value, "message": error_message(error)}
     return record | {
         "render_s": render.seconds,
         "slam_s": slam.seconds,
@@ -124,10 +122,3 @@ def _current_path(branch: BranchRun) -> MapTrajectory:
     """The poses of the lead-in in the current map."""
     current = branch.system.current_map_id
     return next(path for path in branch.system.trajectories() if path.map_id == current)
-
-
-def _message(error: Exception) -> str:
-    if isinstance(error, InputError):
-        return str(error)
-    at = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{type(error).__name__}: {error} ({at.filename.rsplit('/', 1)[-1]}:{at.lineno})"

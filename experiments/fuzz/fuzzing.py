@@ -42,7 +42,7 @@ FAILED_DIR = "failed"
 
 
 class FuzzOutcome(StrEnum):
-    """How a run ended."""
+    """Outcome of a run."""
 
     OK = "ok"
     EXCEPTION = "exception"

@@ -126,7 +126,7 @@ def read_foreign_run(out_dir: Path, sequence: Sequence) -> ForeignRun:
     path = out_dir / "summary.json"
     summary = read_json(path, dict)
     if summary is None:
-        raise InputError(str(path), "the peer has not written it", "see what the peer must leave")
+        raise InputError(str(path), "the peer has not written it", "see `dslab bench --help`")
     frames = _count(path, summary, "frames", None)
     if frames != len(sequence):
         problem = f"is {frames}, the sequence has {len(sequence)}"
@@ -146,7 +146,7 @@ def _read_trajectory(path: Path, sequence: Sequence, tracked: int) -> MapTraject
     if tracked == 0 and not path.exists():
         return None
     rows: list[list[float]] = []
-    for where, words in read_rows(path, "see what the peer must leave"):
+    for where, words in read_rows(path, "see `dslab bench --help`"):
         check_words(where, words, _TUM_NAMES)
         rows.append(to_numbers(where, words, _TUM_NAMES))
         if not 0.99 < np.linalg.norm(rows[-1][4:]) < 1.01:

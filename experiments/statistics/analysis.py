@@ -15,38 +15,13 @@ from experiments.statistics.results import (
     AnalysisSettings,
     BaselineErrors,
     BetaBinomial,
-    BetaFactor,
     CellAnalysis,
     DosePoint,
     DoseResponse,
-    EckhardtLee,
     Estimate,
     Heterogeneity,
-    LevelAnalysis,
-    Mixture,
-    ThreadAnalysis,
-    Verdict,
 )
 from scenarios.seeds import rng_for
-
-__all__ = [
-    "Analysis",
-    "AnalysisSettings",
-    "BaselineErrors",
-    "BetaBinomial",
-    "BetaFactor",
-    "CellAnalysis",
-    "DosePoint",
-    "DoseResponse",
-    "EckhardtLee",
-    "Estimate",
-    "Heterogeneity",
-    "LevelAnalysis",
-    "Mixture",
-    "ThreadAnalysis",
-    "Verdict",
-    "analyse",
-]
 
 _DEFAULT = AnalysisSettings()
 

@@ -1,7 +1,7 @@
 """Dependence of forward and backward failures: two-by-two tables of paired units."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -48,9 +48,9 @@ def conditional_ratio(
     if has_a == 0 or has_r == 0:
         return Estimate.undetermined(method)
     both, only_a, only_r, _ = _draws(counts, draws, rng)
-    low, high = _tails(both / (both + only_a) / (both + only_r), confidence)
     value = counts.both / has_a / (has_r / counts.units)
-    return Estimate(value, low if counts.both else 0.0, high, method)
+    found = Estimate.of_draws(value, both / (both + only_a) / (both + only_r), confidence, method)
+    return found if counts.both else replace(found, low=0.0)
 
 
 def phi(counts: PairedCounts, draws: int, rng: np.random.Generator, confidence: float = 0.95) -> Estimate:
@@ -59,8 +59,7 @@ def phi(counts: PairedCounts, draws: int, rng: np.random.Generator, confidence: 
     cells = np.array([[counts.both], [counts.only_a], [counts.only_r], [counts.neither]], float)
     if (cells[0] + cells[1]) * (cells[0] + cells[2]) * (cells[1] + cells[3]) * (cells[2] + cells[3]) == 0:
         return Estimate.undetermined(method)
-    low, high = _tails(_phi(_draws(counts, draws, rng)), confidence)
-    return Estimate(float(_phi(cells)[0]), low, high, method)
+    return Estimate.of_draws(float(_phi(cells)[0]), _phi(_draws(counts, draws, rng)), confidence, method)
 
 
 def fisher(counts: PairedCounts) -> float | None:
@@ -123,8 +122,3 @@ def _phi(cells: Floats) -> Floats:
     both, only_a, only_r, neither = cells
     scale = (both + only_a) * (both + only_r) * (only_a + neither) * (only_r + neither)
     return (both * neither - only_a * only_r) / np.sqrt(scale)
-
-
-def _tails(draws: Floats, confidence: float) -> tuple[float, float]:
-    low, high = np.quantile(draws, [(1 - confidence) / 2, (1 + confidence) / 2])
-    return float(low), float(high)

@@ -76,7 +76,7 @@ def _half(
     method = f"severity of 50%; {_METHOD}"
     value = float(centre - scale * mode[0] / mode[1]) if abs(mode[1]) > 1e-9 else None
     if tails[0] < rising < tails[1]:
-        return Estimate(value, None, None, method + "; rise and fall not told apart")
+        return Estimate(value, None, None, method + "; sign of the slope not known")
     safe = np.where(np.abs(slope) > 1e-12, slope, 1e-12)
     return Estimate(value, *_quantiles(centre - scale * level / safe, weight, tails), method)
 

@@ -47,12 +47,15 @@ def eckhardt_lee(
     drawn_p0, drawn_pr = np.stack([d[0] for d in drawn], axis=1), np.stack([d[2] for d in drawn], axis=1)
     within = drawn_p0 * drawn_pr.prod(axis=2) @ np.diag(weights)
     pooled = (drawn_p0 @ weights) * np.einsum("dcj,c->dj", drawn_pr, weights).prod(axis=1)
-    tails = [(1 - confidence) / 2, (1 + confidence) / 2]
     failures = int(sum(m.failures[0] for m in found))
     return EckhardtLee(
         cells[0].threads,
-        _estimate(float(weights @ (p0 * pr.prod(axis=1))), within.sum(axis=1), tails, "E[p0 · Π pr_j]"),
-        _estimate(float(weights @ p0 * (weights @ pr).prod()), pooled, tails, "E[p0] · Π E[pr_j]"),
+        Estimate.of_draws(
+            float(weights @ (p0 * pr.prod(axis=1))), within.sum(axis=1), confidence, "E[p0 · Π pr_j]"
+        ),
+        Estimate.of_draws(
+            float(weights @ p0 * (weights @ pr).prod()), pooled, confidence, "E[p0] · Π E[pr_j]"
+        ),
         clopper_pearson(failures, int(units.sum()), confidence),
     )
 
@@ -165,12 +168,11 @@ def mixture(
         return None
     best = _mixture_fit(counts[None])
     drawn = _mixture_fit(rng.dirichlet(counts + 0.5, draws) * counts.sum())
-    tails = [(1 - confidence) / 2, (1 + confidence) / 2]
     method = "two-class mixture; interval of posterior draws"
     return Mixture(
         int(counts.sum()),
-        _estimate(float(best[0][0]), drawn[0], tails, method),
-        _estimate(float(best[1][0]), drawn[1], tails, method),
+        Estimate.of_draws(float(best[0][0]), drawn[0], confidence, method),
+        Estimate.of_draws(float(best[1][0]), drawn[1], confidence, method),
     )
 
 
@@ -186,8 +188,3 @@ def _mixture_fit(counts: Floats) -> tuple[Floats, Floats]:
         hopeless = certain / total
         pr = np.clip((failures - threads * certain) / np.maximum((total - certain) * threads, 1e-12), 0, 1)
     return hopeless, pr
-
-
-def _estimate(value: float, draws: Floats, tails: list[float], method: str) -> Estimate:
-    low, high = np.quantile(draws, tails)
-    return Estimate(value, float(low), float(high), method)

@@ -59,7 +59,7 @@ TABLE_II: dict[str, dict[str, tuple[int, int]]] = {
 
 CAVEATS: tuple[str, ...] = (
     f"{TRIALS_PER_SEQUENCE} trials share a sequence, so that trials are not independent: the intervals are"
-    " too narrow by an amount that the tables do not tell. ratio_if_alike takes the trials of a sequence for"
+    " too narrow by an amount that the tables do not give. ratio_if_alike takes the trials of a sequence for"
     " one: the other extreme.",
     "On KITTI, Dual-SLAM fails 10 times, and only on sequence 01 (Table I): the 10 trials of one sequence.",
     "Thread 2 ran only after thread 1 had failed. Its own failure probability cannot be had from the paper,"
@@ -143,9 +143,9 @@ def reanalyse_row(counts: PaperCounts, confidence: float, draws: int, seed: int)
         clopper_pearson(counts.first_failed, counts.breakages, confidence),
         clopper_pearson(counts.failures, counts.first_failed, confidence),
         clopper_pearson(counts.failures, counts.trials, confidence),
-        _estimate(counts.breakages / counts.trials * share_1**2, p0 * first**2, confidence, method),
-        _estimate(ratio, second / first, confidence, method),
-        _estimate(ratio, second_alike / first_alike, confidence, f"{method}, counts over ten"),
+        Estimate.of_draws(counts.breakages / counts.trials * share_1**2, p0 * first**2, confidence, method),
+        Estimate.of_draws(ratio, second / first, confidence, method),
+        Estimate.of_draws(ratio, second_alike / first_alike, confidence, f"{method}, counts over ten"),
         float(
             fisher_exact(
                 [[counts.first_failed, counts.with_one], [counts.failures, counts.with_two]], "two-sided"
@@ -176,8 +176,8 @@ def _mixture(counts: PaperCounts, confidence: float, draws: int, rng: np.random.
     method = "two-class mixture; interval of posterior draws"
     return Mixture(
         counts.breakages,
-        _estimate(float(hopeless[0]), drawn_hopeless, confidence, method),
-        _estimate(float(pr[0]), drawn_pr, confidence, method),
+        Estimate.of_draws(float(hopeless[0]), drawn_hopeless, confidence, method),
+        Estimate.of_draws(float(pr[0]), drawn_pr, confidence, method),
     )
 
 
@@ -189,8 +189,3 @@ def _classes(shares: Floats) -> tuple[Floats, Floats]:
     # Fewer failures than the rest alone would have: no hopeless breakages, all threads alike.
     alike = (two + 2 * none) / (one + 2 * two + 2 * none)
     return np.maximum(hopeless, 0), np.where(hopeless >= 0, pr, alike)
-
-
-def _estimate(value: float, draws: Floats, confidence: float, method: str) -> Estimate:
-    low, high = np.quantile(draws, [(1 - confidence) / 2, (1 + confidence) / 2])
-    return Estimate(value, float(low), float(high), method)

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+
 from experiments.statistics.intervals import Proportion
 
 Verdict = Literal["consistent", "optimistic", "pessimistic", "undecided"]
@@ -22,7 +24,7 @@ class AnalysisSettings:
         draws: from posteriors, and of the cluster bootstrap.
         replicates: of the parametric bootstrap.
         seed: of all of these.
-        thread_methods: names of the recovery threads' kinds, in order, where they are known.
+        thread_methods: names of the recovery threads' kinds, in order, if known.
     """
 
     confidence: float = 0.95
@@ -55,6 +57,12 @@ class Estimate:
     def undetermined(cls, method: str) -> "Estimate":
         """An estimate without value or bounds."""
         return cls(None, None, None, method)
+
+    @classmethod
+    def of_draws(cls, value: float, draws: np.ndarray, confidence: float, method: str) -> "Estimate":
+        """A value with the equal-tailed interval of posterior draws."""
+        low, high = np.quantile(draws, [(1 - confidence) / 2, (1 + confidence) / 2])
+        return cls(value, float(low), float(high), method)
 
 
 @dataclass(frozen=True)
@@ -330,7 +338,7 @@ class BaselineErrors:
         quantity: ``rotation_deg`` or ``direction_deg``.
         lead_ins, worlds: sample of the slope over all gaps: those with a pose at two gaps or more.
         gaps: medians, the narrowest first.
-        slope: of log error on log baseline, within lead-ins, over all gaps: -1 where the error halves as the
+        slope: of log error on log baseline, within lead-ins, over all gaps: -1 if the error halves as the
             baseline doubles.
         steps: the same between neighbouring gaps.
     """

@@ -79,7 +79,7 @@ def test_the_table_shows_targets_beside_measurements(monkeypatch, capsys):
         "rendered": dict.fromkeys(bench_sim.SCENES, row),
         "degraded": {"sharp": row, "blurred": row},
         "build": build,
-        "asked": bench_sim.ASKED,
+        "asked": bench_sim.TARGETS,
     }
     monkeypatch.setattr(bench_sim, "bench_sim", lambda processes, frames, show, renderer: figures)
     monkeypatch.setattr("experiments.cli.console.out.width", 160)
