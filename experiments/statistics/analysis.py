@@ -1,4 +1,4 @@
-"""The whole analysis of an experiment's table of records: pure, no files, the same for the same table."""
+"""The whole analysis of an experiment's table of records: a pure function of the table."""
 
 import numpy as np
 import pandas as pd

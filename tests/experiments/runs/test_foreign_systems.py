@@ -21,7 +21,7 @@ PEER = """
 import json, pathlib, random, sys
 option, log, seq, out = sys.argv[1], *map(pathlib.Path, sys.argv[2:])
 with log.open("a") as file:
-    file.write("peer\n")
+    file.write("peer\\n")
 stamps, truth = ([line.split() for line in (seq / name).read_text().splitlines() if line[0] != "#"]
                  for name in ("rgb.txt", "groundtruth.txt"))
 first = int(option.split("=")[1])
@@ -131,7 +131,7 @@ def test_without_truth_there_is_no_ate_and_no_fault(sequence, tmp_path):
         [sequence.stamps_s, sequence.T_world_cam[:, :3, 3], np.tile([0, 0, 0, 1], (FRAMES, 1))]
     )
     np.savetxt(tmp_path / "poses.txt", poses)
-    script = PEER.replace('seq / "groundtruth.txt"', repr(str(tmp_path / "poses.txt")))
+    script = PEER.replace('"groundtruth.txt"', repr(str(tmp_path / "poses.txt")))
     with open_foreign_system(command(tmp_path, script, "--first=0", tmp_path / "log"), "x", blind) as peer:
         found = bench(blind, "base", 1, build=fake_factory(sequence), peer=peer)["comparison"]
     assert found["ours"]["ate_m"] is found["peer"]["ate_m"] is found["ratio"]["ate_m"] is None
