@@ -100,7 +100,7 @@ class Run:
             InputError: the folder is taken or not writable.
         """
         from experiments.result_folder import write_run
-        from experiments.runs.output import new_directory
+        from sim.io.folders import new_directory
 
         with new_directory(Path(folder)) as unfinished:
             write_run(unfinished, self.record, self.metrics)

@@ -9,7 +9,7 @@ from experiments.pictures.run_picture import draw_runs
 from experiments.result_folder import RECORDING_FILE, write_run
 from experiments.runs.execution import RunRecord, SystemFactory, SystemKind, execute
 from experiments.runs.files import to_json
-from experiments.runs.output import new_directory
+from sim.io.folders import new_directory
 from sim.sequence import Sequence
 
 SYSTEMS: tuple[SystemKind, ...] = ("base", "dual+")
@@ -46,7 +46,7 @@ def run_demo(
     show = progress or (lambda step, done, total: None)
     records: dict[SystemKind, RunRecord] = {}
     summaries: dict[SystemKind, dict] = {}
-    with new_directory(out_dir, replaces_marker=MARKER_FILE) as folder:
+    with new_directory(out_dir, replaces=MARKER_FILE) as folder:
         with Recording(folder / RECORDING_FILE, sequence, systems) as recording:
             for kind in systems:
                 records[kind] = execute(

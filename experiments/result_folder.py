@@ -5,8 +5,8 @@ from pathlib import Path
 from experiments.evaluation.summary import summarise
 from experiments.runs.execution import AtEnd, Progress, RunRecord, SystemFactory, SystemKind, execute
 from experiments.runs.files import to_json, write_events, write_frames_csv, write_tum
-from experiments.runs.output import new_directory
 from experiments.runs.pacing import RealTime
+from sim.io.folders import new_directory
 from sim.sequence import Sequence
 
 SUMMARY_FILE = "summary.json"
@@ -28,25 +28,25 @@ def run_sequence(
     """Run a system and write its result folder, whole or not at all.
 
     The folder holds trajectory.txt (the map with most frames), trajectory_map<k>.txt (every other map),
-    keyframes.txt (of the first), frames.csv, events.jsonl, summary.json and, if asked for, recording.rrd and
+    keyframes.txt (of the first), frames.csv, events.jsonl, summary.json and, on request, recording.rrd and
     the maps as COLMAP models in map.
 
     Args:
-        sequence: what to feed.
+        sequence: the input.
         system_kind: ``base``, ``dual`` or ``dual+``.
         seed: root of every random stream of the system.
         out_dir: the result folder, absent or empty.
         recording: write recording.rrd as well.
         progress: called with (frames done, frames in all).
         build: makes the system; ``slam.factory.build_system`` by default.
-        pace: feeds in real time; None for as fast as the frames are taken.
+        pace: feeds in real time; None for as fast as possible.
         maps: write the maps as well.
 
     Returns:
         The summary, as in summary.json.
 
     Raises:
-        ValueError: a recording is asked for in real time, of which it would take its share.
+        ValueError: a recording is requested in real time, which it would disturb.
         InputError: the folder is taken or not writable, the disk is full, a frame cannot be read.
     """
     with new_directory(Path(out_dir)) as folder:
@@ -75,11 +75,11 @@ def execute_recorded(
     pace: RealTime | None = None,
     at_end: AtEnd | None = None,
 ) -> RunRecord:
-    """Run a system and, given a path, write the recording of it there; arguments as :func:`execute`."""
+    """Run a system and, given a path, record it there; arguments as :func:`execute`."""
     if recording_path is None:
         return execute(sequence, system_kind, seed, None, progress, build, pace, at_end)
     if pace is not None:
-        raise ValueError("a recording takes time that belongs to the frames")
+        raise ValueError("a recording would take time from the frames")
     from experiments.recording import Recording
 
     with Recording(recording_path, sequence, [system_kind]) as recording:
@@ -90,7 +90,7 @@ def execute_recorded(
 
 
 def write_run(folder: Path, record: RunRecord, summary: dict) -> None:
-    """Write the files of a run, all but the recording, into an existing folder."""
+    """Write the files of a run, except the recording, into an existing folder."""
     main = record.trajectories[0] if record.trajectories else None
     write_tum(folder / "trajectory.txt", main)
     for trajectory in record.trajectories[1:]:

@@ -1,4 +1,4 @@
-"""The vocabulary for place recognition, trained on frames that this project renders and nothing else."""
+"""Training of the vocabulary for place recognition, only on frames rendered by this project."""
 
 import tempfile
 from collections.abc import Callable, Iterable
@@ -18,14 +18,14 @@ from slam.places.training import train_vocabulary
 
 BRANCHING, LEVELS = 10, 4
 FIRST_SEED = 1000
-"""Seeds from here on are for training; experiments and tests keep to seeds below."""
+"""First seed for training; experiments and tests use lower seeds."""
 _DURATION_S = 36
 
 Progress = Callable[[str, int, int], None]
 
 
 def training_scenarios() -> list[Scenario]:
-    """Every world, with several carriers and cameras, at one frame per second: no two frames alike."""
+    """Scenarios of every world, with several carriers and cameras, at one frame per second."""
     indoor = {"fx_px": 500, "fy_px": 500, "fps": 1}
     wide = {"fx_px": 420, "fy_px": 420, "fps": 1}
     shoots = [
@@ -54,7 +54,7 @@ def training_scenarios() -> list[Scenario]:
 
 
 def describe(sequence: Sequence) -> list[np.ndarray]:
-    """(n, 4) uint64 ORB descriptors of every frame of a sequence, as the SLAM would extract them."""
+    """(n, 4) uint64 ORB descriptors of every frame of a sequence, as extracted by the SLAM."""
     camera = slam_camera(sequence.camera)
     extractor = OrbExtractor(camera.width_px, camera.height_px, default_config(camera).orb)
     frames = (extractor.extract(sequence.frames[i]) for i in range(len(sequence)))
@@ -73,11 +73,11 @@ def train(
     """Render the training set and train a vocabulary on it.
 
     Args:
-        scenarios: what to render.
-        seeds_each: seeds of each scenario, ``FIRST_SEED`` and on.
+        scenarios: the training set.
+        seeds_each: number of seeds of each scenario, from ``FIRST_SEED`` on.
         seed: of the clustering.
         branching, levels: of the tree.
-        cache_dir: where rendered frames are kept; None keeps none.
+        cache_dir: cache of rendered frames; None keeps none.
         progress: called with (step, done, total).
 
     Raises:

@@ -36,8 +36,9 @@ from sim.frame_plan import (
     store_clean_frames,
     stored_clean_frames,
 )
+from sim.io.folders import check_free
 from sim.io.raw import RawFrames
-from sim.io.tum import claim_output_dir, write_tum
+from sim.io.tum import write_tum
 from sim.sequence import SegmentTruth, Sequence
 
 __all__ = [
@@ -94,7 +95,7 @@ def render_sequence(
     backend = backend or mujoco_backend()
     progress = progress or (lambda step, done, total: None)
     if out_dir is not None:
-        claim_output_dir(out_dir)
+        check_free(out_dir)
     meta = _provenance(scenario, seed, backend)
     store = FolderCache(cache_dir)
     # Inertial readings change no frame.

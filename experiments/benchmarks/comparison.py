@@ -1,4 +1,4 @@
-"""Ours beside a peer's: the same figures of both, from the same code, and their ratios."""
+"""Comparison with a peer: the same figures of both systems, from the same code, and their ratios."""
 
 from collections.abc import Sequence as Many
 from typing import Any
@@ -20,15 +20,14 @@ def compare(sequence: Sequence, ours: Many[RunRecord], peers: Many[ForeignRun]) 
     """Medians over the runs of both, their ratios, and every run.
 
     Args:
-        sequence: all frames; shares are of these, dropped ones included.
+        sequence: all frames, including dropped ones; shares refer to these.
         ours, peers: runs in the order they were made.
 
     Returns:
-        ``ours``, ``peer`` and ``ratio`` (ours over the peer's), each with ``FIGURES``, null where the data do
-        not determine one; ``ate_reasons``, why a run has no ATE; ``runs``, one row each, in turn.
-        ``share_tracked`` counts the frames that had a pose when they were taken, ``share_with_pose`` those
-        that have one in the final trajectory of the main map: frames before the map may be placed
-        afterwards, frames of other maps are missing.
+        ``ours``, ``peer`` and ``ratio`` (ours over the peer's), each with ``FIGURES``, null if undetermined;
+        ``ate_reasons``, the reasons for a missing ATE; ``runs``, one row each, in turn. ``share_tracked``
+        counts the frames with a live pose, ``share_with_pose`` those with a pose in the final trajectory of
+        the main map: frames before the map may get one afterwards, frames of other maps have none.
     """
     rows = [
         {"run": number, "system": name, **row}
@@ -78,7 +77,7 @@ def _share_with_pose(trajectory: MapTrajectory | None, all_frames: Sequence) -> 
 
 
 def _ate(trajectory: MapTrajectory | None, sequence: Sequence) -> tuple[float | None, str]:
-    """RMSE after Sim(3) alignment, metres, or why there is none."""
+    """RMSE after Sim(3) alignment, metres, or the reason why there is none."""
     if sequence.T_world_cam is None:
         return None, "no ground truth"
     if trajectory is None:

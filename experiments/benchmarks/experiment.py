@@ -1,16 +1,18 @@
-"""How fast an experiment runs: units per hour, where their time goes, what a second worker gives."""
+"""Speed of an experiment: units per hour, shares of CPU time, speed-up by more workers."""
 
 import tempfile
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import psutil
 
 from experiments.campaign.schedule import Experiment
-from experiments.campaign.unit_job import Job
+from experiments.campaign.unit_job import Job, unit_record
 from experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings, embedded_worker_pool
 from experiments.eq1.records import Outcome
 from experiments.eq1.units import UnitSpec
@@ -21,14 +23,14 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Lap:
-    """The same units on so many workers.
+    """The same units on a number of workers.
 
     Attributes:
         workers: processes.
-        units: that ended well.
+        units: number of units without infrastructure error.
         wall_s: from the first unit to the end of the last.
-        cpu_s: of the workers and of the driver, all that was spent meanwhile.
-        render_s, slam_s: CPU time of the units in these.
+        cpu_s: CPU time of workers and driver in between.
+        render_s, slam_s: CPU time of the units in rendering and SLAM.
     """
 
     workers: int
@@ -44,19 +46,19 @@ def bench_experiment(
 ) -> dict[str, Any]:
     """Run the same units on one worker, then on several, each time with nothing rendered before.
 
-    Every worker first runs a unit that is not counted: it loads what is compiled.
+    Every worker first runs a unit that is not counted, which loads compiled code.
 
     Args:
-        experiment: whose units are run, over all its cells.
-        units: how many, in each of the two laps.
-        workers: of the second lap.
+        experiment: source of the units, over all its cells.
+        units: number of units in each of the two laps.
+        workers: number of workers in the second lap.
         job: runs a unit.
-        progress: told of every unit.
+        progress: called with (step, done, total) after every unit.
 
     Returns:
         ``laps``, one dictionary each: the fields of :class:`Lap` with ``units_per_hour`` and the shares of
         CPU time ``render_share``, ``slam_share`` and ``overhead_share`` (all else); ``speed_up`` in units per
-        hour, and ``speed_up_cores_free``: what it would be had every worker a core of its own, by CPU times.
+        hour; and ``speed_up_cores_free``, the speed-up by CPU time, as if every worker had its own core.
     """
     laps = [
         _lap(experiment, units, n, job, progress or (lambda step, done, total: None)) for n in (1, workers)
@@ -74,34 +76,32 @@ def bench_experiment(
 def _lap(experiment: Experiment, units: int, workers: int, job: Job, progress: Progress) -> Lap:
     cells = experiment.cell_names()
     chosen = [experiment.unit(cells[k % len(cells)], k // len(cells)) for k in range(units)]
-    # Of worlds of their own: what they render is of no use to the units that count.
+    # Worlds of their own, so that their cached frames do not serve the counted units.
     first = [experiment.unit(cells[0], 10_000 + k) for k in range(workers)]
     step = f"{workers} worker{'s' if workers > 1 else ''}"
     with tempfile.TemporaryDirectory(prefix="dslab-") as folder:
         settings = WorkerPoolSettings(workers=workers, cache_dir=Path(folder))
-        with embedded_worker_pool(settings, job) as pool:
+        with embedded_worker_pool(settings, partial(unit_record, job, cache_dir=settings.cache_dir)) as pool:
             _run(pool, first, lambda done: progress(f"{step}, loading", done, workers))
             began_s, began_cpu_s = time.perf_counter(), _cpu_s()
             records = _run(pool, chosen, lambda done: progress(step, done, units))
             wall_s, cpu_s = time.perf_counter() - began_s, _cpu_s() - began_cpu_s
-    well = [r for r in records if r is not None and r["outcome"] != Outcome.INFRASTRUCTURE_ERROR]
-    render_s, slam_s = (sum(r[name] or 0.0 for r in well) for name in ("render_s", "slam_s"))
-    return Lap(workers, len(well), wall_s, cpu_s, render_s, slam_s)
+    completed = [r for r in records if r is not None and r["outcome"] != Outcome.INFRASTRUCTURE_ERROR]
+    render_s, slam_s = (sum(r[name] or 0.0 for r in completed) for name in ("render_s", "slam_s"))
+    return Lap(workers, len(completed), wall_s, cpu_s, render_s, slam_s)
 
 
-def _run(pool: WorkerPool, units: list[UnitSpec], told: Callable[[int], None]) -> list[dict[str, Any] | None]:
-    waiting, records = list(units), []
-    told(0)
-    while len(records) < len(units):
-        for worker in pool.free()[: len(waiting)]:
-            pool.start(waiting.pop(0), worker)
-        records += [ended.record for ended in pool.wait(1.0)]
-        told(len(records))
+def _run(pool: WorkerPool, units: list[UnitSpec], show: Callable[[int], None]) -> list[dict[str, Any] | None]:
+    records = []
+    show(0)
+    for ended in pool.run(deque(units)):
+        records.append(ended.result)
+        show(len(records))
     return records
 
 
 def _cpu_s() -> float:
-    """CPU time of this process and of all that it has started and that are there."""
+    """CPU time of this process and its living descendants."""
     me = psutil.Process()
     times = [process.cpu_times() for process in (me, *me.children(recursive=True))]
     return sum(t.user + t.system for t in times)

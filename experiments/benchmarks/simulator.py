@@ -21,28 +21,28 @@ SCENES: dict[str, tuple[str, float | None]] = {
     "corridor": ("clean-corridor", None),
     "large_city": ("clean-city", LARGE_CITY_M),
 }
-"""What is rendered: the name in the figures, the scenario and the length of its world, None for its own."""
+"""Rendered scenes by name: the scenario and the length of its world; None for its own."""
 BLUR_EXPOSURE_S = 0.02
-ASKED = {"rendered_per_s": 60.0, "degraded_per_s": 150.0, "build_s": 5.0, "peak_rss_mb": 1536.0}
-"""What the simulator is to reach on two cores: at least so many frames, at most so much time and memory."""
+TARGETS = {"rendered_per_s": 60.0, "degraded_per_s": 150.0, "build_s": 5.0, "peak_rss_mb": 1536.0}
+"""Targets on two cores: least frames per second, most time and memory."""
 
 _SET_UP_TIMEOUT_S = 600
-# Filled when a process starts: a barrier cannot be sent to it later.
+# Set when a process starts, as a barrier cannot be sent to it later.
 _barriers: list[Barrier] = []
 
 Work = Callable[[], int]
-"""What is measured; gives the number of frames made."""
+"""The measured work; returns the number of frames made."""
 
 
 @dataclass(frozen=True)
 class Lap:
-    """One process's measured stretch.
+    """Measurement of one process.
 
     Attributes:
-        frames: frames made.
-        wall_s: by the clock.
-        cpu_s: of all threads of the process.
-        peak_rss_mb: largest resident memory of the process so far, its set-up included.
+        frames: number of frames made.
+        wall_s: elapsed time.
+        cpu_s: CPU time of all threads of the process.
+        peak_rss_mb: largest resident memory of the process so far, including set-up.
     """
 
     frames: int
@@ -59,18 +59,18 @@ def bench_sim(
 ) -> dict[str, Any]:
     """Measure the simulator at 640x480 with several processes at once, each with its own GL context.
 
-    Every process makes itself ready (imports, world, renderer, kernels), waits for the others and starts
-    together with them; only what follows is measured.
+    Every process sets up (imports, world, renderer, kernels) and waits for the others, so that all start
+    together; set-up is not measured.
 
     Args:
-        processes: how many at once.
-        frames: per process and figure.
+        processes: number of processes.
+        frames: number per process and figure.
         progress: called with (step, done, total).
         renderer: one of ``sim.rendering.renderers``.
 
     Returns:
         JSON-like figures: under ``rendered`` (by scene) and ``degraded`` (``sharp`` and ``blurred``) those of
-        ``rates``; under ``build`` the seconds for a city of a kilometre; under ``asked`` the aims.
+        ``rates``; under ``build`` the seconds for a city of a kilometre; under ``asked`` the targets.
     """
     check_renderer(renderer)
     show = progress or (lambda step, done, total: None)
@@ -97,7 +97,7 @@ def bench_sim(
         "rendered": {name: figures[f"render {name}"] for name in SCENES},
         "degraded": {"sharp": figures["degrade"], "blurred": figures["degrade and blur"]},
         "build": build,
-        "asked": ASKED,
+        "asked": TARGETS,
     }
 
 
@@ -105,10 +105,10 @@ def run_together(prepare: Callable[..., Work], arguments: tuple[Any, ...], proce
     """Measure the same work in several new processes that start it at the same moment.
 
     Args:
-        prepare: called in each process with its index and the arguments; gives the work. A function of a
+        prepare: called in each process with its index and the arguments; returns the work. A function of a
             module, since it is sent by name.
         arguments: for ``prepare``.
-        processes: how many.
+        processes: number of processes.
     """
     context = get_context("spawn")  # a process with a GL context must not fork
     barrier = context.Barrier(processes, timeout=_SET_UP_TIMEOUT_S)
@@ -125,8 +125,8 @@ def rates(laps: list[Lap]) -> dict[str, float]:
     """Figures of processes that ran at once.
 
     Returns:
-        ``frames_per_s`` of all together by the clock, until the last is ready; ``cpu_ms`` per frame;
-        ``frames_per_s_alone``, what they reach when each has a core to itself; ``peak_rss_mb``, the largest.
+        ``frames_per_s`` of all together in elapsed time, until the last ends; ``cpu_ms`` per frame;
+        ``frames_per_s_alone``, the rate if each had its own core; ``peak_rss_mb``, the largest.
     """
     frames = sum(lap.frames for lap in laps)
     cpu_ms = 1e3 * sum(lap.cpu_s for lap in laps) / frames
@@ -140,7 +140,7 @@ def rates(laps: list[Lap]) -> dict[str, float]:
 
 
 def _set_up(barrier: Barrier) -> None:
-    """Make a new process ready for ``_lap``."""
+    """Prepare a new process for ``_lap``."""
     import cv2
 
     cv2.setNumThreads(1)
@@ -152,7 +152,7 @@ def _lap(prepare: Callable[..., Work], index: int, arguments: tuple[Any, ...]) -
     try:
         work = prepare(index, *arguments)
     except BaseException:
-        barrier.abort()  # the others would wait in vain
+        barrier.abort()  # the others would wait forever
         raise
     barrier.wait()
     wall_s, cpu_s = time.perf_counter(), time.process_time()
@@ -163,7 +163,7 @@ def _lap(prepare: Callable[..., Work], index: int, arguments: tuple[Any, ...]) -
 def _prepare_render(
     index: int, name: str, length_m: float | None, processes: int, frames: int, renderer_name: str
 ) -> Work:
-    """Clean frames one after the other along a scenario's path, each process on a stretch of its own."""
+    """Prepare to render clean frames along a scenario's path, each process on its own part."""
     from scenarios.loading import load_scenario
     from sim.frame_plan import plan_frames, render_backend
 
@@ -187,11 +187,11 @@ def _prepare_render(
 
 
 def _prepare_degrade(index: int, frames: int, exposure_s: float, cache: Path, renderer: str) -> Work:
-    """Fog, defocus, low light and sensor noise on every frame of a corridor that is in the cache."""
+    """Prepare to degrade cached frames of a corridor: fog, defocus, low light and sensor noise."""
     from sim.sequence_rendering import render_backend, render_sequence
 
     backend = render_backend(renderer)
-    # Each process has frames of its own in the cache, and a severity that is not yet in it.
+    # Each process has its own frames in the cache, and a severity that is not yet there.
     cache_dir, seconds = cache / str(index), max(1.0, frames / 30)
     first, second = (_degraded(seconds, exposure_s, light) for light in (0.2, 0.1))
     render_sequence(first, index, cache_dir=cache_dir, backend=backend)
@@ -221,18 +221,18 @@ def _degraded(seconds: float, exposure_s: float, illumination: float):
 
 
 def _alone(measure: Callable[[str], dict[str, float]], renderer: str) -> dict[str, float]:
-    """A measurement in a new process of its own."""
+    """Run a measurement in a new process."""
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         return pool.submit(measure, renderer).result()
 
 
 def _build_large_city(renderer: str) -> dict[str, float]:
-    """Seconds to build a city of a kilometre, and to load it into a renderer; peak memory of both."""
+    """Measure building a city of a kilometre and loading it into a renderer."""
     from scenarios.worlds import CityWorld
     from sim.frame_plan import render_backend
 
     backend = render_backend(renderer)
-    backend.build_world(CityWorld(length_m=100, turns=0), 0)  # compiles what is compiled
+    backend.build_world(CityWorld(length_m=100, turns=0), 0)  # compiles the kernels
     started_s, started_cpu_s = time.perf_counter(), time.process_time()
     world = backend.build_world(CityWorld(length_m=LARGE_CITY_M), 0)
     built_s, built_cpu_s = time.perf_counter(), time.process_time()

@@ -1,4 +1,4 @@
-"""Speed of a system on a sequence, over repeated runs, alone or in turn with a peer."""
+"""Speed of a system on a sequence over repeated runs, alone or in turn with a peer."""
 
 from collections.abc import Callable
 
@@ -26,13 +26,13 @@ def bench(
     """Run a system several times over the same frames; the times of all runs are pooled.
 
     Args:
-        sequence: what to feed.
+        sequence: the input.
         system_kind: ``base`` or ``dual``.
-        runs: how often.
+        runs: number of runs.
         seed: root of every random stream of the system, the same in every run.
         progress: called with (step, done, total).
-        build: makes the system; ``slam.system.build_system`` by default, whose kernels are compiled first.
-        mode: how the system's parts share time, where ``build`` does not say.
+        build: makes the system; by default ``slam.factory.build_system``, whose kernels are compiled first.
+        mode: schedule of the system's parts, unless ``build`` is given.
         real_time: feed the frames at the pace of their stamps.
         peer: a system to compare with, run after each of our runs.
 

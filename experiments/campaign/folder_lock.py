@@ -12,13 +12,13 @@ LOCK_FILE = "driver.lock"
 
 @contextmanager
 def sole_driver(folder: Path) -> Iterator[None]:
-    """Hold the folder for this process; the system lets go of it when the process ends, however it ends.
+    """Lock the folder for this process; the lock is released when the process ends, even if killed.
 
-    The lock is one of SQLite's, on a file of its own: those work alike on every platform and leave the ledger
-    free for readers.
+    It is an SQLite lock on a separate file: these work on every platform and leave the ledger free for
+    readers.
 
     Raises:
-        InputError: another process holds it, or the folder cannot be written.
+        InputError: another process holds the lock, or the folder cannot be written.
     """
     try:
         with closing(sqlite3.connect(folder / LOCK_FILE, timeout=0.0, isolation_level=None)) as lock:

@@ -1,8 +1,8 @@
-"""The ledger of an experiment: one SQLite file, a row per unit, written in one transaction as it completes.
+"""The ledger of an experiment: one SQLite file with a row per unit.
 
-Whatever ends the process that writes, also ``kill -9``, what was recorded stays recorded. Units are keyed by
-the content hash of their spec, and the ledger by that of the experiment's: rows of different specs never mix.
-Infrastructure errors, one row per attempt, are in a table of their own.
+Each row is written in one transaction when its unit ends, and outlives any end of the writing process, also
+``kill -9``. Units are keyed by the content hash of their spec, and the ledger by that of the experiment: rows
+of different specs never mix. Infrastructure errors, one row per attempt, have their own table.
 """
 
 import sqlite3
@@ -35,7 +35,7 @@ _REMEDIES = {
 
 
 class Ledger:
-    """The rows of an experiment. A context manager; made by :meth:`open`."""
+    """The rows of an experiment; a context manager, opened by :meth:`open`."""
 
     def __init__(self, connection: sqlite3.Connection, path: Path, experiment: "Experiment") -> None:
         self._connection = connection
@@ -47,15 +47,15 @@ class Ledger:
 
     @classmethod
     def open(cls, folder: Path, experiment: "Experiment", read_only: bool = False) -> Self:
-        """Open the ledger of a folder, or make it.
+        """Open the ledger of a folder, or create it.
 
         Args:
             folder: of the experiment; must exist.
-            experiment: whose units the ledger holds, or is to hold.
-            read_only: change nothing; works beside a run.
+            experiment: owner of the units.
+            read_only: change nothing; possible during a run.
 
         Raises:
-            InputError: it holds units of another spec, is missing where it is only to be read, is damaged, or
+            InputError: it holds units of another spec, is missing although only to be read, or is damaged, or
                 the disk is full.
         """
         path = Path(folder) / LEDGER_FILE
@@ -73,7 +73,7 @@ class Ledger:
             with _explained(path):
                 if not read_only:
                     connection.execute("PRAGMA journal_mode=WAL")
-                    # A commit per unit costs nothing beside the unit: it may as well outlive a power failure.
+                    # A commit costs little beside its unit, so it may as well outlive a power failure.
                     connection.execute("PRAGMA synchronous=FULL")
                     ledger._create(experiment)
                 ledger._check(experiment)
@@ -89,7 +89,7 @@ class Ledger:
         self.close()
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._connection.close()
 
     def add(self, record: Mapping[str, Any]) -> None:
@@ -106,14 +106,14 @@ class Ledger:
             )
 
     def add_error(self, unit: UnitSpec, attempt: int, worker: str, message: str, report: str = "") -> None:
-        """Write down one infrastructure error.
+        """Write the row of an infrastructure error.
 
         Args:
-            unit: at which it happened.
-            attempt: the how-manieth try, from 1.
-            worker: where.
-            message: what happened, in one line.
-            report: where every thread was, as far as known.
+            unit: the failed unit.
+            attempt: number of the try, from 1.
+            worker: address of the worker.
+            message: one line.
+            report: stacks of the threads if known.
         """
         at = datetime.now(UTC).isoformat(timespec="seconds")
         names = ", ".join(f'"{name}"' for name in ERROR_COLUMNS)
@@ -124,7 +124,7 @@ class Ledger:
             )
 
     def forget_errors(self) -> int:
-        """Make units that were given up for infrastructure errors due again; returns how many."""
+        """Delete the rows of units given up after infrastructure errors; returns their number."""
         ended_so = (Outcome.INFRASTRUCTURE_ERROR.value,)
         with _explained(self.path):
             return self._connection.execute("DELETE FROM units WHERE outcome = ?", ended_so).rowcount
@@ -140,13 +140,13 @@ class Ledger:
         return data_frame(self.rows(), self._threads)
 
     def record(self, unit_id: str) -> dict[str, Any] | None:
-        """The record of a unit, None where there is none."""
+        """The record of a unit; None if there is none."""
         with _explained(self.path):
             row = self._connection.execute("SELECT * FROM units WHERE unit_id = ?", (unit_id,)).fetchone()
         return None if row is None else self._record(row)
 
     def errors(self) -> list[dict[str, Any]]:
-        """Every infrastructure error, in the order of the spec, then of the attempts."""
+        """Every infrastructure error, in the order of the spec, then of attempts."""
         with _explained(self.path):
             rows = self._connection.execute("SELECT * FROM infrastructure_errors ORDER BY number").fetchall()
         found = [{name: row[name] for name in ERROR_COLUMNS} for row in rows]
@@ -159,7 +159,7 @@ class Ledger:
         }
 
     def _create(self, experiment: "Experiment") -> None:
-        """Make the tables, all or none, unless they are there."""
+        """Create the tables, all or none, unless they exist."""
         if self._connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'meta'").fetchone():
             return
         typed = ", ".join(f'"{name}" {SQL_TYPES[kind]}' for name, kind in self._types.items())
@@ -188,8 +188,8 @@ class Ledger:
 
     def _check(self, experiment: "Experiment") -> None:
         if not self._connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'meta'").fetchone():
-            # The run that makes it is between the file and its tables, or was ended there.
-            raise InputError(str(self.path), "holds nothing yet", "ask again once the run has begun")
+            # The run that creates it has not yet created its tables, or was ended before.
+            raise InputError(str(self.path), "holds nothing yet", "try again when the run has started")
         meta = dict(self._connection.execute("SELECT key, value FROM meta").fetchall())
         if meta.get("schema_version") != str(SCHEMA_VERSION):
             raise InputError(
@@ -214,12 +214,12 @@ class Ledger:
 
 @contextmanager
 def _explained(path: Path) -> Iterator[None]:
-    """Turn what goes wrong with the file into one clear line."""
+    """Convert database errors to one clear line."""
     try:
         yield
     except sqlite3.DatabaseError as error:
         code = getattr(error, "sqlite_errorcode", None)
-        # Extended codes hold the plain one in their lowest byte.
+        # The lowest byte of an extended code is the plain code.
         known = _REMEDIES.get(code & 0xFF) if code is not None else None
         if known is None and not isinstance(error, sqlite3.OperationalError):
             raise

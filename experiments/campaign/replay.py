@@ -1,15 +1,17 @@
-"""One unit again: alone, in a process like those of the run, held against its row of the ledger."""
+"""Replay of one unit in a process like those of the run, compared with its row of the ledger."""
 
 import re
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from experiments.campaign.folder import read_spec
 from experiments.campaign.ledger import Ledger
 from experiments.campaign.schedule import Experiment
-from experiments.campaign.unit_job import Job
+from experiments.campaign.unit_job import Job, unit_record
 from experiments.campaign.worker_pool import WorkerPoolSettings, embedded_worker_pool
 from experiments.eq1.records import decided
 from experiments.eq1.units import UnitSpec
@@ -23,11 +25,11 @@ class Replay:
     """A unit run again.
 
     Attributes:
-        unit: which.
-        record: as it came out now.
-        recorded: its row of the ledger, None where it has none yet.
-        differing: columns in which the two differ, those of cost and of the code
-            apart: none where the unit is reproduced.
+        unit: its spec.
+        record: the new record.
+        recorded: its row of the ledger; None if it has none yet.
+        differing: columns in which the two differ, except those of cost and of the code; empty if the unit is
+            reproduced.
     """
 
     unit: UnitSpec
@@ -47,10 +49,10 @@ def replay(
 
     Args:
         folder: of the experiment.
-        name: its id, abbreviated as far as it stays unique, or ``cell:index``, also of a unit not run yet.
+        name: its id or a unique beginning of it, or ``cell:index``, also of a unit not run yet.
         job: runs one unit.
-        settings: what runs it: one process of its own by default, whatever else they say.
-        recording: file for its recording, None for none.
+        settings: of the process; one worker by default.
+        recording: file for its recording; None for none.
 
     Raises:
         InputError: no such folder or unit, or the unit could not be run.
@@ -59,21 +61,18 @@ def replay(
     with Ledger.open(folder, spec, read_only=True) as ledger:
         rows = {row["unit_id"]: row for row in ledger.rows()}
     unit = find_unit(spec, rows, name)
-    with embedded_worker_pool(settings or WorkerPoolSettings(), job) as pool:
-        ended = []
-        while not ended:
-            for worker in pool.free()[:1] if not pool.busy else ():
-                pool.start(unit, worker, recording)
-            ended = pool.wait(1.0)
-    record = ended[0].record
+    settings = settings or WorkerPoolSettings()
+    with embedded_worker_pool(settings, partial(unit_record, job, cache_dir=settings.cache_dir)) as pool:
+        (ended,) = pool.run(deque([unit]), recording=recording)
+    record = ended.result
     if record is None:
-        raise InputError(f"unit {unit.unit_id}", ended[0].message, "see `dslab experiment status`")
+        raise InputError(f"unit {unit.unit_id}", ended.message, "see `dslab experiment status`")
     recorded = rows.get(unit.unit_id)
     return Replay(unit, record, recorded, differing(record, recorded) if recorded else ())
 
 
 def find_unit(spec: Experiment, rows: Mapping[str, Mapping[str, Any]], name: str) -> UnitSpec:
-    """The unit that a name means.
+    """Find a unit by its name.
 
     Args:
         spec: of the experiment.
@@ -81,7 +80,7 @@ def find_unit(spec: Experiment, rows: Mapping[str, Mapping[str, Any]], name: str
         name: see :func:`replay`.
 
     Raises:
-        InputError: it means none, or several.
+        InputError: no unit has the name, or several.
     """
     if match := re.fullmatch(r"(.+):(\d+)", name):
         cell, index = match[1], int(match[2])
@@ -109,6 +108,6 @@ def find_unit(spec: Experiment, rows: Mapping[str, Mapping[str, Any]], name: str
 
 
 def differing(record: Mapping[str, Any], recorded: Mapping[str, Any]) -> tuple[str, ...]:
-    """Columns in which two records of a unit differ, of those that its spec decides."""
+    """Columns determined by the spec in which two records of a unit differ."""
     names = [name for name in decided(dict(record)) if name not in _ABOUT_THE_CODE]
     return tuple(name for name in names if record[name] != recorded[name])

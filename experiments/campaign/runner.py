@@ -1,7 +1,7 @@
-"""Run an experiment: what is not yet in its ledger, on a crew of workers, until every unit is accounted for.
+"""Run the units of an experiment that its ledger lacks, on a worker pool.
 
 The rows of the ledger do not depend on the number of workers: a unit is a pure function of its spec, and
-which units are run is decided by their records in order (see :mod:`experiments.campaign.schedule`).
+their records in order decide which units are run (see :mod:`experiments.campaign.schedule`).
 """
 
 from collections import deque
@@ -22,22 +22,22 @@ from experiments.eq1.units import UnitSpec
 from scenarios.errors import InputError
 
 TRIES = 4
-"""How often a unit is tried in all: three times more after an infrastructure error."""
+"""Attempts per unit: the first, and three more after infrastructure errors."""
 _TICK_S = 1.0
 
 
 @dataclass(frozen=True)
 class Tally:
-    """Where a run stands.
+    """Progress of a run.
 
     Attributes:
-        done, total: units that are accounted for, and in all; the total falls as cells stop.
+        done, total: units that have ended, and all units; the total falls as cells stop.
         completed, void, errors: units by outcome.
         retries: attempts in this run that ended in an infrastructure error.
-        breakages: of the completed units, those with B.
-        failures: of the completed units, those in which the whole failed with all threads (D_n).
+        breakages: completed units with a breakage (B).
+        failures: completed units in which Dual-SLAM failed with all threads (D_n).
         ended_here: units that ended in this run.
-        workers: that are at work.
+        workers: number of busy workers.
     """
 
     done: int
@@ -63,19 +63,19 @@ def run_experiment(
     retry_errors: bool = False,
     show: Show | None = None,
 ) -> Tally:
-    """Run all units of an experiment that its folder does not hold yet.
+    """Run all units of an experiment that its folder lacks.
 
     Args:
         experiment: its spec.
-        folder: absent, empty, or that of an earlier run of the same spec, which is gone on with.
-        open_worker_pool: gets the workers together, asked only where there is something to do.
-        rule: when a cell has units enough, None to run every budget to its end.
-        retry_errors: try units again that were given up for infrastructure errors.
-        show: told where the run stands, at least as each unit ends.
+        folder: absent, empty, or that of an earlier run of the same spec, which is continued.
+        open_worker_pool: opens the workers; called only if units are left to run.
+        rule: stopping rule of the cells; None to run every budget to its end.
+        retry_errors: retry units that were given up after infrastructure errors.
+        show: called with the progress, at least after each unit.
 
     Raises:
         InputError: the folder holds something else or is in use, the disk is full, the scheduler is gone.
-            What the ledger has stays.
+            The ledger keeps its rows.
     """
     claim_folder(folder)
     with sole_driver(folder), Ledger.open(folder, experiment) as ledger:
@@ -92,10 +92,10 @@ def run_experiment(
 
 
 def check_units(experiment: Experiment, rows: Sequence[Record], folder: Path) -> None:
-    """Make sure that the rows are of the units that the spec gives now.
+    """Check that the rows belong to the units that the spec draws now.
 
     Raises:
-        InputError: the same spec gives another unit: the code that draws scenarios has changed.
+        InputError: a unit differs, because the code that draws scenarios has changed.
     """
     for row in rows:
         unit = experiment.unit(row["cell"], row["index"])
@@ -108,7 +108,7 @@ def check_units(experiment: Experiment, rows: Sequence[Record], folder: Path) ->
 
 
 class _Run:
-    """A run under way."""
+    """State of a run."""
 
     def __init__(self, ledger: Ledger, schedule: Schedule, whole: str, show: Show | None) -> None:
         self.schedule = schedule
@@ -120,7 +120,7 @@ class _Run:
         self._retries = self._ended_here = 0
 
     def work(self, pool: WorkerPool) -> None:
-        """Run what is left to do."""
+        """Run the units that are left."""
         while not self.schedule.complete:
             for worker in pool.free():
                 unit = self._due.popleft() if self._due else self.schedule.next()
@@ -129,10 +129,10 @@ class _Run:
                 pool.start(unit, worker)
             self._show(self.tally(pool.busy))
             for ended in pool.wait(_TICK_S):
-                self._optimize_seam(ended)
+                self._record(ended)
 
     def tally(self, workers: int) -> Tally:
-        """Where it stands."""
+        """Progress of the run."""
         records = self.schedule.records()
         completed = [r for r in records if r["outcome"] == Outcome.COMPLETED]
         return Tally(
@@ -148,11 +148,11 @@ class _Run:
             workers=workers,
         )
 
-    def _optimize_seam(self, ended: Ended) -> None:
-        """Write down what became of a unit, and whether it is tried again."""
-        unit = ended.unit
+    def _record(self, ended: Ended) -> None:
+        """Record the end of a unit; after an infrastructure error, queue it again while tries are left."""
+        unit = ended.item
         tried = self._failed.get(unit.unit_id, 0) + 1
-        record = ended.record
+        record = ended.result
         if record is None or is_infrastructure_error(record):
             record = record or normalise(empty_record(unit) | {"message": ended.message}, len(unit.threads))
             self._ledger.add_error(unit, tried, ended.worker, record["message"], ended.report)

@@ -1,7 +1,7 @@
-"""Which unit comes next: by index over all cells, to the budget of each or until its stopping rule is met.
+"""Order of units: by index over all cells, to each cell's budget or until its stopping rule is met.
 
-The set of units run depends on the spec and on their records alone: a rule is asked at fixed numbers of
-units, in the order of their index, never in that in which they happened to end.
+The set of units run depends only on the spec and their records: a rule is evaluated at fixed numbers of
+units, in the order of their index, not in the order in which they end.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,19 +14,19 @@ Record = Mapping[str, Any]
 
 
 class StoppingRule(Protocol):
-    """When a cell has units enough."""
+    """Condition under which a cell has enough units."""
 
     def checkpoints(self, budget: int) -> Sequence[int]:
-        """Numbers of units at which it is asked, increasing, all below the budget."""
+        """Numbers of units at which it is evaluated, increasing, all below the budget."""
         ...
 
     def is_met(self, records: Sequence[Record]) -> bool:
-        """Whether these, the first units of a cell by index, are enough."""
+        """True if these, the first units of a cell by index, are enough."""
         ...
 
 
 class Experiment(Protocol):
-    """What is asked of an experiment's spec."""
+    """Interface of an experiment's spec."""
 
     @property
     def name(self) -> str: ...
@@ -42,29 +42,29 @@ class Experiment(Protocol):
 
 @dataclass
 class _Cell:
-    """A cell at work.
+    """Progress of a cell.
 
     Attributes:
-        budget: the most units that it may have.
-        gate: units that may be begun for now.
-        begun: units handed out, or found done, counted without a gap from 0.
+        budget: largest number of units.
+        gate: number of units that may be started for now.
+        started: number of units started or found done, without a gap from 0.
         done: records by index.
     """
 
     budget: int
     gate: int
-    begun: int = 0
+    started: int = 0
     done: dict[int, Record] = field(default_factory=dict)
     stopped: bool = False
 
 
 class Schedule:
-    """What is still to do of an experiment.
+    """Order of an experiment's remaining units.
 
     Args:
         experiment: its spec.
-        done: records that are there already.
-        rule: when a cell has units enough; None runs every budget to its end.
+        done: existing records.
+        rule: stopping rule; None runs every budget to its end.
     """
 
     def __init__(
@@ -85,46 +85,46 @@ class Schedule:
             self._move_gate(cell)
 
     def next(self) -> UnitSpec | None:
-        """The unit to begin now; None where there is none until others have ended."""
+        """The next unit to start; None if there is none until others have ended."""
         best: tuple[int, str] | None = None
         for name, cell in self._cells.items():
-            while cell.begun < cell.gate and cell.begun in cell.done:
-                cell.begun += 1
-            if cell.begun < cell.gate and (best is None or cell.begun < best[0]):
-                best = (cell.begun, name)
+            while cell.started < cell.gate and cell.started in cell.done:
+                cell.started += 1
+            if cell.started < cell.gate and (best is None or cell.started < best[0]):
+                best = (cell.started, name)
         if best is None:
             return None
         index, name = best
-        self._cells[name].begun += 1
+        self._cells[name].started += 1
         return self._experiment.unit(name, index)
 
     def finish(self, record: Record) -> None:
-        """Take note of a unit that has ended."""
+        """Add the record of a unit that has ended."""
         cell = self._cells[record["cell"]]
         cell.done[record["index"]] = record
         self._move_gate(cell)
 
     @property
     def total(self) -> int:
-        """Units in all: of a cell that has stopped those it has, of others their budget."""
+        """Number of units: the present ones of stopped cells, the budget of others."""
         return sum(cell.gate if cell.stopped else cell.budget for cell in self._cells.values())
 
     @property
     def done(self) -> int:
-        """Units of the total that have ended."""
+        """Number of units of the total that have ended."""
         return sum(len(self._counted(cell)) for cell in self._cells.values())
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is left to do or to wait for."""
+        """True if all units have ended."""
         return self.done == self.total
 
     def stopped_cells(self) -> dict[str, int]:
-        """Cells that have met the rule, with the number of units at which they did."""
+        """Cells that met the rule, with their number of units at that point."""
         return {name: cell.gate for name, cell in self._cells.items() if cell.stopped}
 
     def records(self) -> list[Record]:
-        """Records of the units that count, by cell and index."""
+        """Records of the units of the total, by cell and index."""
         return [record for cell in self._cells.values() for record in self._counted(cell)]
 
     def _counted(self, cell: _Cell) -> list[Record]:
@@ -132,7 +132,7 @@ class Schedule:
         return [cell.done[index] for index in sorted(cell.done) if index < end]
 
     def _move_gate(self, cell: _Cell) -> None:
-        """Open the next stretch of a cell, or stop it, once all up to its gate is done."""
+        """Advance the gate of a cell, or stop the cell, once all units up to the gate are done."""
         while self._rule is not None and cell.gate < cell.budget and not cell.stopped:
             first = [cell.done.get(index) for index in range(cell.gate)]
             known = [record for record in first if record is not None]

@@ -1,4 +1,4 @@
-"""Where an experiment stands, from its folder alone."""
+"""Status of an experiment, from its folder alone."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -14,15 +14,15 @@ from experiments.eq1.records import Outcome, dual_column
 
 @dataclass(frozen=True)
 class CellStatus:
-    """A cell.
+    """Status of a cell.
 
     Attributes:
         cell: its name.
-        budget: units that it may have.
-        stopped_at: units with which it has met the stopping rule; None where it has not.
-        units: that have ended.
+        budget: largest number of units.
+        stopped_at: number of units at which it met the stopping rule; None if it has not.
+        units: number of units that have ended.
         completed, void, errors: of these, by outcome.
-        breakages, failures: of the completed, with B, and with failure of all threads (D_n).
+        breakages, failures: completed units with B, and with failure of all threads (D_n).
     """
 
     cell: str
@@ -38,16 +38,16 @@ class CellStatus:
 
 @dataclass(frozen=True)
 class ExperimentStatus:
-    """An experiment.
+    """Status of an experiment.
 
     Attributes:
         name, spec_hash: of its spec.
-        done, total: units that count, and in all.
-        cells: one by one.
-        failed_attempts: infrastructure errors in all.
-        given_up: id and message of the units that were given up for them.
-        codes: hashes of the sources that the units were run with; more than one is a reason for care.
-        wall_s: time of a worker that the units took.
+        done, total: units that have ended, and all units.
+        cells: status of each cell.
+        failed_attempts: number of infrastructure errors.
+        given_up: id and message of the units given up after such errors.
+        codes: hashes of the sources that ran the units; with more than one, results may not be comparable.
+        wall_s: worker time of the units.
     """
 
     name: str
@@ -62,10 +62,10 @@ class ExperimentStatus:
 
 
 def experiment_status(folder: Path) -> ExperimentStatus:
-    """Where the experiment of a folder stands, also while it is being run.
+    """Read the status of the experiment in a folder, also during a run.
 
     Raises:
-        InputError: it is no folder of an experiment.
+        InputError: it is not an experiment's folder.
     """
     spec = read_spec(folder)
     with Ledger.open(folder, spec, read_only=True) as ledger:

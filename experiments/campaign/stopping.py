@@ -1,4 +1,4 @@
-"""When a cell has units enough: the stopping rule of a spec, asked at fixed numbers of units."""
+"""The stopping rule of a spec, evaluated at fixed numbers of units of a cell."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -10,17 +10,17 @@ from experiments.statistics.sequences import confidence_sequence
 if TYPE_CHECKING:
     from experiments.eq1.spec import Stopping
 
-ASKED_EVERY = 10
+EVALUATED_EVERY = 10
 
 
 class NarrowEnough:
-    """The confidence sequence of one quantity of a cell is narrow enough.
+    """Rule that the confidence sequence of one quantity of a cell is narrow enough.
 
-    It is asked when the cell has ``min_units`` units and every tenth from there: often enough to save units,
-    and seldom enough that workers need not wait for one another at every unit.
+    It is evaluated at ``min_units`` units and after every ten more: often enough to save units, and rarely
+    enough that workers seldom wait for one another.
 
     Args:
-        stopping: the rule as the spec has it.
+        stopping: the rule in the spec.
     """
 
     def __init__(self, stopping: "Stopping") -> None:
@@ -28,11 +28,11 @@ class NarrowEnough:
         self._column = event_column(stopping.quantity)
 
     def checkpoints(self, budget: int) -> Sequence[int]:
-        """Numbers of units at which it is asked."""
-        return range(self._stopping.min_units, budget, ASKED_EVERY)
+        """Numbers of units at which it is evaluated."""
+        return range(self._stopping.min_units, budget, EVALUATED_EVERY)
 
     def is_met(self, records: Sequence[Mapping[str, Any]]) -> bool:
-        """Whether the first units of a cell are enough; void ones and errors do not count."""
+        """True if the first units of a cell are enough; void ones and errors do not count."""
         interval = self.interval(records)
         wide = (interval.high - interval.low) / 2 > self._stopping.half_width
         return interval.units >= self._stopping.min_units and not wide
@@ -48,12 +48,12 @@ class NarrowEnough:
 
 
 def stopping_rule(stopping: "Stopping | None") -> NarrowEnough | None:
-    """The rule of a spec, None where it has none."""
+    """The rule of a spec; None if it has none."""
     return None if stopping is None else NarrowEnough(stopping)
 
 
 def event_column(quantity: str) -> str:
-    """The column whose share a quantity is: of ``p0``, ``pr1`` …, ``d1`` …"""
+    """The column of a quantity ``p0``, ``pr1`` … or ``d1`` …, which is its share of true values."""
     if quantity == "p0":
         return "breakage"
     number = int(quantity.lstrip("prd"))

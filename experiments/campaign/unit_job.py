@@ -1,83 +1,99 @@
-"""A unit in a worker process: libraries settled, watched over, whatever happens turned into data.
+"""Worker side of the pool: a watched, single-threaded task, and the task that runs a unit.
 
-The name of this module is also that of the preload of the workers of an embedded cluster.
+Workers of an embedded cluster preload this module, by its name.
 """
 
 import faulthandler
 import gc
 import signal
 import sys
-import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from experiments.eq1.record_table import normalise
-from experiments.eq1.records import Outcome, empty_record
+from experiments.eq1.records import Outcome, empty_record, error_message
 from experiments.eq1.units import UnitSpec
+from experiments.plugins import load_plugins
 
+Task = Callable[..., Any]
+"""Takes an item and options, returns its result; pickled by name, hence a function of a module."""
 Job = Callable[..., dict[str, Any]]
-"""A unit in, with ``cache_dir`` and ``recording``, its record out: a function of a module, by name."""
+"""Takes a unit, ``cache_dir`` and ``recording``, returns its record; a function of a module."""
 
 
-def run_job(
-    job: Job,
-    unit: UnitSpec,
+def run_task(
+    task: Task,
+    item: Any,
     timeout_s: float,
-    cache_dir: Path | None = None,
-    recording: Path | None = None,
     report: Path | None = None,
-) -> dict[str, Any]:
-    """Run a unit and give its normalised record. Never raises; a process that takes too long ends itself.
+    options: Mapping[str, Any] | None = None,
+) -> Any:
+    """Return the result of a task; the process ends itself if the task takes too long.
 
-    The end comes from a thread that needs nothing of the interpreter: a unit that is caught in compiled code
-    ends as well.
+    A thread outside the interpreter ends the process, so that a task stuck in compiled code ends as well.
 
     Args:
-        job: what runs a unit.
-        unit: what to run.
-        timeout_s: the longest that it may take.
-        cache_dir: of rendered sequences, None for the default one.
-        recording: file for its recording, None for none.
-        report: file that tells, should the process die, where its threads were; None for standard error.
+        task: called with the item and the options.
+        item: argument of the task.
+        timeout_s: longest duration of the task.
+        report: file for the stack of every thread if the process dies; None for standard error.
+        options: keyword arguments of the task.
     """
-    threads = len(unit.threads)
     try:
         single_threaded()
         with _watchdog(timeout_s, report):
-            return normalise(job(unit, cache_dir=cache_dir, recording=recording), threads)
-    except Exception as error:  # whatever it is, it ends this attempt and nothing more
-        at = traceback.extract_tb(error.__traceback__)[-1]
-        message = f"{type(error).__name__}: {error} ({Path(at.filename).name}:{at.lineno})"
-        return normalise(empty_record(unit) | {"message": message}, threads)
+            return task(item, **(options or {}))
     finally:
-        # Systems and renderers refer to themselves in rings: few objects with much memory behind them. Left
-        # to itself the collector, which counts objects, lets tens of megabytes per unit pile up.
+        # Systems and renderers are in reference cycles: few objects that hold much memory. The collector
+        # counts objects, so without this call tens of megabytes per unit pile up.
         gc.collect()
 
 
+def unit_record(
+    job: Job, unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None
+) -> dict[str, Any]:
+    """Run a unit and return its normalised record. Never raises.
+
+    Args:
+        job: runs a unit.
+        unit: the unit to run.
+        cache_dir: folder of rendered sequences; None for the default one.
+        recording: file for the unit's recording; None for none.
+    """
+    threads = len(unit.threads)
+    try:
+        return normalise(job(unit, cache_dir=cache_dir, recording=recording), threads)
+    except Exception as error:  # any error ends this attempt only
+        return normalise(empty_record(unit) | {"message": error_message(error)}, threads)
+
+
 def is_infrastructure_error(record: Mapping[str, Any]) -> bool:
-    """Whether a unit failed for reasons that are none of the SLAM's."""
+    """True if a unit failed for reasons other than the SLAM."""
     return record["outcome"] == Outcome.INFRASTRUCTURE_ERROR.value
 
 
 def single_threaded() -> None:
-    """Workers share a machine core by core, and sums taken by several threads differ in their last bits."""
+    """Run OpenCV in one thread: workers share the cores, and parallel sums differ in their last bits."""
     import cv2
 
     cv2.setNumThreads(1)
 
 
 def dask_setup(worker: Any) -> None:
-    """Called by Dask as a worker process starts.
+    """Set signal handlers and threads; Dask calls this as a worker process starts.
 
-    An interruption is for the driver to handle: it reaches every process of the terminal. The end that the
-    nanny puts to a process is no fault, though libraries have handlers that print it as one.
+    An interrupt reaches every process of the terminal, and only the driver handles it. SIGTERM from the nanny
+    is no fault, though handlers of some libraries print it as one.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    load_plugins()
     single_threaded()
+    # Imported modules stay: the collection after each task need not visit them.
+    gc.collect()
+    gc.freeze()
 
 
 @contextmanager

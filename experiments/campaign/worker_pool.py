@@ -1,7 +1,7 @@
-"""Units in processes of Dask: one at a time per worker, each brought to an end one way or another.
+"""A pool of Dask worker processes: one item at a time per worker, and every item ends.
 
-A unit is bound to the worker that it is given to and no worker gets a second one, so a death has one culprit.
-Dask itself tries nothing again: how often a unit is tried is for the caller to say, and to count.
+An item is bound to its worker, and no worker gets a second one, so a dead process has one cause. Dask itself
+retries nothing: the caller decides on retries and counts them.
 """
 
 import logging
@@ -9,15 +9,16 @@ import os
 import queue
 import tempfile
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
-from experiments.campaign.unit_job import Job, run_job
-from experiments.eq1.units import UnitSpec
+from experiments.campaign.unit_job import Job, Task, run_task, unit_record
 from scenarios.errors import InputError
 
 if TYPE_CHECKING:
@@ -29,24 +30,24 @@ SINGLE_THREADED = dict.fromkeys(
 _START_S = 120.0
 _CONNECT_S = 10.0
 _LATE_S = 60.0
-"""How long after its time is up a unit may go on: its process should have ended itself."""
+"""Time allowed beyond an item's limit; its process should have ended itself by then."""
 _ABSENT_S = 5.0
-"""How long a worker must be gone before its unit is given up: word of its end may be under way."""
+"""Time that a worker must be gone before its item is given up; its result may still arrive."""
 _NOBODY_S = 600.0
-"""How long an embedded cluster may be without any worker: they start in seconds."""
+"""Time that an embedded cluster may be without any worker; they start in seconds."""
 _REPORT_CHARACTERS = 16_000
 
 
 @dataclass(frozen=True)
 class WorkerPoolSettings:
-    """What runs the units.
+    """Settings of a worker pool.
 
     Attributes:
-        workers: processes of the embedded cluster.
-        scheduler: address of a scheduler to use in place of it, such as ``tcp://10.0.0.1:8786``.
-        timeout_s: the longest that a unit may take.
+        workers: number of processes of the embedded cluster.
+        scheduler: address of a scheduler to use instead, such as ``tcp://10.0.0.1:8786``.
+        timeout_s: longest duration of an item.
         memory_mb: resident memory at which a worker of the embedded cluster is ended; None for no limit.
-        cache_dir: of rendered sequences; None for the default one of every machine.
+        cache_dir: folder of rendered sequences; None for each machine's default one.
     """
 
     workers: int = 1
@@ -58,67 +59,69 @@ class WorkerPoolSettings:
 
 @dataclass(frozen=True)
 class Ended:
-    """A unit that has ended.
+    """An item that has ended.
 
     Attributes:
-        unit, worker: which and where.
-        record: as it gave it; None where its process has died.
-        message, report: of a death: one line, and where its threads were as far as known.
+        item, worker: the item, and the address of its worker.
+        result: of the task; None if it raised or its process died.
+        message, report: of a failure: one line, and the stacks of the threads if known.
+        timed_out: the process was ended because the item took too long.
     """
 
-    unit: UnitSpec
+    item: Any
     worker: str
-    record: dict[str, Any] | None
+    result: Any
     message: str = ""
     report: str = ""
+    timed_out: bool = False
 
 
 @dataclass
-class _Post:
-    """A worker with the unit that it is at."""
+class _Assignment:
+    """The item that a worker is running."""
 
-    unit: UnitSpec
+    item: Any
     future: "Future"
     report: Path | None
-    began_s: float
+    started_s: float
     absent_since_s: float | None = None
 
 
 class WorkerPool:
-    """Workers, each at one unit or none. Made by :func:`open_worker_pool`.
+    """Workers, each with one item or none.
 
     Args:
         client: of the cluster.
-        job: what runs a unit.
-        settings: limits and places.
-        reports: folder that workers share with this process, for what a dying one has to say.
-        replace_lost: starts workers anew that are missing; None where that is for others to do.
+        task: called in a worker with an item.
+        settings: limits and folders.
+        reports: folder shared with the workers, for the stacks of a dying one; None for none.
+        replace_lost: starts missing workers again; None if the pool does not own them.
     """
 
     def __init__(
         self,
         client: "Client",
-        job: Job,
+        task: Task,
         settings: WorkerPoolSettings,
         reports: Path | None = None,
         replace_lost: Callable[[], None] | None = None,
     ) -> None:
         self._client = client
-        self._job = job
+        self._task = task
         self._settings = settings
         self._reports = reports
         self._replace_lost = replace_lost
         self._last_seen_s = time.monotonic()
-        self._posts: dict[str, _Post] = {}
+        self._assigned: dict[str, _Assignment] = {}
         self._ended: queue.SimpleQueue[str] = queue.SimpleQueue()
 
     @property
     def busy(self) -> int:
-        """Units under way."""
-        return len(self._posts)
+        """Number of items under way."""
+        return len(self._assigned)
 
     def workers(self) -> list[str]:
-        """Addresses of the workers that are there now.
+        """Addresses of the present workers.
 
         Raises:
             InputError: the scheduler is gone, or the workers of an embedded cluster do not start.
@@ -144,54 +147,66 @@ class WorkerPool:
         return found
 
     def free(self) -> list[str]:
-        """Workers that are at no unit."""
-        return [worker for worker in self.workers() if worker not in self._posts]
+        """Addresses of the workers without an item."""
+        return [worker for worker in self.workers() if worker not in self._assigned]
 
-    def start(self, unit: UnitSpec, worker: str, recording: Path | None = None) -> None:
-        """Give a unit to a free worker."""
-        key = f"{unit.unit_id}-{uuid4().hex[:8]}"
+    def start(self, item: Any, worker: str, **options: Any) -> None:
+        """Give an item, with options of the task, to a free worker."""
+        key = f"item-{uuid4().hex}"
         report = None if self._reports is None else self._reports / f"{key}.txt"
-        settings = self._settings
         future = self._client.submit(
-            run_job, self._job, unit, settings.timeout_s, settings.cache_dir, recording, report,
+            run_task, self._task, item, self._settings.timeout_s, report, options,
             key=key, pure=False, workers=[worker], allow_other_workers=False,
         )  # fmt: skip
-        self._posts[worker] = _Post(unit, future, report, time.monotonic())
+        self._assigned[worker] = _Assignment(item, future, report, time.monotonic())
         future.add_done_callback(lambda _: self._ended.put(worker))
 
+    def run(self, waiting: deque[Any], **options: Any) -> Iterator[Ended]:
+        """Run items and yield each as it ends.
+
+        Args:
+            waiting: the items; the caller may add more while it consumes the results.
+            options: of the task.
+        """
+        while waiting or self.busy:
+            for worker in self.free()[: len(waiting)]:
+                self.start(waiting.popleft(), worker, **options)
+            yield from self.wait(1.0)
+
     def wait(self, timeout_s: float) -> list[Ended]:
-        """Units that have ended since, in no particular order; after the time given there may be none."""
+        """Items that have ended since the last call, in no particular order; none after a timeout."""
         workers: list[str] = []
         with suppress(queue.Empty):
             workers.append(self._ended.get(timeout=timeout_s))
             while True:
                 workers.append(self._ended.get_nowait())
-        return [self._end(worker) for worker in workers if worker in self._posts] + self._overdue()
+        return [self._end(worker) for worker in workers if worker in self._assigned] + self._overdue()
 
     def _end(self, worker: str) -> Ended:
-        post = self._posts.pop(worker)
-        status = post.future.status
+        assignment = self._assigned.pop(worker)
+        status = assignment.future.status
         if status == "finished":
             try:
-                return Ended(post.unit, worker, post.future.result())
-            except Exception as error:  # its process died between the end of the unit and the handing over
-                return self._death(post, worker, f"its result was lost: {error}")
-        error = post.future.exception() if status == "error" else None
+                return Ended(assignment.item, worker, assignment.future.result())
+            except Exception as error:  # its process died before the result was transferred
+                return self._death(assignment, worker, f"its result was lost: {error}")
+        error = assignment.future.exception() if status == "error" else None
         if error is None or type(error).__name__ == "KilledWorker":
-            return self._death(post, worker)
-        return Ended(post.unit, worker, None, f"{type(error).__name__}: {error}".replace("\n", " "))
+            return self._death(assignment, worker)
+        return Ended(assignment.item, worker, None, f"{type(error).__name__}: {error}".replace("\n", " "))
 
-    def _death(self, post: _Post, worker: str, message: str = "") -> Ended:
+    def _death(self, assignment: _Assignment, worker: str, message: str = "") -> Ended:
         report = ""
-        if post.report is not None and post.report.is_file():
-            report = post.report.read_text(errors="replace").strip()[:_REPORT_CHARACTERS]
-        if not message:
-            message = self._cause(post, worker, report)
-        return Ended(post.unit, worker, None, message, report)
+        if assignment.report is not None and assignment.report.is_file():
+            report = assignment.report.read_text(errors="replace").strip()[:_REPORT_CHARACTERS]
+        late = time.monotonic() - assignment.started_s >= self._settings.timeout_s
+        timed_out = not message and (late or report.startswith("Timeout"))
+        if timed_out:
+            message = f"not done after {self._settings.timeout_s:g} s: its process was ended"
+        message = message or self._cause(worker, report)
+        return Ended(assignment.item, worker, None, message, report, timed_out)
 
-    def _cause(self, post: _Post, worker: str, report: str) -> str:
-        if report.startswith("Timeout") or time.monotonic() - post.began_s >= self._settings.timeout_s:
-            return f"not done after {self._settings.timeout_s:g} s: its process was ended"
+    def _cause(self, worker: str, report: str) -> str:
         with suppress(OSError, TimeoutError):
             events: Any = self._client.get_events("worker-restart-memory")
             for _, event in events:
@@ -200,43 +215,44 @@ class WorkerPool:
         return "its process has died" + (f": {report.splitlines()[0]}" if report else "")
 
     def _overdue(self) -> list[Ended]:
-        """Units that no word will come of: their worker has left, or does not end itself."""
-        if not self._posts:
+        """Give up items whose worker has left, or is late and does not end itself."""
+        if not self._assigned:
             return []
-        now_s, there = time.monotonic(), set(self.workers())
+        now_s, present = time.monotonic(), set(self.workers())
         given_up = []
-        for worker, post in self._posts.items():
-            if worker in there:
-                post.absent_since_s = None
-                if now_s - post.began_s > self._settings.timeout_s + _LATE_S:
+        for worker, assignment in self._assigned.items():
+            if worker in present:
+                assignment.absent_since_s = None
+                if now_s - assignment.started_s > self._settings.timeout_s + _LATE_S:
                     given_up.append(worker)
-            elif post.absent_since_s is None:
-                post.absent_since_s = now_s
-            elif now_s - post.absent_since_s > _ABSENT_S:
+            elif assignment.absent_since_s is None:
+                assignment.absent_since_s = now_s
+            elif now_s - assignment.absent_since_s > _ABSENT_S:
                 given_up.append(worker)
-        return [self._give_up(worker, worker in there) for worker in given_up]
+        return [self._give_up(worker, worker in present) for worker in given_up]
 
     def _give_up(self, worker: str, alive: bool) -> Ended:
-        post = self._posts.pop(worker)
-        self._client.cancel([post.future], force=True)
+        assignment = self._assigned.pop(worker)
+        self._client.cancel([assignment.future], force=True)
         if alive:
             self._client.restart_workers([worker], timeout=_START_S, raise_for_error=False)
-            return self._death(post, worker)
-        return self._death(post, worker, "its worker has left")
+            return self._death(assignment, worker)
+        return self._death(assignment, worker, "its worker has left")
 
 
 @contextmanager
 def open_worker_pool(settings: WorkerPoolSettings, job: Job) -> Iterator[WorkerPool]:
-    """The crew that the settings ask for."""
-    with (embedded_worker_pool if settings.scheduler is None else remote_worker_pool)(settings, job) as pool:
+    """Open the pool of units that the settings describe, embedded or remote."""
+    open_pool = embedded_worker_pool if settings.scheduler is None else remote_worker_pool
+    with open_pool(settings, partial(unit_record, job, cache_dir=settings.cache_dir)) as pool:
         yield pool
 
 
 @contextmanager
-def embedded_worker_pool(settings: WorkerPoolSettings, job: Job) -> Iterator[WorkerPool]:
-    """Spawned processes of this machine, reached over loopback only; ended with the block.
+def embedded_worker_pool(settings: WorkerPoolSettings, task: Task) -> Iterator[WorkerPool]:
+    """Open a pool of spawned processes, reached over loopback only; they end with the block.
 
-    A process that ends is replaced by its nanny; where that fails, by another nanny.
+    A process that ends is replaced by its nanny or, if that fails, by another nanny.
 
     Raises:
         InputError: the processes do not come up.
@@ -244,20 +260,20 @@ def embedded_worker_pool(settings: WorkerPoolSettings, job: Job) -> Iterator[Wor
     from dask import config as dask_config
     from distributed import Client, LocalCluster
 
-    # Numerical libraries read these as they are loaded, before a worker could set them for itself.
+    # Numerical libraries read these when they are loaded, before a worker could set them.
     os.environ.update(SINGLE_THREADED)
     memory = {"terminate": 1.0, "target": False, "spill": False, "pause": False}
     config = {f"distributed.worker.memory.{name}": value for name, value in memory.items()}
     # On a busy machine a process may take longer to start than the 15 s after which its nanny is dismissed.
     config["distributed.deploy.lost-worker-timeout"] = f"{_START_S:.0f}s"
     limit = 0 if settings.memory_mb is None else settings.memory_mb * 2**20
-    # It tells of connections that an interrupt ends; `silence_logs` does not reach it.
+    # This logger reports connections closed by an interrupt; `silence_logs` does not reach it.
     logging.getLogger("distributed.batched").setLevel(logging.CRITICAL)
     with (
         dask_config.set(config),
         tempfile.TemporaryDirectory(prefix="dslab-") as folder,
         LocalCluster(
-            # Started below, as Dask does not close workers cleanly whose start is interrupted in here.
+            # Started below: Dask does not close workers cleanly if their start is interrupted here.
             n_workers=0,
             threads_per_worker=1,
             processes=True,
@@ -268,7 +284,7 @@ def embedded_worker_pool(settings: WorkerPoolSettings, job: Job) -> Iterator[Wor
             dashboard_address=None,
             preload=["experiments.campaign.unit_job"],
             local_directory=folder,
-            # What answers about health needs a port even without a dashboard: any that is free.
+            # The health routes need a port even without a dashboard: any free one.
             scheduler_kwargs={"allowed_failures": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"},
         ) as cluster,
         Client(cluster) as client,
@@ -281,16 +297,16 @@ def embedded_worker_pool(settings: WorkerPoolSettings, job: Job) -> Iterator[Wor
                 "this machine",
                 "run `dslab doctor`, give fewer --workers, or wait until it is less busy",
             )
-            yield WorkerPool(client, job, settings, Path(folder), lambda: cluster.scale(settings.workers))
+            yield WorkerPool(client, task, settings, Path(folder), lambda: cluster.scale(settings.workers))
         except BaseException:
-            # What is under way is lost: no need to wait until it notices.
+            # The items under way are lost; do not wait for them.
             _kill(cluster)
             raise
 
 
 @contextmanager
-def remote_worker_pool(settings: WorkerPoolSettings, job: Job) -> Iterator[WorkerPool]:
-    """The workers of a scheduler, as many as there are at any time.
+def remote_worker_pool(settings: WorkerPoolSettings, task: Task) -> Iterator[WorkerPool]:
+    """Open a pool of a scheduler's workers, whose number may change at any time.
 
     Raises:
         InputError: there is no scheduler at the address, or no worker comes.
@@ -305,7 +321,7 @@ def remote_worker_pool(settings: WorkerPoolSettings, job: Job) -> Iterator[Worke
         raise InputError(address, f"no scheduler answers ({type(error).__name__})", remedy) from error
     with client:
         _await(client, 1, address, remedy)
-        yield WorkerPool(client, job, settings)
+        yield WorkerPool(client, task, settings)
 
 
 def _await(client: Any, workers: int, where: str, remedy: str) -> None:

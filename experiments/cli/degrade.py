@@ -54,7 +54,7 @@ def degrade_command(
     from experiments.runs.sources import open_imu
     from scenarios.segment_text import parse_segment
     from sim.degradations.recorded_sequences import check_recorded_sequence, degrade_sequence
-    from sim.io.folders import claim_output_dir
+    from sim.io.folders import check_free
     from sim.io.forms import Form, detect_form, load_sequence, sequence_folder, write_sequence
 
     segments = [parse_segment(text) for text in segment]
@@ -63,7 +63,7 @@ def degrade_command(
     found = detect_form(sequence_folder(source))
     target = Form(form.value) if form else Form.TUM if found is Form.TUM_MONO else found
     readings = open_imu(str(source), sequence.stamps_s) if target is Form.EUROC else None
-    claim_output_dir(out_dir)
+    check_free(out_dir)
     single_threaded_opencv()
     # Beside the result: the temporary disk may be too small.
     with (

@@ -28,8 +28,8 @@ def demo_command(
     """
     from experiments.demo import MARKER_FILE, PICTURE_FILE, run_demo
     from experiments.result_folder import RECORDING_FILE
-    from experiments.runs.output import check_free
     from scenarios.loading import load_scenario
+    from sim.io.folders import check_free
     from sim.sequence_rendering import render_sequence
 
     check_free(out_dir, MARKER_FILE)

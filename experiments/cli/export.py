@@ -45,14 +45,14 @@ def export_command(
     """
     from experiments.runs.sources import open_imu, open_sequence
     from scenarios.errors import InputError
-    from sim.io.folders import claim_output_dir
+    from sim.io.folders import check_free
     from sim.io.forms import Form, write_sequence
 
     if imu and form is not FormatChoice.EUROC:
         raise InputError("--imu", f"the form {form} has no inertial readings", "use --format euroc")
     if depth and form is not FormatChoice.TUM:
         raise InputError("--depth", f"the form {form} has no depth images", "use --format tum")
-    claim_output_dir(out_dir)
+    check_free(out_dir)
     with progress_bars() as show:
         sequence = open_sequence(source, seed, show, depth=bool(depth))
         readings = None

@@ -26,7 +26,7 @@ def fuzz_command(
     `dslab experiment fuzz --units 20 --system base,dual --out out/fuzz`
     """
     from experiments.fuzz.fuzzing import FuzzUnit, failed, run_fuzz
-    from experiments.runs.output import check_free
+    from sim.io.folders import check_free
 
     check_free(out_dir)
     kinds = _kinds(systems)

@@ -26,7 +26,7 @@ def gallery_command(
     `dslab scenarios gallery kitti-like stressed mine.yaml --seeds 1 --out out/some`
     """
     from experiments.gallery.build import make_gallery
-    from experiments.runs.output import check_free
+    from sim.io.folders import check_free
 
     check_free(out_dir)
     single_threaded_opencv()

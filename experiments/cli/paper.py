@@ -27,8 +27,8 @@ def paper_command(
     `dslab paper --out out/paper`
     """
     from experiments.report.plain_data import as_data
-    from experiments.runs.output import check_free
     from experiments.statistics.paper import CAVEATS, reanalyse
+    from sim.io.folders import check_free
 
     if out_dir is not None:
         check_free(out_dir)
@@ -52,7 +52,7 @@ def _write(figures: dict[str, Any], out_dir: Path) -> None:
     from experiments.report.plots.paper import draw_paper
     from experiments.report.plots.style import settings
     from experiments.runs.files import to_json
-    from experiments.runs.output import new_directory
+    from sim.io.folders import new_directory
 
     with settings(), new_directory(out_dir) as partial:
         plot = rendered("paper", "Prediction of Eq. 1 and published failures", draw_paper(figures["rows"]))

@@ -54,7 +54,7 @@ def render_command(
     from experiments.runs.sources import open_imu
     from scenarios.errors import InputError
     from scenarios.loading import load_scenario
-    from sim.io.folders import claim_output_dir
+    from sim.io.folders import check_free
     from sim.io.forms import Form, write_sequence
     from sim.rendering.renderers import DEFAULT_RENDERER
     from sim.sequence_rendering import render_backend, render_sequence
@@ -63,7 +63,7 @@ def render_command(
     if depth and form is not FormatChoice.TUM:
         raise InputError("--depth", f"the form {form} has no depth images", "use --format tum")
     backend = render_backend(renderer or DEFAULT_RENDERER)
-    claim_output_dir(out_dir)
+    check_free(out_dir)
     started_s = time.monotonic()
     # Beside the result: the temporary disk may be too small.
     scratch = tempfile.TemporaryDirectory(prefix=".dslab-", dir=out_dir.parent) if no_cache else nullcontext()

@@ -91,11 +91,11 @@ def run_command(
     `dslab run clean-room --mode threaded --real-time --map --out out/room`
     """
     from experiments.result_folder import run_sequence
-    from experiments.runs.output import check_free
     from experiments.runs.pacing import RealTime
     from experiments.runs.slam_settings import SlamSettings, factory_of, read_slam_settings
     from experiments.runs.sources import open_sequence
     from scenarios.errors import InputError
+    from sim.io.folders import check_free
     from slam.warmup import warm_up
 
     settings = read_slam_settings(config) if config is not None else SlamSettings({})

@@ -1,7 +1,7 @@
 """The arms of a unit, branched from one lead-in.
 
 Free: base and Dual-SLAM see the same images. Crossing: the map is saved at the onset and a new one is started
-after the exposed segment, whether or not tracking would have failed in it.
+after the exposed segment, even if tracking would not have failed in it.
 """
 
 import time
@@ -35,7 +35,7 @@ class Exposure:
     Attributes:
         onset_s, exposed_s: start and length.
         onset_frame, end_frame: its first and last frame.
-        last_frame: the last one at which a breakage still counts as its own.
+        last_frame: last frame at which a breakage is still attributed to it.
     """
 
     onset_s: float
@@ -46,10 +46,10 @@ class Exposure:
 
     @staticmethod
     def of(unit: UnitSpec, sequence: Sequence) -> "Exposure":
-        """The exposed segment of a unit, in the frames of its sequence.
+        """Find the exposed segment of a unit in the frames of its sequence.
 
         Raises:
-            ValueError: it has no frame before it, in it or after it.
+            ValueError: there is no frame before it, in it or after it.
         """
         first = unit.scenario.segments[0]
         onset_s = first.start_s if unit.onset_s is None else unit.onset_s
@@ -63,24 +63,24 @@ class Exposure:
         return Exposure(onset_s, exposed_s, onset, end, last)
 
     def as_segment(self, kind: str) -> SegmentTruth:
-        """The exposed segment as one that acts on all of its frames."""
+        """The exposed segment as a degradation that acts on all of its frames."""
         end_s = self.onset_s + self.exposed_s
         return SegmentTruth(kind, {}, self.onset_s, end_s, self.onset_frame, self.end_frame)
 
 
 @dataclass
 class CpuClock:
-    """CPU time of this process, summed up over stretches of work.
+    """CPU time of this process, summed over blocks of work.
 
     Attributes:
-        seconds: so far.
+        seconds: sum so far.
     """
 
     seconds: float = 0.0
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """Count the time that the block takes."""
+        """Add the CPU time of the block."""
         started = time.process_time()
         try:
             yield
@@ -89,16 +89,16 @@ class CpuClock:
 
 
 class BranchRun:
-    """A system on its way through a sequence, with all that it has said.
+    """A system at one point of its run over a sequence, with its results so far.
 
     Args:
-        system: it.
-        sequence: what it is fed.
-        clock: counts the time within the system.
-        results: of the frames that it has had.
+        system: the SLAM system.
+        sequence: its input.
+        clock: sums the CPU time within the system.
+        results: of the frames fed so far.
 
     Attributes:
-        begun: the first frame of every new map that a recovery has started from, by the map's number.
+        first_frame_of: first frame of every new map from which a recovery has started, by map id.
     """
 
     def __init__(
@@ -111,22 +111,22 @@ class BranchRun:
         self.system = system
         self.sequence = sequence
         self.results = list(results)
-        self.begun: dict[int, int] = {}
+        self.first_frame_of: dict[int, int] = {}
         self._clock = clock
 
     @property
     def frames(self) -> int:
-        """Frames fed so far."""
+        """Number of frames fed so far."""
         return len(self.results)
 
     @property
     def at_end(self) -> bool:
-        """No frame is left."""
+        """True if no frame is left."""
         return self.frames == len(self.sequence)
 
     @property
     def is_broken(self) -> bool:
-        """A breakage was declared."""
+        """True if a breakage was declared."""
         return any(isinstance(event, Breakage) for event in self.system.events)
 
     def step(self) -> None:
@@ -137,37 +137,37 @@ class BranchRun:
             result = self.system.process(image, float(self.sequence.stamps_s[index]))
         self.results.append(without_features(result))
         for event in self.system.events[happened:]:
-            if isinstance(event, RecoveryStart) and event.map_id not in self.begun:
+            if isinstance(event, RecoveryStart) and event.map_id not in self.first_frame_of:
                 self._note_new_map(event.map_id)
 
     def feed(self, until: int) -> None:
-        """Feed the frames up to ``until``, without it."""
+        """Feed the frames before ``until``."""
         while self.frames < until:
             self.step()
 
     def finish(self) -> None:
-        """End of input, wherever it is."""
+        """Signal the end of the input to the system."""
         with self._clock.running():
             self.system.finish()
 
     def save(self) -> "SavedBranch":
-        """What any number of courses can go on from."""
+        """Save the state, from which any number of runs can resume."""
         with self._clock.running():
             snapshot = self.system.snapshot()
         return SavedBranch(snapshot, self.sequence, self._clock, tuple(self.results))
 
     def record(self, kind: str, seed: int) -> RunRecord:
-        """The record of the finished course, its time being that of all courses by this clock."""
+        """The record of the finished run; its time is that of all runs by this clock."""
         return record_of(self.system, self.sequence, kind, seed, self.results, self._clock.seconds)
 
     def _note_new_map(self, map_id: int) -> None:
         paths = self.system.keyframe_trajectories()
-        self.begun.update((map_id, int(path.frames[0])) for path in paths if path.map_id == map_id)
+        self.first_frame_of.update((map_id, int(path.frames[0])) for path in paths if path.map_id == map_id)
 
 
 @dataclass(frozen=True)
 class SavedBranch:
-    """A course as it stood between two frames."""
+    """State of a run between two frames."""
 
     snapshot: Snapshot
     sequence: Sequence
@@ -176,17 +176,17 @@ class SavedBranch:
 
     @property
     def frames(self) -> int:
-        """Frames fed until then."""
+        """Number of frames fed before."""
         return len(self.results)
 
     def resume(self) -> BranchRun:
-        """A course that goes on from here."""
+        """Start a run that continues from this state."""
         with self.clock.running():
             system = self.snapshot.restore()
         return BranchRun(system, self.sequence, self.clock, self.results)
 
     def resume_as_base(self) -> BranchRun:
-        """As the base system would go on from here."""
+        """Start a run of the base system that continues from this state."""
         branch = self.resume()
         if isinstance(branch.system, RestartingSlam):
             branch.system = branch.system.as_base()
@@ -195,30 +195,30 @@ class SavedBranch:
 
 @dataclass(frozen=True)
 class FreeArm:
-    """What came of the free arm.
+    """Result of the free arm.
 
     Attributes:
         base, dual: the two runs, from the first frame to the last.
-        begun: see BranchRun, of the dual.
+        first_frame_of: see BranchRun, of the dual.
     """
 
     base: RunRecord
     dual: RunRecord
-    begun: dict[int, int]
+    first_frame_of: dict[int, int]
 
 
 def dual_config(unit: UnitSpec, exhaustive: bool = True) -> DualConfig:
-    """Settings of Dual-SLAM in a unit: recovery is what is measured, so nothing else may mend a breakage.
+    """Settings of Dual-SLAM in a unit, in which only recovery may repair a breakage.
 
-    Relocalization in a saved map and meeting it again are off: they would forestall recovery, or take
-    the credit for it.
+    Relocalization in saved maps and place-based merging are off: they would prevent recovery, or be counted
+    as recovery.
     """
     threads = tuple(ThreadSpec(thread.kind, thread.seed) for thread in unit.threads)
     return DualConfig(threads=threads, exhaustive=exhaustive, relocalization=False, place_merging=None)
 
 
 def run_lead_in(unit: UnitSpec, sequence: Sequence, exposure: Exposure, clock: CpuClock) -> BranchRun:
-    """The lead-in, which all arms share: up to the onset, without its frame."""
+    """Run the lead-in, which all arms share: the frames before the onset."""
     camera = slam_camera(sequence.camera)
     system = build_system(unit.system, camera, unit.nuisance_seed, dual=dual_config(unit))
     branch = BranchRun(system, sequence, clock)
@@ -227,10 +227,10 @@ def run_lead_in(unit: UnitSpec, sequence: Sequence, exposure: Exposure, clock: C
 
 
 def run_free(lead_in: SavedBranch, unit: UnitSpec) -> FreeArm:
-    """Base and Dual-SLAM to the end.
+    """Run base and Dual-SLAM to the end.
 
-    Up to the first breakage the two are alike bit for bit and run as one; the base then goes on from
-    a snapshot just before.
+    Up to the first breakage the two are identical bit for bit and run as one; the base then resumes from a
+    snapshot just before it.
     """
     seed, saved = unit.nuisance_seed, lead_in
     stride = max(1, round(_SAVE_EVERY_S * lead_in.sequence.camera.fps))
@@ -245,13 +245,13 @@ def run_free(lead_in: SavedBranch, unit: UnitSpec) -> FreeArm:
         branch.finish()
     record = dual.record(unit.system, seed)
     base_record = replace(record, system_kind="base") if base is None else base.record("base", seed)
-    return FreeArm(base_record, record, dual.begun)
+    return FreeArm(base_record, record, dual.first_frame_of)
 
 
 def run_crossing(lead_in: SavedBranch, exposure: Exposure) -> BranchRun:
-    """Every recovery thread over the whole exposed segment, whether or not tracking fails in it.
+    """Run every recovery thread over the whole exposed segment, even if tracking does not fail in it.
 
-    The course ends as soon as a recovery has started and its threads have run.
+    The run ends as soon as a recovery has started and its threads have run.
     """
     branch = lead_in.resume()
     system = branch.system
@@ -259,7 +259,7 @@ def run_crossing(lead_in: SavedBranch, exposure: Exposure) -> BranchRun:
     system.cut()
     branch.feed(exposure.end_frame + 1)
     system.restart()
-    while not (branch.at_end or branch.begun):
+    while not (branch.at_end or branch.first_frame_of):
         branch.step()
     branch.finish()
     return branch

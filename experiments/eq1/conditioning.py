@@ -1,7 +1,7 @@
-"""Pose error against baseline: two views of the lead-in, their matches and nothing else, beside the truth.
+"""Error of the relative pose of two lead-in frames against their baseline, from their matches alone.
 
-It is a measurement beside the SLAM, which sees nothing of it. No pose is refused for its parallax: the poor
-ones are the point.
+The measurement is independent of the SLAM. No pose is rejected for its small parallax, as those are the
+subject.
 
 Source: Huang et al., Dual-SLAM, 2020, Sec. II and Fig. 2: narrow-baseline pose estimation is ill-conditioned.
 """
@@ -26,21 +26,21 @@ from slam.matching.brute_force import match_brute_force
 _MAX_DISTANCE, _RATIO = 50, 0.8
 _THRESHOLD_PX = 1.0
 _CONFIDENCE, _ITERATIONS = 0.999, 2000
-# Five matches give a pose that nothing speaks against.
+# Five matches are fitted exactly, whether right or wrong.
 _LEAST_MATCHES = 8
 _LEAST_BASELINE_M = 1e-6
-# In baselines. OpenCV's own 50 leaves out most points of a narrow pair when the pose is chosen among four.
+# In baselines. OpenCV's default of 50 excludes most points of a narrow pair from the choice among four poses.
 _FARTHEST = 1e6
 
 
 @dataclass(frozen=True)
 class PairError:
-    """How far the relative pose of two frames is from the true one.
+    """Error of the relative pose of two frames.
 
     Attributes:
-        matches: of features, right or wrong.
+        matches: number of feature matches, right or wrong.
         baseline_m: true distance of the two cameras.
-        rotation_deg: angle of the rotation that is left between estimate and truth.
+        rotation_deg: angle of the rotation between estimate and truth.
         direction_deg: angle between the estimated and the true direction of translation, up to 180.
     """
 
@@ -51,7 +51,7 @@ class PairError:
 
 
 class FramePairs:
-    """Pairs of frames of a sequence, with the features that the tracker would see.
+    """Pairs of frames of a sequence, with the features that the tracker would extract.
 
     Args:
         sequence: images and true poses.
@@ -66,7 +66,7 @@ class FramePairs:
         self._features: dict[int, Features] = {}
 
     def error(self, first: int, second: int) -> PairError | None:
-        """The error of one pair; None without a pose, or where the camera did not move between the two.
+        """The error of one pair; None without a pose, or if the camera did not move between the two.
 
         Args:
             first, second: indices of the frames.
@@ -76,7 +76,7 @@ class FramePairs:
             return None
         T_second_first = np.linalg.inv(truth[second]) @ truth[first]
         baseline_m = float(np.linalg.norm(T_second_first[:3, 3]))
-        if not baseline_m > _LEAST_BASELINE_M:  # NaN where the truth is unknown
+        if not baseline_m > _LEAST_BASELINE_M:  # NaN if the truth is unknown
             return None
         a, b = self._seen(first), self._seen(second)
         matches = match_brute_force(a.descriptors, b.descriptors, _MAX_DISTANCE, _RATIO)
@@ -103,7 +103,7 @@ def judge_pairs(sequence: Sequence, frames: int, seed: int) -> dict[str, Any]:
 
     Args:
         sequence: images and true poses.
-        frames: length of the lead-in: frames from this one on are not looked at.
+        frames: length of the lead-in; later frames are not used.
         seed: of the robust estimation.
     """
     pairs = FramePairs(sequence, seed)
@@ -118,10 +118,10 @@ def judge_pairs(sequence: Sequence, frames: int, seed: int) -> dict[str, Any]:
 
 
 def first_frames(frames: int) -> dict[int, list[int]]:
-    """Per gap the first frames of its pairs, spread over a lead-in of so many frames.
+    """First frames of the pairs of each gap, spread over a lead-in of so many frames.
 
-    They are the same for every gap, so that gaps differ by nothing but the second frame. A gap for which the
-    lead-in is too short has none.
+    They are the same for every gap, so that gaps differ only in the second frame. A gap for which the lead-in
+    is too short has none.
     """
     fitting = [gap for gap in PAIR_GAPS if gap < frames]
     spread = np.linspace(0, frames - 1 - max(fitting, default=0), PAIRS_PER_GAP)
@@ -132,18 +132,18 @@ def first_frames(frames: int) -> dict[int, list[int]]:
 def relative_pose(
     xy_1: np.ndarray, xy_2: np.ndarray, camera: PinholeCamera, seed: int
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Relative pose of two views by an essential matrix, whatever the parallax.
+    """Relative pose of two views from an essential matrix, at any parallax.
 
     Args:
-        xy_1, xy_2: (N, 2) float32 pixels of matches, as taken.
+        xy_1, xy_2: (N, 2) float32 pixels of matches, distorted.
         camera: of both.
         seed: of the sampling.
 
     Returns:
         (3, 3) rotation and (3,) unit translation, view 1 to view 2; None with fewer than eight matches, or
-        where no essential matrix is found.
+        if no essential matrix is found.
 
-    Source: Barath, Noskova, Ivashechkin, Matas, "MAGSAC++", CVPR 2020, as OpenCV has it.
+    Source: Barath, Noskova, Ivashechkin, Matas, "MAGSAC++", CVPR 2020, as in OpenCV.
     """
     if len(xy_1) < _LEAST_MATCHES:
         return None
@@ -170,5 +170,5 @@ def _sampling(seed: int) -> cv2.UsacParams:
 
 
 def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
-    """Angle between two vectors (3,), neither of them zero."""
+    """Angle between two non-zero vectors (3,)."""
     return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))

@@ -18,7 +18,7 @@ from experiments.runs.execution import RunRecord
 
 
 def judge_free(arm: FreeArm, reference: Reference) -> dict[str, Any]:
-    """The columns of base and dual, and what became of every recovery thread if there was a breakage."""
+    """The columns of base and dual and, after a breakage, of every recovery thread."""
     exposure, threads = reference.exposure, reference.threads
     base_first = _first_exposed(arm.base, reference)
     loss = _loss(arm.base, exposure, base_first)
@@ -38,7 +38,7 @@ def judge_free(arm: FreeArm, reference: Reference) -> dict[str, Any]:
         return row
     breakage = base_first.breakage
     lost = loss.true_loss_frame if loss is not None else None
-    recovery = judge_recovery("free", arm.dual.events, arm.begun, breakage.frame, reference)
+    recovery = judge_recovery("free", arm.dual.events, arm.first_frame_of, breakage.frame, reference)
     row |= {
         "breakage_frame": breakage.frame,
         "breakage_reason": breakage.reason,
@@ -47,7 +47,7 @@ def judge_free(arm: FreeArm, reference: Reference) -> dict[str, Any]:
         "dual_relocalized": dual_first.relocalized is not None,
         "reinit": recovery.reinit_frame is not None,
         "reinit_frame": recovery.reinit_frame,
-        # The old map's last sound pose is that of the frame before the loss.
+        # The old map's last correct pose is that of the frame before the loss.
         "free_frames_to_cross": recovery.frames_from((breakage.frame if lost is None else lost) - 1),
         **recovery.columns,
     }
@@ -55,9 +55,11 @@ def judge_free(arm: FreeArm, reference: Reference) -> dict[str, Any]:
 
 
 def judge_crossing(branch: BranchRun, reference: Reference) -> dict[str, Any]:
-    """What became of every recovery thread in the crossing arm."""
+    """The columns of every recovery thread in the crossing arm."""
     exposure = reference.exposure
-    recovery = judge_recovery("cross", branch.system.events, branch.begun, exposure.end_frame, reference)
+    recovery = judge_recovery(
+        "cross", branch.system.events, branch.first_frame_of, exposure.end_frame, reference
+    )
     return {
         "cross_reinit": recovery.reinit_frame is not None,
         "cross_reinit_frame": recovery.reinit_frame,
@@ -67,7 +69,7 @@ def judge_crossing(branch: BranchRun, reference: Reference) -> dict[str, Any]:
 
 
 def _whole(columns: dict[str, Any], threads: int) -> dict[str, Any]:
-    """D_n for every n, and the failure of the system that stops at the first thread to succeed."""
+    """D_n for every n, and the failure of the system that stops at the first successful thread."""
     failed = [columns[thread_column("free", j, "failed")] for j in range(1, threads + 1)]
     declared = [columns[thread_column("free", j, "declared")] for j in range(1, threads + 1)]
     first = declared.index(True) if any(declared) else None
@@ -86,7 +88,7 @@ def _first_exposed(record: RunRecord, reference: Reference) -> BreakageOutcome |
 
 
 def _loss(record: RunRecord, exposure: Exposure, first: BreakageOutcome | None) -> LossAudit | None:
-    """When the pose was truly lost, up to the declaration; None where it cannot be judged."""
+    """True loss of the pose, up to the declaration; None if it cannot be judged."""
     end = exposure.last_frame if first is None else first.breakage.frame
     audit = audit_loss_in(record, exposure.onset_frame, end)
     return None if isinstance(audit, Undefined) else audit

@@ -1,4 +1,4 @@
-"""Whether the map is healthy when the exposed segment begins."""
+"""Check that the map is healthy at the start of the exposed segment."""
 
 from collections.abc import Sequence as Many
 
@@ -11,7 +11,7 @@ from slam.core.events import Breakage, Event
 from slam.core.results import MapTrajectory, TrackingResult
 
 LEAD_IN_HEALTHY_S = 1.0
-"""How long before the exposed segment the map must have been tracked without a gap."""
+"""Time before the exposed segment for which the map must have been tracked without a gap."""
 LEAD_IN_ERROR_SHARE = 0.05
 """Largest position error (RMS) on the lead-in, as a share of its path, of a healthy map."""
 
@@ -19,12 +19,12 @@ LEAD_IN_ERROR_SHARE = 0.05
 def lead_in_fault(
     results: Many[TrackingResult], events: Many[Event], sequence: Sequence, onset: int
 ) -> str | None:
-    """Why the map is not healthy when the exposure begins; None if it is.
+    """Reason why the map is not healthy at the onset; None if it is healthy.
 
     Args:
         results: of the frames before the onset at least.
         events: of the same run.
-        sequence: what was fed.
+        sequence: the input of the run.
         onset: first frame of the exposed segment.
     """
     before = results[onset - 1]

@@ -1,4 +1,4 @@
-"""Records as typed tables: what a column is in Python, SQLite, pandas and Parquet."""
+"""Records as typed tables: the types of columns in Python, SQLite, pandas and Parquet."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -22,12 +22,12 @@ PANDAS_TYPES: dict[ColumnType, str] = {
 
 
 def normalise(record: Mapping[str, Any], threads: int) -> dict[str, Any]:
-    """A record with plain Python values of the types that its columns have, in their order.
+    """Convert a record to plain Python values of its columns' types, in their order.
 
-    NaN and infinities are unknown, hence null.
+    NaN and infinities become null.
 
     Args:
-        record: as a unit gives it.
+        record: from a unit.
         threads: number of recovery threads.
 
     Raises:
@@ -43,7 +43,7 @@ def data_frame(records: Iterable[Mapping[str, Any]], threads: int) -> "pd.DataFr
     """Records as a table with nullable columns: boolean, Int64, Float64 and string.
 
     Args:
-        records: normalised; as many as there may be, also none.
+        records: normalised; may be empty.
         threads: number of recovery threads.
     """
     import pandas as pd
@@ -58,12 +58,12 @@ def data_frame(records: Iterable[Mapping[str, Any]], threads: int) -> "pd.DataFr
 
 
 def typed(frame: "pd.DataFrame", threads: int) -> "pd.DataFrame":
-    """A table read from Parquet with the columns and types of :func:`data_frame`.
+    """Give a table read from Parquet the columns and types of :func:`data_frame`.
 
-    The columns of pairs of frames are null where it has none: tables from before they were judged are good.
+    Missing columns of pairs of frames become null, since older tables lack them.
 
     Raises:
-        ValueError: it lacks another column, or has an unknown one.
+        ValueError: another column is missing, or one is unknown.
     """
     types = {name: PANDAS_TYPES[kind] for name, kind in columns(threads).items()}
     differing = set(types) ^ set(frame.columns)
@@ -73,7 +73,7 @@ def typed(frame: "pd.DataFrame", threads: int) -> "pd.DataFrame":
 
 
 def arrow_table(records: Iterable[Mapping[str, Any]], threads: int) -> "pa.Table":
-    """Records as an Arrow table, every column with the same type whatever the rows hold."""
+    """Records as an Arrow table, whose column types do not depend on the rows."""
     import pyarrow as pa
 
     kinds = {"bool": pa.bool_(), "int": pa.int64(), "float": pa.float64(), "text": pa.string()}

@@ -1,19 +1,22 @@
-"""The record of a unit: one flat row, the same columns for every unit of an experiment, whatever happened.
+"""The record of a unit: one flat row with the same columns for every unit of an experiment.
 
-Booleans are null where the question does not arise: a recovery that was never due has neither failed nor
-succeeded. Names follow Eq. 1: B a breakage, R_j the failure of recovery thread j, D_n that of the whole.
+Booleans are null if they do not apply: a recovery that was never due has neither failed nor succeeded. Names
+follow Eq. 1: B a breakage, R_j the failure of recovery thread j, D_n the failure of Dual-SLAM with n threads.
 """
 
+import traceback
 from enum import StrEnum
+from pathlib import Path
 from typing import Any, Literal
 
 from experiments.eq1.units import UnitSpec
+from scenarios.errors import InputError
 
 ColumnType = Literal["bool", "int", "float", "text"]
 
 
 class Outcome(StrEnum):
-    """How a unit ended."""
+    """Outcome of a unit."""
 
     COMPLETED = "completed"
     VOID = "void"
@@ -34,8 +37,8 @@ UNIT_COLUMNS: dict[str, tuple[ColumnType, str]] = {
     "commit": ("text", "commit of the code"),
     "outcome": ("text", "completed, void or infrastructure_error"),
     "message": ("text", "of an infrastructure error"),
-    "attempts": ("int", "times that it was tried, over 1 only after infrastructure errors"),
-    "void_reason": ("text", "why the lead-in was not healthy"),
+    "attempts": ("int", "number of tries, above 1 only after infrastructure errors"),
+    "void_reason": ("text", "reason why the lead-in was not healthy"),
     "onset_s": ("float", "start of the exposed segment"),
     "exposed_s": ("float", "its length"),
     "onset_frame": ("int", "first frame of the exposed segment"),
@@ -45,25 +48,25 @@ UNIT_COLUMNS: dict[str, tuple[ColumnType, str]] = {
     "breakage_frame": ("int", "frame of the declaration"),
     "breakage_reason": ("text", "as declared"),
     "declaration_delay_s": ("float", "from the true loss to the declaration"),
-    "silent_failure": ("bool", "the map was corrupted by the segment and nothing was declared"),
-    "relocalized": ("bool", "given B: the base found its place again"),
-    "base_failure": ("bool", "the base has no intact map in the end"),
+    "silent_failure": ("bool", "the segment corrupted the map and no breakage was declared"),
+    "relocalized": ("bool", "given B: the base relocalized"),
+    "base_failure": ("bool", "the base ends without an intact map"),
     "base_share_tracked": ("float", "share of frames tracked"),
     "base_ate_m": ("float", "ATE of the largest map"),
-    "base_path_share": ("float", "share of the path that it covers"),
+    "base_path_share": ("float", "share of the path that this map covers"),
     "base_end_error_m": ("float", "position error of the last pose, aligned on the lead-in"),
     # Free arm, given B.
-    "reinit": ("bool", "given B: a new map stood before the end"),
+    "reinit": ("bool", "given B: a new map was initialized before the end"),
     "reinit_frame": ("int", "its frame"),
-    "free_frames_to_cross": ("int", "frames from the old map's last sound pose to the new map's first"),
-    "dual_share_tracked": ("float", "of the dual with all its threads, frames with a pose in the end"),
+    "free_frames_to_cross": ("int", "frames from the old map's last correct pose to the new map's first"),
+    "dual_share_tracked": ("float", "share of frames with a final pose, of the dual with all its threads"),
     "dual_ate_m": ("float", "ATE of its largest map"),
-    "dual_path_share": ("float", "share of the path that it covers"),
+    "dual_path_share": ("float", "share of the path that this map covers"),
     "dual_end_error_m": ("float", "position error of the last pose, aligned on the lead-in"),
-    "dual_failure": ("bool", "B, and the first thread to declare success was false, or none did: as shipped"),
-    "dual_relocalized": ("bool", "given B: the dual went on in the broken map by relocalization"),
+    "dual_failure": ("bool", "B, and the first thread to declare success was false, or none declared it"),
+    "dual_relocalized": ("bool", "given B: the dual continued in the broken map by relocalization"),
     # Crossing arm.
-    "cross_reinit": ("bool", "a new map stood after the exposed segment"),
+    "cross_reinit": ("bool", "a new map was initialized after the exposed segment"),
     "cross_reinit_frame": ("int", "its frame"),
     "cross_frames_to_cross": ("int", "frames from the onset to the new map's first"),
     # Costs.
@@ -76,23 +79,23 @@ UNIT_COLUMNS: dict[str, tuple[ColumnType, str]] = {
 
 THREAD_COLUMNS: dict[str, tuple[ColumnType, str]] = {
     "failed": ("bool", "R_j: it did not relate the maps, or its fusion is false by the audit"),
-    "declared": ("bool", "its own word: it related the maps"),
+    "declared": ("bool", "it declared that it related the maps"),
     "false": ("bool", "given declared: out of bounds by the audit (false recovery)"),
-    "stage": ("text", "where it failed: propagation, overlap, sim3, fusion, audit, no_reinit"),
-    "reason": ("text", "why"),
-    "frames_covered": ("int", "frames it went back over"),
+    "stage": ("text", "stage of its failure: propagation, overlap, sim3, fusion, audit, no_reinit"),
+    "reason": ("text", "reason of its failure"),
+    "frames_covered": ("int", "number of frames that it went back"),
     "scale_error": ("float", "given declared: scale over the true one, minus 1"),
     "seam_error_m": ("float", "given declared: position error of the new map in the old one"),
-    "cpu_ms": ("float", "its CPU time; of an arm run later less, where features are known already"),
+    "cpu_ms": ("float", "its CPU time; less in an arm that runs later and reuses features"),
     "inliers": ("int", "of its alignment"),
 }
-"""Per arm and thread, named ``free_r1_failed``, ``cross_r2_cpu_ms`` and so on; ``free_`` only where B."""
+"""Per arm and thread, named ``free_r1_failed``, ``cross_r2_cpu_ms`` and so on; ``free_`` only given B."""
 
 PAIR_GAPS = (1, 3, 9, 27)
-"""Frames between the two of a pair, for the columns below."""
+"""Gaps, in frames, between the two frames of a pair, for the columns below."""
 
 PAIRS_PER_GAP = 8
-"""Pairs of each gap, fewer in a short lead-in."""
+"""Number of pairs of each gap; fewer in a short lead-in."""
 
 PAIR_COLUMNS: dict[str, tuple[ColumnType, str]] = {
     "count": ("int", "pairs of the lead-in whose relative pose was estimated, of ``PAIRS_PER_GAP``"),
@@ -104,15 +107,15 @@ PAIR_COLUMNS: dict[str, tuple[ColumnType, str]] = {
 """Per gap, named ``pairs1_count``, ``pairs27_direction_deg`` and so on: medians over the pairs of the gap."""
 
 DUAL_COLUMN = "d{n}"
-"""``d1`` … ``dn`` (bool): the whole has failed with the first n threads: B and R_1 … R_n of the free arm."""
+"""``d1`` … ``dn`` (bool): Dual-SLAM failed with the first n threads: B and R_1 … R_n of the free arm."""
 
 
 MEASURED_COLUMNS = ("attempts", "render_s", "slam_s", "cpu_s", "wall_s", "peak_rss_mb")
-"""What may differ between two runs of a unit, beside the threads' ``cpu_ms``."""
+"""Columns that may differ between two runs of a unit, besides the threads' ``cpu_ms``."""
 
 
 def decided(record: dict[str, Any]) -> dict[str, Any]:
-    """The columns of a record that its unit and the code decide: the same, bit for bit, in every run."""
+    """The columns of a record that unit and code determine, bit for bit, in every run."""
     return {k: v for k, v in record.items() if k not in MEASURED_COLUMNS and not k.endswith("_cpu_ms")}
 
 
@@ -145,7 +148,7 @@ def columns(threads: int) -> dict[str, ColumnType]:
 
 
 def empty_record(unit: UnitSpec) -> dict[str, Any]:
-    """The record of a unit of which nothing is known yet: null in every column but those that name it."""
+    """The record of a unit before its run: null in every column but those that identify it."""
     return dict.fromkeys(columns(len(unit.threads))) | {
         "unit_id": unit.unit_id,
         "experiment": unit.experiment,
@@ -160,3 +163,11 @@ def empty_record(unit: UnitSpec) -> dict[str, Any]:
         "message": "",
         "attempts": 1,
     }
+
+
+def error_message(error: Exception) -> str:
+    """One line about an error; with its type and place unless it is an InputError."""
+    if isinstance(error, InputError):
+        return str(error)
+    at = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({Path(at.filename).name}:{at.lineno})"

@@ -1,4 +1,4 @@
-"""What became of the recovery threads of a unit, by their own word and by the audit."""
+"""Outcome of the recovery threads of a unit, as declared and as audited."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,14 +18,14 @@ Arm = Literal["free", "cross"]
 
 @dataclass(frozen=True)
 class Reference:
-    """What the arms of a unit are judged by.
+    """Reference by which the arms of a unit are judged.
 
     Attributes:
         sequence: images with their truth.
         exposure: the exposed segment.
-        lead_in: poses of the lead-in as its map stood at the onset.
+        lead_in: poses of the lead-in in its map at the onset.
         kind: of the degradation.
-        threads: how many recovery threads there are.
+        threads: number of recovery threads.
     """
 
     sequence: ImageSequence
@@ -37,11 +37,11 @@ class Reference:
 
 @dataclass(frozen=True)
 class Recovery:
-    """A recovery judged.
+    """A judged recovery.
 
     Attributes:
-        reinit_frame: at which a new map stood, None if none did.
-        first_frame: of the new map that the threads set out from, None if they never did.
+        reinit_frame: frame at which a new map was initialized; None if none was.
+        first_frame: first frame of the new map from which the threads started; None if they never did.
         columns: of every thread.
     """
 
@@ -50,21 +50,21 @@ class Recovery:
     columns: dict[str, Any]
 
     def frames_from(self, frame: int) -> int | None:
-        """Frames from ``frame`` to the new map's first."""
+        """Number of frames from ``frame`` to the new map's first."""
         return None if self.first_frame is None else self.first_frame - frame
 
 
 def judge_recovery(
-    arm: Arm, events: Sequence[Event], begun: Mapping[int, int], since: int, reference: Reference
+    arm: Arm, events: Sequence[Event], first_frame_of: Mapping[int, int], since: int, reference: Reference
 ) -> Recovery:
-    """The first recovery of the map that was parted with.
+    """Judge the first recovery of the saved map.
 
     Args:
-        arm: in which.
-        events: all that the system has declared.
-        begun: first frames of the maps that recoveries have started from, by the maps' numbers.
-        since: the frame after which a new map was sought.
-        reference: what is judged by.
+        arm: the arm of the run.
+        events: all events of the system.
+        first_frame_of: first frames of the maps from which recoveries have started, by map id.
+        since: frame after which a new map was attempted.
+        reference: truth and lead-in.
     """
     reinit = next((e.frame for e in events if isinstance(e, ReinitDone) and e.frame > since), None)
     attempt = next((e.map_id for e in events if isinstance(e, RecoveryEnd)), None)
@@ -75,9 +75,9 @@ def judge_recovery(
         return Recovery(reinit, None, {thread_column(arm, j, k): v for j in each for k, v in none.items()})
     columns: dict[str, Any] = {}
     for end in _ends(events, attempt):
-        told = _thread(end, _audit(end, reference), _refused(events, end))
-        columns |= {thread_column(arm, end.thread, name): value for name, value in told.items()}
-    return Recovery(reinit, begun.get(attempt), columns)
+        judged = _thread(end, _audit(end, reference), _refused(events, end))
+        columns |= {thread_column(arm, end.thread, name): value for name, value in judged.items()}
+    return Recovery(reinit, first_frame_of.get(attempt), columns)
 
 
 def _audit(end: RecoveryEnd, reference: Reference) -> FusionAudit | None:
@@ -134,7 +134,7 @@ def _off(audit: FusionAudit) -> str:
 
 
 def _refused(events: Sequence[Event], end: RecoveryEnd) -> str:
-    """Why the fusion that the thread led to was refused; empty where it was not, or came to none."""
+    """Reason why the thread's fusion was rejected; empty if it was not, or if there was no fusion."""
     refusals = [
         e.reason
         for e in events

@@ -1,8 +1,8 @@
 """The spec of an experiment: cells, units and seeds as typed and validated data.
 
 A cell is a scenario base with one dose of one degradation, run by one system. Its units have a clean lead-in,
-an exposed segment in some of which the degradation acts, and a clean tail. Index ``i`` has the same world and
-the same nuisance seed in every cell: what differs between two cells is what their names say.
+an exposed segment in part of which the degradation acts, and a clean tail. Index ``i`` has the same world and
+the same nuisance seed in every cell: two cells differ only in what their names state.
 """
 
 from collections.abc import Callable
@@ -32,7 +32,7 @@ _SEED_END = 2**53  # exact in JSON and in every table
 
 
 class ExperimentSpec(Strict):
-    """What an experiment runs."""
+    """The spec of an experiment."""
 
     spec_version: Literal[1] = SPEC_VERSION
     name: str = Field(pattern=_NAME, max_length=40)
@@ -58,8 +58,8 @@ class ExperimentSpec(Strict):
     def _check_consistency(self) -> "ExperimentSpec":
         for name in ("systems", "arms", "degradations"):
             items = getattr(self, name)
-            told = [getattr(item, "kind", item) for item in items]
-            twice = next((item for i, item in enumerate(told) if item in told[:i]), None)
+            named = [getattr(item, "kind", item) for item in items]
+            twice = next((item for i, item in enumerate(named) if item in named[:i]), None)
             if twice is not None:
                 raise ValueError(f"{name} names {twice} twice, keep one of them")
         for thread in self.threads:
@@ -85,7 +85,7 @@ class ExperimentSpec(Strict):
 
     @cached_property
     def cells(self) -> dict[str, Cell]:
-        """Every cell by name: base (where there are several), kind, number of the dose, system (likewise)."""
+        """Every cell by name: base (if several), kind, number of the dose, system (if several)."""
         named = [(name, base, member) for name, base in self.bases.items() for member in _members(base)]
         found = {}
         for name, base, member in named:
@@ -105,26 +105,26 @@ class ExperimentSpec(Strict):
         return list(self.cells)
 
     def units_of(self, cell: str) -> int:
-        """The most units that a cell may have.
+        """Largest number of units of a cell.
 
         Raises:
-            InputError: there is no such cell.
+            InputError: the cell is unknown.
         """
         self._cell(cell)
         return self.units
 
     def seeds(self, index: int) -> tuple[int, int]:
-        """World seed and nuisance seed of the units with an index, the same in every cell."""
+        """World seed and nuisance seed of an index, the same in every cell."""
         number = index // self.units_per_world
         world = rng_for(self.root_seed, "experiment", "world", number).integers(_SEED_END)
         nuisance = rng_for(self.root_seed, "experiment", "nuisance", index).integers(_SEED_END)
         return int(world), int(nuisance)
 
     def unit(self, cell: str, index: int) -> UnitSpec:
-        """One unit, of any index from 0: a pure function of the spec.
+        """Draw one unit, of any index from 0: a pure function of the spec.
 
         Raises:
-            InputError: there is no such cell, or what was drawn is no valid scenario.
+            InputError: the cell is unknown, or the drawn scenario is not valid.
         """
         return self._unit(cell, index, lambda at: f"experiment {self.name}: {'.'.join(map(str, at))}")
 
@@ -157,27 +157,27 @@ class ExperimentSpec(Strict):
 
     @property
     def content_hash(self) -> str:
-        """Hash of all that decides units: not of their number, the stopping rule and the description."""
+        """Hash of all that determines units, without their number, stopping rule and description."""
         data = self.model_dump(mode="json", exclude={"description", "units", "stopping"})
         return content_hash({**data, "written": {name: cell.written for name, cell in self.cells.items()}})
 
     def as_yaml(self) -> str:
-        """The spec with every default written out, as YAML that ``load_spec`` reads back."""
+        """The spec with all defaults, as YAML that ``load_spec`` reads."""
         return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
 
 
 def preset_names() -> list[str]:
-    """The experiments that come with the package."""
+    """Names of the experiments in the package."""
     return sorted(path.stem for path in PRESET_DIR.glob("*.yaml"))
 
 
 def load_spec(path_or_preset: str | Path) -> ExperimentSpec:
-    """An experiment by the name of its preset or from a YAML file.
+    """Load an experiment by the name of a preset or from a YAML file.
 
-    The first unit of every cell is drawn, so that what is no valid scenario shows before anything runs.
+    The first unit of every cell is drawn, so that an invalid scenario is found before the run.
 
     Raises:
-        InputError: no such preset or file, no YAML, or no valid experiment.
+        InputError: the preset or file does not exist, or is no valid YAML or experiment.
     """
     text = str(path_or_preset)
     if text in preset_names():
@@ -203,7 +203,7 @@ def _load(path: Path) -> ExperimentSpec:
 
 def _check_distributions(file: YamlFile) -> None:
     for key in ("bases", "degradations"):
-        # Only met here if they are no distributions: each that is meant as one is checked on the way.
+        # Iterated for its checks: every node meant as a distribution must be a valid one.
         list(distributions_in(file.data[key], (key,), file.where))
 
 

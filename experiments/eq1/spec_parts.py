@@ -12,7 +12,7 @@ from scenarios.segments import SEGMENT_KINDS
 from scenarios.strict import Strict
 
 Node = dict[str, Any]
-"""A part of a scenario, in which anything may be a distribution, or a distribution itself."""
+"""A part of a scenario, any node of which may be a distribution."""
 
 
 def severity_fields(kind: str) -> list[str]:
@@ -43,7 +43,7 @@ Threads = tuple[Annotated[ThreadChoice, BeforeValidator(_as_choice)], ...]
 
 
 class Base(Strict):
-    """Where units take place. Any node of world, trajectory and camera may be a distribution.
+    """World, trajectory and camera of units; any node may be a distribution.
 
     The world is drawn from a unit's world seed, all else from its nuisance seed.
     """
@@ -56,7 +56,7 @@ class Base(Strict):
 
     @property
     def own(self) -> dict[str, Any]:
-        """The fields that it gives itself."""
+        """The fields given in the base itself."""
         return {name: part for name in ("world", "trajectory", "camera") if (part := getattr(self, name))}
 
     @model_validator(mode="after")
@@ -78,13 +78,13 @@ class Degradation(Strict):
     """One kind of degradation in several doses, each a cell."""
 
     kind: str = Field(description="kind of the segment")
-    dose: str = Field(description="the field of the segment that the doses are for")
+    dose: str = Field(description="field of the segment that the doses set")
     doses: tuple[float, ...] = Field(min_length=1, max_length=20)
     severities: tuple[float, ...] | None = Field(
-        None, description="what the doses are told by in the results; the doses themselves where not given"
+        None, description="severities that stand for the doses in the results; the doses by default"
     )
-    begins_s: Span = Field(0.0, description="when it begins, from the onset; a number or a distribution")
-    acts_s: SpanOrRest = Field(None, description="how long it acts, likewise; by default to the end of L")
+    begins_s: Span = Field(0.0, description="start after the onset; a number or a distribution")
+    acts_s: SpanOrRest = Field(None, description="duration, likewise; by default to the end of L")
     fields: Node = Field(
         default_factory=dict, description="further fields of the segment, distributions allowed"
     )
@@ -95,9 +95,9 @@ class Degradation(Strict):
             raise ValueError(
                 f"{len(self.severities)} severities for {len(self.doses)} doses, give one per dose"
             )
-        told = self.severities or self.doses
-        if len(set(told)) < len(told):
-            raise ValueError("two doses are told by the same number, make them differ")
+        numbers = self.severities or self.doses
+        if len(set(numbers)) < len(numbers):
+            raise ValueError("two doses have the same severity, make them differ")
         severities = severity_fields(self.kind)
         if severities and self.dose not in severities:
             known = " or ".join(severities)

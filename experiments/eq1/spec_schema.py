@@ -1,4 +1,4 @@
-"""The JSON Schema of experiment files, for editors and for whoever writes them by program."""
+"""The JSON Schema of experiment files, for editors and for programs that write them."""
 
 from typing import Any
 
@@ -11,13 +11,13 @@ _PARTS = ("world", "trajectory", "camera")
 
 
 def json_schema() -> dict[str, Any]:
-    """The JSON Schema of an experiment file, with distributions wherever they may stand."""
+    """The JSON Schema of an experiment file, with distributions wherever they are allowed."""
     schema = ExperimentSpec.model_json_schema()
     scenario = scenario_schema.json_schema()
     schema["$defs"] = {**scenario["$defs"], **schema["$defs"]}
     base = schema["$defs"]["Base"]["properties"]
     base.update({part: scenario["properties"][part] for part in _PARTS})
-    # Over a family a base need not say what kind of world it is.
+    # A base with a family need not give the kind of world.
     kindless = {"not": {"anyOf": [{"required": ["kind"]}, {"required": ["choice"]}]}}
     base["world"] = {"anyOf": [base["world"], {"type": "object", **kindless}]}
     degradation = schema["$defs"]["Degradation"]["properties"]

@@ -1,7 +1,6 @@
-"""One unit of an experiment: one lead-in, its arms, their judgement, as one flat record. Never raises."""
+"""One unit of an experiment: one lead-in, its arms and their judgement, as one flat record."""
 
 import time
-import traceback
 from pathlib import Path
 from typing import Any
 
@@ -19,28 +18,27 @@ from experiments.eq1.arms import (
 from experiments.eq1.conditioning import judge_pairs
 from experiments.eq1.judging import judge_crossing, judge_free
 from experiments.eq1.lead_in import lead_in_fault
-from experiments.eq1.records import Outcome, empty_record
+from experiments.eq1.records import Outcome, empty_record, error_message
 from experiments.eq1.recovery_judging import Reference
 from experiments.eq1.units import UnitSpec
 from experiments.runs.execution import RunRecord, execute, system_factory
 from experiments.runs.memory import peak_rss_mb, reset_peak
 from experiments.runs.provenance import code_hash, commit
-from scenarios.errors import InputError
 from sim.sequence import Sequence
 from slam.core.results import MapTrajectory
 from slam.features.sift import features_kept
 
 
 def run_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict[str, Any]:
-    """Run one unit: a pure function of its spec, but for the times that it takes.
+    """Run one unit: a pure function of its spec, except for the measured times. Never raises.
 
     Args:
-        unit: all that decides the record.
+        unit: everything that determines the record.
         cache_dir: folder of rendered sequences; None for the default one.
         recording: file for a recording of base and Dual-SLAM, which takes two more runs.
 
     Returns:
-        The columns of ``experiments.eq1.records``. Whatever goes wrong in the programs is the outcome
+        The columns of ``experiments.eq1.records``. An error in the programs gives the outcome
         ``infrastructure_error`` with its message, never a failure of the SLAM.
     """
     record = empty_record(unit)
@@ -55,8 +53,8 @@ def run_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | No
         record |= _judged(unit, sequence, slam)
         if recording is not None:
             record_runs(unit, sequence, recording)
-    except Exception as error:  # the one place that may: a broken unit must not end the experiment
-        record |= {"outcome": Outcome.INFRASTRUCTURE_ERROR.value, "message": _message(error)}
+    except Exception as error:  # a broken unit must not end the experiment
+        record |= {"outcome": Outcome.INFRASTRUCTURE_ERROR.value, "message": error_message(error)}
     return record | {
         "render_s": render.seconds,
         "slam_s": slam.seconds,
@@ -67,7 +65,7 @@ def run_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | No
 
 
 def record_runs(unit: UnitSpec, sequence: Sequence, path: Path) -> list[RunRecord]:
-    """Record base and Dual-SLAM, each from the start: they do there what they do in the unit."""
+    """Run and record base and Dual-SLAM from the start; they behave as in the unit."""
     from experiments.recording import Recording
 
     kinds = ("base", unit.system)
@@ -121,13 +119,6 @@ def _lead_in_fault(branch: BranchRun, exposure: Exposure) -> str | None:
 
 
 def _current_path(branch: BranchRun) -> MapTrajectory:
-    """The poses of the lead-in as its map stands now."""
+    """The poses of the lead-in in the current map."""
     current = branch.system.current_map_id
     return next(path for path in branch.system.trajectories() if path.map_id == current)
-
-
-def _message(error: Exception) -> str:
-    if isinstance(error, InputError):
-        return str(error)
-    at = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{type(error).__name__}: {error} ({at.filename.rsplit('/', 1)[-1]}:{at.lineno})"

@@ -1,4 +1,4 @@
-"""From a cell and the seeds of a unit to its scenario."""
+"""Draw the scenario of a unit from its cell and seeds."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ _PARTS = ("world", "trajectory", "camera")
 
 
 class UnitPlan(Protocol):
-    """The fields of an experiment's spec that decide the scenario of a unit."""
+    """The fields of an experiment's spec that determine the scenario of a unit."""
 
     @property
     def lead_in_s(self) -> float: ...
@@ -35,12 +35,12 @@ class Cell:
     """One cell of an experiment.
 
     Attributes:
-        image: its name without the system: what its images are decided by.
+        image: its name without the system, which does not affect the images.
         base: name of its base in the spec.
-        written: world, trajectory and camera as written, one of them for each variant that the world seed
-            chooses from: the members of a family.
-        degradation, dose: places of kind and dose in the spec.
-        system: what is run.
+        written: world, trajectory and camera as written, one for each variant that the world seed chooses
+            from: the members of a family.
+        degradation, dose: indices of kind and dose in the spec.
+        system: the system that is run.
     """
 
     image: str
@@ -55,12 +55,12 @@ def written_base(family: str | None, member: str | None, own: dict[str, Any]) ->
     """World, trajectory and camera of a base: its own fields over those of its family.
 
     Args:
-        family: by name, None for none.
-        member: the only member that counts; None for all of them.
+        family: name of a family; None for none.
+        member: the only member to use; None for all of them.
         own: fields of the base itself.
 
     Raises:
-        InputError: there is no such family or member.
+        InputError: the family or member does not exist.
     """
     if family is None:
         return ({**{part: {} for part in _PARTS}, **own},)
@@ -79,20 +79,20 @@ def draw_scenario(
     nuisance_seed: int,
     where: Callable[[Location], str],
 ) -> Scenario:
-    """The scenario of a unit.
+    """Draw the scenario of a unit.
 
-    The world comes from the world seed: its kind, its parameters, itself. All else comes from the nuisance
-    seed, by streams that know nothing of kind and dose: path, camera and noise are the same in every cell.
+    The world seed determines the world: its variant, its parameters and itself. The nuisance seed determines
+    the rest, in streams independent of kind and dose: path, camera and noise are the same in every cell.
 
     Args:
         spec: of the experiment.
         cell: one of its cells.
         index: of the unit.
         world_seed, nuisance_seed: of the unit.
-        where: says the place of a location in the spec, for faults.
+        where: describes a location in the spec, for error messages.
 
     Raises:
-        InputError: what was drawn is no valid scenario.
+        InputError: the drawn scenario is not valid.
     """
     written = cell.written[int(rng_for(world_seed, "experiment", "variant").random() * len(cell.written))]
     of_world, of_rest = Draw(world_seed), Draw(nuisance_seed)
@@ -134,7 +134,7 @@ def _segment(spec: UnitPlan, cell: Cell, draw: Draw) -> dict[str, Any]:
 
 
 def _in_spec(spec: UnitPlan, cell: Cell, at: Location) -> Location:
-    """Where in the spec a field of the scenario comes from."""
+    """Location in the spec of a field of the scenario."""
     if at[:1] != ("segments",):
         return ("bases", cell.base, *at)
     inside, place = at[2:], ("degradations", cell.degradation)

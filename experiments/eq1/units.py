@@ -1,4 +1,4 @@
-"""A unit of an experiment as data: everything that decides its record, and nothing else."""
+"""A unit of an experiment as data: everything that determines its record."""
 
 import hashlib
 import json
@@ -14,10 +14,10 @@ ArmName = Literal["free", "crossing", "pairs"]
 
 
 class ThreadChoice(Strict):
-    """A recovery thread: one of n."""
+    """One of the n recovery threads."""
 
     kind: str = Field(description=f"one of {', '.join(sorted(RECOVERY_KINDS))}")
-    seed: int = Field(0, ge=0, description="tells apart threads of one kind")
+    seed: int = Field(0, ge=0, description="distinguishes threads of one kind")
 
 
 class UnitSpec(Strict):
@@ -30,11 +30,11 @@ class UnitSpec(Strict):
         severity: dose of the degradation, in the unit that the experiment states.
         index: number of the unit in its cell, from 0.
         world_seed, nuisance_seed: of the world; of path, sensor noise, draws of the segment and the SLAM.
-        scenario: as drawn, with these seeds: lead-in, exposed segment with what acts in it, tail.
+        scenario: as drawn with these seeds: lead-in, exposed segment with the degradation, tail.
         onset_s, exposed_s: the exposed segment; None for that of the scenario's first injected segment.
         threads: the recovery threads, in order; n of Eq. 1 is their number.
-        system: what runs in the free arm beside the base; the crossing arm is of the same kind.
-        arms: which are run; ``pairs`` measures pose error against baseline in the lead-in, without a SLAM.
+        system: the system run in the free arm besides the base, and in the crossing arm.
+        arms: the arms to run; ``pairs`` measures pose error against baseline in the lead-in, without a SLAM.
     """
 
     experiment: str
@@ -53,10 +53,10 @@ class UnitSpec(Strict):
 
     @property
     def unit_id(self) -> str:
-        """Sixteen hexadecimal digits of the hash of all that it says."""
+        """Sixteen hexadecimal digits of the content hash."""
         return content_hash(self.model_dump(mode="json"))[:16]
 
 
 def content_hash(data: Any) -> str:
-    """SHA-256 of JSON-like data, whatever the order of its keys."""
+    """SHA-256 of JSON-like data, independent of the order of keys."""
     return hashlib.sha256(json.dumps(data, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""Similarity and rigid alignment of an estimated path to the true one. NaN-free poses in, transform out."""
+"""Similarity and rigid alignment of an estimated path to the true one; poses must not be NaN."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ _RANK_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Undefined:
-    """A figure that the data do not determine, and why; stands where the number would."""
+    """Placeholder for a figure that the data do not determine, with the reason."""
 
     reason: str
 
@@ -44,16 +44,16 @@ IDENTITY = Similarity(1.0, np.eye(3), np.zeros(3))
 
 
 def umeyama(p_map: np.ndarray, p_world: np.ndarray, with_scale: bool = True) -> Similarity | Undefined:
-    """Least-squares alignment of positions alone: the one that ATE is defined with.
+    """Least-squares alignment of positions, by which ATE is defined.
 
     Args:
         p_map: (n, 3) float64 estimated positions.
         p_world: (n, 3) float64 true positions, metres.
-        with_scale: Sim(3), the rule for one camera; else SE(3).
+        with_scale: Sim(3), as usual for one camera; else SE(3).
 
     Returns:
-        The alignment; Undefined for fewer than 3 positions and for collinear or coincident ones, about
-        whose line the rotation is free.
+        The alignment; Undefined for fewer than 3 positions and for collinear or coincident ones, which leave
+        the rotation about their line free.
 
     Source: Umeyama, "Least-squares estimation of transformation parameters between two point patterns",
     PAMI 1991, eqs. 34-43.
@@ -77,17 +77,17 @@ def umeyama(p_map: np.ndarray, p_world: np.ndarray, with_scale: bool = True) -> 
 
 
 def align_poses(T_map_cam: np.ndarray, T_world_cam: np.ndarray) -> Similarity | Undefined:
-    """Sim(3) alignment with the rotation from the orientations, scale and translation from the positions.
+    """Sim(3) alignment with rotation from orientations, scale and translation from positions.
 
-    The positions of a camera that goes straight on leave the rotation about its line of travel free, its
-    orientations do not; what comes after such a stretch can be judged with this alignment only.
+    The positions of a camera that moves straight leave the rotation about its line of travel free, its
+    orientations do not; frames after such a stretch can be judged only with this alignment.
 
     Args:
         T_map_cam: (n, 4, 4) float64 estimated poses.
         T_world_cam: (n, 4, 4) float64 true poses of the same camera frame, metres.
 
     Returns:
-        The alignment; Undefined for fewer than 3 poses or where one of the paths does not move.
+        The alignment; Undefined for fewer than 3 poses or if one of the paths does not move.
     """
     n = len(T_map_cam)
     if n < 3:
@@ -98,7 +98,7 @@ def align_poses(T_map_cam: np.ndarray, T_world_cam: np.ndarray) -> Similarity | 
     turned = (p_map - p_map.mean(axis=0)) @ R.T
     centred = p_world - p_world.mean(axis=0)
     spread = float((turned**2).sum())
-    # A path that stands still, to rounding, has no length to compare.
+    # A path that stands still up to rounding has no scale.
     if spread <= n * np.finfo(float).eps * float((p_map**2).sum() + 1e-12):
         return Undefined("the estimated path does not move")
     scale = float((centred * turned).sum() / spread)

@@ -1,4 +1,4 @@
-"""The estimate judged by the truth: silent loss, late declaration, false fusion; never fed back."""
+"""Audit of the estimate by the truth: silent loss, late declaration, false fusion. Never fed back."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ from slam.core.results import MapTrajectory
 
 @dataclass(frozen=True)
 class AuditBounds:
-    """What counts as off the truth.
+    """Bounds beyond which an estimate counts as wrong.
 
     Attributes:
         position_share: position error allowed per metre of true path since the start of the reference window.
@@ -25,9 +25,9 @@ class AuditBounds:
         rotation_deg: orientation error allowed.
         scale_share: scale error allowed across a fusion.
         reference_s: length of the window before the onset on which the estimate is aligned to the truth.
-        seam_s: length of the stretch after a breakage by which the seam of a fusion is judged.
-        min_poses: poses that an alignment must rest on.
-        min_path_m: true path that an alignment must rest on.
+        seam_s: length of the window after a breakage on which the seam of a fusion is judged.
+        min_poses: least number of poses for an alignment.
+        min_path_m: least true path for an alignment.
     """
 
     position_share: float = 0.05
@@ -41,18 +41,18 @@ class AuditBounds:
 
 
 RELATION_BOUNDS = AuditBounds(min_poses=5)
-"""For the relation that a recovery finds: it starts when the new map has just these many keyframes."""
+"""For the relation that a recovery finds; it starts when the new map has this number of keyframes."""
 
 
 @dataclass(frozen=True)
 class LossAudit:
-    """When the pose was truly lost.
+    """True loss of the pose.
 
     Attributes:
-        true_loss_frame: first frame from which, to the end of the window, there is no pose within the bounds;
-            None where there is none.
-        error_m, rotation_error_deg: of the last pose in the window; None where it has none.
-        reference_poses: poses of the alignment.
+        true_loss_frame: first frame from which no pose is within the bounds until the end of the window; None
+            if not lost.
+        error_m, rotation_error_deg: of the last pose in the window; None without a pose.
+        reference_poses: number of poses in the alignment.
     """
 
     true_loss_frame: int | None
@@ -63,17 +63,17 @@ class LossAudit:
 
 @dataclass(frozen=True)
 class FusionAudit:
-    """A fused map on the two sides of the breakage.
+    """Comparison of a fused map on the two sides of the breakage.
 
     Attributes:
         scale_error: size of the part after the breakage over that of the part before, both in units of
-            the truth, minus 1; None where one of the two is too short to have a scale.
+            the truth, minus 1; None if one of the two is too short to have a scale.
         seam_error_m: median position error over the first ``seam_s`` after the breakage, aligned on the
             ``reference_s`` before it.
         seam_rotation_deg: likewise, of the orientation.
         seam_bound_m: position error allowed there.
-        false: scale or seam are out of bounds; None where neither could be judged.
-        reason: what could not be judged and why; empty otherwise.
+        false: scale or seam are out of bounds; None if neither could be judged.
+        reason: the figures that could not be judged, with the causes; empty if none.
     """
 
     scale_error: float | None
@@ -98,15 +98,15 @@ def audit_loss(
     from there.
 
     Args:
-        live: the poses of the map as the system gave them at each frame.
+        live: the poses of the map as returned at each frame.
         stamps_s: (N,) float64 times of all frames.
         T_world_cam: (N, 4, 4) float64 true poses, NaN where unknown.
         onset_frame: first frame that may be lost.
-        end_frame: last frame looked at (inclusive): the declaration where there is one.
-        bounds: what counts as lost.
+        end_frame: last frame of the window (inclusive): the declaration if there is one.
+        bounds: bounds of a correct pose.
 
     Returns:
-        The finding; Undefined where the poses before the onset determine no alignment.
+        The finding; Undefined if the poses before the onset determine no alignment.
     """
     bounds = bounds or AuditBounds()
     pairs = associate(live, stamps_s, T_world_cam)
@@ -144,13 +144,13 @@ def audit_fusion(
     """Compare the two sides of a breakage in the finished map.
 
     Args:
-        fused: final poses of the map that came out of the fusion.
+        fused: final poses of the fused map.
         stamps_s: (N,) float64 times of all frames.
         T_world_cam: (N, 4, 4) float64 true poses, NaN where unknown.
         breakage_frame: the declared breakage; later frames are the part after it.
         from_frame: first frame of the part before it.
         until_frame: first frame that no longer belongs to the part after it.
-        bounds: what counts as false.
+        bounds: bounds of a correct fusion.
     """
     bounds = bounds or AuditBounds()
     pairs = associate(fused, stamps_s, T_world_cam)
@@ -182,15 +182,15 @@ def audit_relation(
     onset_frame: int,
     bounds: AuditBounds = RELATION_BOUNDS,
 ) -> FusionAudit:
-    """Judge where a recovery has placed a new map in an old one, whether or not it was acted upon.
+    """Judge the pose of a new map in an old one found by a recovery, applied or not.
 
     Args:
-        old: poses in the old map; those before the onset count.
-        placed: poses of the new map's keyframes, in the old map; those after the onset count.
+        old: poses in the old map; those before the onset are used.
+        placed: poses of the new map's keyframes, in the old map; those after the onset are used.
         stamps_s: (N,) float64 times of all frames.
         T_world_cam: (N, 4, 4) float64 true poses, NaN where unknown.
-        onset_frame: where the trusted part of the old map ends.
-        bounds: what counts as false.
+        onset_frame: end of the trusted part of the old map.
+        bounds: bounds of a correct relation.
     """
     before, after = old.frames < onset_frame, placed.frames > onset_frame
     both = MapTrajectory(
@@ -218,7 +218,7 @@ def _scale_error(before: PosePairs, after: PosePairs, bounds: AuditBounds) -> fl
         if isinstance(alignment, Undefined):
             return Undefined(f"{name} the breakage: {alignment.reason}")
         scales.append(alignment.scale)
-    # Where a part of the map is too large, its factor to metres is too small.
+    # A part of the map that is too large has too small a factor to metres.
     return scales[0] / scales[1] - 1
 
 

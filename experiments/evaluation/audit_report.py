@@ -1,4 +1,4 @@
-"""The audit of a whole run: every exposure and breakage for true loss, every healed one for truth."""
+"""The audit of a whole run: true loss in every exposure and breakage, and every repair."""
 
 from dataclasses import asdict, dataclass
 
@@ -10,21 +10,21 @@ from experiments.evaluation.breakages import EXPOSURE_GRACE_S, BreakageOutcome
 from experiments.runs.execution import RunRecord
 
 _LOOKBACK_S = 2.0
-"""How long before a breakage outside every segment the loss may have begun."""
+"""Time before a breakage outside every segment in which the loss may have started."""
 
 
 @dataclass(frozen=True)
 class LossFinding:
-    """One stretch in which the pose might have been lost.
+    """True loss in one window of frames.
 
     Attributes:
         segment: index of the injected segment, None for a breakage outside every segment.
-        onset_frame, end_frame: the frames looked at, inclusive.
-        declared_frame: the breakage, None where none was declared.
-        true_loss_frame: see LossAudit; None also where it could not be judged.
+        onset_frame, end_frame: the window, inclusive.
+        declared_frame: frame of the breakage; None if none was declared.
+        true_loss_frame: see LossAudit; None also if it could not be judged.
         delay_s: from the true loss to the declaration; None unless both are known.
-        silent: lost in truth and never declared; None where it could not be judged.
-        reason: why it could not be judged; empty otherwise.
+        silent: truly lost and never declared; None if it could not be judged.
+        reason: reason why it could not be judged; empty otherwise.
     """
 
     segment: int | None
@@ -39,7 +39,7 @@ class LossFinding:
 
 @dataclass(frozen=True)
 class FusionFinding:
-    """One accepted fusion or relocalization, with the breakage that it mends."""
+    """One accepted fusion or relocalization, with the breakage that it repairs."""
 
     breakage_frame: int
     old_map_id: int
@@ -49,7 +49,7 @@ class FusionFinding:
 def loss_findings(
     record: RunRecord, outcomes: list[BreakageOutcome], bounds: AuditBounds | None = None
 ) -> list[LossFinding]:
-    """Every injected segment, then every breakage that is not a segment's first, judged for true loss."""
+    """Audit true loss in every injected segment, then at every breakage that is not a segment's first."""
     bounds = bounds or AuditBounds()
     stamps_s = record.sequence.stamps_s
     findings, seen = [], set()
@@ -79,10 +79,10 @@ def audit_loss_in(
 
     Args:
         record: a run over a sequence with truth.
-        onset_frame, end_frame, bounds: as there.
+        onset_frame, end_frame, bounds: as in `audit_loss`.
 
     Returns:
-        The finding; Undefined also where that frame was not tracked.
+        The finding; Undefined also if that frame was not tracked.
     """
     before = record.results[onset_frame - 1] if onset_frame > 0 else None
     if before is None or before.T_map_cam is None:
@@ -93,14 +93,14 @@ def audit_loss_in(
 
 
 def declaration_delay_s(stamps_s: np.ndarray, lost: int | None, declared: int | None) -> float | None:
-    """From the true loss to the declaration, by their frames; None unless there are both."""
+    """Time from the true loss to the declaration, given their frames; None unless both exist."""
     return None if lost is None or declared is None else float(stamps_s[declared] - stamps_s[lost])
 
 
 def fusion_findings(
     record: RunRecord, outcomes: list[BreakageOutcome], bounds: AuditBounds | None = None
 ) -> list[FusionFinding]:
-    """Every accepted fusion, judged on the finished map that holds it."""
+    """Audit every accepted fusion on the final map that contains it."""
     return [
         _seam_finding(record, outcomes, o, {o.breakage.map_id, o.fusion.map_id}, bounds)
         for o in outcomes
@@ -111,7 +111,7 @@ def fusion_findings(
 def relocalization_findings(
     record: RunRecord, outcomes: list[BreakageOutcome], bounds: AuditBounds | None = None
 ) -> list[FusionFinding]:
-    """Every relocalization, judged as a fusion is: the finished map before the breakage and after it."""
+    """Audit every relocalization like a fusion: the final map before and after the breakage."""
     return [
         _seam_finding(record, outcomes, o, {o.breakage.map_id}, bounds)
         for o in outcomes
@@ -146,7 +146,7 @@ def _seam_finding(
 
 
 def audit_record(record: RunRecord, outcomes: list[BreakageOutcome]) -> dict | None:
-    """The audit as a part of the summary; None without truth."""
+    """The audit as part of the summary; None without truth."""
     if record.sequence.T_world_cam is None:
         return None
     bounds = AuditBounds()

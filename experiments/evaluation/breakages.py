@@ -1,4 +1,4 @@
-"""What became of every declared breakage, read off the events and nothing else."""
+"""Outcome of every declared breakage, from the events alone."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from slam.core.events import (
 )
 
 EXPOSURE_GRACE_S = 0.5
-"""A breakage this long after a segment's last frame still counts as the segment's: declaring takes time."""
+"""A breakage within this time after a segment's last frame is attributed to it: declaring takes time."""
 
 
 @dataclass(frozen=True)
@@ -25,18 +25,18 @@ class BreakageOutcome:
 
     Attributes:
         breakage: the declaration.
-        segment: index of the injected segment in which it fell, None outside; of several that lie over one
-            another, the one that began last.
-        segments: indices of all of those, in order.
-        until_frame: first frame of the next breakage of the same map, None where none came.
-        reinit_frame: frame at which a new map stood, None if none did.
+        segment: index of the injected segment that contains it, None outside; of overlapping ones, the one
+            that started last.
+        segments: indices of all overlapping segments, in order.
+        until_frame: first frame of the next breakage of the same map; None if there is none.
+        reinit_frame: frame at which a new map was initialized; None if none was.
         recoveries: the ends of the recovery threads, in order.
-        fusion: the last fusion that a recovery has led to, None if it never came to one.
+        fusion: the last fusion attempted by a recovery; None without one.
         bridged: the fusion of a later map with an older one, by a recovery that went past the broken map;
-            None where there was none.
-        joined: the broken map was met again by place recognition and joined, None if it never was.
-        relocalized: tracking going on in the broken map, None if it never did.
-        dropped: why the broken map was thrown away at once, empty where it was kept.
+            None without one.
+        joined: the fusion of the broken map by place recognition; None without one.
+        relocalized: the relocalization in the broken map; None without one.
+        dropped: reason why the broken map was dropped at once; empty if it was kept.
     """
 
     breakage: Breakage
@@ -53,17 +53,17 @@ class BreakageOutcome:
 
     @property
     def recovered(self) -> bool:
-        """A recovery thread brought the maps together, by the system's own word."""
+        """True if the system declared that a recovery thread fused the maps."""
         return self.fusion is not None and self.fusion.accepted
 
     @property
     def healed(self) -> bool:
-        """The broken map is in use again, by recovery, by relocalization or by meeting it later."""
+        """True if the broken map is in use again, by recovery, relocalization or place-based merging."""
         return self.recovered or self.relocalized is not None or self.joined is not None
 
     @property
     def failure_reason(self) -> str:
-        """Why it was not healed, empty if it was."""
+        """Reason why it was not healed; empty if it was."""
         if self.healed:
             return ""
         if self.dropped:
@@ -81,9 +81,9 @@ class BreakageOutcome:
 def segment_of_frame(
     frame: int, stamp_s: float, segments: Sequence[SegmentTruth], stamps_s: Sequence[float]
 ) -> int | None:
-    """The last segment that acts on a frame or ended at most EXPOSURE_GRACE_S before it, by its index.
+    """Index of the last segment that acts on a frame or ended at most EXPOSURE_GRACE_S before it.
 
-    Of several that began on one frame it is the first listed.
+    Of several that start at one frame it is the first listed.
     """
     exposed = [
         index
@@ -96,9 +96,9 @@ def segment_of_frame(
 def segments_of_frame(
     frame: int, stamp_s: float, segments: Sequence[SegmentTruth], stamps_s: Sequence[float]
 ) -> tuple[int, ...]:
-    """The segment of a frame and those that lay over it, by their indices.
+    """Indices of the segment of a frame and of those that overlap it.
 
-    A segment that had ended when that one began has no part in it.
+    A segment that ended before that one started is not included.
     """
     latest = segment_of_frame(frame, stamp_s, segments, stamps_s)
     if latest is None:
@@ -116,9 +116,9 @@ def segments_of_frame(
 def breakage_outcomes(
     events: Iterable[Event], segments: Sequence[SegmentTruth], stamps_s: Sequence[float]
 ) -> list[BreakageOutcome]:
-    """Every breakage in order, with what mended it.
+    """Every breakage in order, with its repair.
 
-    A fusion, recovery or relocalization belongs to the last breakage of its old map before it.
+    A fusion, recovery or relocalization belongs to the last earlier breakage of its old map.
     """
     events = list(events)
     breakages = [e for e in events if isinstance(e, Breakage)]
@@ -164,7 +164,7 @@ def _outcome(
 
 
 def _spans(fusion: Fusion, breakage: Breakage, breakages: list[Breakage]) -> bool:
-    """Whether what a fusion has joined lay before and after the broken map."""
+    """True if the fused maps lie before and after the broken map."""
     old = [b.frame for b in breakages if b.map_id == fusion.old_map_id and b.frame <= fusion.frame]
     return fusion.old_map_id < breakage.map_id < fusion.new_map_id and max(old, default=-1) < breakage.frame
 

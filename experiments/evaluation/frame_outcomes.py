@@ -1,4 +1,4 @@
-"""What became of every frame: tracked as it came, placed afterwards by a recovery, or never."""
+"""Outcome of every frame: tracked live, posed later by a recovery, or without a pose."""
 
 from collections.abc import Sequence
 from enum import Enum
@@ -11,7 +11,7 @@ from slam.core.events import Breakage, Event, Fusion
 
 
 class FrameOutcome(Enum):
-    """Whether a frame has a pose in the end, and since when."""
+    """Origin of a frame's final pose."""
 
     TRACKED = "tracked"
     RECOVERED = "recovered"
@@ -19,11 +19,11 @@ class FrameOutcome(Enum):
 
 
 def frame_outcomes(record: RunRecord) -> list[FrameOutcome]:
-    """One per frame.
+    """Outcome of each frame.
 
-    A frame from a breakage on that was not tracked when it came and has a pose in the end owes it to the
-    recovery that went back over it. Before a first breakage it owes it to initialisation, which places the
-    frames between its two views, and counts as tracked. A frame of a map that was dropped has none.
+    A frame after a breakage that was not tracked live and has a final pose was posed by the recovery that
+    went back over it. Before the first breakage it was posed by initialization, which poses the frames
+    between its two views, and counts as tracked. A frame of a dropped map has no pose.
     """
     posed = posed_frames(record)
     first = min((e.frame for e in record.events if isinstance(e, Breakage)), default=len(posed))
@@ -31,23 +31,23 @@ def frame_outcomes(record: RunRecord) -> list[FrameOutcome]:
 
 
 def posed_frames(record: RunRecord) -> np.ndarray:
-    """(frames,) bool: the frame has a pose in the end, in whichever map."""
+    """(frames,) bool, true if the frame has a final pose in any map."""
     posed = np.zeros(len(record.results), bool)
     for trajectory in record.trajectories:
         posed[trajectory.frames] = True
     return posed
 
 
-def _frame_outcome(posed: bool, at_once: bool) -> FrameOutcome:
+def _frame_outcome(posed: bool, live: bool) -> FrameOutcome:
     if not posed:
         return FrameOutcome.NONE
-    return FrameOutcome.TRACKED if at_once else FrameOutcome.RECOVERED
+    return FrameOutcome.TRACKED if live else FrameOutcome.RECOVERED
 
 
 def known_from(events: Sequence[Event], frames: int) -> np.ndarray:
-    """(frames,) int: for each frame the one at which a recovery that may have covered it was applied.
+    """(frames,) int: for each frame, the frame at which a recovery of it can have been applied.
 
-    It is the frame of the next accepted fusion; ``frames`` where none follows.
+    It is the frame of the next accepted fusion; ``frames`` if none follows.
     """
     applied = sorted(e.frame for e in events if isinstance(e, Fusion) and e.accepted)
     known = np.full(frames, frames)

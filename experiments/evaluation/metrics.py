@@ -11,7 +11,7 @@ from slam.core.results import MapTrajectory
 
 @dataclass(frozen=True)
 class PosePairs:
-    """Poses of the same frames, estimated and true.
+    """Estimated and true poses of the same frames.
 
     Attributes:
         frames: (n,) int frame indices, increasing.
@@ -70,11 +70,11 @@ class Rpe:
 
 @dataclass(frozen=True)
 class Coverage:
-    """How much of the true path the estimate covers.
+    """Part of the true path that the estimate covers.
 
     Attributes:
         path_m: length of the true path between consecutive frames that are both posed.
-        share: of the whole true path; NaN where that does not move.
+        share: share of the whole true path; NaN if that does not move.
     """
 
     path_m: float
@@ -90,10 +90,10 @@ def associate(
         trajectory: estimated poses.
         stamps_s: (N,) float64 times of all frames of the sequence.
         T_world_cam: (N, 4, 4) float64 true poses, NaN where unknown.
-        tolerance_s: how far the two times of a frame may differ.
+        tolerance_s: largest difference of the two times of a frame.
 
     Raises:
-        ValueError: a frame is outside the sequence or its times differ: the two do not belong together.
+        ValueError: a frame is outside the sequence or its times differ.
     """
     frames = np.asarray(trajectory.frames, int)
     if frames.size and (frames.min() < 0 or frames.max() >= len(stamps_s)):
@@ -134,17 +134,17 @@ def rpe(
 ) -> Rpe | Undefined:
     """Relative pose error over steps of ``delta``.
 
-    In frames, every pair of posed frames exactly ``delta`` apart counts; in metres, consecutive steps that
+    In frames, every pair of posed frames exactly ``delta`` apart is used; in metres, consecutive steps that
     each end at the first pose at least ``delta`` of true path after their start.
 
     Args:
         pairs: estimate and truth.
         delta: the step, > 0.
         unit: of the step.
-        scale: metres per map unit, as found by the alignment.
+        scale: metres per map unit, from the alignment.
 
     Returns:
-        The errors; Undefined where no step of this length is posed at both ends.
+        The errors; Undefined if no step of this length is posed at both ends.
 
     Source: Sturm et al., IROS 2012, sec. IV.A, eqs. 1-3.
     """
@@ -169,12 +169,12 @@ def rpe(
 
 
 def path_length_m(T_world_cam: np.ndarray) -> float:
-    """Length of a true path (n, 4, 4), metres; steps to or from an unknown pose count nothing."""
+    """Length of a true path (n, 4, 4), metres, without steps to or from an unknown pose."""
     return float(np.nansum(np.linalg.norm(np.diff(T_world_cam[:, :3, 3], axis=0), axis=1)))
 
 
 def coverage(frames: np.ndarray, T_world_cam: np.ndarray) -> Coverage:
-    """True path covered by the posed frames, and its share of the whole.
+    """Length of true path covered by the posed frames, and its share of the whole.
 
     Args:
         frames: (n,) int indices of the posed frames.

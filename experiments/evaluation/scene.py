@@ -1,4 +1,4 @@
-"""A run laid out for the eye: every map aligned to the truth for display only, up axis, extent."""
+"""Layout of a run for display: every map aligned to the truth, up axis, extent."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,12 +13,12 @@ from slam.core.results import MapTrajectory
 
 @dataclass(frozen=True)
 class Scene:
-    """What is drawn of a run.
+    """Drawable geometry of a run.
 
     Attributes:
         T_world_cam: (N, 4, 4) float64 true poses, NaN where unknown; None without truth.
-        alignments: per map id of the live poses, its place in the world; maps that have none are left out.
-        final: final paths in the world, per map id, those that can be placed.
+        alignments: alignment to the world per map id of the live poses; maps without one are left out.
+        final: final paths in the world per map id, of the maps that can be aligned.
         up: (3,) unit vector, the mean upward direction of the camera, to the nearest axis.
         centre, extent: of all paths drawn, metres or map units.
     """
@@ -32,7 +32,7 @@ class Scene:
 
 
 def lay_out(record: RunRecord) -> Scene:
-    """Place the maps of a run; without truth each is shown in its own frame."""
+    """Align the maps of a run to the world; without truth each stays in its own frame."""
     alignments = {k: _placement(record, t) for k, t in record.live.items()}
     placed = {k: a for k, a in alignments.items() if isinstance(a, Similarity)}
     final = {}
@@ -52,7 +52,7 @@ def lay_out(record: RunRecord) -> Scene:
 
 
 def together(scenes: Sequence[Scene]) -> Scene:
-    """The scene of several runs over one sequence: its truth, and the extent of all; no maps of its own."""
+    """The common scene of several runs over one sequence: its truth and their extent, without maps."""
     low = np.min([s.centre - s.extent / 2 for s in scenes], axis=0)
     high = np.max([s.centre + s.extent / 2 for s in scenes], axis=0)
     first = scenes[0]
@@ -71,7 +71,7 @@ def _known(T_world_cam: np.ndarray) -> np.ndarray:
 
 
 def _up(T_world_cam: np.ndarray) -> np.ndarray:
-    """Image rows run downward, so the camera's -y axis points up."""
+    """Mean up direction, to the nearest axis: the camera's -y axis, as image rows run downward."""
     if not len(T_world_cam):
         return np.array([0.0, -1.0, 0.0])
     mean = -T_world_cam[:, :3, 1].mean(axis=0)

@@ -1,4 +1,4 @@
-"""The summary of a run: counts, accuracy, times, audit. Null where the data do not determine a figure."""
+"""The summary of a run: counts, accuracy, times, audit; null for undetermined figures."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
@@ -21,10 +21,10 @@ RPE_STEP_S = 1.0
 def summarise(record: RunRecord) -> dict:
     """All figures of a run as plain JSON values.
 
-    ``ate_m`` is the RMSE after Sim(3) alignment of the map with most frames, over ``ate_poses`` frames; raw
-    accuracy rewards a system that got lost early, so read it beside ``share_tracked`` and ``path_share``.
+    ``ate_m`` is the RMSE after Sim(3) alignment of the map with most frames, over ``ate_poses`` frames. It
+    favours a system that gets lost early, so read it together with ``share_tracked`` and ``path_share``.
     ``cpu_ms_*`` is the CPU time of the tracking stages per frame, ``mapping_cpu_ms_*`` that of local mapping
-    per keyframe, ``loop_cpu_ms_*`` that of loop closing. ``dropped_frames`` came too late to be fed; they are
+    per keyframe, ``loop_cpu_ms_*`` that of loop closing. ``dropped_frames`` were too late to be fed; they are
     not among the ``frames``.
     """
     outcomes = breakage_outcomes(record.events, record.sequence.segments, list(record.sequence.stamps_s))
@@ -49,12 +49,12 @@ def summarise(record: RunRecord) -> dict:
 
 
 def is_tracked(result: TrackingResult) -> bool:
-    """The frame has a pose."""
+    """True if the frame has a pose."""
     return result.state is TrackingState.TRACKING and result.T_map_cam is not None
 
 
 def main_map_pairs(record: RunRecord) -> metrics.PosePairs | None:
-    """The path of the main map, that with most frames, beside the truth; None where either is missing."""
+    """Path of the main map, which has most frames, paired with the truth; None if either is missing."""
     truth = record.sequence.T_world_cam
     if truth is None or not record.trajectories:
         return None
@@ -62,10 +62,10 @@ def main_map_pairs(record: RunRecord) -> metrics.PosePairs | None:
 
 
 def segment_rows(record: RunRecord, outcomes: list[BreakageOutcome]) -> list[dict]:
-    """Per injected segment: frames, tracked frames, breakages, what healed them, ATE with its completeness.
+    """Figures of each injected segment: frames, breakages, repairs, ATE with its number of frames.
 
-    The ATE of a segment is that of the main map, aligned as a whole, over the segment's frames. A breakage
-    counts for every one of the segments that lay over one another when it fell.
+    The ATE of a segment is that of the main map, aligned as a whole, over the segment's frames. A breakage in
+    overlapping segments counts in each of them.
     """
     errors = _main_map_errors(record)
     rows = []
@@ -95,7 +95,7 @@ def segment_rows(record: RunRecord, outcomes: list[BreakageOutcome]) -> list[dic
 
 
 def stage_times(results: Iterable[TrackingResult]) -> dict[str, dict[str, float | None]]:
-    """Median and 95th percentile of every tracking stage, over the frames in which it ran."""
+    """Median and 95th percentile of the times of each tracking stage, over the frames in which it ran."""
     wall: dict[str, list[float]] = {}
     cpu: dict[str, list[float]] = {}
     for result in results:
@@ -166,7 +166,7 @@ def _accuracy(record: RunRecord) -> dict:
 
 
 def time_figures(results: Sequence[TrackingResult]) -> dict[str, float | None]:
-    """Median and 95th percentile: tracking per frame, wall and CPU; mapping and loops per keyframe, CPU."""
+    """Medians and 95th percentiles of times: tracking per frame, mapping and loop closing per keyframe."""
     cpu = [sum(r.cpu_ms.values()) for r in results]
     mapping = [r.mapping_cpu_ms for r in results if r.mapping_cpu_ms > 0]
     loops = [r.loop_cpu_ms for r in results if r.loop_cpu_ms > 0]
@@ -199,7 +199,7 @@ def _breakage(outcome: BreakageOutcome, record: RunRecord) -> dict:
 
 
 def _main_map_errors(record: RunRecord) -> dict[int, float]:
-    """Position error, metres, of every frame of the main map; empty where there is none to be had."""
+    """Position error, metres, of every frame of the main map; empty if undetermined."""
     pairs = main_map_pairs(record)
     if pairs is None:
         return {}

@@ -1,7 +1,7 @@
-"""Random scenarios through the systems: does anything raise, hang, or leave an inconsistent map behind?
+"""Random scenarios through the systems, to find exceptions, hangs and inconsistent maps.
 
-What the systems make of a scenario is not judged here. Every run is in a process that it may hang or bring
-down, and the invariants are proved at every frame that something happened at, and at the end.
+Accuracy is not judged. Every unit runs in a worker process, which it may block or crash. The invariants are
+checked at every frame with an event, and at the end.
 """
 
 import hashlib
@@ -9,22 +9,26 @@ import json
 import tempfile
 import time
 import traceback
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from experiments.fuzz.isolation import Death, run_isolated
+from experiments.campaign.unit_job import Task
+from experiments.campaign.worker_pool import Ended, WorkerPool, WorkerPoolSettings, embedded_worker_pool
 from experiments.runs.execution import Mode, RunRecord, SystemFactory, SystemKind, execute, system_factory
 from experiments.runs.files import plain
-from experiments.runs.output import new_directory
 from experiments.runs.provenance import commit
 from scenarios.loading import dump_yaml
 from scenarios.random_scenarios import random_scenario
 from scenarios.spec import Scenario
+from sim.io.folders import new_directory
 from sim.sequence import Sequence as ImageSequence
 from sim.sequence_rendering import render_sequence
 from slam.core.events import Event
@@ -38,7 +42,7 @@ FAILED_DIR = "failed"
 
 
 class FuzzOutcome(StrEnum):
-    """How a run ended."""
+    """Outcome of a run."""
 
     OK = "ok"
     EXCEPTION = "exception"
@@ -53,8 +57,8 @@ class FuzzUnit:
 
     Attributes:
         seed: of the scenario, the images and the systems.
-        systems: in this order.
-        mode: threaded systems are checked at the end only.
+        systems: the systems, in the order of their runs.
+        mode: threaded systems are checked only at the end.
     """
 
     seed: int
@@ -69,17 +73,24 @@ def run_fuzz(
     timeout_s: float = 600.0,
     progress: Callable[[dict[str, Any], int, int], None] | None = None,
     job: Callable[[FuzzUnit], Iterator[dict[str, Any]]] | None = None,
+    open_pool: Callable[
+        [WorkerPoolSettings, Task], AbstractContextManager[WorkerPool]
+    ] = embedded_worker_pool,
 ) -> list[dict[str, Any]]:
     """Run units and write one row per system of each.
 
+    A unit whose process dies or is late is run again one system at a time, so that only the system at fault
+    fails.
+
     Args:
-        units: what to run.
+        units: the units to run.
         out_dir: absent or empty; gets units.jsonl, the same bytes for any number of processes; times.jsonl;
             and under ``failed`` the scenario of every unit that failed.
-        workers: processes.
-        timeout_s: the longest that one run, or the rendering before it, may take.
-        progress: called with each row as it comes, runs done and runs in all.
-        job: one unit; :func:`fuzz_unit` by default.
+        workers: number of processes.
+        timeout_s: longest duration of one system's run and the rendering before it.
+        progress: called with each new row, runs done and runs in all.
+        job: runs one unit; :func:`fuzz_unit` by default.
+        open_pool: opens the worker pool.
 
     Returns:
         The rows, in order of seed and system.
@@ -89,11 +100,13 @@ def run_fuzz(
     """
     order = {(unit.seed, kind): at for unit in units for at, kind in enumerate(unit.systems)}
     rows: list[dict[str, Any]] = []
+    settings = WorkerPoolSettings(workers, timeout_s=timeout_s, memory_mb=None)
     with new_directory(out_dir) as folder:
-        for row in run_isolated(job or fuzz_unit, units, workers, timeout_s, _owed):
-            rows.append(row)
-            if progress is not None:
-                progress(row, len(rows), len(order))
+        with open_pool(settings, partial(_rows_of, job or fuzz_unit)) as pool:
+            for row in _run(pool, units):
+                rows.append(row)
+                if progress is not None:
+                    progress(row, len(rows), len(order))
         rows.sort(key=lambda row: (row["seed"], order[row["seed"], row["system"]]))
         _write(folder, rows)
     return rows
@@ -103,7 +116,7 @@ def fuzz_unit(unit: FuzzUnit, build: SystemFactory | None = None) -> Iterator[di
     """Render a unit and run each of its systems over it; one row each. Never raises.
 
     Args:
-        unit: what to run.
+        unit: the unit to run.
         build: makes the systems; those of the project by default.
     """
     import cv2
@@ -111,7 +124,7 @@ def fuzz_unit(unit: FuzzUnit, build: SystemFactory | None = None) -> Iterator[di
     cv2.setNumThreads(1)
     started = time.process_time()
     scenario = random_scenario(unit.seed)
-    # Nobody asks for these frames again: they are not kept in the cache.
+    # These frames are used once: they are not kept in the cache.
     with tempfile.TemporaryDirectory(prefix="dslab-") as cache:
         try:
             sequence = render_sequence(scenario, cache_dir=Path(cache))
@@ -131,7 +144,7 @@ def fuzz_run(
     sequence: ImageSequence,
     build: SystemFactory | None = None,
 ) -> dict[str, Any]:
-    """One system over the frames of a unit, proved; its row. Never raises."""
+    """Run one checked system over the frames of a unit and return its row. Never raises."""
     row = empty_row(unit, kind, scenario)
     checks = _Checks(each_frame=unit.mode == "lockstep")
     started = time.process_time()
@@ -141,14 +154,14 @@ def fuzz_run(
             build=build or system_factory(unit.mode),
         )  # fmt: skip
         row |= {"outcome": FuzzOutcome.OK.value, **_figures(record)}
-    except Exception as error:  # whatever it is, it is what this is looking for
+    except Exception as error:  # any error is a finding
         row |= _failure(error, f"frame {checks.frames}")
     row["slam_cpu_s"] = time.process_time() - started
     return row
 
 
 def empty_row(unit: FuzzUnit, kind: SystemKind, scenario: Scenario | None = None) -> dict[str, Any]:
-    """Every column, nothing known yet of the run."""
+    """A row with every column, before the run."""
     scenario = scenario or random_scenario(unit.seed)
     counts = ("frames", "tracked", "maps", "digest", *_COUNTED)
     return {
@@ -168,12 +181,12 @@ def empty_row(unit: FuzzUnit, kind: SystemKind, scenario: Scenario | None = None
 
 
 def failed(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows that did not end well."""
+    """The rows of failed runs."""
     return [row for row in rows if row["outcome"] != FuzzOutcome.OK]
 
 
 def replay_command(row: dict[str, Any]) -> str:
-    """The command that runs one row again."""
+    """The command that repeats the run of a row."""
     return (
         f"dslab experiment fuzz --start {row['seed']} --units 1 --system {row['system']} "
         f"--mode {row['mode']} --out out/fuzz-{row['seed']}"
@@ -181,7 +194,7 @@ def replay_command(row: dict[str, Any]) -> str:
 
 
 class _Checks:
-    """Proves the invariants while a system runs: its answers always, the whole where something happened."""
+    """Checks invariants during a run: of every result, and of the whole system after an event."""
 
     def __init__(self, each_frame: bool) -> None:
         self.frames = 0
@@ -219,7 +232,7 @@ def _figures(record: RunRecord) -> dict[str, Any]:
 
 
 def _digest(record: RunRecord) -> str:
-    """Of all poses and events, bit by bit, times of computing left out."""
+    """Hash of all poses and events, bit by bit, without computing times."""
     digest = hashlib.sha256()
     for path in (*record.trajectories, *record.keyframes):
         for array in (path.frames, path.stamps_s, path.T_map_cam):
@@ -240,14 +253,27 @@ def _failure(error: Exception, stage: str) -> dict[str, Any]:
     }
 
 
-def _owed(death: Death[FuzzUnit]) -> tuple[list[dict[str, Any]], FuzzUnit | None]:
-    """The row of the run that a process died in; the systems after it have their turn in another one."""
-    unit = death.item
-    kind, left = unit.systems[death.rows], unit.systems[death.rows + 1 :]
-    outcome = FuzzOutcome.TIMEOUT if death.timed_out else FuzzOutcome.DIED
-    row = empty_row(unit, kind) | {"outcome": outcome.value, "traceback": death.report}
-    row["message"] = death.report.splitlines()[0]
-    return [row], replace(unit, systems=left) if left else None
+def _rows_of(job: Callable[[FuzzUnit], Iterator[dict[str, Any]]], unit: FuzzUnit) -> list[dict[str, Any]]:
+    return list(job(unit))
+
+
+def _run(pool: WorkerPool, units: Sequence[FuzzUnit]) -> Iterator[dict[str, Any]]:
+    waiting = deque(units)
+    for ended in pool.run(waiting):
+        unit: FuzzUnit = ended.item
+        if ended.result is not None:
+            yield from ended.result
+        elif len(unit.systems) > 1:
+            waiting.extendleft(replace(unit, systems=(kind,)) for kind in reversed(unit.systems))
+        else:
+            yield _row_of_failure(ended)
+
+
+def _row_of_failure(ended: Ended) -> dict[str, Any]:
+    outcome = FuzzOutcome.TIMEOUT if ended.timed_out else FuzzOutcome.DIED
+    trace = ended.report or ended.message
+    found = {"outcome": outcome.value, "message": ended.message, "traceback": trace}
+    return empty_row(ended.item, ended.item.systems[0]) | found
 
 
 def _write(folder: Path, rows: list[dict[str, Any]]) -> None:

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from experiments.gallery.page import Entry, gallery_html
 from experiments.gallery.sheet import Sheet, make_sheet
-from experiments.runs.output import new_directory
 from experiments.runs.provenance import DISTRIBUTION, commit, versions
 from scenarios.errors import InputError
 from scenarios.families import Family, family_names, load_family
 from scenarios.spec import Scenario
+from sim.io.folders import new_directory
 
 PAGE_FILE = "index.html"
 Progress = Callable[[int, int], None]

@@ -1,6 +1,5 @@
 """Paths of replayed units, kept in the experiment's folder for plots like Fig. 8."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import numpy as np
 
 from experiments.evaluation.scene import lay_out
 from experiments.runs.execution import RunRecord
+from sim.io.folders import write_file
 
 PATHS_FILE = "trajectories.npz"
 WHICH = ("truth", "base", "dual")
@@ -46,12 +46,7 @@ def add_paths(folder: Path, unit_id: str, paths: Paths) -> None:
     if file.is_file():
         with np.load(file, allow_pickle=False) as earlier:
             arrays = {name: earlier[name] for name in earlier.files} | arrays
-    partial = folder / f".{PATHS_FILE}.partial.npz"
-    try:
-        np.savez_compressed(partial, **arrays)
-        os.replace(partial, file)
-    finally:
-        partial.unlink(missing_ok=True)
+    write_file(file, lambda path: np.savez_compressed(path, **arrays))
 
 
 def read_paths(folder: Path) -> dict[str, Paths]:

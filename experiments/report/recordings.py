@@ -1,11 +1,11 @@
 """Recordings of failed units, made by replaying them."""
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from experiments.report.paths_file import add_paths, paths_of
+from sim.io.folders import write_file
 
 if TYPE_CHECKING:
     from experiments.eq1.spec import ExperimentSpec
@@ -45,11 +45,8 @@ def _record(unit: "UnitSpec", unit_id: str, folder: Path) -> None:
     from experiments.eq1.trial import record_runs
     from sim.sequence_rendering import render_sequence
 
-    path = folder / FOLDER / f"{unit_id}.rrd"
-    partial = path.with_name(f".{unit_id}.partial.rrd")
-    try:
-        runs = record_runs(unit, render_sequence(unit.scenario), partial)
+    def write(path: Path) -> None:
+        runs = record_runs(unit, render_sequence(unit.scenario), path)
         add_paths(folder, unit_id, paths_of(runs))
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+
+    write_file(folder / FOLDER / f"{unit_id}.rrd", write)

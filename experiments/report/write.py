@@ -1,19 +1,16 @@
 """Files of a report: report.html, report.json, plots/, and recordings on request."""
 
-import errno
-import os
-import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
-from uuid import uuid4
 
 from experiments.report.content import report_content
 from experiments.report.page import report_html
-from experiments.report.plots.draw import Plot, draw_plots
+from experiments.report.plots.draw import draw_plots
 from experiments.report.recordings import add_recordings
 from experiments.runs.files import to_json
-from scenarios.errors import InputError
+from sim.io.folders import new_directory, unwritable, write_file
 
 PAGE, FIGURES, PLOTS = "report.html", "report.json", "plots"
 
@@ -47,47 +44,18 @@ def write_report(
             add_recordings(report, spec, folder, recordings, progress)
         return write_files(report, folder)
     except OSError as error:
-        raise _unwritable(folder, error) from error
+        raise unwritable(folder, error) from error
 
 
 def write_files(report: dict[str, Any], folder: Path) -> Path:
     """Draw the plots, write page, figures and plots, and return the path of the page."""
     plots = draw_plots(report, folder)
     page = report_html(report, plots)
-    _put_plots(folder, plots)
-    _put(folder / FIGURES, to_json(report, indent=1) + "\n")
-    _put(folder / PAGE, page)
-    return folder / PAGE
-
-
-def _put(path: Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.partial-{uuid4().hex[:8]}")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
-
-
-def _put_plots(folder: Path, plots: dict[str, Plot]) -> None:
-    """Replace the folder of plots, so that no plot of an earlier report remains."""
-    final = folder / PLOTS
-    partial = folder / f".{PLOTS}.partial-{uuid4().hex[:8]}"
-    old = partial.with_name(partial.name + "-old")
-    try:
-        partial.mkdir()
+    # Replaced as a whole, so that no plot of an earlier report stays.
+    with new_directory(folder / PLOTS, replaces="*") as place:
         for plot in plots.values():
-            (partial / f"{plot.name}.svg").write_bytes(plot.svg)
-            (partial / f"{plot.name}.png").write_bytes(plot.png)
-        if final.exists():
-            final.rename(old)
-        partial.rename(final)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-        shutil.rmtree(old, ignore_errors=True)
-
-
-def _unwritable(folder: Path, error: OSError) -> InputError:
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return InputError(str(folder), "the disk is full", "free some space or choose another disk")
-    return InputError(str(folder), f"cannot be written ({error.strerror})", "make it writable")
+            (place / f"{plot.name}.svg").write_bytes(plot.svg)
+            (place / f"{plot.name}.png").write_bytes(plot.png)
+    for name, text in ((FIGURES, to_json(report, indent=1) + "\n"), (PAGE, page)):
+        write_file(folder / name, partial(Path.write_text, data=text, encoding="utf-8"))
+    return folder / PAGE

@@ -1,4 +1,4 @@
-"""Feed a sequence to a SLAM system and keep everything it said."""
+"""Run a SLAM system over a sequence and keep all of its results and events."""
 
 import time
 from collections.abc import Callable, Iterable
@@ -20,12 +20,12 @@ from slam.map.map import Map
 
 SystemKind = Literal["base", "dual", "dual+"]
 Mode = Literal["lockstep", "threaded"]
-"""How tracking, mapping and loop closing share time: ``slam.runtime.backend.ExecutionMode`` by name."""
+"""Schedule of tracking, mapping and loop closing: ``slam.runtime.backend.ExecutionMode`` by name."""
 Progress = Callable[[int, int], None]
 
 
 class SlamSystem(Protocol):
-    """What is asked of a SLAM system: see ``slam.system``."""
+    """Interface of a SLAM system: see ``slam.system``."""
 
     events: list[Event]
 
@@ -46,7 +46,7 @@ AtEnd = Callable[[SlamSystem, Sequence], None]
 
 
 class Observer(Protocol):
-    """Something that watches a run, such as a recording."""
+    """Observer of a run, such as a recording."""
 
     def frame(self, image: np.ndarray, result: TrackingResult, system: SlamSystem) -> None:
         """Called after every frame."""
@@ -55,20 +55,20 @@ class Observer(Protocol):
 
 @dataclass(frozen=True)
 class RunRecord:
-    """One run, complete.
+    """The complete record of one run.
 
     Attributes:
-        sequence: what was fed; without the frames that were dropped.
-        system_kind, seed, config: what it was fed to.
+        sequence: the input, without dropped frames.
+        system_kind, seed, config: of the system.
         results: one per frame, in order, without keypoints.
-        events: everything the system declared.
+        events: all events of the system.
         trajectories: final paths, the map with most frames first.
         keyframes: final keyframe poses per map.
-        live: the poses as they were given frame by frame, per map.
+        live: the poses as returned frame by frame, per map.
         map_points: number of points per map.
         wall_s: time spent in the system.
         peak_rss_mb: largest resident memory of the process during the run.
-        dropped_frames: frames that came too late to be fed.
+        dropped_frames: number of frames that were too late to be fed.
     """
 
     sequence: Sequence
@@ -87,7 +87,7 @@ class RunRecord:
 
 
 def slam_camera(camera: Intrinsics) -> PinholeCamera:
-    """The simulator's camera as the estimator takes it."""
+    """Convert the simulator's camera to the estimator's."""
     return PinholeCamera(**asdict(camera))
 
 
@@ -101,20 +101,20 @@ def execute(
     pace: RealTime | None = None,
     at_end: AtEnd | None = None,
 ) -> RunRecord:
-    """Run a system over a sequence: image, time and intrinsics in, nothing else.
+    """Run a system over a sequence; its only inputs are image, time and intrinsics.
 
-    A system numbers the frames that it is fed. Where some are dropped, the record is that of a sequence
-    without them.
+    A system numbers the frames that it is fed. If some are dropped, the record is that of a sequence without
+    them.
 
     Args:
         sequence: frames, times, camera; its truth is not passed on.
         system_kind: ``base``, ``dual`` or ``dual+``.
         seed: root of every random stream of the system.
-        observer: told of every frame.
+        observer: called after every frame.
         progress: called with (frames done, frames in all).
         build: makes the system; ``slam.factory.build_system`` by default.
-        pace: feeds in real time; None for as fast as the frames are taken.
-        at_end: called when all is done, for what is wanted of the system itself.
+        pace: feeds in real time; None for as fast as possible.
+        at_end: called with the finished system.
 
     Raises:
         InputError: a frame cannot be read.
@@ -159,7 +159,7 @@ def record_of(
     wall_s: float,
     dropped: int = 0,
 ) -> RunRecord:
-    """The record of a finished system; arguments as its fields."""
+    """Make the record of a finished system; arguments as its fields."""
     results = tuple(results)
     return RunRecord(
         sequence=sequence,
@@ -181,12 +181,12 @@ def record_of(
 def system_factory(
     mode: Mode = "lockstep", dual: DualConfig | None = None, config: SlamConfig | None = None
 ) -> SystemFactory:
-    """What makes the systems of this project, for one way of running them.
+    """A factory of this project's systems.
 
     Args:
-        mode: how tracking, mapping and loop closing share time.
-        dual: settings of Dual-SLAM, its defaults where None.
-        config: settings of the base, the published ones for the image size where None.
+        mode: schedule of tracking, mapping and loop closing.
+        dual: settings of Dual-SLAM; None for its defaults.
+        config: settings of the base; None for the published ones for the image size.
     """
     from slam.factory import build_system
     from slam.runtime.backend import ExecutionMode
@@ -196,7 +196,7 @@ def system_factory(
 
 
 def live_trajectories(results: Iterable[TrackingResult]) -> dict[int, MapTrajectory]:
-    """The poses as given frame by frame, gathered per map."""
+    """The poses returned frame by frame, grouped by map."""
     rows: dict[int, list[TrackingResult]] = {}
     for result in results:
         if result.state is TrackingState.TRACKING and result.T_map_cam is not None:
@@ -213,5 +213,5 @@ def live_trajectories(results: Iterable[TrackingResult]) -> dict[int, MapTraject
 
 
 def without_features(result: TrackingResult) -> TrackingResult:
-    """What is kept of a frame."""
+    """A copy of a frame's result without its features."""
     return replace(result, keypoints_px=np.empty((0, 2), np.float32), inlier_mask=np.empty(0, bool))

@@ -31,7 +31,7 @@ def write_tum(path: Path, trajectory: MapTrajectory | None) -> None:
 
 
 def write_frames_csv(path: Path, results: Iterable[TrackingResult]) -> None:
-    """One row per frame; milliseconds in all and per stage, wall (``ms``) and CPU (``cpu_ms``)."""
+    """Write one row per frame: milliseconds in total and per stage, wall (``ms``) and CPU (``cpu_ms``)."""
     results = list(results)
     stages = list(dict.fromkeys(stage for r in results for stage in (*r.ms, *r.cpu_ms)))
     header = ["frame", "stamp_s", "state", "map_id", "inliers", "matches", "keyframe", "reason"]
@@ -49,19 +49,19 @@ def write_frames_csv(path: Path, results: Iterable[TrackingResult]) -> None:
 
 
 def write_events(path: Path, events: Iterable[Event]) -> None:
-    """One JSON object per line and event, in order."""
+    """Write one JSON object per line and event, in order."""
     with path.open("w", encoding="utf-8") as file:
         for event in events:
             file.write(to_json(event.record()) + "\n")
 
 
 def to_json(value: Any, indent: int | None = None) -> str:
-    """Strict JSON: NumPy numbers as numbers, NaN and infinities as null."""
+    """Encode as strict JSON: NumPy numbers as numbers, NaN and infinities as null."""
     return json.dumps(plain(value), indent=indent, allow_nan=False)
 
 
 def plain(value: Any) -> Any:
-    """A value made of dicts, lists and Python scalars only; NaN and infinities as None."""
+    """Convert to dicts, lists and Python scalars; NaN and infinities become None."""
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

@@ -1,9 +1,9 @@
 """Another SLAM system as a program: run on the same frames, judged by the same code.
 
-The program is any command line that takes a TUM-form folder and a result folder and leaves there
+The program is any command line that takes a TUM-form folder and a result folder and writes into the latter
 ``trajectory.txt`` (TUM form) and ``summary.json`` with at least ``cpu_ms_median`` (tracking, per frame),
-``tracked`` and ``frames``; ``first_tracked_frame`` is taken where it is there. Memory is not compared: what
-a program started from here calls its peak may be ours at the start.
+``tracked`` and ``frames``; ``first_tracked_frame`` is optional. Memory is not compared: the peak that a child
+process reports may be inherited from this process.
 """
 
 import shlex
@@ -29,13 +29,13 @@ _TUM_NAMES = ["stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
 
 @dataclass(frozen=True)
 class ForeignRun:
-    """What a peer left of one run.
+    """Result of one run of a peer.
 
     Attributes:
         cpu_ms_median: CPU milliseconds of tracking, median over the frames.
         tracked: number of frames with a pose.
-        first_tracked_frame: None where it does not say.
-        trajectory: its path; None where it tracked nothing.
+        first_tracked_frame: None if not given.
+        trajectory: its path; None if it tracked nothing.
     """
 
     cpu_ms_median: float
@@ -49,9 +49,9 @@ class ForeignSystem:
 
     Args:
         command: its words, without the two folders.
-        sequence: what is in the folder.
+        sequence: the content of the folder.
         sequence_dir: the TUM-form folder.
-        scratch: where result folders may be made.
+        scratch: folder for result folders.
     """
 
     def __init__(self, command: list[str], sequence: Sequence, sequence_dir: Path, scratch: Path) -> None:
@@ -59,7 +59,7 @@ class ForeignSystem:
         self._sequence_dir, self._scratch = sequence_dir, scratch
 
     def run(self) -> ForeignRun:
-        """Run the program once; its output is shown only in part, where it fails.
+        """Run the program once; the last line of its errors is shown if it fails.
 
         Raises:
             InputError: it cannot be started, fails, or leaves files that are missing or not valid.
@@ -73,8 +73,8 @@ class ForeignSystem:
             raise InputError(where, f"cannot be run ({error.strerror})", "check the command") from None
         if ended.returncode != 0:
             lines = ended.stderr.decode(errors="replace").strip().splitlines()
-            said = lines[-1].strip() if lines else "no message"
-            problem = f"ended with exit code {ended.returncode}: {said}"
+            last = lines[-1].strip() if lines else "no message"
+            problem = f"ended with exit code {ended.returncode}: {last}"
             raise InputError(where, problem, "run it by hand on a sequence folder")
         return read_foreign_run(out_dir, self._sequence)
 
@@ -83,12 +83,12 @@ class ForeignSystem:
 def open_foreign_system(
     command: str, source: str, sequence: Sequence, progress: Callable[[str, int, int], None] | None = None
 ) -> Iterator[ForeignSystem]:
-    """A peer and the folder it is to read, for the length of the block.
+    """Open a peer and the folder that it reads, for the duration of the block.
 
     Args:
-        command: command line, options included, without the two folders.
-        source: what the sequence was opened from; a TUM-form folder is read by the peer where it is, all
-            else is written as one for the time being.
+        command: command line with options, without the two folders.
+        source: source of the sequence; the peer reads a TUM-form folder in place, anything else is written to
+            a temporary one.
         sequence: the frames.
         progress: called with (step, done, total) while writing.
 
@@ -105,7 +105,7 @@ def open_foreign_system(
 
 
 def check_command(command: str) -> list[str]:
-    """The words of a command line. Raises InputError if it is none or there is no such program."""
+    """Split a command line into words. Raises InputError if it is not valid or the program is missing."""
     try:
         words = shlex.split(command)
     except ValueError as error:
@@ -118,7 +118,7 @@ def check_command(command: str) -> list[str]:
 
 
 def read_foreign_run(out_dir: Path, sequence: Sequence) -> ForeignRun:
-    """Read what a peer has left of a run over a sequence.
+    """Read the result files of a peer's run.
 
     Raises:
         InputError: a file is missing, malformed, or does not belong to the sequence.
@@ -126,7 +126,7 @@ def read_foreign_run(out_dir: Path, sequence: Sequence) -> ForeignRun:
     path = out_dir / "summary.json"
     summary = read_json(path, dict)
     if summary is None:
-        raise InputError(str(path), "the peer has not written it", "see what the peer must leave")
+        raise InputError(str(path), "the peer has not written it", "see `dslab bench --help`")
     frames = _count(path, summary, "frames", None)
     if frames != len(sequence):
         problem = f"is {frames}, the sequence has {len(sequence)}"
@@ -142,11 +142,11 @@ def read_foreign_run(out_dir: Path, sequence: Sequence) -> ForeignRun:
 
 
 def _read_trajectory(path: Path, sequence: Sequence, tracked: int) -> MapTrajectory | None:
-    """The poses, each given to the frame of its stamp; a peer that tracked nothing may leave no file."""
+    """Read the poses and assign each to the frame of its stamp; the file is optional if none is tracked."""
     if tracked == 0 and not path.exists():
         return None
     rows: list[list[float]] = []
-    for where, words in read_rows(path, "see what the peer must leave"):
+    for where, words in read_rows(path, "see `dslab bench --help`"):
         check_words(where, words, _TUM_NAMES)
         rows.append(to_numbers(where, words, _TUM_NAMES))
         if not 0.99 < np.linalg.norm(rows[-1][4:]) < 1.01:

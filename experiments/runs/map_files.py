@@ -8,13 +8,13 @@ from slam.map.export import colmap_model, write_colmap
 
 
 def write_maps(folder: Path, system: SlamSystem, sequence: Sequence) -> None:
-    """Write every map: into the folder itself, or of several each into a sub-folder by its number.
+    """Write the map into a folder, or several maps into sub-folders named by map id.
 
     Args:
-        folder: to be made; it is not where there is no map.
+        folder: created if there is a map.
         system: finished.
-        sequence: the frames it was fed; images are named by their files where those are known, and give the
-            points their grey.
+        sequence: the frames it was fed; images are named by their files if those are known, and give the
+            points their grey value.
 
     Raises:
         InputError: a frame cannot be read.

@@ -1,4 +1,4 @@
-"""Peak memory of one stretch of work in this process."""
+"""Peak memory of a part of this process's run."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ _STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 
 def reset_peak() -> None:
-    """Start a new peak where the system can: Linux; elsewhere the peak stays the process's own."""
+    """Reset the peak on Linux; elsewhere the peak remains that of the whole process."""
     try:
         _CLEAR.write_text("5")
     except OSError:

@@ -1,4 +1,4 @@
-"""The pace at which frames are fed: as they are taken, or in real time with late ones dropped."""
+"""Feeding frames in real time, with late ones dropped."""
 
 import time
 from typing import Protocol
@@ -9,7 +9,7 @@ from sim.sequence import Sequence
 
 
 class Clock(Protocol):
-    """Where the time comes from."""
+    """Source of time."""
 
     def now_s(self) -> float:
         """Seconds since some fixed moment."""
@@ -21,7 +21,7 @@ class Clock(Protocol):
 
 
 class WallClock:
-    """The time that passes for everyone."""
+    """The system's monotonic clock."""
 
     def now_s(self) -> float:
         """Seconds since some fixed moment."""
@@ -35,14 +35,14 @@ class WallClock:
 class RealTime:
     """Feeds the frames of a sequence at the pace of their stamps, as a camera would.
 
-    The first frame is due when it is asked for. A frame whose turn comes more than one frame interval after
-    it was due is dropped: the camera has the next one by then. So does a driver with a queue of one image, in
-    which the newest takes the place of one not yet taken, as ORB-SLAM's drivers of live cameras do. Its
-    drivers of recorded sequences drop nothing, however late: that is no real time.
+    The first frame is due when it is requested. A frame whose turn comes more than one frame interval after
+    it was due is dropped, since the camera has the next one by then. This is a queue of one image, in which
+    the newest replaces an older one, as in ORB-SLAM's drivers of live cameras. Its drivers of recorded
+    sequences never drop frames and hence are not real-time.
 
     Args:
-        sequence: the frames to come; its median frame interval is the one that counts.
-        clock: the wall clock where None.
+        sequence: the frames to feed; its median frame interval is the allowed delay.
+        clock: source of time; None for the wall clock.
     """
 
     def __init__(self, sequence: Sequence, clock: Clock | None = None) -> None:
@@ -53,11 +53,11 @@ class RealTime:
         self._started_s: float | None = None
 
     def is_late(self, frame: int) -> bool:
-        """Whether the turn of a frame comes too late for it to be fed."""
+        """True if a frame is too late to be fed."""
         return self._clock.now_s() - self._due_s(frame) > self._interval_s
 
     def wait_for(self, frame: int) -> None:
-        """Return when a frame is due."""
+        """Wait until a frame is due."""
         self._clock.wait_until(self._due_s(frame))
 
     def _due_s(self, frame: int) -> float:

@@ -1,4 +1,4 @@
-"""Where a result comes from: the code's commit, versions, the machine."""
+"""Provenance of a result: the code's commit, versions, the machine."""
 
 import hashlib
 import json
@@ -26,7 +26,7 @@ _REPORTED = (
 
 @cache
 def commit() -> str | None:
-    """Git commit of the code that runs, with ``-dirty`` where it was changed; None outside a work tree."""
+    """Git commit of the running code, with ``-dirty`` if it was changed; None outside a work tree."""
     folder = Path(__file__).resolve().parents[2]
     if not (folder / ".git").exists():
         return None
@@ -65,7 +65,7 @@ def _package_hash() -> str:
 
 @cache
 def versions() -> dict[str, str]:
-    """Versions of Python, of this project and of what its numbers rest on."""
+    """Versions of Python, of this project and of the packages that affect its results."""
     found = {"python": platform.python_version(), DISTRIBUTION: _version(DISTRIBUTION)}
     return found | {name: _version(name) for name in _REPORTED}
 

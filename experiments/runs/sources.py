@@ -1,4 +1,4 @@
-"""A sequence from what a user names: a folder, a scenario, or a scenario file."""
+"""Open a sequence by a user's name for it: a folder, a scenario, or a scenario file."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,18 +21,18 @@ def open_sequence(
     depth: bool = False,
     renderer: str | None = None,
 ) -> Sequence:
-    """Load a sequence folder, or render a scenario (or take it from the cache).
+    """Load a sequence folder, or render a scenario or read it from the cache.
 
     Args:
         source: a folder in TUM, KITTI, EuRoC or TUM-mono form, the name of a scenario, or the path of its
             YAML file.
-        seed: root seed of a scenario, with which it is drawn too; its own where None; a folder has none.
+        seed: root seed of a scenario, with which it is also drawn; None for its own; unused for a folder.
         progress: called with (step, frames done, frames in all) while rendering.
-        depth: render a scenario with depth images; a folder has them or not.
-        renderer: what renders a scenario, one of ``sim.rendering.renderers``; None for the default one.
+        depth: render a scenario with depth images; no effect on a folder.
+        renderer: renderer of a scenario, one of ``sim.rendering.renderers``; None for the default one.
 
     Raises:
-        InputError: there is no such thing, it is not valid, or a renderer is named for a folder.
+        InputError: the source does not exist or is not valid, or a renderer is named for a folder.
     """
     path = Path(source)
     if path.is_dir():
@@ -60,19 +60,19 @@ def open_sequence(
 def open_imu(
     source: str, stamps_s: np.ndarray, seed: int | None = None, wanted: bool | None = None
 ) -> tuple[ImuReadings, ImuTruth | None] | None:
-    """Inertial readings of a sequence: those in its folder, or those along a scenario's motion.
+    """Open the inertial readings of a folder, or make those along a scenario's motion.
 
     Args:
         source: as for ``open_sequence``.
         stamps_s: (N,) stamps of its frames.
-        seed: root seed of a scenario, its own where None.
-        wanted: False for none, True for EuRoC's sensor where a scenario names none, None for what there is.
+        seed: root seed of a scenario; None for its own.
+        wanted: False for none; True for EuRoC's sensor if a scenario names none; None for the source's.
 
     Returns:
-        The readings and, of a scenario, the truth at its frames; None where there are none.
+        The readings and, for a scenario, the truth at its frames; None without readings.
 
     Raises:
-        InputError: they are wanted of a folder that has none, or the source is not valid.
+        InputError: a folder has no readings although wanted, or the source is not valid.
     """
     if wanted is False:
         return None
@@ -94,7 +94,7 @@ def open_imu(
 
 
 def _image_names(folder: Path) -> tuple[str, ...]:
-    """File names of the images in a folder's order, relative to it; none of the TUM-mono form's."""
+    """Names of the image files, relative to the folder, in its order; empty for the TUM-mono form."""
     from sim.io import euroc_layout, kitti, layout
     from sim.io.forms import Form, detect_form, sequence_folder
     from sim.io.text import read_rows

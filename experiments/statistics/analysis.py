@@ -1,4 +1,4 @@
-"""The whole analysis of an experiment's table of records: pure, no files, the same for the same table."""
+"""The whole analysis of an experiment's table of records: a pure function of the table."""
 
 import numpy as np
 import pandas as pd
@@ -15,46 +15,21 @@ from experiments.statistics.results import (
     AnalysisSettings,
     BaselineErrors,
     BetaBinomial,
-    BetaFactor,
     CellAnalysis,
     DosePoint,
     DoseResponse,
-    EckhardtLee,
     Estimate,
     Heterogeneity,
-    LevelAnalysis,
-    Mixture,
-    ThreadAnalysis,
-    Verdict,
 )
 from scenarios.seeds import rng_for
-
-__all__ = [
-    "Analysis",
-    "AnalysisSettings",
-    "BaselineErrors",
-    "BetaBinomial",
-    "BetaFactor",
-    "CellAnalysis",
-    "DosePoint",
-    "DoseResponse",
-    "EckhardtLee",
-    "Estimate",
-    "Heterogeneity",
-    "LevelAnalysis",
-    "Mixture",
-    "ThreadAnalysis",
-    "Verdict",
-    "analyse",
-]
 
 _DEFAULT = AnalysisSettings()
 
 
 def analyse(table: pd.DataFrame, threads: int, settings: AnalysisSettings = _DEFAULT) -> Analysis:
-    """Everything that the records say about Eq. 1.
+    """Analyse an experiment's records with respect to Eq. 1.
 
-    Only completed units count; void units and infrastructure errors are counted beside them.
+    Only completed units enter the figures; void units and infrastructure errors are counted separately.
 
     Args:
         table: one row per unit, columns as `experiments.eq1.records.columns`; missing ones count as unknown.
@@ -92,7 +67,7 @@ def analyse(table: pd.DataFrame, threads: int, settings: AnalysisSettings = _DEF
 
 
 def _typed(table: pd.DataFrame, threads: int) -> pd.DataFrame:
-    """The record's columns in nullable types, in an order that does not hang on which unit ended first."""
+    """The records' columns in nullable types, in an order independent of which unit ended first."""
     wanted = columns(threads)
     table = table.reindex(columns=list(wanted))
     table = table.astype({name: PANDAS_TYPES[kind] for name, kind in wanted.items()})
@@ -135,7 +110,7 @@ def _heterogeneity(
 
 
 def _unevenness(cells: list[CellData], threads: int) -> tuple[BetaBinomial, ...]:
-    """Difficulty over cells, per quantity, and over units, of all their crossings."""
+    """Uneven difficulty over cells, per quantity, and over units, for all their crossings."""
     named = {"p0 over cells": "breakage"}
     named |= {f"pr{j} over cells": thread_column("cross", j, "failed") for j in range(1, threads + 1)}
     found = []
@@ -152,7 +127,7 @@ def _unevenness(cells: list[CellData], threads: int) -> tuple[BetaBinomial, ...]
 
 
 def _failed_threads(cells: list[CellData], threads: int) -> list[int]:
-    """Per breakage of the free arm, how many of its recoveries failed."""
+    """Number of failed recoveries of each breakage in the free arm."""
     names = [thread_column("free", j, "failed") for j in range(1, threads + 1)]
     failed: list[int] = []
     for cell in cells:
@@ -218,7 +193,7 @@ def _conditioning(table: pd.DataFrame, settings: AnalysisSettings) -> tuple[Base
 
 
 def _notes(cells: tuple[CellAnalysis, ...], settings: AnalysisSettings) -> tuple[str, ...]:
-    """What a reader must know beside the figures."""
+    """Remarks needed to read the figures."""
     if not cells:
         return ("No unit has been recorded.",)
     notes = []

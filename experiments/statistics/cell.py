@@ -33,7 +33,7 @@ class CellData:
     Attributes:
         name: of the cell.
         rows: all its records.
-        completed: those that count.
+        completed: the records that enter the figures.
         threads: largest n.
     """
 
@@ -44,16 +44,16 @@ class CellData:
 
     @classmethod
     def of_rows(cls, name: str, rows: pd.DataFrame, threads: int) -> "CellData":
-        """Completed units whose B is known count."""
+        """Build from a cell's rows; units count if completed with a known B."""
         completed = rows.loc[(rows["outcome"] == Outcome.COMPLETED.value) & rows["breakage"].notna()]
         return cls(name, rows, completed, threads)
 
     def known(self, *columns: str) -> pd.DataFrame:
-        """Completed units in which all these columns say something."""
+        """Completed units in which none of these columns is null."""
         return self.completed.loc[self.completed[list(columns)].notna().all(axis=1)]
 
     def joint(self, n: int) -> JointCounts:
-        """Units that ran both arms to the end, by outcome with the first n threads."""
+        """Counts of the units that completed both arms, by outcome with the first n threads."""
         crossing = [thread_column("cross", j, "failed") for j in range(1, n + 1)]
         rows = self.known(*crossing)
         breakage, failure = flags(rows, "breakage"), rows[dual_column(n)]
@@ -71,7 +71,7 @@ def flags(rows: pd.DataFrame, column: str) -> Bools:
 
 @dataclass(frozen=True)
 class LevelTest:
-    """What is found per cell and n before the correction over cells."""
+    """Test of one cell at one n, before the correction over cells."""
 
     counts: JointCounts
     test: Eq1Test
@@ -95,8 +95,8 @@ def analyse_cell(
 
     Args:
         data: of the cell.
-        tests, corrected, tested_cells: per n from 1: its test, the p corrected over cells and the number of
-            cells that were tested with it.
+        tests, corrected, tested_cells: per n from 1: the test, its p corrected over cells, and the number of
+            cells tested.
         settings: of the analysis.
     """
     done, rows = data.completed, data.rows
@@ -157,7 +157,7 @@ def _level(
     predicted, ratio = predicted_and_ratio(
         counts, settings.draws, rng("posterior", data.name, n), settings.confidence
     )
-    # Holm's least favourable step: a power that the verdict surely had.
+    # Holm's least favourable step: a lower bound of the verdict's power.
     power = test.power(settings.alpha / max(tested_cells, 1))
     margins = counts.margins
     units = float(margins.units[0])
@@ -240,13 +240,12 @@ def _share(
 def _false(
     rows: pd.DataFrame, declared: str, false: str, interval: Callable[[int, int], Proportion]
 ) -> Proportion:
-    said = rows[rows[declared].fillna(False).to_numpy(bool)]
-    return _share(said, false, interval)
+    recovered = rows[declared].fillna(False).to_numpy(bool)
+    return _share(rows.loc[recovered, [false]], false, interval)
 
 
 def _stages(rows: pd.DataFrame, failed: str, stage: str) -> dict[str, int]:
-    hit = rows[rows[failed].fillna(False).to_numpy(bool)]
-    names = hit[stage].fillna("unknown").astype(str)
+    names = rows.loc[rows[failed].fillna(False).to_numpy(bool), stage].fillna("unknown").astype(str)
     return {str(name): int(number) for name, number in names.value_counts().sort_index().items()}
 
 

@@ -1,4 +1,4 @@
-"""Units that share a world are not independent: intervals that resample worlds, and a GEE beside them."""
+"""Intervals for units that share worlds: the cluster bootstrap and a GEE."""
 
 import math
 import warnings
@@ -20,8 +20,8 @@ def cluster_bootstrap(
 ) -> Estimate:
     """Share of units with an event, its interval by resampling whole clusters.
 
-    Percentile interval, widened for the number of clusters as Student's t is over the normal. It says nothing
-    of fewer than two clusters, nor where all units agree (resampling then knows no spread).
+    Percentile interval, widened for the number of clusters as Student's t is over the normal. There is no
+    interval for fewer than two clusters, or if all units agree (resampling then has no spread).
 
     Source: Hesterberg, "What teachers should know about the bootstrap", American Statistician 2015, Sec. 3.
     """
@@ -51,7 +51,7 @@ def cluster_ratio(
         cluster: (N,) labels.
         draws: of the bootstrap.
         rng: of the bootstrap.
-        method: how the ratio was found, in words.
+        method: description of the estimator.
         confidence: of the interval.
     """
     if not (under > 0).all():
@@ -81,19 +81,19 @@ def cluster_median(
     order = np.argsort(values, kind="stable")
     heights = np.cumsum(_resampled(clusters, draws, rng)[:, index[order]], axis=1)
     half = heights[:, -1:] / 2
-    # Of an even number of units the middle lies between two.
+    # The median of an even number of units is the mean of the middle two.
     lower, upper = (values[order][reached.argmax(axis=1)] for reached in (heights >= half, heights > half))
     return Estimate(value, *_percentiles((lower + upper) / 2, clusters, confidence), method)
 
 
 def _numbered(cluster: ArrayLike) -> tuple[np.ndarray, int]:
-    """(N,) number of each unit's cluster, and how many there are."""
+    """(N,) index of each unit's cluster, and the number of clusters."""
     names, index = np.unique(np.asarray(cluster), return_inverse=True)
     return index, len(names)
 
 
 def _resampled(clusters: int, draws: int, rng: np.random.Generator) -> np.ndarray:
-    """(draws, clusters) how often each cluster is drawn."""
+    """(draws, clusters) multiplicity of each cluster in each draw."""
     return rng.multinomial(clusters, np.full(clusters, 1 / clusters), size=draws)
 
 
@@ -120,8 +120,8 @@ def gee_odds_ratio(
     Args:
         event, factor: (N,) per observation.
         cluster: (N,) label, the world.
-        within: (N,) label of a group with an intercept of its own, the cell; groups in which the event always
-            or never happens say nothing of the odds and are left out.
+        within: (N,) label of a group with its own intercept, the cell; groups in which the event always or
+            never happens do not inform the odds and are left out.
         confidence: of the interval.
     """
     method = "GEE odds ratio, exchangeable within worlds, robust errors"
@@ -129,8 +129,8 @@ def gee_odds_ratio(
     rates = (
         pd.Series(event.astype(float)).groupby(group).transform("mean").to_numpy() if event.size else event
     )
-    telling = (rates > 0) & (rates < 1) if event.size else np.zeros(0, bool)
-    event, factor, cluster, group = event[telling], factor[telling], cluster[telling], group[telling]
+    varied = (rates > 0) & (rates < 1) if event.size else np.zeros(0, bool)
+    event, factor, cluster, group = event[varied], factor[varied], cluster[varied], group[varied]
     corners = {(bool(e), bool(f)) for e, f in zip(event, factor, strict=True)}
     if len(corners) < 4 or len(np.unique(cluster)) < 2:
         return Estimate.undetermined(method)
@@ -143,7 +143,7 @@ def gee_odds_ratio(
 def _fit(
     event: Bools, design: Floats, cluster: ArrayLike, column: int, confidence: float
 ) -> tuple[float | None, float | None, float | None]:
-    """A coefficient and its interval; all None where the fit does not settle."""
+    """A coefficient and its interval; all None if the fit does not converge."""
     order = np.argsort(np.asarray(cluster), kind="stable")
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")

@@ -16,7 +16,7 @@ _METHOD = "least squares of logarithms within lead-ins; worlds resampled"
 def lead_ins(table: pd.DataFrame) -> pd.DataFrame:
     """The lead-ins of completed units whose pairs were judged, each once.
 
-    Cells of one base share theirs: it ends before what tells them apart begins.
+    Cells of one base share their lead-ins, which end before the degradation starts.
 
     Args:
         table: of units, with the columns of `experiments.eq1.records.columns`.
@@ -30,13 +30,13 @@ def lead_ins(table: pd.DataFrame) -> pd.DataFrame:
 def baseline_errors(
     rows: pd.DataFrame, quantity: str, draws: int, rng: np.random.Generator, confidence: float = 0.95
 ) -> BaselineErrors | None:
-    """How an error of the relative pose goes with the baseline; None where no pair was judged.
+    """Relate an error of the relative pose to the baseline; None if no pair was judged.
 
-    Every lead-in has a level of its own, so that hard worlds and fast cameras tell nothing: what counts is
-    how the error changes from gap to gap in the same place.
+    Every lead-in has its own level, so that hard worlds and fast cameras do not bias the slope: it measures
+    the change of the error from gap to gap in one place.
 
     Args:
-        rows: as `lead_ins` gives them.
+        rows: from `lead_ins`.
         quantity: ``rotation_deg`` or ``direction_deg``.
         draws: of the bootstrap over worlds.
         rng: of the bootstrap.
@@ -59,15 +59,15 @@ def baseline_errors(
                     cluster_median(error, world, draws, rng, confidence),
                 )
             )
-    told = [g.gap for g in gaps]
+    measured = [g.gap for g in gaps]
     slopes = [
         GapSlope(narrow, wide, _slope(rows, quantity, [narrow, wide], draws, rng, confidence))
-        for narrow, wide in pairwise(told)
+        for narrow, wide in pairwise(measured)
     ]
-    whole = _slope(rows, quantity, told, draws, rng, confidence)
-    told_of = rows[_known(rows, quantity, told).sum(axis=1) > 1]
-    worlds = told_of["world_seed"].nunique()
-    return BaselineErrors(quantity, len(told_of), worlds, tuple(gaps), whole, tuple(slopes))
+    whole = _slope(rows, quantity, measured, draws, rng, confidence)
+    used = rows[_known(rows, quantity, measured).sum(axis=1) > 1]
+    worlds = used["world_seed"].nunique()
+    return BaselineErrors(quantity, len(used), worlds, tuple(gaps), whole, tuple(slopes))
 
 
 def _slope(
@@ -78,7 +78,7 @@ def _slope(
     rng: np.random.Generator,
     confidence: float,
 ) -> Estimate:
-    """Slope of log error on log baseline; what is zero has no logarithm and is left out."""
+    """Slope of log error on log baseline; zeros, which have no logarithm, are left out."""
     baseline_m, error = _by_gap(rows, "baseline_m", gaps), _by_gap(rows, quantity, gaps)
     known = _known(rows, quantity, gaps)
     enough = known.sum(axis=1) > 1
@@ -90,21 +90,21 @@ def _slope(
 
 
 def _known(rows: pd.DataFrame, quantity: str, gaps: list[int]) -> np.ndarray:
-    """(N, G) bool: which errors have a logarithm, and so have their baselines."""
+    """(N, G) bool, true if error and baseline both have a logarithm."""
     return (_by_gap(rows, "baseline_m", gaps) > 0) & (_by_gap(rows, quantity, gaps) > 0)
 
 
 def _by_gap(rows: pd.DataFrame, name: str, gaps: list[int]) -> np.ndarray:
-    """(N, G) a column of every gap."""
+    """(N, G) one column, for every gap."""
     return np.column_stack([_floats(rows, gap, name) for gap in gaps])
 
 
 def _about_own_mean(values: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """(N, G) less the mean of the known ones of each row; 0 where not known."""
+    """(N, G) values minus the mean of each row's known ones; 0 where unknown."""
     means = (values * known).sum(axis=1, keepdims=True) / known.sum(axis=1, keepdims=True)
     return np.where(known, values - means, 0.0)
 
 
 def _floats(rows: pd.DataFrame, gap: int, name: str) -> np.ndarray:
-    """A column as (N,) float64, NaN where it says nothing."""
+    """A column as (N,) float64, nulls as NaN."""
     return rows[pair_column(gap, name)].to_numpy(float, na_value=np.nan)

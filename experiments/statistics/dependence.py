@@ -1,7 +1,7 @@
-"""Do forward and backward failures depend on each other? Two by two tables of paired units."""
+"""Dependence of forward and backward failures: two-by-two tables of paired units."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,7 @@ _POSTERIOR = "interval of posterior draws, one unit's worth of prior"
 
 @dataclass(frozen=True)
 class PairedCounts:
-    """Units by whether A and whether R."""
+    """Units counted by A and R."""
 
     both: int
     only_a: int
@@ -25,12 +25,12 @@ class PairedCounts:
 
     @classmethod
     def of_units(cls, a: Bools, r: Bools) -> "PairedCounts":
-        """Count (N,) by (N,)."""
+        """Count units from (N,) A and (N,) R."""
         return cls(int((a & r).sum()), int((a & ~r).sum()), int((~a & r).sum()), int((~a & ~r).sum()))
 
     @property
     def units(self) -> int:
-        """All of them."""
+        """Number of units."""
         return self.both + self.only_a + self.only_r + self.neither
 
     @property
@@ -48,23 +48,22 @@ def conditional_ratio(
     if has_a == 0 or has_r == 0:
         return Estimate.undetermined(method)
     both, only_a, only_r, _ = _draws(counts, draws, rng)
-    low, high = _tails(both / (both + only_a) / (both + only_r), confidence)
     value = counts.both / has_a / (has_r / counts.units)
-    return Estimate(value, low if counts.both else 0.0, high, method)
+    found = Estimate.of_draws(value, both / (both + only_a) / (both + only_r), confidence, method)
+    return found if counts.both else replace(found, low=0.0)
 
 
 def phi(counts: PairedCounts, draws: int, rng: np.random.Generator, confidence: float = 0.95) -> Estimate:
-    """Correlation of A and R; undetermined where one of them always or never happened."""
+    """Correlation of A and R; undetermined if one of them always or never happened."""
     method = f"phi; {_POSTERIOR}"
     cells = np.array([[counts.both], [counts.only_a], [counts.only_r], [counts.neither]], float)
     if (cells[0] + cells[1]) * (cells[0] + cells[2]) * (cells[1] + cells[3]) * (cells[2] + cells[3]) == 0:
         return Estimate.undetermined(method)
-    low, high = _tails(_phi(_draws(counts, draws, rng)), confidence)
-    return Estimate(float(_phi(cells)[0]), low, high, method)
+    return Estimate.of_draws(float(_phi(cells)[0]), _phi(_draws(counts, draws, rng)), confidence, method)
 
 
 def fisher(counts: PairedCounts) -> float | None:
-    """Two-sided exact p of independence; None where one of the two always or never happened."""
+    """Two-sided exact p of independence; None if A or R always or never happened."""
     table = np.array(counts.table)
     if 0 in (*table.sum(axis=0), *table.sum(axis=1)):
         return None
@@ -72,7 +71,7 @@ def fisher(counts: PairedCounts) -> float | None:
 
 
 def mcnemar(counts: PairedCounts) -> float | None:
-    """Two-sided exact p of P(A) = P(R) on paired units; None of no units, 1 where no pair differs."""
+    """Two-sided exact p of P(A) = P(R) on paired units; None without units, 1 if no pair differs."""
     if counts.units == 0:
         return None
     differing = counts.only_a + counts.only_r
@@ -84,8 +83,8 @@ def mantel_haenszel(
 ) -> tuple[Estimate, float | None]:
     """Common odds ratio of A and R within strata (worlds), and the p of independence within them.
 
-    Only strata in which both A and R vary tell; without one, all is undetermined. Dependence on the whole
-    that is gone within worlds is uneven difficulty of the worlds.
+    Only strata in which both A and R vary are informative; without one, all is undetermined. Overall
+    dependence that vanishes within worlds comes from the worlds' uneven difficulty.
 
     Source: Mantel & Haenszel, J. National Cancer Institute 1959.
     """
@@ -94,10 +93,10 @@ def mantel_haenszel(
     tables = np.zeros((int(index.max()) + 1 if index.size else 0, 2, 2))
     np.add.at(tables, (index, (~a).astype(int), (~r).astype(int)), 1)
     rows, columns = tables.sum(axis=2), tables.sum(axis=1)
-    telling = tables[(rows.min(axis=1) > 0) & (columns.min(axis=1) > 0)] if len(tables) else tables
-    if len(telling) == 0:
+    informative = tables[(rows.min(axis=1) > 0) & (columns.min(axis=1) > 0)] if len(tables) else tables
+    if len(informative) == 0:
         return Estimate.undetermined(method), None
-    found = StratifiedTable(np.moveaxis(telling, 0, -1))
+    found = StratifiedTable(np.moveaxis(informative, 0, -1))
     with np.errstate(all="ignore"):
         p = float(found.test_null_odds(correction=False).pvalue)
         value = float(found.oddsratio_pooled)
@@ -123,8 +122,3 @@ def _phi(cells: Floats) -> Floats:
     both, only_a, only_r, neither = cells
     scale = (both + only_a) * (both + only_r) * (only_a + neither) * (only_r + neither)
     return (both * neither - only_a * only_r) / np.sqrt(scale)
-
-
-def _tails(draws: Floats, confidence: float) -> tuple[float, float]:
-    low, high = np.quantile(draws, [(1 - confidence) / 2, (1 + confidence) / 2])
-    return float(low), float(high)

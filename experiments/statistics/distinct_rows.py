@@ -1,4 +1,4 @@
-"""Unbiased products of shares: every factor is taken from another row."""
+"""Unbiased products of shares: every factor comes from a different row."""
 
 from math import factorial
 
@@ -8,14 +8,14 @@ import numpy as np
 def product_over_distinct_rows(columns: np.ndarray) -> float | None:
     """Mean of the product of one entry per column over all choices of distinct rows.
 
-    The product of the columns' means is biased where the columns go together, since a row then multiplies
-    with itself; this U-statistic is not.
+    The product of the columns' means is biased if the columns are correlated, since a row then multiplies
+    with itself; this U-statistic is unbiased.
 
     Args:
         columns: (R, C) 0/1 or real entries; rows are exchangeable.
 
     Returns:
-        The estimate of the product of the C expectations; None where there are fewer rows than columns.
+        The estimate of the product of the C expectations; None with fewer rows than columns.
 
     Source: Hoeffding, "A class of statistics with asymptotically normal distribution", 1948; the sum over set
     partitions is Moebius inversion on their lattice.

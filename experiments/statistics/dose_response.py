@@ -1,7 +1,7 @@
-"""A failure probability against severity: logistic curve with its band, and the severity at which half fail.
+"""A failure probability against severity: logistic curve with band, and the severity of 50% failures.
 
 The prior is Jeffreys' (its mode is Firth's estimate), so that severities which separate failure from success
-completely still give a finite curve, with an interval as wide as it should be.
+completely still give a finite curve with a wide interval.
 """
 
 import math
@@ -21,10 +21,10 @@ _METHOD = "logistic, Jeffreys prior (Firth); interval of the posterior"
 def dose_response(
     kind: str, quantity: str, points: Sequence[DosePoint], confidence: float = 0.95
 ) -> DoseResponse:
-    """Fit the curve to the points; those with no unit say nothing.
+    """Fit the curve to the points that have units.
 
-    With fewer than two severities nothing is fitted. The severity of 50% has bounds only where the posterior
-    tells a rising from a falling curve; outside the tested range it rests on the curve's form.
+    With fewer than two severities nothing is fitted. The severity of 50% has bounds only if the posterior
+    distinguishes a rising from a falling curve; outside the tested range it relies on the curve's form.
 
     Source: Firth, "Bias reduction of maximum likelihood estimates", Biometrika 1993; Heinze & Schemper,
         Statistics in Medicine 2002.
@@ -71,12 +71,12 @@ def _half(
     centre: float,
     scale: float,
 ) -> Estimate:
-    """Severity of 50%: bounded where the slope's sign is told at the stated confidence."""
+    """Severity of 50%: bounded if the slope's sign is known at the stated confidence."""
     rising = float(weight[slope > 0].sum())
     method = f"severity of 50%; {_METHOD}"
     value = float(centre - scale * mode[0] / mode[1]) if abs(mode[1]) > 1e-9 else None
     if tails[0] < rising < tails[1]:
-        return Estimate(value, None, None, method + "; rise and fall not told apart")
+        return Estimate(value, None, None, method + "; sign of the slope not known")
     safe = np.where(np.abs(slope) > 1e-12, slope, 1e-12)
     return Estimate(value, *_quantiles(centre - scale * level / safe, weight, tails), method)
 

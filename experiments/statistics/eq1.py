@@ -1,4 +1,4 @@
-"""Eq. 1 in one cell: P(D_n) as predicted from p0 and the crossing arm's pr_j, beside P(D_n) as measured.
+"""Eq. 1 in one cell: P(D_n) predicted from p0 and the crossing arm's pr_j, and P(D_n) measured.
 
 Source: Huang et al., "Dual-SLAM", IROS 2020, Eq. (1).
 """
@@ -17,7 +17,7 @@ _RATIO = "measured over predicted; interval of joint posterior draws"
 def posterior_draws(
     counts: JointCounts, draws: int, rng: np.random.Generator
 ) -> tuple[Floats, Floats, Floats]:
-    """Draws of p0, of P(D_n | B) and of the pr_j together, paired as the units are.
+    """Joint draws of p0, of P(D_n | B) and of the pr_j, paired as the units are.
 
     The prior is Jeffreys' for p0 and for P(D_n | B), and one unit's worth spread evenly over the patterns of
     the crossing arm, which leaves each pr_j close to Jeffreys' own posterior.
@@ -43,8 +43,8 @@ def predicted_and_ratio(
 ) -> tuple[Estimate, Estimate]:
     """P(D_n) by Eq. 1, and measured over predicted, with equal-tailed posterior intervals.
 
-    p0 cancels in the ratio, which is P(D_n | B) / Π pr_j: it is undetermined without a breakage. It has no
-    upper bound where some pr_j was never seen to fail.
+    p0 cancels in the ratio, which is P(D_n | B) / Π pr_j: it is undetermined without a breakage, and has no
+    upper bound if some thread never failed to cross.
     """
     found = counts.margins
     units, breakages, failures = (float(x[0]) for x in (found.units, found.breakages, found.failures))
@@ -82,7 +82,7 @@ def predicted_at_free_length(
         frames_free, frames_cross: median frames that a recovery thread had to cross in either arm.
 
     Returns:
-        The probability, or None where an argument is missing.
+        The probability; None if an argument is missing.
     """
     if p0 is None or not frames_cross or frames_free is None or any(p is None for p in pr):
         return None
@@ -92,18 +92,17 @@ def predicted_at_free_length(
 def verdict(
     corrected_p: float | None, measured_above: bool, power: float | None, alpha: float, power_wanted: float
 ) -> Verdict:
-    """What a cell says of Eq. 1.
+    """Verdict of a cell on Eq. 1.
 
-    A rejection holds at whatever power it was found. Where Eq. 1 is not rejected the cell is consistent with
-    it only if it would have been rejected, with the wanted probability, had the ratio been 2; else nothing
-    was decided.
+    A rejection is valid at any power. If Eq. 1 is not rejected, the cell is consistent with it only if a
+    ratio of 2 would have been rejected with the wanted probability; otherwise the cell is undecided.
 
     Args:
-        corrected_p: of the likelihood-ratio test, by Holm; None where nothing could be tested.
+        corrected_p: of the likelihood-ratio test, by Holm; None if nothing could be tested.
         measured_above: measured P(D_n) is above the predicted one.
         power: achieved power for the ratio of 2.
         alpha: size of the test.
-        power_wanted: least power.
+        power_wanted: least power for the verdict "consistent".
     """
     if corrected_p is not None and corrected_p <= alpha:
         return "optimistic" if measured_above else "pessimistic"

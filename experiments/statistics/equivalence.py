@@ -12,7 +12,7 @@ from experiments.statistics.likelihood_ratio import one_sided_p
 def tost(counts: JointCounts, bound: float, replicates: int, rng: np.random.Generator) -> float | None:
     """The p of H0 "the log ratio of measured to predicted is at least log(bound) away from 0".
 
-    Not rejecting Eq. 1 confirms nothing; rejecting this does: the ratio is then within (1/bound, bound).
+    Not rejecting Eq. 1 does not confirm it; rejecting this H0 does: the ratio is then in (1/bound, bound).
 
     Args:
         counts: of a cell.
@@ -21,7 +21,7 @@ def tost(counts: JointCounts, bound: float, replicates: int, rng: np.random.Gene
         rng: of the draws.
 
     Returns:
-        The larger p of the two one-sided tests; None where nothing tells.
+        The larger p of the two one-sided tests; None if the counts are not informative.
 
     Raises:
         ValueError: bound <= 1.
@@ -39,7 +39,7 @@ def tost(counts: JointCounts, bound: float, replicates: int, rng: np.random.Gene
 
 
 def holm(p_values: Sequence[float | None]) -> list[float | None]:
-    """Holm's corrected p, in the order given; None stays None and counts as no test.
+    """Holm's corrected p in the given order; None stays None and does not count as a test.
 
     Source: Holm, "A simple sequentially rejective multiple test procedure", Scand. J. of Statistics 1979.
     """

@@ -1,4 +1,4 @@
-"""Uneven difficulty: models of why failures coincide although, at each difficulty, they are independent."""
+"""Models of uneven difficulty: failures coincide although they are independent at each difficulty."""
 
 from collections.abc import Mapping, Sequence
 
@@ -19,10 +19,10 @@ _SWEEPS = 300
 def eckhardt_lee(
     cells: Sequence[JointCounts], draws: int, rng: np.random.Generator, confidence: float = 0.95
 ) -> EckhardtLee | None:
-    """Eq. 1 averaged over cells, against Eq. 1 of the averages; cells weigh by their units.
+    """Eq. 1 averaged over cells, against Eq. 1 of the averages, cells weighted by their units.
 
-    The first is at least the second where p0 and pr rise together: a benchmark that pools easy and hard
-    sequences refutes Eq. 1 even where it holds in every one.
+    The first is at least the second if p0 and pr rise together: a benchmark that pools easy and hard
+    sequences refutes Eq. 1 even if it holds in each of them.
 
     Args:
         cells: counts of the cells at one n.
@@ -31,7 +31,7 @@ def eckhardt_lee(
         confidence: of the intervals.
 
     Returns:
-        None where no cell has a unit.
+        None if no cell has a unit.
 
     Source: Eckhardt & Lee, IEEE Trans. Software Engineering 1985.
     """
@@ -47,22 +47,25 @@ def eckhardt_lee(
     drawn_p0, drawn_pr = np.stack([d[0] for d in drawn], axis=1), np.stack([d[2] for d in drawn], axis=1)
     within = drawn_p0 * drawn_pr.prod(axis=2) @ np.diag(weights)
     pooled = (drawn_p0 @ weights) * np.einsum("dcj,c->dj", drawn_pr, weights).prod(axis=1)
-    tails = [(1 - confidence) / 2, (1 + confidence) / 2]
     failures = int(sum(m.failures[0] for m in found))
     return EckhardtLee(
         cells[0].threads,
-        _estimate(float(weights @ (p0 * pr.prod(axis=1))), within.sum(axis=1), tails, "E[p0 · Π pr_j]"),
-        _estimate(float(weights @ p0 * (weights @ pr).prod()), pooled, tails, "E[p0] · Π E[pr_j]"),
+        Estimate.of_draws(
+            float(weights @ (p0 * pr.prod(axis=1))), within.sum(axis=1), confidence, "E[p0 · Π pr_j]"
+        ),
+        Estimate.of_draws(
+            float(weights @ p0 * (weights @ pr).prod()), pooled, confidence, "E[p0] · Π E[pr_j]"
+        ),
         clopper_pearson(failures, int(units.sum()), confidence),
     )
 
 
 def beta_binomial(quantity: str, events: Floats, units: Floats) -> BetaBinomial:
-    """Fit θ ~ Beta to counts of groups that each have a θ of their own.
+    """Fit θ ~ Beta to the counts of groups that each have their own θ.
 
     Args:
-        quantity: what was counted, for the result.
-        events, units: (G,) per group; groups with no unit say nothing.
+        quantity: name of the count, copied to the result.
+        events, units: (G,) per group; groups without units are ignored.
     """
     events, units = np.asarray(events, float), np.asarray(units, float)
     events, units = events[units > 0], units[units > 0]
@@ -109,7 +112,7 @@ def beta_factor(cells: Mapping[str, JointCounts], confidence: float = 0.95) -> B
     The cells' p0 and pr_j are taken as measured, and the interval is the likelihood's given them.
 
     Returns:
-        None where no cell has a breakage.
+        None if no cell has a breakage.
 
     Source: Fleming, "A reliability model for common mode failures", 1975.
     """
@@ -151,11 +154,11 @@ def mixture(
     rng: np.random.Generator,
     confidence: float = 0.95,
 ) -> Mixture | None:
-    """Fit hopeless breakages and the rest, of which each thread fails alike and independently.
+    """Fit two classes: hopeless breakages, and the rest, where threads fail independently and alike.
 
     Args:
-        failed_threads: per breakage, how many of the threads failed, all having been run.
-        threads: n; fewer than two cannot tell the classes apart.
+        failed_threads: number of failed threads per breakage, all having been run.
+        threads: n; the classes cannot be separated with fewer than two.
         draws: from the posterior of the counts, for the intervals.
         rng: of the draws.
         confidence: of the intervals.
@@ -165,12 +168,11 @@ def mixture(
         return None
     best = _mixture_fit(counts[None])
     drawn = _mixture_fit(rng.dirichlet(counts + 0.5, draws) * counts.sum())
-    tails = [(1 - confidence) / 2, (1 + confidence) / 2]
     method = "two-class mixture; interval of posterior draws"
     return Mixture(
         int(counts.sum()),
-        _estimate(float(best[0][0]), drawn[0], tails, method),
-        _estimate(float(best[1][0]), drawn[1], tails, method),
+        Estimate.of_draws(float(best[0][0]), drawn[0], confidence, method),
+        Estimate.of_draws(float(best[1][0]), drawn[1], confidence, method),
     )
 
 
@@ -186,8 +188,3 @@ def _mixture_fit(counts: Floats) -> tuple[Floats, Floats]:
         hopeless = certain / total
         pr = np.clip((failures - threads * certain) / np.maximum((total - certain) * threads, 1e-12), 0, 1)
     return hopeless, pr
-
-
-def _estimate(value: float, draws: Floats, tails: list[float], method: str) -> Estimate:
-    low, high = np.quantile(draws, tails)
-    return Estimate(value, float(low), float(high), method)

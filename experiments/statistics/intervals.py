@@ -1,4 +1,4 @@
-"""Intervals of proportions. Pure: counts in, numbers out."""
+"""Intervals of proportions."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -8,11 +8,11 @@ from statsmodels.stats.proportion import proportion_confint
 
 @dataclass(frozen=True)
 class Proportion:
-    """A share of units and its interval; all NaN-free.
+    """A share of units and its interval, never NaN.
 
     Attributes:
-        events: how many had the property.
-        units: out of how many.
+        events: number of units with the property.
+        units: number of units.
         low, high: ends of the interval.
         confidence: of the interval.
     """
@@ -25,12 +25,12 @@ class Proportion:
 
     @property
     def estimate(self) -> float | None:
-        """The share; None of no units."""
+        """The share; None without units."""
         return self.events / self.units if self.units else None
 
 
 def clopper_pearson(events: int, units: int, confidence: float = 0.95) -> Proportion:
-    """Exact interval: it covers the true share with at least the stated confidence, whatever that share is.
+    """Exact interval, which covers any true share with at least the stated confidence.
 
     Args:
         events: count, 0 <= events <= units.
@@ -48,8 +48,8 @@ def clopper_pearson(events: int, units: int, confidence: float = 0.95) -> Propor
 def jeffreys(events: int, units: int, confidence: float = 0.95) -> Proportion:
     """Equal-tailed interval of the posterior under Jeffreys' prior Beta(1/2, 1/2).
 
-    It covers as stated on average over true shares, and is shorter than the exact one. No units give [0, 1].
-    It reaches 0 where there are no events, and 1 where there is nothing else.
+    It has the stated coverage on average over true shares, and is shorter than the exact one. No units give
+    [0, 1]. It reaches 0 without events, and 1 if every unit is an event.
 
     Raises:
         ValueError: as `clopper_pearson`.
@@ -65,8 +65,8 @@ def _interval(events: int, units: int, confidence: float, method: Literal["beta"
     if not 0 < confidence < 1:
         raise ValueError(f"confidence {confidence} is not in (0, 1)")
     low, high = 0.0, 1.0
-    if units:  # of none statsmodels makes NaN
+    if units:  # statsmodels returns NaN for none
         low, high = map(float, proportion_confint(events, units, 1 - confidence, method))
-    # Where nothing speaks against the shares 0 and 1, Brown, Cai & DasGupta's interval holds them; that of
-    # statsmodels does not.
+    # Brown, Cai & DasGupta's interval includes the shares 0 and 1 if they were observed; that of statsmodels
+    # does not.
     return Proportion(events, units, low if events > 0 else 0.0, high if events < units else 1.0, confidence)

@@ -1,8 +1,8 @@
-"""The joint outcome of units, free arm by crossing arm: the table that every test of Eq. 1 is made of.
+"""Joint outcomes of units, free arm by crossing arm: the table behind every test of Eq. 1.
 
-A unit falls into one of three states of the free arm (no breakage; breakage, recovered; D_n) and one of the
-2ⁿ patterns of R_1 … R_n of the crossing arm. Both arms see the same images, so that their outcomes depend on
-each other: units are drawn whole.
+A unit has one of three states in the free arm (no breakage; breakage, recovered; D_n) and one of the 2ⁿ
+patterns of R_1 … R_n in the crossing arm. Both arms see the same images, so that their outcomes are
+dependent: units are drawn whole.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ Ints = NDArray[np.int64]
 
 
 def patterns(threads: int) -> Bools:
-    """(2ⁿ, n): which threads failed in each pattern; thread j is bit j - 1 of the pattern's number."""
+    """(2ⁿ, n) failed threads of each pattern; thread j is bit j - 1 of the pattern's number."""
     return (np.arange(2**threads)[:, None] >> np.arange(threads)[None, :] & 1).astype(bool)
 
 
@@ -80,17 +80,17 @@ def margins_of(tables: NDArray) -> Margins:
 
 
 def independent(states: Floats, failed: Floats) -> Floats:
-    """(3, 2ⁿ) distribution with independent arms: (3,) of the free arm's states, (n,) of R_j."""
+    """(3, 2ⁿ) distribution with independent arms, from (3,) states of the free arm and (n,) P(R_j)."""
     pattern = np.prod(np.where(patterns(failed.size), failed, 1 - failed), axis=1)
     return states[:, None] * pattern[None, :]
 
 
 def raked(table: NDArray, states: Floats, failed: Floats, cycles: int = 30) -> Floats:
-    """The distribution with given margins that keeps the pairing of the arms as observed.
+    """The distribution with given margins that keeps the observed pairing of the arms.
 
     Iterative proportional fitting keeps every odds ratio of the table. Four units' worth of independent
-    outcomes are added first: a pattern that was not seen is rare, not impossible, and a few units that
-    happen to agree do not pass for certain pairing.
+    outcomes are added first: an unobserved pattern is rare, not impossible, and a few units that agree by
+    chance do not count as certain pairing.
 
     Args:
         table: (3, 2ⁿ) counts.
@@ -117,7 +117,7 @@ def raked(table: NDArray, states: Floats, failed: Floats, cycles: int = 30) -> F
 
 
 def draw_tables(rng: np.random.Generator, probabilities: Floats, units: int, batch: int) -> Ints:
-    """(batch, 3, 2ⁿ): that many experiments of that many units each."""
+    """Draw (batch, 3, 2ⁿ) counts: a batch of experiments of so many units each."""
     drawn = rng.multinomial(units, probabilities.ravel(), size=batch)
     return drawn.reshape(batch, *probabilities.shape)
 

@@ -1,4 +1,4 @@
-"""Eq. 1 with the kinds of world told apart, and with worlds as the sample."""
+"""Eq. 1 per kind of world, with worlds as the sample."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ class WorldShare:
     Attributes:
         value: mean over worlds of the share within a world.
         low, high: ends of the interval; None for fewer than two worlds.
-        units, worlds: number of rows, and of the worlds that they come from.
+        units, worlds: number of rows and of their worlds.
     """
 
     value: float
@@ -36,7 +36,7 @@ class KindOfWorld:
         world: kind of the world.
         units, worlds: number of completed rows, and of their worlds.
         breakages: units with a breakage.
-        crossing_failures: per thread, units in which it did not cross.
+        crossing_failures: per thread, units in which it failed to cross.
         dual_failures: per n, units with a dual failure.
         silent: units with a silent failure.
     """
@@ -58,7 +58,7 @@ class PooledLevel:
     Attributes:
         n: number of recovery threads.
         measured: share of units with a dual failure in the free arm.
-        predicted_by_cell: p0 · Π pr of each cell, over distinct rows; None where a cell has too few.
+        predicted_by_cell: p0 · Π pr of each cell, over distinct rows; None if a cell has too few.
         predicted_by_kind: the same of each cell and kind of world.
     """
 
@@ -70,11 +70,11 @@ class PooledLevel:
 
 @dataclass(frozen=True)
 class KindsOfWorld:
-    """What a table says once its populations are told apart.
+    """Figures of a table by kind of world.
 
     Attributes:
         kinds: kinds of world in the table.
-        mixed: cells that hold more than one of them.
+        mixed: cells with more than one kind of world.
         worlds, units: number of worlds, and of completed rows.
         levels: per n.
         failed_or_silent: share of units with a dual failure of all threads or a silent failure.
@@ -93,7 +93,7 @@ class KindsOfWorld:
 
 
 def kinds_of_world(table: pd.DataFrame, threads: int, confidence: float = 0.95) -> KindsOfWorld:
-    """Tell the kinds of world in a table apart.
+    """Analyse a table by kind of world.
 
     Args:
         table: records, with the columns of ``records.columns``.
@@ -123,7 +123,7 @@ def kinds_of_world(table: pd.DataFrame, threads: int, confidence: float = 0.95) 
 def share_by_world(
     happened: np.ndarray | pd.Series, world: pd.Series, confidence: float = 0.95
 ) -> WorldShare | None:
-    """A share whose sample are the worlds: Wilson's interval at the effective number of units.
+    """A share with worlds as the sample: Wilson's interval at the effective number of units.
 
     Args:
         happened: (R,) bool.
@@ -131,7 +131,7 @@ def share_by_world(
         confidence: of the interval.
 
     Returns:
-        None of no rows.
+        None without rows.
 
     Source: Wilson 1927; the effective sample size of a cluster sample, Kish, "Survey sampling", 1965.
     """

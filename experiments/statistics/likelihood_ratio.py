@@ -2,9 +2,9 @@
 
 H0: P(D_n | B) = ratio · Π P(R_j), with ratio 1; p0 cancels on both sides. The statistic is the likelihood
 ratio of the margins (D_n of the breakages, each R_j of all units). Both arms run on the same units, hence the
-margins depend on each other. The bootstrap draws whole units from distributions that satisfy H0 and have the
-constrained estimates as margins: one keeps the pairing observed, one has the arms independent. Of the two p
-the larger counts, since few units say little of the pairing and one of them alone would reject too often.
+margins are dependent. The bootstrap draws whole units from distributions that satisfy H0 and have the
+constrained estimates as margins: one keeps the observed pairing, one has independent arms. The test's p is
+the larger of the two: with few units the pairing is uncertain, and either one alone would reject too often.
 """
 
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ def constrained_estimates(counts: Margins, ratio: float = 1.0) -> tuple[Floats, 
         above = share > ratio * pr.prod(axis=1)
         low, high = np.where(above, middle, low), np.where(above, high, middle)
     share, pr = _at(counts, high)
-    # Where every crossing failed, λ may end at -N: only the product of the pr_j is then determined.
+    # If every crossing failed, λ may end at -N: only the product of the pr_j is then determined.
     at_end = (counts.crossings >= counts.units[:, None]).all(axis=1) & (
         counts.units + high <= 1e-6 * counts.units
     )
@@ -54,7 +54,7 @@ def constrained_estimates(counts: Margins, ratio: float = 1.0) -> tuple[Floats, 
 def signed_root(counts: Margins, ratio: float = 1.0) -> Floats:
     """(M,) root of the likelihood-ratio statistic, with the sign of measured minus predicted.
 
-    0 where there is no breakage: nothing tells.
+    0 without a breakage, where the counts are not informative.
     """
     share, pr = constrained_estimates(counts, ratio)
     free_share = _divided(counts.failures, counts.breakages)
@@ -74,11 +74,11 @@ class Eq1Test:
     """The test in one cell.
 
     Attributes:
-        statistic: of the data; None where nothing tells (no unit, no breakage, or no failure at all).
+        statistic: of the data; None if they are not informative (no unit, no breakage, or no failure at all).
         p: of the test; None likewise.
         measured_above: measured P(D_n) is above Eq. 1's.
         null: (2, R) statistics under H0 by both bootstraps, rows sorted, at the crossing arm's own pr_j.
-        alternative: (R,) statistics where the ratio to these pr_j is the alternative one.
+        alternative: (R,) statistics under the alternative ratio, at these pr_j.
     """
 
     statistic: float | None
@@ -88,7 +88,7 @@ class Eq1Test:
     alternative: Floats
 
     def power(self, alpha: float) -> float:
-        """Probability of p <= alpha under the alternative with these units; 0 where nothing tells."""
+        """Probability of p <= alpha under the alternative with these units; 0 if not informative."""
         if self.null.size == 0:
             return 0.0
         return float(np.mean(_p_values(self.alternative, self.null) <= alpha))
@@ -99,7 +99,7 @@ def eq1_test(
 ) -> Eq1Test:
     """Test H0 in a cell and find its power against a ratio.
 
-    Where Π pr_j is over 1/ratio no such ratio exists: the alternative is then as far in the other direction.
+    If Π pr_j is over 1/ratio, no such ratio exists: the alternative is then 1/ratio.
 
     Args:
         counts: of the cell's completed units.
@@ -114,8 +114,8 @@ def eq1_test(
         return Eq1Test(None, None, False, none, none[0])
     if observed.failures[0] == 0 and observed.crossings[0].min() == 0:
         return Eq1Test(None, None, False, none, none[0])
-    # Power is asked of a ratio to what is predicted: the constrained pr_j would follow a measured excess
-    # upward, and so promise most power where Eq. 1 fails.
+    # The alternative is a ratio to the measured prediction: the constrained pr_j would follow a measured
+    # excess upward, and so overstate the power where Eq. 1 fails.
     predicted = (observed.crossings + 0.5) / (observed.units[:, None] + 1)
     share = predicted.prod(axis=1)
     factor = alternative_ratio if share[0] * alternative_ratio <= 1 else 1 / alternative_ratio
@@ -153,7 +153,7 @@ def one_sided_p(
 
 
 def _null_models(counts: JointCounts, share: Floats, pr: Floats) -> tuple[Floats, Floats]:
-    """Distributions of units with the constrained estimates as margins: paired as observed, independent."""
+    """Distributions of units with these margins: paired as observed, and independent."""
     states = _states(counts.margins, share)
     return raked(counts.table, states, pr[0]), independent(states, pr[0])
 
@@ -165,7 +165,7 @@ def _states(observed: Margins, share: Floats) -> Floats:
 
 
 def _p_values(statistics: Floats, null: Floats) -> Floats:
-    """Share of the null that is as large, the observed one counted with it; the larger of the rows'."""
+    """Share of the null at least as large, the observation included; the larger of both rows."""
     replicates = null.shape[1]
     larger = [replicates - np.searchsorted(row, statistics - _TIE, side="left") for row in null]
     return (1 + np.max(larger, axis=0)) / (1 + replicates)

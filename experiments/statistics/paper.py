@@ -1,4 +1,4 @@
-"""The paper's Tables II and III, and what they say of Eq. 1 when read again.
+"""Reanalysis of the paper's Tables II and III with respect to Eq. 1.
 
 Source: Huang et al., "Dual-SLAM: A framework for robust single camera navigation", IROS 2020,
     Tables I to III.
@@ -23,7 +23,7 @@ class PaperCounts:
 
     Attributes:
         system, dataset: as the paper names them.
-        trials: all.
+        trials: number of trials.
         breakages: "Needs Recovery".
         with_one: recovered by the first thread.
         with_two: recovered by the second, after the first had failed.
@@ -40,7 +40,7 @@ class PaperCounts:
 
     @property
     def first_failed(self) -> int:
-        """Breakages after which the first thread failed; the second ran on these alone."""
+        """Breakages after which the first thread failed; only on these did the second run."""
         return self.with_two + self.failures
 
 
@@ -59,7 +59,7 @@ TABLE_II: dict[str, dict[str, tuple[int, int]]] = {
 
 CAVEATS: tuple[str, ...] = (
     f"{TRIALS_PER_SEQUENCE} trials share a sequence, so that trials are not independent: the intervals are"
-    " too narrow by an amount that the tables do not tell. ratio_if_alike takes the trials of a sequence for"
+    " too narrow by an amount that the tables do not give. ratio_if_alike takes the trials of a sequence for"
     " one: the other extreme.",
     "On KITTI, Dual-SLAM fails 10 times, and only on sequence 01 (Table I): the 10 trials of one sequence.",
     "Thread 2 ran only after thread 1 had failed. Its own failure probability cannot be had from the paper,"
@@ -82,7 +82,7 @@ class PaperAnalysis:
         base_failure: ORB-SLAM's share of failures in Table II.
         p0: breakages of trials.
         thread_1: failures of breakages, which stands for pr.
-        thread_2: failures of the breakages that thread 1 had failed at.
+        thread_2: failures of the breakages at which thread 1 had failed.
         measured: failures of trials.
         predicted: p0 · pr².
         ratio: measured over predicted.
@@ -105,7 +105,7 @@ class PaperAnalysis:
 
 
 def reanalyse(confidence: float = 0.95, draws: int = 20_000, seed: int = 0) -> tuple[PaperAnalysis, ...]:
-    """Every row of Table III and the total of each system, in the paper's order, totals last per system."""
+    """Reanalyse every row of Table III, and the total of each system after its rows."""
     found = []
     for system in dict.fromkeys(row.system for row in TABLE_III):
         rows = [row for row in TABLE_III if row.system == system]
@@ -127,7 +127,7 @@ def total(rows: list[PaperCounts]) -> PaperCounts:
 
 
 def reanalyse_row(counts: PaperCounts, confidence: float, draws: int, seed: int) -> PaperAnalysis:
-    """Eq. 1 on one row."""
+    """Reanalyse one row."""
     datasets = [counts.dataset] if counts.dataset in TABLE_II else list(TABLE_II)
     failures, trials = (sum(TABLE_II[d]["ORB-SLAM"][i] for d in datasets) for i in range(2))
     rng = rng_for(seed, "paper", counts.system, counts.dataset)
@@ -143,9 +143,9 @@ def reanalyse_row(counts: PaperCounts, confidence: float, draws: int, seed: int)
         clopper_pearson(counts.first_failed, counts.breakages, confidence),
         clopper_pearson(counts.failures, counts.first_failed, confidence),
         clopper_pearson(counts.failures, counts.trials, confidence),
-        _estimate(counts.breakages / counts.trials * share_1**2, p0 * first**2, confidence, method),
-        _estimate(ratio, second / first, confidence, method),
-        _estimate(ratio, second_alike / first_alike, confidence, f"{method}, counts over ten"),
+        Estimate.of_draws(counts.breakages / counts.trials * share_1**2, p0 * first**2, confidence, method),
+        Estimate.of_draws(ratio, second / first, confidence, method),
+        Estimate.of_draws(ratio, second_alike / first_alike, confidence, f"{method}, counts over ten"),
         float(
             fisher_exact(
                 [[counts.first_failed, counts.with_one], [counts.failures, counts.with_two]], "two-sided"
@@ -169,28 +169,23 @@ def _posterior(
 
 
 def _mixture(counts: PaperCounts, confidence: float, draws: int, rng: np.random.Generator) -> Mixture:
-    """Threads stop at the first success, hence pr = with_two / with_one, where a share of 0 allows it."""
+    """Fit the mixture; threads stop at the first success, hence pr = with_two / with_one."""
     ends = np.array([counts.with_one, counts.with_two, counts.failures], float)
     hopeless, pr = _classes(ends[None] / ends.sum())
     drawn_hopeless, drawn_pr = _classes(rng.dirichlet(ends + 0.5, draws))
     method = "two-class mixture; interval of posterior draws"
     return Mixture(
         counts.breakages,
-        _estimate(float(hopeless[0]), drawn_hopeless, confidence, method),
-        _estimate(float(pr[0]), drawn_pr, confidence, method),
+        Estimate.of_draws(float(hopeless[0]), drawn_hopeless, confidence, method),
+        Estimate.of_draws(float(pr[0]), drawn_pr, confidence, method),
     )
 
 
 def _classes(shares: Floats) -> tuple[Floats, Floats]:
-    """Share of the hopeless and pr of the rest, from shares recovered by thread 1, by thread 2, by none."""
+    """Share of hopeless breakages and pr of the rest, from shares recovered by thread 1, 2, none."""
     one, two, none = shares.T
     pr = two / one
     hopeless = 1 - one / np.maximum(1 - pr, 1e-12)
-    # Fewer failures than the rest alone would have: no hopeless ones, all threads alike.
+    # Fewer failures than the rest alone would have: no hopeless breakages, all threads alike.
     alike = (two + 2 * none) / (one + 2 * two + 2 * none)
     return np.maximum(hopeless, 0), np.where(hopeless >= 0, pr, alike)
-
-
-def _estimate(value: float, draws: Floats, confidence: float, method: str) -> Estimate:
-    low, high = np.quantile(draws, [(1 - confidence) / 2, (1 + confidence) / 2])
-    return Estimate(value, float(low), float(high), method)

@@ -1,4 +1,4 @@
-"""Planning: how many units a cell needs, before anything runs; by the very test that will judge it."""
+"""Planning: the number of units that a cell needs, by the test that will judge it."""
 
 import math
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ _MOST_UNITS = 10_000_000
 
 @dataclass(frozen=True)
 class Plan:
-    """Units for a cell.
+    """Number of units for a cell.
 
     Attributes:
-        units: least number found, None where over ten million would not do.
+        units: least number found, None if over ten million.
         power: reached with that many.
         predicted: p0 · Π pr_j.
         measured: with the wanted ratio.
@@ -38,7 +38,7 @@ def power_of(
     replicates: int = 4000,
     seed: int = 0,
 ) -> float:
-    """Probability with which the likelihood-ratio test rejects Eq. 1 at this true ratio.
+    """Probability that the likelihood-ratio test rejects Eq. 1 at this true ratio.
 
     Args:
         p0: guessed P(B).
@@ -58,7 +58,7 @@ def power_of(
         np.abs(signed_root(margins_of(draw_tables(rng, _model(p0, s, pr), units, replicates))))
         for s in (math.prod(pr), share)
     )
-    # As the test counts: p = (1 + larger of the null) / (1 + replicates) <= alpha.
+    # As in the test: p = (1 + larger of the null) / (1 + replicates) <= alpha.
     allowed = math.floor(alpha * (1 + replicates) + 1e-9) - 1
     if allowed < 0:
         return 0.0
@@ -75,9 +75,9 @@ def units_needed(
     replicates: int = 4000,
     seed: int = 0,
 ) -> Plan:
-    """Least units with which the test sees a ratio with the wanted power.
+    """Least number of units with which the test detects a ratio with the wanted power.
 
-    The search starts at the delta method's figure and ends within 2% of the answer.
+    The search starts at the delta method's estimate and ends within 2% of the answer.
 
     Raises:
         ValueError: as `power_of`; a ratio of 1; a power outside (0, 1).
@@ -105,7 +105,7 @@ def units_needed(
 
 
 def units_to_measure(p: float, relative_half_width: float, confidence: float = 0.95) -> int:
-    """Units that measure a probability directly to this relative half-width, by the normal approximation.
+    """Number of units that measures a probability to this relative half-width (normal approximation).
 
     Raises:
         ValueError: p outside (0, 1) or a half-width that is not positive.

@@ -1,8 +1,10 @@
-"""What the analysis of an experiment says, as data. None stands for "cannot be told"."""
+"""Results of the analysis of an experiment; None stands for "not determined"."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
+
+import numpy as np
 
 from experiments.statistics.intervals import Proportion
 
@@ -11,18 +13,18 @@ Verdict = Literal["consistent", "optimistic", "pessimistic", "undecided"]
 
 @dataclass(frozen=True)
 class AnalysisSettings:
-    """What the analysis is free to choose, fixed before the data are seen.
+    """Free choices of the analysis, fixed before the data are seen.
 
     Attributes:
         confidence: of every interval.
         alpha: size of every test, and of the family of tests that Holm's correction covers.
-        power_ratio: a cell is undecided unless it could have seen measured / predicted of this size.
-        power_wanted: with at least this probability.
+        power_ratio: ratio of measured to predicted that a cell must be able to detect, else it is undecided.
+        power_wanted: least probability of detecting it.
         equivalence_ratio: Eq. 1 "holds" in the equivalence test within this factor, up or down.
         draws: from posteriors, and of the cluster bootstrap.
         replicates: of the parametric bootstrap.
         seed: of all of these.
-        thread_methods: names of the recovery threads' kinds, in order, where they are known.
+        thread_methods: names of the recovery threads' kinds, in order, if known.
     """
 
     confidence: float = 0.95
@@ -41,9 +43,9 @@ class Estimate:
     """A number and its interval.
 
     Attributes:
-        value: None where it is not defined (such as a ratio to nothing).
-        low, high: ends of the interval; None where the data set no bound on that side.
-        method: how it was found, in words.
+        value: None if it is not defined (such as a ratio to zero).
+        low, high: ends of the interval; None if the data set no bound on that side.
+        method: description of the estimator.
     """
 
     value: float | None
@@ -53,8 +55,14 @@ class Estimate:
 
     @classmethod
     def undetermined(cls, method: str) -> "Estimate":
-        """Nothing is known."""
+        """An estimate without value or bounds."""
         return cls(None, None, None, method)
+
+    @classmethod
+    def of_draws(cls, value: float, draws: np.ndarray, confidence: float, method: str) -> "Estimate":
+        """A value with the equal-tailed interval of posterior draws."""
+        low, high = np.quantile(draws, [(1 - confidence) / 2, (1 + confidence) / 2])
+        return cls(value, float(low), float(high), method)
 
 
 @dataclass(frozen=True)
@@ -66,14 +74,14 @@ class LevelAnalysis:
         measured, measured_jeffreys: share of units with D_n, free arm.
         predicted: p0 times the product of pr_j, the crossing arm's.
         predicted_at_free_length: the same if each thread had only the free arm's median number of frames to
-            cross, at a constant hazard per frame: what the shorter way alone would explain.
+            cross, at a constant hazard per frame: the effect of the shorter way alone.
         ratio: measured over predicted.
-        lrt_statistic, lrt_p: test of "Eq. 1 holds"; None where nothing tells.
+        lrt_statistic, lrt_p: test of "Eq. 1 holds"; None if the counts are not informative.
         holm_p: corrected over the cells, for this n.
-        power_ratio_2: probability with which this cell, with its number of units, would have rejected Eq. 1
-            if the ratio were 2 (or `AnalysisSettings.power_ratio`), at the corrected level.
+        power_ratio_2: probability that this cell, with its number of units, rejects Eq. 1 at a ratio of 2 (or
+            `AnalysisSettings.power_ratio`), at the corrected level.
         verdict: consistent, optimistic (measured > predicted), pessimistic or undecided.
-        tost_p: of the equivalence test; small says that the ratio is within the equivalence bounds.
+        tost_p: of the equivalence test; small if the ratio is within the equivalence bounds.
     """
 
     n: int
@@ -101,15 +109,15 @@ class ThreadAnalysis:
         pr_given_b: share of its recoveries in the free arm that failed, of the units with a breakage.
         rho: P(R_j | B) / P(R_j), both of the crossing arm; 1 under independence.
         phi: correlation of B and R_j.
-        fisher_p: exact test of independence of B and R_j on the whole.
-        mantel_haenszel, mantel_haenszel_p: odds ratio and test within worlds; None where no world has
-            units that differ.
+        fisher_p: exact test of independence of B and R_j over all units.
+        mantel_haenszel, mantel_haenszel_p: odds ratio and test within worlds; None if no world has units that
+            differ.
         mcnemar_p: exact test of pr = p0 on paired units; Eq. 1's text claims this for the base's own method.
-            The ORB thread is that method, but that it passes over poor frames for up to two seconds.
+            The ORB thread is that method, except that it skips poor frames for up to two seconds.
         discordant: units with B but not R_j, and with R_j but not B.
         false_recoveries, false_recoveries_given_b: share of declared recoveries that the audit refutes,
             crossing arm and free arm.
-        stages, given_b_stages: where it failed, crossing arm and free arm.
+        stages, given_b_stages: failures by stage, crossing arm and free arm.
     """
 
     thread: int
@@ -138,10 +146,10 @@ class CellAnalysis:
         cell, kind, severity: as in the table.
         units: rows of the table; completed + void + errors.
         p0, p0_jeffreys: share of completed units with B.
-        p0_anytime: a confidence sequence, valid however often the run was looked at.
+        p0_anytime: a confidence sequence, valid under repeated looks.
         p0_cluster: p0 with worlds, not units, resampled.
         worlds: number of worlds among the completed units.
-        base_failure: share of completed units in which the base has no intact map in the end.
+        base_failure: share of completed units in which the base ends without an intact map.
         relocalized: given B.
         silent: share of completed units with a silent failure.
         no_reinit: given B, free arm; cross_no_reinit: of all completed, crossing arm.
@@ -179,12 +187,12 @@ class CellAnalysis:
 
 @dataclass(frozen=True)
 class EckhardtLee:
-    """Eq. 1 pooled over cells in two ways; the cells weigh by their completed units.
+    """Eq. 1 pooled over cells in two ways, cells weighted by their completed units.
 
     Attributes:
         n: number of recovery threads.
         within: E[p0 · Π pr_j]: Eq. 1 applied in each cell, then averaged.
-        pooled: E[p0] · Π E[pr_j]: averaged first, as a benchmark over many sequences does.
+        pooled: E[p0] · Π E[pr_j]: averaged first, as in a benchmark over many sequences.
         measured: share of all completed units with D_n.
     """
 
@@ -199,11 +207,11 @@ class BetaBinomial:
     """Uneven difficulty θ ~ Beta(alpha, beta), fitted by maximum likelihood.
 
     Attributes:
-        quantity: what was counted.
-        alpha, beta: None where the counts show no unevenness (θ is one number) or say nothing.
+        quantity: name of the count.
+        alpha, beta: None if the counts show no unevenness (θ is one number) or are not informative.
         mean: of θ.
-        var_over_mean2: Var(θ) / E[θ]², the factor by which chance coincidence of two failures rises above
-            E[θ]², minus 1; 0 without unevenness.
+        var_over_mean2: Var(θ) / E[θ]², the relative excess of coincident failures over E[θ]²; 0 without
+            unevenness.
         p: of the likelihood-ratio test of "no unevenness" (boundary: half a chi-squared).
     """
 
@@ -230,11 +238,11 @@ class BetaFactor:
 
 @dataclass(frozen=True)
 class Mixture:
-    """Two classes of breakages: a share is hopeless, in the rest the threads fail independently.
+    """Two classes of breakages: hopeless ones, and the rest, in which threads fail independently.
 
     Attributes:
-        breakages: that it was fitted on.
-        share_hopeless: in which every thread fails.
+        breakages: number of breakages fitted.
+        share_hopeless: share in which every thread fails.
         pr_rest: failure probability of each thread in the rest.
     """
 
@@ -245,7 +253,7 @@ class Mixture:
 
 @dataclass(frozen=True)
 class Heterogeneity:
-    """Across cells.
+    """Uneven difficulty across cells.
 
     Attributes:
         eckhardt_lee: per n.
@@ -253,7 +261,7 @@ class Heterogeneity:
         beta_factor: per n.
         mixture: of the free arm's breakages; None with fewer than two threads or no breakage.
         gee: by name: p0 and pr_j averaged over all units, and odds ratios of pr_j to p0 and of R_j to B,
-            with errors that are robust to units sharing a world.
+            with errors robust to units sharing a world.
     """
 
     eckhardt_lee: tuple[EckhardtLee, ...]
@@ -265,7 +273,7 @@ class Heterogeneity:
 
 @dataclass(frozen=True)
 class DosePoint:
-    """One severity."""
+    """Share of failures at one severity."""
 
     severity: float
     proportion: Proportion
@@ -281,7 +289,7 @@ class DoseResponse:
         points: as measured.
         slope, intercept: None with fewer than two severities.
         curve: (severity, p, low, high) over the range of severities; empty without a fit.
-        ed50: severity at which half fail; bounds are None where the data do not tell rise from fall.
+        ed50: severity of 50% failures; bounds are None if the sign of the slope is not known.
     """
 
     kind: str
@@ -295,13 +303,13 @@ class DoseResponse:
 
 @dataclass(frozen=True)
 class GapErrors:
-    """An error of the relative pose of two frames with one gap between them.
+    """An error of the relative pose of two frames at one gap.
 
     Attributes:
         gap: in frames.
-        lead_ins: with such a pair.
-        pairs: in all of them.
-        matches, baseline_m: of a pair, medians.
+        lead_ins: number of lead-ins with such a pair.
+        pairs: number of pairs in all of them.
+        matches, baseline_m: medians over lead-ins.
         error: median over the lead-ins, in the unit of the quantity.
     """
 
@@ -328,9 +336,9 @@ class BaselineErrors:
 
     Attributes:
         quantity: ``rotation_deg`` or ``direction_deg``.
-        lead_ins, worlds: that the slope over all gaps rests on: those with a pose of two gaps at least.
+        lead_ins, worlds: sample of the slope over all gaps: those with a pose at two gaps or more.
         gaps: medians, the narrowest first.
-        slope: of log error on log baseline, within lead-ins, over all gaps: -1 where the error halves as the
+        slope: of log error on log baseline, within lead-ins, over all gaps: -1 if the error halves as the
             baseline doubles.
         steps: the same between neighbouring gaps.
     """
@@ -345,16 +353,16 @@ class BaselineErrors:
 
 @dataclass(frozen=True)
 class Analysis:
-    """All of an experiment.
+    """The whole analysis of an experiment.
 
     Attributes:
         threads: largest n.
         cells: by kind, severity and name.
         heterogeneity: across cells.
         dose_response: per kind and quantity.
-        notes: what a reader must know beside the figures, in sentences.
+        notes: remarks needed to read the figures.
         settings: as used.
-        conditioning: pose error against baseline, per quantity; empty where it was not measured.
+        conditioning: pose error against baseline, per quantity; empty if not measured.
     """
 
     threads: int

@@ -1,4 +1,4 @@
-"""A confidence sequence: an interval of a proportion that stays valid however often the run is looked at."""
+"""A confidence sequence: an interval of a proportion that stays valid under repeated looks."""
 
 import math
 
@@ -12,9 +12,9 @@ def confidence_sequence(events: int, units: int, confidence: float = 0.95, prior
     """Beta-binomial confidence sequence at this count.
 
     The probability that the true share is ever outside, at any number of units, is at most 1 - confidence,
-    so that a run may stop when its interval pleases. It is wider than an interval for a number of units fixed
-    beforehand: it holds the p that the mixture Beta(prior, prior) has not refuted by a factor of
-    1 / (1 - confidence).
+    so that a run may stop as soon as its interval is narrow enough. It is wider than an interval for a number
+    of units fixed beforehand: it contains every p that the mixture Beta(prior, prior) has not refuted by a
+    factor of 1 / (1 - confidence).
 
     Args:
         events: count, 0 <= events <= units.

@@ -8,7 +8,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from sim.io import euroc_layout as layout
-from sim.io.folders import Progress, whole_or_nothing, write_images
+from sim.io.folders import Progress, new_directory, write_images
 from sim.io.sidecars import write_sidecars
 from sim.sensors.camera import Intrinsics
 from sim.sensors.imu import ImuModel, ImuReadings, ImuTruth
@@ -35,7 +35,7 @@ def write_euroc(
     """
     stamps = layout.to_ns(sequence.stamps_s, layout.origin_ns(sequence))
     T_cam_body = imu[0].model.T_cam_imu if imu else np.eye(4)
-    with whole_or_nothing(directory) as folder:
+    with new_directory(directory) as folder:
         camera_dir = folder / layout.CAMERA_DIR
         (camera_dir / "data").mkdir(parents=True)
         names = [f"{stamp}.png" for stamp in stamps]

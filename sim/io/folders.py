@@ -1,12 +1,14 @@
-"""Folders that are written wholly or not at all."""
+"""Folders and files that are written whole or not at all: beside their place, then renamed."""
 
+import errno
 import os
-import secrets
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+from uuid import uuid4
 
 import cv2
 
@@ -17,53 +19,96 @@ Progress = Callable[[str, int, int], None]
 """Called with the name of the step, frames done and frames in all."""
 
 _FAST_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+_FULL = {errno.ENOSPC, errno.EDQUOT}
 
 
-def claim_output_dir(directory: Path) -> None:
-    """See that a folder can be made there, before the work that is to go into it.
+def check_free(out_dir: Path, replaces: str | None = None) -> None:
+    """Check before long work that a folder can be put in a place. Arguments as `new_directory`.
 
     Raises:
         InputError: it is a file or a folder that is not empty, or the place cannot be written.
     """
-    if directory.exists() and not directory.is_dir():
-        raise InputError(str(directory), "is a file", "give the path of a new or empty folder")
-    if directory.is_dir() and any(directory.iterdir()):
-        raise InputError(str(directory), "the folder is not empty", "give another one or empty it")
+    if out_dir.exists() and not out_dir.is_dir():
+        raise InputError(str(out_dir), "is a file, not a folder", "choose another folder")
+    made = _missing_parents(out_dir)
     try:
-        directory.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=directory.parent):
-            pass
-        if directory.is_dir():
-            with tempfile.TemporaryFile(dir=directory):
+        earlier = replaces is not None and any(path.is_file() for path in out_dir.glob(replaces))
+        if out_dir.is_dir() and any(out_dir.iterdir()) and not earlier:
+            remedy = "choose a new folder, or empty this one first"
+            raise InputError(str(out_dir), "already holds files", remedy)
+        out_dir.parent.mkdir(parents=True, exist_ok=True)
+        for place in filter(Path.is_dir, (out_dir.parent, out_dir)):
+            with tempfile.TemporaryDirectory(dir=place):
                 pass
     except OSError as error:
-        raise _unwritable(directory, error) from error
+        raise unwritable(out_dir, error) from error
+    finally:
+        _remove_empty(made)
 
 
 @contextmanager
-def whole_or_nothing(directory: Path) -> Iterator[Path]:
-    """A folder beside the wanted one that takes its name when the block ends, and vanishes if it raises.
+def new_directory(out_dir: Path, replaces: str | None = None) -> Iterator[Path]:
+    """Yield a folder to write into, which becomes ``out_dir`` when the block ends without an error.
+
+    If the block raises, nothing is left behind.
+
+    Args:
+        out_dir: an absent or empty folder.
+        replaces: pattern of file names; a folder with a matching file is an earlier result and is replaced.
 
     Raises:
-        InputError: the place is taken or cannot be written, the disk is full; nothing is left behind.
+        InputError: the place is taken or cannot be written, or the disk is full.
     """
-    directory = directory.resolve()
-    claim_output_dir(directory)
-    # Made by mkdir and not as a temporary folder, which nobody else could read.
-    unfinished = directory.parent / f".{directory.name}.unfinished-{os.getpid()}-{secrets.token_hex(4)}"
+    check_free(Path(out_dir), replaces)
+    place = Path(out_dir).resolve()
+    made = _missing_parents(place)
+    # Made by mkdir and not as a temporary folder, which other users could not read.
+    partial = place.parent / f".{place.name}.partial-{uuid4().hex[:8]}"
     try:
-        unfinished.mkdir()
+        place.parent.mkdir(parents=True, exist_ok=True)
+        partial.mkdir()
     except OSError as error:
-        raise _unwritable(directory, error) from error
+        _remove_empty(made)
+        raise unwritable(out_dir, error) from error
     try:
-        yield unfinished
-        if directory.is_dir():
-            directory.rmdir()
-        os.replace(unfinished, directory)
+        yield partial
+        _put_in_place(partial, place)
+    except BaseException as error:
+        shutil.rmtree(partial, ignore_errors=True)
+        _remove_empty(made)
+        # An error in another place, such as an input file, is not the folder's.
+        at = str(getattr(error, "filename", None) or "")
+        if isinstance(error, OSError) and (error.errno in _FULL or at.startswith((str(partial), str(place)))):
+            raise unwritable(out_dir, error) from error
+        raise
+
+
+def write_file(path: Path, write: Callable[[Path], Any]) -> None:
+    """Write a file that is whole, or stays as it was.
+
+    Args:
+        path: in an existing folder.
+        write: called with the path to write to, in the same folder and with the same suffix.
+
+    Raises:
+        InputError: it cannot be written, or the disk is full.
+    """
+    partial = path.with_name(f".{path.stem}.partial-{uuid4().hex[:8]}{path.suffix}")
+    try:
+        write(partial)
+        os.replace(partial, path)
     except OSError as error:
-        raise _unwritable(directory, error) from error
+        raise unwritable(path, error) from error
     finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
+        partial.unlink(missing_ok=True)
+
+
+def unwritable(path: Path, error: OSError) -> InputError:
+    """The error to raise if a file or folder cannot be written."""
+    if error.errno in _FULL:
+        return InputError(str(path), "the disk is full", "free some space and run the same command again")
+    problem = f"cannot be written ({error.strerror or error})"
+    return InputError(str(path), problem, "make it writable or choose another folder")
 
 
 def write_images(images: FrameSource, paths: list[Path], step: str, progress: Progress | None = None) -> None:
@@ -75,12 +120,34 @@ def write_images(images: FrameSource, paths: list[Path], step: str, progress: Pr
     for frame, path in enumerate(paths):
         encoded, data = cv2.imencode(".png", images[frame], _FAST_PNG)
         if not encoded:
-            raise OSError(f"frame {frame} cannot be encoded")
+            raise OSError(errno.EINVAL, f"frame {frame} cannot be encoded", str(path))
         path.write_bytes(data.tobytes())
         if progress:
             progress(step, frame + 1, len(paths))
 
 
-def _unwritable(directory: Path, error: OSError) -> InputError:
-    problem = f"cannot be written ({error.strerror or error})"
-    return InputError(str(directory), problem, "free space or give another folder")
+def _put_in_place(partial: Path, place: Path) -> None:
+    if not place.exists():
+        partial.rename(place)
+        return
+    # The earlier folder is moved aside first, so that an interruption leaves one of the two whole.
+    old = partial.with_name(partial.name + "-old")
+    place.rename(old)
+    try:
+        partial.rename(place)
+    except OSError:
+        old.rename(place)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _missing_parents(folder: Path) -> list[Path]:
+    return [parent for parent in folder.absolute().parents if not parent.exists()]
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    for folder in folders:
+        try:
+            folder.rmdir()
+        except OSError:
+            return

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from scenarios.errors import InputError
 from sim.io.camera_file import check_camera
-from sim.io.folders import Progress, whole_or_nothing, write_images
+from sim.io.folders import Progress, new_directory, write_images
 from sim.io.images import GrayFolder, read_gray
 from sim.io.sidecars import read_sidecars, write_sidecars
 from sim.io.text import check_order, check_present, check_words, read_rows, to_numbers
@@ -50,7 +50,7 @@ def write_kitti(sequence: Sequence, directory: Path, progress: Progress | None =
         )
     camera = sequence.camera
     projection = np.column_stack([camera.K, np.zeros(3)])
-    with whole_or_nothing(directory) as folder:
+    with new_directory(directory) as folder:
         (folder / IMAGES_DIR).mkdir()
         paths = [folder / IMAGES_DIR / f"{frame:06d}.png" for frame in range(len(sequence))]
         write_images(sequence.frames, paths, "writing", progress)

@@ -7,7 +7,7 @@ import numpy as np
 from scenarios.errors import InputError
 from sim.io import layout
 from sim.io.camera_file import write_camera
-from sim.io.folders import Progress, whole_or_nothing, write_images
+from sim.io.folders import Progress, new_directory, write_images
 from sim.io.sidecars import write_sidecars
 from sim.io.truth import tum_poses_text
 from sim.sequence import FrameSource, Sequence
@@ -32,7 +32,7 @@ def write_tum(
     """
     if depth and sequence.depths is None:
         raise InputError(sequence.name, "has no depth images", "render it with depth")
-    with whole_or_nothing(directory) as folder:
+    with new_directory(directory) as folder:
         write_camera(sequence.camera, folder / layout.CAMERA_FILE)
         if sequence.T_world_cam is not None:
             text = tum_poses_text(sequence.stamps_s, sequence.T_world_cam)

@@ -1,11 +1,13 @@
-"""One embedded cluster for all tests of runs: it takes seconds to start."""
+"""One embedded cluster for all tests, because it takes seconds to start."""
 
 from contextlib import nullcontext
+from functools import partial
 
 import pytest
 from unit_fakes import made_up_unit
 
 from experiments.campaign.runner import run_experiment
+from experiments.campaign.unit_job import unit_record
 from experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings, embedded_worker_pool
 
 
@@ -18,13 +20,14 @@ def shared_pool():
 
 @pytest.fixture
 def run_made_up(shared_pool, tmp_path):
-    """Runs a made-up experiment in a folder on the shared workers."""
+    """A function that runs a synthetic experiment in a folder on the shared workers."""
 
     def run(plan, folder=tmp_path / "x", timeout_s=60.0, job=made_up_unit, **options):
         tries = tmp_path / "tries"
         tries.mkdir(exist_ok=True)
-        settings = WorkerPoolSettings(workers=2, timeout_s=timeout_s, memory_mb=600, cache_dir=tries)
-        pool = WorkerPool(shared_pool._client, job, settings, tmp_path)
+        settings = WorkerPoolSettings(workers=2, timeout_s=timeout_s, memory_mb=600)
+        task = partial(unit_record, job, cache_dir=tries)
+        pool = WorkerPool(shared_pool._client, task, settings, tmp_path)
         return run_experiment(plan, folder, lambda: nullcontext(pool), **options)
 
     return run

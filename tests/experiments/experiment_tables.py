@@ -1,4 +1,4 @@
-"""Tables of records drawn from known models of failure, for the tests of the statistics."""
+"""Synthetic tables of records from known models of failure, for the tests of the statistics."""
 
 import numpy as np
 import pandas as pd
@@ -54,10 +54,10 @@ def simulated_cell(
 
 
 def within_monte_carlo(share, wanted, replicates, errors=3.5):
-    """Whether a simulated share agrees with a wanted one."""
+    """True if a simulated share agrees with a wanted one."""
     return abs(share - wanted) <= errors * np.sqrt(wanted * (1 - wanted) / replicates)
 
 
 def at_most(share, wanted, replicates, errors=3.0):
-    """Whether a simulated share is not above a wanted one but by chance."""
+    """True if a simulated share exceeds a wanted one only by chance."""
     return share <= wanted + errors * np.sqrt(wanted * (1 - wanted) / replicates)

@@ -1,4 +1,4 @@
-"""A page as the tests read it."""
+"""A parsed page for the tests."""
 
 from html.parser import HTMLParser
 

@@ -1,4 +1,4 @@
-"""Made-up experiments for the tests of reports: a spec and a table of records with known outcomes."""
+"""Synthetic experiments for the tests of reports: a spec and records with known outcomes."""
 
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -16,7 +16,7 @@ _FRAMES_PER_S, _ONSET, _END = 20, 100, 299
 
 @dataclass(frozen=True)
 class FakeSpec:
-    """What a report wants of an ExperimentSpec: three kinds of degradation, some doses each."""
+    """The part of an ExperimentSpec that a report uses: three kinds of degradation in some doses."""
 
     units: int = 40
     doses: int = 3

@@ -1,4 +1,4 @@
-"""A made-up sequence, and a system that replays its truth with noise, breaks and recovers on cue."""
+"""A synthetic sequence, and a system that replays its truth with noise, breakages and recoveries."""
 
 from dataclasses import dataclass, field
 
@@ -15,7 +15,7 @@ CAMERA = Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5, 30.0)
 
 
 def circle(frames: int, radius_m: float = 3.0, turn: float = 0.8) -> np.ndarray:
-    """(frames, 4, 4) poses on a part of a circle with some height, looking along the path."""
+    """(frames, 4, 4) poses on part of a circle with varying height, looking along the path."""
     angle = np.linspace(0, 2 * np.pi * turn, frames)
     T = np.tile(np.eye(4), (frames, 1, 1))
     T[:, :3, 3] = np.stack(
@@ -52,7 +52,7 @@ def make_sequence(frames: int = 300, truth: bool = True, segment: tuple[int, int
 
 @dataclass
 class FakeSystem:
-    """Replays a truth as an estimate at another scale and place.
+    """Replays a truth as an estimate in another frame and scale.
 
     Attributes:
         T_world_cam: (N, 4, 4) the truth to replay.

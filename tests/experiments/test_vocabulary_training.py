@@ -1,4 +1,4 @@
-"""The vocabulary is trained on frames of this project, the same every time, and says on which."""
+"""Training of the vocabulary is deterministic, on frames of this project, with provenance."""
 
 import json
 
@@ -24,7 +24,7 @@ def trained(tmp_path_factory):
     return cache, train([little_room()], seeds_each=2, branching=4, levels=2, cache_dir=cache)
 
 
-def test_training_is_the_same_every_time(trained, tmp_path):
+def test_training_is_deterministic(trained, tmp_path):
     cache, first = trained
     again = train([little_room()], seeds_each=2, branching=4, levels=2, cache_dir=cache)
     for name, made in (("a", first), ("b", again)):
@@ -32,7 +32,7 @@ def test_training_is_the_same_every_time(trained, tmp_path):
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
-def test_the_vocabulary_says_what_it_was_trained_on(trained):
+def test_the_vocabulary_has_its_provenance(trained):
     facts = trained[1].provenance
     assert facts["frames"] == 8 and facts["seeds"] == [FIRST_SEED, FIRST_SEED + 1]
     assert facts["descriptors"] > 8 * 50
@@ -58,7 +58,7 @@ def test_the_commands_write_and_show_it(trained, monkeypatch, tmp_path, capsys):
     assert shown["words"] > 100 and shown["frames"] == 4
 
 
-def test_what_is_no_place_for_a_vocabulary_or_none_is_bad_input(tmp_path):
+def test_a_bad_path_or_file_of_a_vocabulary_is_bad_input(tmp_path):
     with pytest.raises(InputError):
         train_command(tmp_path / "absent" / "words.npz")
     with pytest.raises(InputError):

@@ -1,6 +1,7 @@
-"""A made-up experiment whose units take no time: what a cell is named is what its units do."""
+"""A synthetic experiment with quick units: the name of a cell says what its units do."""
 
 import os
+import re
 import signal
 import time
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ import yaml
 
 from experiments.campaign.ledger import Ledger
 from experiments.campaign.schedule import Experiment
+from experiments.campaign.worker_pool import WorkerPool
 from experiments.eq1.records import decided, dual_column, empty_record, thread_column
 from experiments.eq1.units import ThreadChoice, UnitSpec, content_hash
 from scenarios.seeds import rng_for
@@ -47,17 +49,26 @@ class MadeUp:
         return yaml.safe_dump({"name": self.name, "cells": self.cells, "root_seed": self.root_seed})
 
 
+class OneWorker(WorkerPool):
+    """A pool that uses one worker at a time."""
+
+    def free(self) -> list[str]:
+        return [] if self.busy else super().free()[:1]
+
+
 def made_up_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict:
-    """Do what the cell says, then give a record drawn from the unit's seed."""
+    """Do what the cell says, up to the given number of tries; return a record drawn from the unit's seed."""
     what, *arguments = unit.cell.split("-")
     tries = _count_try(unit, cache_dir)
     if what == "slow":
         time.sleep(float(arguments[0]))
+    elif arguments and tries > int(arguments[0]):
+        pass
     elif what == "crash":
-        if not arguments or tries <= int(arguments[0]):
-            signal.raise_signal(signal.SIGSEGV)
-    elif what == "hang":
-        time.sleep(1000)
+        signal.raise_signal(signal.SIGSEGV)
+    elif what == "spin":
+        # Compiled code that holds the interpreter's lock: nothing in Python could end it.
+        re.match(r"(a+)+$", "a" * 60 + "b")
     elif what == "stop":
         os.kill(os.getpid(), signal.SIGSTOP)
     elif what == "memory":
@@ -65,9 +76,9 @@ def made_up_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path 
         for _ in range(4000):
             held.append(b"x" * 2**22)
             time.sleep(0.002)
-    elif what == "raise" and (not arguments or tries <= int(arguments[0])):
+    elif what == "raise":
         raise ValueError("told to")
-    elif what == "error" and (not arguments or tries <= int(arguments[0])):
+    elif what == "error":
         return empty_record(unit) | {"message": "no GL here"}
     elif what == "wrong":
         return {"unit_id": unit.unit_id}
@@ -75,13 +86,13 @@ def made_up_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path 
 
 
 def slow_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict:
-    """Take a moment, whatever the cell."""
+    """Return a record after a moment, in every cell."""
     time.sleep(0.05)
     return made_up_record(unit)
 
 
 def rendered_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict:
-    """Render something small and tell the hash of its frames."""
+    """Render a small scenario and return the hash of its frames in the record."""
     import hashlib
 
     from small_world import CAMERA, CORRIDOR
@@ -95,7 +106,7 @@ def rendered_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path
 
 
 def made_up_record(unit: UnitSpec) -> dict:
-    """A record that a unit's seed alone decides: p0 = 1/2, each thread fails in half of the cases."""
+    """A record determined by the unit's seed: p0 = 1/2, each thread fails in half of the cases."""
     rng = rng_for(unit.nuisance_seed, unit.cell)
     record = empty_record(unit) | {"code": "0", "commit": "0", "wall_s": time.perf_counter()}
     if rng.random() < 0.1:
@@ -114,13 +125,13 @@ def made_up_record(unit: UnitSpec) -> dict:
 
 
 def rows_of(folder: Path, plan: Experiment) -> list[dict]:
-    """What the ledger has of every unit that has ended, without times."""
+    """The rows of the ledger, without times."""
     with Ledger.open(folder, plan, read_only=True) as ledger:
         return [decided(row) for row in ledger.rows()]
 
 
 def _count_try(unit: UnitSpec, folder: Path | None) -> int:
-    """The how-manieth time this unit is tried, counted in files."""
+    """Number of this try of a unit, counted in files."""
     if folder is None:
         return 1
     path = folder / f"{unit.unit_id}.tries"

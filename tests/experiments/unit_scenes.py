@@ -1,4 +1,4 @@
-"""Units over made-up images: boards passing by, blank where it is wanted."""
+"""Units on synthetic images: boards passing by, blank in some frames."""
 
 from functools import cache
 
@@ -21,8 +21,8 @@ def _images():
     return np.array(images), np.array(stamps_s), np.array(T_world_cam)
 
 
-def made_up(*blank: range, frames: int = FRAMES) -> Sequence:
-    """A sequence whose exposed segment is the frames ONSET to END, blank in some ranges of frames."""
+def synthetic(*blank: range, frames: int = FRAMES) -> Sequence:
+    """A sequence with the exposed segment ONSET to END, blank in some ranges of frames."""
     images, stamps_s, T_world_cam = (array[:frames] for array in _images())
     images = images.copy()
     for span in blank:
@@ -33,7 +33,7 @@ def made_up(*blank: range, frames: int = FRAMES) -> Sequence:
 
 
 def unit(threads: str = "orb,gms", **changes) -> UnitSpec:
-    """A unit whose exposed segment is that of :func:`made_up`."""
+    """A unit whose exposed segment is that of :func:`synthetic`."""
     segment = LowTexture(
         kind="low_texture", start_s=ONSET / FPS, duration_s=(END - ONSET + 1) / FPS, contrast=0.0
     )
@@ -53,6 +53,6 @@ def unit(threads: str = "orb,gms", **changes) -> UnitSpec:
 
 
 def run(monkeypatch, sequence: Sequence, of: UnitSpec | None = None, **options) -> dict:
-    """The record of a unit whose images are given."""
+    """The record of a unit on given images."""
     monkeypatch.setattr(trial, "_render", lambda *_: sequence)
     return trial.run_unit(of or unit(), **options)

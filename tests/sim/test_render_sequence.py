@@ -170,7 +170,7 @@ def test_the_written_folder_is_the_sequence(tmp_path):
     np.testing.assert_allclose(read.T_world_cam, sequence.T_world_cam, atol=1e-8)
     assert read.segments == sequence.segments
     assert read.meta["spec"]["name"] == "trial"
-    with pytest.raises(InputError, match="not empty"):
+    with pytest.raises(InputError, match="already holds files"):
         render_sequence(SCENARIO, 1, out_dir=out, **options)
 
 

@@ -9,7 +9,7 @@ from experiments.benchmarks.experiment import bench_experiment
 
 
 def busy_unit(unit, cache_dir=None, recording=None):
-    """Spend a quarter of a second of CPU: a fifth said to be rendering, the rest SLAM."""
+    """Spend a quarter of a second of CPU, and report a fifth as rendering and the rest as SLAM."""
     assert cache_dir is not None
     end_s = time.process_time() + 0.25
     while time.process_time() < end_s:
@@ -18,7 +18,7 @@ def busy_unit(unit, cache_dir=None, recording=None):
 
 
 @pytest.mark.slow
-def test_the_figures_of_units_of_known_cost():
+def test_figures_of_units_with_known_cost_add_up():
     told = []
     figures = bench_experiment(MadeUp({"a": 1, "b": 1}), 6, 2, busy_unit, lambda *p: told.append(p))
     assert [(lap["workers"], lap["units"]) for lap in figures["laps"]] == [(1, 6), (2, 6)]

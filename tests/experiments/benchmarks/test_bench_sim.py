@@ -1,58 +1,38 @@
-"""The bench of the simulator: processes that start together, honest rates, the whole of it in small."""
+"""The bench of the simulator: processes that start together, rates, a small run of the whole bench."""
 
 import json
 import os
 import sys
-import time
 
 import pytest
+from bench_work import fail_in_one, start_time, which_process
 
 from experiments import cli
 from experiments.benchmarks import simulator as bench_sim
 from experiments.benchmarks.simulator import Lap, rates, run_together
 
 
-def start_time(index: int):
-    """Work of which the first process is ready a second before the second one."""
-    time.sleep(1.0 * index)
-
-    def work() -> int:
-        started_s = time.time()
-        time.sleep(0.2)
-        return round(1e3 * started_s)
-
-    return work
-
-
-def fail_in_one(index: int):
-    if index == 1:
-        raise ValueError("the second one")
-    return lambda: 1
-
-
-def which_process(index: int):
-    return os.getpid
-
-
 @pytest.mark.slow
-def test_processes_wait_for_each_other_and_the_set_up_is_not_counted():
+def test_processes_start_together_and_set_up_is_not_measured():
     first, second = run_together(start_time, (), 2)
     assert abs(first.frames - second.frames) < 400
     assert all(0.2 <= lap.wall_s < 0.8 and lap.cpu_s < 0.1 for lap in (first, second))
     assert all(20 < lap.peak_rss_mb < 2000 for lap in (first, second))
 
 
+@pytest.mark.slow
 def test_each_work_has_a_process_of_its_own():
     pids = {lap.frames for lap in run_together(which_process, (), 2)}
     assert len(pids) == 2 and os.getpid() not in pids
 
 
-def test_a_process_that_fails_ends_the_others_and_is_the_one_reported():
+@pytest.mark.slow
+def test_a_process_that_fails_ends_the_others_and_is_reported():
     with pytest.raises(ValueError, match="the second one"):
         run_together(fail_in_one, (), 2)
 
 
-def test_rates_are_of_all_together_until_the_last_is_ready():
+def test_rates_cover_all_processes_until_the_last_ends():
     found = rates([Lap(100, 2.0, 1.0, 300.0), Lap(100, 4.0, 2.0, 500.0)])
     assert found["frames_per_s"] == 50
     assert found["cpu_ms"] == 15
@@ -61,7 +41,7 @@ def test_rates_are_of_all_together_until_the_last_is_ready():
 
 
 @pytest.mark.slow
-def test_the_whole_bench_in_small(monkeypatch, capsys):
+def test_a_small_run_of_the_whole_bench(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["dslab", "bench", "sim", "--processes", "1", "--frames", "4", "--json"])
     with pytest.raises(SystemExit) as caught:
         cli.main()
@@ -76,7 +56,7 @@ def test_the_whole_bench_in_small(monkeypatch, capsys):
     assert figures["build"]["peak_rss_mb"] < figures["asked"]["peak_rss_mb"]
 
 
-def test_the_table_shows_what_was_asked_for_beside_what_was_reached(monkeypatch, capsys):
+def test_the_table_shows_targets_beside_measurements(monkeypatch, capsys):
     row = {
         "frames": 8,
         "frames_per_s": 61.5,
@@ -99,7 +79,7 @@ def test_the_table_shows_what_was_asked_for_beside_what_was_reached(monkeypatch,
         "rendered": dict.fromkeys(bench_sim.SCENES, row),
         "degraded": {"sharp": row, "blurred": row},
         "build": build,
-        "asked": bench_sim.ASKED,
+        "asked": bench_sim.TARGETS,
     }
     monkeypatch.setattr(bench_sim, "bench_sim", lambda processes, frames, show, renderer: figures)
     monkeypatch.setattr("experiments.cli.console.out.width", 160)

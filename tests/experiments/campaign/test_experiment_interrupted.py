@@ -1,4 +1,4 @@
-"""A driver that is ended in the midst of its units: what has ended is kept, and the next one goes on."""
+"""A driver that is ended during its run: finished units are kept, and the next driver resumes."""
 
 import signal
 import sqlite3
@@ -18,8 +18,8 @@ from experiments.eq1.records import decided
 from experiments.eq1.spec import load_spec
 from scenarios.errors import InputError
 
-# A shell has what it starts in the background ignore interrupts.
-HEARING = f"""
+# Programs that a shell starts in the background ignore interrupts.
+HANDLES_INTERRUPTS = f"""
 import signal, sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})
 signal.signal(signal.SIGINT, signal.default_int_handler)
 """
@@ -29,7 +29,7 @@ from experiments.campaign.worker_pool import WorkerPoolSettings, open_worker_poo
 from experiments.campaign.runner import run_experiment
 from unit_fakes import MadeUp, made_up_unit
 if __name__ == "__main__":
-    plan, settings = MadeUp({"slow-0.05": 200}), WorkerPoolSettings(workers=2)
+    plan, settings = MadeUp({"slow-0.05": 40}), WorkerPoolSettings(workers=2)
     run_experiment(plan, Path(sys.argv[1]), lambda: open_worker_pool(settings, made_up_unit))
 """
 DSLAB = """
@@ -45,18 +45,18 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture
 def command(tmp_path):
-    """Makes a program from its text; its command line."""
+    """A function that writes a program and returns its command line."""
 
     def made(program, *arguments):
         script = tmp_path / "program.py"
-        script.write_text(HEARING + program)
+        script.write_text(HANDLES_INTERRUPTS + program)
         return [sys.executable, str(script), *map(str, arguments)]
 
     return made
 
 
 def rows_so_far(folder, plan):
-    """How many there are, none while the ledger is being made."""
+    """Number of rows; 0 while the ledger is being created."""
     try:
         return len(rows_of(folder, plan))
     except InputError:
@@ -64,7 +64,7 @@ def rows_so_far(folder, plan):
 
 
 def ended_midway(command, how, folder, plan):
-    """Ends a driver after some of its units; its exit code and what it said. Nothing of it lives on."""
+    """End a driver after some units and return its exit code and errors; check that no process is left."""
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as driver:
         deadline_s = time.monotonic() + 120
         while rows_so_far(folder, plan) < 5:
@@ -82,21 +82,21 @@ def ended_midway(command, how, folder, plan):
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT], ids=["kill-9", "ctrl-c"])
-def test_a_driver_that_is_ended_loses_the_units_under_way_only(run_made_up, command, tmp_path, how):
-    plan, folder = MadeUp({"slow-0.05": 200}), tmp_path / "x"
+def test_a_driver_that_is_ended_loses_only_the_units_under_way(run_made_up, command, tmp_path, how):
+    plan, folder = MadeUp({"slow-0.05": 40}), tmp_path / "x"
     _, said = ended_midway(command(DRIVER, folder), how, folder, plan)
     if how is signal.SIGINT:
         assert said.strip().splitlines()[-1] == "KeyboardInterrupt" and said.count("Traceback") == 1
     before = rows_of(folder, plan)
-    assert 5 <= len(before) < 200
+    assert 5 <= len(before) < 40
     tally = run_made_up(plan, folder=folder)
-    assert tally.ended_here == 200 - len(before) and tally.retries == 0
+    assert tally.ended_here == 40 - len(before) and tally.retries == 0
     assert all(row in rows_of(folder, plan) for row in before)
 
 
-def test_ctrl_c_on_the_command_is_two_lines_and_exit_130_and_the_same_command_goes_on(command, tmp_path):
-    spec, folder = load_spec("smoke").model_copy(update={"units": 100}), tmp_path / "x"
-    run = command(DSLAB, "experiment", "run", "smoke", "--out", folder, "--units", 100, "--workers", 2)
+def test_ctrl_c_on_the_command_is_two_lines_and_exit_130_and_the_same_command_resumes(command, tmp_path):
+    spec, folder = load_spec("smoke").model_copy(update={"units": 20}), tmp_path / "x"
+    run = command(DSLAB, "experiment", "run", "smoke", "--out", folder, "--units", 20, "--workers", 2)
     code, said = ended_midway(run, signal.SIGINT, folder, spec)
     assert code == 130
     assert said.splitlines() == [
@@ -108,12 +108,12 @@ def test_ctrl_c_on_the_command_is_two_lines_and_exit_130_and_the_same_command_go
     file.close()
     with Ledger.open(folder, spec, read_only=True) as ledger:
         kept = ledger.rows()
-    assert 5 <= len(kept) < 200
+    assert 5 <= len(kept) < 40
     for row in kept:
         assert decided(row) == decided(normalise(made_up_record(spec.unit(row["cell"], row["index"])), 2))
     again = subprocess.run(run, capture_output=True, text=True, timeout=300, check=True)
-    assert "200 of 200 units" in again.stdout
+    assert "40 of 40 units" in again.stdout
     with Ledger.open(folder, spec, read_only=True) as ledger:
         rows = ledger.rows()
-    # With the times that they took: none was run again.
-    assert len(rows) == 200 and all(row in rows for row in kept)
+    # Rows include times, hence none was run again.
+    assert len(rows) == 40 and all(row in rows for row in kept)

@@ -1,65 +1,60 @@
-"""Runs of made-up units in real processes: the same rows for any number of workers, one run or several."""
+"""Runs of synthetic units in real processes: the same rows for any number of workers and runs."""
 
 import os
 import subprocess
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 
 import psutil
 import pytest
-from unit_fakes import MadeUp, made_up_record, made_up_unit, rows_of
+from unit_fakes import MadeUp, OneWorker, made_up_record, made_up_unit, rows_of
 
-from experiments.campaign import worker_pool as crews
+from experiments.campaign import worker_pool
 from experiments.campaign.folder import SPEC_FILE, claim_folder
 from experiments.campaign.folder_lock import sole_driver
 from experiments.campaign.ledger import LEDGER_FILE
 from experiments.campaign.runner import run_experiment
 from experiments.campaign.stopping import NarrowEnough
+from experiments.campaign.unit_job import unit_record
 from experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings, open_worker_pool
 from experiments.eq1.records import decided
 from experiments.eq1.spec import Stopping
 from scenarios.errors import InputError
 
-PLAN = MadeUp({"ok": 40, "slow-0.01": 40})
-RULE = NarrowEnough(Stopping(quantity="p0", half_width=0.3, min_units=10))
-
-
-class OneWorker(WorkerPool):
-    """Sees the first worker only."""
-
-    def workers(self):
-        return super().workers()[:1]
+PLAN = MadeUp({"ok": 25, "slow-0.01": 25})
+RULE = NarrowEnough(Stopping(quantity="p0", half_width=0.4, min_units=10))
 
 
 def test_one_worker_and_two_give_the_same_rows_with_a_stopping_rule(shared_pool, tmp_path):
     for kind in (OneWorker, WorkerPool):
-        pool = kind(shared_pool._client, made_up_unit, WorkerPoolSettings(workers=2))
+        pool = kind(shared_pool._client, partial(unit_record, made_up_unit), WorkerPoolSettings(workers=2))
         tally = run_experiment(PLAN, tmp_path / kind.__name__, lambda pool=pool: nullcontext(pool), RULE)
-        assert tally.done == tally.total < 80
+        assert tally.done == tally.total < 50
     one, two = (rows_of(tmp_path / kind.__name__, PLAN) for kind in (OneWorker, WorkerPool))
     assert one == two
     assert all(row == decided(made_up_record(PLAN.unit(row["cell"], row["index"]))) for row in one)
 
 
-def test_a_run_goes_on_where_it_was_and_does_nothing_when_all_is_done(run_made_up, tmp_path):
+def test_a_run_resumes_and_opens_no_workers_when_all_is_done(run_made_up, tmp_path):
     folder = tmp_path / "x"
 
     def interrupt(tally):
         if tally.ended_here >= 5:
             raise KeyboardInterrupt
 
-    plan = MadeUp({"ok": 20})
+    plan = MadeUp({"ok": 10})
     with pytest.raises(KeyboardInterrupt):
         run_made_up(plan, show=interrupt)
     before = rows_of(folder, plan)
-    assert 5 <= len(before) < 20
-    assert run_made_up(plan).ended_here == 20 - len(before)
-    assert len(rows_of(folder, plan)) == 20 and all(row in rows_of(folder, plan) for row in before)
+    assert 5 <= len(before) < 10
+    assert run_made_up(plan).ended_here == 10 - len(before)
+    assert len(rows_of(folder, plan)) == 10 and all(row in rows_of(folder, plan) for row in before)
 
     def nobody():
         raise AssertionError("no workers are needed")
 
-    assert run_experiment(plan, folder, nobody).done == 20
+    assert run_experiment(plan, folder, nobody).done == 10
     assert run_experiment(replace(plan, cells={"ok": 7}), folder, nobody).total == 7
 
 
@@ -71,7 +66,7 @@ def test_errors_given_up_are_tried_again_on_request_only(run_made_up, tmp_path):
     assert (tally.ended_here, tally.errors, tally.retries) == (1, 0, 1)
 
 
-def test_a_folder_of_another_spec_or_of_other_things_or_in_use_is_refused(run_made_up, tmp_path):
+def test_a_folder_of_another_spec_or_with_other_files_or_in_use_is_refused(run_made_up, tmp_path):
     plan, folder = MadeUp({"ok": 2}), tmp_path / "x"
     run_made_up(plan)
     spec, before = (folder / SPEC_FILE).read_text(), rows_of(folder, plan)
@@ -86,7 +81,7 @@ def test_a_folder_of_another_spec_or_of_other_things_or_in_use_is_refused(run_ma
         run_made_up(plan, folder=tmp_path / "other")
 
 
-def test_units_that_the_code_now_draws_otherwise_are_not_mixed(run_made_up, tmp_path):
+def test_units_that_the_code_now_draws_differently_are_refused(run_made_up, tmp_path):
     class Redrawn(MadeUp):
         def unit(self, cell, index):
             return super().unit(cell, index + 100).model_copy(update={"index": index})
@@ -96,7 +91,7 @@ def test_units_that_the_code_now_draws_otherwise_are_not_mixed(run_made_up, tmp_
         run_made_up(Redrawn({"ok": 3}))
 
 
-def test_a_folder_left_by_a_driver_killed_as_it_began_is_taken_up(tmp_path):
+def test_a_folder_of_a_driver_killed_at_its_start_is_reused(tmp_path):
     for name in (SPEC_FILE, "driver.lock", "driver.lock-journal", LEDGER_FILE):
         (tmp_path / name).write_text("")
         claim_folder(tmp_path)
@@ -115,7 +110,7 @@ def small_disk(tmp_path):
     subprocess.run(["umount", disk], check=True)
 
 
-def test_a_full_disk_ends_the_run_in_one_line_and_the_next_goes_on(run_made_up, small_disk, tmp_path):
+def test_a_full_disk_ends_the_run_in_one_line_and_the_next_run_resumes(run_made_up, small_disk, tmp_path):
     plan, folder = MadeUp({"ok": 12}), small_disk / "x"
 
     def fill(tally):
@@ -132,7 +127,7 @@ def test_a_full_disk_ends_the_run_in_one_line_and_the_next_goes_on(run_made_up, 
     assert [row for row in rows_of(folder, plan) if row in kept] == kept
 
 
-def test_a_scheduler_somewhere_else_gives_the_same(shared_pool, tmp_path):
+def test_a_remote_scheduler_gives_the_same_rows(shared_pool, tmp_path):
     address = shared_pool._client.scheduler.address
     settings = WorkerPoolSettings(scheduler=address)
     plan = MadeUp({"ok": 5})
@@ -141,22 +136,22 @@ def test_a_scheduler_somewhere_else_gives_the_same(shared_pool, tmp_path):
     assert rows_of(tmp_path / "x", plan) == [decided(made_up_record(plan.unit("ok", i))) for i in range(5)]
 
 
-def test_a_scheduler_that_is_not_there_is_one_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(crews, "_CONNECT_S", 1.0)
+def test_a_missing_scheduler_is_reported_in_one_line(tmp_path, monkeypatch):
+    monkeypatch.setattr(worker_pool, "_CONNECT_S", 0.3)
     settings = WorkerPoolSettings(scheduler="tcp://127.0.0.1:9")
     with pytest.raises(InputError, match=r"tcp://127.0.0.1:9: no scheduler answers .*; start one with"):
         run_experiment(MadeUp({"ok": 1}), tmp_path / "x", lambda: open_worker_pool(settings, made_up_unit))
 
 
-def test_nothing_listens_beyond_this_machine(shared_pool):
+def test_all_ports_are_bound_to_loopback(shared_pool):
     me = psutil.Process()
     for process in (me, *me.children(recursive=True)):
         for connection in process.net_connections():
             assert connection.status != "LISTEN" or connection.laddr.ip == "127.0.0.1"
 
 
-def test_numbers_are_summed_by_one_thread(shared_pool):
-    names = list(crews.SINGLE_THREADED)
+def test_workers_compute_in_one_thread(shared_pool):
+    names = list(worker_pool.SINGLE_THREADED)
     found = shared_pool._client.run(lambda: [os.environ.get(name) for name in names])
     assert all(values == ["1"] * len(names) for values in found.values())
     import cv2

@@ -1,10 +1,12 @@
-"""The ledger keeps every row that was written, of one spec only, in one order, with one schema."""
+"""The ledger keeps every written row, of one spec, in one order, with one schema."""
 
+import os
+import signal
 import sqlite3
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
+from multiprocessing import get_context
 
 import pandas as pd
 import pytest
@@ -29,7 +31,7 @@ def fill(folder, order):
             ledger.add(record_of(PLAN, cell, index))
 
 
-def test_rows_come_back_as_they_were_in_the_order_of_the_spec(tmp_path):
+def test_rows_are_read_back_unchanged_in_the_order_of_the_spec(tmp_path):
     fill(tmp_path, [("a", 1), ("b", 2), ("b", 0), ("a", 0)])
     with Ledger.open(tmp_path, PLAN) as ledger:
         rows = ledger.rows()
@@ -71,7 +73,7 @@ def test_a_unit_is_written_once(tmp_path):
         assert len(ledger.rows()) == 1
 
 
-def test_errors_are_apart_from_the_units_and_those_given_up_can_be_due_again(tmp_path):
+def test_errors_are_kept_apart_and_units_given_up_can_be_retried(tmp_path):
     unit = PLAN.unit("a", 0)
     with Ledger.open(tmp_path, PLAN) as ledger:
         for attempt in (1, 2):
@@ -105,7 +107,7 @@ def test_a_full_disk_is_one_line_and_leaves_the_rows(tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"no database at all" * 100, b""])
-def test_a_file_that_is_no_ledger_is_refused_or_made_one(tmp_path, content):
+def test_another_file_is_refused_and_an_empty_one_becomes_a_ledger(tmp_path, content):
     (tmp_path / LEDGER_FILE).write_bytes(content)
     if content:
         with pytest.raises(InputError, match="is not a ledger; choose a new folder"):
@@ -114,13 +116,13 @@ def test_a_file_that_is_no_ledger_is_refused_or_made_one(tmp_path, content):
         assert Ledger.open(tmp_path, PLAN).rows() == []
 
 
-def test_a_missing_ledger_cannot_be_read_and_is_not_made(tmp_path):
+def test_a_missing_ledger_cannot_be_read_and_is_not_created(tmp_path):
     with pytest.raises(InputError, match=r"has no ledger.sqlite"):
         Ledger.open(tmp_path, PLAN, read_only=True)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_it_can_be_read_while_it_is_written(tmp_path):
+def test_a_ledger_can_be_read_during_a_run(tmp_path):
     with Ledger.open(tmp_path, PLAN) as writing:
         writing.add(record_of(PLAN, "a", 0))
         with Ledger.open(tmp_path, PLAN, read_only=True) as reading:
@@ -131,22 +133,24 @@ def test_it_can_be_read_while_it_is_written(tmp_path):
                 reading.add(record_of(PLAN, "b", 0))
 
 
-def test_what_was_added_outlives_kill_9(tmp_path):
-    script = (
-        "import os, sys; sys.path[:0] = sys.argv[2:]; from pathlib import Path\n"
-        "from test_ledger import PLAN, record_of; from experiments.campaign.ledger import Ledger\n"
-        "ledger = Ledger.open(Path(sys.argv[1]), PLAN)\n"
-        "for index in range(3): ledger.add(record_of(PLAN, 'b', index))\n"
-        "os.kill(os.getpid(), 9)"
-    )
-    here = Path(__file__).parent
-    done = subprocess.run([sys.executable, "-c", script, tmp_path, here, here.parent], check=False)
-    assert done.returncode == -9
+def add_and_die(folder):
+    ledger = Ledger.open(folder, PLAN)
+    for index in range(3):
+        ledger.add(record_of(PLAN, "b", index))
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_added_rows_outlive_kill_9(tmp_path):
+    # Forked, as a new interpreter takes seconds to start; the child runs nothing but the ledger.
+    child = get_context("fork").Process(target=add_and_die, args=(tmp_path,))
+    child.start()
+    child.join()
+    assert child.exitcode == -9
     with Ledger.open(tmp_path, PLAN, read_only=True) as ledger:
         assert [r["index"] for r in ledger.rows()] == [0, 1, 2]
 
 
-def test_one_driver_at_a_time_and_the_next_after_kill_9(tmp_path):
+def test_the_folder_has_one_driver_at_a_time_and_is_free_after_kill_9(tmp_path):
     script = (
         "import sys, time; from pathlib import Path\n"
         "from experiments.campaign.folder_lock import sole_driver\n"
@@ -169,14 +173,14 @@ def test_a_record_of_wrong_form_is_refused(change):
         normalise(made_up_record(PLAN.unit("a", 0)) | change, 2)
 
 
-def test_numbers_that_are_none_are_null():
+def test_nan_and_infinities_are_null():
     record = made_up_record(PLAN.unit("a", 0)) | {"base_ate_m": float("nan"), "dual_ate_m": float("inf")}
     plain = normalise(record, 2)
     assert plain["base_ate_m"] is None and plain["dual_ate_m"] is None
     assert data_frame([plain], 2)["base_ate_m"].tolist() == [pd.NA]
 
 
-def test_a_ledger_that_is_being_made_is_told_of(tmp_path):
+def test_an_unfinished_ledger_is_reported(tmp_path):
     (tmp_path / LEDGER_FILE).touch()
-    with pytest.raises(InputError, match="holds nothing yet; ask again once the run has begun"):
+    with pytest.raises(InputError, match="holds nothing yet; try again when the run has started"):
         Ledger.open(tmp_path, MadeUp({"ok": 1}), read_only=True)

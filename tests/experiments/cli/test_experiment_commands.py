@@ -58,7 +58,7 @@ def smoke(finished, monkeypatch, tmp_path):
     def opened(settings, job):
         return nullcontext(LocalPool(job))
 
-    monkeypatch.setattr("experiments.campaign.worker_pool.open_worker_pool", opened)
+    monkeypatch.setattr("experiments.campaign.worker_pool.embedded_worker_pool", opened)
     monkeypatch.setattr("experiments.campaign.replay.embedded_worker_pool", opened)
     monkeypatch.setattr("experiments.eq1.trial.run_unit", made_up_unit)
     return shutil.copytree(finished, tmp_path / "s")

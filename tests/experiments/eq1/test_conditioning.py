@@ -1,4 +1,4 @@
-"""Pose error against baseline: from images to columns, from columns to slopes, from slopes to the page."""
+"""Pose error against baseline: from images to columns, slopes and the report page."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -11,7 +11,7 @@ from experiment_tables import simulated_cell
 from html_page import Page
 from report_fakes import FakeSpec, fake_table
 from scipy.spatial.transform import Rotation
-from unit_scenes import ONSET, made_up, run, unit
+from unit_scenes import ONSET, run, synthetic, unit
 
 from experiments.eq1.conditioning import PAIRS_PER_GAP, first_frames, judge_pairs, relative_pose
 from experiments.eq1.record_table import data_frame, normalise, typed
@@ -21,14 +21,14 @@ from experiments.report.page import report_html
 from experiments.report.plots.conditioning import draw_conditioning
 from experiments.report.plots.draw import rendered
 from experiments.report.plots.style import settings
-from experiments.statistics.analysis import AnalysisSettings, analyse
+from experiments.statistics.analysis import AnalysisSettings
 from experiments.statistics.clustering import cluster_median, cluster_ratio
 from experiments.statistics.conditioning import baseline_errors, lead_ins
 from slam.warmup import CAMERA
 
 QUICK = AnalysisSettings(draws=200, replicates=19)
 NAMES = [pair_column(gap, name) for gap in PAIR_GAPS for name in PAIR_COLUMNS]
-WHOLE = made_up()
+WHOLE = synthetic()
 
 
 def by_gap(record, name):
@@ -39,7 +39,7 @@ def by_gap(record, name):
 
 
 def two_views(baseline_m, noise_px=0.0, points=200, seed=0, way=(0.8, 0.0, 0.6)):
-    """Pixels of points 3 to 8 m away, (N, 2) twice, and the true motion view 1 to view 2."""
+    """Pixels (N, 2) in two views of points 3 to 8 m away, and the true motion view 1 to view 2."""
     rng = np.random.default_rng(seed)
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler("yx", [1.5, -0.7], degrees=True).as_matrix()
@@ -58,13 +58,13 @@ def two_views(baseline_m, noise_px=0.0, points=200, seed=0, way=(0.8, 0.0, 0.6))
 def test_the_pose_of_exact_matches_is_the_true_one_at_any_parallax(baseline_m, way):
     # At 0.02 m every point is more than 50 baselines away, which is too far for OpenCV's choice of the sign.
     xy_1, xy_2, T = two_views(baseline_m, way=way)
-    # Now and then the first sample already explains all of a narrow pair to a pixel, and is kept as it is.
+    # The first sample may explain all of a narrow pair to a pixel, and is then not refined.
     found = [relative_pose(xy_1, xy_2, CAMERA, seed) for seed in range(5)]
     assert np.median([np.abs(R - T[:3, :3]).max() for R, _ in found]) < 2e-4
     assert np.median([np.abs(t - way).max() for _, t in found]) < 2e-2
 
 
-def test_wrong_matches_are_stood():
+def test_the_pose_is_robust_to_wrong_matches():
     xy_1, xy_2, T = two_views(0.5, noise_px=0.3)
     xy_2[:60] = xy_2[59::-1]
     R, t = relative_pose(xy_1, xy_2, CAMERA, 0)
@@ -85,7 +85,7 @@ def test_degenerate_matches_give_a_pose_or_none_but_no_exception():
 # -- the arm -------------------------------------------------------------------------------------------------
 
 
-def test_pairs_lie_in_the_lead_in_and_begin_together():
+def test_pairs_lie_in_the_lead_in_and_start_at_the_same_frames():
     found = first_frames(80)
     assert list(found) == list(PAIR_GAPS)
     assert all(starts == found[1] for starts in found.values())
@@ -97,7 +97,7 @@ def test_pairs_lie_in_the_lead_in_and_begin_together():
     assert set(map(tuple, first_frames(1).values())) == {()}
 
 
-def test_errors_are_those_of_the_truth():
+def test_errors_are_measured_against_the_truth():
     row = judge_pairs(WHOLE, ONSET, 1)
     assert list(row) == NAMES and by_gap(row, "count") == [8] * 4
     truth = WHOLE.T_world_cam[:, :3, 3]
@@ -105,30 +105,30 @@ def test_errors_are_those_of_the_truth():
         steps = [np.linalg.norm(truth[i + gap] - truth[i]) for i in starts]
         assert row[pair_column(gap, "baseline_m")] == pytest.approx(np.median(steps))
     assert row["pairs9_rotation_deg"] < 0.5 and row["pairs9_direction_deg"] < 3
-    # Narrow is worse: Fig. 2.
+    # Narrow baselines are worse: Fig. 2.
     assert row["pairs1_direction_deg"] > 2 * row["pairs9_direction_deg"]
     assert by_gap(row, "matches") == sorted(by_gap(row, "matches"), reverse=True)
-    # A truth turned by ten degrees after each frame's own position is off by as much.
+    # A truth rotated by ten degrees gives an error of ten degrees.
     turned = WHOLE.T_world_cam.copy()
     turned[9:, :3, :3] = Rotation.from_euler("y", 10, degrees=True).as_matrix()
     lying = judge_pairs(replace(WHOLE, T_world_cam=turned), 10, 1)
     assert lying["pairs9_rotation_deg"] == pytest.approx(10, abs=0.5)
 
 
-def test_what_lies_after_the_lead_in_is_not_looked_at():
-    assert judge_pairs(made_up(range(ONSET, 170)), ONSET, 1) == judge_pairs(WHOLE, ONSET, 1)
+def test_frames_after_the_lead_in_are_not_used():
+    assert judge_pairs(synthetic(range(ONSET, 170)), ONSET, 1) == judge_pairs(WHOLE, ONSET, 1)
 
 
-def test_frames_that_show_or_move_nothing_have_no_pairs():
+def test_frames_without_texture_or_motion_have_no_pairs():
     still = replace(WHOLE, T_world_cam=np.broadcast_to(np.eye(4), (170, 4, 4)))
     unknown = replace(WHOLE, T_world_cam=np.full((170, 4, 4), np.nan))
-    for sequence in (made_up(range(170)), still, unknown, replace(WHOLE, T_world_cam=None)):
+    for sequence in (synthetic(range(170)), still, unknown, replace(WHOLE, T_world_cam=None)):
         row = judge_pairs(sequence, ONSET, 1)
         assert by_gap(row, "count") == [0] * 4
         assert {row[name] for name in NAMES if not name.endswith("count")} == {None}
 
 
-def test_the_arm_is_run_where_wanted_and_changes_nothing_else(monkeypatch):
+def test_the_arm_runs_on_request_and_changes_nothing_else(monkeypatch):
     with_pairs, without = (
         run(monkeypatch, WHOLE, unit("orb", arms=arms)) for arms in (("crossing", "pairs"), ("crossing",))
     )
@@ -141,14 +141,14 @@ def test_the_arm_is_run_where_wanted_and_changes_nothing_else(monkeypatch):
     }
 
 
-def test_the_global_random_stream_is_no_matter():
+def test_the_result_does_not_depend_on_the_global_random_stream():
     cv2.setRNGSeed(1)
     one = judge_pairs(WHOLE, ONSET, 1)
     cv2.setRNGSeed(2)
     assert judge_pairs(WHOLE, ONSET, 1) == one != judge_pairs(WHOLE, ONSET, 2)
 
 
-def test_a_table_of_before_has_none_of_it():
+def test_an_older_table_has_null_columns():
     record = dict.fromkeys(columns(2))
     old = data_frame([record], 2).drop(columns=NAMES)
     assert typed(old, 2).equals(data_frame([record], 2))
@@ -158,13 +158,13 @@ def test_a_table_of_before_has_none_of_it():
 
 
 def simulated(rng, slope, worlds=25, per_world=4, level=1.0, noise=0.4):
-    """Lead-ins whose errors go with a power of their baselines; worlds differ in level, cameras in speed."""
+    """Lead-ins with errors as a power of the baseline; worlds differ in level, cameras in speed."""
     units = worlds * per_world
     table = simulated_cell(rng, "low_texture/1", 1, units, 0.3, 0.3, units_per_world=per_world)
     table["nuisance_seed"] = pd.array(range(units), dtype="Int64")
     table["index"] = pd.array(range(units), dtype="Int64")
     world = rng.normal(0, level, worlds)[np.arange(units) // per_world]
-    # Fast cameras are in hard worlds: only within lead-ins is the slope what it is.
+    # Fast cameras are in hard worlds: the slope is unbiased only within lead-ins.
     speed = np.exp(0.5 * world + rng.normal(0, 0.3, units))
     for gap in PAIR_GAPS:
         baseline_m = 0.05 * gap * speed
@@ -182,12 +182,12 @@ def simulated(rng, slope, worlds=25, per_world=4, level=1.0, noise=0.4):
 
 def test_a_known_slope_is_found_and_its_interval_covers_it():
     rng, covered, found = np.random.default_rng(3), [], []
-    for _ in range(100):
+    for _ in range(30):
         rows = simulated(rng, -0.7)
-        errors = baseline_errors(rows, "direction_deg", 400, rng)
+        errors = baseline_errors(rows, "direction_deg", 200, rng)
         found.append(errors.slope.value)
         covered.append(errors.slope.low <= -0.7 <= errors.slope.high)
-    assert np.mean(found) == pytest.approx(-0.7, abs=0.03)
+    assert np.mean(found) == pytest.approx(-0.7, abs=0.05)
     assert np.mean(covered) >= 0.85 and np.ptp(found) > 0.05
     assert [(s.narrow, s.wide) for s in errors.steps] == [(1, 3), (3, 9), (9, 27)]
     assert all(s.slope.value == pytest.approx(-0.7, abs=0.3) for s in errors.steps)
@@ -205,7 +205,7 @@ def test_medians_are_those_of_the_lead_ins():
 
 def test_the_median_s_interval_covers():
     rng, held = np.random.default_rng(5), []
-    for _ in range(200):
+    for _ in range(100):
         world = np.repeat(np.arange(30), 3)
         values = np.repeat(rng.normal(size=30), 3) + 0.3 * rng.normal(size=90)
         found = cluster_median(values, world, 400, rng)
@@ -217,27 +217,29 @@ def test_the_median_s_interval_covers():
 
 
 def test_a_lead_in_that_cells_share_counts_once_and_gaps_may_be_missing():
+    def direction(table):
+        return baseline_errors(lead_ins(table), "direction_deg", 200, np.random.default_rng(0))
+
     table = simulated(np.random.default_rng(6), -0.7)
     twice = pd.concat([table, table.assign(cell="other", unit_id="x" + table["unit_id"])], ignore_index=True)
-    assert analyse(twice, 2, QUICK).conditioning == analyse(table, 2, QUICK).conditioning
+    assert direction(twice) == direction(table)
     void = table.copy()
     void.loc[:49, "outcome"] = "void"
     assert len(lead_ins(void)) == 50
     narrow = table.copy()
     narrow[[name for name in NAMES if name.startswith("pairs27_")]] = pd.NA
     narrow.loc[0:9, [name for name in NAMES if not name.startswith("pairs1_")]] = pd.NA
-    errors = analyse(narrow, 2, QUICK).conditioning[1]
+    errors = direction(narrow)
     assert [g.lead_ins for g in errors.gaps] == [100, 90, 90]
     assert errors.slope.value == pytest.approx(-0.7, abs=0.15)
-    alone = table[:1]
-    errors = analyse(alone, 2, QUICK).conditioning[1]
+    errors = direction(table[:1])
     assert errors.slope.value is not None and errors.slope.low is None
 
 
 # -- report --------------------------------------------------------------------------------------------------
 
 
-def test_the_page_tells_the_slope_and_shows_it(tmp_path):
+def test_the_page_states_and_plots_the_slope(tmp_path):
     spec = FakeSpec(doses=1, units=100)
     table = simulated(np.random.default_rng(7), -0.7)
     report = report_content(spec, table, tmp_path, QUICK)
@@ -254,7 +256,7 @@ def test_the_page_tells_the_slope_and_shows_it(tmp_path):
     assert len(marks) == 400 and marks[0]["baseline_m"] == table["pairs1_baseline_m"].iloc[0]
 
 
-def test_a_turn_at_the_wide_end_is_told(tmp_path):
+def test_a_rise_at_the_wide_end_is_stated(tmp_path):
     table = simulated(np.random.default_rng(8), -0.7, noise=0.1)
     table["pairs27_direction_deg"] = table["pairs9_direction_deg"] * 2
     report = report_content(FakeSpec(doses=1), table, tmp_path, QUICK)

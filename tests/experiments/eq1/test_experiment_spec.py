@@ -1,4 +1,4 @@
-"""Experiment specs: cells and units are what the file says, seeds are common, every fault is one line."""
+"""Experiment specs: cells, units, common seeds, and every fault in one line."""
 
 import jsonschema
 import pytest
@@ -59,7 +59,7 @@ def test_cells_are_every_combination_by_name(spec):
     assert [spec.units_of(cell) for cell in expected] == [8] * 12
 
 
-def test_a_unit_says_all_that_decides_it(spec):
+def test_a_unit_contains_everything_that_determines_it(spec):
     unit = spec.unit("passage/motion_blur/2/dual+", 6)
     assert (unit.kind, unit.severity, unit.index, unit.system) == ("motion_blur", 0.2, 6, "dual+")
     assert [(t.kind, t.seed) for t in unit.threads] == [("orb", 0), ("orb", 1), ("sift", 0)]
@@ -84,7 +84,7 @@ def test_an_index_means_the_same_world_path_and_noise_in_every_cell(spec):
         assert len({(s.start_s, s.duration_s) for s in blurred}) == 1
 
 
-def test_units_that_share_a_world_are_clusters_and_differ_in_all_else(spec):
+def test_units_that_share_a_world_differ_in_everything_else(spec):
     units = [spec.unit("passage/motion_blur/1/dual", i) for i in range(8)]
     worlds = [(u.world_seed, str(u.scenario.world)) for u in units]
     assert worlds[:4] == worlds[:1] * 4 and worlds[4:] == worlds[4:5] * 4 and worlds[0] != worlds[4]
@@ -93,7 +93,7 @@ def test_units_that_share_a_world_are_clusters_and_differ_in_all_else(spec):
     assert len({u.unit_id for u in units}) == 8
 
 
-def test_a_unit_does_not_depend_on_what_else_there_is(spec, tmp_path):
+def test_a_unit_does_not_depend_on_other_units_and_cells(spec, tmp_path):
     alone = yaml.safe_load(SPEC)
     alone["degradations"] = alone["degradations"][1:]
     alone |= {"units": 100, "description": "more of them"}
@@ -102,7 +102,7 @@ def test_a_unit_does_not_depend_on_what_else_there_is(spec, tmp_path):
     assert other.unit(cell, 3) == spec.unit(cell, 3)
 
 
-def test_the_hash_is_of_what_decides_units(spec):
+def test_the_hash_covers_everything_that_determines_units(spec):
     def changed(**fields):
         return spec.model_validate({**spec.model_dump(), **fields}).content_hash
 
@@ -117,7 +117,7 @@ def test_the_written_spec_reads_back(spec, tmp_path):
     assert again.unit("hall/motion_blur/2/dual", 1) == spec.unit("hall/motion_blur/2/dual", 1)
 
 
-def test_a_family_may_be_taken_member_by_member_or_as_a_whole(tmp_path):
+def test_a_family_may_be_used_by_member_or_as_a_whole(tmp_path):
     text = SPEC.replace("family: clean-room\n    camera: {fps: 15}", "{family: small, each_member: true}")
     text = text.replace("hall:\n    {", "hall: {")
     spec = load(tmp_path, text)
@@ -139,7 +139,7 @@ def test_a_family_may_be_taken_member_by_member_or_as_a_whole(tmp_path):
             ":11: degradations[0]: dose: a segment of kind motion_blur has no",
         ),
         ("doses: [0.1, 0.2]", "doses: [0.1, 2]", ":13: degradations[0].doses[1]: 2.0 is not valid"),
-        ("doses: [0.1, 0.2]", "doses: [0.1, 0.1]", ":11: degradations[0]: two doses are told by the same"),
+        ("doses: [0.1, 0.2]", "doses: [0.1, 0.1]", ":11: degradations[0]: two doses have the same"),
         ("axis: {choice: [yaw, pitch]}", "axis: up", ":20: degradations[1].fields.axis: 'up' is not valid"),
         ("length_m: {uniform: [30, 60]}", "length_m: 3", ":5: bases.passage.world.length_m: 3 is not valid"),
         ("{uniform: [30, 60]}", "{uniform: [30]}", ":5: bases.passage.world.length_m: uniform [30] has no"),
@@ -165,7 +165,7 @@ def test_every_fault_is_one_line_with_file_and_field(tmp_path, old, new, told):
     assert "\n" not in line and line.startswith(str(tmp_path / "spec.yaml")) and told in line
 
 
-def test_unknown_names_are_guessed(spec):
+def test_a_similar_name_is_suggested_for_an_unknown_one(spec):
     with pytest.raises(InputError, match=r"no such experiment; use smoke \(did you mean"):
         load_spec("smok")
     with pytest.raises(InputError, match="no such cell; use hall/motion_blur/1/dual"):
@@ -173,7 +173,7 @@ def test_unknown_names_are_guessed(spec):
 
 
 @pytest.mark.parametrize("name", preset_names())
-def test_presets_are_valid_and_say_what_they_are(name):
+def test_presets_are_valid_and_described(name):
     spec = load_spec(name)
     assert spec.name == name and spec.description
     text = (load_spec.__globals__["PRESET_DIR"] / f"{name}.yaml").read_text()

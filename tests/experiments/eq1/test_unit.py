@@ -1,11 +1,11 @@
-"""One unit: what is declared, audited and void; branches are what runs from the start are."""
+"""One unit: declared, audited and void outcomes; branches equal runs from the start."""
 
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from unit_scenes import END, FRAMES, ONSET, made_up, run, unit
+from unit_scenes import END, FRAMES, ONSET, run, synthetic, unit
 
 from experiments.eq1 import trial
 from experiments.eq1.arms import CpuClock, Exposure, dual_config, run_crossing, run_free, run_lead_in
@@ -15,7 +15,7 @@ from scenarios.errors import InputError
 from slam.core.events import RecoveryEnd
 from slam.factory import build_system
 
-BROKEN = made_up(range(85, 91))
+BROKEN = synthetic(range(85, 91))
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def told(record, arm, thread, *names):
 
 
 def trace(record):
-    """All that a run has said, bit for bit, but for the CPU times."""
+    """Everything that a run returned, bit for bit, except CPU times."""
     events = [{k: v for k, v in e.record().items() if k != "cpu_ms"} for e in record.events]
     paths = [(p.map_id, p.frames.tobytes(), p.T_map_cam.tobytes()) for p in record.trajectories]
     poses = [None if r.T_map_cam is None else r.T_map_cam.tobytes() for r in record.results]
@@ -45,7 +45,7 @@ def test_a_breakage_that_both_threads_cross(broken):
     assert (broken["onset_frame"], broken["end_frame"]) == (ONSET, END)
     assert (broken["breakage"], broken["breakage_frame"]) == (True, 85)
     assert (broken["declaration_delay_s"], broken["silent_failure"]) == (0.0, False)
-    # Half of what it knew is still in view: the base finds its place again, and has broken all the same.
+    # Half of the old view is still in the image: the base relocalizes, but it broke nevertheless.
     assert (broken["relocalized"], broken["base_failure"], broken["dual_relocalized"]) == (True, False, False)
     for thread in (1, 2):
         assert told(broken, "free", thread, "failed", "declared", "false", "stage") == (
@@ -75,8 +75,8 @@ def test_the_crossing_arm_crosses_all_of_the_segment(broken):
         )
 
 
-def test_without_a_breakage_nothing_of_the_free_arm_s_recovery_is_said(monkeypatch):
-    record = run(monkeypatch, made_up())
+def test_without_a_breakage_the_columns_of_the_free_arm_are_null(monkeypatch):
+    record = run(monkeypatch, synthetic())
     assert (record["breakage"], record["silent_failure"], record["base_failure"]) == (False, False, False)
     assert (record["d1"], record["d2"], record["dual_failure"]) == (False, False, False)
     free = [name for name in record if name.startswith("free_")]
@@ -85,8 +85,8 @@ def test_without_a_breakage_nothing_of_the_free_arm_s_recovery_is_said(monkeypat
     assert record["dual_share_tracked"] >= record["base_share_tracked"] > 0.95
 
 
-def test_a_new_map_that_never_stands_is_a_failure_of_every_thread(monkeypatch):
-    record = run(monkeypatch, made_up(range(85, FRAMES)))
+def test_without_a_new_map_every_thread_fails(monkeypatch):
+    record = run(monkeypatch, synthetic(range(85, FRAMES)))
     assert (record["breakage"], record["reinit"], record["cross_reinit"]) == (True, False, False)
     for arm in ("free", "cross"):
         for thread in (1, 2):
@@ -112,7 +112,7 @@ def test_a_false_recovery_fails_by_the_audit(monkeypatch):
     ],
 )
 def test_an_unhealthy_lead_in_voids_the_unit(monkeypatch, blank, why):
-    record = run(monkeypatch, made_up(*blank))
+    record = run(monkeypatch, synthetic(*blank))
     assert record["outcome"] == "void" and why in record["void_reason"]
     assert record["breakage"] is None and record["d1"] is None and record["cross_r1_failed"] is None
 
@@ -127,7 +127,7 @@ def test_a_map_too_young_to_be_kept_voids_the_unit(monkeypatch):
     assert record["outcome"] == "void" and "keyframes only" in record["void_reason"]
 
 
-def test_what_goes_wrong_in_the_programs_is_an_infrastructure_error(monkeypatch):
+def test_an_error_in_the_programs_is_an_infrastructure_error(monkeypatch):
     def refuse(*_):
         raise InputError("GL", "no headless OpenGL here", "install libegl1")
 
@@ -135,7 +135,7 @@ def test_what_goes_wrong_in_the_programs_is_an_infrastructure_error(monkeypatch)
     record = trial.run_unit(unit())
     assert record["outcome"] == "infrastructure_error" and "libegl1" in record["message"]
     monkeypatch.setattr("experiments.eq1.arms.run_lead_in", None)
-    record = run(monkeypatch, made_up(frames=ONSET + 3))  # ends within the exposed segment
+    record = run(monkeypatch, synthetic(frames=ONSET + 3))  # ends within the exposed segment
     assert record["outcome"] == "infrastructure_error" and "arms.py" in record["message"]
     assert record["d1"] is None and record["wall_s"] > 0
 
@@ -144,14 +144,14 @@ def test_what_goes_wrong_in_the_programs_is_an_infrastructure_error(monkeypatch)
 
 
 @pytest.mark.slow
-def test_two_runs_give_the_same_record_but_for_the_times(broken, monkeypatch):
+def test_two_runs_give_the_same_record_except_for_times(broken, monkeypatch):
     again = run(monkeypatch, BROKEN, unit("orb,sift"))
     assert decided(again) == decided(broken)
     assert decided(broken).keys() < broken.keys()
 
 
 def test_every_record_has_the_same_columns_of_plain_values(broken, monkeypatch):
-    records = [broken, run(monkeypatch, made_up(range(70)), unit("orb,sift"))]
+    records = [broken, run(monkeypatch, synthetic(range(70)), unit("orb,sift"))]
     for record in records:
         assert list(record) == list(columns(2))
         for name, kind in columns(2).items():
@@ -161,7 +161,7 @@ def test_every_record_has_the_same_columns_of_plain_values(broken, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_recording_of_base_and_dual_can_be_had(monkeypatch, tmp_path):
+def test_a_unit_can_record_base_and_dual(monkeypatch, tmp_path):
     path = tmp_path / "unit.rrd"
     record = run(monkeypatch, BROKEN, unit("orb", arms=("crossing",)), recording=path)
     assert record["outcome"] == "completed" and path.stat().st_size > 100_000
@@ -172,9 +172,9 @@ def test_a_recording_of_base_and_dual_can_be_had(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize(
     "sequence",
-    [pytest.param(BROKEN, id="broken"), pytest.param(made_up(), id="whole", marks=pytest.mark.slow)],
+    [pytest.param(BROKEN, id="broken"), pytest.param(synthetic(), id="whole", marks=pytest.mark.slow)],
 )
-def test_branches_are_what_runs_from_the_start_are(sequence):
+def test_branches_equal_runs_from_the_start(sequence):
     of = unit()
     exposure, clock = Exposure.of(of, sequence), CpuClock()
     lead_in = run_lead_in(of, sequence, exposure, clock).save()
@@ -199,7 +199,7 @@ def test_branches_are_what_runs_from_the_start_are(sequence):
 @pytest.mark.slow
 @pytest.mark.parametrize("blank", [range(85, 91), range(80, 103)], ids=["crossed", "not crossed"])
 def test_both_modes_give_the_same_failure_for_every_n(monkeypatch, blank):
-    sequence = made_up(blank)
+    sequence = synthetic(blank)
     record = run(monkeypatch, sequence, unit("orb,gms", arms=("free",)))
     for n, kinds in ((1, "orb"), (2, "orb,gms")):
         config = dual_config(unit(kinds), exhaustive=False)

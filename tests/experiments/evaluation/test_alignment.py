@@ -1,4 +1,4 @@
-"""Alignment recovers known transforms and says when there is none to be had."""
+"""Alignment recovers known transforms and reports undefined ones."""
 
 import numpy as np
 import pytest
@@ -72,7 +72,7 @@ def test_too_few_and_collinear_positions_are_undefined(positions, why):
     assert isinstance(found, Undefined) and why in found.reason
 
 
-def test_orientations_settle_what_a_straight_path_leaves_open():
+def test_orientations_determine_the_rotation_about_a_straight_path():
     rng = np.random.default_rng(4)
     S = random_similarity(rng)
     T = random_poses(rng, 20)
@@ -89,7 +89,7 @@ def test_a_path_that_stands_still_has_no_scale():
     assert isinstance(align_poses(still, T), Undefined)
 
 
-def test_angles_are_right_from_tiny_to_half_a_turn():
+def test_angles_are_correct_from_tiny_to_half_a_turn():
     angles = np.array([0.0, 1e-7, 0.1, 90, 179.99999, 180])
     axis = np.array([1, 2, -2]) / 3
     R = Rotation.from_rotvec(np.radians(angles)[:, None] * axis).as_matrix()

@@ -1,4 +1,4 @@
-"""The audit finds losses, late declarations and false fusions that the truth shows, and only those."""
+"""The audit finds true losses, late declarations and false fusions, and only those."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ STAMPS = np.arange(N) / 30
 
 
 def live(frames, shift_from: int | None = None, turn: bool = False) -> MapTrajectory:
-    """The true circle as an estimate, thrown off by a metre (or half a turn) from a frame on."""
+    """The true circle as an estimate, displaced by a metre (or half a turn) from a frame on."""
     T = circle(N)
     if shift_from is not None:
         if turn:
@@ -142,7 +142,7 @@ def similarity(scale=1.0, shift_m=(0.0, 0.0, 0.0), turn_deg=0.0):
 
 
 def related(S_error: np.ndarray, new_frames=range(BEGUN, BEGUN + 12)):
-    """An old map at half size and a new one placed in it by the truth with an error put in front."""
+    """Audit an old map at half size and a new one placed in it with a known error."""
     S_old_world = similarity(0.5, (1, 2, 3), 30)
     T = circle(N)
 
@@ -182,6 +182,6 @@ def test_a_relation_to_the_wrong_place_is_false():
     assert turned.false is True and turned.seam_rotation_deg == pytest.approx(8, abs=0.1)
 
 
-def test_a_new_map_with_few_frames_is_judged_by_its_place_alone():
+def test_a_new_map_with_few_frames_is_judged_only_by_its_position():
     found = related(similarity(1.2), new_frames=range(BEGUN, BEGUN + 3))
     assert found.scale_error is None and found.seam_error_m is not None and "scale" in found.reason

@@ -1,4 +1,4 @@
-"""Breakages are tied to their segment and to what followed."""
+"""Breakages are assigned to their segment and their repair."""
 
 import numpy as np
 import pytest
@@ -42,17 +42,17 @@ def fused(
 @pytest.mark.parametrize(
     ("frame", "segment"), [(149, None), (150, 0), (180, 0), (195, 0), (196, None), (299, None)]
 )
-def test_a_frame_is_the_segments_until_half_a_second_after_it(frame, segment):
+def test_a_frame_belongs_to_a_segment_until_half_a_second_after_it(frame, segment):
     assert segment_of_frame(frame, frame / 30, SEQUENCE.segments, STAMPS) == segment
 
 
-def test_a_fusion_mends_the_breakage_of_its_old_map():
+def test_a_fusion_repairs_the_breakage_of_its_old_map():
     (one,) = outcomes(broke(160), fused(220))
     assert one.recovered and one.failure_reason == ""
     assert one.segment == 0
 
 
-def test_a_map_met_again_is_healed_and_not_recovered():
+def test_a_map_merged_by_place_is_healed_but_not_recovered():
     (one,) = outcomes(broke(160), fused(280, by="place"))
     assert one.joined is not None and one.healed and not one.recovered and one.failure_reason == ""
 
@@ -63,13 +63,13 @@ def test_a_fusion_belongs_to_the_last_breakage_before_it():
     assert first.until_frame == 240 and second.until_frame is None
 
 
-def test_a_fusion_of_another_map_mends_nothing():
+def test_a_fusion_of_another_map_repairs_nothing():
     (one,) = outcomes(broke(160), fused(220, old=3))
     assert not one.recovered
 
 
 def test_a_map_that_a_recovery_went_past_is_bridged():
-    """A map begun within a blur that breaks at once: the next one's recovery may reach the map before it."""
+    """If a map started in a blur breaks at once, the next recovery may reach the map before it."""
     first, second = outcomes(broke(160), broke(175, map_id=1), fused(220, new=2))
     assert first.recovered and first.bridged is None
     assert second.bridged.frame == 220 and not second.healed
@@ -82,7 +82,7 @@ def test_nothing_else_bridges_a_map(other):
 
 
 def test_a_map_is_not_bridged_by_the_recovery_of_a_later_breakage():
-    """The old map was found again in between: it broke anew, after the young one had."""
+    """The old map was relocalized in between and broke again, after the new one."""
     _, young, again = outcomes(broke(160), broke(175, map_id=1), found(200), broke(240), fused(280, new=2))
     assert young.bridged is None and again.recovered
 
@@ -112,7 +112,7 @@ def test_a_refused_fusion_is_a_failure_with_its_reason():
     assert one.failure_reason == "fusion: why"
 
 
-def test_the_reason_of_a_dropped_map_is_told():
+def test_the_reason_of_a_dropped_map_is_reported():
     dropped = ev.MapDropped(**at(160), map_id=0, reason="too_few_keyframes", keyframes=3)
     (one,) = outcomes(broke(160), dropped)
     assert one.failure_reason == "map dropped: too_few_keyframes"
@@ -126,12 +126,12 @@ def test_a_breakage_without_a_new_map_is_no_reinit():
     assert one.reinit_frame == 200 and one.failure_reason == "no recovery was run"
 
 
-def test_overlapping_grace_goes_to_the_later_segment():
+def test_the_grace_time_belongs_to_the_later_segment():
     later = make_sequence(segment=(185, 190)).segments[0]
     assert segment_of_frame(187, 187 / 30, [*SEQUENCE.segments, later], np.arange(300) / 30) == 1
 
 
-def test_a_breakage_is_of_all_segments_over_one_another_and_named_after_the_last_that_began():
+def test_a_breakage_belongs_to_all_overlapping_segments_and_is_named_after_the_last():
     fog, blur, early = (
         make_sequence(segment=span).segments[0] for span in ((100, 200), (150, 170), (20, 90))
     )
@@ -140,15 +140,15 @@ def test_a_breakage_is_of_all_segments_over_one_another_and_named_after_the_last
     found = {frame: (segment_of_frame(*of), segments_of_frame(*of)) for frame, of in at_s.items()}
     assert found[120] == (1, (1,))
     assert found[160] == (2, (1, 2))
-    # The blur is over, but for the time that declaring takes.
+    # The blur has ended within the time that declaring takes.
     assert found[180] == (2, (1, 2)) and found[190] == (1, (1,)) and found[210] == (1, (1,))
-    # A segment that had ended before has no part.
+    # A segment that ended before is not included.
     assert found[95] == (0, (0,)) and found[103] == (1, (1,))
     (one,) = breakage_outcomes([broke(160)], segments, stamps)
     assert one.segment == 2 and one.segments == (1, 2)
 
 
-def test_segments_that_begin_on_one_frame_both_have_the_breakage():
+def test_segments_that_start_at_one_frame_both_have_the_breakage():
     twins = [make_sequence(segment=span).segments[0] for span in ((150, 170), (150, 160))]
     assert segments_of_frame(155, 155 / 30, twins, np.arange(300) / 30) == (0, 1)
     assert segment_of_frame(155, 155 / 30, twins, np.arange(300) / 30) == 0

@@ -13,7 +13,7 @@ S = Similarity(0.3, Rotation.from_euler("xyz", [0.4, 1.0, -2.0]).as_matrix(), np
 
 
 def noisy_pairs(seed: int = 0, n: int = 200, noise_m: float = 0.02, noise_deg: float = 0.5) -> PosePairs:
-    """A true circle and its noisy estimate at another scale and place, with frames missing."""
+    """A true circle and its noisy estimate in another frame and scale, with missing frames."""
     rng = np.random.default_rng(seed)
     truth = circle(n)
     T = truth.copy()
@@ -71,7 +71,7 @@ def test_rpe_in_frames_uses_only_steps_posed_at_both_ends():
     assert isinstance(rpe(pairs, 15, "frames"), Undefined)
 
 
-def test_nothing_is_made_up_for_degenerate_input():
+def test_degenerate_input_gives_no_figures():
     truth = circle(50)
     for few in (0, 1, 2):
         pairs = PosePairs(np.arange(few), truth[:few], truth[:few])

@@ -1,13 +1,17 @@
-"""Random scenarios through the systems: what goes wrong is told, and nothing goes wrong."""
+"""Fuzzing: every fault of a run is reported, and the systems have none on random scenarios."""
 
 import json
+import os
 import sys
+from contextlib import nullcontext
 from dataclasses import asdict
 
 import numpy as np
 import pytest
+from unit_fakes import OneWorker
 
 from experiments import cli
+from experiments.campaign.worker_pool import Ended, WorkerPool
 from experiments.fuzz.fuzzing import (
     FuzzUnit,
     empty_row,
@@ -29,7 +33,7 @@ UNIT = FuzzUnit(4, ("base", "dual"))
 
 @pytest.fixture(scope="module")
 def sequence():
-    """A second of a made-up sequence."""
+    """A second of a synthetic sequence."""
     images, stamps_s, T_world_cam = zip(*toy_frames(30, step_m=0.05), strict=True)
     fields = asdict(CAMERA)
     return Sequence(
@@ -39,7 +43,7 @@ def sequence():
 
 
 def spoilt(at, spoil):
-    """What makes systems that are spoilt at one frame."""
+    """A factory of systems with a fault at one frame."""
 
     def build(kind, camera, seed):
         system = build_system(kind, camera, seed)
@@ -56,7 +60,7 @@ def spoilt(at, spoil):
     return build
 
 
-def test_a_run_that_is_sound(sequence):
+def test_the_row_of_a_sound_run(sequence):
     row = fuzz_run(UNIT, "base", random_scenario(4), sequence)
     assert (row["outcome"], row["message"], row["traceback"], row["stage"]) == ("ok", "", "", "")
     assert (row["frames"], row["maps"], row["breakages"], row["fusions"]) == (30, 1, 0, 0)
@@ -65,7 +69,7 @@ def test_a_run_that_is_sound(sequence):
     assert again["digest"] == row["digest"]
 
 
-def test_an_exception_is_told_with_its_frame_and_traceback(sequence):
+def test_an_exception_is_reported_with_its_frame_and_traceback(sequence):
     def spoil(system):
         raise ZeroDivisionError("told to")
 
@@ -76,7 +80,7 @@ def test_an_exception_is_told_with_its_frame_and_traceback(sequence):
 
 
 @pytest.mark.parametrize("at", [29, 12])
-def test_a_broken_invariant_is_told(sequence, at):
+def test_a_broken_invariant_is_reported(sequence, at):
     def spoil(system):
         system.current_map.loop_edges.append((0, 10_000))
 
@@ -85,7 +89,7 @@ def test_a_broken_invariant_is_told(sequence, at):
     assert "a loop edge of a keyframe that does not exist" in row["message"]
 
 
-def test_frames_that_cannot_be_rendered_are_told(monkeypatch):
+def test_a_failure_to_render_is_reported(monkeypatch):
     def broken(scenario, cache_dir):
         raise RuntimeError("no light")
 
@@ -96,11 +100,11 @@ def test_frames_that_cannot_be_rendered_are_told(monkeypatch):
     ]  # fmt: skip
 
 
-# -- many --------------------------------------------------------------------------------------------------
+# -- many units ----------------------------------------------------------------------------------------------
 
 
 def scripted(unit):
-    """A unit that is soon done; of seed 2 one system fails, of seed 3 one takes the process with it."""
+    """A quick unit; one system fails with seed 2, and one ends the process with seed 3."""
     for kind in unit.systems:
         row = empty_row(unit, kind) | {"outcome": "ok", "frames": 150, "slam_cpu_s": 0.1 * unit.seed}
         if (unit.seed, kind) == (2, "dual"):
@@ -111,29 +115,44 @@ def scripted(unit):
                 "stage": "frame 9",
             }
         if (unit.seed, kind) == (3, "base"):
-            sys.exit(4)
+            os._exit(4)
         yield row
 
 
 UNITS = [FuzzUnit(seed, ("base", "dual")) for seed in range(5)]
 
 
+class InProcess:
+    """A pool without processes, which reports a death where the scripted unit would end its process."""
+
+    def __init__(self, task):
+        self._task = task
+
+    def run(self, waiting):
+        while waiting:
+            unit = waiting.popleft()
+            if unit.seed == 3 and "base" in unit.systems:
+                yield Ended(unit, "here", None, "its process has died")
+            else:
+                yield Ended(unit, "here", self._task(unit))
+
+
 @pytest.fixture(scope="module")
-def outputs(tmp_path_factory):
-    """Rows and folders of one process and of two."""
-    folder = tmp_path_factory.mktemp("fuzz")
-    rows = [run_fuzz(UNITS, folder / f"{n}", workers=n, job=scripted) for n in (1, 2)]
-    return rows, [folder / "1", folder / "2"]
+def output(tmp_path_factory):
+    """Rows and folder of a run without processes."""
+    folder = tmp_path_factory.mktemp("fuzz") / "out"
+    return run_fuzz(
+        UNITS, folder, job=scripted, open_pool=lambda _, task: nullcontext(InProcess(task))
+    ), folder
 
 
-@pytest.mark.slow
-def test_every_run_has_a_row_in_order_whatever_becomes_of_its_process(outputs):
-    (rows, _), (folder, _) = outputs
+def test_every_run_has_a_row_in_order_and_only_the_run_that_ends_its_process_dies(output):
+    rows, folder = output
     assert [(r["seed"], r["system"]) for r in rows] == [(s, k) for s in range(5) for k in ("base", "dual")]
     bad = {(r["seed"], r["system"]): (r["outcome"], r["message"]) for r in failed(rows)}
     assert bad == {
         (2, "dual"): ("exception", "KeyError: 3"),
-        (3, "base"): ("process_died", "the process has died, exit code 4"),
+        (3, "base"): ("process_died", "its process has died"),
     }
     written = [json.loads(line) for line in (folder / "units.jsonl").read_text().splitlines()]
     assert [(r["seed"], r["outcome"]) for r in written] == [(r["seed"], r["outcome"]) for r in rows]
@@ -141,19 +160,23 @@ def test_every_run_has_a_row_in_order_whatever_becomes_of_its_process(outputs):
     assert [t["slam_cpu_s"] for t in times[::2]] == pytest.approx([0, 0.1, 0.2, None, 0.4], nan_ok=True)
 
 
-@pytest.mark.slow
-def test_the_table_does_not_depend_on_the_number_of_processes(outputs):
-    one, two = ((folder / "units.jsonl").read_bytes() for folder in outputs[1])
-    assert one == two
-
-
-@pytest.mark.slow
-def test_what_failed_is_there_to_be_run_again(outputs):
-    (rows, _), (folder, _) = outputs
+def test_the_scenarios_of_failed_runs_are_kept(output):
+    rows, folder = output
     assert sorted(p.name for p in (folder / "failed").iterdir()) == ["2.yaml", "3.yaml"]
     assert load_scenario(folder / "failed" / "2.yaml") == random_scenario(2)
     command = replay_command(failed(rows)[0])
     assert command.startswith("dslab experiment fuzz --start 2 --units 1 --system dual ")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [OneWorker, WorkerPool])
+def test_the_table_does_not_depend_on_the_number_of_processes(output, shared_pool, tmp_path, kind):
+    def opened(settings, task):
+        return nullcontext(kind(shared_pool._client, task, settings, tmp_path))
+
+    run_fuzz(UNITS, tmp_path / "out", job=scripted, open_pool=opened)
+    one, other = ((folder / "units.jsonl").read_bytes() for folder in (output[1], tmp_path / "out"))
+    assert one == other
 
 
 def dslab(monkeypatch, capsys, *arguments):
@@ -165,7 +188,7 @@ def dslab(monkeypatch, capsys, *arguments):
 
 
 @pytest.mark.slow
-def test_the_command_counts_and_fails_where_a_run_has(monkeypatch, capsys, tmp_path):
+def test_the_command_fails_if_a_run_fails(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr("experiments.fuzz.fuzzing.fuzz_unit", scripted)
     code, out, _ = dslab(monkeypatch, capsys, "--units", "2", "--out", str(tmp_path / "a"))
     assert code == 0 and "4 runs" in out and "replay" not in out
@@ -179,7 +202,7 @@ def test_the_command_counts_and_fails_where_a_run_has(monkeypatch, capsys, tmp_p
 
 
 @pytest.mark.parametrize("systems", ["bass", "base,base", ""])
-def test_systems_that_are_none_are_refused(monkeypatch, capsys, tmp_path, systems):
+def test_unknown_systems_are_refused(monkeypatch, capsys, tmp_path, systems):
     code, _, err = dslab(monkeypatch, capsys, "--system", systems, "--out", str(tmp_path / "a"))
     assert code == 2 and "base,dual" in err and not (tmp_path / "a").exists()
 
@@ -190,7 +213,7 @@ def test_systems_that_are_none_are_refused(monkeypatch, capsys, tmp_path, system
 @pytest.mark.slow
 @pytest.mark.parametrize("seeds", [range(10), range(10, 20)], ids=["0-9", "10-19"])
 def test_the_systems_come_through_twenty_random_scenarios(tmp_path, seeds):
-    # Dual-SLAM is the base and more.
+    # Dual-SLAM includes the base.
     units = [FuzzUnit(seed, ("base", "dual") if seed % 5 == 0 else ("dual",)) for seed in seeds]
     rows = run_fuzz(units, tmp_path / "out")
     assert len(rows) == 12 and failed(rows) == []

@@ -268,7 +268,7 @@ def test_a_full_disk_leaves_the_earlier_report(folder, monkeypatch):
     def replace(source, target):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(write.os, "replace", replace)
+    monkeypatch.setattr("sim.io.folders.os.replace", replace)
     with pytest.raises(InputError, match="the disk is full"):
         write_report(folder)
     assert (folder / "report.html").read_text() == "earlier"

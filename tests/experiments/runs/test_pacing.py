@@ -13,7 +13,7 @@ from sim.sequence import SegmentTruth
 
 
 class FakeClock:
-    """Time that passes only where the test says so."""
+    """A clock that the test advances."""
 
     def __init__(self):
         self.time_s = 1000.0
@@ -26,7 +26,7 @@ class FakeClock:
 
 
 class SlowSystem(FakeSystem):
-    """Takes ``seconds_for(stamp_s)`` for each frame, and tells the truth of the frame with that stamp."""
+    """Takes ``seconds_for(stamp_s)`` for each frame and returns its true pose."""
 
     def __init__(self, sequence, clock, seconds_for):
         super().__init__(sequence.T_world_cam, starts_at=0)
@@ -50,14 +50,14 @@ def run(sequence, seconds_for):
     return record, system, clock
 
 
-def test_a_system_that_keeps_up_is_fed_every_frame_in_its_time():
+def test_a_fast_system_is_fed_every_frame_in_time():
     sequence = make_sequence(90, segment=None)
     record, _, clock = run(sequence, lambda stamp_s: 0.02)
     assert record.dropped_frames == 0 and record.sequence is sequence
     assert clock.now_s() - 1000 == pytest.approx(89 / 30 + 0.02)
 
 
-def test_one_that_takes_three_intervals_is_fed_every_third_frame():
+def test_a_system_that_takes_three_intervals_is_fed_every_third_frame():
     sequence = make_sequence(90, segment=None)
     record, system, _ = run(sequence, lambda stamp_s: 2.99 / 30)
     # A frame may be up to one interval late, so that two are lost for each that is fed.
@@ -77,7 +77,7 @@ def test_a_hitch_costs_only_the_frames_within_it():
 
 
 def queue_of_one(due_s, seconds):
-    """The frames that a driver takes whose queue holds the newest image only."""
+    """Frames taken by a driver whose queue holds only the newest image."""
     now_s, taken = 0.0, [-1]
     while taken[-1] < len(due_s) - 1:
         now_s = max(now_s, due_s[taken[-1] + 1])
@@ -89,7 +89,7 @@ def queue_of_one(due_s, seconds):
 @pytest.mark.parametrize("seed", range(5))
 def test_the_frames_fed_are_those_of_a_queue_of_one_image(seed):
     sequence = make_sequence(90, segment=None)
-    # Eighths of an interval and a bit, so that no frame's turn comes just when the next one does.
+    # Eighths of an interval plus a little, so that no frame is due exactly with the next one.
     eighths = np.random.default_rng(seed).geometric(0.12, 90)
     seconds = (eighths / 8 + 1e-3) / 30
     record, system, _ = run(sequence, lambda stamp_s: seconds[round(stamp_s * 30)])
@@ -118,7 +118,7 @@ def segment(first, last, runs=()):
     return SegmentTruth("fog", {}, 0.0, 1.0, first, last, runs=runs)
 
 
-def test_only_keeps_everything_that_belongs_to_a_frame():
+def test_a_subsequence_keeps_all_data_of_its_frames():
     sequence = replace(
         make_sequence(10, segment=None),
         depths=[np.full((2, 2), float(i)) for i in range(10)],
@@ -138,7 +138,7 @@ def test_only_keeps_everything_that_belongs_to_a_frame():
     assert bare.T_world_cam is None and bare.depths is None and bare.image_names == ()
 
 
-def test_segments_follow_the_frames_that_are_left():
+def test_segments_of_a_subsequence_act_on_the_same_frames():
     """The frames on which a segment acts are the kept ones among those on which it acted."""
     rng = np.random.default_rng(0)
     for _ in range(200):

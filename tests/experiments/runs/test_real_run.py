@@ -1,4 +1,4 @@
-"""The SLAM itself through the whole of a run: breaks where the frames are blank, mends, and is judged."""
+"""The real SLAM systems through a whole run: breakage in blank frames, recovery, summary."""
 
 from dataclasses import asdict
 
@@ -35,15 +35,22 @@ def sequence():
     )
 
 
-def test_base_breaks_in_the_blank_frames_and_finds_its_place_and_dual_mends_it(sequence, tmp_path):
-    build = system_factory(dual=RECOVERY_ALONE)
+@pytest.fixture(scope="module")
+def runs(sequence, tmp_path_factory):
+    """Summaries of base and Dual-SLAM, the latter recorded, and the folder of their results."""
+    folder, build = tmp_path_factory.mktemp("runs"), system_factory(dual=RECOVERY_ALONE)
     base, dual = (
-        run_sequence(sequence, kind, 0, tmp_path / kind, recording=True, build=build)
+        run_sequence(sequence, kind, 0, folder / kind, recording=kind == "dual", build=build)
         for kind in ("base", "dual")
     )
+    return base, dual, folder
+
+
+def test_base_relocalizes_after_the_blank_frames_and_dual_slam_fuses_its_maps(runs):
+    base, dual, folder = runs
     assert base["breakage_list"][0]["segment"] == dual["breakage_list"][0]["segment"] == "low_texture"
     assert base["breakage_list"][0]["frame"] == dual["breakage_list"][0]["frame"]
-    # What was before the camera is still in view after six frames: the base relocalizes.
+    # After six frames the old view is still in the image: the base relocalizes.
     assert base["relocalizations"] == 1 and base["recoveries"] == 0
     assert base["audit"]["relocalizations"][0]["false"] is False
     assert dual["relocalizations"] == 0
@@ -53,12 +60,12 @@ def test_base_breaks_in_the_blank_frames_and_finds_its_place_and_dual_mends_it(s
     assert 0 <= loss["delay_s"] <= 0.5
     (fusion,) = dual["audit"]["fusions"]
     assert fusion["false"] is False
-    assert (tmp_path / "dual" / "recording.rrd").stat().st_size > 1e5
+    assert (folder / "dual" / "recording.rrd").stat().st_size > 1e5
 
 
-def test_the_same_seed_gives_the_same_trajectory(sequence, tmp_path):
-    for name in ("a", "b"):
-        run_sequence(sequence, "dual", 5, tmp_path / name)
-    assert (tmp_path / "a" / "trajectory.txt").read_bytes() == (
-        tmp_path / "b" / "trajectory.txt"
-    ).read_bytes()
+def test_the_same_seed_gives_the_same_trajectory_recorded_or_not(sequence, runs, tmp_path):
+    run_sequence(sequence, "dual", 0, tmp_path / "again", build=system_factory(dual=RECOVERY_ALONE))
+    one, other = (
+        (folder / "trajectory.txt").read_bytes() for folder in (runs[2] / "dual", tmp_path / "again")
+    )
+    assert one == other

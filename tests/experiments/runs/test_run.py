@@ -1,4 +1,4 @@
-"""A run's result folder: what is in it, that it is right, and what happens when the run fails."""
+"""A run's result folder: its content, its correctness, and failing runs."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""The SLAM itself run threaded, and its map written for other tools."""
+"""The real SLAM in threaded mode, and its map in the form of other tools."""
 
 import json
 from dataclasses import asdict, replace
@@ -48,19 +48,19 @@ def test_the_mode_is_recorded(summary):
 
 
 @pytest.mark.parametrize("paced", [False, True])
-def test_a_threaded_run_tracks_and_says_so(sequence, summary, tmp_path, paced):
+def test_a_threaded_run_tracks_and_records_its_mode(sequence, summary, tmp_path, paced):
     pace = RealTime(sequence) if paced else None
     threaded = run_sequence(sequence, "base", 0, tmp_path / "r", build=system_factory("threaded"), pace=pace)
     assert threaded["config"]["mode"] == "threaded"
     assert threaded["frames"] + threaded["dropped_frames"] == len(sequence)
     assert paced or threaded["dropped_frames"] == 0
-    # How many frames are in time depends on the machine, what becomes of the map does not.
+    # The number of frames in time depends on the machine, the quality of the map does not.
     if not paced:
         assert threaded["tracked"] >= 0.9 * summary[0]["tracked"]
         assert threaded["ate_share_of_path"] < 0.02
 
 
-def test_the_map_reads_back_with_its_images(sequence, summary):
+def test_the_written_map_is_read_back_with_its_images(sequence, summary):
     figures, folder = summary
     model = pycolmap.Reconstruction(folder / "map")
     assert model.num_reg_images() == figures["keyframes"]
@@ -94,7 +94,7 @@ def test_several_maps_have_a_folder_each(sequence, tmp_path):
     assert all(image.name == f"{int(image.name[:6]):06d}.png" for image in model.images.values())
 
 
-def test_nothing_is_recorded_in_real_time(sequence, tmp_path):
+def test_a_recording_in_real_time_is_refused(sequence, tmp_path):
     with pytest.raises(ValueError, match="recording"):
         run_sequence(sequence, "base", 0, tmp_path / "r", recording=True, pace=RealTime(sequence))
 
@@ -113,7 +113,7 @@ def test_images_are_named_as_in_the_folder(tmp_path, form, first):
 
 @pytest.fixture
 def dslab(dslab, monkeypatch):
-    """Runs the command on a few frames of the made-up sequence, through the fake."""
+    """The command on a few synthetic frames, with the fake system."""
     few = make_sequence(12, segment=None)
     monkeypatch.setattr("slam.warmup.warm_up", lambda progress: None)
     monkeypatch.setattr(sources, "open_sequence", lambda source, seed, show, **options: few)
@@ -121,7 +121,7 @@ def dslab(dslab, monkeypatch):
     return dslab
 
 
-def test_bench_in_real_time_counts_what_was_dropped(dslab):
+def test_bench_in_real_time_counts_dropped_frames(dslab):
     code, out, _ = dslab("bench", "x", "--mode", "threaded", "--real-time", "--runs", "2", "--json")
     figures = json.loads(out.splitlines()[-1])
     assert code == 0 and figures["mode"] == "threaded"
@@ -129,7 +129,7 @@ def test_bench_in_real_time_counts_what_was_dropped(dslab):
     assert figures["frames"] == 12
 
 
-def test_run_in_real_time_is_warm_and_counts_what_was_dropped(dslab, tmp_path, monkeypatch):
+def test_run_in_real_time_is_warm_and_counts_dropped_frames(dslab, tmp_path, monkeypatch):
     warmed = []
     monkeypatch.setattr("slam.warmup.warm_up", warmed.append)
     code, out, _ = dslab("run", "x", "--out", tmp_path / "r", "--mode", "threaded", "--real-time", "--json")

@@ -1,4 +1,4 @@
-"""Clopper-Pearson intervals against their definition and their own promise."""
+"""Clopper-Pearson intervals against their definition and stated coverage."""
 
 import numpy as np
 import pytest
@@ -11,13 +11,13 @@ from experiments.statistics.intervals import clopper_pearson
     ("events", "units"), [(0, 10), (1, 10), (5, 10), (10, 10), (30, 153), (24, 30), (0, 1)]
 )
 @pytest.mark.parametrize("confidence", [0.9, 0.95])
-def test_at_an_end_what_was_seen_is_just_about_too_far_off(events, units, confidence):
+def test_at_each_end_the_observation_has_the_tail_probability(events, units, confidence):
     found, tail = clopper_pearson(events, units, confidence), (1 - confidence) / 2
     assert found.low == 0 if events == 0 else binom.sf(events - 1, units, found.low) == pytest.approx(tail)
     assert found.high == 1 if events == units else binom.cdf(events, units, found.high) == pytest.approx(tail)
 
 
-def test_of_no_events_the_upper_end_is_known_in_closed_form():
+def test_the_upper_end_without_events_has_a_closed_form():
     assert clopper_pearson(0, 10).high == pytest.approx(1 - 0.025 ** (1 / 10))
 
 
@@ -27,7 +27,7 @@ def test_the_published_recovery_interval():
     assert (round(found.low, 2), round(found.high, 2)) == (0.61, 0.92)
 
 
-def test_the_interval_covers_at_least_as_promised():
+def test_the_interval_covers_at_least_as_stated():
     units = 12
     intervals = [clopper_pearson(k, units) for k in range(units + 1)]
     for p in np.linspace(0.01, 0.99, 33):
@@ -35,7 +35,7 @@ def test_the_interval_covers_at_least_as_promised():
         assert covered >= 0.95 - 1e-12
 
 
-def test_no_units_say_nothing():
+def test_no_units_give_the_whole_range():
     found = clopper_pearson(0, 0)
     assert (found.estimate, found.low, found.high) == (None, 0.0, 1.0)
 

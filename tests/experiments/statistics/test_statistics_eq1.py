@@ -1,4 +1,4 @@
-"""Eq. 1 in a cell: coverage, size and power where it holds and where difficulty is shared."""
+"""Eq. 1 in a cell: coverage, size and power if it holds and if difficulty is shared."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def _p(counts, rng, replicates=199):
     return 1.0 if found is None else found
 
 
-def test_units_are_counted_whole():
+def test_units_are_counted_by_their_joint_outcome():
     breakage = np.array([True, True, False, True])
     failure = np.array([True, False, False, True])
     crossings = np.array([[True, False], [False, True], [False, False], [True, True]])
@@ -89,43 +89,45 @@ def test_the_statistic_is_chi_squared_in_large_samples_when_eq1_holds():
 @pytest.mark.parametrize("case", PAIRED)
 def test_predicted_and_ratio_cover_as_stated(case):
     _, p0, pr, n, _ = case
+    replicates = 150
     for ratio in (1.0, 2.0):
 
         def covered(counts, rng, truth=ratio):
-            predicted, found = predicted_and_ratio(counts, 500, rng)
+            predicted, found = predicted_and_ratio(counts, 300, rng)
             unbounded = found.high is None
             return (
                 predicted.low <= p0 * pr**n <= predicted.high,
                 (found.low is None or found.low <= truth) and (unbounded or truth <= found.high),
             )
 
-        held = simulated(case, ratio, 300, covered).mean(axis=0)
-        # Discrete counts make the coverage waver by about a point about its average.
-        assert np.all(held >= 0.95 - 0.015 - 3 * np.sqrt(0.05 * 0.95 / 300)), held
+        held = simulated(case, ratio, replicates, covered).mean(axis=0)
+        # Discrete counts make the coverage vary by about a point about its average.
+        assert np.all(held >= 0.95 - 0.015 - 3 * np.sqrt(0.05 * 0.95 / replicates)), held
 
 
-@pytest.mark.parametrize("case", PAIRED)
-def test_the_size_is_at_most_nominal_where_eq1_holds(case):
-    rejected = simulated(case, 1.0, 200, _p) <= 0.05
-    assert at_most(rejected.mean(), 0.05, 200)
+@pytest.mark.parametrize("case", PAIRED[:2])
+def test_the_size_is_at_most_nominal_if_eq1_holds(case):
+    rejected = simulated(case, 1.0, 100, lambda c, rng: _p(c, rng, 99)) <= 0.05
+    assert at_most(rejected.mean(), 0.05, 100)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", [*PAIRED, (40, 0.5, 0.2, 1, 3.0), (100, 0.15, 0.5, 2, 0.3)])
 def test_the_size_is_at_most_nominal_in_detail(case):
-    rejected = simulated(case, 1.0, 1500, lambda c, rng: _p(c, rng, 299)) <= 0.05
-    assert at_most(rejected.mean(), 0.05, 1500)
+    rejected = simulated(case, 1.0, 600, lambda c, rng: _p(c, rng, 199)) <= 0.05
+    assert at_most(rejected.mean(), 0.05, 600)
 
 
-@pytest.mark.parametrize("case", [PAIRED[0], (90, 0.5, 0.35, 1, 2.0)])
-def test_the_power_stated_is_the_share_rejected_and_a_ratio_of_2_is_seldom_called_consistent(case):
+@pytest.mark.parametrize("case", [PAIRED[0], pytest.param((90, 0.5, 0.35, 1, 2.0), marks=pytest.mark.slow)])
+def test_the_stated_power_is_the_share_rejected_and_a_ratio_of_2_is_seldom_called_consistent(case):
     def outcome(counts, rng):
-        found = eq1_test(counts, 199, rng)
-        said = verdict(found.p, found.measured_above, found.power(0.05), 0.05, 0.8)
-        return said == "optimistic", found.power(0.05), said == "consistent"
+        found = eq1_test(counts, 99, rng)
+        power = found.power(0.05)
+        given = verdict(found.p, found.measured_above, power, 0.05, 0.8)
+        return given == "optimistic", power, given == "consistent"
 
-    optimistic, stated, consistent = simulated(case, 2.0, 200, outcome).mean(axis=0)
-    assert abs(stated - optimistic) < 3.5 * np.sqrt(0.25 / 200)
+    optimistic, stated, consistent = simulated(case, 2.0, 150, outcome).mean(axis=0)
+    assert abs(stated - optimistic) < 3.5 * np.sqrt(0.25 / 150)
     assert consistent < 0.2
 
 
@@ -139,7 +141,7 @@ def test_shared_difficulty_is_found_to_be_optimistic():
 
 
 def test_pairing_is_not_ignored():
-    # Where a recovery fails in just the units in which the crossing does, both shares agree always.
+    # If a recovery fails in exactly the units in which the crossing fails, both shares always agree.
     states, pr = np.array([0.0, 0.7, 0.3]), np.array([0.3])
     agree = raked(np.array([[0, 0], [28_000, 0], [0, 12_000]]), states, pr)
     spread = [
@@ -150,14 +152,14 @@ def test_pairing_is_not_ignored():
     assert spread[1] == pytest.approx(1, abs=0.05)
 
 
-def test_equivalence_has_its_size_at_the_bound_and_confirms_where_eq1_holds():
+def test_equivalence_has_its_size_at_the_bound_and_confirms_if_eq1_holds():
     case = (300, 0.5, 0.5, 1, 2.0)
 
     def p(counts, rng):
-        return tost(counts, 1.5, 199, rng)
+        return tost(counts, 1.5, 99, rng)
 
-    assert at_most((simulated(case, 1.5, 200, p) <= 0.05).mean(), 0.05, 200)
-    assert (simulated(case, 1.0, 30, p) <= 0.05).mean() > 0.9
+    assert at_most((simulated(case, 1.5, 100, p) <= 0.05).mean(), 0.05, 100)
+    assert (simulated(case, 1.0, 30, p) <= 0.05).mean() > 0.8
 
 
 def test_equivalence_of_too_few_units_is_not_shown():
@@ -166,14 +168,14 @@ def test_equivalence_of_too_few_units_is_not_shown():
         tost(table_of(0.3, 0.3, 1, 40), 1.0, 99, np.random.default_rng(0))
 
 
-def test_holm_multiplies_by_the_tests_left_and_leaves_out_the_untested():
+def test_holm_multiplies_by_the_remaining_tests_and_ignores_untested_cells():
     found = holm([0.04, None, 0.001, 0.3, 0.02])
     assert found[1] is None
     assert [x for x in found if x is not None] == pytest.approx([2 * 0.04, 4 * 0.001, 0.3, 3 * 0.02])
     assert holm([None]) == [None] and holm([]) == []
 
 
-def test_never_is_undecided_called_consistent():
+def test_an_undecided_cell_is_never_called_consistent():
     assert verdict(0.5, True, 0.79, 0.05, 0.8) == "undecided"
     assert verdict(None, False, 1.0, 0.05, 0.8) == "undecided"
     assert verdict(0.5, True, None, 0.05, 0.8) == "undecided"
@@ -194,7 +196,7 @@ def test_never_is_undecided_called_consistent():
         [[0, 0, 0, 9], [0, 0, 0, 0], [0, 0, 0, 0]],
     ],
 )
-def test_extreme_tables_are_stood(table):
+def test_extreme_tables_give_finite_results(table):
     counts, rng = JointCounts(np.array(table, np.int64)), np.random.default_rng(0)
     found = eq1_test(counts, 99, rng)
     assert found.p is None or 0 < found.p <= 1
@@ -206,14 +208,14 @@ def test_extreme_tables_are_stood(table):
         assert np.isfinite(numbers).all() and numbers == sorted(numbers)
 
 
-def test_where_all_always_fails_eq1_is_consistent_and_decided():
+def test_eq1_is_consistent_and_decided_if_everything_always_fails():
     counts = JointCounts(np.array([[0, 0], [0, 0], [0, 40]]))
     found = eq1_test(counts, 499, np.random.default_rng(0))
     assert found.p == 1.0
     assert found.power(0.05 / 9) > 0.99
 
 
-def test_the_shorter_way_explains_in_proportion_to_its_length():
+def test_the_prediction_at_free_length_scales_with_the_length():
     assert predicted_at_free_length(0.5, [0.36], 50, 100) == pytest.approx(0.5 * 0.2)
     assert predicted_at_free_length(0.5, [0.36], 100, 100) == pytest.approx(0.5 * 0.36)
     assert predicted_at_free_length(0.5, [None], 50, 100) is None

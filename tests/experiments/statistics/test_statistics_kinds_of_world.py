@@ -1,4 +1,4 @@
-"""Kinds of world told apart, and shares whose sample are the worlds."""
+"""Analysis by kind of world, and shares with worlds as the sample."""
 
 from itertools import permutations
 from pathlib import Path
@@ -43,5 +43,5 @@ def test_an_interval_over_worlds_covers_where_one_over_units_does_not():
     assert covered / runs > 0.91
 
 
-def test_of_nothing_there_is_no_share():
+def test_no_rows_give_no_share():
     assert share_by_world(np.zeros(0, bool), pd.Series([], dtype=int)) is None

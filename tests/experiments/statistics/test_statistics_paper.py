@@ -1,4 +1,4 @@
-"""The paper's tables read again: the figures can be recomputed by hand."""
+"""The reanalysis of the paper's tables against figures computed by hand."""
 
 import pytest
 from scipy.stats import binom
@@ -11,7 +11,7 @@ def totals():
     return {row.counts.system: row for row in reanalyse() if row.counts.dataset == "Total"}
 
 
-def test_the_tables_add_up_as_the_paper_says():
+def test_the_tables_agree_with_the_paper_s_totals():
     for row in TABLE_III:
         assert row.with_one + row.with_two + row.failures == row.breakages
         assert TABLE_II[row.dataset][row.system] == (row.failures, row.trials)
@@ -56,7 +56,7 @@ def test_thread_2_of_dual_slam(totals):
     assert totals["Dual-SLAM"].alike_p < 1e-8
 
 
-def test_it_is_the_same_every_time_and_comes_with_its_caveats():
+def test_the_reanalysis_is_deterministic_and_states_its_caveats():
     assert reanalyse(draws=500) == reanalyse(draws=500)
     assert len(reanalyse(draws=100)) == 6
     assert any("share a sequence" in text for text in CAVEATS)

@@ -1,11 +1,11 @@
-"""Result folders are whole or absent, whatever ends the work."""
+"""Folders are written whole or not at all, however the work ends."""
 
 import errno
 
 import pytest
 
-from experiments.runs.output import check_free, new_directory
 from scenarios.errors import InputError
+from sim.io.folders import check_free, new_directory
 
 
 def left_behind(root) -> list[str]:
@@ -76,10 +76,10 @@ def test_only_an_earlier_result_is_replaced(tmp_path):
     old = tmp_path / "old"
     old.mkdir()
     (old / "notes").write_text("mine")
-    with pytest.raises(InputError), new_directory(old, replaces_marker="marker"):
+    with pytest.raises(InputError), new_directory(old, replaces="marker"):
         pytest.fail("the work began")
     (old / "marker").write_text("")
-    with new_directory(old, replaces_marker="marker") as folder:
+    with new_directory(old, replaces="marker") as folder:
         (folder / "new").write_text("")
     assert left_behind(old) == ["new"]
     assert left_behind(tmp_path) == ["old"]
@@ -89,6 +89,6 @@ def test_a_failed_replacement_leaves_the_earlier_result(tmp_path):
     old = tmp_path / "old"
     old.mkdir()
     (old / "marker").write_text("1")
-    with pytest.raises(RuntimeError), new_directory(old, replaces_marker="marker"):
+    with pytest.raises(RuntimeError), new_directory(old, replaces="marker"):
         raise RuntimeError
     assert left_behind(old) == ["marker"]
