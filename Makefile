@@ -51,7 +51,7 @@ bench: setup
 	@$(BIN)/dslab bench
 
 vocabulary: setup
-	@$(BIN)/dslab vocabulary train --out slam/data/vocabulary.npz
+	@$(BIN)/dslab vocabulary train --out slam/places/data/vocabulary.npz
 
 clean:
 	rm -rf .venv .tools .pytest_cache .ruff_cache .import_linter_cache out

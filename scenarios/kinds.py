@@ -1,4 +1,4 @@
-"""Parts of a spec that are told apart by their ``kind``: a union of models that can be extended."""
+"""Unions of spec models discriminated by ``kind``, open to models registered later."""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping

@@ -34,7 +34,7 @@ KINDS: dict[str, dict[str, float]] = {
         "gust_mps": 2.0,
     },
 }
-"""Kinds of carrier: the fields that they set."""
+"""Fields that each kind of motion sets."""
 
 _OF_KIND: dict[str, tuple[str, ...]] = {
     "walk": (),
@@ -89,12 +89,12 @@ MotionKind = Annotated[str, AfterValidator(_known_kind), _MotionKinds()]
 
 
 class Trajectory(Strict):
-    """A smooth carrier path along the world's route.
+    """A smooth path along the world's route.
 
     ``gaze`` is where the camera looks relative to the direction of travel: 0 ahead, 90 to the left wall.
     """
 
-    kind: MotionKind = Field("walk", description="the carrier; it sets the defaults of the other fields")
+    kind: MotionKind = Field("walk", description="kind of motion; it sets the defaults of the other fields")
     max_speed_mps: float = Field(0.9, gt=0, le=60)
     max_rate_degps: float = Field(40.0, gt=0, le=400)
     gaze_deg: float = Field(0.0, ge=-180, le=180)
@@ -105,7 +105,7 @@ class Trajectory(Strict):
     shake_deg: float = Field(
         0.0, ge=0, le=5, description="amplitude of the quick turns: hands and steps, a car's springs"
     )
-    step_hz: float = Field(0.0, ge=0, le=4, description="steps per second of who holds the camera")
+    step_hz: float = Field(0.0, ge=0, le=4, description="steps per second of the person who holds the camera")
     max_accel_mps2: float = Field(0.0, ge=0, le=30, description="along the path and across it")
     gust_mps: float = Field(0.0, ge=0, le=15, description="standard deviation of the wind about a drone")
 

@@ -62,7 +62,7 @@ class LowTexture(SegmentBase):
 
 
 class RepeatedTexture(SegmentBase):
-    """Surfaces that the camera passes in this time are papered with one patch of the most seen of them."""
+    """Surfaces passed in this time repeat one patch of the most seen of them."""
 
     kind: Literal["repeated_texture"]
     share: float = Field(ge=0, le=1, description="share of those surfaces, by the view they fill")
@@ -140,7 +140,7 @@ class Defocus(ImageSegment):
 
 
 class LensDirt(ImageSegment):
-    """Drops and specks on the lens stay where they are and show a smeared veil instead of the scene."""
+    """Drops and specks on the lens stay in place and show a smeared image instead of the scene."""
 
     kind: Literal["lens_dirt"]
     share: float = Field(ge=0, le=0.95, description="share of the view that they cover")

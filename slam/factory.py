@@ -20,15 +20,15 @@ def build_system(
     mode: ExecutionMode = ExecutionMode.LOCKSTEP,
     dual: DualConfig | None = None,
 ) -> MonocularSlam:
-    """A system by name.
+    """Build a system by name.
 
     Args:
         kind: ``base``, ``dual``, or ``dual+``, which is Dual-SLAM with initialisation by GMS.
         camera: intrinsics of the images to come.
         seed: root of every random stream.
-        config: settings; the published defaults, scaled to the image size, where None.
+        config: settings; None for the published ones for the image size.
         mode: how tracking, mapping and loop closing share time.
-        dual: settings of Dual-SLAM, of no use to ``base``.
+        dual: settings of Dual-SLAM; ignored by ``base``.
 
     Raises:
         ValueError: on an unknown kind.

@@ -1,4 +1,4 @@
-"""What tests of several packages use."""
+"""Fixtures of tests of several packages."""
 
 import sys
 from collections.abc import Callable

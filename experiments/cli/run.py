@@ -61,7 +61,7 @@ def run_command(
     ] = False,
     relocalization: Annotated[
         bool,
-        typer.Option(help="Whether Dual-SLAM looks for frames in its saved maps while it seeks a new one."),
+        typer.Option(help="Relocalize frames in saved maps until a new map is initialized."),
     ] = True,
     seed: Annotated[
         int | None,
@@ -76,7 +76,7 @@ def run_command(
     rerun: Annotated[bool, typer.Option("--rerun", help="Write recording.rrd too.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one line of JSON.")] = False,
 ) -> None:
-    """Run SLAM over a sequence folder or a scenario and write what came of it.
+    """Run SLAM over a sequence folder or a scenario and write its result folder.
 
     Writes trajectory.txt (TUM), keyframes.txt, frames.csv, events.jsonl and summary.json.
 
@@ -129,7 +129,7 @@ def run_command(
         print_json_line(summary)
         return
     out.print(summary_table(summary))
-    out.print(f"files in {out_dir}" + (f"; look at it: dslab view {out_dir}" if rerun else ""))
+    out.print(f"files in {out_dir}" + (f"; open it: dslab view {out_dir}" if rerun else ""))
 
 
 def _dual_config(
@@ -165,7 +165,7 @@ def _dual_config(
 
 
 def summary_table(summary: dict) -> Table:
-    """The figures of a run that one looks at first."""
+    """The main figures of a run."""
     table = Table(
         title=f"{summary['sequence']}, {summary['system']}, seed {summary['seed']}", show_header=False
     )

@@ -27,7 +27,7 @@ def train_command(
 ) -> None:
     """Render the training frames and train the vocabulary of the package.
 
-    For example: `dslab vocabulary train --out slam/data/vocabulary.npz`
+    For example: `dslab vocabulary train --out vocabulary.npz`
     """
     from experiments.vocabulary import train, training_scenarios
     from scenarios.errors import InputError

@@ -12,11 +12,11 @@ from sim.worlds.base import Route
 
 
 def plan_motion(route: Route, trajectory: Trajectory, duration_s: float, seed: int) -> Motion:
-    """The motion of the trajectory's carrier along a route.
+    """Plan the motion of a trajectory along a route.
 
     Args:
         route: free space to move in.
-        trajectory: kind of carrier and its limits.
+        trajectory: kind of motion and its limits.
         duration_s: the motion is defined from ``-PAD_S`` to ``duration_s + PAD_S``.
         seed: root seed; the streams are ``("motion", ...)``.
     """
@@ -24,7 +24,7 @@ def plan_motion(route: Route, trajectory: Trajectory, duration_s: float, seed: i
 
 
 def _plan_drone(route: Route, trajectory: Trajectory, duration_s: float, seed: int) -> PoseSpline:
-    # MuJoCo is loaded only by those who fly.
+    # MuJoCo is loaded for drones only.
     from sim.motion.drone import plan_drone
 
     return plan_drone(route, trajectory, duration_s, seed)

@@ -27,7 +27,7 @@ def load_renderer(name: str) -> Callable[[WorldModel, Intrinsics], Renderer]:
     try:
         return getattr(import_module(module), kind)
     except ImportError as error:
-        raise InputError(f"renderer {name}", str(error), "install it again with `make`") from error
+        raise InputError(f"renderer {name}", str(error), "reinstall dual-slam-lab") from error
 
 
 def check_renderer(name: str) -> None:

@@ -35,7 +35,7 @@ WORLDS: dict[str, WorldMaker] = {
 
 
 def layout(spec: World, seed: int) -> Route:
-    """Where a carrier may go in the world; cheap, builds no texture.
+    """Route through a world; cheap, builds no texture.
 
     Args:
         spec: the world of a scenario.

@@ -17,8 +17,8 @@ class DualConfig:
         start_keyframes: keyframes of the new map when recovery starts: enough for a sound first geometry.
         threads: the recovery threads, in the order in which they are tried; n of Eq. 1 is their number.
         exhaustive: every thread is run to its end, also after one has succeeded; the first success counts.
-        relocalization: while a new map is sought, frames are looked for in the saved maps too.
-        relocalization_maps: how many of them, the last saved first.
+        relocalization: until a new map is initialized, frames are relocalized in the saved maps too.
+        relocalization_maps: number of these saved maps, the last saved first.
         place_merging: acceptance of a saved map recognised after its recovery has failed; None for never.
     """
 

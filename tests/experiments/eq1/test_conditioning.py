@@ -247,7 +247,7 @@ def test_the_page_states_and_plots_the_slope(tmp_path):
         plot = rendered("conditioning", "Errors.", draw_conditioning(report))
     page = Page(report_html(report, {"conditioning": plot}))
     rotation, direction = report["conditioning"]["told"]
-    assert "not told to fall or to rise" in rotation and "falls as the baseline grows" in direction
+    assert "neither falls nor rises significantly" in rotation and "falls as the baseline grows" in direction
     assert direction in page.text and any(link.get("href") == "#conditioning" for link in page.all("a"))
     assert [image["alt"] for image in page.all("img")] == ["Errors."]
     slope = report["analysis"]["conditioning"][1]["slope"]
