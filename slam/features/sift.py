@@ -148,7 +148,7 @@ def match(a: SiftFrame, b: SiftFrame, ratio: float) -> np.ndarray:
 
 @njit(cache=True, nogil=True)
 def _nearest(a, b):
-    """Nearest row of b per row of a (n, 128) uint8, two least squared distances; nearest of a."""
+    """Nearest rows of a and b (n, 128) uint8 to each other, with squared distances."""
     n, m = len(a), len(b)
     far = np.int32(2**31 - 1)
     nearest, nearest_back = np.zeros(n, np.int64), np.zeros(m, np.int64)

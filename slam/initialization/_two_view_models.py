@@ -70,7 +70,7 @@ def _sound(matrix: np.ndarray | None) -> np.ndarray | None:
 def homography_score(
     H: np.ndarray | None, pixels_1: np.ndarray, pixels_2: np.ndarray, sigma_px: np.ndarray | float
 ) -> tuple[float, np.ndarray]:
-    """Score and inliers (N,) bool of a homography ``H`` (3, 3), view 1 to 2, by symmetric transfer.
+    """Score and inliers (N,) bool of a homography ``H`` (3, 3), by symmetric transfer.
 
     Source: ORB-SLAM, 2015, equation (3).
     """
