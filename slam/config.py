@@ -22,8 +22,8 @@ class SlamConfig:
         mapping: new points, their culling, local bundle adjustment.
         loops: detection and correction of loops.
         relocalization: poses of frames after tracking was lost.
-        initial_features: ratio of the features of a frame before initialization to those of a tracked one, as far as
-            the image has room for them: small steps show parallax in few of them.
+        initial_features: features of a frame before initialization over those of a tracked one, as far as the
+            image has room for them; many are needed to see parallax after small steps.
         min_map_keyframes: a map that breaks with no more keyframes is dropped instead of kept.
     """
 

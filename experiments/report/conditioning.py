@@ -55,7 +55,11 @@ def _sentences(errors: dict[str, Any]) -> str:
     return text + "; ".join([f"Over all gaps it {_WAYS[_sign(slope)]}", *others]) + "."
 
 
-_WAYS = {-1: "falls as the baseline grows", 1: "rises with the baseline", 0: "neither falls nor rises significantly"}
+_WAYS = {
+    -1: "falls as the baseline grows",
+    1: "rises with the baseline",
+    0: "neither falls nor rises significantly",
+}
 
 
 def _sign(slope: dict[str, Any]) -> int:

@@ -88,5 +88,5 @@ def test_the_table_shows_targets_beside_measurements(monkeypatch, capsys):
         cli.main()
     shown = capsys.readouterr().out
     assert not caught.value.code
-    for figure in ("61.5", ">= 60", ">= 150", "20.0", "<= 1536", "3.5 s", "at most 5 s"):
+    for figure in ("61.5", ">= 60", ">= 150", "20.0", "<= 1536", "3.5 s", "limit: 5 s"):
         assert figure in shown

@@ -13,7 +13,7 @@ from slam_fakes import fake_factory, make_sequence
 from typer.main import get_command
 
 from experiments.cli import app
-from experiments.runs import execution, sources
+from experiments.runs import execution, slam_settings, sources
 from scenarios.errors import InputError
 
 
@@ -22,9 +22,9 @@ def synthetic(monkeypatch):
     """`dslab run` of any source runs the fake system over a synthetic sequence."""
     sequence = make_sequence()
     monkeypatch.setattr(sources, "open_sequence", lambda source, seed, show, **options: sequence)
-    monkeypatch.setattr(
-        execution, "system_factory", lambda mode="lockstep", dual=None: fake_factory(sequence, breaks_at=160)
-    )
+    fake = fake_factory(sequence, breaks_at=160)
+    monkeypatch.setattr(execution, "system_factory", lambda mode="lockstep", dual=None: fake)
+    monkeypatch.setattr(slam_settings, "factory_of", lambda settings: fake)
     return sequence
 
 

@@ -4,6 +4,7 @@ import json
 import shutil
 import sqlite3
 from contextlib import nullcontext
+from functools import partial
 
 import pandas as pd
 import pyarrow.parquet as pq
@@ -13,9 +14,9 @@ from unit_fakes import made_up_record, made_up_unit
 from experiments.campaign.folder import TABLE_FILE, export, read_experiment
 from experiments.campaign.ledger import LEDGER_FILE
 from experiments.campaign.runner import Tally, run_experiment
-from experiments.campaign.worker_pool import Ended
+from experiments.campaign.unit_job import unit_record
+from experiments.campaign.worker_pool import Ended, WorkerPool
 from experiments.cli.experiment_progress import estimates_text, pace_text
-from experiments.eq1.record_table import normalise
 from experiments.eq1.records import columns, decided
 from experiments.eq1.spec import load_spec
 
@@ -23,8 +24,10 @@ from experiments.eq1.spec import load_spec
 class LocalPool:
     """A worker pool that runs each unit at once, in this process."""
 
-    def __init__(self, job):
-        self._job = job
+    run = WorkerPool.run
+
+    def __init__(self, task):
+        self._task = task
         self._ended = []
 
     @property
@@ -35,7 +38,7 @@ class LocalPool:
         return [] if self._ended else ["here"]
 
     def start(self, unit, worker, recording=None):
-        self._ended.append(Ended(unit, worker, normalise(self._job(unit), len(unit.threads))))
+        self._ended.append(Ended(unit, worker, self._task(unit)))
 
     def wait(self, timeout_s):
         ended, self._ended = self._ended, []
@@ -47,7 +50,7 @@ def finished(tmp_path_factory):
     """The folder of an experiment: three synthetic units per cell of smoke."""
     folder, spec = tmp_path_factory.mktemp("experiment") / "s", load_spec("smoke")
     spec = spec.model_validate(spec.model_dump(mode="json") | {"units": 3})
-    run_experiment(spec, folder, lambda: nullcontext(LocalPool(made_up_unit)))
+    run_experiment(spec, folder, lambda: nullcontext(LocalPool(partial(unit_record, made_up_unit))))
     return folder
 
 
@@ -55,8 +58,8 @@ def finished(tmp_path_factory):
 def smoke(finished, monkeypatch, tmp_path):
     """A copy of the folder, with synthetic units for the commands that run some."""
 
-    def opened(settings, job):
-        return nullcontext(LocalPool(job))
+    def opened(settings, task):
+        return nullcontext(LocalPool(task))
 
     monkeypatch.setattr("experiments.campaign.worker_pool.embedded_worker_pool", opened)
     monkeypatch.setattr("experiments.campaign.replay.embedded_worker_pool", opened)

@@ -196,5 +196,5 @@ def test_bad_input_leaves_nothing_behind(scenario, tmp_path):
     export(scenario, *SEED, "--format", "tum", "--out", out)
     with pytest.raises(InputError, match="no continuous motion"):
         export(out, "--format", "euroc", "--imu", "--out", str(tmp_path / "more"))
-    with pytest.raises(InputError, match="not empty"):
+    with pytest.raises(InputError, match="already holds files"):
         export(scenario, *SEED, "--format", "tum", "--out", out)
