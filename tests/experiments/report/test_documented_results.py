@@ -21,6 +21,7 @@ def percent(share: float) -> str:
     return f"{100 * share:.1f}"
 
 
+@pytest.mark.slow
 def test_the_report_follows_from_the_records(report):
     again = json.loads(json.dumps(report_content(*read_experiment(FOLDER), FOLDER), default=float))
     for cell, before in zip(again["analysis"]["cells"], report["analysis"]["cells"], strict=True):

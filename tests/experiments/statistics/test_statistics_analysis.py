@@ -44,6 +44,7 @@ def test_nine_cells_of_forty_units_take_less_than_ten_seconds():
     assert [c.cell for c in found.cells] == [f"{k}/{s}" for k in ("blur", "dark", "turn") for s in (1, 2, 3)]
 
 
+@pytest.mark.slow
 def test_the_result_does_not_depend_on_the_order_of_the_rows():
     table = _experiment(units=12, units_per_world=2, kinds=("blur",))
     assert analyse(table.sample(frac=1, random_state=3), 2, QUICK) == analyse(table, 2, QUICK)
@@ -90,6 +91,7 @@ def test_the_prediction_is_the_crossing_arms_not_the_free_arms():
     assert level.verdict == "optimistic"
 
 
+@pytest.mark.slow
 def test_many_units_in_which_eq1_holds_are_consistent_and_equivalent():
     rng = np.random.default_rng(2)
     found = analyse(simulated_cell(rng, "blur/1", 1, 1500, 0.4, 0.4), 2, QUICK).cells[0]
