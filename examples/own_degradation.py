@@ -46,9 +46,9 @@ class DeadPixelsDegradation(sim.ImageDegradation[DeadPixels]):
 sim.register_degradation(DeadPixels, DeadPixelsDegradation())
 
 if __name__ == "__main__":
-    calm = scenarios.load("clean-room", seed=1).model_dump() | {"duration_s": 8.0}
-    for share in (0.0, 0.1, 0.5):
-        stress = {"kind": "dead_pixels", "start_s": 4, "duration_s": 3, "share": share}
+    calm = scenarios.load("clean-room", seed=1).model_dump() | {"duration_s": 6.0}
+    for share in (0.1, 0.5):
+        stress = {"kind": "dead_pixels", "start_s": 3, "duration_s": 2, "share": share}
         sequence = sim.render(scenarios.Scenario.model_validate(calm | {"segments": [stress]}))
         metrics = experiments.run(sequence, "base").metrics
         print(f"{share:.0%} dead: {metrics['breakages']} breakages, ATE {metrics['ate_m']} m")

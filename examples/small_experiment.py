@@ -6,8 +6,8 @@ import experiments
 
 
 def main(folder: Path = Path("small-experiment")) -> None:
-    """Run two units per cell on two workers and write the report."""
-    spec = experiments.load_experiment("smoke").model_copy(update={"units": 2})
+    """Run one unit per cell on two workers and write the report."""
+    spec = experiments.load_experiment("smoke").model_copy(update={"units": 1})
     tally = experiments.run_experiment(spec, folder, workers=2)
     print(f"{tally.done} of {tally.total} units")
     spec, table = experiments.read_experiment(folder)

@@ -34,7 +34,7 @@ def run(code_or_file, folder):
         ("own_images", "frames have a pose"),
         ("own_degradation", "50% dead: "),
         ("own_recovery_thread", "patient_orb: "),
-        ("small_experiment", "4 of 4 units"),
+        ("small_experiment", "2 of 2 units"),
     ],
 )
 def test_the_example_runs(name, said, tmp_path):

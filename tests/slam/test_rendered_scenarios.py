@@ -70,7 +70,6 @@ def test_a_clean_room_is_tracked():
     scenario = ("clean-room", 0, 6.0)
     system, _ = run(rendered(*scenario))
     assert kinds(system) == ["initialized"]
-    assert agrees_on_one_core(system, scenario)
 
 
 def test_a_loop_around_a_block_is_closed_and_corrects_most_of_the_drift():
@@ -80,7 +79,6 @@ def test_a_loop_around_a_block_is_closed_and_corrects_most_of_the_drift():
     assert kinds(closed)[:3] == ["initialized", "loop_closed", "map_adjusted"]
     assert kinds(open_) == ["initialized"]
     assert ate_m(closed, sequence) <= ate_m(open_, sequence) / 3
-    assert agrees_on_one_core(closed, scenario)
 
 
 def test_after_a_covered_lens_it_relocalizes_within_a_second():

@@ -100,7 +100,7 @@ def test_ctrl_c_on_the_command_is_two_lines_and_exit_130_and_the_same_command_re
     code, said = ended_midway(run, signal.SIGINT, folder, spec)
     assert code == 130
     assert said.splitlines() == [
-        f"{folder} keeps the units that have ended: run the same command again",
+        f"{folder} keeps the finished units: run the same command again to resume",
         "interrupted: nothing half-written is left",
     ]
     with sqlite3.connect(folder / LEDGER_FILE) as file:

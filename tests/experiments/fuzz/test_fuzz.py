@@ -211,10 +211,9 @@ def test_unknown_systems_are_refused(monkeypatch, capsys, tmp_path, systems):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seeds", [range(10), range(10, 20)], ids=["0-9", "10-19"])
-def test_the_systems_come_through_twenty_random_scenarios(tmp_path, seeds):
-    # Dual-SLAM includes the base.
-    units = [FuzzUnit(seed, ("base", "dual") if seed % 5 == 0 else ("dual",)) for seed in seeds]
+def test_the_systems_come_through_random_scenarios(tmp_path):
+    # Dual-SLAM includes the base. `dslab experiment fuzz` runs any number.
+    units = [FuzzUnit(seed, ("base", "dual") if seed % 5 == 0 else ("dual",)) for seed in range(6)]
     rows = run_fuzz(units, tmp_path / "out")
-    assert len(rows) == 12 and failed(rows) == []
-    assert sum(row["breakages"] for row in rows) > 8 and sum(row["fusions"] for row in rows) > 0
+    assert len(rows) == 8 and failed(rows) == []
+    assert sum(row["breakages"] for row in rows) > 2
