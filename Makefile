@@ -32,10 +32,10 @@ demo: setup
 	@$(BIN)/dslab demo --out $(OUT)
 
 test: setup
-	@$(BIN)/pytest -m "not slow" -n 2 --dist loadgroup
+	@$(BIN)/pytest -m "not slow" -n 2 --dist loadfile
 
 test-all: setup
-	@$(BIN)/pytest -n 2 --dist loadgroup
+	@$(BIN)/pytest -n 2 --dist loadfile
 
 lint: setup
 	@$(BIN)/ruff format --check .
