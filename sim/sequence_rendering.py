@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 import scenarios
-import sim
 from scenarios.extensions import extension_digests
 from scenarios.segments import ImageSegment
 from scenarios.spec import Scenario
@@ -232,8 +231,7 @@ def _versions() -> dict[str, str]:
 def _source_hash() -> str:
     """Hash of every source file that can change a pixel; part of the cache key."""
     digest = hashlib.sha256()
-    for package in (scenarios, sim):
-        root = Path(str(package.__file__)).parent
+    for root in (Path(str(scenarios.__file__)).parent, Path(__file__).parent):
         for path in sorted(root.rglob("*.py")):
             digest.update(path.relative_to(root).as_posix().encode())
             digest.update(path.read_bytes())
