@@ -1,17 +1,35 @@
-"""Recovery threads by name."""
+"""Recovery threads by name; a kind is imported when it is built, as specs need the names only."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from slam.dual.recovery.gms import GmsRecovery
-from slam.dual.recovery.interface import RecoveryConfig, RecoveryThread
-from slam.dual.recovery.orb import OrbRecovery
-from slam.dual.recovery.sift import SiftRecovery
+if TYPE_CHECKING:
+    from slam.dual.recovery.interface import RecoveryConfig, RecoveryThread
 
-RecoveryFactory = Callable[[RecoveryConfig | None], RecoveryThread]
+RecoveryFactory = Callable[["RecoveryConfig | None"], "RecoveryThread"]
 """Makes a thread from its settings; from None with its defaults."""
 
-RECOVERY_KINDS: dict[str, RecoveryFactory] = {"orb": OrbRecovery, "sift": SiftRecovery, "gms": GmsRecovery}
+
+def _orb(config: "RecoveryConfig | None") -> "RecoveryThread":
+    from slam.dual.recovery.orb import OrbRecovery
+
+    return OrbRecovery(config)
+
+
+def _sift(config: "RecoveryConfig | None") -> "RecoveryThread":
+    from slam.dual.recovery.sift import SiftRecovery
+
+    return SiftRecovery(config)
+
+
+def _gms(config: "RecoveryConfig | None") -> "RecoveryThread":
+    from slam.dual.recovery.gms import GmsRecovery
+
+    return GmsRecovery(config)
+
+
+RECOVERY_KINDS: dict[str, RecoveryFactory] = {"orb": _orb, "sift": _sift, "gms": _gms}
 """Factories by kind; :func:`register_recovery_thread` adds one."""
 
 
@@ -45,7 +63,7 @@ class ThreadSpec:
 
     kind: str
     seed: int = 0
-    config: RecoveryConfig | None = None
+    config: "RecoveryConfig | None" = None
 
     def __post_init__(self) -> None:
         """Check the kind."""
@@ -53,7 +71,7 @@ class ThreadSpec:
             raise ValueError(f"unknown recovery thread {self.kind!r}: one of {', '.join(RECOVERY_KINDS)}")
 
 
-def build_thread(spec: ThreadSpec) -> RecoveryThread:
+def build_thread(spec: ThreadSpec) -> "RecoveryThread":
     """Build the thread of a specification."""
     return RECOVERY_KINDS[spec.kind](spec.config)
 
