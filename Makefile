@@ -24,7 +24,10 @@ setup: .venv/.ready
 	@echo "dslab setup: installing the locked packages into .venv"
 	@$(UV) sync --quiet --frozen --extra evo --python $(PYTHON)
 	@$(BIN)/python -m sim.rendering.gl_setup --uv $(UV)
-	@$(BIN)/dslab warmup
+	@# Sources are compiled here, beside the kernels: not everywhere may Python write what it compiles.
+	@packages=$$($(BIN)/python -c "import sysconfig; print(sysconfig.get_path('purelib'))"); \
+	$(BIN)/python -m compileall -qq -x '/tests?/' "$$packages" experiments scenarios sim slam & \
+	$(BIN)/dslab warmup && wait
 	@echo "dslab setup: done; \`source .venv/bin/activate\` puts dslab onto the PATH"
 	@touch $@
 

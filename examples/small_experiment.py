@@ -6,9 +6,11 @@ import experiments
 
 
 def main(folder: Path = Path("small-experiment")) -> None:
-    """Run one unit per cell on two workers and write the report."""
-    spec = experiments.load_experiment("smoke").model_copy(update={"units": 1})
-    tally = experiments.run_experiment(spec, folder, workers=2)
+    """Run one unit of one dose and write the report; more units and workers take no other call."""
+    spec = experiments.load_experiment("smoke")
+    weak_texture = spec.degradations[0].model_copy(update={"doses": (0.02,)})
+    spec = spec.model_copy(update={"degradations": (weak_texture,), "units": 1})
+    tally = experiments.run_experiment(spec, folder, workers=1)
     print(f"{tally.done} of {tally.total} units")
     spec, table = experiments.read_experiment(folder)
     print(table[["cell", "world", "outcome", "breakage", "d1"]].to_string())

@@ -88,7 +88,7 @@ def bench_sim(
             show("measuring", done, len(steps) + 1)
             figures[name] = rates(run_together(prepare, arguments, processes))
         show("measuring", len(steps), len(steps) + 1)
-        build = _alone(_build_large_city, renderer)
+        build = _alone(_build_large_city, renderer, LARGE_CITY_M)
         show("measuring", len(steps) + 1, len(steps) + 1)
     return {
         "processes": processes,
@@ -220,21 +220,21 @@ def _degraded(seconds: float, exposure_s: float, illumination: float):
     )
 
 
-def _alone(measure: Callable[[str], dict[str, float]], renderer: str) -> dict[str, float]:
+def _alone(measure: Callable[..., dict[str, float]], *arguments: Any) -> dict[str, float]:
     """Run a measurement in a new process."""
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-        return pool.submit(measure, renderer).result()
+        return pool.submit(measure, *arguments).result()
 
 
-def _build_large_city(renderer: str) -> dict[str, float]:
-    """Measure building a city of a kilometre and loading it into a renderer."""
+def _build_large_city(renderer: str, length_m: float) -> dict[str, float]:
+    """Measure building a city and loading it into a renderer."""
     from scenarios.worlds import CityWorld
     from sim.frame_plan import render_backend
 
     backend = render_backend(renderer)
     backend.build_world(CityWorld(length_m=100, turns=0), 0)  # compiles the kernels
     started_s, started_cpu_s = time.perf_counter(), time.process_time()
-    world = backend.build_world(CityWorld(length_m=LARGE_CITY_M), 0)
+    world = backend.build_world(CityWorld(length_m=length_m), 0)
     built_s, built_cpu_s = time.perf_counter(), time.process_time()
     backend.renderer(world, _intrinsics())
     return {

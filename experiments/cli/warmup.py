@@ -8,9 +8,19 @@ def warmup_command() -> None:
 
     Example: `dslab warmup`
     """
-    from slam.warmup import warm_up
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    from scenarios.errors import InputError
+    from sim import warmup as simulator
+    from slam import warmup as systems
 
     single_threaded_opencv()
-    with progress_bars() as show:
-        warm_up(show)
+    with ProcessPoolExecutor(1, get_context("spawn")) as beside, progress_bars() as show:
+        rendered = beside.submit(simulator.warm_up)
+        systems.warm_up(show)
+        try:
+            rendered.result()
+        except InputError as error:
+            err.print(f"kernels of the simulator are compiled when first used: {error}", soft_wrap=True)
     err.print("kernels ready")

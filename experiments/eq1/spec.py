@@ -8,7 +8,7 @@ the same nuisance seed in every cell: two cells differ only in what their names 
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
 import yaml
 from pydantic import Field, ValidationError, model_validator
@@ -99,6 +99,12 @@ class ExperimentSpec(Strict):
                         cell = Cell(image, name, written, number, dose, system)
                         found[f"{image}/{system}" if len(self.systems) > 1 else image] = cell
         return found
+
+    def model_copy(self, **options: Any) -> Self:
+        """A copy with other fields, whose cells are those of these fields."""
+        copy = super().model_copy(**options)
+        copy.__dict__.pop("cells", None)
+        return copy
 
     def cell_names(self) -> list[str]:
         """The cells, in order."""

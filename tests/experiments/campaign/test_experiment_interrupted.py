@@ -81,12 +81,9 @@ def ended_midway(command, how, folder, plan):
     return driver.returncode, said
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT], ids=["kill-9", "ctrl-c"])
-def test_a_driver_that_is_ended_loses_only_the_units_under_way(run_made_up, command, tmp_path, how):
+def test_a_driver_that_is_killed_loses_only_the_units_under_way(run_made_up, command, tmp_path):
     plan, folder = MadeUp({"slow-0.05": 40}), tmp_path / "x"
-    _, said = ended_midway(command(DRIVER, folder), how, folder, plan)
-    if how is signal.SIGINT:
-        assert said.strip().splitlines()[-1] == "KeyboardInterrupt" and said.count("Traceback") == 1
+    ended_midway(command(DRIVER, folder), signal.SIGKILL, folder, plan)
     before = rows_of(folder, plan)
     assert 5 <= len(before) < 40
     tally = run_made_up(plan, folder=folder)

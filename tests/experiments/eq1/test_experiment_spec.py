@@ -75,6 +75,14 @@ def test_a_unit_contains_everything_that_determines_it(spec):
     assert spec.unit("hall/motion_blur/1/dual", 0).scenario.camera.fps == 15
 
 
+def test_a_copy_with_other_fields_has_the_cells_of_these(spec):
+    assert len(spec.cells) > 1
+    one = spec.model_copy(
+        update={"bases": {"hall": spec.bases["hall"]}, "degradations": spec.degradations[1:]}
+    )
+    assert one.cell_names() == ["fast_rotation/1/dual", "fast_rotation/1/dual+"]
+
+
 def test_an_index_means_the_same_world_path_and_noise_in_every_cell(spec):
     for index in (0, 3, 9):
         units = [spec.unit(cell, index) for cell in spec.cell_names() if cell.startswith("passage")]

@@ -1,0 +1,40 @@
+"""Compilation of all kernels, by rendering a short scenario with every kind of degradation."""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from scenarios.spec import Scenario
+from sim.degradations.registry import DEGRADATIONS
+from sim.sequence_rendering import render_sequence
+
+_SEGMENT_S, _EVERY_S = 0.3, 0.4
+_CAMERA = {
+    "width_px": 96, "height_px": 72, "fx_px": 68, "fy_px": 68, "cx_px": 47.5, "cy_px": 35.5, "fps": 10,
+    "distortion": {"model": "radtan", "k1": -0.05},
+}  # fmt: skip
+
+
+def warm_up() -> None:
+    """Compile the kernels and store them in numba's cache.
+
+    Raises:
+        InputError: there is no GL.
+    """
+    rng = np.random.default_rng(0)
+    segments = [
+        {"kind": kind, "start_s": _EVERY_S * k, "duration_s": _SEGMENT_S, **degradation.sample(rng)}
+        for k, (kind, degradation) in enumerate(DEGRADATIONS.items())
+    ]
+    scenario = Scenario.model_validate(
+        {
+            "name": "warmup",
+            "duration_s": _EVERY_S * len(segments),
+            "world": {"kind": "corridor", "length_m": 10, "turns": 0},
+            "camera": _CAMERA,
+            "segments": segments,
+        }
+    )
+    with tempfile.TemporaryDirectory(prefix="dslab-") as folder:
+        render_sequence(scenario, cache_dir=Path(folder))
