@@ -4,6 +4,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
+from scenarios.lenses import lens_fault
 from scenarios.strict import Strict, with_defaults_of
 
 PRESETS: dict[str, dict[str, Any]] = {
@@ -138,8 +139,22 @@ class Camera(Strict):
             if not 0.1 <= focal / self.width_px <= 20:
                 low, high = 0.1 * self.width_px, 20 * self.width_px
                 raise ValueError(f"{name} = {focal:g} is absurd for this image, use {low:g} to {high:g}")
+        if fault := self._lens_fault():
+            raise ValueError(f"distortion: {fault[0]}, {fault[1]}")
         if self.exposure_s * self.fps > 1:
             raise ValueError(
                 f"exposure_s = {self.exposure_s:g} is longer than a frame, use at most {1 / self.fps:.4g}"
             )
         return self
+
+    def _lens_fault(self) -> tuple[str, str] | None:
+        """Problem and remedy of a lens that has no ray for some pixel; None for a sound one."""
+        if self.distortion.model == "none":
+            return None
+        return lens_fault(
+            (self.width_px, self.height_px),
+            (self.fx_px, self.fy_px),
+            (self.cx_px, self.cy_px),
+            self.distortion.model,
+            self.distortion.coefficients,
+        )

@@ -23,6 +23,7 @@ from scenarios.distributions import Choice, Distribution, NotationError, is_dist
 from scenarios.drawing import Draw
 from scenarios.errors import InputError
 from scenarios.faults import first_fault, guess
+from scenarios.input_files import is_given
 from scenarios.seeds import rng_for
 from scenarios.spec import Scenario
 from scenarios.yaml_file import Location, YamlFile, field_path, read_yaml
@@ -152,7 +153,7 @@ def load_family(path_or_name: str | Path) -> Family:
         return family.member(member) if member else family
     if path.suffix not in _SUFFIXES and path.parent.suffix in _SUFFIXES:
         return load_family_file(path.parent).member(path.name)
-    if path.suffix in _SUFFIXES or path.exists():
+    if path.suffix in _SUFFIXES or is_given(path):
         return load_family_file(path)
     likely = guess(text, [*_library(), *family_names()])
     raise InputError(

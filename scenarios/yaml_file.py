@@ -1,5 +1,6 @@
 """YAML files with the lines of their parts, for the place of every fault."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,11 +9,14 @@ from typing import Any
 import yaml
 
 from scenarios.errors import InputError
+from scenarios.input_files import SETTINGS_BYTES, number_fault, read_text
 
 Location = tuple[str | int, ...]
 """Keys and indices from the root to a part."""
 
 _MERGE = "<<"
+_OPENCV_HEADER = re.compile(r"^%YAML:.*$", re.MULTILINE)
+_MOST_PARTS, _MOST_DEPTH = 20_000, 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,39 +57,89 @@ def field_path(location: Location) -> str:
 
 
 def read_yaml(
-    path: Path, holds: str = "scenario", example: str = "`dslab scenarios show clean-room`"
+    path: Path,
+    holds: str = "scenario",
+    example: str = "`dslab scenarios show clean-room`",
+    if_missing: str | None = None,
 ) -> YamlFile:
     """Read one file.
 
     Args:
-        path: of the file.
+        path: of the file; OpenCV's line ``%YAML:1.0`` is skipped.
         holds: its expected content, for the fault.
         example: source of an example, for the fault.
+        if_missing: advice if there is no such file; None for the example.
 
     Raises:
-        InputError: the file is missing, no YAML, holds no mapping, or has a key twice.
+        InputError: the file cannot be read, is no YAML, has too many or too deeply nested parts, holds no
+            mapping, has a key twice, or a number that is not finite.
     """
+    text = read_text(path, SETTINGS_BYTES, if_missing or f"check the path, or start from {example}")
+    plain = _OPENCV_HEADER.sub("", text)
     try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InputError(str(path), "no such file", f"check the path, or start from {example}") from None
-    except UnicodeDecodeError:
-        raise InputError(str(path), "is not UTF-8 text", "give a YAML file") from None
-    except OSError as error:
-        raise InputError(str(path), error.strerror or "cannot be read", "give a readable YAML file") from None
-    try:
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
-        data = yaml.safe_load(text)
+        _check_bounds(path, plain)
+        root = yaml.compose(plain, Loader=yaml.SafeLoader)
+        data = yaml.safe_load(plain)
     except yaml.YAMLError as error:
         raise _not_yaml(path, error) from None
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise InputError(str(path), f"is not valid YAML ({error})", "correct the value") from None
     if not isinstance(data, dict) or root is None:
         raise InputError(str(path), f"holds no {holds}", f"start from {example}")
     for location, key in _duplicate_keys(root):
         where = f"{path}:{key.start_mark.line + 1}: {field_path(location)}"
         raise InputError(where, "key appears twice", "keep one of them")
-    return YamlFile(path, text, data, root)
+    file = YamlFile(path, text, data, root)
+    for location, value in _leaves(data):
+        if fault := number_fault(value):
+            raise InputError(file.where(location), fault, "correct it")
+    return file
+
+
+def _check_bounds(path: Path, text: str) -> None:
+    """Raise InputError for too many or too deeply nested parts, before any is made.
+
+    What an alias stands for is counted at each place where it stands.
+    """
+    # Of every open part its anchor, the parts before it and the levels below it.
+    opened: list[tuple[str | None, int, int]] = []
+    anchored: dict[str, tuple[int, int]] = {}
+    parts = 0
+    for event in yaml.parse(text, Loader=yaml.SafeLoader):
+        where = f"{path}:{event.start_mark.line + 1}"
+        if isinstance(event, yaml.AliasEvent):
+            if any(anchor == event.anchor for anchor, _, _ in opened):
+                raise InputError(where, f"*{event.anchor} stands for a part of itself", "write it out")
+            count, levels = anchored.get(event.anchor, (1, 1))
+        elif isinstance(event, yaml.ScalarEvent):
+            count, levels = 1, 1
+        elif isinstance(event, yaml.CollectionStartEvent):
+            opened.append((event.anchor, parts, 1))
+            count, levels = 1, 0
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, before, levels = opened.pop()
+            count = 0
+            if anchor is not None:
+                anchored[anchor] = (parts - before, levels)
+        else:
+            continue
+        parts += count
+        if opened:
+            anchor, before, deepest = opened[-1]
+            opened[-1] = (anchor, before, max(deepest, levels + 1))
+        if parts > _MOST_PARTS:
+            raise InputError(where, f"holds more than {_MOST_PARTS} parts", "write a shorter file")
+        if len(opened) + levels > _MOST_DEPTH:
+            raise InputError(where, f"is nested more than {_MOST_DEPTH} deep", "write a flatter file")
+
+
+def _leaves(data: Any, location: Location = ()) -> Iterator[tuple[Location, Any]]:
+    """Yield the location and value of everything that is no mapping or list."""
+    if isinstance(data, dict | list):
+        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+            yield from _leaves(value, (*location, key))
+    else:
+        yield location, data
 
 
 def _not_yaml(path: Path, error: yaml.YAMLError) -> InputError:

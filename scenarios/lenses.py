@@ -1,0 +1,88 @@
+"""The check that a lens can be inverted over its image, for cameras of scenarios and of files."""
+
+import math
+
+import numpy as np
+
+MOST_HALF_ANGLE_DEG = 78.0
+"""A pinhole image of a wider lens would be absurdly large."""
+
+_COLUMNS, _ROWS = 41, 31
+_ROUNDS, _SOLVED = 30, 1e-10
+
+
+def lens_fault(
+    size_px: tuple[int, int],
+    focal_px: tuple[float, float],
+    centre_px: tuple[float, float],
+    model: str,
+    coefficients: tuple[float, ...],
+) -> tuple[str, str] | None:
+    """Problem and remedy of a lens without a ray for every pixel; None for a sound one.
+
+    Args:
+        size_px: width and height of the image.
+        focal_px: fx and fy.
+        centre_px: principal point; integer coordinates are pixel centres.
+        model: ``radtan`` or ``equidistant``.
+        coefficients: of the model, in OpenCV's order.
+    """
+    width, height = size_px
+    grid = np.meshgrid(np.linspace(-0.5, width - 0.5, _COLUMNS), np.linspace(-0.5, height - 0.5, _ROWS))
+    bent = (np.stack(grid, axis=-1).reshape(-1, 2) - centre_px) / focal_px
+    if model == "equidistant" and np.hypot(*bent.T).max() > math.pi / 2:
+        problem = "the image reaches further from its centre than pi/2 focal lengths"
+        return problem, "give a longer focal length: OpenCV inverts the model only up to there"
+    straighten = _straighten_equidistant if model == "equidistant" else _straighten_radtan
+    with np.errstate(all="ignore"):
+        rays = straighten(bent, coefficients)
+    if not np.isfinite(rays).all():
+        shown = ", ".join(f"{value:g}" for value in coefficients)
+        problem = f"the lens ({shown}) folds the image over itself or sees behind the camera"
+        return problem, "give the coefficients of a calibration"
+    widest_deg = math.degrees(math.atan(np.hypot(*rays.T).max()))
+    if widest_deg > MOST_HALF_ANGLE_DEG:
+        problem = f"the lens sees {widest_deg:.0f} degrees to the side"
+        return problem, f"give one of at most {MOST_HALF_ANGLE_DEG:g}"
+    return None
+
+
+def _straighten_radtan(bent: np.ndarray, coefficients: tuple[float, ...]) -> np.ndarray:
+    """(N, 2) rays of (N, 2) distorted points, NaN where there is none; by Newton's method."""
+    k1, k2, p1, p2, k3 = coefficients
+    x, y = bent.T.copy()
+    sound = np.zeros(len(bent), bool)
+    for _ in range(_ROUNDS):
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        growth = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
+        error_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) - bent[:, 0]
+        error_y = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y - bent[:, 1]
+        xx = radial + growth * x * x + 2 * p1 * y + 6 * p2 * x
+        xy = growth * x * y + 2 * p1 * x + 2 * p2 * y
+        yy = radial + growth * y * y + 6 * p1 * y + 2 * p2 * x
+        determinant = xx * yy - xy * xy
+        sound = (np.abs(error_x) + np.abs(error_y) < _SOLVED) & (determinant > 0) & (radial > 0)
+        if sound.all():
+            break
+        x = x - (yy * error_x - xy * error_y) / determinant
+        y = y - (xx * error_y - xy * error_x) / determinant
+    return np.where(sound[:, None], np.stack([x, y], axis=1), np.nan)
+
+
+def _straighten_equidistant(bent: np.ndarray, coefficients: tuple[float, ...]) -> np.ndarray:
+    """(N, 2) rays of (N, 2) distorted points, NaN where there is none; by Newton's method."""
+    k1, k2, k3, k4 = coefficients
+    radius = np.hypot(*bent.T)
+    theta = np.minimum(radius, 1.0)
+    sound = np.zeros(len(bent), bool)
+    for _ in range(_ROUNDS):
+        t2 = theta * theta
+        error = theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))) - radius
+        slope = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
+        sound = (np.abs(error) < _SOLVED) & (slope > 0) & (theta >= 0) & (theta < np.pi / 2)
+        if sound.all():
+            break
+        theta = theta - error / slope
+    stretch = np.where(radius > 1e-9, np.tan(theta) / np.maximum(radius, 1e-9), 1.0)
+    return np.where(sound[:, None], bent * stretch[:, None], np.nan)
