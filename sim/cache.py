@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from scenarios.errors import InputError
+from scenarios.input_files import open_file, read_json
 
 CACHE_DIR_VARIABLE = "DSLAB_CACHE_DIR"
 MAX_BYTES = 20 * 10**9
@@ -43,6 +44,10 @@ def content_key(content: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
+class CorruptEntryError(Exception):
+    """An entry of the cache whose content is not what was written."""
+
+
 class FolderCache:
     """Finished folders by key.
 
@@ -64,11 +69,15 @@ class FolderCache:
         if not entry.is_dir():
             return None
         if fault := _fault(entry):
-            _log.warning("cache entry %s is corrupt (%s): rendering it again", entry, fault)
-            _discard(entry)
+            self.drop(entry, fault)
             return None
         _touch(entry / _MANIFEST)
         return entry
+
+    def drop(self, entry: Path, fault: str) -> None:
+        """Delete a corrupt entry, with a warning that names the fault."""
+        _log.warning("cache entry %s is corrupt (%s): rendering it again", entry, fault)
+        _discard(entry)
 
     @contextmanager
     def create(self, key: str) -> Iterator[Path]:
@@ -134,19 +143,23 @@ def _write_manifest(folder: Path) -> None:
 def _fault(entry: Path) -> str:
     """Fault of an entry, empty if it is sound."""
     try:
-        files = json.loads((entry / _MANIFEST).read_text())["files"]
+        files = read_json(entry / _MANIFEST, dict).get("files")
+        found = {path.name for path in entry.iterdir()} - {_MANIFEST}
+        if not isinstance(files, dict) or set(files) != found:
+            return "its files are not those of its manifest"
         for name, expected in files.items():
-            if (entry / name).stat().st_size != expected["bytes"]:
+            size_bytes = (entry / name).stat().st_size
+            if not isinstance(expected, dict) or size_bytes != expected.get("bytes"):
                 return f"{name} has the wrong size"
-            if _sha256(entry / name) != expected["sha256"]:
+            if _sha256(entry / name) != expected.get("sha256"):
                 return f"{name} has the wrong checksum"
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        return str(error) or type(error).__name__
+    except (OSError, InputError) as error:
+        return str(error)
     return ""
 
 
 def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
+    with open_file(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

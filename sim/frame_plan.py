@@ -15,7 +15,7 @@ from sim.degradations.chain import ImageChain
 from sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
 from sim.degradations.repeated_texture import with_repeated_texture
 from sim.degradations.scattering import Scattering
-from sim.io.raw import RawFrames, RawWriter
+from sim.io.raw import RawFrames, RawWriter, stored_array
 from sim.motion import plan_motion
 from sim.motion.base import Motion
 from sim.rendering.lens_renderer import lens_renderer
@@ -188,10 +188,23 @@ def rendered_clean_frames(world: WorldModel, camera: Camera, backend: RenderBack
         renderer.close()
 
 
-def stored_clean_frames(folder: Path) -> CleanFrames:
-    """CleanFrames written by ``store_clean_frames``."""
-    grays, depths = RawFrames(folder / "gray.npy"), RawFrames(folder / "depth.npy")
-    return lambda frame, T_world_cam: (grays[frame], depths[frame])
+def stored_clean_frames(folder: Path, count: int, camera: Camera) -> tuple[np.ndarray, CleanFrames]:
+    """The survey and the CleanFrames written by ``store_clean_frames``.
+
+    Args:
+        folder: of a cache entry.
+        count: number of frames.
+        camera: of the scenario.
+
+    Raises:
+        CorruptEntryError: the folder holds anything else.
+    """
+    ideal = ideal_camera(camera_intrinsics(camera))
+    shape = (count, ideal.height_px, ideal.width_px)
+    view_share = np.array(stored_array(folder / "view_share.npy", (count, None), np.float32))
+    grays = RawFrames(folder / "gray.npy", shape, np.uint8)
+    depths = RawFrames(folder / "depth.npy", shape, np.float32)
+    return view_share, lambda frame, T_world_cam: (grays[frame], depths[frame])
 
 
 def store_clean_frames(

@@ -71,7 +71,8 @@ class Preview:
             blur_px = expose_frames(
                 Path(folder), part, clean_frames, camera, chain, False, lambda step, done, total: None
             )
-            frames = RawFrames(Path(folder) / "gray.npy")
+            shape = (len(part.frame), camera.height_px, camera.width_px)
+            frames = RawFrames(Path(folder) / "gray.npy", shape, np.uint8)
             return [frames[k] for k in range(len(frames))], blur_px
 
 

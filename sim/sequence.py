@@ -3,6 +3,7 @@
 A frame's stamp is the centre of its exposure, and its true pose is the camera's pose at that moment.
 """
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -37,10 +38,50 @@ class SegmentTruth:
     runs: tuple[tuple[int, int], ...] = ()
 
     @classmethod
-    def from_record(cls, record: dict[str, Any]) -> "SegmentTruth":
-        """Build the truth from JSON fields. Raises TypeError or ValueError on other fields."""
-        runs = tuple((int(first), int(last)) for first, last in record.get("runs", ()))
-        return cls(**{**record, "runs": runs})
+    def from_record(cls, record: Any, frames: int) -> "SegmentTruth":
+        """Build the truth from its record in a file.
+
+        Args:
+            record: fields, as of ``dataclasses.asdict``.
+            frames: number of frames of the sequence.
+
+        Raises:
+            ValueError: a field is missing, unknown, of another type, or names frames out of order or outside
+                the sequence.
+        """
+        if not isinstance(record, dict):
+            raise ValueError("is no mapping")
+        try:
+            truth = cls(**{**record, "runs": tuple(tuple(run) for run in record.get("runs", ()))})
+        except TypeError as error:
+            raise ValueError(str(error).rpartition("__init__() ")[2]) from None
+        truth._check(frames)
+        return truth
+
+    def _check(self, frames: int) -> None:
+        """Raise ValueError naming the first field that is not as stated above."""
+        severities = self.severity.values() if isinstance(self.severity, dict) else (None,)
+        spans = ((self.first_frame, self.last_frame), *self.runs)
+        start_s = self.start_s if _is_number(self.start_s) else math.inf
+        flat = [frame for run in self.runs for frame in run]
+        checks = {
+            "kind": isinstance(self.kind, str) and self.kind,
+            "severity": all(isinstance(value, str) or _is_number(value) for value in severities),
+            "start_s": start_s < math.inf,
+            "end_s": _is_number(self.end_s) and self.end_s >= start_s,
+            "first_frame or last_frame": all(_is_whole(frame) for frame in spans[0]),
+            "measure": isinstance(self.measure, str),
+            "threshold": _is_number(self.threshold),
+            "runs": all(len(run) == 2 and all(map(_is_whole, run)) for run in self.runs),
+        }
+        for name, holds in checks.items():
+            if not holds:
+                raise ValueError(f"its {name} is not valid")
+        first, last = spans[0]
+        if not (first == last == -1 or 0 <= first <= last < frames):
+            raise ValueError(f"frames {first} to {last} are not in the sequence")
+        if flat and (flat != sorted(flat) or (flat[0], flat[-1]) != spans[0]):
+            raise ValueError(f"its runs do not go from {first} to {last}")
 
     def mask(self, frames: int) -> np.ndarray:
         """(frames,) bool: frames of the sequence on which the segment acts."""
@@ -138,6 +179,14 @@ class ChosenFrames:
 
     def __getitem__(self, index: int) -> np.ndarray:
         return self._source[int(self._kept[index])]
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
 
 
 def _range_in(kept: np.ndarray, first: int, last: int) -> tuple[int, int]:

@@ -3,25 +3,29 @@
 import hashlib
 import json
 import platform
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 import scenarios
+from scenarios.errors import InputError
 from scenarios.extensions import extension_digests
+from scenarios.input_files import read_json
 from scenarios.segments import ImageSegment
 from scenarios.spec import Scenario
-from sim.cache import FolderCache, content_key
+from sim.cache import CorruptEntryError, FolderCache, content_key
 from sim.degradations.base import FramePlan, Stage
 from sim.degradations.chain import ImageChain
 from sim.degradations.registry import DEGRADATIONS, in_order_of_action
 from sim.degradations.truths import truths_of
 from sim.frame_plan import (
+    CleanFrames,
     Progress,
     RenderBackend,
     camera_intrinsics,
@@ -36,7 +40,7 @@ from sim.frame_plan import (
     stored_clean_frames,
 )
 from sim.io.folders import check_free
-from sim.io.raw import RawFrames
+from sim.io.raw import RawFrames, stored_array, stored_columns
 from sim.io.tum import write_tum
 from sim.sequence import SegmentTruth, Sequence
 
@@ -49,6 +53,8 @@ __all__ = [
     "render_backend",
     "render_sequence",
 ]
+
+ContentT = TypeVar("ContentT")
 
 _PACKAGES = (
     "dual-slam-lab",
@@ -100,12 +106,12 @@ def render_sequence(
     # Inertial readings change no frame.
     provenance = _provenance(scenario.model_copy(update={"imu": None}), seed, backend)
     key = content_key({"depth": depth, "sources": _sources(), **provenance})
-    entry = store.find(key)
-    if entry is None:
+    opened = partial(_open, scenario=scenario, meta=meta, depth=depth)
+    sequence = _cached(store, key, opened)
+    if sequence is None:
         with store.create(key) as folder:
             _render_into(folder, scenario, seed, depth, backend, store, progress)
-        entry = store.root / key
-    sequence = _open(entry, scenario, meta)
+        sequence = opened(store.root / key)
     if out_dir is not None:
         write_tum(sequence, out_dir, depth=depth, progress=progress)
     return sequence
@@ -123,10 +129,9 @@ def _render_into(
     """Write the frames and the truth of a sequence into a folder of the cache."""
     camera = scenario.camera
     if any(isinstance(segment, ImageSegment) for segment in scenario.segments):
-        entry = _clean_frames_of(scenario, seed, backend, store, progress)
-        view_share = np.load(entry / "view_share.npy")
+        view_share, stored = _clean_frames_of(scenario, seed, backend, store, progress)
         plan = plan_in_world(scenario, seed, backend, view_share.shape[1], lambda plan: view_share)
-        clean_frames = nullcontext(stored_clean_frames(entry))
+        clean_frames = nullcontext(stored)
     else:
         plan, world = plan_frames(scenario, seed, backend, progress)
         clean_frames = rendered_clean_frames(world, camera, backend)
@@ -147,8 +152,8 @@ def _render_into(
 
 def _clean_frames_of(
     scenario: Scenario, seed: int, backend: RenderBackend, store: FolderCache, progress: Progress
-) -> Path:
-    """Return the folder of a scenario's clean frames; render them if they are not cached."""
+) -> tuple[np.ndarray, CleanFrames]:
+    """The survey and clean frames of a scenario; they are rendered if they are not cached."""
     kept = [s for s in scenario.segments if DEGRADATIONS[s.kind].stage in (Stage.MOTION, Stage.WORLD)]
     clean = scenario.model_copy(
         update={
@@ -160,16 +165,17 @@ def _clean_frames_of(
         }
     )
     key = content_key({"clean_frames": True, "sources": _sources(), **_provenance(clean, seed, backend)})
-    entry = store.find(key)
-    if entry is None:
+    stored = partial(stored_clean_frames, count=clean.frame_count, camera=clean.camera)
+    found = _cached(store, key, stored)
+    if found is None:
         plan, world = plan_frames(clean, seed, backend, progress)
         with (
             store.create(key) as folder,
             rendered_clean_frames(world, clean.camera, backend) as clean_frames,
         ):
             store_clean_frames(folder, plan, clean_frames, clean.camera, progress)
-        entry = store.root / key
-    return entry
+        found = stored(store.root / key)
+    return found
 
 
 def _write_truth(
@@ -184,22 +190,41 @@ def _write_truth(
     np.savez(folder / "frame_truth.npz", **columns)
 
 
-def _open(entry: Path, scenario: Scenario, meta: dict[str, Any]) -> Sequence:
-    """The sequence of a complete cache entry."""
-    segments = json.loads((entry / "segments.json").read_text())
-    with np.load(entry / "frame_truth.npz") as truth:
-        columns = {name: truth[name] for name in sorted(truth.files)}
-    depth_file = entry / "depth.npy"
+def _cached(store: FolderCache, key: str, read: Callable[[Path], ContentT]) -> ContentT | None:
+    """What a sound entry of the cache holds; None without one. A corrupt one is dropped."""
+    entry = store.find(key)
+    if entry is None:
+        return None
+    try:
+        return read(entry)
+    except CorruptEntryError as fault:
+        store.drop(entry, str(fault))
+        return None
+
+
+def _open(entry: Path, scenario: Scenario, meta: dict[str, Any], depth: bool) -> Sequence:
+    """The sequence of a cache entry. Raises CorruptEntryError if it is not one of this scenario."""
+    camera = camera_intrinsics(scenario.camera)
+    stamps_s = np.array(stored_array(entry / "stamps_s.npy", (None,), np.float64))
+    count = len(stamps_s)
+    shape = (count, camera.height_px, camera.width_px)
+    if not 0 < count <= scenario.frame_count or not (np.diff(stamps_s) > 0).all():
+        raise CorruptEntryError("stamps_s.npy holds no times of the scenario's frames")
+    try:
+        records = read_json(entry / "segments.json", list)
+        segments = tuple(SegmentTruth.from_record(record, count) for record in records)
+    except (InputError, ValueError) as error:
+        raise CorruptEntryError(f"segments.json: {error}") from None
     return Sequence(
         name=scenario.name,
-        camera=camera_intrinsics(scenario.camera),
-        stamps_s=np.load(entry / "stamps_s.npy"),
-        frames=RawFrames(entry / "gray.npy"),
-        T_world_cam=np.load(entry / "T_world_cam.npy"),
-        depths=RawFrames(depth_file) if depth_file.exists() else None,
-        segments=tuple(SegmentTruth.from_record(segment) for segment in segments),
+        camera=camera,
+        stamps_s=stamps_s,
+        frames=RawFrames(entry / "gray.npy", shape, np.uint8),
+        T_world_cam=np.array(stored_array(entry / "T_world_cam.npy", (count, 4, 4), np.float64)),
+        depths=RawFrames(entry / "depth.npy", shape, np.float32) if depth else None,
+        segments=segments,
         meta=meta,
-        frame_truth=columns,
+        frame_truth=stored_columns(entry / "frame_truth.npz", count),
     )
 
 

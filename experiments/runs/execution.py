@@ -9,6 +9,7 @@ import numpy as np
 
 from experiments.runs.memory import peak_rss_mb, reset_peak
 from experiments.runs.pacing import RealTime
+from scenarios.errors import InputError
 from sim.sensors.camera import Intrinsics
 from sim.sequence import Sequence
 from slam.config import SlamConfig
@@ -87,8 +88,11 @@ class RunRecord:
 
 
 def slam_camera(camera: Intrinsics) -> PinholeCamera:
-    """Convert the simulator's camera to the estimator's."""
-    return PinholeCamera(**asdict(camera))
+    """Convert the simulator's camera to the estimator's. Raises InputError if it takes no such camera."""
+    try:
+        return PinholeCamera(**asdict(camera))
+    except ValueError as error:
+        raise InputError("camera", str(error), "give the camera of a calibration") from None
 
 
 def execute(

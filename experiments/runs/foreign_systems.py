@@ -18,9 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from scenarios.errors import InputError
+from scenarios.input_files import is_folder, is_given, read_json
 from sim.io.forms import Form, detect_form, write_sequence
-from sim.io.text import check_words, read_json, read_rows, to_numbers
-from sim.io.truth import half_interval_s, nearest, poses_of
+from sim.io.text import check_words, read_rows, to_numbers
+from sim.io.truth import check_position, check_quaternion, half_interval_s, nearest, poses_of
 from sim.sequence import Sequence
 from slam.core.results import MapTrajectory
 
@@ -98,7 +99,7 @@ def open_foreign_system(
     words = check_command(command)
     with tempfile.TemporaryDirectory(prefix="dslab-peer-") as name:
         scratch, folder = Path(name), Path(source)
-        if not (folder.is_dir() and detect_form(folder) is Form.TUM):
+        if not (is_folder(folder) and detect_form(folder) is Form.TUM):
             folder = scratch / "sequence"
             write_sequence(sequence, folder, Form.TUM, progress=progress)
         yield ForeignSystem(words, sequence, folder.resolve(), scratch)
@@ -124,9 +125,9 @@ def read_foreign_run(out_dir: Path, sequence: Sequence) -> ForeignRun:
         InputError: a file is missing, malformed, or does not belong to the sequence.
     """
     path = out_dir / "summary.json"
-    summary = read_json(path, dict)
-    if summary is None:
+    if not is_given(path):
         raise InputError(str(path), "the peer has not written it", "see `dslab bench --help`")
+    summary = read_json(path, dict)
     frames = _count(path, summary, "frames", None)
     if frames != len(sequence):
         problem = f"is {frames}, the sequence has {len(sequence)}"
@@ -143,14 +144,14 @@ def read_foreign_run(out_dir: Path, sequence: Sequence) -> ForeignRun:
 
 def _read_trajectory(path: Path, sequence: Sequence, tracked: int) -> MapTrajectory | None:
     """Read the poses and assign each to the frame of its stamp; the file is optional if none is tracked."""
-    if tracked == 0 and not path.exists():
+    if tracked == 0 and not is_given(path):
         return None
     rows: list[list[float]] = []
     for where, words in read_rows(path, "see `dslab bench --help`"):
         check_words(where, words, _TUM_NAMES)
         rows.append(to_numbers(where, words, _TUM_NAMES))
-        if not 0.99 < np.linalg.norm(rows[-1][4:]) < 1.01:
-            raise InputError(f"{where}: qx qy qz qw", "is no unit quaternion", "correct the peer")
+        check_position(where, rows[-1][1:4])
+        check_quaternion(f"{where}: qx qy qz qw", rows[-1][4:])
     if not rows:
         return None
     table = np.array(rows)

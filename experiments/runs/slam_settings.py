@@ -31,6 +31,8 @@ _SUMMARY_KEY = "config"
 _DUAL, _MODE = "dual", "mode"
 _POSITIVE = frozenset({"n_features", "n_levels", "cell_px", "initial_features", "buffer_s", "buffer_cap_s"})
 _ABOVE_ONE = frozenset({"scale_factor"})
+# Far beyond every sensible setting, and within the integers and floats of the kernels.
+_MOST = 10**6
 
 
 @dataclass(frozen=True)
@@ -201,6 +203,8 @@ def _checked(written: Any, hint: Any, at: Location, locate: Any) -> Any:
         if not (number > low if name in _POSITIVE | _ABOVE_ONE else number >= low):
             more = "more than" if name in _POSITIVE | _ABOVE_ONE else "at least"
             raise InputError(locate(at), f"{written!r} is out of range", f"give {more} {low}")
+        if name != "seed" and _MOST < number < math.inf:
+            raise InputError(locate(at), f"{written!r} is out of range", f"give at most {_MOST}")
     return value
 
 

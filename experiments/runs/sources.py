@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from scenarios.errors import InputError
+from scenarios.input_files import is_folder, is_given
 from sim.sensors.imu import ImuReadings, ImuTruth
 from sim.sequence import Sequence
 
@@ -35,7 +36,7 @@ def open_sequence(
         InputError: the source does not exist or is not valid, or a renderer is named for a folder.
     """
     path = Path(source)
-    if path.is_dir():
+    if is_folder(path):
         if renderer is not None:
             problem = "the folder's frames are already rendered"
             raise InputError(f"--renderer: {source}", problem, "name a scenario, or leave out --renderer")
@@ -47,7 +48,7 @@ def open_sequence(
     from scenarios.families import is_scenario_name
     from scenarios.loading import load_scenario
 
-    if not path.exists() and len(path.parts) > 1 and not is_scenario_name(source):
+    if not is_given(path) and len(path.parts) > 1 and not is_scenario_name(source):
         raise InputError(
             source, "no such folder", "check the path, or name a scenario (dslab scenarios list)"
         )
@@ -76,7 +77,7 @@ def open_imu(
     """
     if wanted is False:
         return None
-    if Path(source).is_dir():
+    if is_folder(source):
         readings = _folder_imu(Path(source))
         if wanted and readings is None:
             problem = "the folder has no inertial readings, and no continuous motion to make them from"
@@ -108,9 +109,7 @@ def _image_names(folder: Path) -> tuple[str, ...]:
         rows = read_rows(camera / euroc_layout.TABLE_FILE, "", ",")
         return tuple(f"{euroc_layout.CAMERA_DIR}/data/{words[1]}" for _, words in rows)
     if form is Form.KITTI:
-        return tuple(
-            f"{kitti.IMAGES_DIR}/{p.name}" for p in sorted((folder / kitti.IMAGES_DIR).glob("*.png"))
-        )
+        return tuple(f"{kitti.IMAGES_DIR}/{path.name}" for path in kitti.image_paths(folder))
     return ()
 
 

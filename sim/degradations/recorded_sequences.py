@@ -101,7 +101,7 @@ def degrade_sequence(
     return replace(
         sequence,
         stamps_s=sequence.stamps_s[kept] + plan.stamp_error_s,
-        frames=RawFrames(scratch / "gray.npy"),
+        frames=RawFrames(scratch / "gray.npy", (len(kept), *size), np.uint8),
         T_world_cam=None if sequence.T_world_cam is None else sequence.T_world_cam[kept],
         depths=None if sequence.depths is None else ChosenFrames(sequence.depths, kept),
         segments=truths,

@@ -6,9 +6,11 @@ from typing import Any
 import yaml
 
 from scenarios.errors import InputError
+from scenarios.lenses import lens_fault
+from scenarios.yaml_file import read_yaml
 from sim.io.layout import CAMERA_KEYS
-from sim.io.text import number_at, read_yaml
-from sim.sensors.camera import DISTORTION_KEYS, Intrinsics
+from sim.io.text import number_at
+from sim.sensors.camera import DISTORTION_KEYS, LEAST_SIDE_PX, MOST_PIXELS, MOST_SIDE_PX, Intrinsics
 
 _LEAST_FOCAL_SHARE, _MOST_FOCAL_SHARE = 0.1, 20
 
@@ -19,9 +21,10 @@ def read_camera(path: Path) -> Intrinsics:
     Raises:
         InputError: the file or a key is missing, or a value is impossible.
     """
-    values = read_yaml(path, ", ".join(CAMERA_KEYS))
+    example = f"the keys {', '.join(CAMERA_KEYS)}"
+    values = dict(read_yaml(path, "intrinsics", example, f"add it with {example}").data)
     model = values.pop("model", "radtan")
-    if model not in DISTORTION_KEYS:
+    if not isinstance(model, str) or model not in DISTORTION_KEYS:
         models = " or ".join(DISTORTION_KEYS)
         raise InputError(f"{path}: model", f"{model!r} is no lens model", f"use {models}")
     keys = CAMERA_KEYS + DISTORTION_KEYS[model]
@@ -32,7 +35,7 @@ def read_camera(path: Path) -> Intrinsics:
         )
     numbers = {key: number_at(path, values, key) for key in CAMERA_KEYS}
     for key in ("width", "height"):
-        if not 16 <= numbers[key] <= 16384 or numbers[key] != int(numbers[key]):
+        if numbers[key] != int(numbers[key]):
             raise InputError(f"{path}: {key}", f"{numbers[key]:g} is no image size", "give whole pixels")
     camera = Intrinsics(
         width_px=int(numbers["width"]),
@@ -50,7 +53,8 @@ def read_camera(path: Path) -> Intrinsics:
 
 
 def check_camera(path: Path, camera: Intrinsics) -> None:
-    """Raise InputError if focal length, centre or frame rate are impossible."""
+    """Raise InputError if size, focal length, centre, lens or frame rate are impossible."""
+    check_size(str(path), camera.width_px, camera.height_px)
     for key, focal in (("fx", camera.fx), ("fy", camera.fy)):
         low, high = _LEAST_FOCAL_SHARE * camera.width_px, _MOST_FOCAL_SHARE * camera.width_px
         if not low <= focal <= high:
@@ -62,6 +66,22 @@ def check_camera(path: Path, camera: Intrinsics) -> None:
             raise InputError(f"{path}: {key}", f"{centre:g} lies outside the image", remedy)
     if not 0 < camera.fps <= 1000:
         raise InputError(f"{path}: fps", f"{camera.fps:g} is no frame rate", "give frames per second")
+    if not camera.is_pinhole:
+        size, focal = (camera.width_px, camera.height_px), (camera.fx, camera.fy)
+        fault = lens_fault(size, focal, (camera.cx, camera.cy), camera.model, camera.distortion)
+        if fault:
+            raise InputError(f"{path}: distortion", *fault)
+
+
+def check_size(where: str, width_px: int, height_px: int) -> None:
+    """Raise InputError for an image too small for the SLAM, or absurdly large."""
+    for name, side in (("width", width_px), ("height", height_px)):
+        if not LEAST_SIDE_PX <= side <= MOST_SIDE_PX:
+            remedy = f"give images of {LEAST_SIDE_PX} to {MOST_SIDE_PX} pixels a side"
+            raise InputError(f"{where}: {name}", f"the SLAM takes no image of {side} pixels", remedy)
+    if width_px * height_px > MOST_PIXELS:
+        problem = f"{width_px}x{height_px} is more than {MOST_PIXELS / 1e6:.0f} million pixels"
+        raise InputError(f"{where}: width", problem, "give smaller images")
 
 
 def write_camera(camera: Intrinsics, path: Path) -> None:

@@ -10,6 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scenarios.errors import InputError
+from scenarios.input_files import is_given
+from scenarios.yaml_file import read_yaml
 from sim.io import euroc_layout as layout
 from sim.io.camera_file import check_camera
 from sim.io.images import GrayFolder
@@ -20,18 +22,23 @@ from sim.io.text import (
     check_words,
     number_at,
     read_rows,
-    read_yaml,
     to_nanoseconds,
     to_number,
     to_numbers,
 )
-from sim.io.truth import check_quaternion, half_interval_s, nearest_poses, poses_of
+from sim.io.truth import (
+    check_position,
+    check_quaternion,
+    half_interval_s,
+    is_rotation,
+    nearest_poses,
+    poses_of,
+)
 from sim.sensors.camera import DISTORTION_KEYS, Intrinsics
 from sim.sensors.imu import ImuModel, ImuReadings
 from sim.sequence import Sequence
 
 _SENSOR_KEYS = "T_BS, rate_hz, resolution, intrinsics, distortion_model, distortion_coefficients"
-_MOST_SKEW = 1e-2
 
 
 def load_euroc(folder: Path) -> Sequence:
@@ -75,12 +82,12 @@ def load_euroc_imu(folder: Path) -> ImuReadings | None:
         InputError: a file is missing, malformed or absurd.
     """
     table = folder / layout.IMU_DIR / layout.TABLE_FILE
-    if not table.exists():
+    if not is_given(table):
         return None
     frame_stamps, _ = _read_frames(folder / layout.CAMERA_DIR / layout.TABLE_FILE)
     _, T_body_cam = _read_camera(folder / layout.CAMERA_DIR / layout.SENSOR_FILE)
     path = folder / layout.IMU_DIR / layout.SENSOR_FILE
-    sensor = read_yaml(path, "T_BS, rate_hz and the noise densities")
+    sensor = _sensor(path, "T_BS, rate_hz and the noise densities")
     T_body_imu = _matrix(path, sensor)
     keys = ["gyroscope_noise_density", "gyroscope_random_walk"]
     keys += ["accelerometer_noise_density", "accelerometer_random_walk"]
@@ -124,18 +131,18 @@ def _read_frames(path: Path) -> tuple[list[int], list[Path]]:
 
 def _read_camera(path: Path) -> tuple[Intrinsics, np.ndarray]:
     """Intrinsics, and (4, 4) camera to body."""
-    sensor = read_yaml(path, _SENSOR_KEYS)
+    sensor = _sensor(path, _SENSOR_KEYS)
     if sensor.get("camera_model", "pinhole") != "pinhole":
         given = sensor["camera_model"]
         raise InputError(f"{path}: camera_model", f"{given!r} is not supported", "give a pinhole camera")
     models = {name: model for model, name in layout.LENS_NAMES.items()}
-    name = sensor.get("distortion_model", layout.LENS_NAMES["radtan"])
-    if name not in models:
+    name = sensor.get("distortion_model")
+    if not isinstance(name, str) or name not in models:
         known = " or ".join(models)
         raise InputError(f"{path}: distortion_model", f"{name!r} is no lens model", f"use {known}")
     model = models[name]
     width, height = _list(path, sensor, "resolution", (2,))
-    if any(not 16 <= size <= 16384 or size != int(size) for size in (width, height)):
+    if any(size != int(size) for size in (width, height)):
         problem = f"{width:g}x{height:g} is no image size"
         raise InputError(f"{path}: resolution", problem, "give whole pixels")
     full = len(DISTORTION_KEYS[model])
@@ -150,7 +157,7 @@ def _read_camera(path: Path) -> tuple[Intrinsics, np.ndarray]:
 
 def _read_truth(path: Path, origin: int, stamps_s: np.ndarray, tolerance_s: float) -> np.ndarray | None:
     """(N, 4, 4) body to world at the frames; None without the file."""
-    if not path.exists():
+    if not is_given(path):
         return None
     stamps: list[int] = []
     rows: list[list[float]] = []
@@ -161,6 +168,7 @@ def _read_truth(path: Path, origin: int, stamps_s: np.ndarray, tolerance_s: floa
         stamp = to_nanoseconds(where, words[0])
         check_order(where, stamps, stamp)
         row = to_numbers(where, words[1:8], layout.POSE_COLUMNS[1:])
+        check_position(where, row[:3])
         check_quaternion(f"{where}: q_w q_x q_y q_z", row[3:])
         stamps.append(stamp)
         rows.append(row)
@@ -169,6 +177,12 @@ def _read_truth(path: Path, origin: int, stamps_s: np.ndarray, tolerance_s: floa
     table = np.array(rows)
     poses = poses_of(table[:, :3], np.roll(table[:, 3:], -1, axis=1))
     return nearest_poses(path, stamps_s, layout.to_seconds(stamps, origin), poses, tolerance_s)
+
+
+def _sensor(path: Path, keys: str) -> dict[Any, Any]:
+    """The content of a sensor.yaml that should hold some keys."""
+    example = f"the keys {keys}"
+    return read_yaml(path, "sensor", example, f"add it with {example}").data
 
 
 def _list(path: Path, sensor: dict[Any, Any], key: str, lengths: tuple[int, ...]) -> list[float]:
@@ -190,8 +204,9 @@ def _matrix(path: Path, sensor: dict[Any, Any]) -> np.ndarray:
         raise InputError(f"{path}: T_BS", "is missing", "add it with rows, cols and data")
     T = np.reshape(_list(path, mounting, "data", (16,)), (4, 4))
     R = T[:3, :3]
-    if list(T[3]) != [0, 0, 0, 1] or np.abs(R @ R.T - np.eye(3)).max() > _MOST_SKEW or np.linalg.det(R) < 0:
+    if list(T[3]) != [0, 0, 0, 1] or not is_rotation(R):
         raise InputError(f"{path}: T_BS", "is no rigid transform", "give a rotation and a translation")
+    check_position(f"{path}: T_BS", T[:3, 3])
     # Printed digits give a rotation only to some places.
     T[:3, :3] = Rotation.from_matrix(R).as_matrix()
     return T

@@ -13,6 +13,7 @@ from uuid import uuid4
 import cv2
 
 from scenarios.errors import InputError
+from scenarios.input_files import is_folder, is_given
 from sim.sequence import FrameSource
 
 Progress = Callable[[str, int, int], None]
@@ -28,7 +29,9 @@ def check_free(out_dir: Path, replaces: str | None = None) -> None:
     Raises:
         InputError: it is a file or a folder that is not empty, or the place cannot be written.
     """
-    if out_dir.exists() and not out_dir.is_dir():
+    if "\0" in str(out_dir):
+        raise InputError(str(out_dir), "is no possible name of a folder", "choose another folder")
+    if is_given(out_dir) and not is_folder(out_dir):
         raise InputError(str(out_dir), "is a file, not a folder", "choose another folder")
     made = _missing_parents(out_dir)
     try:
@@ -142,7 +145,7 @@ def _put_in_place(partial: Path, place: Path) -> None:
 
 
 def _missing_parents(folder: Path) -> list[Path]:
-    return [parent for parent in folder.absolute().parents if not parent.exists()]
+    return [parent for parent in folder.absolute().parents if not is_given(parent)]
 
 
 def _remove_empty(folders: list[Path]) -> None:

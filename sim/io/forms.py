@@ -4,6 +4,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from scenarios.errors import InputError
+from scenarios.input_files import is_folder, is_given
 from sim.io import euroc_layout, kitti, layout, tum_mono
 from sim.io.euroc_reader import load_euroc
 from sim.io.euroc_writer import write_euroc
@@ -37,8 +38,8 @@ def detect_form(folder: Path) -> Form:
     Raises:
         InputError: the folder does not exist or has none of the forms.
     """
-    if not folder.is_dir():
-        problem = "is no folder" if folder.exists() else "no such folder"
+    if not is_folder(folder):
+        problem = "is no folder" if is_given(folder) else "no such folder"
         raise InputError(str(folder), problem, "give a folder with rgb.txt, camera.yaml and images")
     marks = {
         Form.TUM: (layout.FRAMES_FILE, layout.CAMERA_FILE),
@@ -47,7 +48,7 @@ def detect_form(folder: Path) -> Form:
         Form.TUM_MONO: (tum_mono.CAMERA_FILE, tum_mono.IMAGES_ZIP),
     }
     for form, names in marks.items():
-        if any((folder / name).exists() for name in names):
+        if any(is_given(folder / name) for name in names):
             return form
     known = (
         "rgb.txt and camera.yaml (TUM), image_0 and times.txt (KITTI), mav0/cam0 (EuRoC), "
@@ -58,7 +59,7 @@ def detect_form(folder: Path) -> Form:
 
 def sequence_folder(path: Path) -> Path:
     """The folder of a sequence; for the EuRoC form, ``mav0`` may be given too."""
-    return path.parent if path.name == "mav0" and (path / "cam0").is_dir() else path
+    return path.parent if path.name == "mav0" and is_folder(path / "cam0") else path
 
 
 def load_sequence(path: str | Path) -> Sequence:

@@ -16,6 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from scenarios.errors import InputError
+from scenarios.input_files import SETTINGS_BYTES
+from sim.io.camera_file import check_size
 from sim.io.text import check_words, read_rows, to_numbers
 from sim.sensors.camera import Intrinsics
 
@@ -93,7 +95,8 @@ def read_fov_camera(path: Path, fps: float) -> tuple[FovCamera, Intrinsics]:
     Raises:
         InputError: the file is missing, of another kind, or a value is impossible.
     """
-    rows = read_rows(path, "add it with lens, size, `crop`, and size of the result")
+    remedy = "add it with lens, size, `crop`, and size of the result"
+    rows = list(read_rows(path, remedy, most_bytes=SETTINGS_BYTES))
     if len(rows) != 4:
         remedy = "write lens, size, `crop` or a rectification, and size of the result"
         raise InputError(str(path), f"has {len(rows)} lines where 4 belong", remedy)
@@ -103,7 +106,7 @@ def read_fov_camera(path: Path, fps: float) -> tuple[FovCamera, Intrinsics]:
     check_words(lens_at, lens, _LENS_NAMES)
     fx, fy, cx, cy, omega = to_numbers(lens_at, lens, _LENS_NAMES)
     width, height = _size(size_at, size)
-    if fx <= 0 or fy <= 0 or not (0 < cx < 1 and 0 < cy < 1):
+    if not (_is_focal_share(fx) and _is_focal_share(fy) and 0 < cx < 1 and 0 < cy < 1):
         problem = "fx fy cx cy are no shares of the image"
         raise InputError(lens_at, problem, "give them relative to width and height")
     # The file's coordinates have their origin at the corner of the first pixel.
@@ -121,7 +124,7 @@ def read_fov_camera(path: Path, fps: float) -> tuple[FovCamera, Intrinsics]:
         remedy = "write `crop` or `fx fy cx cy 0`"
         raise InputError(mode_at, f"{' '.join(mode)!r} is no rectification that is supported", remedy)
     fx, fy, cx, cy, _ = to_numbers(mode_at, mode, _LENS_NAMES)
-    if fx <= 0 or fy <= 0 or not (0 < cx < 1 and 0 < cy < 1):
+    if not (_is_focal_share(fx) and _is_focal_share(fy) and 0 < cx < 1 and 0 < cy < 1):
         raise InputError(mode_at, "fx fy cx cy are no shares of the image", "give them relative to the size")
     ideal = Intrinsics(
         out_width,
@@ -135,6 +138,11 @@ def read_fov_camera(path: Path, fps: float) -> tuple[FovCamera, Intrinsics]:
     return camera, ideal
 
 
+def _is_focal_share(focal: float) -> bool:
+    """Return True for a focal length that can be one, relative to the image."""
+    return 0.01 < focal < 100
+
+
 def _half_angle(bent: float, omega: float) -> float:
     """Angle off the axis, radians, at a distorted radius; pi beyond the lens's range."""
     if omega <= 0 or bent * omega >= math.pi / 2:
@@ -146,6 +154,7 @@ def _size(where: str, words: list[str]) -> tuple[int, int]:
     check_words(where, words, _SIZE_NAMES)
     width, height = to_numbers(where, words, _SIZE_NAMES)
     for name, size in (("width", width), ("height", height)):
-        if not 16 <= size <= 16384 or size != int(size):
+        if size != int(size):
             raise InputError(f"{where}: {name}", f"{size:g} is no image size", "give whole pixels")
+    check_size(where, int(width), int(height))
     return int(width), int(height)

@@ -1,13 +1,28 @@
-"""Images of a folder or an archive, read one by one on demand."""
+"""Images of a folder or an archive, read one by one on demand.
+
+The size of an image is taken from its header and checked before a pixel is decoded.
+"""
 
 import zipfile
-from pathlib import Path
+import zlib
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path, PurePosixPath
 
 import cv2
 import numpy as np
 
 from scenarios.errors import InputError
+from scenarios.input_files import IMAGE_BYTES, file_names, open_file, read_bytes
+from sim.io.camera_file import check_size
+from sim.io.image_header import header_size, is_whole
 from sim.io.layout import DEPTH_PER_M
+from sim.io.text import to_frame_number
+
+_COPY = "copy the folder again"
+_PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+# Encryption, of either kind, and patches.
+_CLOSED = 0x1 | 0x20 | 0x40
 
 
 class GrayFolder:
@@ -27,11 +42,12 @@ class GrayFolder:
 
     def __getitem__(self, index: int) -> np.ndarray:
         """(H, W) uint8. Raises InputError if the image cannot be read or has another size."""
-        return _checked(read_gray(self._paths[index]), str(self._paths[index]), self._shape, self._authority)
+        path = self._paths[index]
+        return _decoded(_bytes(path), str(path), cv2.IMREAD_GRAYSCALE, self._shape, self._authority)
 
 
 class GrayZip:
-    """A ``FrameSource`` of the images in a zip archive, in the order of their names.
+    """A ``FrameSource`` of the images in a zip archive, in the order of their numbers.
 
     Args:
         path: the archive.
@@ -39,28 +55,46 @@ class GrayZip:
         authority: file that states the shape, for the fault.
 
     Raises:
-        InputError: it cannot be read as an archive.
+        InputError: it cannot be read as an archive, or its images are not numbered.
     """
 
     def __init__(self, path: Path, shape: tuple[int, int], authority: str) -> None:
         self._path, self._shape, self._authority = path, shape, authority
         try:
+            open_file(path, if_missing="add the images").close()
             self._archive = zipfile.ZipFile(path)
-        except (OSError, zipfile.BadZipFile):
+            entries = self._archive.infolist()
+        except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile):
             raise InputError(str(path), "is no readable zip archive", "copy it again") from None
-        self._names = sorted(name for name in self._archive.namelist() if name.endswith((".jpg", ".png")))
+        images = {entry.filename: entry for entry in entries if entry.filename.endswith((".jpg", ".png"))}
+        names = [entry.filename for entry in entries if entry.filename in images]
+        self._entries = [images[name] for name in by_number(names, str(path))]
+        for entry in self._entries:
+            self._check_entry(entry)
 
     def __len__(self) -> int:
-        return len(self._names)
+        return len(self._entries)
 
     def __getitem__(self, index: int) -> np.ndarray:
         """(H, W) uint8. Raises InputError if the image cannot be read or has another size."""
-        where = f"{self._path}: {self._names[index]}"
+        entry = self._entries[index]
+        where = f"{self._path}: {entry.filename}"
         try:
-            data = np.frombuffer(self._archive.read(self._names[index]), np.uint8)
-        except (OSError, zipfile.BadZipFile, zipfile.zlib.error):
+            data = self._archive.read(entry)
+        except (OSError, EOFError, ValueError, zipfile.BadZipFile, zlib.error):
             raise InputError(where, "cannot be unpacked", "copy the archive again") from None
-        return _checked(_decoded(data, where, cv2.IMREAD_GRAYSCALE), where, self._shape, self._authority)
+        return _decoded(data, where, cv2.IMREAD_GRAYSCALE, self._shape, self._authority)
+
+    def _check_entry(self, entry: zipfile.ZipInfo) -> None:
+        """Raise InputError for an entry that would not unpack, or to more than an image takes."""
+        where = f"{self._path}: {entry.filename}"
+        if entry.flag_bits & _CLOSED or entry.compress_type not in _PACKINGS:
+            raise InputError(where, "is encrypted or packed by an unusual method", "pack the images anew")
+        if entry.file_size > IMAGE_BYTES:
+            problem = (
+                f"unpacks to {entry.file_size / 1e6:.0f} MB, an image takes at most {IMAGE_BYTES / 1e6:g}"
+            )
+            raise InputError(where, problem, "copy the archive again")
 
 
 class DepthFolder:
@@ -82,42 +116,89 @@ class DepthFolder:
         path = self._paths[index]
         if path is None:
             return np.zeros(self._shape, np.float32)
-        code = _checked(read_raw(path), str(path), self._shape, "camera.yaml")
-        if code.dtype != np.uint16:
+        code = read_raw(path, self._shape, "camera.yaml")
+        if code.dtype != np.uint16 or code.ndim != 2:
             raise InputError(str(path), "is no 16-bit depth image", "write 16-bit gray PNG")
         return code.astype(np.float32) / np.float32(DEPTH_PER_M)
 
 
-def read_gray(path: Path) -> np.ndarray:
-    """(H, W) uint8 of an image file of any size. Raises InputError if it cannot be read."""
-    return _decoded(_bytes(path), str(path), cv2.IMREAD_GRAYSCALE)
+def read_raw(path: Path, shape: tuple[int, int], authority: str) -> np.ndarray:
+    """The stored image, (H, W) or (H, W, C), depth and channels unchanged.
+
+    Raises:
+        InputError: it cannot be read or has another size than the authority, a file, states.
+    """
+    return _decoded(_bytes(path), str(path), cv2.IMREAD_UNCHANGED, shape, authority)
 
 
-def read_raw(path: Path) -> np.ndarray:
-    """The stored image, depth and channels unchanged. Raises InputError if unreadable."""
-    return _decoded(_bytes(path), str(path), cv2.IMREAD_UNCHANGED)
+def image_shape(path: Path) -> tuple[int, int]:
+    """(H, W) of an image file, from its header. Raises InputError without one, or for a size not taken."""
+    width, height = _header(_bytes(path), str(path))
+    check_size(str(path), width, height)
+    return height, width
 
 
-def _bytes(path: Path) -> np.ndarray:
+def numbered_images(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
+    """The images of a folder in the order of their numbers. Raises InputError as ``by_number``."""
+    names = [name for name in file_names(folder) if name.endswith(suffixes)]
+    return [folder / name for name in by_number(names, str(folder))]
+
+
+def by_number(names: Sequence[str], where: str) -> list[str]:
+    """Names of images in the order of their numbers.
+
+    Args:
+        names: such as ``000017.png``, with any leading zeros or none, possibly in folders.
+        where: folder or archive of them, for the fault.
+
+    Raises:
+        InputError: a name is no number, a number occurs twice or is missing between others.
+    """
+    numbered: list[tuple[int, str]] = []
+    for name in names:
+        numbered.append((to_frame_number(f"{where}: {name}", PurePosixPath(name).stem), name))
+    numbered.sort()
+    for (before, _), (number, name) in pairwise(numbered):
+        if number == before:
+            raise InputError(f"{where}: {name}", f"number {number} occurs twice", "keep one of them")
+        if number > before + 1:
+            problem = f"image {before + 1} is missing before it"
+            raise InputError(
+                f"{where}: {name}", problem, "copy the folder again, or number them without gaps"
+            )
+    return [name for _, name in numbered]
+
+
+def _bytes(path: Path) -> bytes:
+    return read_bytes(path, IMAGE_BYTES, _COPY)
+
+
+def _header(data: bytes, where: str) -> tuple[int, int]:
+    size = header_size(data)
+    if size is None or not all(size):
+        raise InputError(where, "is no readable image", "copy or write it again, as PNG, JPEG, BMP or PGM")
+    # OpenCV fills up what is lacking, without a word.
+    if not is_whole(data):
+        raise InputError(where, "is cut short or damaged", "copy or write this image again")
+    return size
+
+
+def _decoded(data: bytes, where: str, mode: int, shape: tuple[int, int], authority: str) -> np.ndarray:
+    size = _header(data, where)
+    # A camera's note in the header may turn the image by a right angle.
+    if sorted(size) != sorted(shape):
+        raise _other_size(where, size, shape, authority)
     try:
-        return np.fromfile(path, np.uint8)
-    except OSError as error:
-        raise InputError(str(path), error.strerror or "cannot be read", "copy the folder again") from None
-
-
-def _decoded(data: np.ndarray, where: str, mode: int) -> np.ndarray:
-    try:
-        image = cv2.imdecode(data, mode) if len(data) else None
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), mode)
     except cv2.error:
         image = None
     if image is None:
         raise InputError(where, "is no readable image", "copy or write this image again")
+    if image.shape[:2] != shape:
+        raise _other_size(where, (image.shape[1], image.shape[0]), shape, authority)
     return image
 
 
-def _checked(image: np.ndarray, where: str, shape: tuple[int, int], authority: str) -> np.ndarray:
-    if image.shape != shape:
-        height, width = shape
-        problem = f"is {image.shape[1]}x{image.shape[0]} pixels, {authority} says {width}x{height}"
-        raise InputError(where, problem, f"correct the size in {authority} or the image")
-    return image
+def _other_size(where: str, size: tuple[int, int], shape: tuple[int, int], authority: str) -> InputError:
+    problem = f"is {size[0]}x{size[1]} pixels, {authority} says {shape[1]}x{shape[0]}"
+    return InputError(where, problem, f"correct the size in {authority} or the image")

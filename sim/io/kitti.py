@@ -9,24 +9,27 @@ The poses may also be at their place in the data set, ``../../poses/NN.txt`` wit
 ``NN.txt`` in the folder itself. Image size and frame rate are those of the images and times.
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scenarios.errors import InputError
+from scenarios.input_files import SETTINGS_BYTES, file_names, is_folder, is_given
 from sim.io.camera_file import check_camera
 from sim.io.folders import Progress, new_directory, write_images
-from sim.io.images import GrayFolder, read_gray
+from sim.io.images import GrayFolder, image_shape, numbered_images
 from sim.io.sidecars import read_sidecars, write_sidecars
-from sim.io.text import check_order, check_present, check_words, read_rows, to_numbers
+from sim.io.text import check_order, check_present, check_words, read_rows, to_numbers, to_stamp
+from sim.io.truth import check_position, is_rotation
 from sim.sensors.camera import Intrinsics
 from sim.sequence import Sequence
 
 IMAGES_DIR, TIMES_FILE, CALIBRATION_FILE, POSES_DIR = "image_0", "times.txt", "calib.txt", "poses"
 _POSE_NAMES = [f"r{row}{column}" for row in range(3) for column in range(4)]
 _PROJECTION_NAMES = [f"P0[{index}]" for index in range(12)]
-_MOST_SKEW = 1e-2
+_POSES_NAME = re.compile(r"[0-9][0-9]\.txt")
 
 
 def write_kitti(sequence: Sequence, directory: Path, progress: Progress | None = None) -> None:
@@ -72,31 +75,40 @@ def load_kitti(folder: Path) -> Sequence:
             if the image is unreadable or of another size.
     """
     stamps_s = _read_times(folder / TIMES_FILE)
-    images = sorted((folder / IMAGES_DIR).glob("*.png"))
+    images = image_paths(folder)
     if len(images) != len(stamps_s):
         problem = f"holds {len(images)} images, {TIMES_FILE} {len(stamps_s)} stamps"
         raise InputError(
             str(folder / IMAGES_DIR), problem, "copy the folder again, or cut it to the same frames"
         )
     check_present(images, TIMES_FILE)
-    shape = read_gray(images[0]).shape
+    shape = image_shape(images[0])
     # Stamps are printed to a nanosecond: further digits of the rate are rounding errors.
     fps = round(1 / float(np.median(np.diff(stamps_s))), 4) if len(stamps_s) > 1 else 10.0
     return Sequence(
-        camera=_read_calibration(folder / CALIBRATION_FILE, (shape[0], shape[1]), fps),
+        camera=_read_calibration(folder / CALIBRATION_FILE, shape, fps),
         stamps_s=stamps_s,
-        frames=GrayFolder(images, (shape[0], shape[1]), f"{IMAGES_DIR}/{images[0].name}"),
+        frames=GrayFolder(images, shape, f"{IMAGES_DIR}/{images[0].name}"),
         T_world_cam=_read_poses(folder, len(stamps_s)),
         depths=None,
         **read_sidecars(folder, len(stamps_s)),
     )
 
 
+def image_paths(folder: Path) -> list[Path]:
+    """The images of a folder in KITTI's form, in the order of their numbers.
+
+    Raises:
+        InputError: a name is no number, or a number occurs twice or is missing.
+    """
+    return numbered_images(folder / IMAGES_DIR, (".png",))
+
+
 def _read_times(path: Path) -> np.ndarray:
     stamps: list[float] = []
     for where, words in read_rows(path, "give a folder with one stamp per line and frame"):
         check_words(where, words, ["stamp"])
-        stamp_s = to_numbers(where, words, ["stamp"])[0]
+        stamp_s = to_stamp(where, words[0])
         check_order(where, stamps, stamp_s)
         stamps.append(stamp_s)
     if not stamps:
@@ -105,10 +117,12 @@ def _read_times(path: Path) -> np.ndarray:
 
 
 def _read_calibration(path: Path, shape: tuple[int, int], fps: float) -> Intrinsics:
-    rows = read_rows(path, "add it with the line `P0: ` and 12 numbers")
+    rows = read_rows(path, "add it with the line `P0: ` and 12 numbers", most_bytes=SETTINGS_BYTES)
     found = [(where, words[1:]) for where, words in rows if words[0] == "P0:"]
     if not found:
         raise InputError(f"{path}: P0", "is missing", "add the line `P0: ` and 12 numbers")
+    if len(found) > 1:
+        raise InputError(f"{found[1][0]}: P0", "appears twice", "keep one of them")
     where, words = found[0]
     check_words(where, words, _PROJECTION_NAMES)
     P = np.reshape(to_numbers(where, words, _PROJECTION_NAMES), (3, 4))
@@ -125,11 +139,12 @@ def _poses_file(folder: Path) -> Path | None:
     """The file of the poses, or None."""
     name = folder.resolve().name
     official = folder.resolve().parent.parent / POSES_DIR / f"{name}.txt"
-    own = [*(folder / POSES_DIR).glob("[0-9][0-9].txt"), *folder.glob("[0-9][0-9].txt")]
+    homes = [place for place in (folder / POSES_DIR, folder) if is_folder(place)]
+    own = [place / file for place in homes for file in file_names(place) if _POSES_NAME.fullmatch(file)]
     if len(own) > 1:
         listed = ", ".join(sorted(path.name for path in own))
         raise InputError(str(folder), f"has several files of poses ({listed})", "keep the right one")
-    return own[0] if own else official if official.is_file() else None
+    return own[0] if own else official if is_given(official) else None
 
 
 def _read_poses(folder: Path, frames: int) -> np.ndarray | None:
@@ -141,9 +156,9 @@ def _read_poses(folder: Path, frames: int) -> np.ndarray | None:
     for where, words in read_rows(path, ""):
         check_words(where, words, _POSE_NAMES)
         pose = np.reshape(to_numbers(where, words, _POSE_NAMES), (3, 4))
-        R = pose[:, :3]
-        if np.abs(R @ R.T - np.eye(3)).max() > _MOST_SKEW or np.linalg.det(R) < 0:
+        if not is_rotation(pose[:, :3]):
             raise InputError(where, "is no rotation and translation", "write the rows of [R t]")
+        check_position(where, pose[:, 3])
         rows.append(pose)
     if len(rows) != frames:
         problem = f"has {len(rows)} poses for {frames} frames"

@@ -1,9 +1,28 @@
 """Stacks of frames in one raw .npy file, written one by one, read memory-mapped."""
 
+import zipfile
+import zlib
 from pathlib import Path
+from tokenize import TokenError
 from types import TracebackType
 
 import numpy as np
+
+from sim.cache import CorruptEntryError
+
+# What NumPy raises for files that are no array or archive of arrays, by the place of the damage.
+_UNREADABLE = (
+    EOFError,
+    KeyError,
+    OSError,
+    OverflowError,
+    RuntimeError,
+    SyntaxError,
+    TokenError,
+    ValueError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 
 
 class RawWriter:
@@ -41,10 +60,19 @@ class RawWriter:
 
 
 class RawFrames:
-    """A ``FrameSource`` over the file of a ``RawWriter``."""
+    """A ``FrameSource`` over the file of a ``RawWriter``.
 
-    def __init__(self, path: Path) -> None:
-        self._stack = np.load(path, mmap_mode="r")
+    Args:
+        path: the file.
+        shape: (N, H, W).
+        dtype: of the frames.
+
+    Raises:
+        CorruptEntryError: the file holds anything else.
+    """
+
+    def __init__(self, path: Path, shape: tuple[int, int, int], dtype: type) -> None:
+        self._stack = stored_array(path, shape, dtype)
 
     def __len__(self) -> int:
         return len(self._stack)
@@ -52,3 +80,46 @@ class RawFrames:
     def __getitem__(self, index: int) -> np.ndarray:
         """(H, W), a writable copy: kernels are compiled for such arrays."""
         return np.array(self._stack[index])
+
+
+def stored_array(path: Path, shape: tuple[int | None, ...], dtype: type) -> np.ndarray:
+    """Map the array of a .npy file.
+
+    Args:
+        path: the file.
+        shape: that the array must have, None for a side of any length.
+        dtype: that it must have.
+
+    Raises:
+        CorruptEntryError: the file holds anything else.
+    """
+    try:
+        array = np.load(path, mmap_mode="r")
+    except _UNREADABLE as error:
+        raise CorruptEntryError(f"{path.name} is no array: {error}") from None
+    alike = len(array.shape) == len(shape) and all(
+        b is None or a == b for a, b in zip(array.shape, shape, strict=True)
+    )
+    if not alike or array.dtype != dtype:
+        raise CorruptEntryError(f"{path.name} has shape {array.shape} of {array.dtype}")
+    return array
+
+
+def stored_columns(path: Path, count: int) -> dict[str, np.ndarray]:
+    """The columns, (count,) float64 each, of an .npz file, by name.
+
+    Raises:
+        CorruptEntryError: the file holds anything else.
+    """
+    try:
+        archive = np.load(path)
+        if not isinstance(archive, np.lib.npyio.NpzFile):
+            raise ValueError("no archive")
+        with archive:
+            columns = {name: archive[name] for name in sorted(archive.files)}
+    except _UNREADABLE as error:
+        raise CorruptEntryError(f"{path.name} holds no columns: {error}") from None
+    for name, column in columns.items():
+        if column.shape != (count,) or column.dtype != np.float64:
+            raise CorruptEntryError(f"{path.name}: {name} has shape {column.shape} of {column.dtype}")
+    return columns

@@ -9,9 +9,13 @@ from typing import Any
 import numpy as np
 
 from scenarios.errors import InputError
+from scenarios.input_files import is_given, read_json
 from sim.io import layout
-from sim.io.text import read_json, to_numbers
+from sim.io.euroc_layout import ORIGIN_KEY
+from sim.io.text import check_words, read_rows, to_numbers
 from sim.sequence import SegmentTruth, Sequence
+
+_LONGEST_EXPOSURE_S = 3600.0
 
 
 def write_sidecars(sequence: Sequence, folder: Path) -> None:
@@ -38,43 +42,66 @@ def read_sidecars(folder: Path, frames: int) -> dict[str, Any]:
     Raises:
         InputError: a file is malformed or does not fit.
     """
-    meta = read_json(folder / layout.META_FILE, dict) or {}
+    meta = _read_meta(folder / layout.META_FILE)
     return {
-        "name": str(meta.get("name") or folder.resolve().name),
+        "name": meta.get("name") or folder.resolve().name,
         "segments": _read_segments(folder / layout.SEGMENTS_FILE, frames),
         "meta": meta,
         "frame_truth": _read_columns(folder / layout.FRAME_TRUTH_FILE, frames),
     }
 
 
+def check_exposure(where: str, exposure_s: float) -> None:
+    """Raise InputError for a shutter time that is negative or absurd."""
+    if not 0 <= exposure_s <= _LONGEST_EXPOSURE_S:
+        problem = f"{exposure_s:g} s is no shutter time"
+        raise InputError(where, problem, f"give 0 to {_LONGEST_EXPOSURE_S:g} s")
+
+
+def _read_meta(path: Path) -> dict[str, Any]:
+    """Read meta.json; empty without the file."""
+    meta = read_json(path, dict) if is_given(path) else {}
+    if not isinstance(meta.get("name", ""), str):
+        raise InputError(f"{path}: name", f"{meta['name']!r} is no name", "give text")
+    # Both are used as numbers; all else is only handed on.
+    for key in ("seed", ORIGIN_KEY):
+        value = meta.get(key, 0)
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**64:
+            raise InputError(f"{path}: {key}", f"{value!r} is no whole number from 0", "correct it")
+    return meta
+
+
 def _read_segments(path: Path, frames: int) -> tuple[SegmentTruth, ...]:
-    records = read_json(path, list) or []
+    """Read segments.json; empty without the file."""
     segments = []
-    for index, record in enumerate(records):
-        where = f"{path}: [{index}]"
+    for index, record in enumerate(read_json(path, list) if is_given(path) else ()):
         try:
-            segment = SegmentTruth.from_record(record)
-            inside = -1 <= segment.first_frame <= segment.last_frame < frames
-        except (AttributeError, TypeError, ValueError) as error:
-            raise InputError(where, f"is no segment ({error})", "write the folder again") from None
-        if not inside:
-            span = f"{segment.first_frame} to {segment.last_frame}"
-            raise InputError(where, f"frames {span} are not in the sequence", "write the folder again")
-        segments.append(segment)
+            segments.append(SegmentTruth.from_record(record, frames))
+        except ValueError as error:
+            problem = f"is no segment of this sequence ({error})"
+            raise InputError(f"{path}: [{index}]", problem, "write the folder again") from None
     return tuple(segments)
 
 
 def _read_columns(path: Path, frames: int) -> dict[str, np.ndarray]:
     """Read the columns of frame_truth.csv, (N,) each; empty without the file."""
-    if not path.exists():
+    if not is_given(path):
         return {}
-    with path.open(newline="", encoding="utf-8") as file:
-        header, *rows = list(csv.reader(file)) or [[]]
-    if len(rows) != frames:
-        raise InputError(str(path), f"has {len(rows)} rows for {frames} frames", "delete it or copy it again")
-    for index, row in enumerate(rows):
-        if len(row) != len(header):
-            problem = f"{len(row)} numbers where {len(header)} belong"
-            raise InputError(f"{path}:{index + 2}", problem, "delete the file or copy it again")
-    table = np.array([to_numbers(f"{path}:{i + 2}", row, header) for i, row in enumerate(rows)])
-    return {name: table[:, column] for column, name in enumerate(header) if name != "frame"}
+    (_, header), *lines = list(read_rows(path, "", ",")) or [("", [])]
+    if header[:1] != ["frame"] or len(set(header)) < len(header) or not all(header):
+        raise InputError(f"{path}:1", "is no header of different names, frame first", "copy the file again")
+    if len(lines) != frames:
+        raise InputError(
+            str(path), f"has {len(lines)} rows for {frames} frames", "delete it or copy it again"
+        )
+    rows = []
+    for frame, (where, words) in enumerate(lines):
+        check_words(where, words, header)
+        rows.append(to_numbers(where, words, header))
+        if rows[-1][0] != frame:
+            raise InputError(f"{where}: frame", f"{words[0]} stands where {frame} belongs", "sort the rows")
+    table = np.array(rows)
+    columns = {name: table[:, column] for column, name in enumerate(header) if name != "frame"}
+    for frame, exposure_s in enumerate(columns.get("exposure_s", ())):
+        check_exposure(f"{lines[frame][0]}: exposure_s", exposure_s)
+    return columns

@@ -1,38 +1,46 @@
 """Text files of numbers; every fault is one line with file, line, field and remedy."""
 
-import json
+import io
+import os
 import re
+import stat
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from scenarios.errors import InputError
+from scenarios.input_files import TABLE_BYTES, read_text
+
+_MOST_ROWS, _LONGEST_ROW = 4_000_000, 100_000
+# Two thousand years: more are no seconds, but micro- or nanoseconds.
+_MOST_STAMP_S = 6e10
 
 
-def read_rows(path: Path, remedy: str, separator: str | None = None) -> list[tuple[str, list[str]]]:
-    """Read ``file:line`` and the words of every line that is neither empty nor a comment.
+def read_rows(
+    path: Path, remedy: str, separator: str | None = None, most_bytes: int = TABLE_BYTES
+) -> Iterator[tuple[str, list[str]]]:
+    """Yield ``file:line`` and the words of every line that is neither empty nor a comment.
 
     Args:
         path: the file.
         remedy: advice if the file does not exist.
         separator: between words; None for white space.
+        most_bytes: largest size of the file.
 
     Raises:
-        InputError: the file is missing or no text.
+        InputError: the file cannot be read, or is too long for a table.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except FileNotFoundError:
-        raise InputError(str(path), "no such file", remedy) from None
-    except (OSError, UnicodeDecodeError):
-        raise InputError(str(path), "is no readable text", "copy the folder again") from None
-    rows = []
-    for number, line in enumerate(lines, start=1):
+    rows = 0
+    text = read_text(path, most_bytes, remedy)
+    for number, line in enumerate(io.StringIO(text, newline=None), start=1):
         if line.strip() and not line.lstrip().startswith("#"):
-            rows.append((f"{path}:{number}", [word.strip() for word in line.split(separator)]))
-    return rows
+            rows += 1
+            if len(line) > _LONGEST_ROW or rows > _MOST_ROWS:
+                problem = f"is too long for a table, at most {_MOST_ROWS} rows of {_LONGEST_ROW} characters"
+                raise InputError(f"{path}:{number}", problem, "check that it is the right file")
+            yield f"{path}:{number}", [word.strip() for word in line.split(separator)]
 
 
 def check_words(where: str, words: list[str], names: list[str]) -> None:
@@ -47,19 +55,35 @@ def to_numbers(where: str, words: list[str], names: list[str]) -> list[float]:
     values = []
     for word, name in zip(words, names, strict=True):
         try:
-            value = float(word)
+            # Python also takes 1_000 and digits of other scripts.
+            value = float(word) if word.isascii() and "_" not in word else np.nan
         except ValueError:
-            value = float("nan")
+            value = np.nan
         if not np.isfinite(value):
             raise InputError(f"{where}: {name}", f"{word!r} is not a finite number", "correct it")
         values.append(value)
     return values
 
 
+def to_stamp(where: str, word: str) -> float:
+    """A stamp in seconds. Raises InputError for any other word."""
+    stamp_s = to_numbers(where, [word], ["stamp"])[0]
+    if abs(stamp_s) > _MOST_STAMP_S:
+        raise InputError(f"{where}: stamp", f"{word} is no time in seconds", "give stamps in seconds")
+    return stamp_s
+
+
 def to_nanoseconds(where: str, word: str) -> int:
     """A stamp in whole nanoseconds. Raises InputError for any other word."""
-    if not re.fullmatch(r"\d{1,19}", word):
+    if not re.fullmatch(r"[0-9]{1,19}", word):
         raise InputError(f"{where}: timestamp", f"{word!r} is no stamp in nanoseconds", "write whole numbers")
+    return int(word)
+
+
+def to_frame_number(where: str, word: str) -> int:
+    """The number of a frame, with any leading zeros. Raises InputError for any other word."""
+    if not re.fullmatch(r"[0-9]{1,18}", word):
+        raise InputError(where, f"{word!r} is no number of a frame", "number frames and images from 0")
     return int(word)
 
 
@@ -73,46 +97,20 @@ def check_order(where: str, earlier: list[Any], stamp: float) -> None:
 
 def check_present(images: list[Path], listed_in: str) -> None:
     """Raise InputError if images are missing or empty; it names the first."""
-    lacking = [image for image in images if not image.is_file() or image.stat().st_size == 0]
+    lacking = [image for image in images if not _has_content(image)]
     if lacking:
         more = f" and {len(lacking) - 1} more" if len(lacking) > 1 else ""
         problem = f"is missing or empty{more}, of {len(images)} listed in {listed_in}"
         raise InputError(str(lacking[0]), problem, "copy the folder again, it is cut short")
 
 
-def read_json(path: Path, kind: type) -> Any:
-    """The content of a JSON file, None without it. Raises InputError for another type."""
-    if not path.exists():
-        return None
+def _has_content(path: Path) -> bool:
+    """Return True for a regular file that is not empty."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(str(path), f"is no valid JSON ({error})", "correct it or delete it") from None
-    if not isinstance(content, kind):
-        raise InputError(str(path), f"holds no {kind.__name__}", "correct it or delete it")
-    return content
-
-
-def read_yaml(path: Path, keys: str) -> dict[Any, Any]:
-    """Read the mapping of a YAML file.
-
-    Args:
-        path: the file; OpenCV's ``%YAML:1.0`` line is skipped.
-        keys: the keys it should hold, for the remedy.
-
-    Raises:
-        InputError: the file is missing, no YAML, or no mapping.
-    """
-    try:
-        text = path.read_text(encoding="utf-8")
-        values = yaml.safe_load(re.sub(r"^%YAML.*$", "", text, flags=re.MULTILINE))
-    except FileNotFoundError:
-        raise InputError(str(path), "no such file", f"add it with the keys {keys}") from None
-    except (OSError, UnicodeDecodeError, ValueError, yaml.YAMLError):
-        raise InputError(str(path), "is no readable YAML", "correct it or copy it again") from None
-    if not isinstance(values, dict):
-        raise InputError(str(path), "holds no intrinsics", f"add the keys {keys}")
-    return values
+        status = os.stat(path)
+    except (OSError, ValueError):
+        return False
+    return stat.S_ISREG(status.st_mode) and status.st_size > 0
 
 
 def to_number(where: str, value: Any) -> float:

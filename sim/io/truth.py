@@ -1,13 +1,19 @@
 """Ground-truth tables: poses by stamp, assigned to the frames nearest in time."""
 
+import math
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scenarios.errors import InputError
-from sim.io.text import check_order, check_words, read_rows, to_numbers
+from scenarios.input_files import is_given
+from sim.io.text import check_order, check_words, read_rows, to_numbers, to_stamp
 
+# Farther positions are no metres; their squares would leave the alignment no digits.
+_MOST_POSITION_M = 1e9
+_MOST_SKEW = 1e-2
 _TUM_NAMES = ["stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
 
 
@@ -27,15 +33,16 @@ def read_tum_poses(path: Path, stamps_s: np.ndarray, tolerance_s: float) -> np.n
     Raises:
         InputError: the file is malformed, holds no pose, or has another clock.
     """
-    if not path.exists():
+    if not is_given(path):
         return None
     rows: list[list[float]] = []
     for where, words in read_rows(path, ""):
         check_words(where, words, _TUM_NAMES)
-        if any(word.lower() == "nan" for word in words[1:]):
-            continue
-        row = to_numbers(where, words, _TUM_NAMES)
+        row = [to_stamp(where, words[0]), *_pose_numbers(where, words[1:])]
         check_order(where, [r[0] for r in rows[-1:]], row[0])
+        if len(row) < len(_TUM_NAMES):
+            continue
+        check_position(where, row[1:4])
         check_quaternion(f"{where}: qx qy qz qw", row[4:])
         rows.append(row)
     if not rows:
@@ -43,6 +50,12 @@ def read_tum_poses(path: Path, stamps_s: np.ndarray, tolerance_s: float) -> np.n
     table = np.array(rows)
     poses = poses_of(table[:, 1:4], table[:, 4:])
     return nearest_poses(path, stamps_s, table[:, 0], poses, tolerance_s)
+
+
+def _pose_numbers(where: str, words: list[str]) -> list[float]:
+    """The numbers of a pose that are not nan. Raises InputError for any other word."""
+    known = {name: word for name, word in zip(_TUM_NAMES[1:], words, strict=True) if word.lower() != "nan"}
+    return to_numbers(where, list(known.values()), list(known))
 
 
 def tum_poses_text(stamps_s: np.ndarray, T_world_cam: np.ndarray) -> str:
@@ -55,9 +68,24 @@ def tum_poses_text(stamps_s: np.ndarray, T_world_cam: np.ndarray) -> str:
     return "\n".join(lines) + "\n"
 
 
+def is_rotation(R: np.ndarray) -> bool:
+    """Return True for a (3, 3) rotation matrix, printed with two digits or more."""
+    if np.abs(R).max() > 1 + _MOST_SKEW:
+        return False
+    return bool(np.abs(R @ R.T - np.eye(3)).max() <= _MOST_SKEW and np.linalg.det(R) > 0)
+
+
+def check_position(where: str, position_m: Iterable[float]) -> None:
+    """Raise InputError for a position that cannot be one in metres."""
+    for value in position_m:
+        if abs(value) > _MOST_POSITION_M:
+            problem = f"{value:g} is no coordinate in metres"
+            raise InputError(f"{where}: position", problem, f"give metres, at most {_MOST_POSITION_M:g}")
+
+
 def check_quaternion(where: str, values: list[float]) -> None:
     """Raise InputError unless four numbers make a unit quaternion to a hundredth."""
-    norm = float(np.linalg.norm(values))
+    norm = math.hypot(*values)
     if not 0.99 < norm < 1.01:
         raise InputError(where, f"has length {norm:.4g}", "give a unit quaternion")
 

@@ -17,11 +17,12 @@ import cv2
 import numpy as np
 
 from scenarios.errors import InputError
+from scenarios.input_files import SETTINGS_BYTES, is_folder, is_given
 from sim.io.camera_file import check_camera
 from sim.io.fov_camera import FovCamera, read_fov_camera
-from sim.io.images import GrayFolder, GrayZip, read_raw
-from sim.io.sidecars import read_sidecars
-from sim.io.text import check_order, check_words, read_rows, to_numbers
+from sim.io.images import GrayFolder, GrayZip, numbered_images, read_raw
+from sim.io.sidecars import check_exposure, read_sidecars
+from sim.io.text import check_order, check_words, read_rows, to_frame_number, to_numbers, to_stamp
 from sim.io.truth import half_interval_s, read_tum_poses
 from sim.sensors.camera import Intrinsics
 from sim.sequence import FrameSource, Sequence
@@ -113,11 +114,15 @@ class RectifiedFrames:
 def _read_times(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     """Read (N,) stamps, and (N,) exposures in seconds if every line has one."""
     rows: list[list[float]] = []
+    ids: list[int] = []
     for where, words in read_rows(path, "give a folder with `id stamp exposure_ms` per frame"):
         names = _TIME_NAMES[: max(2, min(len(words), 3))]
         check_words(where, words, names)
-        row = to_numbers(where, words[1:], names[1:])
+        _check_id(where, words[0], ids)
+        row = [to_stamp(where, words[1]), *to_numbers(where, words[2:], names[2:])]
         check_order(where, [r[0] for r in rows[-1:]], row[0])
+        for exposure_ms in row[1:]:
+            check_exposure(f"{where}: exposure_ms", exposure_ms / 1000)
         rows.append(row)
     if not rows:
         raise InputError(str(path), "lists no frame", "give a folder with at least one frame")
@@ -127,10 +132,18 @@ def _read_times(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     return stamps_s, np.array([row[1] for row in rows]) / 1000
 
 
+def _check_id(where: str, word: str, ids: list[int]) -> None:
+    """Add the number of a frame to those before it. Raises InputError unless it follows them."""
+    number = to_frame_number(f"{where}: id", word)
+    if ids and number != ids[-1] + 1:
+        raise InputError(f"{where}: id", f"{word} stands where {ids[-1] + 1} belongs", "copy the file again")
+    ids.append(number)
+
+
 def _open_images(folder: Path, shape: tuple[int, int], count: int) -> FrameSource:
     directory, archive = folder / IMAGES_DIR, folder / IMAGES_ZIP
-    if directory.is_dir():
-        paths = sorted(path for path in directory.iterdir() if path.suffix in (".jpg", ".png"))
+    if is_folder(directory):
+        paths = numbered_images(directory, (".jpg", ".png"))
         where, images = directory, GrayFolder(paths, shape, CAMERA_FILE)
     else:
         where, images = archive, GrayZip(archive, shape, CAMERA_FILE)
@@ -142,10 +155,10 @@ def _open_images(folder: Path, shape: tuple[int, int], count: int) -> FrameSourc
 
 def _read_response(path: Path) -> np.ndarray:
     """(256,) float32 light behind each level, 0 to 255; the level itself without the file."""
-    if not path.exists():
+    if not is_given(path):
         return np.arange(256, dtype=np.float32)
     names = [f"level {level}" for level in range(256)]
-    rows = read_rows(path, "")
+    rows = list(read_rows(path, "", most_bytes=SETTINGS_BYTES))
     if len(rows) != 1 or len(rows[0][1]) != 256:
         count = sum(len(words) for _, words in rows)
         raise InputError(str(path), f"holds {count} numbers where 256 belong on one line", "copy it again")
@@ -158,13 +171,11 @@ def _read_response(path: Path) -> np.ndarray:
 
 def _read_vignette(path: Path, shape: tuple[int, int]) -> np.ndarray:
     """(H, W) float32, the brightest pixel 1; 1 everywhere without the file."""
-    if not path.exists():
+    if not is_given(path):
         return np.ones(shape, np.float32)
-    image = read_raw(path)
-    if image.shape != shape:
-        size = "x".join(str(side) for side in (*image.shape[1::-1], *image.shape[2:]))
-        problem = f"is {size}, {CAMERA_FILE} says {shape[1]}x{shape[0]} gray pixels"
-        raise InputError(str(path), problem, "give the vignette of this camera")
+    image = read_raw(path, shape, CAMERA_FILE)
+    if image.ndim != 2:
+        raise InputError(str(path), "is no gray image", "give the vignette of this camera")
     if not image.any():
         raise InputError(str(path), "is black", "give the vignette of this camera")
     return image.astype(np.float32) / np.float32(image.max())

@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 
 from scenarios.errors import InputError
+from scenarios.input_files import is_given
 from sim.io import layout
 from sim.io.camera_file import read_camera
 from sim.io.images import DepthFolder, GrayFolder
 from sim.io.sidecars import read_sidecars
-from sim.io.text import check_order, check_present, read_rows, to_numbers
+from sim.io.text import check_order, check_present, read_rows, to_stamp
 from sim.io.truth import half_interval_s, nearest, read_tum_poses
 from sim.sensors.camera import Intrinsics
 from sim.sequence import Sequence
@@ -49,7 +50,7 @@ def _read_list(path: Path) -> tuple[np.ndarray, list[Path]]:
         if len(words) != 2:
             problem = f"{len(words)} words where stamp and filename belong"
             raise InputError(where, problem, "write `stamp filename`; the file may be cut short")
-        stamp_s = to_numbers(where, words[:1], ["stamp"])[0]
+        stamp_s = to_stamp(where, words[0])
         check_order(where, stamps, stamp_s)
         stamps.append(stamp_s)
         images.append(path.parent / words[1])
@@ -63,7 +64,7 @@ def _read_depths(
     path: Path, camera: Intrinsics, stamps_s: np.ndarray, tolerance_s: float
 ) -> DepthFolder | None:
     """The depth image nearest in time to each frame; None without the file."""
-    if not path.exists():
+    if not is_given(path):
         return None
     depth_s, images = _read_list(path)
     best = nearest(depth_s, stamps_s, tolerance_s)

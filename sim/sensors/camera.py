@@ -12,6 +12,10 @@ DISTORTION_KEYS: dict[str, tuple[str, ...]] = {
     "equidistant": ("k1", "k2", "k3", "k4"),
 }
 """Names of the coefficients of each lens model, in OpenCV's order."""
+LEAST_SIDE_PX, MOST_SIDE_PX = 37, 16384
+"""Sides of an image; a smaller one holds no whole neighbourhood of a feature of the SLAM."""
+MOST_PIXELS = 2**25
+"""Pixels of an image: 8K video has as many."""
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,9 @@ import numpy as np
 from numba import njit
 
 from scenarios.errors import InputError
+from scenarios.lenses import MOST_HALF_ANGLE_DEG
 from sim.sensors.camera import Intrinsics
 
-# A pinhole image of a wider lens than this would be absurdly large.
-MOST_HALF_ANGLE_DEG = 78.0
 MOST_IDEAL_PX = 8192
 _SOLVED = 1e-10  # negligible error of a normalised point
 _MARGIN_PX = 3  # border pixels for the interpolation

@@ -157,7 +157,7 @@ def test_a_peer_that_tracks_nothing_may_leave_no_trajectory(sequence, folder, tm
         ("import json", "import os\nos.kill(os.getpid(), 9)\nimport json", "exit code -9: no message"),
         ('(out / "summary.json").write_text(json.dumps(summary))', "", "summary.json: the peer has not"),
         ("json.dumps(summary)", "'{'", "summary.json: is no valid JSON"),
-        ("json.dumps(summary)", "'[]'", "summary.json: holds no dict"),
+        ("json.dumps(summary)", "'[]'", "summary.json: holds no object"),
         ("cpu_ms_median=16.0", "cpu_ms_median='fast'", "summary.json: cpu_ms_median: 'fast' is no number"),
         ("frames=len(stamps)", "frames=7", "summary.json: frames: is 7, the sequence has 60"),
         ("tracked=len(table)", "tracked=61", "summary.json: tracked: 61 is not a whole number up to 60"),

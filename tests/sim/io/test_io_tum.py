@@ -107,7 +107,7 @@ def test_a_missing_file_is_named(folder, old):
         ("rgb.txt", "rgb/000004.png", "rgb/000044.png", ["rgb/000044.png", "missing"]),
         ("camera.yaml", "fx: 50.0", "fx: -50.0", ["camera.yaml: fx", "absurd"]),
         ("camera.yaml", "fx: 50.0\n", "", ["camera.yaml: fx", "is missing"]),
-        ("camera.yaml", "fy: 51.0", "fy: .nan", ["camera.yaml: fy", "finite"]),
+        ("camera.yaml", "fy: 51.0", "fy: .nan", ["camera.yaml:2: fy", "finite"]),
         ("camera.yaml", "cx: 30.5", "cx: 64", ["camera.yaml: cx", "outside the image", "0 to 63"]),
         ("camera.yaml", "width: 64", "width: 65", ["000000.png", "64x48", "65x48"]),
         ("camera.yaml", "k3: 0.3", "k4: 0.3", ["camera.yaml: k4", "unknown key", "k3"]),
@@ -169,7 +169,11 @@ def test_unreadable_or_other_sized_images_show_when_they_are_read(folder):
     cv2.imwrite(str(folder / "rgb/000005.png"), np.zeros((50, 64), np.uint8))
     sequence = load_sequence(folder)
     assert sequence.frames[2].shape == SHAPE
-    for index, problem in ((4, "no readable image"), (5, "64x50 pixels, camera.yaml says 64x48")):
+    for index, problem in (
+        (3, "is cut short"),
+        (4, "no readable image"),
+        (5, "64x50 pixels, camera.yaml says 64x48"),
+    ):
         with pytest.raises(InputError, match=problem):
             sequence.frames[index]
 
