@@ -9,6 +9,7 @@ from experiments.campaign.ledger import ERROR_COLUMNS, LEDGER_FILE, Ledger
 from experiments.campaign.schedule import Experiment
 from experiments.eq1.record_table import arrow_table, typed
 from scenarios.errors import InputError
+from scenarios.input_files import is_given, open_file
 from sim.io.folders import unwritable, write_file
 
 if TYPE_CHECKING:
@@ -35,12 +36,14 @@ def read_experiment(folder: Path) -> "tuple[ExperimentSpec, pd.DataFrame]":
         InputError: it is not an experiment's folder, or its table has other columns.
     """
     spec = read_spec(folder)
-    if not (folder / LEDGER_FILE).is_file() and (folder / TABLE_FILE).is_file():
+    if not is_given(folder / LEDGER_FILE) and is_given(folder / TABLE_FILE):
         import pandas as pd
+        from pyarrow import ArrowException
 
+        open_file(folder / TABLE_FILE).close()
         try:
             return spec, typed(pd.read_parquet(folder / TABLE_FILE), len(spec.threads))
-        except ValueError as error:
+        except (ArrowException, OSError, ValueError) as error:
             remedy = "export it anew from its ledger, by the version that wrote it"
             raise InputError(str(folder / TABLE_FILE), str(error), remedy) from None
     with Ledger.open(folder, spec, read_only=True) as ledger:
@@ -55,7 +58,7 @@ def read_spec(folder: Path) -> "ExperimentSpec":
     """
     from experiments.eq1.spec import load_spec
 
-    if not (folder / SPEC_FILE).is_file():
+    if not is_given(folder / SPEC_FILE):
         raise InputError(str(folder), f"has no {SPEC_FILE}", "give the folder of an experiment that was run")
     return load_spec(folder / SPEC_FILE)
 

@@ -1,8 +1,8 @@
 """``dslab view``."""
 
-import json
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -18,9 +18,10 @@ def view_command(
 
     Example: `dslab view out/demo`
     """
-    recording = path / "recording.rrd" if path.is_dir() else path
-    if not recording.is_file():
-        raise InputError(str(recording), "no such recording", "make one with dslab run --rerun")
+    from scenarios.input_files import is_folder, open_file
+
+    recording = path / "recording.rrd" if is_folder(path) else path
+    open_file(recording, if_missing="make a recording with dslab run --rerun").close()
     stamp_s = at if at is not None else _first_breakage_s(recording.parent)
     from experiments.recording import open_viewer
 
@@ -36,16 +37,24 @@ def _first_breakage_s(folder: Path) -> float:
     """Time of the first breakage in the summaries beside the recording, else 0."""
     from experiments.demo import MARKER_FILE
     from experiments.result_folder import SUMMARY_FILE
+    from scenarios.input_files import is_given, read_json
 
-    summaries = [_read(folder / SUMMARY_FILE), *_read(folder / MARKER_FILE).values()]
-    found = [b["stamp_s"] for s in summaries if isinstance(s, dict) for b in s.get("breakage_list", ())]
+    summaries = {}
+    if is_given(folder / SUMMARY_FILE):
+        summaries[str(folder / SUMMARY_FILE)] = read_json(folder / SUMMARY_FILE, dict)
+    if is_given(folder / MARKER_FILE):
+        marker = read_json(folder / MARKER_FILE, dict)
+        summaries |= {f"{folder / MARKER_FILE}: {name}": summary for name, summary in marker.items()}
+    found = [stamp_s for where, summary in summaries.items() for stamp_s in _breakages_s(where, summary)]
     return float(min(found, default=0.0))
 
 
-def _read(file: Path) -> dict:
-    """Object in a JSON file, else an empty one."""
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return content if isinstance(content, dict) else {}
+def _breakages_s(where: str, summary: Any) -> Iterator[float]:
+    """Times of the breakages in a summary. Raises InputError if it does not list them so."""
+    listed = summary.get("breakage_list", []) if isinstance(summary, dict) else None
+    for index, breakage in enumerate(listed if isinstance(listed, list) else [None]):
+        stamp_s = breakage.get("stamp_s") if isinstance(breakage, dict) else None
+        if isinstance(stamp_s, bool) or not isinstance(stamp_s, int | float):
+            at = f"{where}: breakage_list[{index}]"
+            raise InputError(at, "has no stamp_s", "give --at, or run again with --rerun")
+        yield stamp_s

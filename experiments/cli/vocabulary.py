@@ -31,8 +31,9 @@ def train_command(
     """
     from experiments.vocabulary import train, training_scenarios
     from scenarios.errors import InputError
+    from scenarios.input_files import is_folder
 
-    if file.suffix != ".npz" or not file.parent.is_dir():
+    if file.suffix != ".npz" or not is_folder(file.parent):
         raise InputError(f"--out {file}", "not an .npz file in an existing folder", "name one")
     single_threaded_opencv()
     with progress_bars() as show:
@@ -55,9 +56,11 @@ def show_command(
     """
     from experiments.cli.console import print_json_line
     from scenarios.errors import InputError
+    from scenarios.input_files import open_file
     from slam.places.recognition import VOCABULARY_FILE, Vocabulary
 
     path = file or VOCABULARY_FILE
+    open_file(path).close()
     try:
         vocabulary = Vocabulary.load(path)
     except (OSError, ValueError) as error:

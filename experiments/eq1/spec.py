@@ -50,7 +50,7 @@ class ExperimentSpec(Strict):
     lead_in_s: float = Field(5.0, gt=0, le=600)
     exposed_s: float = Field(10.0, gt=0, le=600, description="L, the unit length of Eq. 1")
     tail_s: float = Field(15.0, gt=0, le=600)
-    units: int = Field(ge=1, description="per cell; with a stopping rule the most")
+    units: int = Field(ge=1, le=1_000_000, description="per cell; with a stopping rule the most")
     units_per_world: int = Field(1, ge=1, description="units that share a world: a cluster")
     stopping: Stopping | None = None
 

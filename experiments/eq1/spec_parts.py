@@ -1,5 +1,6 @@
 """The parts of an experiment's spec: bases, degradations, threads, the stopping rule."""
 
+import math
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -27,7 +28,10 @@ def _as_choice(data: Any) -> Any:
 
 
 def _number_or_drawn(data: Any) -> Any:
-    number = isinstance(data, int | float) and not isinstance(data, bool) and data >= 0
+    options = data.get("choice") if is_distribution(data) else None
+    for option in options if isinstance(options, list) else ():
+        _number_or_drawn(option)
+    number = isinstance(data, int | float) and not isinstance(data, bool) and 0 <= data < math.inf
     if not (number or is_distribution(data)):
         raise ValueError(f"{data!r} is not valid, give a number from 0 or a distribution")
     return data

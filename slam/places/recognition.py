@@ -5,6 +5,8 @@ candidates as in Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, sections V-C and 
 """
 
 import json
+import zipfile
+import zlib
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -91,12 +93,16 @@ class Vocabulary(Unchanging):
         Raises:
             ValueError: the file is not a vocabulary.
         """
-        with np.load(path) as data:
-            try:
+        if not zipfile.is_zipfile(path):
+            raise ValueError(f"{path} is not a vocabulary: no archive")
+        try:
+            with np.load(path) as data:
                 tree = Tree(*(data[name] for name in Tree._fields))
                 provenance = json.loads(str(data["provenance"]))
-            except KeyError as error:
-                raise ValueError(f"{path} is not a vocabulary: {error}") from error
+        except (KeyError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            raise ValueError(f"{path} is not a vocabulary: {error}") from error
+        if not isinstance(provenance, dict):
+            raise ValueError(f"{path} is not a vocabulary: its provenance is no mapping")
         return Vocabulary(tree._replace(weight=tree.weight.astype(np.float64)), provenance)
 
 

@@ -100,7 +100,7 @@ def test_a_wrong_option_is_a_usage_error(dslab):
 
 def test_a_missing_recording_is_one_line_and_exit_2(dslab, tmp_path):
     code, _, err = dslab("view", str(tmp_path))
-    assert code == 2 and "no such recording" in err
+    assert code == 2 and "recording.rrd: no such file" in err
 
 
 def test_doctor_without_gl_reports_the_rest_and_exits_2(dslab, monkeypatch):
