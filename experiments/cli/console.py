@@ -18,6 +18,10 @@ out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)
 
 
+MOST_SEED = 2**63 - 1
+"""Largest root seed: larger ones could not be read back from the files that name them."""
+
+
 class FormatChoice(StrEnum):
     """Writable forms of sequence folders."""
 

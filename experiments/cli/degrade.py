@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from experiments.cli.console import (
+    MOST_SEED,
     FolderOption,
     FormatChoice,
     out,
@@ -33,7 +34,9 @@ def degrade_command(
             show_default=False,
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Root seed of random effects in the segments.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, max=MOST_SEED, help="Root seed of random effects in the segments.")
+    ] = 0,
 ) -> None:
     """Degrade a folder in TUM, KITTI, EuRoC or TUM-mono form.
 

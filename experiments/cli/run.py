@@ -9,6 +9,7 @@ import typer
 from rich.table import Table
 
 from experiments.cli.console import (
+    MOST_SEED,
     ModeChoice,
     ModeOption,
     RealTimeOption,
@@ -65,7 +66,9 @@ def run_command(
     ] = True,
     seed: Annotated[
         int | None,
-        typer.Option(min=0, help="Root seed of the scenario and of the SLAM; the scenario's own, or 0."),
+        typer.Option(
+            min=0, max=MOST_SEED, help="Root seed of the scenario and of the SLAM; the scenario's own, or 0."
+        ),
     ] = None,
     renderer: RendererOption = None,
     mode: ModeOption = ModeChoice.LOCKSTEP,

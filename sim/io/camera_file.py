@@ -64,7 +64,7 @@ def check_camera(path: Path, camera: Intrinsics) -> None:
         if not 0 <= centre <= size - 1:
             remedy = f"give the principal point in pixels, 0 to {size - 1:g}"
             raise InputError(f"{path}: {key}", f"{centre:g} lies outside the image", remedy)
-    if not 0 < camera.fps <= 1000:
+    if not 1e-3 <= camera.fps <= 1000:
         raise InputError(f"{path}: fps", f"{camera.fps:g} is no frame rate", "give frames per second")
     if not camera.is_pinhole:
         size, focal = (camera.width_px, camera.height_px), (camera.fx, camera.fy)

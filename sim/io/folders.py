@@ -41,7 +41,8 @@ def check_free(out_dir: Path, replaces: str | None = None) -> None:
             raise InputError(str(out_dir), "already holds files", remedy)
         out_dir.parent.mkdir(parents=True, exist_ok=True)
         for place in filter(Path.is_dir, (out_dir.parent, out_dir)):
-            with tempfile.TemporaryDirectory(dir=place):
+            # As long a name as that of the unfinished folder.
+            with tempfile.TemporaryDirectory(prefix=f".{out_dir.name}.partial-", dir=place):
                 pass
     except OSError as error:
         raise unwritable(out_dir, error) from error

@@ -42,6 +42,8 @@ def refused(dslab, tmp_path, monkeypatch):
         ["run", "clean-room", "--out", f"{LONG}/x"],
         ["run", "clean-room", "--config", f"{LONG}.yaml", "--out", "o"],
         ["render", "clean-room", "--out", LONG],
+        # Its own name is possible, that of the unfinished folder is not.
+        ["run", "clean-room", "--out", LONG[:245]],
         ["degrade", LONG, "--segment", "jpeg:start_s=0,duration_s=1,quality=8", "--out", "o"],
         ["export", LONG, "--format", "euroc", "--out", "o"],
         ["scenarios", "show", LONG],
@@ -56,7 +58,7 @@ def refused(dslab, tmp_path, monkeypatch):
         ["vocabulary", "train", "--out", f"{LONG}/x.npz"],
         ["vocabulary", "show", LONG],
     ],
-    ids=range(20),
+    ids=range(21),
 )
 def test_a_name_too_long_is_one_line(refused, command):
     refused(*command)
@@ -85,6 +87,13 @@ def test_a_pipe_or_a_device_is_one_line(refused, tmp_path, command, kind):
         special.symlink_to("/dev/zero")
     names = {"FILE": special, "FOLDER": tmp_path}
     assert kind in refused(*(names.get(word, word) for word in command))
+
+
+@pytest.mark.parametrize("command", [["run"], ["degrade", "--segment", "jpeg"]], ids=" ".join)
+def test_a_seed_that_could_not_be_read_back_is_no_option(dslab, tmp_path, command):
+    code, _, err = dslab(*command, tmp_path, "--seed", 10**401, "--out", tmp_path / "o")
+    assert code == 2 and "--seed" in err and "Traceback" not in err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_no_place_has_a_zero_byte_in_its_name():
