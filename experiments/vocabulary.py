@@ -1,6 +1,5 @@
 """Training of the vocabulary for place recognition, only on frames rendered by this project."""
 
-import tempfile
 from collections.abc import Callable, Iterable
 from contextlib import nullcontext
 from pathlib import Path
@@ -11,6 +10,7 @@ from experiments.runs.execution import slam_camera
 from scenarios.spec import Scenario
 from sim.sequence import Sequence
 from sim.sequence_rendering import render_sequence
+from sim.unfinished import scratch_folder
 from slam.config import default_config
 from slam.features.orb import OrbExtractor
 from slam.places.recognition import Vocabulary
@@ -89,9 +89,9 @@ def train(
     images: list[np.ndarray] = []
     for done, (scenario, world_seed) in enumerate(jobs):
         show("training images", done, len(jobs))
-        scratch = tempfile.TemporaryDirectory() if cache_dir is None else nullcontext(cache_dir)
+        scratch = scratch_folder() if cache_dir is None else nullcontext(cache_dir)
         with scratch as folder:
-            images += describe(render_sequence(scenario, world_seed, cache_dir=Path(folder)))
+            images += describe(render_sequence(scenario, world_seed, cache_dir=folder))
     show("training images", len(jobs), len(jobs))
     provenance = {
         "images": "rendered by this project",

@@ -4,23 +4,20 @@ import hashlib
 import json
 import logging
 import os
-import shutil
 import sys
-import tempfile
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from scenarios.errors import InputError
 from scenarios.input_files import open_file, read_json
+from sim.unfinished import unfinished_folder
 
 CACHE_DIR_VARIABLE = "DSLAB_CACHE_DIR"
 MAX_BYTES = 20 * 10**9
 _MANIFEST = "manifest.json"
-_UNFINISHED = ".unfinished-"
-_STALE_S = 24 * 3600
+UNFINISHED = ".unfinished-"
 
 _log = logging.getLogger(__name__)
 
@@ -90,18 +87,12 @@ class FolderCache:
         """
         try:
             self.root.mkdir(parents=True, exist_ok=True)
-            self._drop_stale()
-            unfinished = Path(tempfile.mkdtemp(prefix=_UNFINISHED, dir=self.root))
+            with unfinished_folder(self.root, UNFINISHED) as unfinished:
+                yield unfinished
+                _write_manifest(unfinished)
+                self._publish(unfinished, self.root / key)
         except OSError as error:
             raise self._unusable(error) from error
-        try:
-            yield unfinished
-            _write_manifest(unfinished)
-            self._publish(unfinished, self.root / key)
-        except OSError as error:
-            raise self._unusable(error) from error
-        finally:
-            shutil.rmtree(unfinished, ignore_errors=True)
         self._cut_back(keep=key)
 
     def _publish(self, unfinished: Path, entry: Path) -> None:
@@ -117,14 +108,8 @@ class FolderCache:
             str(self.root), problem, f"free space or set {CACHE_DIR_VARIABLE} to another folder"
         )
 
-    def _drop_stale(self) -> None:
-        """Remove unfinished folders of killed processes."""
-        for leftover in self.root.glob(f"{_UNFINISHED}*"):
-            if time.time() - _modified_s(leftover) > _STALE_S:
-                shutil.rmtree(leftover, ignore_errors=True)
-
     def _cut_back(self, keep: str) -> None:
-        entries = [path for path in self.root.iterdir() if not path.name.startswith(_UNFINISHED)]
+        entries = [path for path in self.root.iterdir() if not path.name.startswith(UNFINISHED)]
         sizes = {entry: _bytes(entry) for entry in entries}
         total = sum(sizes.values())
         for entry in sorted(entries, key=lambda e: _modified_s(e / _MANIFEST)):
@@ -177,12 +162,8 @@ def _bytes(entry: Path) -> int:
 
 def _discard(entry: Path) -> None:
     """Rename the entry in one step, then delete it."""
-    away = entry.with_name(f"{_UNFINISHED}{entry.name}-{os.getpid()}")
-    try:
-        entry.rename(away)
-    except OSError:
-        return  # another process was faster
-    shutil.rmtree(away, ignore_errors=True)
+    with suppress(OSError), unfinished_folder(entry.parent, UNFINISHED) as away:  # another may be faster
+        entry.rename(away / entry.name)
 
 
 def _touch(path: Path) -> None:

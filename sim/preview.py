@@ -1,9 +1,7 @@
 """Single frames of a sequence, for quick looks at many scenarios."""
 
-import tempfile
 from collections.abc import Sequence as Many
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -20,6 +18,7 @@ from sim.frame_plan import (
     rendered_clean_frames,
 )
 from sim.io.raw import RawFrames
+from sim.unfinished import scratch_folder
 from sim.worlds.base import WorldModel
 
 
@@ -65,14 +64,14 @@ class Preview:
             ideal_camera(own),
         )
         with (
-            tempfile.TemporaryDirectory(prefix="dslab-") as folder,
+            scratch_folder() as folder,
             rendered_clean_frames(self.world, camera, self.backend) as clean_frames,
         ):
             blur_px = expose_frames(
-                Path(folder), part, clean_frames, camera, chain, False, lambda step, done, total: None
+                folder, part, clean_frames, camera, chain, False, lambda step, done, total: None
             )
             shape = (len(part.frame), camera.height_px, camera.width_px)
-            frames = RawFrames(Path(folder) / "gray.npy", shape, np.uint8)
+            frames = RawFrames(folder / "gray.npy", shape, np.uint8)
             return [frames[k] for k in range(len(frames))], blur_px
 
 

@@ -1,12 +1,10 @@
 """Speed of an experiment: units per hour, shares of CPU time, speed-up by more workers."""
 
-import tempfile
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import psutil
@@ -17,6 +15,7 @@ from experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings, emb
 from experiments.eq1.records import Outcome
 from experiments.eq1.units import UnitSpec
 from experiments.runs.provenance import usable_cores
+from sim.unfinished import scratch_folder
 
 Progress = Callable[[str, int, int], None]
 
@@ -79,8 +78,8 @@ def _lap(experiment: Experiment, units: int, workers: int, job: Job, progress: P
     # Worlds of their own, so that their cached frames do not serve the counted units.
     first = [experiment.unit(cells[0], 10_000 + k) for k in range(workers)]
     step = f"{workers} worker{'s' if workers > 1 else ''}"
-    with tempfile.TemporaryDirectory(prefix="dslab-") as folder:
-        settings = WorkerPoolSettings(workers=workers, cache_dir=Path(folder))
+    with scratch_folder() as folder:
+        settings = WorkerPoolSettings(workers=workers, cache_dir=folder)
         with embedded_worker_pool(settings, partial(unit_record, job, cache_dir=settings.cache_dir)) as pool:
             _run(pool, first, lambda done: progress(f"{step}, loading", done, workers))
             began_s, began_cpu_s = time.perf_counter(), _cpu_s()

@@ -1,9 +1,7 @@
 """Speed and memory of the simulator: rendering, degrading from the cache, building a large world."""
 
-import tempfile
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.synchronize import Barrier
@@ -12,7 +10,9 @@ from threading import BrokenBarrierError
 from typing import Any
 
 from experiments.runs.memory import peak_rss_mb
+from experiments.runs.processes import process_pool
 from sim.rendering.renderers import check_renderer
+from sim.unfinished import scratch_folder
 
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 640, 480, 420.0
 LARGE_CITY_M = 1000.0
@@ -78,10 +78,10 @@ def bench_sim(
         (f"render {name}", _prepare_render, (*scene, processes, frames, renderer))
         for name, scene in SCENES.items()
     ]
-    with tempfile.TemporaryDirectory(prefix="dslab-bench-") as cache:
+    with scratch_folder() as cache:
         steps += [
-            ("degrade", _prepare_degrade, (frames, 0.0, Path(cache), renderer)),
-            ("degrade and blur", _prepare_degrade, (frames, BLUR_EXPOSURE_S, Path(cache), renderer)),
+            ("degrade", _prepare_degrade, (frames, 0.0, cache, renderer)),
+            ("degrade and blur", _prepare_degrade, (frames, BLUR_EXPOSURE_S, cache, renderer)),
         ]
         figures = {}
         for done, (name, prepare, arguments) in enumerate(steps):
@@ -110,9 +110,8 @@ def run_together(prepare: Callable[..., Work], arguments: tuple[Any, ...], proce
         arguments: for ``prepare``.
         processes: number of processes.
     """
-    context = get_context("spawn")  # a process with a GL context must not fork
-    barrier = context.Barrier(processes, timeout=_SET_UP_TIMEOUT_S)
-    with ProcessPoolExecutor(processes, context, initializer=_set_up, initargs=(barrier,)) as pool:
+    barrier = get_context("spawn").Barrier(processes, timeout=_SET_UP_TIMEOUT_S)
+    with process_pool(processes, _set_up, (barrier,)) as pool:
         laps = [pool.submit(_lap, prepare, index, arguments) for index in range(processes)]
         faults = [lap.exception() for lap in laps]
         # A process that found the barrier broken is not the one at fault.
@@ -222,7 +221,7 @@ def _degraded(seconds: float, exposure_s: float, illumination: float):
 
 def _alone(measure: Callable[..., dict[str, float]], *arguments: Any) -> dict[str, float]:
     """Run a measurement in a new process."""
-    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+    with process_pool(1) as pool:
         return pool.submit(measure, *arguments).result()
 
 

@@ -7,7 +7,6 @@ retries nothing: the caller decides on retries and counts them.
 import logging
 import os
 import queue
-import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -20,6 +19,7 @@ from uuid import uuid4
 
 from experiments.campaign.unit_job import Job, Task, run_task, unit_record
 from scenarios.errors import InputError
+from sim.unfinished import scratch_folder
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -271,7 +271,7 @@ def embedded_worker_pool(settings: WorkerPoolSettings, task: Task) -> Iterator[W
     logging.getLogger("distributed.batched").setLevel(logging.CRITICAL)
     with (
         dask_config.set(config),
-        tempfile.TemporaryDirectory(prefix="dslab-") as folder,
+        scratch_folder() as folder,
         LocalCluster(
             # Started below: Dask does not close workers cleanly if their start is interrupted here.
             n_workers=0,
@@ -283,7 +283,7 @@ def embedded_worker_pool(settings: WorkerPoolSettings, task: Task) -> Iterator[W
             silence_logs=logging.CRITICAL,
             dashboard_address=None,
             preload=["experiments.campaign.unit_job"],
-            local_directory=folder,
+            local_directory=str(folder),
             # The health routes need a port even without a dashboard: any free one.
             scheduler_kwargs={"allowed_failures": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"},
         ) as cluster,
@@ -297,7 +297,7 @@ def embedded_worker_pool(settings: WorkerPoolSettings, task: Task) -> Iterator[W
                 "this machine",
                 "run `dslab doctor`, give fewer --workers, or wait until it is less busy",
             )
-            yield WorkerPool(client, task, settings, Path(folder), lambda: cluster.scale(settings.workers))
+            yield WorkerPool(client, task, settings, folder, lambda: cluster.scale(settings.workers))
         except BaseException:
             # The items under way are lost; do not wait for them.
             _kill(cluster)

@@ -1,6 +1,7 @@
 """The ``dslab`` command."""
 
 import os
+import signal
 import sys
 from importlib import metadata
 from typing import Annotated
@@ -14,6 +15,8 @@ from experiments.cli.export import export_command
 from experiments.cli.paper import paper_command
 from experiments.cli.render import render_command
 from experiments.cli.scenarios import app as scenarios_app
+from experiments.cli.signals import signals_as_interrupts
+from experiments.cli.streams import safe_streams
 from experiments.plugins import load_plugins
 from scenarios.errors import InputError
 
@@ -44,7 +47,7 @@ app.add_typer(vocabulary.app, name="vocabulary")
 
 def _print_version(requested: bool) -> None:
     if requested:
-        typer.echo(f"dual-slam-lab {metadata.version('dual-slam-lab')}")
+        print(f"dual-slam-lab {metadata.version('dual-slam-lab')}")
         raise typer.Exit
 
 
@@ -59,20 +62,45 @@ def _options(
 
 
 def main() -> None:
-    """Entry point: bad input is one line and exit code 2, an interruption one line and 130."""
+    """Entry point: bad input is one line and exit code 2, a signal one line and 128 + its number."""
     # OpenCV's own warnings would stand beside the one line.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
-    try:
-        load_plugins()
-        app()
-    except InputError as error:
-        _say(f"error: {error}")
-        sys.exit(2)
-    except SystemExit as exit_:
-        if exit_.code == 130:
-            _say("interrupted: nothing half-written is left")
-        raise
+    with safe_streams(), signals_as_interrupts() as received:
+        try:
+            load_plugins()
+            app()
+        except BaseException as ending:
+            if isinstance(ending, SystemExit) and not ending.code:
+                raise
+            # Once a signal has come, what else goes wrong comes of it: processes of the group end as well.
+            if received or _is_interrupt(ending):
+                number = received[0] if received else signal.SIGINT
+                _clear_up()
+                how = "interrupted" if number == signal.SIGINT else f"ended by {number.name}"
+                _say(f"{how}: nothing half-written is left")
+                sys.exit(128 + number)
+            if isinstance(ending, InputError):
+                _say(f"error: {ending}")
+                sys.exit(2)
+            raise
+
+
+def _is_interrupt(ending: BaseException) -> bool:
+    """An interrupt, as Typer passes it on."""
+    return isinstance(ending, KeyboardInterrupt) or (
+        isinstance(ending, SystemExit) and ending.code == 128 + signal.SIGINT
+    )
+
+
+def _clear_up() -> None:
+    """Remove what this process and its workers, which were killed, had no time to."""
+    from sim.cache import UNFINISHED, default_cache_dir
+    from sim.unfinished import remove_own, sweep, sweep_scratch
+
+    remove_own()
+    sweep_scratch()
+    sweep(default_cache_dir(), UNFINISHED)
 
 
 def _say(line: str) -> None:
-    err.print(line.replace("\n", " "), markup=False, soft_wrap=True)
+    err.print(line.replace("\n", " "), soft_wrap=True)

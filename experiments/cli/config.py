@@ -19,7 +19,7 @@ def show_command() -> None:
     """
     from experiments.runs.slam_settings import settings_yaml
 
-    out.print(settings_yaml(), markup=False, highlight=False, soft_wrap=True, end="")
+    out.print(settings_yaml(), highlight=False, soft_wrap=True, end="")
 
 
 @app.command("schema")
@@ -30,4 +30,4 @@ def schema_command() -> None:
     """
     from experiments.runs.slam_settings import settings_schema
 
-    out.print(json.dumps(settings_schema(), indent=2), markup=False, highlight=False, soft_wrap=True)
+    out.print(json.dumps(settings_schema(), indent=2), highlight=False, soft_wrap=True)

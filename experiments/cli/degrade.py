@@ -1,6 +1,5 @@
 """``dslab degrade``: add degradations to a sequence folder."""
 
-import tempfile
 from pathlib import Path
 from typing import Annotated
 
@@ -57,7 +56,7 @@ def degrade_command(
     from experiments.runs.sources import open_imu
     from scenarios.segment_text import parse_segment
     from sim.degradations.recorded_sequences import check_recorded_sequence, degrade_sequence
-    from sim.io.folders import check_free
+    from sim.io.folders import check_free, scratch_beside
     from sim.io.forms import Form, detect_form, load_sequence, sequence_folder, write_sequence
 
     segments = [parse_segment(text) for text in segment]
@@ -69,11 +68,8 @@ def degrade_command(
     check_free(out_dir)
     single_threaded_opencv()
     # Beside the result: the temporary disk may be too small.
-    with (
-        tempfile.TemporaryDirectory(prefix=".dslab-", dir=out_dir.resolve().parent) as scratch,
-        progress_bars() as show,
-    ):
-        degraded = degrade_sequence(sequence, segments, seed, Path(scratch), show)
+    with scratch_beside(out_dir) as scratch, progress_bars() as show:
+        degraded = degrade_sequence(sequence, segments, seed, scratch, show)
         with_depth = target is Form.TUM and degraded.depths is not None
         write_sequence(degraded, out_dir, target, readings, with_depth, show)
     print_segments(degraded.segments)

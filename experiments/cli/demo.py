@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 from rich import box
 from rich.table import Table
+from rich.text import Text
 
 from experiments.cli.console import number, out, progress_bars, share, single_threaded_opencv
 
@@ -54,7 +55,7 @@ def demo_table(summaries: dict, title: str) -> Table:
         table.add_column(column, justify="right", no_wrap=True)
     for kind, summary in summaries.items():
         table.add_section()
-        table.add_row(f"[bold]{kind}[/bold]", *_cells(summary, summary["ate_m"], summary["ate_poses"]))
+        table.add_row(Text(kind, "bold"), *_cells(summary, summary["ate_m"], summary["ate_poses"]))
         for segment in summary["segments"]:
             part = f"{segment['kind'].replace('_', ' ')} {segment['start_s']:g}-{segment['end_s']:g} s"
             table.add_row(f" {part}", *_cells(segment, segment["ate_m"], segment["ate_frames"]))

@@ -32,7 +32,7 @@ def doctor_command() -> None:
     table.add_row("kernel cache", _kernel_cache())
     out.print(table)
     if gl_error is not None:
-        err.print(f"error: {gl_error}", markup=False, soft_wrap=True)
+        err.print(f"error: {gl_error}", soft_wrap=True)
         raise typer.Exit(2)
 
 

@@ -122,7 +122,7 @@ def status_command(folder: FolderArgument, as_json: JsonOption = False) -> None:
     if status.failed_attempts:
         out.print(f"{status.failed_attempts} attempts ended in infrastructure errors")
     for unit_id, message in status.given_up:
-        out.print(f"given up: {unit_id}: {message}", markup=False)
+        out.print(f"given up: {unit_id}: {message}")
     if len(status.codes) > 1:
         out.print(f"units were run with {len(status.codes)} versions of the code: {', '.join(status.codes)}")
 
@@ -284,15 +284,12 @@ def _status_table(status: "ExperimentStatus") -> Table:
 
 def _print_replay(done, rerun: Path | None) -> None:
     record, unit = done.record, done.unit
-    out.print(
-        f"unit {unit.unit_id} ({unit.cell}:{unit.index}): {record['outcome']} {record['message']}",
-        markup=False,
-    )
+    out.print(f"unit {unit.unit_id} ({unit.cell}:{unit.index}): {record['outcome']} {record['message']}")
     if done.recorded is None:
         out.print("not yet in the ledger")
     elif done.differing:
         for name in done.differing:
-            out.print(f"{name}: {record[name]!r}, in the ledger {done.recorded[name]!r}", markup=False)
+            out.print(f"{name}: {record[name]!r}, in the ledger {done.recorded[name]!r}")
         if record["code"] != done.recorded["code"]:
             out.print(f"the code has changed: the ledger is of commit {done.recorded['commit']}")
     else:

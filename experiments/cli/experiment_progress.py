@@ -17,10 +17,11 @@ if TYPE_CHECKING:
 @contextmanager
 def experiment_progress(name: str) -> Iterator[Callable[["Tally"], None]]:
     """Show a bar with rate, time left and estimates on stderr; yields its update callback."""
-    columns = (TextColumn(name), BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
+    texts = (TextColumn(f"{{task.{text}}}", markup=False) for text in ("fields[experiment]", "description"))
+    columns = (next(texts), BarColumn(), MofNCompleteColumn(), *texts)
     started_s = time.monotonic()
     with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as progress:
-        task = progress.add_task("starting")
+        task = progress.add_task("starting", experiment=name)
 
         def show(tally: "Tally") -> None:
             pace = pace_text(tally, time.monotonic() - started_s)

@@ -51,11 +51,9 @@ def _print_failure(row: dict) -> None:
 
     for bad in failed([row]):
         at = f" at {bad['stage']}" if bad["stage"] else ""
-        out.print(
-            f"seed {bad['seed']}, {bad['system']}: {bad['outcome']}{at}: {bad['message']}", markup=False
-        )
-        out.print(bad["traceback"].rstrip(), markup=False, soft_wrap=True)
-        out.print(f"again: {replay_command(bad)}", markup=False, soft_wrap=True)
+        out.print(f"seed {bad['seed']}, {bad['system']}: {bad['outcome']}{at}: {bad['message']}")
+        out.print(bad["traceback"].rstrip(), soft_wrap=True)
+        out.print(f"again: {replay_command(bad)}", soft_wrap=True)
 
 
 def _kinds(text: str) -> tuple:

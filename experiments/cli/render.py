@@ -1,9 +1,7 @@
 """``dslab render``: write frames and ground truth of a scenario."""
 
-import tempfile
 import time
 from contextlib import nullcontext
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -54,7 +52,7 @@ def render_command(
     from experiments.runs.sources import open_imu
     from scenarios.errors import InputError
     from scenarios.loading import load_scenario
-    from sim.io.folders import check_free
+    from sim.io.folders import check_free, scratch_beside
     from sim.io.forms import Form, write_sequence
     from sim.rendering.renderers import DEFAULT_RENDERER
     from sim.sequence_rendering import render_backend, render_sequence
@@ -66,15 +64,14 @@ def render_command(
     check_free(out_dir)
     started_s = time.monotonic()
     # Beside the result: the temporary disk may be too small.
-    scratch = tempfile.TemporaryDirectory(prefix=".dslab-", dir=out_dir.parent) if no_cache else nullcontext()
-    with scratch as folder, progress_bars() as show:
-        cache_dir = Path(folder) if folder else None
+    scratch = scratch_beside(out_dir) if no_cache else nullcontext()
+    with scratch as cache_dir, progress_bars() as show:
         sequence = render_sequence(spec, cache_dir=cache_dir, depth=depth, progress=show, backend=backend)
         readings = open_imu(scenario, sequence.stamps_s, seed) if form is FormatChoice.EUROC else None
         write_sequence(sequence, out_dir, Form(form.value), readings, depth, show)
     print_segments(sequence.segments)
     took_s = time.monotonic() - started_s
     frames = f"{len(sequence)} frames{', imu0' if readings else ''}"
-    out.print(f"{out_dir}: {frames} in {took_s:.1f} s", markup=False, soft_wrap=True)
+    out.print(f"{out_dir}: {frames} in {took_s:.1f} s", soft_wrap=True)
     if spec.imu and not readings:
         out.print("  inertial readings are left out, use --format euroc")

@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.syntax import Syntax
 from rich.table import Table
+from rich.text import Text
 
+from experiments.cli.console import out
 from experiments.cli.gallery import gallery_command
 
 CHECKED_SEEDS = 20
@@ -34,10 +35,10 @@ def list_scenarios() -> None:
     table = Table("family", "members", "drawn by the seed", show_lines=True)
     for name in library_names():
         family = load_family(name)
-        title = f"[bold]{name}[/bold]\n{family.description}"
+        title = Text.assemble((name, "bold"), "\n", family.description)
         drawn = [f"{field}: {words}" for field, words in describe_parameters(family).items()]
         table.add_row(title, describe_members(family) or "-", "\n".join(drawn) or "-")
-    Console().print(table)
+    out.print(table)
 
 
 @app.command()
@@ -59,11 +60,10 @@ def show(
 
     family = load_family(scenario)
     text = family.as_yaml() if seed is None else dump_yaml(family.sample(seed))
-    console = Console()
-    if console.is_terminal:
-        console.print(Syntax(text, "yaml", background_color="default"))
+    if out.is_terminal:
+        out.print(Syntax(text, "yaml", background_color="default"))
     else:
-        typer.echo(text, nl=False)
+        print(text, end="")
 
 
 @app.command()
@@ -86,11 +86,11 @@ def validate(
             one.sample(seed)
     if family.members or family.parameters:
         members = f"{len(family.members)} members, " if family.members else ""
-        typer.echo(f"{file}: valid, {family.name}, a family, {members}drawn with {CHECKED_SEEDS} seeds each")
+        print(f"{file}: valid, {family.name}, a family, {members}drawn with {CHECKED_SEEDS} seeds each")
         return
     scenario = family.sample(family.seed)
     segments = f"{len(scenario.segments)} segment{'' if len(scenario.segments) == 1 else 's'}"
-    typer.echo(f"{file}: valid, {scenario.name}, {scenario.duration_s:g} s, {segments}")
+    print(f"{file}: valid, {scenario.name}, {scenario.duration_s:g} s, {segments}")
 
 
 @app.command()
@@ -101,7 +101,7 @@ def schema() -> None:
     """
     from scenarios.schema import json_schema
 
-    typer.echo(json.dumps(json_schema(), indent=2))
+    print(json.dumps(json_schema(), indent=2))
 
 
 app.command("gallery")(gallery_command)

@@ -6,7 +6,6 @@ checked at every frame with an event, and at the end.
 
 import hashlib
 import json
-import tempfile
 import time
 import traceback
 from collections import deque
@@ -31,6 +30,7 @@ from scenarios.spec import Scenario
 from sim.io.folders import new_directory
 from sim.sequence import Sequence as ImageSequence
 from sim.sequence_rendering import render_sequence
+from sim.unfinished import scratch_folder
 from slam.core.events import Event
 from slam.core.results import TrackingResult
 from slam.invariants import InvariantError, check_result, check_system
@@ -125,9 +125,9 @@ def fuzz_unit(unit: FuzzUnit, build: SystemFactory | None = None) -> Iterator[di
     started = time.process_time()
     scenario = random_scenario(unit.seed)
     # These frames are used once: they are not kept in the cache.
-    with tempfile.TemporaryDirectory(prefix="dslab-") as cache:
+    with scratch_folder() as cache:
         try:
-            sequence = render_sequence(scenario, cache_dir=Path(cache))
+            sequence = render_sequence(scenario, cache_dir=cache)
         except Exception as error:
             for kind in unit.systems:
                 yield empty_row(unit, kind, scenario) | _failure(error, "render")

@@ -1,14 +1,14 @@
 """Build of a gallery: a folder with a page that shows scenarios."""
 
 from collections.abc import Callable, Generator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from contextlib import closing
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 from experiments.gallery.page import Entry, gallery_html
 from experiments.gallery.sheet import Sheet, make_sheet
+from experiments.runs.processes import process_pool
 from experiments.runs.provenance import DISTRIBUTION, commit, versions
 from scenarios.errors import InputError
 from scenarios.families import Family, family_names, load_family
@@ -100,14 +100,10 @@ def _sheets(samples: list[Scenario], frames: int, folder: Path, workers: int) ->
     if workers == 1:
         yield from (make_sheet(sample, frames, folder) for sample in samples)
         return
-    # Spawned, not forked: a process that holds a GL context must not fork.
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with process_pool(workers) as pool:
         futures = [pool.submit(_sheet_of_one_thread, sample, frames, folder) for sample in samples]
-        try:
-            for future in as_completed(futures):
-                yield future.result()
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+        for future in as_completed(futures):
+            yield future.result()
 
 
 def _sheet_of_one_thread(sample: Scenario, frames: int, folder: Path) -> Sheet:

@@ -23,6 +23,7 @@ from sim.io.forms import Form, detect_form, write_sequence
 from sim.io.text import check_words, read_rows, to_numbers
 from sim.io.truth import check_position, check_quaternion, half_interval_s, nearest, poses_of
 from sim.sequence import Sequence
+from sim.unfinished import scratch_folder
 from slam.core.results import MapTrajectory
 
 _TUM_NAMES = ["stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
@@ -97,8 +98,8 @@ def open_foreign_system(
         InputError: the command is empty or there is no such program; the disk is full.
     """
     words = check_command(command)
-    with tempfile.TemporaryDirectory(prefix="dslab-peer-") as name:
-        scratch, folder = Path(name), Path(source)
+    with scratch_folder() as scratch:
+        folder = Path(source)
         if not (is_folder(folder) and detect_form(folder) is Form.TUM):
             folder = scratch / "sequence"
             write_sequence(sequence, folder, Form.TUM, progress=progress)

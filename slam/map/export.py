@@ -4,8 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 
+from slam.colmap import pycolmap
 from slam.core.camera import PinholeCamera
 from slam.map.map import Map
 

@@ -13,7 +13,8 @@ import subprocess
 import sys
 
 import numpy as np
-import pycolmap
+
+from slam.colmap import pycolmap
 
 HUBER_DELTA = 5.991**0.5
 

@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
+from killed import killed_in_a_folder
 
 from scenarios.errors import InputError
 from sim import cache
@@ -101,14 +102,14 @@ def test_the_entries_used_longest_ago_go_first(tmp_path):
     assert "newest" in left and "old" in left and "oldest" not in left
 
 
-def test_leftovers_of_a_killed_process_are_cleared_a_day_later(tmp_path):
-    dead, busy = tmp_path / f"{cache._UNFINISHED}dead", tmp_path / f"{cache._UNFINISHED}busy"
-    dead.mkdir()
-    busy.mkdir()
-    os.utime(dead, (time.time() - 2 * 24 * 3600,) * 2)
-    store(tmp_path, "k")
-    assert not dead.exists()
-    assert busy.exists()
+def test_what_a_killed_process_left_is_cleared_by_the_next_and_what_is_at_work_stays(tmp_path):
+    with FolderCache(tmp_path).create("slow") as busy:
+        (busy / "data.bin").write_text("half")
+        killed_in_a_folder(tmp_path, cache.UNFINISHED)
+        assert len(list(tmp_path.iterdir())) == 2
+        store(tmp_path, "k")
+        assert sorted(path.name for path in tmp_path.iterdir()) == [busy.parent.name, "k"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["k", "slow"]
 
 
 def test_an_unusable_cache_folder_is_an_input_error(tmp_path):

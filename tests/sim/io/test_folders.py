@@ -1,11 +1,13 @@
 """Folders are written whole or not at all, however the work ends."""
 
 import errno
+import os
 
 import pytest
+from killed import killed_in_a_folder
 
 from scenarios.errors import InputError
-from sim.io.folders import check_free, new_directory
+from sim.io.folders import check_free, new_directory, scratch_beside, write_file
 
 
 def left_behind(root) -> list[str]:
@@ -92,3 +94,112 @@ def test_a_failed_replacement_leaves_the_earlier_result(tmp_path):
     with pytest.raises(RuntimeError), new_directory(old, replaces="marker"):
         raise RuntimeError
     assert left_behind(old) == ["marker"]
+
+
+def put_a_file(place):
+    place.mkdir(exist_ok=True)
+    (place / "precious").write_text("mine")
+
+
+def put_a_file_in_its_place(place):
+    if place.exists():
+        place.rmdir()
+    place.write_text("mine")
+
+
+def refused_at_the_end(place, work, replaces=None) -> str:
+    """The remedy of the error that ends work which finds its place taken."""
+
+    def whole():
+        with new_directory(place, replaces) as folder:
+            work(folder)
+
+    with pytest.raises(InputError, match="taken or changed") as caught:
+        whole()
+    return caught.value.remedy
+
+
+@pytest.mark.parametrize("is_there", [False, True], ids=["absent", "empty"])
+@pytest.mark.parametrize("comes", [put_a_file, put_a_file_in_its_place])
+def test_what_came_meanwhile_stays_and_the_result_is_kept_beside_it(tmp_path, is_there, comes):
+    place = tmp_path / "a"
+    if is_there:
+        place.mkdir()
+
+    def work(folder):
+        (folder / "x").write_text("1")
+        comes(place)
+
+    remedy = refused_at_the_end(place, work)
+    assert (place if place.is_file() else place / "precious").read_text() == "mine"
+    assert remedy.endswith(f" {tmp_path / 'a-2'}")
+    assert (tmp_path / "a-2" / "x").read_text() == "1"
+    assert left_behind(tmp_path) == ["a", "a-2"]
+
+
+def test_of_two_works_into_one_folder_both_are_kept(tmp_path):
+    (tmp_path / "a-2").write_text("another")
+
+    def work(slow):
+        (slow / "x").write_text("slow")
+        with new_directory(tmp_path / "a") as fast:
+            (fast / "x").write_text("fast")
+
+    assert refused_at_the_end(tmp_path / "a", work).endswith("a-3")
+    assert [(tmp_path / name / "x").read_text() for name in ("a", "a-3")] == ["fast", "slow"]
+    assert left_behind(tmp_path) == ["a", "a-2", "a-3"]
+
+
+@pytest.mark.parametrize("name", ["notes", "marker"])
+def test_of_a_result_to_be_replaced_only_what_was_there_at_the_start_goes(tmp_path, name):
+    old = tmp_path / "old"
+    put_a_file(old)
+    (old / "marker").write_text("1")
+
+    def work(folder):
+        (folder / "marker").write_text("new")
+        (old / name).write_text("changed")
+
+    assert refused_at_the_end(old, work, "marker").endswith("old-2")
+    assert (old / name).read_text() == "changed" and (old / "precious").read_text() == "mine"
+    assert (tmp_path / "old-2" / "marker").read_text() == "new"
+    assert left_behind(tmp_path) == ["old", "old-2"]
+
+
+def test_a_result_to_be_replaced_may_be_removed_meanwhile(tmp_path):
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "marker").write_text("1")
+    with new_directory(tmp_path / "old", replaces="marker") as folder:
+        (folder / "marker").write_text("new")
+        (tmp_path / "old").rename(tmp_path / "elsewhere")
+    assert left_behind(tmp_path) == ["elsewhere", "old"]
+
+
+def test_what_a_killed_process_left_goes_when_the_place_is_written_again(tmp_path):
+    killed_in_a_folder(tmp_path, ".a.partial-")
+    with new_directory(tmp_path / "a"):
+        assert len(left_behind(tmp_path)) == 1
+    killed_in_a_folder(tmp_path, ".x.json.partial-")
+    write_file(tmp_path / "x.json", lambda path: path.write_text("1"))
+    assert left_behind(tmp_path) == ["a", "x.json"]
+
+
+def test_the_longest_names_can_be_written(tmp_path):
+    name = "a" * 255
+    assert refused_at_the_end(tmp_path / name, lambda _: put_a_file(tmp_path / name)).endswith("a-2")
+    write_file(tmp_path / name[1:], lambda path: path.write_text("1"))
+    assert left_behind(tmp_path) == sorted([name, name[1:], f"{name[:48]}-2"])
+
+
+def test_a_mount_point_is_refused_before_any_work(tmp_path, monkeypatch):
+    monkeypatch.setattr(os.path, "ismount", lambda path: path == tmp_path)
+    with pytest.raises(InputError, match="mount point"):
+        check_free(tmp_path)
+
+
+def test_a_scratch_folder_beside_a_result_goes_with_its_parents(tmp_path):
+    with scratch_beside(tmp_path / "a" / "b") as folder:
+        assert folder.parents[2] == tmp_path
+    with pytest.raises(InputError, match="disk is full"), scratch_beside(tmp_path / "a" / "b"):
+        raise OSError(errno.ENOSPC, "no space")
+    assert left_behind(tmp_path) == []

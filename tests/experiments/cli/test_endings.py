@@ -1,0 +1,174 @@
+"""How a command ends: by signals, and when what it prints cannot be encoded or written."""
+
+import ctypes
+import errno
+import io
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from rich.table import Table
+from slam_fakes import fake_factory, make_sequence
+
+from experiments.cli import console
+from experiments.cli.experiment_progress import experiment_progress
+from experiments.cli.signals import signals_as_interrupts
+from experiments.cli.streams import safe_streams
+from experiments.runs import slam_settings, sources
+
+HOSTILE = "a[/b] :smile: [red]\udcff{x}"
+
+
+@pytest.fixture
+def source(monkeypatch):
+    """`dslab run` of any source runs the fake system over a synthetic sequence."""
+    sequence = make_sequence()
+    monkeypatch.setattr(sources, "open_sequence", lambda source, seed, show, **options: sequence)
+    monkeypatch.setattr(slam_settings, "factory_of", lambda settings: fake_factory(sequence))
+
+
+def wait_for_the_signal():
+    for _ in range(200):
+        time.sleep(0.01)
+    pytest.fail("no interruption")
+
+
+@pytest.mark.parametrize(
+    ("sent", "words"),
+    [("SIGINT", "interrupted"), ("SIGTERM", "ended by SIGTERM"), ("SIGHUP", "ended by SIGHUP")],
+)
+def test_a_signal_is_one_line_and_128_plus_its_number_and_leaves_nothing(
+    dslab, monkeypatch, source, tmp_path, sent, words
+):
+    def signalled(*_, **__):
+        os.kill(os.getpid(), getattr(signal, sent))
+        wait_for_the_signal()
+
+    monkeypatch.setattr("experiments.result_folder.execute_recorded", signalled)
+    before = signal.getsignal(signal.SIGTERM)
+    code, out, err = dslab("run", "x", "--out", tmp_path / "a" / "o")
+    assert (code, out) == (128 + getattr(signal, sent), "")
+    assert err.splitlines() == [f"{words}: nothing half-written is left"]
+    assert list(tmp_path.iterdir()) == [] and signal.getsignal(signal.SIGTERM) is before
+
+
+def test_what_fails_after_a_signal_is_still_an_interruption(dslab, monkeypatch, source, tmp_path):
+    def signalled(*_, **__):
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            wait_for_the_signal()
+        finally:
+            raise RuntimeError("a process of the group has ended too")
+
+    monkeypatch.setattr(sources, "open_sequence", signalled)
+    code, _, err = dslab("run", "x", "--out", tmp_path / "o")
+    assert code == 143 and err.count("\n") == 1
+
+
+def test_a_signal_that_is_ignored_stays_ignored(monkeypatch):
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with signals_as_interrupts() as received:
+            os.kill(os.getpid(), signal.SIGHUP)
+            time.sleep(0.01)
+        assert received == [] and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_further_signals_do_not_cut_the_clearing_up():
+    cleared = []
+
+    def work():
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            wait_for_the_signal()
+        finally:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(0.01)
+            cleared.append(True)
+
+    with signals_as_interrupts() as received, pytest.raises(KeyboardInterrupt):
+        work()
+    assert cleared and received == [signal.SIGTERM] * 2
+
+
+def test_an_interruption_that_a_callback_swallows_comes_again():
+    @ctypes.CFUNCTYPE(None)
+    def callback():
+        os.kill(os.getpid(), signal.SIGTERM)
+        for _ in range(10):
+            pass
+
+    def work():
+        callback()
+        wait_for_the_signal()
+
+    with signals_as_interrupts(), pytest.raises(KeyboardInterrupt):
+        work()
+
+
+def test_the_solver_leaves_sigterm_alone():
+    program = "import slam.colmap, os, signal; os.kill(os.getpid(), signal.SIGTERM)"
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, check=False, timeout=60)
+    assert (ended.returncode, ended.stderr) == (-signal.SIGTERM, b"")
+
+
+class Full(io.StringIO):
+    """A stream on a device that is full, or a pipe that is closed."""
+
+    def __init__(self, fault: int) -> None:
+        super().__init__()
+        self.fault = fault
+
+    def write(self, text: str) -> int:
+        raise OSError(self.fault, os.strerror(self.fault))
+
+
+@pytest.mark.parametrize(("fault", "code", "lines"), [(errno.ENOSPC, 1, 1), (errno.EPIPE, 141, 0)])
+@pytest.mark.parametrize("command", [["paper"], ["paper", "--json"], ["--version"], ["scenarios", "schema"]])
+def test_output_that_cannot_be_written_is_an_ending(dslab, monkeypatch, fault, code, lines, command):
+    monkeypatch.setattr(sys, "stdout", Full(fault))
+    ended, _, err = dslab(*command)
+    assert ended == code and len(err.splitlines()) == lines
+    if lines:
+        assert err.startswith("error: standard output: cannot be written (No space left")
+
+
+def test_errors_that_cannot_be_written_do_not_end_the_work(dslab, monkeypatch, source, tmp_path):
+    monkeypatch.setattr(sys, "stderr", Full(errno.ENOSPC))
+    assert dslab("run", "x", "--out", tmp_path / "o")[0] == 0
+    assert dslab("run", "x", "--out", tmp_path / "o")[0] == 2
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+def test_whatever_is_in_a_name_is_printed(dslab, monkeypatch, source, tmp_path, encoding):
+    raw = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(raw, encoding, write_through=True))
+    code, *_ = dslab("run", "x", "--out", tmp_path / HOSTILE)
+    assert code == 0 and (tmp_path / HOSTILE).is_dir()
+    said = raw.getvalue().decode(encoding).replace("\n", "")
+    assert HOSTILE.replace("\udcff", "\\udcff") in said
+
+
+def test_whatever_is_in_a_name_is_shown_in_progress(monkeypatch):
+    shown = io.StringIO()
+    terminal = console.Console(file=shown, force_terminal=True, width=200)
+    monkeypatch.setattr("experiments.cli.console.err", terminal)
+    monkeypatch.setattr("experiments.cli.experiment_progress.err", terminal)
+    with console.progress_bars() as show:
+        show(HOSTILE, 1, 2)
+    with experiment_progress(HOSTILE):
+        pass
+    assert shown.getvalue().count(HOSTILE) >= 2
+
+
+def test_a_table_parses_no_markup(capsys):
+    table = Table("x", title=HOSTILE)
+    table.add_row(HOSTILE)
+    with safe_streams():
+        console.out.print(table)
+    assert capsys.readouterr().out.count("[/b]") == 2
