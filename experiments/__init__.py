@@ -7,6 +7,8 @@ when first used: ``import experiments`` loads no GL and compiles nothing.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from experiments.kernel_cache import choose_kernel_cache
+
 if TYPE_CHECKING:
     from experiments.api import Run, compare, run, run_experiment
     from experiments.campaign.folder import read_experiment
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
     from experiments.statistics.analysis import analyse
     from experiments.statistics.kinds_of_world import kinds_of_world
     from experiments.statistics.results import Analysis, AnalysisSettings
+
+choose_kernel_cache()
 
 _HOMES = {
     "Analysis": "experiments.statistics.results",

@@ -21,6 +21,7 @@ from sim.motion.base import Motion
 from sim.rendering.lens_renderer import lens_renderer
 from sim.rendering.renderer import Renderer
 from sim.rendering.renderers import DEFAULT_RENDERER, load_renderer
+from sim.room import check_memory
 from sim.sensors.camera import Intrinsics
 from sim.sensors.distortion import Lens
 from sim.sensors.exposure import expose
@@ -307,6 +308,7 @@ def _survey(
         cy=(camera.cy_px + 0.5) * scale - 0.5,
     )
     poses = plan.motion.T_world_cam(plan.stamps_s)
+    check_memory("view shares", len(poses), 4 * len(poses) * len(world.surfaces))
     shares = np.zeros((len(poses), len(world.surfaces)), np.float32)
     renderer = lens_renderer(partial(backend.renderer, world), small)
     try:

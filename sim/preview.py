@@ -18,6 +18,7 @@ from sim.frame_plan import (
     rendered_clean_frames,
 )
 from sim.io.raw import RawFrames
+from sim.room import check_memory, check_room
 from sim.unfinished import scratch_folder
 from sim.worlds.base import WorldModel
 
@@ -54,6 +55,7 @@ class Preview:
         kept[list(indices)] = True
         part, camera, seed = self.plan.only(kept), self.scenario.camera, self.scenario.seed
         own = camera_intrinsics(camera)
+        check_memory(self.scenario.name, len(indices), 2 * len(indices) * own.width_px * own.height_px)
         chain = ImageChain(
             self.scenario.segments,
             own,
@@ -83,8 +85,9 @@ def preview(scenario: Scenario, backend: RenderBackend | None = None) -> Preview
         backend: worlds and renderer; None for MuJoCo.
 
     Raises:
-        InputError: no GL, or the world's sizes do not fit.
+        InputError: no GL, the world's sizes do not fit, or the plan does not fit into the memory.
     """
+    check_room(scenario.name, scenario.frame_count, [])
     backend = backend or mujoco_backend()
     plan, world = plan_frames(scenario, scenario.seed, backend, lambda step, done, total: None)
     return Preview(scenario, plan, world, backend)

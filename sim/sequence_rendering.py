@@ -4,6 +4,7 @@ import hashlib
 import json
 import platform
 from collections.abc import Callable
+from collections.abc import Sequence as Many
 from contextlib import nullcontext
 from dataclasses import asdict
 from functools import cache, partial
@@ -42,6 +43,7 @@ from sim.frame_plan import (
 from sim.io.folders import check_free
 from sim.io.raw import RawFrames, stored_array, stored_columns
 from sim.io.tum import write_tum
+from sim.room import Need, check_room, images_need
 from sim.sequence import SegmentTruth, Sequence
 
 __all__ = [
@@ -77,6 +79,8 @@ def render_sequence(
     depth: bool = False,
     progress: Progress | None = None,
     backend: RenderBackend | None = None,
+    needs: Many[Need] = (),
+    force: bool = False,
 ) -> Sequence:
     """Render a scenario, or read it from the cache.
 
@@ -92,15 +96,19 @@ def render_sequence(
         depth: keep depth images too.
         progress: called after every frame.
         backend: worlds and renderer; None for MuJoCo.
+        needs: what the caller will write of the sequence, so that its room is checked beforehand too.
+        force: begin even if disks and memory seem too small, or the frames are very many.
 
     Raises:
-        InputError: no GL, the world's sizes do not fit, a folder cannot be written, the disk is full.
+        InputError: no GL, the world's sizes do not fit, there is no room for the frames, a folder cannot be
+            written, the disk is full.
     """
     seed = scenario.seed if seed is None else seed
     backend = backend or mujoco_backend()
     progress = progress or (lambda step, done, total: None)
     if out_dir is not None:
         check_free(out_dir)
+        needs = [*needs, images_need_of(scenario, out_dir, depth)]
     meta = _provenance(scenario, seed, backend)
     store = FolderCache(cache_dir)
     # Inertial readings change no frame.
@@ -109,12 +117,33 @@ def render_sequence(
     opened = partial(_open, scenario=scenario, meta=meta, depth=depth)
     sequence = _cached(store, key, opened)
     if sequence is None:
+        needs = [*needs, Need(store.root, _stacks_bytes(scenario, depth))]
+    check_room(scenario.name, scenario.frame_count, needs, force)
+    if sequence is None:
         with store.create(key) as folder:
             _render_into(folder, scenario, seed, depth, backend, store, progress)
         sequence = opened(store.root / key)
     if out_dir is not None:
         write_tum(sequence, out_dir, depth=depth, progress=progress)
     return sequence
+
+
+def images_need_of(scenario: Scenario, out_dir: Path, depth: bool = False) -> Need:
+    """What a scenario needs as a sequence folder, at worst."""
+    camera = scenario.camera
+    return images_need(out_dir, scenario.frame_count, (camera.width_px, camera.height_px), depth)
+
+
+def _stacks_bytes(scenario: Scenario, depth: bool) -> int:
+    """Size of the stacks of frames in the cache: the clean ones have depth, and may be larger for a lens."""
+    of_frames = 5 if depth else 1
+    of_clean_frames = 5 if _has_image_segments(scenario) else 0
+    pixels = scenario.frame_count * scenario.camera.width_px * scenario.camera.height_px
+    return pixels * (of_frames + of_clean_frames)
+
+
+def _has_image_segments(scenario: Scenario) -> bool:
+    return any(isinstance(segment, ImageSegment) for segment in scenario.segments)
 
 
 def _render_into(
@@ -128,7 +157,7 @@ def _render_into(
 ) -> None:
     """Write the frames and the truth of a sequence into a folder of the cache."""
     camera = scenario.camera
-    if any(isinstance(segment, ImageSegment) for segment in scenario.segments):
+    if _has_image_segments(scenario):
         view_share, stored = _clean_frames_of(scenario, seed, backend, store, progress)
         plan = plan_in_world(scenario, seed, backend, view_share.shape[1], lambda plan: view_share)
         clean_frames = nullcontext(stored)

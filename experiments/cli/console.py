@@ -59,6 +59,9 @@ RendererOption = Annotated[
 ]
 SourceArgument = Annotated[str, typer.Argument(help="A sequence folder, a scenario's name or its YAML file.")]
 FolderOption = Annotated[Path, typer.Option("--out", help="Output folder; absent or empty.")]
+ForceOption = Annotated[
+    bool, typer.Option("--force", help="Begin even if the frames seem too many for the disk or the memory.")
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one line of JSON.")]
 
 

@@ -8,6 +8,7 @@ import typer
 from experiments.cli.console import (
     MOST_SEED,
     FolderOption,
+    ForceOption,
     FormatChoice,
     out,
     print_segments,
@@ -36,6 +37,7 @@ def degrade_command(
     seed: Annotated[
         int, typer.Option(min=0, max=MOST_SEED, help="Root seed of random effects in the segments.")
     ] = 0,
+    force: ForceOption = False,
 ) -> None:
     """Degrade a folder in TUM, KITTI, EuRoC or TUM-mono form.
 
@@ -58,6 +60,7 @@ def degrade_command(
     from sim.degradations.recorded_sequences import check_recorded_sequence, degrade_sequence
     from sim.io.folders import check_free, scratch_beside
     from sim.io.forms import Form, detect_form, load_sequence, sequence_folder, write_sequence
+    from sim.room import check_room, images_need
 
     segments = [parse_segment(text) for text in segment]
     sequence = load_sequence(source)
@@ -66,6 +69,10 @@ def degrade_command(
     target = Form(form.value) if form else Form.TUM if found is Form.TUM_MONO else found
     readings = open_imu(str(source), sequence.stamps_s) if target is Form.EUROC else None
     check_free(out_dir)
+    # The degraded frames twice: as a stack, then as images.
+    size_px = sequence.camera.width_px, sequence.camera.height_px
+    images = images_need(out_dir, len(sequence), size_px, sequence.depths is not None)
+    check_room(str(source), len(sequence), [images_need(out_dir, len(sequence), size_px), images], force)
     single_threaded_opencv()
     # Beside the result: the temporary disk may be too small.
     with scratch_beside(out_dir) as scratch, progress_bars() as show:

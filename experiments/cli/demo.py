@@ -8,7 +8,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from experiments.cli.console import number, out, progress_bars, share, single_threaded_opencv
+from experiments.cli.console import ForceOption, number, out, progress_bars, share, single_threaded_opencv
 
 SCENARIO = "breakage"
 """Default scenario of the demonstration."""
@@ -20,6 +20,7 @@ def demo_command(
     ] = Path("out/demo"),
     scenario: Annotated[str, typer.Option(help="Scenario: a name or a YAML file.")] = SCENARIO,
     seed: Annotated[int | None, typer.Option(min=0, help="Root seed; default: that of the scenario.")] = None,
+    force: ForceOption = False,
 ) -> None:
     """Render a scenario that breaks the base, run base and Dual-SLAM, and show the results.
 
@@ -37,7 +38,7 @@ def demo_command(
     single_threaded_opencv()
     spec = load_scenario(scenario, seed)
     with progress_bars() as show:
-        sequence = render_sequence(spec, progress=show)
+        sequence = render_sequence(spec, progress=show, force=force)
         summaries = run_demo(sequence, spec.seed, out_dir, show)
     title = f"{spec.name}, seed {spec.seed}, {spec.duration_s:g} s, {len(sequence)} frames"
     out.print(demo_table(summaries, title))

@@ -8,6 +8,7 @@ import typer
 from rich.table import Table
 
 from experiments.cli.console import err, out
+from experiments.kernel_cache import VARIABLE
 from scenarios.errors import InputError
 
 
@@ -76,7 +77,7 @@ def _kernel_cache() -> str:
     import slam
 
     root = Path(str(slam.__file__)).parent
-    if named := os.environ.get("NUMBA_CACHE_DIR"):
+    if named := os.environ.get(VARIABLE):
         root = Path(named)
     return _folder(root, ("*.nbi", "*.nbc"))
 

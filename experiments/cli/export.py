@@ -4,7 +4,14 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli.console import FolderOption, FormatChoice, SourceArgument, out, progress_bars
+from experiments.cli.console import (
+    FolderOption,
+    ForceOption,
+    FormatChoice,
+    SourceArgument,
+    out,
+    progress_bars,
+)
 
 
 def export_command(
@@ -30,6 +37,7 @@ def export_command(
             show_default=False,
         ),
     ] = None,
+    force: ForceOption = False,
 ) -> None:
     """Write a sequence or scenario in TUM, KITTI or EuRoC form, with ground truth.
 
@@ -54,7 +62,7 @@ def export_command(
         raise InputError("--depth", f"the form {form} has no depth images", "use --format tum")
     check_free(out_dir)
     with progress_bars() as show:
-        sequence = open_sequence(source, seed, show, depth=bool(depth))
+        sequence = open_sequence(source, seed, show, depth=bool(depth), out_dir=out_dir, force=force)
         readings = None
         if form is FormatChoice.EUROC:
             readings = open_imu(source, sequence.stamps_s, seed, imu)

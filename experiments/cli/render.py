@@ -8,6 +8,7 @@ import typer
 
 from experiments.cli.console import (
     FolderOption,
+    ForceOption,
     FormatChoice,
     RendererOption,
     out,
@@ -36,6 +37,7 @@ def render_command(
     no_cache: Annotated[
         bool, typer.Option("--no-cache", help="Render without using or filling the cache.")
     ] = False,
+    force: ForceOption = False,
 ) -> None:
     """Render a scenario in TUM, KITTI or EuRoC form: frames, exact ground truth, segments.
 
@@ -55,7 +57,7 @@ def render_command(
     from sim.io.folders import check_free, scratch_beside
     from sim.io.forms import Form, write_sequence
     from sim.rendering.renderers import DEFAULT_RENDERER
-    from sim.sequence_rendering import render_backend, render_sequence
+    from sim.sequence_rendering import images_need_of, render_backend, render_sequence
 
     spec = load_scenario(scenario, seed)
     if depth and form is not FormatChoice.TUM:
@@ -66,7 +68,15 @@ def render_command(
     # Beside the result: the temporary disk may be too small.
     scratch = scratch_beside(out_dir) if no_cache else nullcontext()
     with scratch as cache_dir, progress_bars() as show:
-        sequence = render_sequence(spec, cache_dir=cache_dir, depth=depth, progress=show, backend=backend)
+        sequence = render_sequence(
+            spec,
+            cache_dir=cache_dir,
+            depth=depth,
+            progress=show,
+            backend=backend,
+            needs=[images_need_of(spec, out_dir, depth)],
+            force=force,
+        )
         readings = open_imu(scenario, sequence.stamps_s, seed) if form is FormatChoice.EUROC else None
         write_sequence(sequence, out_dir, Form(form.value), readings, depth, show)
     print_segments(sequence.segments)

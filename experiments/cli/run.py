@@ -10,6 +10,7 @@ from rich.table import Table
 
 from experiments.cli.console import (
     MOST_SEED,
+    ForceOption,
     ModeChoice,
     ModeOption,
     RealTimeOption,
@@ -77,6 +78,7 @@ def run_command(
         bool, typer.Option("--map", help="Write the map too, as a COLMAP model with points.ply.")
     ] = False,
     rerun: Annotated[bool, typer.Option("--rerun", help="Write recording.rrd too.")] = False,
+    force: ForceOption = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one line of JSON.")] = False,
 ) -> None:
     """Run SLAM over a sequence folder or a scenario and write its result folder.
@@ -112,7 +114,7 @@ def run_command(
     check_free(out_dir)
     single_threaded_opencv()
     with progress_bars() as show:
-        sequence = open_sequence(source, seed, show, renderer=renderer)
+        sequence = open_sequence(source, seed, show, renderer=renderer, force=force)
         if real_time:
             # Compiling and loading kernels would be taken for slowness.
             warm_up(show)

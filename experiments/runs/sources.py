@@ -8,6 +8,7 @@ import numpy as np
 
 from scenarios.errors import InputError
 from scenarios.input_files import is_folder, is_given
+from sim.room import check_room, images_need
 from sim.sensors.imu import ImuReadings, ImuTruth
 from sim.sequence import Sequence
 
@@ -21,6 +22,8 @@ def open_sequence(
     progress: Progress | None = None,
     depth: bool = False,
     renderer: str | None = None,
+    out_dir: Path | None = None,
+    force: bool = False,
 ) -> Sequence:
     """Load a sequence folder, or render a scenario or read it from the cache.
 
@@ -31,9 +34,12 @@ def open_sequence(
         progress: called with (step, frames done, frames in all) while rendering.
         depth: render a scenario with depth images; no effect on a folder.
         renderer: renderer of a scenario, one of ``sim.rendering.renderers``; None for the default one.
+        out_dir: where the caller will write the images, so that there is room; None for nowhere.
+        force: begin even if disks and memory seem too small, or the frames are very many.
 
     Raises:
-        InputError: the source does not exist or is not valid, or a renderer is named for a folder.
+        InputError: the source does not exist or is not valid, a renderer is named for a folder, or there is
+            no room for the frames.
     """
     path = Path(source)
     if is_folder(path):
@@ -43,6 +49,10 @@ def open_sequence(
         from sim.io.forms import load_sequence
 
         sequence = load_sequence(path)
+        if out_dir is not None:
+            size_px = sequence.camera.width_px, sequence.camera.height_px
+            needs = [images_need(out_dir, len(sequence), size_px, sequence.depths is not None)]
+            check_room(str(path), len(sequence), needs, force)
         names = _image_names(path)
         return replace(sequence, image_names=names) if len(names) == len(sequence) else sequence
     from scenarios.families import is_scenario_name
@@ -52,10 +62,14 @@ def open_sequence(
         raise InputError(
             source, "no such folder", "check the path, or name a scenario (dslab scenarios list)"
         )
-    from sim.sequence_rendering import render_backend, render_sequence
+    from sim.sequence_rendering import images_need_of, render_backend, render_sequence
 
     backend = render_backend(renderer) if renderer is not None else None
-    return render_sequence(load_scenario(source, seed), depth=depth, progress=progress, backend=backend)
+    scenario = load_scenario(source, seed)
+    needs = [] if out_dir is None else [images_need_of(scenario, out_dir, depth)]
+    return render_sequence(
+        scenario, depth=depth, progress=progress, backend=backend, needs=needs, force=force
+    )
 
 
 def open_imu(
