@@ -7,7 +7,11 @@ import numpy as np
 
 from experiments.evaluation.scene import lay_out
 from experiments.runs.execution import RunRecord
+from scenarios.errors import InputError
+from scenarios.input_files import is_given
+from sim.cache import CorruptEntryError
 from sim.io.folders import write_file
+from sim.io.raw import stored_archive
 
 PATHS_FILE = "trajectories.npz"
 WHICH = ("truth", "base", "dual")
@@ -43,21 +47,32 @@ def add_paths(folder: Path, unit_id: str, paths: Paths) -> None:
     """Store the paths of a unit in the folder's file, replacing earlier ones."""
     file = folder / PATHS_FILE
     arrays = {f"{unit_id}.{which}": path for which, path in paths.items()}
-    if file.is_file():
-        with np.load(file, allow_pickle=False) as earlier:
-            arrays = {name: earlier[name] for name in earlier.files} | arrays
+    if is_given(file):
+        arrays = _arrays(file) | arrays
     write_file(file, lambda path: np.savez_compressed(path, **arrays))
 
 
 def read_paths(folder: Path) -> dict[str, Paths]:
     """Paths of the first few replayed units by unit id."""
     file = folder / PATHS_FILE
-    if not file.is_file():
+    if not is_given(file):
         return {}
     found: dict[str, Paths] = {}
-    with np.load(file, allow_pickle=False) as arrays:
-        for name in arrays.files:
-            unit, _, which = name.rpartition(".")
-            if which in WHICH:
-                found.setdefault(unit, {})[which] = arrays[name]
+    for name, path in _arrays(file).items():
+        unit, _, which = name.rpartition(".")
+        if which in WHICH:
+            found.setdefault(unit, {})[which] = path
     return dict(list(found.items())[:_SHOWN])
+
+
+def _arrays(file: Path) -> dict[str, np.ndarray]:
+    """The paths in a file by name. Raises InputError if it holds anything else."""
+    remedy = "delete it, the next report with recordings writes it anew"
+    try:
+        arrays = stored_archive(file)
+    except CorruptEntryError as error:
+        raise InputError(str(file), f"is no file of paths ({error})", remedy) from None
+    for name, path in arrays.items():
+        if path.ndim != 2 or path.shape[1] != 3 or path.dtype.kind != "f":
+            raise InputError(f"{file}: {name}", "is no path of positions", remedy)
+    return arrays

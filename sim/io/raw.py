@@ -8,6 +8,8 @@ from types import TracebackType
 
 import numpy as np
 
+from scenarios.errors import InputError
+from scenarios.input_files import open_file
 from sim.cache import CorruptEntryError
 
 # What NumPy raises for files that are no array or archive of arrays, by the place of the damage.
@@ -105,20 +107,30 @@ def stored_array(path: Path, shape: tuple[int | None, ...], dtype: type) -> np.n
     return array
 
 
+def stored_archive(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of an .npz file by name, sorted.
+
+    Raises:
+        CorruptEntryError: the file holds anything else.
+    """
+    try:
+        open_file(path).close()
+        archive = np.load(path)
+        if not isinstance(archive, np.lib.npyio.NpzFile):
+            raise ValueError("no archive")
+        with archive:
+            return {name: archive[name] for name in sorted(archive.files)}
+    except (InputError, *_UNREADABLE) as error:
+        raise CorruptEntryError(f"{path.name} holds no arrays: {error}") from None
+
+
 def stored_columns(path: Path, count: int) -> dict[str, np.ndarray]:
     """The columns, (count,) float64 each, of an .npz file, by name.
 
     Raises:
         CorruptEntryError: the file holds anything else.
     """
-    try:
-        archive = np.load(path)
-        if not isinstance(archive, np.lib.npyio.NpzFile):
-            raise ValueError("no archive")
-        with archive:
-            columns = {name: archive[name] for name in sorted(archive.files)}
-    except _UNREADABLE as error:
-        raise CorruptEntryError(f"{path.name} holds no columns: {error}") from None
+    columns = stored_archive(path)
     for name, column in columns.items():
         if column.shape != (count,) or column.dtype != np.float64:
             raise CorruptEntryError(f"{path.name}: {name} has shape {column.shape} of {column.dtype}")
