@@ -178,9 +178,10 @@ def run_experiment(
     Raises:
         InputError: the spec is not valid, or the folder holds something else.
     """
+    from experiments.campaign.clusters import open_worker_pool
     from experiments.campaign.runner import run_experiment as run_units
     from experiments.campaign.stopping import stopping_rule
-    from experiments.campaign.worker_pool import WorkerPoolSettings, open_worker_pool
+    from experiments.campaign.worker_pool import WorkerPoolSettings
     from experiments.eq1.spec import load_spec
     from experiments.eq1.trial import run_unit
 

@@ -1,4 +1,4 @@
-"""The exception for bad input, with place, problem and remedy."""
+"""The exceptions for what a user can mend, with place, problem and remedy."""
 
 
 class InputError(Exception):
@@ -10,6 +10,8 @@ class InputError(Exception):
         remedy: advice for the user.
     """
 
+    exit_code = 2
+
     def __init__(self, where: str, problem: str, remedy: str) -> None:
         self.where, self.problem, self.remedy = where, problem, remedy
         super().__init__(f"{where}: {problem}; {remedy}")
@@ -17,3 +19,9 @@ class InputError(Exception):
     def __reduce__(self) -> tuple[type["InputError"], tuple[str, str, str]]:
         """Pickle the parts: an exception is rebuilt from its message alone otherwise."""
         return type(self), (self.where, self.problem, self.remedy)
+
+
+class MachineError(InputError):
+    """A fault of the machine, not of the input: one clear line, exit code 1."""
+
+    exit_code = 1

@@ -9,9 +9,10 @@ from typing import Any
 
 import psutil
 
+from experiments.campaign.clusters import embedded_worker_pool
 from experiments.campaign.schedule import Experiment
 from experiments.campaign.unit_job import Job, unit_record
-from experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings, embedded_worker_pool
+from experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings
 from experiments.eq1.records import Outcome
 from experiments.eq1.units import UnitSpec
 from experiments.runs.provenance import usable_cores

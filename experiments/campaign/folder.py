@@ -5,11 +5,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from experiments.campaign.folder_lock import LOCK_FILE
-from experiments.campaign.ledger import ERROR_COLUMNS, LEDGER_FILE, Ledger
+from experiments.campaign.ledger import LEDGER_FILE, Ledger
 from experiments.campaign.schedule import Experiment
-from experiments.eq1.record_table import arrow_table, typed
+from experiments.campaign.table_file import read_table, table_has_digest, write_errors, write_table
+from experiments.eq1.record_table import data_frame
 from scenarios.errors import InputError
-from scenarios.input_files import is_given, open_file
+from scenarios.input_files import is_given
 from sim.io.folders import unwritable, write_file
 
 if TYPE_CHECKING:
@@ -33,19 +34,11 @@ def read_experiment(folder: Path) -> "tuple[ExperimentSpec, pd.DataFrame]":
         :func:`experiments.eq1.records.columns`: nullable boolean, Int64, Float64 and string.
 
     Raises:
-        InputError: it is not an experiment's folder, or its table has other columns.
+        InputError: it is not an experiment's folder, or its rows are damaged.
     """
     spec = read_spec(folder)
     if not is_given(folder / LEDGER_FILE) and is_given(folder / TABLE_FILE):
-        import pandas as pd
-        from pyarrow import ArrowException
-
-        open_file(folder / TABLE_FILE).close()
-        try:
-            return spec, typed(pd.read_parquet(folder / TABLE_FILE), len(spec.threads))
-        except (ArrowException, OSError, ValueError) as error:
-            remedy = "export it anew from its ledger, by the version that wrote it"
-            raise InputError(str(folder / TABLE_FILE), str(error), remedy) from None
+        return spec, data_frame(read_table(folder / TABLE_FILE, spec), len(spec.threads))
     with Ledger.open(folder, spec, read_only=True) as ledger:
         return spec, ledger.records()
 
@@ -61,6 +54,18 @@ def read_spec(folder: Path) -> "ExperimentSpec":
     if not is_given(folder / SPEC_FILE):
         raise InputError(str(folder), f"has no {SPEC_FILE}", "give the folder of an experiment that was run")
     return load_spec(folder / SPEC_FILE)
+
+
+def has_digests(folder: Path) -> bool:
+    """False if the rows were written before they had digests: a changed value may pass for a true one.
+
+    Raises:
+        InputError: it is not an experiment's folder.
+    """
+    if not (folder / LEDGER_FILE).is_file() and (folder / TABLE_FILE).is_file():
+        return table_has_digest(folder / TABLE_FILE)
+    with Ledger.open(folder, read_spec(folder), read_only=True) as ledger:
+        return ledger.has_digests
 
 
 def claim_folder(folder: Path) -> None:
@@ -101,20 +106,12 @@ def export(folder: Path, csv: bool = False) -> Path:
     Raises:
         InputError: it is not such a folder, or cannot be written.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     spec = read_spec(folder)
     with Ledger.open(folder, spec, read_only=True) as ledger:
-        rows, errors = ledger.rows(), ledger.errors()
+        rows, errors, checked = ledger.rows(), ledger.errors(), ledger.has_digests
         records = ledger.records()
-    about = {"experiment": spec.name, "spec_hash": spec.content_hash}
-    table = arrow_table(rows, len(spec.threads)).replace_schema_metadata(about)
-    whole = {"index", "attempt"}
-    schema = pa.schema([(name, pa.int64() if name in whole else pa.string()) for name in ERROR_COLUMNS])
-    error_table = pa.Table.from_pylist(errors, schema=schema)
-    write_file(folder / TABLE_FILE, partial(pq.write_table, table))
-    write_file(folder / ERRORS_FILE, partial(pq.write_table, error_table))
+    write_file(folder / TABLE_FILE, partial(write_table, rows=rows, spec=spec, with_digest=checked))
+    write_file(folder / ERRORS_FILE, partial(write_errors, errors=errors))
     if csv:
         write_file(folder / "units.csv", partial(records.to_csv, index=False, lineterminator="\n"))
     return folder / TABLE_FILE

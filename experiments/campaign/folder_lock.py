@@ -1,5 +1,6 @@
 """One driver at a time per experiment folder."""
 
+import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -21,16 +22,32 @@ def sole_driver(folder: Path) -> Iterator[None]:
         InputError: another process holds the lock, or the folder cannot be written.
     """
     try:
-        with closing(sqlite3.connect(folder / LOCK_FILE, timeout=0.0, isolation_level=None)) as lock:
-            lock.execute("BEGIN EXCLUSIVE")
-            yield
-    except sqlite3.OperationalError as error:
+        lock = _locked(folder / LOCK_FILE)
+    except sqlite3.DatabaseError as error:
         if error.sqlite_errorcode == sqlite3.SQLITE_BUSY:
             raise InputError(
                 str(folder),
                 "another run is at work in this folder",
                 "wait for its end or choose another folder",
             ) from None
-        raise InputError(
-            str(folder), f"cannot be locked ({error})", "choose a folder you may write to"
-        ) from None
+        problem = f"cannot be locked ({error})"
+        raise InputError(str(folder), problem, "choose a folder you may write to") from None
+    with closing(lock):
+        yield
+
+
+def _locked(path: Path) -> sqlite3.Connection:
+    lock = sqlite3.connect(path, timeout=0.0, isolation_level=None)
+    try:
+        try:
+            lock.execute("BEGIN EXCLUSIVE")
+        except sqlite3.DatabaseError as error:
+            if error.sqlite_errorcode not in (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT):
+                raise
+            # The file holds nothing; something else was written over it. Nobody holds its lock.
+            os.truncate(path, 0)
+            lock.execute("BEGIN EXCLUSIVE")
+    except BaseException:
+        lock.close()
+        raise
+    return lock

@@ -3,16 +3,29 @@
 Each row is written in one transaction when its unit ends, and outlives any end of the writing process, also
 ``kill -9``. Units are keyed by the content hash of their spec, and the ledger by that of the experiment: rows
 of different specs never mix. Infrastructure errors, one row per attempt, have their own table.
+
+Every row has a digest, and every table the number of its rows and their joint digest. Whoever reads rows gets
+them as they were written, or an InputError.
 """
 
 import sqlite3
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
-from experiments.eq1.record_table import SQL_TYPES, data_frame
+from experiments.campaign.ledger_file import (
+    ERROR_COLUMNS,
+    RERUN,
+    SCHEMA_VERSION,
+    check_owner,
+    connect,
+    create_tables,
+    explained,
+    transaction,
+)
+from experiments.eq1.record_checks import digest_of, joint_digest, record_fault
+from experiments.eq1.record_table import data_frame, storable
 from experiments.eq1.records import Outcome, columns
 from experiments.eq1.units import UnitSpec
 from scenarios.errors import InputError
@@ -23,15 +36,8 @@ if TYPE_CHECKING:
     from experiments.campaign.schedule import Experiment
 
 LEDGER_FILE = "ledger.sqlite"
-SCHEMA_VERSION = 1
-ERROR_COLUMNS = ("unit_id", "cell", "index", "attempt", "at", "worker", "message", "report")
-_BUSY_S = 30.0
-_REMEDIES = {
-    sqlite3.SQLITE_FULL: ("the disk is full", "free some space and run the same command again"),
-    sqlite3.SQLITE_CORRUPT: ("is damaged", "choose a new folder"),
-    sqlite3.SQLITE_NOTADB: ("is not a ledger", "choose a new folder"),
-    sqlite3.SQLITE_BUSY: ("is held by another program", "end that program and run the same command again"),
-}
+Table = Literal["units", "infrastructure_errors"]
+Row = dict[str, Any]
 
 
 class Ledger:
@@ -39,11 +45,12 @@ class Ledger:
 
     def __init__(self, connection: sqlite3.Connection, path: Path, experiment: "Experiment") -> None:
         self._connection = connection
-        self._connection.row_factory = sqlite3.Row
         self.path = path
+        self._experiment = experiment.name
         self._threads = len(experiment.threads)
         self._types = columns(self._threads)
         self._cells = {cell: place for place, cell in enumerate(experiment.cell_names())}
+        self._version = SCHEMA_VERSION
 
     @classmethod
     def open(cls, folder: Path, experiment: "Experiment", read_only: bool = False) -> Self:
@@ -52,7 +59,7 @@ class Ledger:
         Args:
             folder: of the experiment; must exist.
             experiment: owner of the units.
-            read_only: change nothing; possible during a run.
+            read_only: change nothing; possible during a run, and for ledgers of schema version 1.
 
         Raises:
             InputError: it holds units of another spec, is missing although only to be read, or is damaged, or
@@ -60,23 +67,20 @@ class Ledger:
         """
         path = Path(folder) / LEDGER_FILE
         if read_only and not path.is_file():
-            raise InputError(
-                str(folder), f"has no {LEDGER_FILE}", "give the folder of an experiment that was run"
-            )
-        with _explained(path):
-            mode = "ro" if read_only else "rwc"
-            connection = sqlite3.connect(
-                f"{path.absolute().as_uri()}?mode={mode}", uri=True, timeout=_BUSY_S, isolation_level=None
-            )
+            remedy = "give the folder of an experiment that was run"
+            raise InputError(str(folder), f"has no {LEDGER_FILE}", remedy)
+        connection = connect(path, "ro" if read_only else "rwc")
         ledger = cls(connection, path, experiment)
         try:
-            with _explained(path):
+            with explained(path):
                 if not read_only:
                     connection.execute("PRAGMA journal_mode=WAL")
                     # A commit costs little beside its unit, so it may as well outlive a power failure.
                     connection.execute("PRAGMA synchronous=FULL")
-                    ledger._create(experiment)
-                ledger._check(experiment)
+                    create_tables(connection, experiment, ledger._types)
+                ledger._version = check_owner(connection, path, experiment, ledger._types)
+                if not read_only:
+                    ledger._check_writable()
         except BaseException:
             connection.close()
             raise
@@ -92,18 +96,18 @@ class Ledger:
         """Close the file."""
         self._connection.close()
 
+    @property
+    def has_digests(self) -> bool:
+        """False for a ledger of schema version 1, in which a changed value may pass for a true one."""
+        return self._version > 1
+
     def add(self, record: Mapping[str, Any]) -> None:
         """Write the row of a unit that has ended, in one transaction.
 
         Args:
             record: normalised, with ``attempts`` filled in.
         """
-        names = ", ".join(f'"{name}"' for name in self._types)
-        marks = ", ".join("?" * len(self._types))
-        with _explained(self.path):
-            self._connection.execute(
-                f"INSERT INTO units ({names}) VALUES ({marks})", [record[name] for name in self._types]
-            )
+        self.add_rows("units", [record])
 
     def add_error(self, unit: UnitSpec, attempt: int, worker: str, message: str, report: str = "") -> None:
         """Write the row of an infrastructure error.
@@ -116,115 +120,119 @@ class Ledger:
             report: stacks of the threads if known.
         """
         at = datetime.now(UTC).isoformat(timespec="seconds")
-        names = ", ".join(f'"{name}"' for name in ERROR_COLUMNS)
-        values = (unit.unit_id, unit.cell, unit.index, attempt, at, worker, message, report)
-        with _explained(self.path):
-            self._connection.execute(
-                f"INSERT INTO infrastructure_errors ({names}) VALUES ({', '.join('?' * len(values))})", values
-            )
+        said = storable(message), storable(report)
+        values = (unit.unit_id, unit.cell, unit.index, attempt, at, worker, *said)
+        self.add_rows("infrastructure_errors", [dict(zip(ERROR_COLUMNS, values, strict=True))])
+
+    def add_rows(self, table: Table, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Write rows of a table, all in one transaction."""
+        names = self._names(table)
+        digests = [digest_of({name: row[name] for name in names}) for row in rows]
+        values = [[*(row[name] for name in names), d] for row, d in zip(rows, digests, strict=True)]
+        named = ", ".join(f'"{name}"' for name in (*names, "digest"))
+        marks = ", ".join("?" * (len(names) + 1))
+        with explained(self.path), transaction(self._connection):
+            self._connection.executemany(f"INSERT INTO {table} ({named}) VALUES ({marks})", values)
+            self._sum_up(table, len(rows), digests)
 
     def forget_errors(self) -> int:
         """Delete the rows of units given up after infrastructure errors; returns their number."""
-        ended_so = (Outcome.INFRASTRUCTURE_ERROR.value,)
-        with _explained(self.path):
-            return self._connection.execute("DELETE FROM units WHERE outcome = ?", ended_so).rowcount
+        given_up = (Outcome.INFRASTRUCTURE_ERROR.value,)
+        with explained(self.path), transaction(self._connection):
+            found = self._connection.execute(
+                "SELECT digest FROM units WHERE outcome = ?", given_up
+            ).fetchall()
+            self._connection.execute("DELETE FROM units WHERE outcome = ?", given_up)
+            self._sum_up("units", -len(found), [row["digest"] for row in found])
+        return len(found)
 
-    def rows(self) -> list[dict[str, Any]]:
-        """Every record, in the order of the spec: by cell, then by index."""
-        with _explained(self.path):
-            found = [self._record(row) for row in self._connection.execute("SELECT * FROM units")]
-        return sorted(found, key=lambda record: (self._cells[record["cell"]], record["index"]))
+    def rows(self) -> list[Row]:
+        """Every record, in the order of the spec: by cell, then by index.
+
+        Raises:
+            InputError: the ledger is damaged.
+        """
+        return self._in_order(self._verified("units"))
 
     def records(self) -> "pd.DataFrame":
         """Every record as a typed table, in the order of the spec."""
         return data_frame(self.rows(), self._threads)
 
-    def record(self, unit_id: str) -> dict[str, Any] | None:
-        """The record of a unit; None if there is none."""
-        with _explained(self.path):
-            row = self._connection.execute("SELECT * FROM units WHERE unit_id = ?", (unit_id,)).fetchone()
-        return None if row is None else self._record(row)
+    def errors(self) -> list[Row]:
+        """Every infrastructure error, in the order of the spec, then of attempts.
 
-    def errors(self) -> list[dict[str, Any]]:
-        """Every infrastructure error, in the order of the spec, then of attempts."""
-        with _explained(self.path):
-            rows = self._connection.execute("SELECT * FROM infrastructure_errors ORDER BY number").fetchall()
-        found = [{name: row[name] for name in ERROR_COLUMNS} for row in rows]
-        return sorted(found, key=lambda error: (self._cells[error["cell"]], error["index"]))
+        Raises:
+            InputError: the ledger is damaged.
+        """
+        return self._in_order(self._verified("infrastructure_errors"))
 
-    def _record(self, row: sqlite3.Row) -> dict[str, Any]:
-        return {
-            name: bool(row[name]) if kind == "bool" and row[name] is not None else row[name]
-            for name, kind in self._types.items()
-        }
-
-    def _create(self, experiment: "Experiment") -> None:
-        """Create the tables, all or none, unless they exist."""
-        if self._connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'meta'").fetchone():
-            return
-        typed = ", ".join(f'"{name}" {SQL_TYPES[kind]}' for name, kind in self._types.items())
-        meta = {
-            "schema_version": str(SCHEMA_VERSION),
-            "experiment": experiment.name,
-            "spec_hash": experiment.content_hash,
-            "threads": str(len(experiment.threads)),
-        }
-        self._connection.execute("BEGIN IMMEDIATE")
+    def sound_rows(self, table: Table) -> list[Row]:
+        """The rows of a table that can be read and are as they were written."""
+        found, cursor = [], self._connection.execute(f"SELECT * FROM {table}")
         try:
-            self._connection.execute("CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL)")
-            self._connection.execute(
-                f'CREATE TABLE units ({typed}, PRIMARY KEY (unit_id), UNIQUE (cell, "index"))'
-            )
-            self._connection.execute(
-                "CREATE TABLE infrastructure_errors (number INTEGER PRIMARY KEY, unit_id TEXT, cell TEXT, "
-                '"index" INTEGER, attempt INTEGER, at TEXT, worker TEXT, message TEXT, report TEXT)'
-            )
-            self._connection.executemany("INSERT INTO meta VALUES (?, ?)", meta.items())
+            for stored in cursor:
+                row = self._plain(table, stored)
+                if self._fault(table, row, stored) is None:
+                    found.append(row)
+        except sqlite3.DatabaseError:  # what comes after cannot be reached
+            pass
+        return found
+
+    def _verified(self, table: Table) -> list[Row]:
+        with explained(self.path):
+            # Both in one transaction, for a run may be writing.
+            self._connection.execute("BEGIN")
+            stored = self._connection.execute(f"SELECT * FROM {table} ORDER BY rowid").fetchall()
+            sums = "SELECT number, digest FROM sums WHERE name = ?"
+            written = self._connection.execute(sums, (table,)).fetchone() if self.has_digests else None
             self._connection.execute("COMMIT")
-        except BaseException:
-            if self._connection.in_transaction:
-                self._connection.execute("ROLLBACK")
-            raise
+        rows = [self._plain(table, row) for row in stored]
+        for row, of in zip(rows, stored, strict=True):
+            if fault := self._fault(table, row, of):
+                raise InputError(
+                    f"{self.path}: {table} row {row['unit_id']!r}", f"is damaged: {fault}", RERUN
+                )
+        if self.has_digests:
+            found = len(rows), joint_digest(row["digest"] for row in stored)
+            if written is None or found != tuple(written):
+                problem = f"is damaged: {len(rows)} rows of {table} are not those that were written"
+                raise InputError(str(self.path), problem, RERUN)
+        return rows
 
-    def _check(self, experiment: "Experiment") -> None:
-        if not self._connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'meta'").fetchone():
-            # The run that creates it has not yet created its tables, or was ended before.
-            raise InputError(str(self.path), "holds nothing yet", "try again when the run has started")
-        meta = dict(self._connection.execute("SELECT key, value FROM meta").fetchall())
-        if meta.get("schema_version") != str(SCHEMA_VERSION):
-            raise InputError(
-                str(self.path), f"has the form {meta.get('schema_version')}, this is {SCHEMA_VERSION}",
-                "choose a new folder",
-            )  # fmt: skip
-        held, given = meta["spec_hash"], experiment.content_hash
-        if held != given:
-            raise InputError(
-                str(self.path.parent),
-                f"holds units of another spec ({meta['experiment']} {held[:12]}, given is {given[:12]})",
-                "choose a new folder, or give the spec.yaml of this one",
-            )
-        known = {row["name"] for row in self._connection.execute("PRAGMA table_info(units)")}
-        if known != set(self._types):
-            raise InputError(
-                str(self.path),
-                "has other columns than this version of the programs writes",
-                "choose a new folder",
-            )
+    def _fault(self, table: Table, row: Row, stored: sqlite3.Row) -> str | None:
+        fault = record_fault(row, self._threads) if table == "units" else None
+        if fault is None and row["cell"] not in self._cells:
+            fault = f"cell is {row['cell']!r}"
+        if fault is None and row.get("experiment", self._experiment) != self._experiment:
+            fault = f"experiment is {row['experiment']!r}"
+        if fault is None and self.has_digests and stored["digest"] != digest_of(row):
+            fault = "it does not agree with its digest"
+        return fault
 
+    def _plain(self, table: Table, stored: sqlite3.Row) -> Row:
+        row = {name: stored[name] for name in self._names(table)}
+        if table == "units":
+            for name, kind in self._types.items():
+                if kind == "bool" and row[name] in (0, 1):
+                    row[name] = bool(row[name])
+        return row
 
-@contextmanager
-def _explained(path: Path) -> Iterator[None]:
-    """Convert database errors to one clear line."""
-    try:
-        yield
-    except sqlite3.DatabaseError as error:
-        code = getattr(error, "sqlite_errorcode", None)
-        # The lowest byte of an extended code is the plain code.
-        known = _REMEDIES.get(code & 0xFF) if code is not None else None
-        if known is None and not isinstance(error, sqlite3.OperationalError):
-            raise
-        problem, remedy = known or (
-            f"cannot be used ({error})",
-            "choose a folder you may write to, on a local disk",
+    def _names(self, table: Table) -> tuple[str, ...]:
+        return tuple(self._types) if table == "units" else ERROR_COLUMNS
+
+    def _in_order(self, rows: list[Row]) -> list[Row]:
+        return sorted(rows, key=lambda row: (self._cells[row["cell"]], row["index"]))
+
+    def _sum_up(self, table: Table, number: int, digests: Sequence[str]) -> None:
+        before = self._connection.execute("SELECT digest FROM sums WHERE name = ?", (table,)).fetchone()
+        self._connection.execute(
+            "UPDATE sums SET number = number + ?, digest = ? WHERE name = ?",
+            (number, joint_digest([before["digest"], *digests]), table),
         )
-        raise InputError(str(path), problem, remedy) from error
+
+    def _check_writable(self) -> None:
+        if not self.has_digests:
+            raise InputError(str(self.path), "has the form 1", "continue it by `dslab experiment run`")
+        (found,) = self._connection.execute("PRAGMA integrity_check(1)").fetchone()
+        if found != "ok":
+            raise InputError(str(self.path), f"is damaged ({found})", RERUN)

@@ -8,14 +8,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from experiments.campaign.clusters import embedded_worker_pool
 from experiments.campaign.folder import read_spec
 from experiments.campaign.ledger import Ledger
 from experiments.campaign.schedule import Experiment
-from experiments.campaign.unit_job import Job, unit_record
-from experiments.campaign.worker_pool import WorkerPoolSettings, embedded_worker_pool
+from experiments.campaign.unit_job import Job, is_infrastructure_error, unit_record
+from experiments.campaign.worker_pool import WorkerPoolSettings
 from experiments.eq1.records import decided
 from experiments.eq1.units import UnitSpec
-from scenarios.errors import InputError
+from scenarios.errors import InputError, MachineError
 
 _ABOUT_THE_CODE = {"code", "commit"}
 
@@ -55,7 +56,8 @@ def replay(
         recording: file for its recording; None for none.
 
     Raises:
-        InputError: no such folder or unit, or the unit could not be run.
+        InputError: no such folder or unit.
+        MachineError: the unit ended in an infrastructure error.
     """
     spec = read_spec(folder)
     with Ledger.open(folder, spec, read_only=True) as ledger:
@@ -65,8 +67,9 @@ def replay(
     with embedded_worker_pool(settings, partial(unit_record, job, cache_dir=settings.cache_dir)) as pool:
         (ended,) = pool.run(deque([unit]), recording=recording)
     record = ended.result
-    if record is None:
-        raise InputError(f"unit {unit.unit_id}", ended.message, "see `dslab experiment status`")
+    if record is None or is_infrastructure_error(record):
+        problem = ended.message if record is None else record["message"]
+        raise MachineError(f"unit {unit.unit_id}", problem, "see `dslab experiment status`")
     recorded = rows.get(unit.unit_id)
     return Replay(unit, record, recorded, differing(record, recorded) if recorded else ())
 

@@ -4,7 +4,7 @@ The rows of the ledger do not depend on the number of workers: a unit is a pure 
 their records in order decide which units are run (see :mod:`experiments.campaign.schedule`).
 """
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -13,13 +13,15 @@ from pathlib import Path
 from experiments.campaign.folder import claim_folder, write_spec
 from experiments.campaign.folder_lock import sole_driver
 from experiments.campaign.ledger import Ledger
+from experiments.campaign.ledger_renewal import renew_ledger
+from experiments.campaign.repeated_fault import RepeatedFault
 from experiments.campaign.schedule import Experiment, Record, Schedule, StoppingRule
 from experiments.campaign.unit_job import is_infrastructure_error
 from experiments.campaign.worker_pool import Ended, WorkerPool
 from experiments.eq1.record_table import normalise
 from experiments.eq1.records import Outcome, dual_column, empty_record
 from experiments.eq1.units import UnitSpec
-from scenarios.errors import InputError
+from scenarios.errors import InputError, MachineError
 
 TRIES = 4
 """Attempts per unit: the first, and three more after infrastructure errors."""
@@ -38,6 +40,7 @@ class Tally:
         failures: completed units in which Dual-SLAM failed with all threads (D_n).
         ended_here: units that ended in this run.
         workers: number of busy workers.
+        cause: the most frequent message of the units given up; empty if there are none.
     """
 
     done: int
@@ -50,6 +53,7 @@ class Tally:
     failures: int
     ended_here: int
     workers: int
+    cause: str = ""
 
 
 Show = Callable[[Tally], None]
@@ -61,6 +65,7 @@ def run_experiment(
     open_worker_pool: Callable[[], AbstractContextManager[WorkerPool]],
     rule: StoppingRule | None = None,
     retry_errors: bool = False,
+    rerun_damaged: bool = False,
     show: Show | None = None,
 ) -> Tally:
     """Run all units of an experiment that its folder lacks.
@@ -71,24 +76,33 @@ def run_experiment(
         open_worker_pool: opens the workers; called only if units are left to run.
         rule: stopping rule of the cells; None to run every budget to its end.
         retry_errors: retry units that were given up after infrastructure errors.
+        rerun_damaged: drop damaged rows of the ledger and run their units again.
         show: called with the progress, at least after each unit.
 
     Raises:
-        InputError: the folder holds something else or is in use, the disk is full, the scheduler is gone.
-            The ledger keeps its rows.
+        InputError: the folder holds something else or is in use, or the disk is full. The ledger keeps its
+            rows.
+        MachineError: the scheduler is gone, no worker lives, unit after unit fails in the same way, or all
+            units were given up. The ledger keeps its rows.
     """
     claim_folder(folder)
-    with sole_driver(folder), Ledger.open(folder, experiment) as ledger:
-        write_spec(folder, experiment)
-        if retry_errors:
-            ledger.forget_errors()
-        rows = ledger.rows()
-        check_units(experiment, rows, folder)
-        run = _Run(ledger, Schedule(experiment, rows, rule), dual_column(len(experiment.threads)), show)
-        if not run.schedule.complete:
-            with open_worker_pool() as pool:
-                run.work(pool)
-        return run.tally(0)
+    with sole_driver(folder):
+        renew_ledger(folder, experiment, rerun_damaged)
+        with Ledger.open(folder, experiment) as ledger:
+            rows, _ = ledger.rows(), ledger.errors()
+            write_spec(folder, experiment)
+            if retry_errors and ledger.forget_errors():
+                rows = ledger.rows()
+            check_units(experiment, rows, folder)
+            run = _Run(ledger, Schedule(experiment, rows, rule), experiment, show)
+            if not run.schedule.complete:
+                with open_worker_pool() as pool:
+                    run.work(pool)
+            tally = run.tally(0)
+    if 0 < tally.errors == tally.done:
+        problem = f"all {tally.done} units were given up: {tally.cause}"
+        raise MachineError(str(folder), problem, "mend it and run the same command again with --retry-errors")
+    return tally
 
 
 def check_units(experiment: Experiment, rows: Sequence[Record], folder: Path) -> None:
@@ -110,10 +124,13 @@ def check_units(experiment: Experiment, rows: Sequence[Record], folder: Path) ->
 class _Run:
     """State of a run."""
 
-    def __init__(self, ledger: Ledger, schedule: Schedule, whole: str, show: Show | None) -> None:
+    def __init__(self, ledger: Ledger, schedule: Schedule, experiment: Experiment, show: Show | None) -> None:
         self.schedule = schedule
         self._ledger = ledger
-        self._whole = whole
+        self._whole = dual_column(len(experiment.threads))
+        proven = {r["cell"] for r in schedule.records() if not is_infrastructure_error(r)}
+        self._faults = RepeatedFault(len(experiment.cell_names()), proven)
+        self._most_busy = 1
         self._show = show or (lambda tally: None)
         self._due: deque[UnitSpec] = deque()
         self._failed: dict[str, int] = {}
@@ -123,10 +140,12 @@ class _Run:
         """Run the units that are left."""
         while not self.schedule.complete:
             for worker in pool.free():
-                unit = self._due.popleft() if self._due else self.schedule.next()
+                # Failed units come last: their fault may pass, or be found to be that of every unit.
+                unit = self.schedule.next() or (self._due.popleft() if self._due else None)
                 if unit is None:
                     break
                 pool.start(unit, worker)
+            self._most_busy = max(self._most_busy, pool.busy)
             self._show(self.tally(pool.busy))
             for ended in pool.wait(_TICK_S):
                 self._record(ended)
@@ -135,17 +154,19 @@ class _Run:
         """Progress of the run."""
         records = self.schedule.records()
         completed = [r for r in records if r["outcome"] == Outcome.COMPLETED]
+        given_up = Counter(r["message"] for r in records if is_infrastructure_error(r))
         return Tally(
             done=self.schedule.done,
             total=self.schedule.total,
             completed=len(completed),
             void=sum(r["outcome"] == Outcome.VOID for r in records),
-            errors=sum(is_infrastructure_error(r) for r in records),
+            errors=given_up.total(),
             retries=self._retries,
             breakages=sum(bool(r["breakage"]) for r in completed),
             failures=sum(bool(r[self._whole]) for r in completed),
             ended_here=self._ended_here,
             workers=workers,
+            cause=given_up.most_common(1)[0][0] if given_up else "",
         )
 
     def _record(self, ended: Ended) -> None:
@@ -158,9 +179,12 @@ class _Run:
             self._ledger.add_error(unit, tried, ended.worker, record["message"], ended.report)
             self._failed[unit.unit_id] = tried
             self._retries += 1
+            self._faults.failure(unit, record["message"], self._most_busy)
             if tried < TRIES:
                 self._due.append(unit)
                 return
+        else:
+            self._faults.success(unit.cell)
         record = record | {"attempts": tried}
         self._ledger.add(record)
         self.schedule.finish(record)

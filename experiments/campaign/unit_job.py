@@ -42,6 +42,8 @@ def run_task(
         options: keyword arguments of the task.
     """
     try:
+        # Dask goes on without the set-up of a worker that fails; here it is the item's error.
+        load_plugins()
         single_threaded()
         with _watchdog(timeout_s, report):
             return task(item, **(options or {}))

@@ -4,37 +4,32 @@ An item is bound to its worker, and no worker gets a second one, so a dead proce
 retries nothing: the caller decides on retries and counts them.
 """
 
-import logging
-import os
 import queue
+import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 from uuid import uuid4
 
-from experiments.campaign.unit_job import Job, Task, run_task, unit_record
-from scenarios.errors import InputError
-from sim.unfinished import scratch_folder
+from experiments.campaign.unit_job import Task, run_task
+from scenarios.errors import InputError, MachineError
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-SINGLE_THREADED = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
-)
+MEMORY_FLOOR_MB = 300
+"""Least memory limit of a worker: it takes 190 MB to start, 250 MB with all that a unit imports."""
 _START_S = 120.0
-_CONNECT_S = 10.0
 _LATE_S = 60.0
 """Time allowed beyond an item's limit; its process should have ended itself by then."""
+_TRANSFER_S = 20.0
+"""Time that the result of an ended item may take; Dask waits for ever for a worker that has gone."""
 _ABSENT_S = 5.0
 """Time that a worker must be gone before its item is given up; its result may still arrive."""
-_NOBODY_S = 600.0
-"""Time that an embedded cluster may be without any worker; they start in seconds."""
 _REPORT_CHARACTERS = 16_000
 
 
@@ -48,6 +43,9 @@ class WorkerPoolSettings:
         timeout_s: longest duration of an item.
         memory_mb: resident memory at which a worker of the embedded cluster is ended; None for no limit.
         cache_dir: folder of rendered sequences; None for each machine's default one.
+
+    Raises:
+        InputError: no unit could run with such a limit.
     """
 
     workers: int = 1
@@ -55,6 +53,35 @@ class WorkerPoolSettings:
     timeout_s: float = 1800.0
     memory_mb: int | None = 4000
     cache_dir: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.memory_mb is not None and self.memory_mb < MEMORY_FLOOR_MB:
+            raise InputError(
+                "--memory",
+                f"{self.memory_mb} MB is less than the {MEMORY_FLOOR_MB} MB that a worker takes to start",
+                "give megabytes, for example 4000, or 0 for no limit",
+            )
+        if not 0 < self.timeout_s <= threading.TIMEOUT_MAX:
+            raise InputError("--timeout", f"{self.timeout_s:g} s is no time limit", "give seconds")
+
+
+class Keeper(Protocol):
+    """Owner of the worker processes of a pool, who replaces those that are lost."""
+
+    def keep_up(self, present: int) -> None:
+        """Replace lost workers.
+
+        Args:
+            present: number of workers that the scheduler knows.
+
+        Raises:
+            MachineError: they do not start, or end before their first item.
+        """
+        ...
+
+    def item_ended(self) -> None:
+        """Note that a worker has lived long enough to begin an item."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -95,7 +122,7 @@ class WorkerPool:
         task: called in a worker with an item.
         settings: limits and folders.
         reports: folder shared with the workers, for the stacks of a dying one; None for none.
-        replace_lost: starts missing workers again; None if the pool does not own them.
+        keeper: of the worker processes; None if the pool does not own them.
     """
 
     def __init__(
@@ -104,14 +131,13 @@ class WorkerPool:
         task: Task,
         settings: WorkerPoolSettings,
         reports: Path | None = None,
-        replace_lost: Callable[[], None] | None = None,
+        keeper: Keeper | None = None,
     ) -> None:
         self._client = client
         self._task = task
         self._settings = settings
         self._reports = reports
-        self._replace_lost = replace_lost
-        self._last_seen_s = time.monotonic()
+        self._keeper = keeper
         self._assigned: dict[str, _Assignment] = {}
         self._ended: queue.SimpleQueue[str] = queue.SimpleQueue()
 
@@ -124,26 +150,18 @@ class WorkerPool:
         """Addresses of the present workers.
 
         Raises:
-            InputError: the scheduler is gone, or the workers of an embedded cluster do not start.
+            MachineError: the scheduler is gone, or the workers of an embedded cluster do not start.
         """
         try:
             found = sorted(self._client.nthreads())
         except (OSError, TimeoutError) as error:
-            raise InputError(
+            raise MachineError(
                 self._settings.scheduler or "the embedded cluster",
                 f"the scheduler is gone ({error})",
                 "start it again and run the same command again",
             ) from error
-        if found:
-            self._last_seen_s = time.monotonic()
-        if self._replace_lost is not None and len(found) < self._settings.workers:
-            if time.monotonic() - self._last_seen_s > _NOBODY_S:
-                raise InputError(
-                    "the embedded cluster",
-                    f"has had no worker for {_NOBODY_S:.0f} s",
-                    "give them more memory or fewer workers, and run the same command again",
-                )
-            self._replace_lost()
+        if self._keeper is not None:
+            self._keeper.keep_up(len(found))
         return found
 
     def free(self) -> list[str]:
@@ -180,16 +198,19 @@ class WorkerPool:
             workers.append(self._ended.get(timeout=timeout_s))
             while True:
                 workers.append(self._ended.get_nowait())
-        return [self._end(worker) for worker in workers if worker in self._assigned] + self._overdue()
+        ended = [self._end(worker) for worker in workers if worker in self._assigned] + self._overdue()
+        if ended and self._keeper is not None:
+            self._keeper.item_ended()
+        return ended
 
     def _end(self, worker: str) -> Ended:
         assignment = self._assigned.pop(worker)
         status = assignment.future.status
         if status == "finished":
             try:
-                return Ended(assignment.item, worker, assignment.future.result())
-            except Exception as error:  # its process died before the result was transferred
-                return self._death(assignment, worker, f"its result was lost: {error}")
+                return Ended(assignment.item, worker, assignment.future.result(_TRANSFER_S))
+            except Exception:  # its process died before the result was transferred
+                return self._death(assignment, worker, self._cause(worker))
         error = assignment.future.exception() if status == "error" else None
         if error is None or type(error).__name__ == "KilledWorker":
             return self._death(assignment, worker)
@@ -206,7 +227,7 @@ class WorkerPool:
         message = message or self._cause(worker, report)
         return Ended(assignment.item, worker, None, message, report, timed_out)
 
-    def _cause(self, worker: str, report: str) -> str:
+    def _cause(self, worker: str, report: str = "") -> str:
         with suppress(OSError, TimeoutError):
             events: Any = self._client.get_events("worker-restart-memory")
             for _, event in events:
@@ -238,103 +259,3 @@ class WorkerPool:
             self._client.restart_workers([worker], timeout=_START_S, raise_for_error=False)
             return self._death(assignment, worker)
         return self._death(assignment, worker, "its worker has left")
-
-
-@contextmanager
-def open_worker_pool(settings: WorkerPoolSettings, job: Job) -> Iterator[WorkerPool]:
-    """Open the pool of units that the settings describe, embedded or remote."""
-    open_pool = embedded_worker_pool if settings.scheduler is None else remote_worker_pool
-    with open_pool(settings, partial(unit_record, job, cache_dir=settings.cache_dir)) as pool:
-        yield pool
-
-
-@contextmanager
-def embedded_worker_pool(settings: WorkerPoolSettings, task: Task) -> Iterator[WorkerPool]:
-    """Open a pool of spawned processes, reached over loopback only; they end with the block.
-
-    A process that ends is replaced by its nanny or, if that fails, by another nanny.
-
-    Raises:
-        InputError: the processes do not come up.
-    """
-    from dask import config as dask_config
-    from distributed import Client, LocalCluster
-
-    # Numerical libraries read these when they are loaded, before a worker could set them.
-    os.environ.update(SINGLE_THREADED)
-    memory = {"terminate": 1.0, "target": False, "spill": False, "pause": False}
-    config = {f"distributed.worker.memory.{name}": value for name, value in memory.items()}
-    # On a busy machine a process may take longer to start than the 15 s after which its nanny is dismissed.
-    config["distributed.deploy.lost-worker-timeout"] = f"{_START_S:.0f}s"
-    limit = 0 if settings.memory_mb is None else settings.memory_mb * 2**20
-    # This logger reports connections closed by an interrupt; `silence_logs` does not reach it.
-    logging.getLogger("distributed.batched").setLevel(logging.CRITICAL)
-    with (
-        dask_config.set(config),
-        scratch_folder() as folder,
-        LocalCluster(
-            # Started below: Dask does not close workers cleanly if their start is interrupted here.
-            n_workers=0,
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            protocol="tcp://",
-            memory_limit=limit,
-            silence_logs=logging.CRITICAL,
-            dashboard_address=None,
-            preload=["experiments.campaign.unit_job"],
-            local_directory=str(folder),
-            # The health routes need a port even without a dashboard: any free one.
-            scheduler_kwargs={"allowed_failures": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"},
-        ) as cluster,
-        Client(cluster) as client,
-    ):
-        try:
-            cluster.scale(settings.workers)
-            _await(
-                client,
-                settings.workers,
-                "this machine",
-                "run `dslab doctor`, give fewer --workers, or wait until it is less busy",
-            )
-            yield WorkerPool(client, task, settings, folder, lambda: cluster.scale(settings.workers))
-        except BaseException:
-            # The items under way are lost; do not wait for them.
-            _kill(cluster)
-            raise
-
-
-@contextmanager
-def remote_worker_pool(settings: WorkerPoolSettings, task: Task) -> Iterator[WorkerPool]:
-    """Open a pool of a scheduler's workers, whose number may change at any time.
-
-    Raises:
-        InputError: there is no scheduler at the address, or no worker comes.
-    """
-    from distributed import Client
-
-    address = str(settings.scheduler)
-    remedy = "start one with `dask scheduler` and workers with `dask worker`, or leave --scheduler out"
-    try:
-        client = Client(address, timeout=_CONNECT_S, set_as_default=False)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise InputError(address, f"no scheduler answers ({type(error).__name__})", remedy) from error
-    with client:
-        _await(client, 1, address, remedy)
-        yield WorkerPool(client, task, settings)
-
-
-def _await(client: Any, workers: int, where: str, remedy: str) -> None:
-    try:
-        client.wait_for_workers(workers, timeout=_START_S)
-    except TimeoutError:
-        missing = "no worker" if workers == 1 else f"fewer than {workers} workers"
-        raise InputError(where, f"has had {missing} for {_START_S:.0f} s", remedy) from None
-
-
-def _kill(cluster: Any) -> None:
-    for nanny in cluster.workers.values():
-        nanny.auto_restart = False
-        if nanny.pid is not None:
-            with suppress(ProcessLookupError):
-                os.kill(nanny.pid, 9)

@@ -62,7 +62,7 @@ def _options(
 
 
 def main() -> None:
-    """Entry point: bad input is one line and exit code 2, a signal one line and 128 + its number."""
+    """Entry point: bad input is one line and exit code 2, a signal 128 + its number."""
     # OpenCV's own warnings would stand beside the one line.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     with safe_streams(), signals_as_interrupts() as received:
@@ -81,7 +81,7 @@ def main() -> None:
                 sys.exit(128 + number)
             if isinstance(ending, InputError):
                 _say(f"error: {ending}")
-                sys.exit(2)
+                sys.exit(ending.exit_code)
             raise
 
 

@@ -52,12 +52,17 @@ def run_command(
         bool,
         typer.Option("--retry-errors", help="Retry units that were given up for infrastructure errors."),
     ] = False,
+    rerun_damaged: Annotated[
+        bool,
+        typer.Option("--rerun-damaged", help="Drop damaged rows of the ledger and run their units again."),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Run or resume an experiment; units that the folder already holds are not run again.
 
     It may be interrupted at any time, also by `kill -9`: only running units are lost. The rows are the same
-    for any number of workers. For example:
+    for any number of workers. The exit code is 1 if the run stops for a fault of the machine, or if every
+    unit was given up; units given up among others are counted in the last line. For example:
 
     `dslab experiment run smoke --out out/smoke`
 
@@ -65,9 +70,10 @@ def run_command(
 
     `dslab experiment run eq1-full --out out/full --scheduler tcp://10.0.0.1:8786`
     """
+    from experiments.campaign.clusters import open_worker_pool
     from experiments.campaign.runner import run_experiment
     from experiments.campaign.stopping import stopping_rule
-    from experiments.campaign.worker_pool import WorkerPoolSettings, open_worker_pool
+    from experiments.campaign.worker_pool import WorkerPoolSettings
     from experiments.eq1.spec import load_spec
     from experiments.eq1.trial import run_unit
     from experiments.runs.provenance import usable_cores
@@ -85,7 +91,13 @@ def run_command(
     try:
         with experiment_progress(spec.name) as show:
             tally = run_experiment(
-                spec, out_dir, lambda: open_worker_pool(settings, run_unit), rule, retry_errors, show
+                spec,
+                out_dir,
+                lambda: open_worker_pool(settings, run_unit),
+                rule,
+                retry_errors,
+                rerun_damaged,
+                show,
             )
     except KeyboardInterrupt:
         err.print(f"{out_dir} keeps the finished units: run the same command again to resume", soft_wrap=True)
@@ -100,6 +112,13 @@ def run_command(
             soft_wrap=True,
         )
     out.print(f"next: dslab experiment report {out_dir}", soft_wrap=True)
+    if tally.errors:
+        out.print(
+            f"{tally.errors} of {tally.done} units were given up, most for: {tally.cause}; "
+            "mend it and run the same command again with --retry-errors",
+            markup=False,
+            soft_wrap=True,
+        )
 
 
 @app.command("status")
@@ -114,6 +133,7 @@ def status_command(folder: FolderArgument, as_json: JsonOption = False) -> None:
     from experiments.runs.files import plain
 
     status = experiment_status(folder)
+    _note_digests(folder)
     if as_json:
         print_json_line(plain(asdict(status)))
         return
@@ -201,6 +221,7 @@ def replay_command(
     with progress_bars() as show:
         show(f"unit {unit}", 0, 1)
         done = replay(folder, unit, run_unit, settings, None if rerun is None else rerun.absolute())
+    _note_digests(folder)
     if as_json:
         print_json_line(
             plain({"record": done.record, "recorded": done.recorded, "differing": done.differing})
@@ -225,6 +246,7 @@ def export_command(
     from experiments.campaign.folder import export
 
     out.print(f"one row per unit in {export(folder, csv)}", soft_wrap=True)
+    _note_digests(folder)
 
 
 @app.command("report")
@@ -243,6 +265,7 @@ def report_command(
     with progress_bars() as show:
         path = write_report(folder, recordings, lambda done, total: show("recordings", done, total))
     out.print(f"report in {path}", soft_wrap=True)
+    _note_digests(folder)
 
 
 @app.command("schema")
@@ -256,6 +279,14 @@ def schema_command() -> None:
     from experiments.eq1.spec_schema import json_schema
 
     print(json.dumps(json_schema(), indent=2))
+
+
+def _note_digests(folder: Path) -> None:
+    from experiments.campaign.folder import has_digests
+
+    if not has_digests(folder):
+        note = "its rows were written before they had digests: a changed value may pass for a true one"
+        err.print(f"note: {folder}: {note}", markup=False, soft_wrap=True)
 
 
 def _with_units(spec: "ExperimentSpec", units: int) -> "ExperimentSpec":

@@ -39,6 +39,11 @@ def normalise(record: Mapping[str, Any], threads: int) -> dict[str, Any]:
     return {name: _plain(name, record[name], kind) for name, kind in types.items()}
 
 
+def storable(text: str) -> str:
+    """A text with escapes for what UTF-8 cannot hold, as names of files may."""
+    return text.encode(errors="backslashreplace").decode()
+
+
 def data_frame(records: Iterable[Mapping[str, Any]], threads: int) -> "pd.DataFrame":
     """Records as a table with nullable columns: boolean, Int64, Float64 and string.
 
@@ -57,21 +62,6 @@ def data_frame(records: Iterable[Mapping[str, Any]], threads: int) -> "pd.DataFr
     )
 
 
-def typed(frame: "pd.DataFrame", threads: int) -> "pd.DataFrame":
-    """Give a table read from Parquet the columns and types of :func:`data_frame`.
-
-    Missing columns of pairs of frames become null, since older tables lack them.
-
-    Raises:
-        ValueError: another column is missing, or one is unknown.
-    """
-    types = {name: PANDAS_TYPES[kind] for name, kind in columns(threads).items()}
-    differing = set(types) ^ set(frame.columns)
-    if differing := {n for n in differing if n not in types or not n.startswith("pairs")}:
-        raise ValueError(f"missing or unknown columns: {', '.join(sorted(differing))}")
-    return frame.reindex(columns=list(types)).astype(types)
-
-
 def arrow_table(records: Iterable[Mapping[str, Any]], threads: int) -> "pa.Table":
     """Records as an Arrow table, whose column types do not depend on the rows."""
     import pyarrow as pa
@@ -88,7 +78,7 @@ def _plain(name: str, value: Any, kind: ColumnType) -> Any:
         isinstance(value, str) if kind == "text" else isinstance(value, int | float | np.number | np.bool_)
     )
     if fitting and kind == "text":
-        return str(value)
+        return storable(str(value))
     if fitting and kind == "float":
         return float(value) if math.isfinite(value) else None
     if fitting and math.isfinite(value) and value == int(value) and (kind == "int" or value in (0, 1)):

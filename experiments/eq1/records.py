@@ -4,8 +4,11 @@ Booleans are null if they do not apply: a recovery that was never due has neithe
 follow Eq. 1: B a breakage, R_j the failure of recovery thread j, D_n the failure of Dual-SLAM with n threads.
 """
 
+import math
 import traceback
+from collections.abc import Mapping
 from enum import StrEnum
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,6 +16,18 @@ from experiments.eq1.units import UnitSpec
 from scenarios.errors import InputError
 
 ColumnType = Literal["bool", "int", "float", "text"]
+Domain = Literal["bool", "int", "count", "float", "amount", "share", "text", "name"]
+DOMAINS: dict[Domain, tuple[ColumnType, float, float]] = {
+    "bool": ("bool", 0, 1),
+    "int": ("int", -(2**63), 2**63 - 1),
+    "count": ("int", 0, 2**63 - 1),
+    "float": ("float", -math.inf, math.inf),
+    "amount": ("float", 0, math.inf),
+    "share": ("float", 0, 1),
+    "text": ("text", -math.inf, math.inf),
+    "name": ("text", -math.inf, math.inf),
+}
+"""Type, least and largest value of each domain; a name is a text that is not empty."""
 
 
 class Outcome(StrEnum):
@@ -23,71 +38,71 @@ class Outcome(StrEnum):
     INFRASTRUCTURE_ERROR = "infrastructure_error"
 
 
-UNIT_COLUMNS: dict[str, tuple[ColumnType, str]] = {
-    "unit_id": ("text", "content hash of the unit's spec"),
-    "experiment": ("text", "name of the experiment"),
-    "cell": ("text", "name of the cell"),
-    "kind": ("text", "kind of the degradation"),
+UNIT_COLUMNS: dict[str, tuple[Domain, str]] = {
+    "unit_id": ("name", "content hash of the unit's spec"),
+    "experiment": ("name", "name of the experiment"),
+    "cell": ("name", "name of the cell"),
+    "kind": ("name", "kind of the degradation"),
     "severity": ("float", "its dose"),
-    "index": ("int", "number of the unit in its cell"),
-    "world": ("text", "kind of the world"),
-    "world_seed": ("int", "seed of the world: units that share it are a cluster"),
-    "nuisance_seed": ("int", "seed of all else"),
+    "index": ("count", "number of the unit in its cell"),
+    "world": ("name", "kind of the world"),
+    "world_seed": ("count", "seed of the world: units that share it are a cluster"),
+    "nuisance_seed": ("count", "seed of all else"),
     "code": ("text", "hash of the sources of sim, scenarios and slam"),
     "commit": ("text", "commit of the code"),
-    "outcome": ("text", "completed, void or infrastructure_error"),
+    "outcome": ("name", "completed, void or infrastructure_error"),
     "message": ("text", "of an infrastructure error"),
-    "attempts": ("int", "number of tries, above 1 only after infrastructure errors"),
+    "attempts": ("count", "number of tries, above 1 only after infrastructure errors"),
     "void_reason": ("text", "reason why the lead-in was not healthy"),
-    "onset_s": ("float", "start of the exposed segment"),
-    "exposed_s": ("float", "its length"),
-    "onset_frame": ("int", "first frame of the exposed segment"),
-    "end_frame": ("int", "last frame of the exposed segment"),
+    "onset_s": ("amount", "start of the exposed segment"),
+    "exposed_s": ("amount", "its length"),
+    "onset_frame": ("count", "first frame of the exposed segment"),
+    "end_frame": ("count", "last frame of the exposed segment"),
     # Base, and the dual up to the breakage.
     "breakage": ("bool", "B: tracking was declared lost in the exposed segment"),
-    "breakage_frame": ("int", "frame of the declaration"),
+    "breakage_frame": ("count", "frame of the declaration"),
     "breakage_reason": ("text", "as declared"),
     "declaration_delay_s": ("float", "from the true loss to the declaration"),
     "silent_failure": ("bool", "the segment corrupted the map and no breakage was declared"),
     "relocalized": ("bool", "given B: the base relocalized"),
     "base_failure": ("bool", "the base ends without an intact map"),
-    "base_share_tracked": ("float", "share of frames tracked"),
-    "base_ate_m": ("float", "ATE of the largest map"),
-    "base_path_share": ("float", "share of the path that this map covers"),
-    "base_end_error_m": ("float", "position error of the last pose, aligned on the lead-in"),
+    "base_share_tracked": ("share", "share of frames tracked"),
+    "base_ate_m": ("amount", "ATE of the largest map"),
+    "base_path_share": ("share", "share of the path that this map covers"),
+    "base_end_error_m": ("amount", "position error of the last pose, aligned on the lead-in"),
     # Free arm, given B.
     "reinit": ("bool", "given B: a new map was initialized before the end"),
-    "reinit_frame": ("int", "its frame"),
+    "reinit_frame": ("count", "its frame"),
     "free_frames_to_cross": ("int", "frames from the old map's last correct pose to the new map's first"),
-    "dual_share_tracked": ("float", "share of frames with a final pose, of the dual with all its threads"),
-    "dual_ate_m": ("float", "ATE of its largest map"),
-    "dual_path_share": ("float", "share of the path that this map covers"),
-    "dual_end_error_m": ("float", "position error of the last pose, aligned on the lead-in"),
+    "dual_share_tracked": ("share", "share of frames with a final pose, of the dual with all its threads"),
+    "dual_ate_m": ("amount", "ATE of its largest map"),
+    "dual_path_share": ("share", "share of the path that this map covers"),
+    "dual_end_error_m": ("amount", "position error of the last pose, aligned on the lead-in"),
     "dual_failure": ("bool", "B, and the first thread to declare success was false, or none declared it"),
     "dual_relocalized": ("bool", "given B: the dual continued in the broken map by relocalization"),
     # Crossing arm.
     "cross_reinit": ("bool", "a new map was initialized after the exposed segment"),
-    "cross_reinit_frame": ("int", "its frame"),
+    "cross_reinit_frame": ("count", "its frame"),
     "cross_frames_to_cross": ("int", "frames from the onset to the new map's first"),
     # Costs.
-    "render_s": ("float", "CPU time of rendering"),
-    "slam_s": ("float", "CPU time within the systems"),
-    "cpu_s": ("float", "CPU time of the unit"),
-    "wall_s": ("float", "elapsed"),
-    "peak_rss_mb": ("float", "largest resident memory of the process during the unit"),
+    "render_s": ("amount", "CPU time of rendering"),
+    "slam_s": ("amount", "CPU time within the systems"),
+    "cpu_s": ("amount", "CPU time of the unit"),
+    "wall_s": ("amount", "elapsed"),
+    "peak_rss_mb": ("amount", "largest resident memory of the process during the unit"),
 }
 
-THREAD_COLUMNS: dict[str, tuple[ColumnType, str]] = {
+THREAD_COLUMNS: dict[str, tuple[Domain, str]] = {
     "failed": ("bool", "R_j: it did not relate the maps, or its fusion is false by the audit"),
     "declared": ("bool", "it declared that it related the maps"),
     "false": ("bool", "given declared: out of bounds by the audit (false recovery)"),
     "stage": ("text", "stage of its failure: propagation, overlap, sim3, fusion, audit, no_reinit"),
     "reason": ("text", "reason of its failure"),
-    "frames_covered": ("int", "number of frames that it went back"),
+    "frames_covered": ("count", "number of frames that it went back"),
     "scale_error": ("float", "given declared: scale over the true one, minus 1"),
-    "seam_error_m": ("float", "given declared: position error of the new map in the old one"),
-    "cpu_ms": ("float", "its CPU time; less in an arm that runs later and reuses features"),
-    "inliers": ("int", "of its alignment"),
+    "seam_error_m": ("amount", "given declared: position error of the new map in the old one"),
+    "cpu_ms": ("amount", "its CPU time; less in an arm that runs later and reuses features"),
+    "inliers": ("count", "of its alignment"),
 }
 """Per arm and thread, named ``free_r1_failed``, ``cross_r2_cpu_ms`` and so on; ``free_`` only given B."""
 
@@ -97,18 +112,34 @@ PAIR_GAPS = (1, 3, 9, 27)
 PAIRS_PER_GAP = 8
 """Number of pairs of each gap; fewer in a short lead-in."""
 
-PAIR_COLUMNS: dict[str, tuple[ColumnType, str]] = {
-    "count": ("int", "pairs of the lead-in whose relative pose was estimated, of ``PAIRS_PER_GAP``"),
-    "matches": ("float", "matches of a pair"),
-    "baseline_m": ("float", "true distance of its two cameras"),
-    "rotation_deg": ("float", "error of its rotation"),
-    "direction_deg": ("float", "angle between estimated and true direction of translation"),
+PAIR_COLUMNS: dict[str, tuple[Domain, str]] = {
+    "count": ("count", "pairs of the lead-in whose relative pose was estimated, of ``PAIRS_PER_GAP``"),
+    "matches": ("amount", "matches of a pair"),
+    "baseline_m": ("amount", "true distance of its two cameras"),
+    "rotation_deg": ("amount", "error of its rotation"),
+    "direction_deg": ("amount", "angle between estimated and true direction of translation"),
 }
 """Per gap, named ``pairs1_count``, ``pairs27_direction_deg`` and so on: medians over the pairs of the gap."""
 
 DUAL_COLUMN = "d{n}"
 """``d1`` … ``dn`` (bool): Dual-SLAM failed with the first n threads: B and R_1 … R_n of the free arm."""
 
+
+NEVER_NULL = frozenset(
+    {
+        *("unit_id", "experiment", "cell", "kind", "severity", "index"),
+        *("world", "world_seed", "nuisance_seed", "outcome", "message", "attempts"),
+    }
+)
+"""Columns with a value in every record."""
+
+GIVEN_BREAKAGE = frozenset(
+    {
+        *("breakage_frame", "breakage_reason", "relocalized", "dual_relocalized"),
+        *("reinit", "reinit_frame", "free_frames_to_cross"),
+    }
+)
+"""Columns that are null without a breakage, besides those of the threads in the free arm."""
 
 MEASURED_COLUMNS = ("attempts", "render_s", "slam_s", "cpu_s", "wall_s", "peak_rss_mb")
 """Columns that may differ between two runs of a unit, besides the threads' ``cpu_ms``."""
@@ -134,17 +165,23 @@ def dual_column(threads: int) -> str:
     return DUAL_COLUMN.format(n=threads)
 
 
-def columns(threads: int) -> dict[str, ColumnType]:
-    """Every column of an experiment with this many recovery threads, in order, with its type."""
-    named: dict[str, ColumnType] = {name: kind for name, (kind, _) in UNIT_COLUMNS.items()}
+@cache
+def domains(threads: int) -> Mapping[str, Domain]:
+    """Every column of an experiment with this many recovery threads, in order, with its domain."""
+    named: dict[str, Domain] = {name: domain for name, (domain, _) in UNIT_COLUMNS.items()}
     for arm in ("free", "cross"):
         for thread in range(1, threads + 1):
-            named |= {thread_column(arm, thread, n): kind for n, (kind, _) in THREAD_COLUMNS.items()}
-    whole: dict[str, ColumnType] = {dual_column(n): "bool" for n in range(1, threads + 1)}
-    pairs: dict[str, ColumnType] = {
-        pair_column(gap, n): kind for gap in PAIR_GAPS for n, (kind, _) in PAIR_COLUMNS.items()
+            named |= {thread_column(arm, thread, n): domain for n, (domain, _) in THREAD_COLUMNS.items()}
+    whole: dict[str, Domain] = {dual_column(n): "bool" for n in range(1, threads + 1)}
+    pairs: dict[str, Domain] = {
+        pair_column(gap, n): domain for gap in PAIR_GAPS for n, (domain, _) in PAIR_COLUMNS.items()
     }
     return named | whole | pairs
+
+
+def columns(threads: int) -> dict[str, ColumnType]:
+    """Every column of an experiment with this many recovery threads, in order, with its type."""
+    return {name: DOMAINS[domain][0] for name, domain in domains(threads).items()}
 
 
 def empty_record(unit: UnitSpec) -> dict[str, Any]:

@@ -19,8 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from experiments.campaign.clusters import embedded_worker_pool
 from experiments.campaign.unit_job import Task
-from experiments.campaign.worker_pool import Ended, WorkerPool, WorkerPoolSettings, embedded_worker_pool
+from experiments.campaign.worker_pool import Ended, WorkerPool, WorkerPoolSettings
 from experiments.runs.execution import Mode, RunRecord, SystemFactory, SystemKind, execute, system_factory
 from experiments.runs.files import plain
 from experiments.runs.provenance import commit

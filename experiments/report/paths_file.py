@@ -53,7 +53,11 @@ def add_paths(folder: Path, unit_id: str, paths: Paths) -> None:
 
 
 def read_paths(folder: Path) -> dict[str, Paths]:
-    """Paths of the first few replayed units by unit id."""
+    """Paths of the first few replayed units by unit id.
+
+    Raises:
+        InputError: the folder's file holds something else or is damaged.
+    """
     file = folder / PATHS_FILE
     if not is_given(file):
         return {}

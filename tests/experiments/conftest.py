@@ -6,9 +6,10 @@ from functools import partial
 import pytest
 from unit_fakes import made_up_unit
 
+from experiments.campaign.clusters import embedded_worker_pool
 from experiments.campaign.runner import run_experiment
 from experiments.campaign.unit_job import unit_record
-from experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings, embedded_worker_pool
+from experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings
 
 
 @pytest.fixture(scope="session")

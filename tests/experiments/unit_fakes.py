@@ -5,13 +5,14 @@ import re
 import signal
 import time
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
 import yaml
 
 from experiments.campaign.ledger import Ledger
 from experiments.campaign.schedule import Experiment
-from experiments.campaign.worker_pool import WorkerPool
+from experiments.campaign.worker_pool import Ended, WorkerPool
 from experiments.eq1.records import decided, dual_column, empty_record, thread_column
 from experiments.eq1.units import ThreadChoice, UnitSpec, content_hash
 from scenarios.seeds import rng_for
@@ -56,6 +57,30 @@ class OneWorker(WorkerPool):
         return [] if self.busy else super().free()[:1]
 
 
+class LocalPool:
+    """A worker pool that runs each unit at once, in this process."""
+
+    run = WorkerPool.run
+
+    def __init__(self, task):
+        self._task = task
+        self._ended = []
+
+    @property
+    def busy(self):
+        return len(self._ended)
+
+    def free(self):
+        return [] if self._ended else ["here"]
+
+    def start(self, unit, worker, recording=None):
+        self._ended.append(Ended(unit, worker, self._task(unit)))
+
+    def wait(self, timeout_s):
+        ended, self._ended = self._ended, []
+        return ended
+
+
 def made_up_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict:
     """Do what the cell says, up to the given number of tries; return a record drawn from the unit's seed."""
     what, *arguments = unit.cell.split("-")
@@ -85,6 +110,11 @@ def made_up_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path 
     return made_up_record(unit)
 
 
+def imports_of_a_unit(_: object) -> bool:
+    """Import all that a real unit needs."""
+    return import_module("experiments.eq1.trial") is not None
+
+
 def slow_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict:
     """Return a record after a moment, in every cell."""
     time.sleep(0.05)
@@ -112,7 +142,7 @@ def made_up_record(unit: UnitSpec) -> dict:
     if rng.random() < 0.1:
         return record | {"outcome": "void", "void_reason": "drawn so"}
     broke = bool(rng.random() < 0.5)
-    record |= {"outcome": "completed", "breakage": broke, "base_ate_m": float(rng.normal())}
+    record |= {"outcome": "completed", "breakage": broke, "base_ate_m": float(abs(rng.normal()))}
     whole = broke
     for thread in range(1, len(unit.threads) + 1):
         failed, crossed = (bool(x) for x in rng.random(2) < 0.5)

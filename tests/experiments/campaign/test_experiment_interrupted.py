@@ -25,7 +25,8 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 """
 DRIVER = """
 from pathlib import Path
-from experiments.campaign.worker_pool import WorkerPoolSettings, open_worker_pool
+from experiments.campaign.clusters import open_worker_pool
+from experiments.campaign.worker_pool import WorkerPoolSettings
 from experiments.campaign.runner import run_experiment
 from unit_fakes import MadeUp, made_up_unit
 if __name__ == "__main__":

@@ -5,19 +5,23 @@ import subprocess
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
+from urllib.error import HTTPError
+from urllib.request import urlopen
 
 import psutil
 import pytest
+from dask import config
+from distributed import Client, Security
 from unit_fakes import MadeUp, OneWorker, made_up_record, made_up_unit, rows_of
 
-from experiments.campaign import worker_pool
+from experiments.campaign import clusters
 from experiments.campaign.folder import SPEC_FILE, claim_folder
 from experiments.campaign.folder_lock import sole_driver
 from experiments.campaign.ledger import LEDGER_FILE
 from experiments.campaign.runner import run_experiment
 from experiments.campaign.stopping import NarrowEnough
 from experiments.campaign.unit_job import unit_record
-from experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings, open_worker_pool
+from experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings
 from experiments.eq1.records import decided
 from experiments.eq1.spec import Stopping
 from scenarios.errors import InputError
@@ -127,20 +131,62 @@ def test_a_full_disk_ends_the_run_in_one_line_and_the_next_run_resumes(run_made_
     assert [row for row in rows_of(folder, plan) if row in kept] == kept
 
 
-def test_a_remote_scheduler_gives_the_same_rows(shared_pool, tmp_path):
-    address = shared_pool._client.scheduler.address
-    settings = WorkerPoolSettings(scheduler=address)
+@pytest.fixture
+def dask_keys(shared_pool, tmp_path):
+    """The keys of the shared cluster, in files that Dask's own configuration names."""
+    keys = shared_pool._client.security.get_tls_config_for_role("client")
+    names = {"ca_file": "ca-file", "cert": "client.cert", "key": "client.key"}
+    for name in names:
+        (tmp_path / name).write_text(keys[name])
+    return config.set({f"distributed.comm.tls.{of}": str(tmp_path / name) for name, of in names.items()})
+
+
+def test_a_remote_scheduler_gives_the_same_rows(shared_pool, dask_keys, tmp_path):
+    settings = WorkerPoolSettings(scheduler=shared_pool._client.scheduler.address)
     plan = MadeUp({"ok": 5})
-    tally = run_experiment(plan, tmp_path / "x", lambda: open_worker_pool(settings, made_up_unit))
+    with dask_keys:
+        tally = run_experiment(
+            plan, tmp_path / "x", lambda: clusters.open_worker_pool(settings, made_up_unit)
+        )
     assert tally.done == 5
     assert rows_of(tmp_path / "x", plan) == [decided(made_up_record(plan.unit("ok", i))) for i in range(5)]
 
 
+def test_the_embedded_cluster_is_reached_with_its_keys_only(shared_pool):
+    addresses = [shared_pool._client.scheduler.address, *shared_pool.workers()]
+    assert all(address.startswith("tls://127.0.0.1:") for address in addresses)
+    for address in addresses:
+        for keys, reached in ((None, address.replace("tls:", "tcp:")), (Security.temporary(), address)):
+            with pytest.raises(OSError, match=r"reset by peer|certificate|closed"):
+                Client(reached, timeout=2, set_as_default=False, security=keys)
+    with (
+        pytest.raises(InputError, match=r"reached by TLS only .* name its keys in Dask's configuration"),
+        clusters.remote_worker_pool(WorkerPoolSettings(scheduler=addresses[0]), made_up_unit),
+    ):
+        pass
+
+
+def test_the_keys_of_the_embedded_cluster_are_in_no_file_or_environment(shared_pool):
+    folder = shared_pool._reports
+    assert not any(b"PRIVATE KEY" in path.read_bytes() for path in folder.rglob("*") if path.is_file())
+    for process in psutil.Process().children(recursive=True):
+        assert not any("PRIVATE KEY" in part for part in (*process.cmdline(), *process.environ().values()))
+
+
+def test_nothing_is_served_by_http(shared_pool):
+    port = shared_pool._client.cluster.scheduler.http_server.port
+    for page in ("", "info/main/workers.html", "json/counts.json", "metrics", "health"):
+        with pytest.raises(HTTPError, match="404"):
+            urlopen(f"http://127.0.0.1:{port}/{page}", timeout=5)
+
+
 def test_a_missing_scheduler_is_reported_in_one_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(worker_pool, "_CONNECT_S", 0.3)
+    monkeypatch.setattr(clusters, "_CONNECT_S", 0.3)
     settings = WorkerPoolSettings(scheduler="tcp://127.0.0.1:9")
     with pytest.raises(InputError, match=r"tcp://127.0.0.1:9: no scheduler answers .*; start one with"):
-        run_experiment(MadeUp({"ok": 1}), tmp_path / "x", lambda: open_worker_pool(settings, made_up_unit))
+        run_experiment(
+            MadeUp({"ok": 1}), tmp_path / "x", lambda: clusters.open_worker_pool(settings, made_up_unit)
+        )
 
 
 def test_all_ports_are_bound_to_loopback(shared_pool):
@@ -151,7 +197,7 @@ def test_all_ports_are_bound_to_loopback(shared_pool):
 
 
 def test_workers_compute_in_one_thread(shared_pool):
-    names = list(worker_pool.SINGLE_THREADED)
+    names = list(clusters.SINGLE_THREADED)
     found = shared_pool._client.run(lambda: [os.environ.get(name) for name in names])
     assert all(values == ["1"] * len(names) for values in found.values())
     import cv2

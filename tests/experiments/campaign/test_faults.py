@@ -2,21 +2,24 @@
 
 import os
 import signal
+from collections import deque
 from contextlib import nullcontext
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 from dask import config
-from unit_fakes import MadeUp, made_up_record, made_up_unit, rendered_unit
+from unit_fakes import MadeUp, imports_of_a_unit, made_up_record, made_up_unit, rendered_unit
 
-from experiments.campaign import runner
+from experiments.campaign import clusters, runner
 from experiments.campaign import worker_pool as pool
+from experiments.campaign.clusters import embedded_worker_pool
 from experiments.campaign.ledger import Ledger
 from experiments.campaign.unit_job import unit_record
-from experiments.campaign.worker_pool import WorkerPoolSettings, embedded_worker_pool
+from experiments.campaign.worker_pool import WorkerPoolSettings
 from experiments.eq1.record_table import normalise
 from experiments.eq1.records import decided
-from scenarios.errors import InputError
+from scenarios.errors import MachineError
 
 LOST = "distributed.deploy.lost-worker-timeout"
 pytestmark = pytest.mark.usefixtures("shared_pool")
@@ -148,10 +151,76 @@ def test_workers_that_are_killed_are_replaced(run_made_up, shared_pool, tmp_path
     assert all(e["message"] == "its process has died" for e in errors)
 
 
-def test_workers_that_do_not_start_are_reported():
+def test_workers_that_do_not_start_are_reported(monkeypatch):
     class Nobody:
         def wait_for_workers(self, workers, timeout):
             raise TimeoutError
 
-    with pytest.raises(InputError, match=r"this machine: has had fewer than 3 workers for 120 s; wait"):
-        pool._await(Nobody(), 3, "this machine", "wait")
+    monkeypatch.setattr(clusters, "_START_S", 0.0)
+    with pytest.raises(MachineError, match=r"this machine: has had fewer than 3 workers for 0 s; wait"):
+        clusters._await(Nobody(), 3, "this machine", "wait")
+
+
+class Mortal:
+    """A cluster each of whose processes has ended when it is next looked at."""
+
+    def __init__(self):
+        self.pid = 0
+
+    @property
+    def workers(self):
+        self.pid += 2
+        return {0: SimpleNamespace(pid=self.pid), 1: SimpleNamespace(pid=self.pid + 1)}
+
+    def scale(self, number):
+        pass
+
+
+def test_worker_after_worker_that_ends_before_its_first_unit_ends_the_run():
+    keeper = clusters.EmbeddedWorkers(Mortal(), 2)
+    for _ in range(5):
+        keeper.keep_up(1)
+    with pytest.raises(MachineError, match=r"10 of its processes in a row have ended before .*--memory"):
+        keeper.keep_up(1)
+
+
+def test_workers_that_end_with_their_units_are_replaced_without_end():
+    keeper = clusters.EmbeddedWorkers(Mortal(), 2)
+    for _ in range(30):
+        keeper.keep_up(1)
+        keeper.item_ended()
+
+
+def test_a_result_whose_worker_has_gone_is_given_up():
+    class Lost:
+        key, status = "item", "finished"
+
+        def add_done_callback(self, call):
+            call(self)
+
+        def result(self, timeout):
+            raise TimeoutError
+
+    client = SimpleNamespace(
+        submit=lambda *_, **__: Lost(), cancel=lambda *_, **__: None, get_events=lambda _: [], nthreads=dict
+    )
+    workers = pool.WorkerPool(client, made_up_unit, WorkerPoolSettings())
+    workers.start("unit", "gone")
+    (ended,) = workers.wait(1.0)
+    assert (ended.item, ended.result, ended.message) == ("unit", None, "its process has died")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("memory_mb", [1, 100])
+def test_a_memory_limit_below_that_of_a_fresh_worker_ends_the_run(monkeypatch, tmp_path, memory_mb):
+    monkeypatch.setattr(pool, "MEMORY_FLOOR_MB", 1)
+    settings, plan = WorkerPoolSettings(memory_mb=memory_mb), MadeUp({"ok": 9})
+    with pytest.raises(MachineError, match=r"ended before their first unit|ended in the same error"):
+        runner.run_experiment(plan, tmp_path / "x", lambda: clusters.open_worker_pool(settings, made_up_unit))
+
+
+@pytest.mark.slow
+def test_a_worker_at_the_memory_floor_holds_all_that_a_unit_imports():
+    with embedded_worker_pool(WorkerPoolSettings(memory_mb=pool.MEMORY_FLOOR_MB), imports_of_a_unit) as one:
+        (ended,) = one.run(deque([None]))
+    assert ended.result, ended.message

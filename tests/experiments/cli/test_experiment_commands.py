@@ -6,43 +6,20 @@ import sqlite3
 from contextlib import nullcontext
 from functools import partial
 
+import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-from unit_fakes import made_up_record, made_up_unit
+from unit_fakes import LocalPool, made_up_record, made_up_unit
 
-from experiments.campaign.folder import TABLE_FILE, export, read_experiment
-from experiments.campaign.ledger import LEDGER_FILE
+from experiments.campaign.folder import TABLE_FILE, export, has_digests, read_experiment
+from experiments.campaign.ledger import LEDGER_FILE, Ledger
 from experiments.campaign.runner import Tally, run_experiment
 from experiments.campaign.unit_job import unit_record
-from experiments.campaign.worker_pool import Ended, WorkerPool
 from experiments.cli.experiment_progress import estimates_text, pace_text
 from experiments.eq1.records import columns, decided
 from experiments.eq1.spec import load_spec
-
-
-class LocalPool:
-    """A worker pool that runs each unit at once, in this process."""
-
-    run = WorkerPool.run
-
-    def __init__(self, task):
-        self._task = task
-        self._ended = []
-
-    @property
-    def busy(self):
-        return len(self._ended)
-
-    def free(self):
-        return [] if self._ended else ["here"]
-
-    def start(self, unit, worker, recording=None):
-        self._ended.append(Ended(unit, worker, self._task(unit)))
-
-    def wait(self, timeout_s):
-        ended, self._ended = self._ended, []
-        return ended
+from scenarios.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +38,7 @@ def smoke(finished, monkeypatch, tmp_path):
     def opened(settings, task):
         return nullcontext(LocalPool(task))
 
-    monkeypatch.setattr("experiments.campaign.worker_pool.embedded_worker_pool", opened)
+    monkeypatch.setattr("experiments.campaign.clusters.embedded_worker_pool", opened)
     monkeypatch.setattr("experiments.campaign.replay.embedded_worker_pool", opened)
     monkeypatch.setattr("experiments.eq1.trial.run_unit", made_up_unit)
     return shutil.copytree(finished, tmp_path / "s")
@@ -108,9 +85,11 @@ def test_a_replay_agrees_with_the_ledger_or_names_the_differing_columns(dslab, s
     unit_id, cell, index = table["unit_id"][4], table["cell"][4], int(table["index"][4])
     code, out, _ = dslab("experiment", "replay", smoke, unit_id[:6])
     assert code == 0 and unit_id in out and "agrees with the ledger" in out
-    with sqlite3.connect(smoke / LEDGER_FILE) as ledger:
-        ledger.execute("UPDATE units SET onset_s = 1.5 WHERE unit_id = ?", (unit_id,))
-    ledger.close()
+    with Ledger.open(smoke, spec) as ledger:
+        rows = [row | ({"onset_s": 1.5} if row["unit_id"] == unit_id else {}) for row in ledger.rows()]
+    (smoke / LEDGER_FILE).unlink()
+    with Ledger.open(smoke, spec) as ledger:
+        ledger.add_rows("units", rows)
     code, out, _ = dslab("experiment", "replay", smoke, f"{cell}:{index}", "--json")
     replayed = json.loads(out)
     assert code == 1 and replayed["differing"] == ["onset_s"] and replayed["recorded"]["onset_s"] == 1.5
@@ -136,6 +115,200 @@ def test_a_unit_that_was_not_run_can_be_replayed(dslab, smoke):
 def test_bad_input_is_one_line_and_exit_code_2(dslab, smoke, arguments, part):
     code, _, err = dslab("experiment", *(a.format(s=smoke) for a in arguments))
     assert code == 2 and err.startswith("error: ") and err.count("\n") == 1 and part in err
+
+
+@pytest.fixture
+def failing(smoke, monkeypatch):
+    """Makes the units of a cell fail, or those of every cell."""
+
+    def fail(cell=""):
+        def job(unit, **options):
+            if unit.cell.endswith(cell):
+                raise OSError(28, "No space left on device", f"/cache/{unit.unit_id}")
+            return made_up_unit(unit)
+
+        monkeypatch.setattr("experiments.eq1.trial.run_unit", job)
+
+    return fail
+
+
+@pytest.mark.parametrize(
+    ("units", "part"),
+    [(1, "all 2 units were given up: OSError"), (9, "the last 3 units ended in the same error")],
+)
+def test_a_run_in_which_every_unit_fails_says_why_and_ends_with_1(dslab, failing, tmp_path, units, part):
+    failing()
+    run = ("experiment", "run", "smoke", "--out", tmp_path / "x", "--units", units)
+    code, out, err = dslab(*run)
+    assert (code, out) == (1, "") and err.count("\n") == 1
+    assert part in err and "No space left on device" in err and "run the same command again" in err
+    code, out, err = dslab(*run)
+    assert code == 1 and part in err
+
+
+def test_units_given_up_among_others_are_counted_in_the_last_line(dslab, failing, tmp_path):
+    failing("2")
+    code, out, _ = dslab("experiment", "run", "smoke", "--out", tmp_path / "x", "--units", 3)
+    assert code == 0
+    assert out.splitlines()[-1].startswith(
+        "3 of 6 units were given up, most for: OSError: [Errno 28] No space"
+    )
+    assert out.rstrip().endswith("--retry-errors")
+
+
+def test_a_replay_that_ends_in_an_infrastructure_error_ends_with_1(dslab, smoke, failing):
+    failing()
+    code, _, err = dslab("experiment", "replay", smoke, "low_texture/1:0")
+    assert code == 1 and "No space left on device" in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("option", "part"),
+    [
+        (("--memory", "1"), "--memory: 1 MB is less than the 300 MB that a worker takes to start; give mega"),
+        (("--timeout", "1e300"), "--timeout: 1e+300 s is no time limit"),
+    ],
+)
+def test_limits_under_which_no_unit_could_run_are_refused(dslab, smoke, tmp_path, option, part):
+    for command in (("run", "smoke", "--out", tmp_path / "x"), ("replay", smoke, "low_texture/1:0")):
+        code, _, err = dslab("experiment", *command, *option)
+        assert code == 2 and part in err and err.count("\n") == 1
+    assert not (tmp_path / "x").exists()
+
+
+def change(folder, *statements):
+    """Change a ledger behind its back."""
+    with sqlite3.connect(folder / LEDGER_FILE) as ledger:
+        for statement in statements:
+            ledger.execute(statement)
+    ledger.close()
+
+
+READERS = (("status",), ("status", "--json"), ("export",), ("report",), ("replay", "low_texture/1:0"))
+
+
+@pytest.mark.parametrize(
+    ("statement", "part"),
+    [
+        ("UPDATE units SET outcome = 'banana' WHERE rowid = 2", "outcome is 'banana'"),
+        ("UPDATE units SET world_seed = world_seed + 1 WHERE rowid = 2", "it does not agree with its digest"),
+        ("UPDATE units SET cell = 'fog/1' WHERE rowid = 2", "cell is 'fog/1'"),
+        ("DELETE FROM units WHERE rowid = 2", "5 rows of units are not those that were written"),
+        ("UPDATE meta SET value = '3' WHERE key = 'threads'", "its description has changed"),
+    ],
+)
+def test_a_damaged_ledger_is_one_line_for_every_command(dslab, smoke, statement, part):
+    change(smoke, statement)
+    before = sorted(path.name for path in smoke.iterdir())
+    for name, *rest in (*READERS, ("run",)):
+        arguments = ("smoke", "--out", smoke) if name == "run" else (smoke, *rest)
+        code, _, err = dslab("experiment", name, *arguments)
+        assert code == 2 and err.count("\n") == 1 and part in err, name
+        assert LEDGER_FILE in err and ("--rerun-damaged" in err or "new folder" in err)
+    assert sorted(path.name for path in smoke.iterdir()) == before
+
+
+def test_damaged_units_are_run_again_on_request(dslab, smoke):
+    _, before = read_experiment(smoke)
+    change(
+        smoke,
+        "UPDATE units SET severity = 7 WHERE rowid = 2",
+        "DELETE FROM units WHERE rowid = 4",
+        "UPDATE sums SET digest = 'x'",
+    )
+    run = ("experiment", "run", "smoke", "--out", smoke, "--units", 3)
+    assert dslab(*run)[0] == 2
+    code, out, _ = dslab(*run, "--rerun-damaged")
+    assert code == 0 and "6 of 6 units" in out
+    _, table = read_experiment(smoke)
+    assert decided(table.to_dict("list")) == decided(before.to_dict("list"))
+    assert not list(smoke.glob(".*"))
+
+
+@pytest.fixture
+def of_version_1(smoke):
+    """Turns the ledger into one of the first form, without digests."""
+    change(
+        smoke,
+        "ALTER TABLE units DROP COLUMN digest",
+        "ALTER TABLE infrastructure_errors DROP COLUMN digest",
+        "DROP TABLE sums",
+        "DELETE FROM meta WHERE key = 'digest'",
+        "UPDATE meta SET value = '1' WHERE key = 'schema_version'",
+    )
+    return smoke
+
+
+def test_a_ledger_of_version_1_is_read_with_a_note_and_continued_with_digests(dslab, of_version_1):
+    folder = of_version_1
+    for name, *rest in READERS:
+        if name != "report":
+            code, _, err = dslab("experiment", name, folder, *rest)
+            assert code == 0 and err.startswith("note: ") and "before they had digests" in err
+    _, before = read_experiment(folder)
+    code, out, _ = dslab("experiment", "run", "smoke", "--out", folder, "--units", 4)
+    assert code == 0 and "8 of 8 units" in out
+    code, _, err = dslab("experiment", "status", folder)
+    assert (code, err) == (0, "")
+    _, table = read_experiment(folder)
+    assert table[table["index"] < 3].reset_index(drop=True).equals(before)
+
+
+def test_values_of_a_ledger_of_version_1_are_checked(dslab, of_version_1):
+    change(of_version_1, "UPDATE units SET breakage = 2 WHERE rowid = 3")
+    for name in ("status", "export"):
+        code, _, err = dslab("experiment", name, of_version_1)
+        assert code == 2 and "breakage is 2" in err
+    code, _, err = dslab("experiment", "run", "smoke", "--out", of_version_1)
+    assert code == 2 and "breakage is 2" in err
+
+
+def test_a_changed_bit_of_an_exported_table_changes_no_row_silently(dslab, smoke):
+    dslab("experiment", "export", smoke)
+    (smoke / LEDGER_FILE).unlink()
+    _, table = read_experiment(smoke)
+    file = smoke / TABLE_FILE
+    content, rng, found = file.read_bytes(), np.random.default_rng(0), 0
+    for place, bit in zip(rng.integers(len(content), size=20), rng.integers(8, size=20), strict=True):
+        damaged = bytearray(content)
+        damaged[place] ^= 1 << bit
+        file.write_bytes(damaged)
+        try:
+            pd.testing.assert_frame_equal(read_experiment(smoke)[1], table)
+        except InputError:
+            found += 1
+    assert found > 4
+
+
+def test_an_older_table_has_null_columns_and_no_digest(dslab, smoke):
+    dslab("experiment", "export", smoke)
+    (smoke / LEDGER_FILE).unlink()
+    _, table = read_experiment(smoke)
+    older = [name for name in table.columns if not name.startswith("pairs")]
+    pq.write_table(
+        pq.read_table(smoke / TABLE_FILE, columns=older).replace_schema_metadata(None), smoke / TABLE_FILE
+    )
+    pd.testing.assert_frame_equal(read_experiment(smoke)[1], table)
+    assert not has_digests(smoke)
+
+
+@pytest.mark.parametrize("damage", ["banana", "twice", "no table"])
+def test_an_exported_table_of_wrong_rows_is_one_line(dslab, smoke, damage):
+    dslab("experiment", "export", smoke)
+    (smoke / LEDGER_FILE).unlink()
+    table = pq.read_table(smoke / TABLE_FILE).replace_schema_metadata(None)
+    rows = table.to_pylist()
+    if damage == "twice":
+        rows.append(rows[0])
+    rows[1]["outcome"] = "banana" if damage == "banana" else rows[1]["outcome"]
+    pq.write_table(table.from_pylist(rows, schema=table.schema), smoke / TABLE_FILE)
+    if damage == "no table":
+        (smoke / TABLE_FILE).write_bytes(b"PAR1 no table PAR1")
+    code, _, err = dslab("experiment", "report", smoke)
+    assert code == 2 and err.count("\n") == 1 and TABLE_FILE in err
+    assert {"banana": "outcome is 'banana'", "twice": "twice", "no table": "is no Parquet file"}[
+        damage
+    ] in err
 
 
 def test_power_prints_the_units(dslab):

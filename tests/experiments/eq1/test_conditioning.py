@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from unit_scenes import ONSET, run, synthetic, unit
 
 from experiments.eq1.conditioning import PAIRS_PER_GAP, first_frames, judge_pairs, relative_pose
-from experiments.eq1.record_table import data_frame, normalise, typed
+from experiments.eq1.record_table import normalise
 from experiments.eq1.records import PAIR_COLUMNS, PAIR_GAPS, columns, decided, pair_column
 from experiments.report.content import report_content
 from experiments.report.page import report_html
@@ -151,12 +151,6 @@ def test_the_result_does_not_depend_on_the_global_random_stream():
     one = judge_pairs(WHOLE, ONSET, 1)
     cv2.setRNGSeed(2)
     assert judge_pairs(WHOLE, ONSET, 1) == one != judge_pairs(WHOLE, ONSET, 2)
-
-
-def test_an_older_table_has_null_columns():
-    record = dict.fromkeys(columns(2))
-    old = data_frame([record], 2).drop(columns=NAMES)
-    assert typed(old, 2).equals(data_frame([record], 2))
 
 
 # -- statistics ----------------------------------------------------------------------------------------------

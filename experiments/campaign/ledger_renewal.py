@@ -1,0 +1,52 @@
+"""Renewal of a ledger: an older one gets digests, a damaged one loses the damaged rows."""
+
+import os
+import shutil
+from contextlib import closing
+from pathlib import Path
+
+from experiments.campaign.ledger import LEDGER_FILE, Ledger
+from experiments.campaign.ledger_file import connect, explained, has_tables
+from experiments.campaign.schedule import Experiment
+from sim.io.folders import unwritable
+
+_RENEWED = ".ledger-renewed"
+
+
+def renew_ledger(folder: Path, experiment: Experiment, drop_damaged: bool = False) -> None:
+    """Write a ledger of schema version 1, or a damaged one, anew; leave any other as it is.
+
+    The ledger is replaced when the new one is whole. Only the driver of the folder may call this.
+
+    Args:
+        folder: of the experiment.
+        experiment: its spec.
+        drop_damaged: leave out rows that are damaged or cannot be read, so that their units are run again.
+
+    Raises:
+        InputError: the ledger is damaged and this is not to be mended, or cannot be; or the disk is full.
+    """
+    path, renewed = folder / LEDGER_FILE, folder / _RENEWED
+    shutil.rmtree(renewed, ignore_errors=True)
+    if not path.is_file():
+        return
+    # SQLite removes its log with the last connection that may write; it would apply one to the new file.
+    with explained(path), closing(connect(path, "rw")) as connection:
+        if not has_tables(connection):
+            return
+        with Ledger.open(folder, experiment, read_only=True) as old:
+            if old.has_digests and not drop_damaged:
+                return
+            units = old.sound_rows("units") if drop_damaged else old.rows()
+            errors = old.sound_rows("infrastructure_errors") if drop_damaged else old.errors()
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    try:
+        renewed.mkdir()
+        with Ledger.open(renewed, experiment) as new:
+            new.add_rows("units", units)
+            new.add_rows("infrastructure_errors", errors)
+        os.replace(renewed / LEDGER_FILE, path)
+    except OSError as error:
+        raise unwritable(path, error) from error
+    finally:
+        shutil.rmtree(renewed, ignore_errors=True)
