@@ -108,7 +108,7 @@ def stored_array(path: Path, shape: tuple[int | None, ...], dtype: type) -> np.n
 
 
 def stored_archive(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of an .npz file by name, sorted.
+    """The arrays of an .npz file by name, in its order.
 
     Raises:
         CorruptEntryError: the file holds anything else.
@@ -119,18 +119,18 @@ def stored_archive(path: Path) -> dict[str, np.ndarray]:
         if not isinstance(archive, np.lib.npyio.NpzFile):
             raise ValueError("no archive")
         with archive:
-            return {name: archive[name] for name in sorted(archive.files)}
+            return {name: archive[name] for name in archive.files}
     except (InputError, *_UNREADABLE) as error:
         raise CorruptEntryError(f"{path.name} holds no arrays: {error}") from None
 
 
 def stored_columns(path: Path, count: int) -> dict[str, np.ndarray]:
-    """The columns, (count,) float64 each, of an .npz file, by name.
+    """The columns, (count,) float64 each, of an .npz file, by name, sorted.
 
     Raises:
         CorruptEntryError: the file holds anything else.
     """
-    columns = stored_archive(path)
+    columns = dict(sorted(stored_archive(path).items()))
     for name, column in columns.items():
         if column.shape != (count,) or column.dtype != np.float64:
             raise CorruptEntryError(f"{path.name}: {name} has shape {column.shape} of {column.dtype}")

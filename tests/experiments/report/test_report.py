@@ -22,7 +22,7 @@ from experiments.report import recordings, write
 from experiments.report.content import report_content
 from experiments.report.describe import percent
 from experiments.report.page import report_html
-from experiments.report.paths_file import PATHS_FILE, add_paths, paths_of, read_paths
+from experiments.report.paths_file import add_paths, paths_of, read_paths
 from experiments.report.plots import draw
 from experiments.report.plots.calibration import draw_calibration
 from experiments.report.plots.draw import Plot, rendered
@@ -336,23 +336,3 @@ def test_a_browser_shows_every_plot_without_errors(made, tmp_path):
         )  # fmt: skip
         assert "CONSOLE" not in done.stderr
         assert f"<title>{plots} shown, 0 missing, 0 beyond the edge</title>" in done.stdout
-
-
-@pytest.mark.parametrize(
-    ("write", "part"),
-    [
-        (lambda path: path.write_bytes(b"no archive"), "is no archive of paths"),
-        (lambda path: path.write_bytes(path.read_bytes()[:-40]), "is no archive of paths"),
-        (lambda path: path.write_bytes(path.read_bytes().replace(b"PK", b"QK")), "is no archive of paths"),
-        (lambda path: np.savez(path, **{"a.truth": np.zeros((3, 2), np.float32)}), "a.truth: has the form"),
-        (lambda path: np.savez(path, **{"a.truth": np.array(["x"])}), "a.truth: has the form"),
-        (lambda path: path.open("wb").write(b"\x93NUMPY"), "is no archive of paths"),
-        (lambda path: np.save(path.open("wb"), np.zeros(3)), "is no archive of paths"),
-    ],
-)  # fmt: skip
-def test_a_file_of_paths_that_holds_something_else_is_one_line(tmp_path, write, part):
-    add_paths(tmp_path, "a", {"truth": np.zeros((3, 3), np.float32)})
-    write(tmp_path / PATHS_FILE)
-    for use in (lambda: read_paths(tmp_path), lambda: add_paths(tmp_path, "b", {})):
-        with pytest.raises(InputError, match=part):
-            use()
