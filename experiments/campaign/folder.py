@@ -12,6 +12,7 @@ from experiments.eq1.record_table import data_frame
 from scenarios.errors import InputError
 from scenarios.input_files import is_given
 from sim.io.folders import unwritable, write_file
+from sim.unfinished import sweep
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -78,6 +79,8 @@ def claim_folder(folder: Path) -> None:
     own = {SPEC_FILE, *(name + end for name in (LOCK_FILE, LEDGER_FILE) for end in ends)}
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        # Of a run that was killed while it wrote its spec.
+        sweep(folder, f".{SPEC_FILE}.partial-")
         found = {path.name for path in folder.iterdir()}
     except OSError as error:
         raise unwritable(folder, error) from error
