@@ -13,7 +13,7 @@ from scenarios.spec import Scenario
 
 
 def test_the_list_has_every_family_with_members_and_draws(dslab, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "160")
+    monkeypatch.setattr("experiments.cli.console.out.width", 160)
     code, out, _ = dslab("scenarios", "list")
     assert code == 0
     for part in (*library_names(), "11: 00 to 10", "50: 01 to 50", "segments.contrast: 0.05 to 0.5 (log)"):
