@@ -1,0 +1,245 @@
+"""Valid examples of all that the lab reads, as small as can be, and the commands that read them."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import yaml
+from hostile_sequences import euroc, kitti, tum, tum_mono, tum_mono_zip, tum_with_lens
+from small_world import CAMERA, CORRIDOR
+
+from experiments.campaign.folder import claim_folder, export, write_spec
+from experiments.campaign.ledger import Ledger
+from experiments.eq1.record_table import normalise
+from experiments.eq1.records import empty_record
+from experiments.eq1.spec import ExperimentSpec, load_spec
+from experiments.runs.slam_settings import settings_yaml
+from scenarios.loading import load_scenario
+from sim.sequence_rendering import render_sequence
+
+SCENARIO = {
+    "name": "tiny", "duration_s": 0.5, "seed": 3, "world": CORRIDOR, "camera": CAMERA,
+    "segments": [{"kind": "low_light", "start_s": 0.2, "duration_s": 0.2, "illumination": 0.5}],
+}  # fmt: skip
+SPEC = {
+    "name": "tiny", "root_seed": 1, "units": 2, "lead_in_s": 1, "exposed_s": 0.5, "tail_s": 0.5,
+    "bases": {"corridor": {"world": CORRIDOR, "camera": CAMERA}},
+    "degradations": [{"kind": "low_texture", "dose": "contrast", "doses": [0.3, 0.02], "begins_s": 0.1,
+                      "acts_s": 0.3}],
+    "threads": ["orb"],
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """A folder that the lab reads.
+
+    Attributes:
+        name: kind of input.
+        write: writes it into a new folder.
+        commands: command lines that read it and end soon, with the places ``{in}`` and ``{out}``.
+        ours: its bytes are the lab's own, with checksums: no change of them may go unseen.
+        optional: patterns of files that may be absent.
+        sparse: patterns of files that may be absent, or lack some of their entries.
+        free: patterns of files of which any content that can be read is as good as another.
+        fixed: patterns of files that are left as they are.
+        mended: patterns of files that a command may mend by itself.
+        environment: variables, with the same places.
+    """
+
+    name: str
+    write: Callable[[Path], None]
+    commands: tuple[str, ...]
+    ours: bool = False
+    optional: tuple[str, ...] = ()
+    sparse: tuple[str, ...] = ()
+    free: tuple[str, ...] = ()
+    fixed: tuple[str, ...] = ()
+    mended: tuple[str, ...] = ()
+    environment: dict[str, str] = field(default_factory=dict)
+
+
+def _scenario(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    (folder / "scenario.yaml").write_text(yaml.safe_dump(SCENARIO, sort_keys=False))
+
+
+def _family(folder: Path) -> None:
+    folder.mkdir()
+    drawn = {**SCENARIO, "world": {**CORRIDOR, "length_m": {"uniform": [10, 20]}}}
+    (folder / "scenario.yaml").write_text(yaml.safe_dump(drawn, sort_keys=False))
+
+
+def _settings(folder: Path) -> None:
+    tum(folder)
+    (folder / "slam.yaml").write_text(settings_yaml())
+
+
+def _units(folder: Path) -> ExperimentSpec:
+    """The folder of an experiment whose units have all ended."""
+    folder.mkdir(parents=True)
+    (folder / "own.yaml").write_text(yaml.safe_dump(SPEC, sort_keys=False))
+    spec = load_spec(folder / "own.yaml")
+    (folder / "own.yaml").unlink()
+    claim_folder(folder)
+    with Ledger.open(folder, spec) as ledger:
+        write_spec(folder, spec)
+        for number, cell in enumerate(spec.cell_names()):
+            for index in range(spec.units):
+                unit = spec.unit(cell, index)
+                record = empty_record(unit) | {
+                    "outcome": "completed", "breakage": bool(index), "free_r1_failed": bool(number),
+                    "d1": bool(index and number), "base_ate_m": 0.25 + index, "code": "0", "commit": "0",
+                    "free_r1_inliers": 17, "wall_s": 2.0,
+                }  # fmt: skip
+                ledger.add(normalise(record, len(spec.threads)))
+                if index == 0:
+                    ledger.add_error(unit, 1, "tcp://127.0.0.1:1", "made up")
+    return spec
+
+
+def _experiment(folder: Path) -> None:
+    _units(folder)
+    (folder / "driver.lock").touch()
+
+
+def _exported(folder: Path) -> None:
+    _units(folder)
+    export(folder)
+    for path in folder.glob("ledger.sqlite*"):
+        path.unlink()
+
+
+def _spec(folder: Path) -> None:
+    _experiment(folder / "experiment")
+    (folder / "spec.yaml").write_text(yaml.safe_dump(SPEC, sort_keys=False))
+
+
+def _result(folder: Path) -> None:
+    folder.mkdir()
+    summary = {"breakage_list": [{"stamp_s": 1.5, "frame": 15}], "config": {}}
+    (folder / "summary.json").write_text(json.dumps(summary, indent=1))
+    (folder / "demo.json").write_text(json.dumps({"base": summary, "dual": summary}, indent=1))
+    (folder / "recording.rrd").write_bytes(b"RRF2" + bytes(64))
+
+
+def _everything(folder: Path) -> None:
+    """One valid input of each command, and an occupied folder."""
+    for name, write in (("tum", tum), ("scenario", _scenario), ("experiment", _spec), ("result", _result)):
+        write(folder / name)
+
+
+def _cache(folder: Path) -> None:
+    """A scenario with its frames in the cache."""
+    _scenario(folder)
+    render_sequence(load_scenario(str(folder / "scenario.yaml")), cache_dir=folder / "cache")
+
+
+def _vocabulary(folder: Path) -> None:
+    folder.mkdir()
+    tree = {
+        "descriptor": np.arange(12, dtype=np.uint64).reshape(3, 4),
+        "first_child": np.array([1, 0, 0], np.int32),
+        "n_children": np.array([2, 0, 0], np.int32),
+        "word": np.array([-1, 0, 1], np.int32),
+        "weight": np.ones(2),
+    }
+    np.savez(folder / "vocabulary.npz", provenance=json.dumps({"frames": 3}), **tree)
+
+
+_EXPORTS = (
+    "export {in} --format tum --out {out}",
+    "degrade {in} --segment jpeg:start_s=0.1,duration_s=0.2,quality=8 --out {out}",
+    "run {in} --out {out}",
+)
+_TRUTH = ("groundtruth.txt", "depth.txt", "segments.json")
+_SCENARIO = "scenario.yaml"
+
+EXAMPLES: dict[str, Example] = {
+    example.name: example
+    for example in (
+        Example("tum", tum, _EXPORTS, optional=("frame_truth.csv",), sparse=_TRUTH, free=("meta.json",)),
+        Example(
+            "tum with lens", tum_with_lens, _EXPORTS, optional=("*.csv",), sparse=_TRUTH, free=("meta.json",)
+        ),
+        Example(
+            "kitti",
+            kitti,
+            _EXPORTS,
+            optional=("*.csv", "poses/*"),
+            sparse=("segments.json",),
+            free=("meta.json",),
+        ),
+        Example(
+            "euroc",
+            euroc,
+            ("export {in} --format euroc --out {out}", *_EXPORTS),
+            optional=("frame_truth.csv",),
+            sparse=("*/imu0/data.csv", "*/state_groundtruth_estimate0/data.csv", "segments.json"),
+            free=("meta.json", "*/state_groundtruth_estimate0/sensor.yaml"),
+        ),
+        Example(
+            "tum-mono",
+            tum_mono,
+            _EXPORTS,
+            optional=("pcalib.txt", "vignette.png"),
+            sparse=("groundtruthSync.txt",),
+        ),
+        Example(
+            "tum-mono zip",
+            tum_mono_zip,
+            _EXPORTS,
+            optional=("pcalib.txt", "vignette.png"),
+            sparse=("groundtruthSync.txt",),
+        ),
+        Example("scenario", _scenario, ("scenarios show {in}/scenario.yaml --seed 3",), sparse=("*",)),
+        Example("family", _family, ("scenarios validate {in}/scenario.yaml",), sparse=("*",)),
+        Example(
+            "slam settings",
+            _settings,
+            ("run {in} --config {in}/slam.yaml --out {out}",),
+            sparse=("*",),
+            fixed=("[!s]*", "segments.json"),
+        ),
+        Example(
+            "spec of an experiment",
+            _spec,
+            ("experiment run {in}/spec.yaml --out {in}/experiment",),
+            sparse=("spec.yaml",),
+            fixed=("experiment/*",),
+        ),
+        Example(
+            "folder of an experiment",
+            _experiment,
+            (
+                "experiment status {in} --json",
+                "experiment export {in} --csv",
+                "experiment run {in}/spec.yaml --out {in}",
+                "experiment replay {in} none",
+            ),
+            ours=True,
+            mended=("spec.yaml",),
+        ),
+        Example(
+            "table of an experiment",
+            _exported,
+            ("experiment report {in}",),
+            ours=True,
+            fixed=("infrastructure_errors.parquet",),
+        ),
+        Example("result folder", _result, ("view {in}",), free=("*",)),
+        Example(
+            "cache",
+            _cache,
+            ("render {in}/scenario.yaml --out {out}",),
+            ours=True,
+            fixed=("scenario.yaml",),
+            mended=("cache/*",),
+            environment={"DSLAB_CACHE_DIR": "{in}/cache"},
+        ),
+        Example("vocabulary", _vocabulary, ("vocabulary show {in}/vocabulary.npz",)),
+    )
+}
+EVERYTHING = Example("everything", _everything, ())

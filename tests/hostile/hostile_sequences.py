@@ -1,0 +1,83 @@
+"""Sequence folders of every form, as small as can be, with all that they may hold."""
+
+import shutil
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from sim.io.forms import Form, write_sequence
+from sim.sensors.camera import Intrinsics
+from sim.sensors.imu import ImuModel, ImuReadings
+from sim.sequence import SegmentTruth, Sequence
+
+FRAMES, SHAPE = 5, (64, 96)
+
+
+def sequence() -> Sequence:
+    """Five frames of a camera going forward, with all that a sequence can have."""
+    rng = np.random.default_rng(0)
+    poses = np.tile(np.eye(4), (FRAMES, 1, 1))
+    runs = ((1, 1), (3, 3))
+    poses[:, 2, 3] = 0.1 * np.arange(FRAMES)
+    return Sequence(
+        name="trial",
+        camera=Intrinsics(SHAPE[1], SHAPE[0], 70.0, 70.0, 47.5, 31.5, 10.0),
+        stamps_s=np.arange(FRAMES) / 10,
+        frames=list(rng.integers(0, 256, (FRAMES, *SHAPE), dtype=np.uint8)),
+        T_world_cam=poses,
+        depths=list(rng.uniform(0.5, 12, (FRAMES, *SHAPE)).astype(np.float32)),
+        segments=(SegmentTruth("motion_blur", {"exposure_s": 0.1}, 0.1, 0.3, 1, 3, "blur_px", 4.0, runs),),
+        meta={"seed": 3, "spec": {"name": "trial"}},
+        frame_truth={"blur_px": np.array([0.0, 9, 2, 8, 0]), "exposure_s": np.full(FRAMES, 0.004)},
+    )  # fmt: skip
+
+
+def tum(folder: Path) -> None:
+    write_sequence(sequence(), folder, Form.TUM, depth=True)
+
+
+def tum_with_lens(folder: Path) -> None:
+    lens = (0.1, -0.05, 0.001, 0.002, 0.01)
+    one = sequence()
+    write_sequence(replace(one, camera=replace(one.camera, distortion=lens)), folder, Form.TUM)
+
+
+def kitti(folder: Path) -> None:
+    write_sequence(sequence(), folder, Form.KITTI)
+
+
+def euroc(folder: Path) -> None:
+    stamps_s = np.arange(0, 0.5, 0.01)
+    rng = np.random.default_rng(1)
+    rates, forces = rng.normal(size=(2, len(stamps_s), 3))
+    readings = ImuReadings(ImuModel(100.0, 1e-3, 1e-4, 1e-2, 1e-3), stamps_s, rates, forces)
+    write_sequence(sequence(), folder, Form.EUROC, (readings, None))
+
+
+def tum_mono(folder: Path) -> None:
+    (folder / "images").mkdir(parents=True)
+    rng = np.random.default_rng(2)
+    for frame in range(FRAMES):
+        image = rng.integers(0, 256, SHAPE, dtype=np.uint8)
+        cv2.imwrite(str(folder / "images" / f"{frame:05d}.png"), image)
+    rows = [f"{frame:05d} {100 + frame / 10:.6f} 4.5" for frame in range(FRAMES)]
+    (folder / "times.txt").write_text("\n".join(rows) + "\n")
+    height, width = SHAPE
+    (folder / "camera.txt").write_text(
+        f"0.535719 0.669566 0.493248 0.500408 0.897966\n{width} {height}\ncrop\n{width} {height}\n"
+    )
+    (folder / "pcalib.txt").write_text(" ".join(f"{level**1.1:.6f}" for level in range(256)) + "\n")
+    cv2.imwrite(str(folder / "vignette.png"), np.full(SHAPE, 65535, np.uint16))
+    poses = [f"{100 + frame / 10:.6f} 0 0 {frame / 10} 0 0 0 1" for frame in range(FRAMES)]
+    (folder / "groundtruthSync.txt").write_text("\n".join(poses) + "\n")
+
+
+def tum_mono_zip(folder: Path) -> None:
+    tum_mono(folder)
+    with zipfile.ZipFile(folder / "images.zip", "w") as archive:
+        for path in sorted((folder / "images").iterdir()):
+            archive.write(path, path.name)
+    shutil.rmtree(folder / "images")

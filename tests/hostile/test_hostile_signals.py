@@ -1,0 +1,56 @@
+"""Whenever a signal comes, a command ends as it says, and leaves a whole result or nothing."""
+
+import shutil
+import signal
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+from hostile_signals import COMMANDS, LONG, Place, faults_of, survivors
+from hypothesis import given
+from hypothesis import strategies as st
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL)
+_LATEST_MS = 5000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_signal_leaves_a_whole_result_or_nothing(name, tmp_path, findings, hostile):
+    @hostile(1 / len(COMMANDS), of="HOSTILE_SIGNALS")
+    @given(st.sampled_from(_SIGNALS), st.integers(0, _LATEST_MS))
+    def interrupt(number, after_ms):
+        folder = Path(tempfile.mkdtemp(dir=tmp_path))
+        place = Place(folder)
+        running = place.start(name)
+        time.sleep(after_ms / 1000)
+        code, err = running.end(number)
+        faults = faults_of(code, err, number)
+        faults += [f"still runs: {alive}" for alive in survivors(running.mark, 10.0)]
+        if number == signal.SIGKILL:
+            faults += _start_again(place, name)
+        faults += place.debris()
+        outcome = "finished" if code == 0 else "ended"
+        findings.add(
+            f"signals, {name}", number.name, outcome, faults, f"{name}: {number.name} after {after_ms} ms"
+        )
+        shutil.rmtree(folder, ignore_errors=True)
+
+    interrupt()
+    assert not findings.faults, findings.text()
+
+
+def _start_again(place: Place, name: str) -> list[str]:
+    """Start a killed command once more, which sweeps what it left; what is wrong then."""
+    running = place.start(name)
+    number = 0
+    if name in LONG:
+        time.sleep(3)
+        number = signal.SIGTERM
+    code, err = running.end(number)
+    survivors(running.mark, 5.0)
+    done = (place.folder / "out" / "result").exists()
+    if code == 2 and done and "already holds files" in err:
+        return []  # the first had just finished
+    return [f"started again: {fault}" for fault in faults_of(code, err, number)]
