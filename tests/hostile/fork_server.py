@@ -17,6 +17,7 @@ import traceback
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import psutil
 
 MEMORY_BYTES = 3 << 30
@@ -31,6 +32,8 @@ def serve() -> None:
     ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    # A pool of threads would be missing in the children.
+    cv2.setNumThreads(1)
     # The viewer needs a display, and outlives the command.
     sys.modules["experiments.recording.viewer"] = SimpleNamespace(open_viewer=lambda path, stamp_s: None)
     for line in sys.stdin:

@@ -20,7 +20,8 @@ from scenarios.loading import load_scenario
 from sim.sequence_rendering import render_sequence
 
 SCENARIO = {
-    "name": "tiny", "duration_s": 0.5, "seed": 3, "world": CORRIDOR, "camera": CAMERA,
+    "name": "tiny", "duration_s": 0.5, "seed": 3, "world": CORRIDOR,
+    "camera": {**CAMERA, "distortion": {"model": "radtan", "k1": 0.05, "k2": -0.01}},
     "segments": [{"kind": "low_light", "start_s": 0.2, "duration_s": 0.2, "illumination": 0.5}],
 }  # fmt: skip
 SPEC = {
@@ -47,6 +48,7 @@ class Example:
         fixed: patterns of files that are left as they are.
         mended: patterns of files that a command may mend by itself.
         environment: variables, with the same places.
+        heavy: what its commands import and compile takes seconds once.
     """
 
     name: str
@@ -59,6 +61,7 @@ class Example:
     fixed: tuple[str, ...] = ()
     mended: tuple[str, ...] = ()
     environment: dict[str, str] = field(default_factory=dict)
+    heavy: bool = False
 
 
 def _scenario(folder: Path) -> None:
@@ -75,6 +78,12 @@ def _family(folder: Path) -> None:
 def _settings(folder: Path) -> None:
     tum(folder)
     (folder / "slam.yaml").write_text(settings_yaml())
+
+
+def _summary(folder: Path) -> None:
+    tum(folder)
+    summary = {"sequence": "trial", "system": "base", "config": yaml.safe_load(settings_yaml())}
+    (folder / "summary.json").write_text(json.dumps(summary, indent=1))
 
 
 def _units(folder: Path) -> ExperimentSpec:
@@ -155,7 +164,11 @@ _EXPORTS = (
     "run {in} --out {out}",
 )
 _TRUTH = ("groundtruth.txt", "depth.txt", "segments.json")
-_SCENARIO = "scenario.yaml"
+_DRAWN = (
+    "scenarios validate {in}/scenario.yaml",
+    "scenarios show {in}/scenario.yaml --seed 3",
+    "render {in}/scenario.yaml --out {out}",
+)
 
 EXAMPLES: dict[str, Example] = {
     example.name: example
@@ -194,12 +207,19 @@ EXAMPLES: dict[str, Example] = {
             optional=("pcalib.txt", "vignette.png"),
             sparse=("groundtruthSync.txt",),
         ),
-        Example("scenario", _scenario, ("scenarios show {in}/scenario.yaml --seed 3",), sparse=("*",)),
-        Example("family", _family, ("scenarios validate {in}/scenario.yaml",), sparse=("*",)),
+        Example("scenario", _scenario, _DRAWN, sparse=("*",)),
+        Example("family", _family, _DRAWN, sparse=("*",)),
         Example(
             "slam settings",
             _settings,
             ("run {in} --config {in}/slam.yaml --out {out}",),
+            sparse=("*",),
+            fixed=("[!s]*", "segments.json"),
+        ),
+        Example(
+            "summary as settings",
+            _summary,
+            ("run {in} --config {in}/summary.json --out {out}",),
             sparse=("*",),
             fixed=("[!s]*", "segments.json"),
         ),
@@ -228,6 +248,7 @@ EXAMPLES: dict[str, Example] = {
             ("experiment report {in}",),
             ours=True,
             fixed=("infrastructure_errors.parquet",),
+            heavy=True,
         ),
         Example("result folder", _result, ("view {in}",), free=("*",)),
         Example(

@@ -52,8 +52,8 @@ class Lab:
         """An example as it should be, under the same name as its mutants."""
         folder = self._root / "valid" / example.name / "given"
         if not folder.exists():
-            if example.name == "table of an experiment":
-                self._load(example)  # a page and its plots: seconds of imports
+            if example.heavy:
+                self._load(example)
             folder.parent.mkdir(parents=True)
             example.write(folder)
         return folder
@@ -141,7 +141,8 @@ class Lab:
             folder = self._root / "first" / example.name
             example.write(folder)
             for number, command in enumerate(example.commands):
-                if "replay" not in command:
+                # Neither a context of OpenGL nor another process outlives a fork.
+                if not command.startswith(("render", "experiment replay")):
                     places = {"{in}": str(folder), "{out}": f"{folder}-{number}"}
                     self._ask(argv=[filled(word, places) for word in command.split()], here=True)
 
@@ -154,7 +155,7 @@ class Lab:
 def _seen(folder: Path, result: str, command: str, ended: Ended) -> dict[str, str]:
     """What a command says that it has read: its output, without measurements."""
     seen = {f"out/{name}": digest for name, digest in contents(folder / "out").items()}
-    if not command.startswith(("run", "render", "experiment r", "view")):
+    if not command.startswith(("run", "render", "experiment r", "view", "bench")):
         seen["stdout"] = ended.out.replace(str(folder), "")
     summary = folder / "out" / result / "summary.json"
     if summary.exists():

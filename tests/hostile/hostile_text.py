@@ -15,6 +15,7 @@ _BOMB = "{a0: &a0 [x, x, x, x, x, x, x, x, x, x], " + ", ".join(
     f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]" for n in range(1, 10)
 ) + "}"  # fmt: skip
 _WORDS = ("abc", "[1]", "true", "nan", "inf", "1e400", DIGITS, "0x10", "1_0", "\u0661", "--1", "1;2", '"1"')
+_TEXTS = ('"[/]"', '"\\ud800"', '"\\u001b[31m"', '"../../x"', '"a\\nb"')
 _YAML = (
     "abc", "''", "[1]", "{a: 1}", "true", ".nan", ".inf", DIGITS, _NESTED, "2001-01-01", "!!binary aGk=",
     "!!python/object/apply:os.getcwd []", "&a [*a]", "&a {b: *a}", "!!set {1}", "&b 1\n<<: *b",
@@ -66,7 +67,7 @@ def tree(draw: Any, path: Path) -> Change:
     parent, key = _at(content, place[:-1]), place[-1]
     raws = _JSON if is_json else _YAML
     raw = draw(st.sampled_from([raw for raw in raws if not _alike(raw, parent[key])]))
-    figure, whole = draw(st.sampled_from(NUMBERS)), draw(st.sampled_from(raws))
+    figure, whole = draw(st.sampled_from((*NUMBERS, *_TEXTS))), draw(st.sampled_from(raws))
     # The key that is set, its value, and the text that stands for the token.
     changes: dict[str, tuple[Strict, Any, Any, str]] = {
         f"is {raw[:40]!r}": (True, key, _TOKEN, raw),

@@ -6,8 +6,10 @@ from hostile_mutations import mutations
 from hypothesis import given
 from hypothesis import strategies as st
 
+_NAMES = [pytest.param(e.name, marks=pytest.mark.slow) if e.heavy else e.name for e in EXAMPLES.values()]
 
-@pytest.mark.parametrize("name", EXAMPLES)
+
+@pytest.mark.parametrize("name", _NAMES)
 def test_a_mutated_file_is_read_or_refused_with_one_line(name, lab, findings, hostile):
     example = EXAMPLES[name]
 
