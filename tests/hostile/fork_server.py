@@ -15,7 +15,6 @@ import tempfile
 import time
 import traceback
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import psutil
@@ -34,8 +33,6 @@ def serve() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     # A pool of threads would be missing in the children.
     cv2.setNumThreads(1)
-    # The viewer needs a display, and outlives the command.
-    sys.modules["experiments.recording.viewer"] = SimpleNamespace(open_viewer=lambda path, stamp_s: None)
     for line in sys.stdin:
         job = json.loads(line)
         if job.get("here"):
@@ -96,6 +93,11 @@ def _call(argv: list[str]) -> int:
     """Run the command as the interpreter would; its exit code."""
     from experiments import cli
 
+    if argv[0] == "view":
+        from experiments import recording
+
+        # The viewer needs a display, and outlives the command.
+        recording.open_viewer = lambda path, stamp_s: None
     sys.argv = ["dslab", *argv]
     try:
         cli.main()

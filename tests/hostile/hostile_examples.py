@@ -48,7 +48,7 @@ class Example:
         fixed: patterns of files that are left as they are.
         mended: patterns of files that a command may mend by itself.
         environment: variables, with the same places.
-        heavy: what its commands import and compile takes seconds once.
+        heavy: seconds go by before its commands read it.
     """
 
     name: str
@@ -167,7 +167,6 @@ _TRUTH = ("groundtruth.txt", "depth.txt", "segments.json")
 _DRAWN = (
     "scenarios validate {in}/scenario.yaml",
     "scenarios show {in}/scenario.yaml --seed 3",
-    "render {in}/scenario.yaml --out {out}",
 )
 
 EXAMPLES: dict[str, Example] = {
@@ -181,9 +180,9 @@ EXAMPLES: dict[str, Example] = {
             "kitti",
             kitti,
             _EXPORTS,
-            optional=("*.csv", "poses/*"),
+            optional=("*.csv",),
             sparse=("segments.json",),
-            free=("meta.json",),
+            free=("meta.json", "poses/*"),  # the poses have no stamps
         ),
         Example(
             "euroc",
@@ -208,6 +207,13 @@ EXAMPLES: dict[str, Example] = {
             sparse=("groundtruthSync.txt",),
         ),
         Example("scenario", _scenario, _DRAWN, sparse=("*",)),
+        Example(
+            "rendered scenario",
+            _scenario,
+            ("render {in}/scenario.yaml --out {out}",),
+            sparse=("*",),
+            heavy=True,
+        ),
         Example("family", _family, _DRAWN, sparse=("*",)),
         Example(
             "slam settings",
@@ -250,7 +256,7 @@ EXAMPLES: dict[str, Example] = {
             fixed=("infrastructure_errors.parquet",),
             heavy=True,
         ),
-        Example("result folder", _result, ("view {in}",), free=("*",)),
+        Example("result folder", _result, ("view {in}",), free=("*",), heavy=True),
         Example(
             "cache",
             _cache,
@@ -259,6 +265,7 @@ EXAMPLES: dict[str, Example] = {
             fixed=("scenario.yaml",),
             mended=("cache/*",),
             environment={"DSLAB_CACHE_DIR": "{in}/cache"},
+            heavy=True,
         ),
         Example("vocabulary", _vocabulary, ("vocabulary show {in}/vocabulary.npz",)),
     )

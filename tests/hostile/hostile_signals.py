@@ -26,12 +26,18 @@ LONG = {"fuzz"}
 """Commands whose second start is ended by a signal too, as they take a while."""
 _MOST_S = 40.0
 _BAD = ("Traceback", "Fatal Python error", "Segmentation", "Aborted", "core dumped", "most recent call first")
-_START = "import os; from experiments.cli import main; os.write({pipe}, b'x'); main()"
+_START = """
+import os
+from experiments import cli
+load = cli.load_plugins
+cli.load_plugins = lambda: os.write({pipe}, b"x") and load()
+cli.main()
+"""
 
 
 @dataclass
 class Running:
-    """A command in a session of its own, in main()."""
+    """A command in a session of its own, with its handlers set."""
 
     process: subprocess.Popen
     mark: str
@@ -56,7 +62,7 @@ class Place:
         self._starts = 0
 
     def start(self, name: str) -> Running:
-        """Start a command and wait for its main()."""
+        """Start a command and wait until it has set its handlers."""
         places = {"{in}": str(self.folder / "given"), "{out}": str(self.folder / "out" / "result")}
         words = [filled(word, places) for word in COMMANDS[name].split()]
         self._starts += 1

@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import pytest
 from hostile_commands import ARGUMENTS, WORDS, commands, options_of
 from hostile_examples import EVERYTHING
 from hostile_oracle import faults_of
@@ -99,6 +100,7 @@ def _variables() -> list[str]:
     return sorted({name for text in sources for name in re.findall(r"\bDSLAB_[A-Z_]+\b", text)})
 
 
+@pytest.mark.slow
 def test_any_value_of_a_variable_works_or_is_refused_with_one_line(lab, findings, hostile):
     named = [
         *_variables(),
@@ -126,7 +128,7 @@ def test_any_value_of_a_variable_works_or_is_refused_with_one_line(lab, findings
 
 
 def test_a_full_device_as_output_is_one_line(lab, findings):
-    for command in (_RENDER, "scenarios list", "config show", "experiment schema", *_READERS):
+    for command in ("scenarios list", "config show", "experiment schema", *_READERS):
         case = lab.run(EVERYTHING, command, stdout="/dev/full")
         ended = case.ended
         faults = [] if ended.code == 1 and re.fullmatch("error: [^\n]+\n", ended.err) else faults_of(ended)
