@@ -33,18 +33,27 @@ def findings():
     _COUNTS.update(found.counts)
 
 
+@pytest.fixture(scope="session")
+def hostile_seed() -> int:
+    return int(os.environ.get("HOSTILE_SEED", "0"))
+
+
+@pytest.fixture(scope="session")
+def cases():
+    """The number of cases of a test: a share of the inputs or signals."""
+    return lambda of, share: max(1, round(int(os.environ.get(of, _USUAL[of])) * share))
+
+
 @pytest.fixture
-def hostile(request):
+def hostile(request, cases, hostile_seed):
     """Gives a property its share of the inputs: the same ones in every run with the same seed."""
 
-    def configured(share: float, of: str = "HOSTILE_INPUTS"):
-        number = max(1, round(int(os.environ.get(of, _USUAL[of])) * share))
-        own = crc32(request.node.name.encode()) + int(os.environ.get("HOSTILE_SEED", "0"))
+    def configured(share: float):
         chosen = settings(
-            max_examples=number, database=None, deadline=None, phases=[Phase.generate],
-            suppress_health_check=list(HealthCheck),
+            max_examples=cases("HOSTILE_INPUTS", share), database=None, deadline=None,
+            phases=[Phase.generate], suppress_health_check=list(HealthCheck),
         )  # fmt: skip
-        return lambda test: chosen(seed(own)(test))
+        return lambda test: chosen(seed(crc32(request.node.name.encode()) + hostile_seed)(test))
 
     return configured
 

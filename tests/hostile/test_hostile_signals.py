@@ -2,14 +2,12 @@
 
 import shutil
 import signal
-import tempfile
 import time
-from pathlib import Path
 
 import pytest
 from hostile_signals import COMMANDS, LONG, Place, faults_of, survivors
-from hypothesis import given
-from hypothesis import strategies as st
+
+from scenarios.seeds import rng_for
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL)
 _LATEST_MS = 5000
@@ -17,12 +15,11 @@ _LATEST_MS = 5000
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
-def test_a_signal_leaves_a_whole_result_or_nothing(name, tmp_path, findings, hostile):
-    @hostile(1 / len(COMMANDS), of="HOSTILE_SIGNALS")
-    @given(st.sampled_from(_SIGNALS), st.integers(0, _LATEST_MS))
-    def interrupt(number, after_ms):
-        folder = Path(tempfile.mkdtemp(dir=tmp_path))
-        place = Place(folder)
+def test_a_signal_leaves_a_whole_result_or_nothing(name, tmp_path, findings, cases, hostile_seed):
+    rng = rng_for(hostile_seed, "signals", name)
+    for case in range(cases("HOSTILE_SIGNALS", 1 / len(COMMANDS))):
+        number, after_ms = int(rng.choice(_SIGNALS)), int(rng.integers(_LATEST_MS))
+        place = Place(tmp_path / str(case))
         running = place.start(name)
         time.sleep(after_ms / 1000)
         code, err = running.end(number)
@@ -32,12 +29,9 @@ def test_a_signal_leaves_a_whole_result_or_nothing(name, tmp_path, findings, hos
             faults += _start_again(place, name)
         faults += place.debris()
         outcome = "finished" if code == 0 else "ended"
-        findings.add(
-            f"signals, {name}", number.name, outcome, faults, f"{name}: {number.name} after {after_ms} ms"
-        )
-        shutil.rmtree(folder, ignore_errors=True)
-
-    interrupt()
+        told = f"{name}: {signal.Signals(number).name} after {after_ms} ms"
+        findings.add(f"signals, {name}", signal.Signals(number).name, outcome, faults, told)
+        shutil.rmtree(place.folder, ignore_errors=True)
     assert not findings.faults, findings.text()
 
 
