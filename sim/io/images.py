@@ -20,6 +20,7 @@ from sim.io.layout import DEPTH_PER_M
 from sim.io.text import to_frame_number
 
 _COPY = "copy the folder again"
+_NOTED_BYTES = 1 << 16
 _PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 # Encryption, of either kind, and patches.
 _CLOSED = 0x1 | 0x20 | 0x40
@@ -186,7 +187,8 @@ def _header(data: bytes, where: str) -> tuple[int, int]:
 def _decoded(data: bytes, where: str, mode: int, shape: tuple[int, int], authority: str) -> np.ndarray:
     size = _header(data, where)
     # A camera's note in the header may turn the image by a right angle.
-    if sorted(size) != sorted(shape):
+    turned = size == shape and b"exif" in data[:_NOTED_BYTES].lower()
+    if size != shape[::-1] and not turned:
         raise _other_size(where, size, shape, authority)
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), mode)
