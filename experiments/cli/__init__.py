@@ -17,6 +17,7 @@ from experiments.cli.render import render_command
 from experiments.cli.scenarios import app as scenarios_app
 from experiments.cli.signals import signals_as_interrupts
 from experiments.cli.streams import safe_streams
+from experiments.cli.usage import run_app
 from experiments.plugins import load_plugins
 from scenarios.errors import InputError
 
@@ -68,7 +69,7 @@ def main() -> None:
     with safe_streams(), signals_as_interrupts() as received:
         try:
             load_plugins()
-            app()
+            run_app(app)
         except BaseException as ending:
             if isinstance(ending, SystemExit) and not ending.code:
                 raise

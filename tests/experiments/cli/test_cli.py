@@ -93,9 +93,26 @@ def test_an_interruption_is_one_line_and_exit_130(dslab, monkeypatch, synthetic,
     assert err.strip().splitlines() == ["interrupted: nothing half-written is left"]
 
 
-def test_a_wrong_option_is_a_usage_error(dslab):
-    code, _, err = dslab("run", "x", "--sistem", "dual")
-    assert code == 2 and "--sistem" in err
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("run x --out y --seed soon", "dslab run: invalid value for '--seed': "),
+        ("run x --out y --system none", "dslab run: invalid value for '--system': "),
+        ("run x", "dslab run: missing option '--out'; see dslab run -h"),
+        ("run x --out", "dslab: option '--out' requires an argument; see dslab -h"),
+        ("scenarios list [/]", "dslab scenarios list: got unexpected extra argument"),
+        ("rnu", "dslab: no such command 'rnu'"),
+    ],
+)
+def test_a_word_that_does_not_fit_is_one_line_and_exit_2(dslab, words, line):
+    code, out, err = dslab(*words.split())
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith(f"error: {line}") and "; see dslab" in err
+
+
+def test_a_group_without_a_command_prints_its_help(dslab):
+    code, out, err = dslab("scenarios")
+    assert code == 2 and "validate" in out and err == ""
 
 
 def test_a_missing_recording_is_one_line_and_exit_2(dslab, tmp_path):
