@@ -55,8 +55,9 @@ def embedded_worker_pool(settings: WorkerPoolSettings, task: Task) -> Iterator[W
     # This logger reports connections closed by an interrupt; `silence_logs` does not reach it.
     logging.getLogger("distributed.batched").setLevel(logging.CRITICAL)
     with (
-        dask_config.set(_dask_settings()),
         scratch_folder() as folder,
+        # The scheduler too keeps files, in the folder named so.
+        dask_config.set({**_dask_settings(), "temporary-directory": str(folder)}),
         LocalCluster(
             # Started below: Dask does not close workers cleanly if their start is interrupted here.
             n_workers=0,
@@ -69,7 +70,6 @@ def embedded_worker_pool(settings: WorkerPoolSettings, task: Task) -> Iterator[W
             silence_logs=logging.CRITICAL,
             dashboard_address=None,
             preload=["experiments.campaign.unit_job"],
-            local_directory=str(folder),
             # Dask opens a port for HTTP even without a dashboard: any free one.
             scheduler_kwargs={"allowed_failures": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"},
         ) as cluster,

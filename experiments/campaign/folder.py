@@ -1,5 +1,6 @@
 """The folder of an experiment: ``spec.yaml``, ``ledger.sqlite`` and, once exported, ``units.parquet``."""
 
+import hashlib
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +11,7 @@ from experiments.campaign.schedule import Experiment
 from experiments.campaign.table_file import read_table, table_has_digest, write_errors, write_table
 from experiments.eq1.record_table import data_frame
 from scenarios.errors import InputError
-from scenarios.input_files import is_given
+from scenarios.input_files import SETTINGS_BYTES, is_given, read_bytes
 from sim.io.folders import unwritable, write_file
 from sim.unfinished import sweep
 
@@ -39,7 +40,8 @@ def read_experiment(folder: Path) -> "tuple[ExperimentSpec, pd.DataFrame]":
     """
     spec = read_spec(folder)
     if not is_given(folder / LEDGER_FILE) and is_given(folder / TABLE_FILE):
-        return spec, data_frame(read_table(folder / TABLE_FILE, spec), len(spec.threads))
+        rows = read_table(folder / TABLE_FILE, spec, _spec_digest(folder))
+        return spec, data_frame(rows, len(spec.threads))
     with Ledger.open(folder, spec, read_only=True) as ledger:
         return spec, ledger.records()
 
@@ -113,8 +115,13 @@ def export(folder: Path, csv: bool = False) -> Path:
     with Ledger.open(folder, spec, read_only=True) as ledger:
         rows, errors, checked = ledger.rows(), ledger.errors(), ledger.has_digests
         records = ledger.records()
-    write_file(folder / TABLE_FILE, partial(write_table, rows=rows, spec=spec, with_digest=checked))
+    about = {"spec": spec, "spec_digest": _spec_digest(folder), "with_digest": checked}
+    write_file(folder / TABLE_FILE, partial(write_table, rows=rows, **about))
     write_file(folder / ERRORS_FILE, partial(write_errors, errors=errors))
     if csv:
         write_file(folder / "units.csv", partial(records.to_csv, index=False, lineterminator="\n"))
     return folder / TABLE_FILE
+
+
+def _spec_digest(folder: Path) -> str:
+    return hashlib.sha256(read_bytes(folder / SPEC_FILE, SETTINGS_BYTES)).hexdigest()

@@ -12,17 +12,20 @@ from experiments.eq1.records import columns
 from scenarios.errors import InputError
 from scenarios.input_files import open_file
 
-_DIGEST = b"digest"
+_DIGEST, _SPEC_DIGEST = b"digest", b"spec_digest"
 _REMEDY = "export it anew from its ledger, by the version that wrote it"
 
 
-def write_table(path: Path, rows: list[dict[str, Any]], spec: Experiment, with_digest: bool) -> None:
+def write_table(
+    path: Path, rows: list[dict[str, Any]], spec: Experiment, spec_digest: str, with_digest: bool
+) -> None:
     """Write the records of an experiment.
 
     Args:
         path: of the file.
         rows: normalised records, in order.
         spec: of the experiment.
+        spec_digest: of the file of the spec.
         with_digest: False if the rows come from a ledger without digests.
 
     Raises:
@@ -30,7 +33,7 @@ def write_table(path: Path, rows: list[dict[str, Any]], spec: Experiment, with_d
     """
     import pyarrow.parquet as pq
 
-    about = {"experiment": spec.name, "spec_hash": spec.content_hash}
+    about = {"experiment": spec.name, "spec_hash": spec.content_hash, "spec_digest": spec_digest}
     if with_digest:
         about["digest"] = _digest(rows)
     table = arrow_table(rows, len(spec.threads)).replace_schema_metadata(about)
@@ -51,16 +54,18 @@ def write_errors(path: Path, errors: list[dict[str, Any]]) -> None:
     pq.write_table(pa.Table.from_pylist(errors, schema=schema), path)
 
 
-def read_table(path: Path, spec: Experiment) -> list[dict[str, Any]]:
-    """Read the records of an experiment.
+def read_table(path: Path, spec: Experiment, spec_digest: str) -> list[dict[str, Any]]:
+    """Read the records of an experiment, whose spec is still the one of their export.
 
     Columns of pairs of frames become null if they are missing, since older tables lack them. So do tables
-    lack a digest; of these only types and domains are checked.
+    lack digests; of these only types and domains are checked.
 
     Raises:
         InputError: it is no such table, or not as it was written.
     """
     names, found, about = _parquet(path)
+    if about.get(_SPEC_DIGEST, spec_digest.encode()) != spec_digest.encode():
+        raise InputError(str(path), "was exported with another spec.yaml than stands beside it", _REMEDY)
     types = columns(len(spec.threads))
     differing = set(types) ^ set(names)
     if differing := {name for name in differing if name not in types or not name.startswith("pairs")}:

@@ -41,7 +41,7 @@ class Example:
         name: kind of input.
         write: writes it into a new folder.
         commands: command lines that read it and end soon, with the places ``{in}`` and ``{out}``.
-        ours: its bytes are the lab's own, with checksums: no change of them may go unseen.
+        ours: patterns of the lab's own files with checksums: no change of a bit may go unseen.
         optional: patterns of files that may be absent.
         sparse: patterns of files that may be absent, or lack some of their entries.
         free: patterns of files of which any content that can be read is as good as another.
@@ -54,7 +54,7 @@ class Example:
     name: str
     write: Callable[[Path], None]
     commands: tuple[str, ...]
-    ours: bool = False
+    ours: tuple[str, ...] = ()
     optional: tuple[str, ...] = ()
     sparse: tuple[str, ...] = ()
     free: tuple[str, ...] = ()
@@ -98,11 +98,13 @@ def _units(folder: Path) -> ExperimentSpec:
         for number, cell in enumerate(spec.cell_names()):
             for index in range(spec.units):
                 unit = spec.unit(cell, index)
+                broke = bool(index)
                 record = empty_record(unit) | {
-                    "outcome": "completed", "breakage": bool(index), "free_r1_failed": bool(number),
-                    "d1": bool(index and number), "base_ate_m": 0.25 + index, "code": "0", "commit": "0",
-                    "free_r1_inliers": 17, "wall_s": 2.0,
+                    "outcome": "completed", "breakage": broke, "d1": bool(broke and number), "code": "0",
+                    "commit": "0", "base_ate_m": 0.25 + index, "wall_s": 2.0, "cross_r1_inliers": 17,
                 }  # fmt: skip
+                if broke:
+                    record |= {"free_r1_failed": bool(number), "breakage_reason": "made up"}
                 ledger.add(normalise(record, len(spec.threads)))
                 if index == 0:
                     ledger.add_error(unit, 1, "tcp://127.0.0.1:1", "made up")
@@ -245,14 +247,15 @@ EXAMPLES: dict[str, Example] = {
                 "experiment run {in}/spec.yaml --out {in}",
                 "experiment replay {in} none",
             ),
-            ours=True,
-            mended=("spec.yaml",),
+            ours=("ledger.sqlite", "driver.lock"),
+            sparse=("spec.yaml",),
+            mended=("spec.yaml", "driver.lock"),
         ),
         Example(
             "table of an experiment",
             _exported,
             ("experiment report {in}",),
-            ours=True,
+            ours=("*",),
             fixed=("infrastructure_errors.parquet",),
             heavy=True,
         ),
@@ -261,7 +264,7 @@ EXAMPLES: dict[str, Example] = {
             "cache",
             _cache,
             ("render {in}/scenario.yaml --out {out}",),
-            ours=True,
+            ours=("cache/*",),
             fixed=("scenario.yaml",),
             mended=("cache/*",),
             environment={"DSLAB_CACHE_DIR": "{in}/cache"},

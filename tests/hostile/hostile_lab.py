@@ -69,9 +69,10 @@ class Lab:
 
     def judge(self, example: Example, command: str, mutation: Mutation) -> tuple[str, list[str]]:
         """The outcome of a command on a mutated example, and its faults."""
+        valid = self.valid(example, command)
         case = self.run(example, command, mutation)
-        if case.ended.code == 0 and mutation.strict and case.seen != self.valid(example, command):
-            changed = differing(case.seen, self.valid(example, command))
+        if case.ended.code == 0 and mutation.strict and case.seen != valid:
+            changed = differing(case.seen, valid)
             return case.outcome, [*case.faults, "silently changed: " + ", ".join(changed)]
         return case.outcome, case.faults
 

@@ -60,7 +60,7 @@ def mutations(draw: Any, example: Example, folder: Path) -> Mutation:
     excused = {UNLESS_OPTIONAL: example.optional + example.sparse, UNLESS_SPARSE: example.sparse}
     if _among(path, example.free + excused.get(strict, ())):
         strict = False
-    return Mutation(kind.__name__, what, path, bool(strict or example.ours), apply)
+    return Mutation(kind.__name__, what, path, bool(strict or _among(path, example.ours)), apply)
 
 
 def _among(path: str, patterns: tuple[str, ...]) -> bool:

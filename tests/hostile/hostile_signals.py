@@ -55,7 +55,7 @@ class Place:
     """A folder with inputs, outputs, cache and temporary files for one command."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
+        self.folder, self.result = folder, folder / "out" / "result"
         EVERYTHING.write(folder / "given")
         for name in ("out", "tmp", "cache"):
             (folder / name).mkdir()
@@ -63,7 +63,7 @@ class Place:
 
     def start(self, name: str) -> Running:
         """Start a command and wait until it has set its handlers."""
-        places = {"{in}": str(self.folder / "given"), "{out}": str(self.folder / "out" / "result")}
+        places = {"{in}": str(self.folder / "given"), "{out}": str(self.result)}
         words = [filled(word, places) for word in COMMANDS[name].split()]
         self._starts += 1
         mark, err = f"{self.folder}-{self._starts}", self.folder / f"stderr-{self._starts}"
@@ -83,6 +83,10 @@ class Place:
         os.read(ready, 1)
         os.close(ready)
         return Running(process, mark, err)
+
+    def done(self, name: str) -> bool:
+        """The result is there; that of an experiment is there from the start."""
+        return self.result.exists() and name != "experiment"
 
     def debris(self) -> list[str]:
         """What no command may leave: anything but a whole result."""
@@ -104,11 +108,12 @@ def survivors(mark: str, seconds: float) -> list[str]:
     return names
 
 
-def faults_of(code: int, err: str, number: int) -> list[str]:
-    """What is wrong with the end of a command after a signal."""
+def faults_of(code: int, err: str, number: int, done: bool) -> list[str]:
+    """What is wrong with the end of a command after a signal; its result was done or not."""
     faults = [f"{word} on stderr: {err[-600:]!r}" for word in _BAD if word in err][:1]
-    expected = {-number} if number == signal.SIGKILL else {128 + number}
-    if code != 0 and code not in expected:
+    # Once all is done, Python ends by itself, and a signal ends it without a word.
+    expected = {0, -number if done or number == signal.SIGKILL else 128 + number}
+    if code not in expected | {128 + number}:
         faults.append(f"exit code {code} after signal {number}: {err[-600:]!r}")
     return faults
 

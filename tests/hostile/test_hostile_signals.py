@@ -23,7 +23,7 @@ def test_a_signal_leaves_a_whole_result_or_nothing(name, tmp_path, findings, cas
         running = place.start(name)
         time.sleep(after_ms / 1000)
         code, err = running.end(number)
-        faults = faults_of(code, err, number)
+        faults = faults_of(code, err, number, place.done(name))
         faults += [f"still runs: {alive}" for alive in survivors(running.mark, 10.0)]
         if number == signal.SIGKILL:
             faults += _start_again(place, name)
@@ -44,7 +44,7 @@ def _start_again(place: Place, name: str) -> list[str]:
         number = signal.SIGTERM
     code, err = running.end(number)
     survivors(running.mark, 5.0)
-    done = (place.folder / "out" / "result").exists()
+    done = place.done(name)
     if code == 2 and done and "already holds files" in err:
         return []  # the first had just finished
-    return [f"started again: {fault}" for fault in faults_of(code, err, number)]
+    return [f"started again: {fault}" for fault in faults_of(code, err, number, done)]

@@ -280,6 +280,15 @@ def test_a_changed_bit_of_an_exported_table_changes_no_row_silently(dslab, smoke
     assert found > 4
 
 
+def test_an_exported_table_belongs_to_its_spec(dslab, smoke):
+    dslab("experiment", "export", smoke)
+    (smoke / LEDGER_FILE).unlink()
+    spec = (smoke / "spec.yaml").read_text()
+    (smoke / "spec.yaml").write_text(spec.replace("tail_s: ", "tail_s: 1"))
+    code, _, err = dslab("experiment", "report", smoke)
+    assert code == 2 and err.count("\n") == 1 and "another spec.yaml" in err
+
+
 def test_an_older_table_has_null_columns_and_no_digest(dslab, smoke):
     dslab("experiment", "export", smoke)
     (smoke / LEDGER_FILE).unlink()
