@@ -5,7 +5,7 @@ from typing import Any
 
 import typer
 
-from experiments.cli import app
+from experiments.cli.commands import app
 
 ARGUMENTS = {
     "demo": "--scenario {in}/scenario/scenario.yaml --out {in}/result",

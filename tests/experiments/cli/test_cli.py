@@ -12,7 +12,7 @@ import pytest
 from slam_fakes import fake_factory, make_sequence
 from typer.main import get_command
 
-from experiments.cli import app
+from experiments.cli.commands import app
 from experiments.runs import execution, slam_settings, sources
 from scenarios.errors import InputError
 

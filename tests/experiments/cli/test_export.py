@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from experiments.cli import app
+from experiments.cli.commands import app
 from experiments.runs.sources import open_sequence
 from scenarios.errors import InputError
 from sim.io.euroc_reader import load_euroc_imu

@@ -1,0 +1,53 @@
+"""Every command of ``dslab``."""
+
+from importlib import metadata
+from typing import Annotated
+
+import typer
+
+from experiments.cli import bench, config, demo, doctor, experiment, run, view, vocabulary, warmup
+from experiments.cli.degrade import degrade_command
+from experiments.cli.export import export_command
+from experiments.cli.paper import paper_command
+from experiments.cli.render import render_command
+from experiments.cli.scenarios import app as scenarios_app
+
+app = typer.Typer(
+    name="dslab",
+    help="Synthetic stress tests for monocular SLAM and Dual-SLAM: render, run, judge, look.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command("demo")(demo.demo_command)
+app.command("doctor")(doctor.doctor_command)
+app.command("warmup")(warmup.warmup_command)
+app.add_typer(scenarios_app, name="scenarios")
+app.add_typer(config.app, name="config")
+app.command("render")(render_command)
+app.command("degrade")(degrade_command)
+app.command("export")(export_command)
+app.command("run")(run.run_command)
+app.command("view")(view.view_command)
+app.add_typer(experiment.app, name="experiment")
+app.command("paper")(paper_command)
+app.add_typer(bench.app, name="bench")
+app.add_typer(vocabulary.app, name="vocabulary")
+
+
+def _print_version(requested: bool) -> None:
+    if requested:
+        print(f"dual-slam-lab {metadata.version('dual-slam-lab')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    _version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit."),
+    ] = False,
+) -> None:
+    pass
