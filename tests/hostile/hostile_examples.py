@@ -15,6 +15,7 @@ from experiments.campaign.ledger import Ledger
 from experiments.eq1.record_table import normalise
 from experiments.eq1.records import empty_record
 from experiments.eq1.spec import ExperimentSpec, load_spec
+from experiments.report.paths_file import add_paths
 from experiments.runs.slam_settings import settings_yaml
 from scenarios.loading import load_scenario
 from sim.sequence_rendering import render_sequence
@@ -117,7 +118,8 @@ def _experiment(folder: Path) -> None:
 
 
 def _exported(folder: Path) -> None:
-    _units(folder)
+    spec = _units(folder)
+    add_paths(folder, spec.unit(spec.cell_names()[0], 0).unit_id, {"truth": np.zeros((20, 3), np.float32)})
     export(folder)
     for path in folder.glob("ledger.sqlite*"):
         path.unlink()
@@ -256,6 +258,7 @@ EXAMPLES: dict[str, Example] = {
             _exported,
             ("experiment report {in}",),
             ours=("*",),
+            optional=("trajectories.npz",),
             fixed=("infrastructure_errors.parquet",),
             heavy=True,
         ),
