@@ -99,7 +99,7 @@ class Lab:
             stdout: a file to write to instead.
             environment: variables.
         """
-        folder = self._root / f"case-{self._number}"
+        folder = self._root / f"case-{self._number:06d}"
         self._number += 1
         for name in ("out", "tmp"):
             (folder / name).mkdir(parents=True)
