@@ -7,7 +7,7 @@ from typing import Any, Literal
 UNLESS_OPTIONAL: Literal["unless optional"] = "unless optional"
 UNLESS_SPARSE: Literal["unless sparse"] = "unless sparse"
 Strict = bool | Literal["unless optional", "unless sparse"]
-"""What is read must stay the same if it is not refused: or only where nothing may be absent."""
+"""What is read stays the same or is refused: always, or unless the file, or an entry, may be absent."""
 Change = tuple[str, Strict, Callable[[Path], Any]]
 NUMBERS = ("-1", "0", "0.5", "1e308", "-1e308", "1e-308", "123456789012345678", "99999999999999999999")
 """Numbers of the right type that are hardly meant."""

@@ -34,8 +34,7 @@ class Lab:
         self._root, self._number = root, 0
         self._valid: dict[tuple[Example, str], dict[str, str]] = {}
         environment = {
-            **{name: value for name, value in os.environ.items() if not name.startswith("DSLAB_")},
-            "OMP_NUM_THREADS": "1", "PYTHONIOENCODING": "utf-8:strict", "HOME": str(root),
+            **os.environ, "OMP_NUM_THREADS": "1", "PYTHONIOENCODING": "utf-8:strict", "HOME": str(root),
             "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
         }  # fmt: skip
         self._server = subprocess.Popen(
@@ -122,12 +121,10 @@ class Lab:
             faults += [f"input {'changed' if name in before else 'added'}: {name}" for name in changed]
         if at_work(command, ended):
             outcome, faults = "at work", []
-        seen = {f"given/{name}": after.get(name, "") for name in changed} | _seen(
-            folder, result, command, ended
-        )
+        seen = {f"given/{name}": after.get(name, "") for name in changed}
+        seen |= _seen(folder, result, command, ended)
         shutil.rmtree(folder, ignore_errors=True)
-        seen = {name: digest for name, digest in seen.items() if Path(name).name not in _MEASURED}
-        return Case(ended, outcome, faults, seen)
+        return Case(ended, outcome, faults, {n: d for n, d in seen.items() if Path(n).name not in _MEASURED})
 
     def _call(self, words: list[str], folder: Path, variables: dict[str, str], stdout: str) -> Ended:
         stderr = folder / "stderr"

@@ -1,11 +1,15 @@
-"""Whatever words, names and variables a command is given, it does its work or refuses it with one line."""
+"""Whatever files, words, names and variables a command is given, it does its work or refuses with one line.
+
+It ends soon, leaves nothing behind, and reads nothing else than was meant without a word.
+"""
 
 import re
 from pathlib import Path
 
 import pytest
 from hostile_commands import ARGUMENTS, WORDS, commands, options_of
-from hostile_examples import EVERYTHING
+from hostile_examples import EVERYTHING, EXAMPLES
+from hostile_mutations import mutations
 from hostile_oracle import faults_of
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,12 +17,25 @@ from hypothesis import strategies as st
 import sim
 from scenarios.segments import SEGMENT_KINDS
 
-_NAMES = [
-    word for word in WORDS if word.strip(".") and "/" not in word and "{" not in word and len(word) < 256
-]
+_NAMES = [word for word in WORDS if word.strip(".") and not {"/", "{"} & {*word} and len(word) < 256]
 _RENDER, _DEGRADE = "render {in}/scenario/scenario.yaml --out {out}", "degrade {in}/tum --out {out}"
 _READERS = [f"{path} {ARGUMENTS[path]}" for path in ("export", "run", "scenarios show", "experiment status")]
 _GIVEN = st.sampled_from(sorted(commands()))
+_EXAMPLES = [pytest.param(e.name, marks=pytest.mark.slow) if e.heavy else e.name for e in EXAMPLES.values()]
+
+
+@pytest.mark.parametrize("name", _EXAMPLES)
+def test_a_mutated_file_is_read_or_refused_with_one_line(name, lab, findings, hostile):
+    example = EXAMPLES[name]
+
+    @hostile(0.75 / len(EXAMPLES))
+    @given(st.sampled_from(example.commands), mutations(example, lab.folder(example)))
+    def mutate(command, mutation):
+        outcome, faults = lab.judge(example, command, mutation)
+        findings.add(name, mutation.kind, outcome, faults, f"{name}: {mutation!r}: dslab {command}")
+
+    mutate()
+    assert not findings.faults, findings.text()
 
 
 @st.composite
@@ -102,22 +119,13 @@ def _variables() -> list[str]:
 
 @pytest.mark.slow
 def test_any_value_of_a_variable_works_or_is_refused_with_one_line(lab, findings, hostile):
-    named = [
-        *_variables(),
-        "TMPDIR",
-        "XDG_CACHE_HOME",
-        "PYTHONIOENCODING",
-        "COLUMNS",
-        "TERM",
-        "NUMBA_CACHE_DIR",
-    ]
-    encodings = ("ascii", "latin-1", "utf-16")
+    others = ("TMPDIR", "XDG_CACHE_HOME", "PYTHONIOENCODING", "COLUMNS", "TERM", "NUMBA_CACHE_DIR")
+    encodings = st.sampled_from(("ascii", "latin-1", "utf-16"))
+    names = st.sampled_from((*_variables(), *others))
     commands = (_RENDER, "scenarios list", *_READERS)
 
     @hostile(0.05)
-    @given(
-        st.sampled_from(commands), st.sampled_from(named), st.sampled_from(WORDS), st.sampled_from(encodings)
-    )
+    @given(st.sampled_from(commands), names, st.sampled_from(WORDS), encodings)
     def call(command, name, word, encoding):
         value = encoding if name == "PYTHONIOENCODING" else word
         case = lab.run(EVERYTHING, command, **{name: value})
