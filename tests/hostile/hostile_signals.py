@@ -77,7 +77,7 @@ class Place:
             process = subprocess.Popen(
                 [sys.executable, "-c", _START.format(pipe=pipe), *words], env=environment, cwd=self.folder,
                 stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr, start_new_session=True,
-                pass_fds=[pipe],
+                pass_fds=[pipe], preexec_fn=_heed_signals,  # noqa: PLW1509  no threads here
             )  # fmt: skip
         os.close(pipe)
         os.read(ready, 1)
@@ -95,6 +95,12 @@ class Place:
         left += [path for path in (self.folder / "cache").iterdir() if path.name.startswith(".")]
         left += [path for path in (self.folder / "out").rglob(".*") if path not in left]
         return [f"left {path.relative_to(self.folder)}" for path in left]
+
+
+def _heed_signals() -> None:
+    """Undo what nohup, or a shell in the background, has told its children to ignore."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
 
 
 def survivors(mark: str, seconds: float) -> list[str]:
