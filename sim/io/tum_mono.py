@@ -112,11 +112,12 @@ class RectifiedFrames:
 
 
 def _read_times(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """Read (N,) stamps, and (N,) exposures in seconds if every line has one."""
+    """Read (N,) stamps, and (N,) exposures in seconds if the lines have them."""
     rows: list[list[float]] = []
     ids: list[int] = []
+    names: list[str] = []
     for where, words in read_rows(path, "give a folder with `id stamp exposure_ms` per frame"):
-        names = _TIME_NAMES[: max(2, min(len(words), 3))]
+        names = names or _TIME_NAMES[: max(2, min(len(words), 3))]
         check_words(where, words, names)
         _check_id(where, words[0], ids)
         row = [to_stamp(where, words[1]), *to_numbers(where, words[2:], names[2:])]
@@ -127,7 +128,7 @@ def _read_times(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     if not rows:
         raise InputError(str(path), "lists no frame", "give a folder with at least one frame")
     stamps_s = np.array([row[0] for row in rows])
-    if any(len(row) < 2 for row in rows):
+    if len(names) < len(_TIME_NAMES):
         return stamps_s, None
     return stamps_s, np.array([row[1] for row in rows]) / 1000
 

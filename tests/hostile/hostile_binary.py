@@ -4,6 +4,7 @@ import os
 import shutil
 import sqlite3
 import struct
+import warnings
 import zipfile
 import zlib
 from contextlib import closing
@@ -79,7 +80,7 @@ def archive(draw: Any, path: Path) -> Change:
 
     def apply(path: Path) -> None:
         method = zipfile.ZIP_LZMA if what == "lzma" else zipfile.ZIP_STORED
-        with zipfile.ZipFile(path, "w", method) as archive:
+        with warnings.catch_warnings(action="ignore"), zipfile.ZipFile(path, "w", method) as archive:
             for name, data in pairs:
                 archive.writestr(name, data)
         data = bytearray(path.read_bytes())

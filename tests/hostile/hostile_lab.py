@@ -13,7 +13,7 @@ from hostile_examples import EXAMPLES, Example
 from hostile_mutations import Mutation
 from hostile_oracle import Ended, at_work, contents, debris, differing, faults_of, filled, passing, text
 
-SECONDS = 15
+SECONDS = 30
 _MEASURED = {"summary.json", "frames.csv", "report.html"}
 
 

@@ -138,6 +138,7 @@ def test_tum_mono_is_written_only_in_other_forms(folder, tmp_path):
     ("file", "old", "new", "expected"),
     [
         ("times.txt", "0.100000", "0.01", ["times.txt:3: stamp", "does not come after"]),
+        ("times.txt", "0.150000 5.5", "0.150000", ["times.txt:4", "2 numbers where 3", "exposure_ms"]),
         ("times.txt", "00003 0.150000 5.5\n", "", ["images", "4 images, times.txt 3 stamps"]),
         ("camera.txt", "crop\n", "", ["camera.txt", "3 lines where 4"]),
         ("camera.txt", "0.535719308086809", "-0.5", ["camera.txt:1", "shares of the image"]),
