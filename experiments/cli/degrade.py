@@ -80,4 +80,7 @@ def degrade_command(
         with_depth = target is Form.TUM and degraded.depths is not None
         write_sequence(degraded, out_dir, target, readings, with_depth, show)
     print_segments(degraded.segments)
-    out.print(f"{out_dir}: {len(degraded)} frames in {target} form" + (", with imu0" if readings else ""))
+    out.print(
+        f"{out_dir}: {len(degraded)} frames in {target} form" + (", with imu0" if readings else ""),
+        soft_wrap=True,
+    )

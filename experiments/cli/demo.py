@@ -42,10 +42,10 @@ def demo_command(
         summaries = run_demo(sequence, spec.seed, out_dir, show)
     title = f"{spec.name}, seed {spec.seed}, {spec.duration_s:g} s, {len(sequence)} frames"
     out.print(demo_table(summaries, title))
-    out.print(f"picture    {out_dir / PICTURE_FILE}")
-    out.print(f"recording  {out_dir / RECORDING_FILE}  (open it: dslab view {out_dir})")
+    out.print(f"picture    {out_dir / PICTURE_FILE}", soft_wrap=True)
+    out.print(f"recording  {out_dir / RECORDING_FILE}  (open it: dslab view {out_dir})", soft_wrap=True)
     for kind in summaries:
-        out.print(f"{kind:10s} {out_dir / kind}")
+        out.print(f"{kind:10s} {out_dir / kind}", soft_wrap=True)
 
 
 def demo_table(summaries: dict, title: str) -> Table:

@@ -71,6 +71,6 @@ def export_command(
             raise InputError(f"--depth: {source}", "the folder has no depth images", "leave out --depth")
         write_sequence(sequence, out_dir, Form(form.value), readings, with_depth, show)
     extras = [name for name, there in (("depth", with_depth), ("imu0", readings)) if there]
-    out.print(f"{out_dir}: " + ", ".join([f"{len(sequence)} frames in {form} form", *extras]))
+    out.print(f"{out_dir}: " + ", ".join([f"{len(sequence)} frames in {form} form", *extras]), soft_wrap=True)
     if sequence.depths is not None and not with_depth:
         out.print("  depth images are left out")

@@ -40,7 +40,7 @@ def fuzz_command(
 
         rows = run_fuzz(chosen, out_dir, workers, timeout_s, report)
     out.print(_table(rows, kinds))
-    out.print(f"one row per run in {out_dir / 'units.jsonl'}")
+    out.print(f"one row per run in {out_dir / 'units.jsonl'}", soft_wrap=True)
     if failed(rows):
         raise typer.Exit(1)
 

@@ -134,7 +134,7 @@ def run_command(
         print_json_line(summary)
         return
     out.print(summary_table(summary))
-    out.print(f"files in {out_dir}" + (f"; open it: dslab view {out_dir}" if rerun else ""))
+    out.print(f"files in {out_dir}" + (f"; open it: dslab view {out_dir}" if rerun else ""), soft_wrap=True)
 
 
 def _dual_config(
