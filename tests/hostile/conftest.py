@@ -10,7 +10,7 @@ from zlib import crc32
 import pytest
 from hypothesis import HealthCheck, Phase, seed, settings
 
-_USUAL = {"HOSTILE_INPUTS": 70, "HOSTILE_SIGNALS": 8}
+_USUAL = {"HOSTILE_INPUTS": 50, "HOSTILE_SIGNALS": 8}
 _COUNTS: Counter[tuple[str, str, str]] = Counter()
 
 

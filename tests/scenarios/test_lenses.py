@@ -35,7 +35,7 @@ def test_a_lens_that_sees_behind_the_camera_is_not_valid():
 def test_a_lens_that_passes_the_check_can_be_rendered_and_estimated_with():
     rng = np.random.default_rng(0)
     passed = 0
-    for _ in range(60):
+    for _ in range(25):
         width, height, focal = 64, 48, 64 * rng.choice([0.5, 0.8, 1.5])
         model, count = [("radtan", 5), ("equidistant", 4)][rng.integers(2)]
         scale = 10 ** rng.uniform(-2, 0.5) * np.array([1, 1, 0.05, 0.05, 1][:count])
@@ -46,4 +46,4 @@ def test_a_lens_that_passes_the_check_can_be_rendered_and_estimated_with():
             assert Lens(camera).ideal.width_px > 0
             assert PinholeCamera(**camera.__dict__).distortion == coefficients
             passed += 1
-    assert 20 < passed < 50
+    assert 5 < passed < 22

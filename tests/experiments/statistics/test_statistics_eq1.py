@@ -105,7 +105,7 @@ def test_predicted_and_ratio_cover_as_stated(case):
         assert np.all(held >= 0.95 - 0.015 - 3 * np.sqrt(0.05 * 0.95 / replicates)), held
 
 
-@pytest.mark.parametrize("case", PAIRED[:2])
+@pytest.mark.parametrize("case", PAIRED[:1])
 def test_the_size_is_at_most_nominal_if_eq1_holds(case):
     rejected = simulated(case, 1.0, 100, lambda c, rng: _p(c, rng, 99)) <= 0.05
     assert at_most(rejected.mean(), 0.05, 100)
@@ -158,8 +158,8 @@ def test_equivalence_has_its_size_at_the_bound_and_confirms_if_eq1_holds():
     def p(counts, rng):
         return tost(counts, 1.5, 99, rng)
 
-    assert at_most((simulated(case, 1.5, 100, p) <= 0.05).mean(), 0.05, 100)
-    assert (simulated(case, 1.0, 30, p) <= 0.05).mean() > 0.8
+    assert at_most((simulated(case, 1.5, 60, p) <= 0.05).mean(), 0.05, 60)
+    assert (simulated(case, 1.0, 20, p) <= 0.05).mean() > 0.8
 
 
 def test_equivalence_of_too_few_units_is_not_shown():

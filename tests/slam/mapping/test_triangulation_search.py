@@ -155,8 +155,8 @@ def test_the_fundamental_matrix_agrees_with_numpy_and_with_projections():
 @pytest.mark.parametrize(
     ("second", "least_deg"),
     [
-        (None, 1.15),
-        (rigid((0.05, -0.02, 0.8), (0, 3, 0)), 0.1),
+        pytest.param(None, 1.15, marks=pytest.mark.slow),
+        pytest.param(rigid((0.05, -0.02, 0.8), (0, 3, 0)), 0.1, marks=pytest.mark.slow),
         (rigid((0.05, -0.02, -0.8), (0, 3, 0)), 0.1),
     ],
     ids=["aside", "behind", "ahead"],
