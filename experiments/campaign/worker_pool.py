@@ -21,8 +21,9 @@ from scenarios.errors import InputError, MachineError
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-MEMORY_FLOOR_MB = 300
-"""Least memory limit of a worker: it takes 190 MB to start, 250 MB with all that a unit imports."""
+MEMORY_FLOOR_MB = 400
+"""Least memory limit of a worker: it takes 190 MB to start, 250 to 310 MB with all that a unit
+imports."""
 _START_S = 120.0
 _LATE_S = 60.0
 """Time allowed beyond an item's limit; its process should have ended itself by then."""

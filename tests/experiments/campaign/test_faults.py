@@ -213,6 +213,7 @@ def test_a_result_whose_worker_has_gone_is_given_up():
 @pytest.mark.slow
 def test_a_memory_limit_below_that_of_a_fresh_worker_ends_the_run(monkeypatch, tmp_path):
     monkeypatch.setattr(pool, "MEMORY_FLOOR_MB", 1)
+    monkeypatch.setattr(clusters, "_STARTS_PER_WORKER", 2)
     settings, plan = WorkerPoolSettings(memory_mb=1), MadeUp({"ok": 9})
     with pytest.raises(MachineError, match=r"ended before their first unit|ended in the same error"):
         runner.run_experiment(plan, tmp_path / "x", lambda: clusters.open_worker_pool(settings, made_up_unit))

@@ -165,7 +165,7 @@ def test_a_replay_that_ends_in_an_infrastructure_error_ends_with_1(dslab, smoke,
 @pytest.mark.parametrize(
     ("option", "part"),
     [
-        (("--memory", "1"), "--memory: 1 MB is less than the 300 MB that a worker takes to start; give mega"),
+        (("--memory", "1"), "--memory: 1 MB is less than the 400 MB that a worker takes to start; give mega"),
         (("--timeout", "1e300"), "--timeout: 1e+300 s is no time limit"),
     ],
 )

@@ -8,7 +8,6 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
-from unit_fakes import OneWorker
 
 from experiments import cli
 from experiments.campaign.worker_pool import Ended, WorkerPool
@@ -169,10 +168,9 @@ def test_the_scenarios_of_failed_runs_are_kept(output):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", [OneWorker, WorkerPool])
-def test_the_table_does_not_depend_on_the_number_of_processes(output, shared_pool, tmp_path, kind):
+def test_the_table_does_not_depend_on_the_number_of_processes(output, shared_pool, tmp_path):
     def opened(settings, task):
-        return nullcontext(kind(shared_pool._client, task, settings, tmp_path))
+        return nullcontext(WorkerPool(shared_pool._client, task, settings, tmp_path))
 
     run_fuzz(UNITS, tmp_path / "out", job=scripted, open_pool=opened)
     one, other = ((folder / "units.jsonl").read_bytes() for folder in (output[1], tmp_path / "out"))

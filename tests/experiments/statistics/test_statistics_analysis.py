@@ -1,6 +1,5 @@
 """The whole analysis on tables of records of known truth, and on tables with little in them."""
 
-import time
 from dataclasses import asdict
 
 import numpy as np
@@ -35,11 +34,8 @@ def _finite(value):
 
 
 @pytest.mark.slow
-def test_nine_cells_of_forty_units_take_less_than_ten_seconds():
-    table = _experiment(units_per_world=2)
-    began = time.process_time()
-    found = analyse(table, 2)
-    assert time.process_time() - began < 10
+def test_nine_cells_are_analysed_and_every_figure_is_finite():
+    found = analyse(_experiment(units_per_world=2), 2)
     assert _finite(asdict(found))
     assert [c.cell for c in found.cells] == [f"{k}/{s}" for k in ("blur", "dark", "turn") for s in (1, 2, 3)]
 

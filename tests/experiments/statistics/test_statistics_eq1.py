@@ -112,7 +112,7 @@ def test_the_size_is_at_most_nominal_if_eq1_holds(case):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", [PAIRED[0], (40, 0.5, 0.2, 1, 3.0), (100, 0.15, 0.5, 2, 0.3)])
+@pytest.mark.parametrize("case", [(40, 0.5, 0.2, 1, 3.0)])
 def test_the_size_is_at_most_nominal_in_detail(case):
     rejected = simulated(case, 1.0, 600, lambda c, rng: _p(c, rng, 199)) <= 0.05
     assert at_most(rejected.mean(), 0.05, 600)
