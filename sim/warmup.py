@@ -1,13 +1,11 @@
 """Compilation of all kernels, by rendering a short scenario with every kind of degradation."""
 
-import tempfile
-from pathlib import Path
-
 import numpy as np
 
 from scenarios.spec import Scenario
 from sim.degradations.registry import DEGRADATIONS
 from sim.sequence_rendering import render_sequence
+from sim.unfinished import scratch_folder
 
 _SEGMENT_S, _EVERY_S = 0.3, 0.4
 _CAMERA = {
@@ -36,5 +34,5 @@ def warm_up() -> None:
             "segments": segments,
         }
     )
-    with tempfile.TemporaryDirectory(prefix="dslab-") as folder:
-        render_sequence(scenario, cache_dir=Path(folder))
+    with scratch_folder() as folder:
+        render_sequence(scenario, cache_dir=folder)

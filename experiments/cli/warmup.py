@@ -8,15 +8,13 @@ def warmup_command() -> None:
 
     Example: `dslab warmup`
     """
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
+    from experiments.runs.processes import process_pool
     from scenarios.errors import InputError
     from sim import warmup as simulator
     from slam import warmup as systems
 
     single_threaded_opencv()
-    with ProcessPoolExecutor(1, get_context("spawn")) as beside, progress_bars() as show:
+    with process_pool(1) as beside, progress_bars() as show:
         rendered = beside.submit(simulator.warm_up)
         systems.warm_up(show)
         try:
