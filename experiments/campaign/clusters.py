@@ -1,5 +1,6 @@
 """Pools on an embedded cluster of this machine, or on the workers of a Dask scheduler."""
 
+import gc
 import logging
 import os
 import time
@@ -14,7 +15,7 @@ from scenarios.errors import InputError, MachineError
 from sim.unfinished import scratch_folder
 
 if TYPE_CHECKING:
-    from distributed import LocalCluster
+    from distributed import Client, LocalCluster
 
 SINGLE_THREADED = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
@@ -22,6 +23,7 @@ SINGLE_THREADED = dict.fromkeys(
 _START_S = 120.0
 _CONNECT_S = 10.0
 _TICK_S = 1.0
+_NO_KEYS = "is reached by TLS only and no keys are configured"
 _NOBODY_S = 600.0
 """Time that an embedded cluster may be without any worker; they start in seconds."""
 _STARTS_PER_WORKER = 5
@@ -140,20 +142,31 @@ def remote_worker_pool(settings: WorkerPoolSettings, task: Task) -> Iterator[Wor
     Raises:
         InputError: there is no scheduler at the address, it refuses the keys, or no worker comes.
     """
-    from distributed import Client
-
     address = str(settings.scheduler)
     remedy = "start one with `dask scheduler` and workers with `dask worker`, or leave --scheduler out"
-    try:
-        client = Client(address, timeout=_CONNECT_S, set_as_default=False)
-    except TypeError as error:
-        keys = "name its keys in Dask's configuration (distributed.comm.tls)"
-        raise InputError(address, "is reached by TLS only and no keys are configured", keys) from error
-    except (OSError, TimeoutError, ValueError) as error:
-        raise InputError(address, f"no scheduler answers ({type(error).__name__})", remedy) from error
+    client, problem = _connected(address)
+    if client is None:
+        # What is left of it stays in a cycle. Collected while Dask starts a thread for another client, its
+        # finalizer waits for a lock that this start holds.
+        gc.collect()
+        if problem == _NO_KEYS:
+            remedy = "name its keys in Dask's configuration (distributed.comm.tls)"
+        raise InputError(address, problem, remedy)
     with client:
         _await(client, 1, address, remedy)
         yield WorkerPool(client, task, settings)
+
+
+def _connected(address: str) -> "tuple[Client | None, str]":
+    """A client of the scheduler at an address, or the reason why there is none."""
+    from distributed import Client
+
+    try:
+        return Client(address, timeout=_CONNECT_S, set_as_default=False), ""
+    except TypeError:
+        return None, _NO_KEYS
+    except (OSError, TimeoutError, ValueError) as error:
+        return None, f"no scheduler answers ({type(error).__name__})"
 
 
 def _dask_settings() -> dict[str, Any]:

@@ -5,9 +5,11 @@ import shutil
 from contextlib import closing
 from pathlib import Path
 
+from experiments.campaign.folder import SPEC_FILE
 from experiments.campaign.ledger import LEDGER_FILE, Ledger
 from experiments.campaign.ledger_file import connect, explained, has_tables
 from experiments.campaign.schedule import Experiment
+from scenarios.errors import InputError
 from sim.io.folders import unwritable
 
 _RENEWED = ".ledger-renewed"
@@ -24,7 +26,8 @@ def renew_ledger(folder: Path, experiment: Experiment, drop_damaged: bool = Fals
         drop_damaged: leave out rows that are damaged or cannot be read, so that their units are run again.
 
     Raises:
-        InputError: the ledger is damaged and this is not to be mended, or cannot be; or the disk is full.
+        InputError: the ledger is damaged and this is not to be mended, or cannot be; it has been emptied; or
+            the disk is full.
     """
     path, renewed = folder / LEDGER_FILE, folder / _RENEWED
     shutil.rmtree(renewed, ignore_errors=True)
@@ -33,6 +36,9 @@ def renew_ledger(folder: Path, experiment: Experiment, drop_damaged: bool = Fals
     # SQLite removes its log with the last connection that may write; it would apply one to the new file.
     with explained(path), closing(connect(path, "rw")) as connection:
         if not has_tables(connection):
+            if (folder / SPEC_FILE).is_file():  # written after the tables
+                remedy = "put a copy back, or remove it to run all units again"
+                raise InputError(str(path), "is empty: its rows are lost", remedy)
             return
         with Ledger.open(folder, experiment, read_only=True) as old:
             if old.has_digests and not drop_damaged:

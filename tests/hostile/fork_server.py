@@ -114,17 +114,20 @@ def _call(argv: list[str]) -> int:
 
 
 def _end_descendants() -> list[str]:
-    """End the processes that a command has left; their names."""
-    left = psutil.Process().children(recursive=True)
-    names = []
+    """End the processes that a command has left; their command lines.
+
+    Those that end when the command's pipes close, as multiprocessing's resource tracker does, get the time.
+    """
+    _, left = psutil.wait_procs(psutil.Process().children(recursive=True), timeout=5)
+    words = []
     for process in left:
         try:
-            names.append(process.name())
+            words.append(" ".join(process.cmdline())[:200])
             process.kill()
             process.wait(5)
         except psutil.NoSuchProcess:
             continue
-    return names
+    return words
 
 
 if __name__ == "__main__":
