@@ -4,13 +4,14 @@ UV := .tools/bin/uv
 BIN := .venv/bin
 OUT ?= out/demo
 
-.PHONY: help demo test test-all lint format bench vocabulary setup clean
+.PHONY: help demo test test-all lint format docs bench vocabulary setup clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo    render a scenario that breaks the base, run it and Dual-SLAM on it, show the result (OUT=$(OUT))"
 	@echo "make test    the test suite without the slow tests    make test-all   all of it"
 	@echo "make lint    formatting, lint, types, layers            make bench      speed of the tracker"
+	@echo "make docs    the documentation, in site/index.html"
 	@echo "make vocabulary   train the place recognition vocabulary (minutes)"
 	@echo "make clean   remove the virtual environment, tools, outputs and compiled kernels"
 
@@ -20,9 +21,13 @@ setup: .venv/.ready
 	@echo "dslab setup: installing uv"
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-warn-script-location --root-user-action=ignore --target .tools "uv==0.13.8"
 
-.venv/.ready: pyproject.toml uv.lock .tools/bin/uv
+# Enough for what runs none of our code.
+.venv/.installed: pyproject.toml uv.lock .tools/bin/uv
 	@echo "dslab setup: installing the locked packages into .venv"
 	@$(UV) sync --quiet --frozen --extra evo --python $(PYTHON)
+	@touch $@
+
+.venv/.ready: .venv/.installed
 	@$(BIN)/python -m sim.rendering.gl_setup --uv $(UV)
 	@# Sources are compiled here, beside the kernels: not everywhere may Python write what it compiles.
 	@packages=$$($(BIN)/python -c "import sysconfig; print(sysconfig.get_path('purelib'))"); \
@@ -40,15 +45,19 @@ test: setup
 test-all: setup
 	@$(BIN)/pytest -n 2 --dist loadfile
 
-lint: setup
+lint: .venv/.installed
 	@$(BIN)/ruff format --check .
 	@$(BIN)/ruff check .
 	@$(BIN)/lint-imports
 	@$(BIN)/pyright
 
-format: setup
+format: .venv/.installed
 	@$(BIN)/ruff format .
 	@$(BIN)/ruff check --fix .
+
+docs: setup
+	@$(BIN)/python docs/generate.py .docs
+	@$(BIN)/zensical build --strict
 
 bench: setup
 	@$(BIN)/dslab bench
@@ -57,5 +66,5 @@ vocabulary: setup
 	@$(BIN)/dslab vocabulary train --out slam/places/data/vocabulary.npz
 
 clean:
-	rm -rf .venv .tools .pytest_cache .ruff_cache .import_linter_cache out
+	rm -rf .venv .tools .docs site .cache .pytest_cache .ruff_cache .import_linter_cache out
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,107 @@
+"""What the documentation names is there: settings with their defaults, commands, files."""
+
+import re
+import tomllib
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+import yaml
+
+from experiments.cli.commands import app
+from experiments.runs.slam_settings import read_slam_settings
+from slam.config import SlamConfig
+from slam.dual.config import DualConfig
+from slam.dual.recovery.registry import RECOVERY_KINDS, ThreadSpec
+
+ROOT = Path(__file__).resolve().parents[1]
+OF_EARLIER_STATES = ("CHANGELOG.md", "measurements.md", "renamed.md")
+PAGES = [p for p in sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")]) if p.name not in OF_EARLIER_STATES]
+DEVIATIONS = (ROOT / "docs" / "dual-slam.md").read_text()
+# What `name: value` may refer to; ORB and SIFT are kinds of threads, THREAD is any.
+BASES: dict[str, tuple[Any, ...]] = {
+    "dual": (DualConfig(),),
+    "THREAD": tuple(make(None).config for make in RECOVERY_KINDS.values()),
+    "ORB": (RECOVERY_KINDS["orb"](None).config,),
+    "SIFT": (RECOVERY_KINDS["sift"](None).config,),
+}
+
+
+def plain(value: Any) -> Any:
+    """A setting as YAML would give it."""
+    if isinstance(value, tuple):
+        return [item.kind if isinstance(item, ThreadSpec) else item for item in value]
+    return value
+
+
+def test_settings_have_the_defaults_that_are_stated():
+    named = re.findall(r"`([A-Za-z_0-9]+(?:\.[a-z_0-9]+)*): ([^`]+)`", DEVIATIONS)[
+        1:
+    ]  # the first: the notation
+    assert len(named) > 30
+    for name, stated in named:
+        first, *rest = name.split(".")
+        bases, path = (BASES[first], rest) if first in BASES else ((SlamConfig(),), [first, *rest])
+        for base in bases:
+            value = base
+            for step in path:
+                assert is_dataclass(value) and step in [field.name for field in fields(value)], name
+                value = getattr(value, step)
+            assert plain(value) == yaml.safe_load(stated), name
+
+
+def test_the_settings_nearest_to_the_paper_can_be_read(tmp_path):
+    (text,) = re.findall(r"```yaml\n(.*?)```", DEVIATIONS, re.DOTALL)
+    (tmp_path / "paper.yaml").write_text(text)
+    dual = read_slam_settings(tmp_path / "paper.yaml").dual
+    assert dual is not None and dual.place_merging is None
+    for thread in dual.threads:
+        assert thread.config is not None
+        assert thread.config.max_unusable_s == 0 and thread.config.fusion.confirmations == 1
+
+
+def commands_of(page: Path) -> list[str]:
+    """Lines and inline pieces of a page that call dslab."""
+    text = re.sub(r"```bibtex.*?```", "", page.read_text(), flags=re.DOTALL)
+    inline = re.findall(r"`(dslab [^`]+)`", text)
+    blocks = re.findall(r"^```\w*\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    lines = [line for block in blocks for line in block.splitlines()]
+    found = [line.partition("#")[0].partition(">")[0] for line in lines]
+    return inline + [
+        line.removeprefix(".venv/bin/") for line in found if re.match(r"(\.venv/bin/)?dslab ", line)
+    ]
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if commands_of(p)], ids=lambda page: page.name)
+def test_commands_and_their_options_exist(page):
+    root = typer.main.get_command(app)
+    for line in commands_of(page):
+        command: Any = root
+        words = " ".join(line.split()).replace("\\", "").split(" ")[1:]
+        while words and words[0].strip(".,") in getattr(command, "commands", {}):
+            command = command.commands[words.pop(0).strip(".,")]
+        assert command is not root or words[0].startswith("-"), line
+        known = {option for each in command.params for option in (*each.opts, *each.secondary_opts)}
+        assert {word.partition("=")[0] for word in words if word.startswith("--")} <= known | {"--help"}, line
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_files_that_are_named_exist(page):
+    named = r"`((?:slam|sim|scenarios|experiments|tests|examples|docs)/[\w./-]+)`"
+    missing = [name for name in re.findall(named, page.read_text()) if not (ROOT / name).exists()]
+    assert not missing
+
+
+def test_the_readme_is_short_and_shows_the_quickstart():
+    readme = (ROOT / "README.md").read_text()
+    assert len(readme.split()) <= 700
+    (snippet,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
+    assert (ROOT / "examples" / "quickstart.py").read_text().endswith(snippet)
+
+
+def test_what_is_to_be_cited_is_this_version():
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert yaml.safe_load((ROOT / "CITATION.cff").read_text())["version"] == version
+    assert f"version = {{{version}}}" in (ROOT / "README.md").read_text()
