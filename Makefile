@@ -58,6 +58,7 @@ format: .venv/.installed
 docs: setup
 	@$(BIN)/python docs/generate.py .docs
 	@$(BIN)/zensical build --strict
+	@! grep -rE '<(script|link|img)[^>]*https?://' site --include='*.html'
 
 bench: setup
 	@$(BIN)/dslab bench

@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+import textwrap
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -79,7 +80,7 @@ def _stress_kind(kind: str) -> str:
         where = "Rendered frames only."
     model, measure = SEGMENT_KINDS[kind], DEGRADATIONS[kind].measure_name
     ramp = " Its severity may rise and fall over `ramp_s`." if "ramp_s" in model.model_fields else ""
-    return f"""## {name.capitalize()}
+    return f"""## {name.capitalize().replace("Jpeg", "JPEG")}
 
 {_about(model)}
 
@@ -125,12 +126,20 @@ def imu() -> str:
 
 def library() -> str:
     """Every family of scenarios that comes with dslab."""
-    rows = []
-    for name in library_names():
-        family = load_family(name)
-        drawn = "; ".join(f"{field}: {words}" for field, words in describe_parameters(family).items())
-        rows.append((f"`{name}`", family.description, describe_members(family), drawn))
-    return _table(("name", "what happens", "members", "drawn by the seed"), rows)
+    return "\n".join(map(_family, library_names()))
+
+
+def _family(name: str) -> str:
+    family = load_family(name)
+    members = describe_members(family)
+    drawn = ", ".join(f"`{field}` {words}" for field, words in describe_parameters(family).items())
+    return " ".join(
+        [
+            f"- **`{name}`**{f' ({members})' if members else ''}.",
+            " ".join(family.description.split()),
+            f"*Drawn:* {drawn}." if drawn else "",
+        ]
+    )
 
 
 def presets() -> str:
@@ -165,14 +174,24 @@ def _column_rows(of: Mapping[str, tuple[str, str]]) -> list[tuple[str, ...]]:
 
 
 def settings() -> str:
-    """Every setting of the SLAM."""
-    return f"```yaml\n{settings_yaml()}```"
+    """Every setting of the SLAM; comments are wrapped."""
+    lines = []
+    for line in settings_yaml().splitlines():
+        indent, hash_, comment = line.partition("# ")
+        if hash_:
+            lines += textwrap.wrap(comment, 80, initial_indent=f"{indent}# ", subsequent_indent=f"{indent}# ")
+        else:
+            lines.append(line)
+    return "```yaml\n" + "\n".join(lines) + "\n```"
 
 
 def commands() -> str:
     """The reference of the command line."""
     typer = [sys.executable, "-m", "typer", "experiments.cli.commands", "utils", "docs", "--name", "dslab"]
     text = subprocess.run(typer, capture_output=True, text=True, check=True, cwd=ROOT).stdout
+    # Lists of commands cut short, whose sections follow; what every command has.
+    text = re.sub(r"\*\*Commands\*\*:\n\n(\* .*\n)+", "", text)
+    text = re.sub(r"(\*\*Options\*\*:\n\n)?\* `--help`: .*\n", "", text)
     return text.partition("\n")[2]
 
 
@@ -181,15 +200,15 @@ def _about(model: type[BaseModel]) -> str:
 
 
 def _fields(model: type[BaseModel], without: tuple[str, ...] = ("kind",)) -> str:
-    """A table of a model's fields with range, default and meaning; the unit is read off a name's ending."""
+    """A table of a model's fields; the unit is read off a name's ending."""
     schema = model.model_json_schema()
     rows = []
     for name, field in schema["properties"].items():
         if name not in without:
             default = "required" if name in schema.get("required", ()) else _value(field.get("default"))
-            unit = label_and_unit(name)[1].strip()
-            rows.append((f"`{name}`", unit, _range(field), default, field.get("description", "")))
-    return _table(("key", "unit", "range", "default", "meaning"), rows)
+            span = f"{_range(field)} {label_and_unit(name)[1].strip()}"
+            rows.append((f"`{name}`", default, span, field.get("description", "")))
+    return _table(("key", "default", "range and unit", "meaning"), rows)
 
 
 def _value(default: object) -> str:

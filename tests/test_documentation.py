@@ -87,11 +87,16 @@ def test_commands_and_their_options_exist(page):
         assert {word.partition("=")[0] for word in words if word.startswith("--")} <= known | {"--help"}, line
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_files_that_are_named_exist(page):
+def test_files_that_are_named_exist():
     named = r"`((?:slam|sim|scenarios|experiments|tests|examples|docs)/[\w./-]+)`"
-    missing = [name for name in re.findall(named, page.read_text()) if not (ROOT / name).exists()]
-    assert not missing
+    for page in PAGES:
+        text = page.read_text()
+        missing = [name for name in re.findall(named, text) if not (ROOT / name).exists()]
+        missing += [
+            name for name in re.findall(r"!\[.*?\]\((.+?)\)", text) if not (page.parent / name).exists()
+        ]
+        missing += [name for name in re.findall(r"<!-- code: (\S+) -->", text) if not (ROOT / name).exists()]
+        assert not missing, page.name
 
 
 def test_the_readme_is_short_and_shows_the_quickstart():
