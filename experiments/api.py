@@ -88,7 +88,7 @@ class Run:
         """
         from experiments.pictures.run_picture import runs_figure
 
-        figure = runs_figure(self.sequence, {self.record.system_kind: self.record})
+        figure = runs_figure({self.record.system_kind: self.record})
         if path is not None:
             figure.savefig(path)
         return figure

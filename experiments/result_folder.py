@@ -1,96 +1,138 @@
-"""One run of one system over one sequence, with its result folder."""
+"""Result folders: runs of one or several systems over one sequence."""
 
+from collections.abc import Callable, Mapping
+from collections.abc import Sequence as Many
+from contextlib import nullcontext
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from experiments.evaluation.summary import summarise
-from experiments.runs.execution import AtEnd, Progress, RunRecord, SystemFactory, SystemKind, execute
+from experiments.runs.execution import AtEnd, RunRecord, SystemFactory, SystemKind, execute
 from experiments.runs.files import to_json, write_events, write_frames_csv, write_tum
 from experiments.runs.pacing import RealTime
-from sim.io.folders import new_directory
+from sim.io.folders import Progress, new_directory
 from sim.sequence import Sequence
+
+if TYPE_CHECKING:
+    from experiments.recording import Recording
 
 SUMMARY_FILE = "summary.json"
 RECORDING_FILE = "recording.rrd"
+PICTURE_FILE = "trajectory.png"
 MAP_DIR = "map"
 
 
-def run_sequence(
+def run_systems(
     sequence: Sequence,
-    system_kind: SystemKind,
+    systems: Many[SystemKind],
     seed: int,
-    out_dir: Path,
+    folder: Path,
     recording: bool = False,
     progress: Progress | None = None,
     build: SystemFactory | None = None,
-    pace: RealTime | None = None,
+    real_time: bool = False,
     maps: bool = False,
-) -> dict:
-    """Run a system and write its result folder, whole or not at all.
+) -> dict[SystemKind, dict]:
+    """Run systems over a sequence, one after the other, and write their results into a folder.
 
-    The folder holds trajectory.txt (the map with most frames), trajectory_map<k>.txt (every other map),
-    keyframes.txt (of the first), frames.csv, events.jsonl, summary.json and, on request, recording.rrd and
-    the maps as COLMAP models in map.
+    The folder of a run holds trajectory.txt (the map with most frames), trajectory_map<k>.txt (every other
+    map), keyframes.txt (of the first), frames.csv, events.jsonl, summary.json, trajectory.png and, on
+    request, recording.rrd and the maps as COLMAP models in map. Several systems have a folder each, by their
+    names, and in common a trajectory.png and, on request, a recording.rrd.
 
     Args:
         sequence: the input.
-        system_kind: ``base``, ``dual`` or ``dual+``.
-        seed: root of every random stream of the system.
-        out_dir: the result folder, absent or empty.
+        systems: ``base``, ``dual`` or ``dual+``, in the order of display; all different.
+        seed: root of every random stream of the systems.
+        folder: an existing folder.
         recording: write recording.rrd as well.
-        progress: called with (frames done, frames in all).
-        build: makes the system; ``slam.factory.build_system`` by default.
-        pace: feeds in real time; None for as fast as possible.
+        progress: called with (step, frames done, frames in all).
+        build: makes the systems; ``slam.factory.build_system`` by default.
+        real_time: feed the frames at the pace of their stamps; False for as fast as possible.
         maps: write the maps as well.
+
+    Returns:
+        The summary of each system, as in its summary.json.
+
+    Raises:
+        ValueError: a recording is requested in real time, which it would disturb.
+        InputError: a frame cannot be read.
+    """
+    own = {kind: folder if len(systems) == 1 else folder / kind for kind in systems}
+    for place in own.values():
+        place.mkdir(exist_ok=True)
+    records = execute_recorded(
+        sequence,
+        systems,
+        seed,
+        folder / RECORDING_FILE if recording else None,
+        progress,
+        build,
+        real_time,
+        (lambda kind: _map_writer(own[kind] / MAP_DIR)) if maps else (lambda kind: None),
+    )
+    summaries: dict[SystemKind, dict] = {kind: summarise(record) for kind, record in records.items()}
+    for kind, record in records.items():
+        write_run(own[kind], record, summaries[kind])
+    if len(systems) > 1:
+        _draw(folder, records)
+    return summaries
+
+
+def run_sequence(
+    sequence: Sequence, system: SystemKind, seed: int, out_dir: Path, recording: bool = False, **options: Any
+) -> dict:
+    """Run one system and write its result folder, whole or not at all.
+
+    Args:
+        sequence, system, seed, recording, options: as of :func:`run_systems`.
+        out_dir: the result folder, absent or empty.
 
     Returns:
         The summary, as in summary.json.
 
     Raises:
-        ValueError: a recording is requested in real time, which it would disturb.
-        InputError: the folder is taken or not writable, the disk is full, a frame cannot be read.
+        InputError: as :func:`run_systems`, or the folder is taken.
     """
     with new_directory(Path(out_dir)) as folder:
-        record = execute_recorded(
-            sequence,
-            system_kind,
-            seed,
-            folder / RECORDING_FILE if recording else None,
-            progress,
-            build,
-            pace,
-            _map_writer(folder / MAP_DIR) if maps else None,
-        )
-        summary = summarise(record)
-        write_run(folder, record, summary)
-    return summary
+        return run_systems(sequence, [system], seed, folder, recording, **options)[system]
 
 
 def execute_recorded(
     sequence: Sequence,
-    system_kind: SystemKind,
+    systems: Many[SystemKind],
     seed: int,
     recording_path: Path | None = None,
     progress: Progress | None = None,
     build: SystemFactory | None = None,
-    pace: RealTime | None = None,
-    at_end: AtEnd | None = None,
-) -> RunRecord:
-    """Run a system and, given a path, record it there; arguments as :func:`execute`."""
-    if recording_path is None:
-        return execute(sequence, system_kind, seed, None, progress, build, pace, at_end)
-    if pace is not None:
+    real_time: bool = False,
+    at_end: Callable[[SystemKind], AtEnd | None] = lambda kind: None,
+) -> dict[SystemKind, RunRecord]:
+    """Run systems one after the other and, given a path, record them there together."""
+    if real_time and recording_path is not None:
         raise ValueError("a recording would take time from the frames")
-    from experiments.recording import Recording
-
-    with Recording(recording_path, sequence, [system_kind]) as recording:
-        watcher = recording.watch(system_kind)
-        record = execute(sequence, system_kind, seed, watcher, progress, build, None, at_end)
-        recording.finish([record])
-    return record
+    show = progress or (lambda step, done, total: None)
+    records: dict[SystemKind, RunRecord] = {}
+    path = recording_path
+    with nullcontext() if path is None else _open_recording(path, sequence, systems) as recording:
+        for kind in systems:
+            records[kind] = execute(
+                sequence,
+                kind,
+                seed,
+                None if recording is None else recording.watch(kind),
+                lambda done, total, kind=kind: show(f"SLAM ({kind})", done, total),
+                build,
+                RealTime(sequence) if real_time else None,
+                at_end(kind),
+            )
+        if recording is not None:
+            recording.finish(list(records.values()))
+    return records
 
 
 def write_run(folder: Path, record: RunRecord, summary: dict) -> None:
-    """Write the files of a run, except the recording, into an existing folder."""
+    """Write the files of a run, except recording and maps, into an existing folder."""
     main = record.trajectories[0] if record.trajectories else None
     write_tum(folder / "trajectory.txt", main)
     for trajectory in record.trajectories[1:]:
@@ -99,6 +141,19 @@ def write_run(folder: Path, record: RunRecord, summary: dict) -> None:
     write_frames_csv(folder / "frames.csv", record.results)
     write_events(folder / "events.jsonl", record.events)
     (folder / SUMMARY_FILE).write_text(to_json(summary, indent=2) + "\n", encoding="utf-8")
+    _draw(folder, {record.system_kind: record})
+
+
+def _draw(folder: Path, records: Mapping[SystemKind, RunRecord]) -> None:
+    from experiments.pictures.run_picture import draw_runs
+
+    draw_runs(folder / PICTURE_FILE, records)
+
+
+def _open_recording(path: Path, sequence: Sequence, systems: Many[SystemKind]) -> "Recording":
+    from experiments.recording import Recording
+
+    return Recording(path, sequence, systems)
 
 
 def _map_writer(folder: Path) -> AtEnd:

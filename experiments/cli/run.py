@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
 
 from experiments.cli.console import (
     MOST_SEED,
@@ -16,15 +15,14 @@ from experiments.cli.console import (
     RealTimeOption,
     RendererOption,
     check_real_time,
-    number,
     out,
     print_json_line,
     progress_bars,
-    share,
     single_threaded_opencv,
 )
 
 if TYPE_CHECKING:
+    from experiments.runs.execution import SystemKind
     from slam.dual.config import DualConfig
 
 
@@ -40,9 +38,13 @@ def run_command(
     source: Annotated[str, typer.Argument(help="A sequence folder, a scenario's name or its YAML file.")],
     out_dir: Annotated[Path, typer.Option("--out", help="Result folder; absent or empty.")],
     system: Annotated[
-        SystemChoice,
-        typer.Option(help="ORB-SLAM's method; Dual-SLAM; Dual-SLAM with initialisation by GMS."),
-    ] = SystemChoice.BASE,
+        str,
+        typer.Option(
+            metavar="NAMES",
+            help="base: ORB-SLAM's method; dual: Dual-SLAM; dual+: with initialization by GMS; or several, "
+            "such as base,dual.",
+        ),
+    ] = "base",
     config: Annotated[
         Path | None,
         typer.Option(
@@ -54,6 +56,7 @@ def run_command(
     recovery: Annotated[
         str | None,
         typer.Option(
+            metavar="KINDS",
             help="Recovery threads of Dual-SLAM in the order in which they are tried, such as orb,sift.",
             show_default=False,
         ),
@@ -61,14 +64,22 @@ def run_command(
     exhaustive: Annotated[
         bool, typer.Option("--exhaustive", help="Run every recovery thread to its end, whatever succeeds.")
     ] = False,
-    relocalization: Annotated[
+    no_relocalization: Annotated[
         bool,
-        typer.Option(help="Relocalize frames in saved maps until a new map is initialized."),
-    ] = True,
+        typer.Option(
+            "--no-relocalization", help="Do not relocalize in saved maps until a new map is initialized."
+        ),
+    ] = False,
+    _relocalization: Annotated[
+        bool, typer.Option("--relocalization", help="The default.", hidden=True)
+    ] = False,
     seed: Annotated[
         int | None,
         typer.Option(
-            min=0, max=MOST_SEED, help="Root seed of the scenario and of the SLAM; the scenario's own, or 0."
+            min=0,
+            max=MOST_SEED,
+            metavar="N",
+            help="Root seed of the scenario and of the SLAM; the scenario's own, or 0.",
         ),
     ] = None,
     renderer: RendererOption = None,
@@ -79,13 +90,16 @@ def run_command(
     ] = False,
     rerun: Annotated[bool, typer.Option("--rerun", help="Write recording.rrd too.")] = False,
     force: ForceOption = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one line of JSON.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print each summary as one line of JSON.")] = False,
 ) -> None:
-    """Run SLAM over a sequence folder or a scenario and write its result folder.
+    """Run SLAM over a sequence folder or a scenario, say what happened, and write the result folder.
 
-    Writes trajectory.txt (TUM), keyframes.txt, frames.csv, events.jsonl and summary.json.
+    Writes trajectory.txt (TUM), keyframes.txt, frames.csv, events.jsonl, summary.json and trajectory.png; of
+    several systems a folder each, with one picture and one recording of all.
 
     For example:
+
+    `dslab run stressed --system base,dual --out out/stressed`
 
     `dslab run stressed --system dual --seed 3 --out out/stressed-3 --rerun`
 
@@ -95,19 +109,20 @@ def run_command(
 
     `dslab run clean-room --mode threaded --real-time --map --out out/room`
     """
-    from experiments.result_folder import run_sequence
-    from experiments.runs.pacing import RealTime
+    from experiments.cli.run_tables import print_runs
+    from experiments.result_folder import PICTURE_FILE, run_systems
     from experiments.runs.slam_settings import SlamSettings, factory_of, read_slam_settings
     from experiments.runs.sources import open_sequence
     from scenarios.errors import InputError
-    from sim.io.folders import check_free
+    from sim.io.folders import check_free, new_directory
     from slam.warmup import warm_up
 
+    systems = _systems(system)
     settings = read_slam_settings(config) if config is not None else SlamSettings({})
     if config is not None and mode is ModeChoice.LOCKSTEP and settings.mode is not None:
         mode = ModeChoice(settings.mode)
     check_real_time(real_time, mode)
-    dual = _dual_config(system, recovery, exhaustive, relocalization, settings.dual)
+    dual = _dual_config(systems, recovery, exhaustive, not no_relocalization, settings.dual)
     settings = replace(settings, dual=dual, mode=mode.value)
     if real_time and rerun:
         raise InputError("--rerun", "a recording takes time from the frames", "leave out --real-time")
@@ -119,26 +134,42 @@ def run_command(
             # Compiling and loading kernels would be taken for slowness.
             warm_up(show)
         slam_seed = seed if seed is not None else int(sequence.meta.get("seed", 0))
-        summary = run_sequence(
-            sequence,
-            system.value,
-            slam_seed,
-            out_dir,
-            recording=rerun,
-            progress=lambda done, total: show(f"SLAM ({system})", done, total),
-            build=factory_of(settings),
-            pace=RealTime(sequence) if real_time else None,
-            maps=maps,
-        )
+        build = factory_of(settings)
+        with new_directory(out_dir) as folder:
+            summaries = run_systems(sequence, systems, slam_seed, folder, rerun, show, build, real_time, maps)
     if as_json:
-        print_json_line(summary)
+        for summary in summaries.values():
+            print_json_line(summary)
         return
-    out.print(summary_table(summary))
-    out.print(f"files in {out_dir}" + (f"; open it: dslab view {out_dir}" if rerun else ""), soft_wrap=True)
+    print_runs(summaries)
+    out.print(f"picture    {out_dir / PICTURE_FILE}", soft_wrap=True)
+    if rerun:
+        out.print(f"recording  dslab view {out_dir}", soft_wrap=True)
+    for kind in summaries:
+        out.print(f"{kind:10s} {out_dir / kind if len(summaries) > 1 else out_dir}", soft_wrap=True)
+
+
+def _systems(names: str) -> "list[SystemKind]":
+    """The systems that an option names.
+
+    Raises:
+        InputError: one is unknown, or named twice.
+    """
+    from scenarios.errors import InputError
+
+    known = [choice.value for choice in SystemChoice]
+    remedy = f"give one of {', '.join(known)}, or several with commas between"
+    chosen = [name.strip() for name in names.split(",")]
+    for place, name in enumerate(chosen):
+        if name not in known:
+            raise InputError("--system", f"there is no system {name!r}", remedy)
+        if name in chosen[:place]:
+            raise InputError("--system", f"{name} is given twice", remedy)
+    return [SystemChoice(name).value for name in chosen]
 
 
 def _dual_config(
-    system: SystemChoice,
+    systems: "list[SystemKind]",
     recovery: str | None,
     exhaustive: bool,
     relocalization: bool,
@@ -151,7 +182,7 @@ def _dual_config(
 
     if recovery is None and not exhaustive and relocalization:
         return from_file
-    if system is SystemChoice.BASE:
+    if systems == ["base"]:
         raise InputError("--system", "base has no recovery", "add --system dual or dual+")
     given = from_file or DualConfig()
     config = replace(
@@ -167,40 +198,3 @@ def _dual_config(
         raise InputError(
             "--recovery", str(error), "give kinds with commas between, such as orb,sift"
         ) from None
-
-
-def summary_table(summary: dict) -> Table:
-    """The main figures of a run."""
-    table = Table(
-        title=f"{summary['sequence']}, {summary['system']}, seed {summary['seed']}", show_header=False
-    )
-    if summary["dropped_frames"]:
-        dropped = {"frames dropped, too late": str(summary["dropped_frames"])}
-    else:
-        dropped = {}
-    rows = dropped | {
-        "frames tracked": f"{summary['tracked']} of {summary['frames']} ({share(summary['share_tracked'])})",
-        "first tracked frame": str(summary["first_tracked_frame"]),
-        "maps / keyframes / points": f"{summary['maps']} / {summary['keyframes']} / {summary['map_points']}",
-        "breakages / recovered / relocalized": f"{summary['breakages']} / {summary['recoveries']} / "
-        f"{summary['relocalizations']}",
-        "ATE (RMSE, Sim(3))": _ate(summary),
-        "path covered": f"{number(summary['path_m'], 2, ' m')} ({share(summary['path_share'])})",
-        "tracking CPU, median / p95": f"{number(summary['cpu_ms_median'], 1)} / "
-        f"{number(summary['cpu_ms_p95'], 1)} ms per frame",
-        "mapping CPU, median / p95": f"{number(summary['mapping_cpu_ms_median'], 1)} / "
-        f"{number(summary['mapping_cpu_ms_p95'], 1)} ms per keyframe",
-        "peak memory": number(summary["peak_rss_mb"], 0, " MiB"),
-    }
-    for name, value in rows.items():
-        table.add_row(name, value)
-    return table
-
-
-def _ate(summary: dict) -> str:
-    if summary["ate_m"] is None:
-        return f"- ({summary['ate_reason']})"
-    return (
-        f"{summary['ate_m']:.4f} m, {share(summary['ate_share_of_path'])} of the path, "
-        f"over {summary['ate_poses']} frames"
-    )

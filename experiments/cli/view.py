@@ -34,17 +34,12 @@ def view_command(
 
 
 def _first_breakage_s(folder: Path) -> float:
-    """Time of the first breakage in the summaries beside the recording, else 0."""
-    from experiments.demo import MARKER_FILE
+    """Time of the first breakage in the summaries beside the recording and one folder below, else 0."""
     from experiments.result_folder import SUMMARY_FILE
     from scenarios.input_files import is_given, read_json
 
-    summaries = {}
-    if is_given(folder / SUMMARY_FILE):
-        summaries[str(folder / SUMMARY_FILE)] = read_json(folder / SUMMARY_FILE, dict)
-    if is_given(folder / MARKER_FILE):
-        marker = read_json(folder / MARKER_FILE, dict)
-        summaries |= {f"{folder / MARKER_FILE}: {name}": summary for name, summary in marker.items()}
+    places = [folder / SUMMARY_FILE, *sorted(folder.glob(f"*/{SUMMARY_FILE}"))]
+    summaries = {str(path): read_json(path, dict) for path in places if is_given(path)}
     found = [stamp_s for where, summary in summaries.items() for stamp_s in _breakages_s(where, summary)]
     return float(min(found, default=0.0))
 

@@ -149,10 +149,16 @@ def audit_record(record: RunRecord, outcomes: list[BreakageOutcome]) -> dict | N
     """The audit as part of the summary; None without truth."""
     if record.sequence.T_world_cam is None:
         return None
-    bounds = AuditBounds()
+    bounds, stamps_s = AuditBounds(), record.sequence.stamps_s
+    losses = loss_findings(record, outcomes, bounds)
+    lost_at = [
+        None if f.true_loss_frame is None else stamps_s[f.true_loss_frame] - stamps_s[0] for f in losses
+    ]
     return {
         "bounds": asdict(bounds),
-        "losses": [asdict(f) for f in loss_findings(record, outcomes, bounds)],
+        "losses": [
+            asdict(f) | {"true_loss_time_s": time_s} for f, time_s in zip(losses, lost_at, strict=True)
+        ],
         "fusions": [
             {"breakage_frame": f.breakage_frame, "old_map_id": f.old_map_id, **asdict(f.audit)}
             for f in fusion_findings(record, outcomes, bounds)

@@ -25,9 +25,10 @@ class BreakageOutcome:
 
     Attributes:
         breakage: the declaration.
-        segment: index of the injected segment that contains it, None outside; of overlapping ones, the one
-            that started last.
-        segments: indices of all overlapping segments, in order.
+        segment: index of the one injected segment that it counts for, None outside every segment: of those
+            that act, or ended at most EXPOSURE_GRACE_S before, the one that started last, because what had
+            acted for longer had been survived.
+        segments: indices of that segment and all that overlap it, in order; for the audit of each.
         until_frame: first frame of the next breakage of the same map; None if there is none.
         reinit_frame: frame at which a new map was initialized; None if none was.
         recoveries: the ends of the recovery threads, in order.
@@ -57,9 +58,23 @@ class BreakageOutcome:
         return self.fusion is not None and self.fusion.accepted
 
     @property
+    def repair(self) -> Fusion | Relocalized | None:
+        """The first event by which the broken map came into use again; None without one."""
+        found = (self.fusion if self.recovered else None, self.relocalized, self.joined)
+        return min((e for e in found if e is not None), key=lambda e: e.frame, default=None)
+
+    @property
+    def recovered_by(self) -> RecoveryEnd | None:
+        """The end of the recovery thread that led to the fusion; None if it was not recovered."""
+        if not self.recovered or self.fusion is None:
+            return None
+        ended = [r for r in self.recoveries if r.success and r.frame <= self.fusion.frame]
+        return ended[-1] if ended else None
+
+    @property
     def healed(self) -> bool:
         """True if the broken map is in use again, by recovery, relocalization or place-based merging."""
-        return self.recovered or self.relocalized is not None or self.joined is not None
+        return self.repair is not None
 
     @property
     def failure_reason(self) -> str:

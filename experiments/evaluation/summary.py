@@ -1,6 +1,7 @@
 """The summary of a run: counts, accuracy, times, audit; null for undetermined figures."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from collections.abc import Sequence as Many
 from dataclasses import asdict
 
 import numpy as np
@@ -12,7 +13,9 @@ from experiments.evaluation.breakages import BreakageOutcome, breakage_outcomes
 from experiments.runs.execution import RunRecord
 from experiments.runs.files import plain
 from experiments.runs.provenance import commit, versions
-from slam.core.events import TrackingState
+from scenarios.describe import describe_kind
+from sim.sequence import Sequence
+from slam.core.events import Fusion, Relocalized, TrackingState
 from slam.core.results import TrackingResult
 
 RPE_STEP_S = 1.0
@@ -29,7 +32,7 @@ def summarise(record: RunRecord) -> dict:
     """
     outcomes = breakage_outcomes(record.events, record.sequence.segments, list(record.sequence.stamps_s))
     summary = {
-        "sequence": record.sequence.name,
+        "sequence": sequence_label(record.sequence),
         "system": record.system_kind,
         "seed": record.seed,
         **_counts(record, outcomes),
@@ -48,6 +51,14 @@ def summarise(record: RunRecord) -> dict:
     return plain(summary)
 
 
+def sequence_label(sequence: Sequence) -> str:
+    """Name of a sequence; a degraded one goes by its source's name, with its segments."""
+    if "degraded" not in sequence.meta:
+        return sequence.name
+    stress = ", ".join(f"{describe_kind(s.kind)} {s.start_s:g}-{s.end_s:g} s" for s in sequence.segments)
+    return f"{sequence.name}, degraded: {stress}"
+
+
 def is_tracked(result: TrackingResult) -> bool:
     """True if the frame has a pose."""
     return result.state is TrackingState.TRACKING and result.T_map_cam is not None
@@ -64,14 +75,15 @@ def main_map_pairs(record: RunRecord) -> metrics.PosePairs | None:
 def segment_rows(record: RunRecord, outcomes: list[BreakageOutcome]) -> list[dict]:
     """Figures of each injected segment: frames, breakages, repairs, ATE with its number of frames.
 
-    The ATE of a segment is that of the main map, aligned as a whole, over the segment's frames. A breakage in
-    overlapping segments counts in each of them.
+    The ATE of a segment is that of the main map, aligned as a whole, over the segment's frames. A breakage
+    counts in one segment only, so that the sum over segments is at most that of the run: of overlapping ones,
+    in that which started last.
     """
     errors = _main_map_errors(record)
     rows = []
     for index, segment in enumerate(record.sequence.segments):
         inside = range(segment.first_frame, segment.last_frame + 1) if segment.first_frame >= 0 else range(0)
-        own = [o for o in outcomes if index in o.segments]
+        own = [o for o in outcomes if o.segment == index]
         posed = [errors[f] for f in inside if f in errors]
         rows.append(
             {
@@ -165,7 +177,7 @@ def _accuracy(record: RunRecord) -> dict:
     }
 
 
-def time_figures(results: Sequence[TrackingResult]) -> dict[str, float | None]:
+def time_figures(results: Many[TrackingResult]) -> dict[str, float | None]:
     """Medians and 95th percentiles of times: tracking per frame, mapping and loop closing per keyframe."""
     cpu = [sum(r.cpu_ms.values()) for r in results]
     mapping = [r.mapping_cpu_ms for r in results if r.mapping_cpu_ms > 0]
@@ -182,20 +194,34 @@ def time_figures(results: Sequence[TrackingResult]) -> dict[str, float | None]:
 
 
 def _breakage(outcome: BreakageOutcome, record: RunRecord) -> dict:
-    segment = None if outcome.segment is None else record.sequence.segments[outcome.segment].kind
+    index, repair, thread = outcome.segment, outcome.repair, outcome.recovered_by
+    stamps_s = record.sequence.stamps_s
     return {
         "frame": outcome.breakage.frame,
         "stamp_s": outcome.breakage.stamp_s,
+        "time_s": stamps_s[outcome.breakage.frame] - stamps_s[0],
         "map_id": outcome.breakage.map_id,
         "reason": outcome.breakage.reason,
-        "segment": segment,
+        "inliers": outcome.breakage.inliers,
+        "segment": None if index is None else record.sequence.segments[index].kind,
+        "segment_index": index,
         "reinit_frame": outcome.reinit_frame,
         "recovered": outcome.recovered,
         "fusion_frame": outcome.fusion.frame if outcome.fusion else None,
         "relocalized_frame": outcome.relocalized.frame if outcome.relocalized else None,
         "lost_s": outcome.relocalized.lost_s if outcome.relocalized else None,
+        "repair": _repair_kind(repair),
+        "repair_frame": repair.frame if repair else None,
+        "repair_time_s": stamps_s[repair.frame] - stamps_s[0] if repair else None,
+        "thread": thread.thread if thread else None,
+        "method": thread.method if thread else None,
         "failure_reason": outcome.failure_reason,
     }
+
+
+def _repair_kind(repair: Fusion | Relocalized | None) -> str | None:
+    """``recovery``, ``relocalization`` or ``place``; None for a breakage that was never repaired."""
+    return "relocalization" if isinstance(repair, Relocalized) else repair and repair.by
 
 
 def _main_map_errors(record: RunRecord) -> dict[int, float]:

@@ -1,4 +1,4 @@
-"""One embedded cluster for all tests, because it takes seconds to start."""
+"""One embedded cluster for all tests, because it takes seconds to start; runs without pictures."""
 
 from contextlib import nullcontext
 from functools import partial
@@ -17,6 +17,12 @@ def shared_pool():
     """Two workers with 600 MiB each."""
     with embedded_worker_pool(WorkerPoolSettings(workers=2, memory_mb=600), made_up_unit) as pool:
         yield pool
+
+
+@pytest.fixture
+def no_picture(monkeypatch):
+    """Runs write an empty trajectory.png, as drawing takes a third of a second."""
+    monkeypatch.setattr("experiments.pictures.run_picture.draw_runs", lambda path, records: path.touch())
 
 
 @pytest.fixture

@@ -131,10 +131,10 @@ def _spec(folder: Path) -> None:
 
 
 def _result(folder: Path) -> None:
-    folder.mkdir()
+    (folder / "base").mkdir(parents=True)
     summary = {"breakage_list": [{"stamp_s": 1.5, "frame": 15}], "config": {}}
-    (folder / "summary.json").write_text(json.dumps(summary, indent=1))
-    (folder / "demo.json").write_text(json.dumps({"base": summary, "dual": summary}, indent=1))
+    for place in (folder, folder / "base"):
+        (place / "summary.json").write_text(json.dumps(summary, indent=1))
     (folder / "recording.rrd").write_bytes(b"RRF2" + bytes(64))
 
 

@@ -18,7 +18,7 @@ from scenarios.errors import InputError
 
 
 @pytest.fixture
-def synthetic(monkeypatch):
+def synthetic(monkeypatch, no_picture):
     """`dslab run` of any source runs the fake system over a synthetic sequence."""
     sequence = make_sequence()
     monkeypatch.setattr(sources, "open_sequence", lambda source, seed, show, **options: sequence)
@@ -97,7 +97,7 @@ def test_an_interruption_is_one_line_and_exit_130(dslab, monkeypatch, synthetic,
     ("words", "line"),
     [
         ("run x --out y --seed soon", "dslab run: invalid value for '--seed': "),
-        ("run x --out y --system none", "dslab run: invalid value for '--system': "),
+        ("bench slam x --system none", "dslab bench slam: invalid value for '--system': "),
         ("run x", "dslab run: missing option '--out'; see dslab run -h"),
         ("run x --out", "dslab: option '--out' requires an argument; see dslab -h"),
         ("scenarios list [/]", "dslab scenarios list: got unexpected extra argument"),

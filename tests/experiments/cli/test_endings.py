@@ -23,7 +23,7 @@ HOSTILE = "a[/b] :smile: [red]\udcff{x}"
 
 
 @pytest.fixture
-def source(monkeypatch):
+def source(monkeypatch, no_picture):
     """`dslab run` of any source runs the fake system over a synthetic sequence."""
     sequence = make_sequence()
     monkeypatch.setattr(sources, "open_sequence", lambda source, seed, show, **options: sequence)

@@ -163,11 +163,11 @@ def test_a_lens_that_cannot_be_inverted_is_not_valid(refused, tmp_path):
     [3, None, "x", {"stamp_s": 1}, [None], [[1]], [{}], [{"stamp_s": "1"}], [{"stamp_s": True}]],
     ids=range(9),
 )
-@pytest.mark.parametrize("file", ["summary.json", "demo.json"])
+@pytest.mark.parametrize("file", ["summary.json", "base/summary.json"])
 def test_a_malformed_list_of_breakages_is_one_line(refused, tmp_path, file, breakages):
     (tmp_path / "recording.rrd").write_text("")
-    summary = {"breakage_list": breakages}
-    (tmp_path / file).write_text(json.dumps({"base": summary} if file == "demo.json" else summary))
+    (tmp_path / "base").mkdir()
+    (tmp_path / file).write_text(json.dumps({"breakage_list": breakages}))
     line = refused("view", tmp_path)
     assert file in line and "breakage_list[0]: has no stamp_s; give --at" in line
 
@@ -183,6 +183,8 @@ def test_a_recording_opens_at_the_first_of_all_breakages(tmp_path):
     assert _first_breakage_s(tmp_path) == 0.0
     (tmp_path / "summary.json").write_text('{"breakage_list": []}')
     assert _first_breakage_s(tmp_path) == 0.0
-    listed = {"base": {"breakage_list": [{"stamp_s": 5}, {"stamp_s": 2.5}]}, "dual": {"breakage_list": []}}
-    (tmp_path / "demo.json").write_text(json.dumps(listed))
+    for system, stamps_s in {"base": [5, 2.5], "dual": []}.items():
+        (tmp_path / system).mkdir()
+        listed = {"breakage_list": [{"stamp_s": stamp_s} for stamp_s in stamps_s]}
+        (tmp_path / system / "summary.json").write_text(json.dumps(listed))
     assert _first_breakage_s(tmp_path) == 2.5

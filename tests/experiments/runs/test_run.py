@@ -20,6 +20,9 @@ REQUIRED = [
 ]  # fmt: skip
 
 
+pytestmark = pytest.mark.usefixtures("no_picture")
+
+
 @pytest.fixture(scope="module")
 def sequence():
     return make_sequence()
@@ -34,7 +37,7 @@ def test_the_folder_holds_every_file_and_the_summary_every_figure(sequence, tmp_
     names = {p.name for p in (tmp_path / "r").iterdir()}
     assert names == {
         "trajectory.txt", "trajectory_map1.txt", "keyframes.txt", "frames.csv", "events.jsonl",
-        "summary.json",
+        "summary.json", "trajectory.png",
     }  # fmt: skip
     assert set(REQUIRED) <= set(summary)
     assert json.loads((tmp_path / "r" / "summary.json").read_text()) == summary

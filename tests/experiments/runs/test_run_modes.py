@@ -13,7 +13,6 @@ from experiments.result_folder import run_sequence
 from experiments.runs import execution, sources
 from experiments.runs.execution import system_factory
 from experiments.runs.map_files import write_maps
-from experiments.runs.pacing import RealTime
 from experiments.runs.sources import open_sequence
 from sim.io.forms import Form, write_sequence
 from sim.sensors.camera import Intrinsics
@@ -49,8 +48,9 @@ def test_the_mode_is_recorded(summary):
 
 @pytest.mark.parametrize("paced", [False, True])
 def test_a_threaded_run_tracks_and_records_its_mode(sequence, summary, tmp_path, paced):
-    pace = RealTime(sequence) if paced else None
-    threaded = run_sequence(sequence, "base", 0, tmp_path / "r", build=system_factory("threaded"), pace=pace)
+    threaded = run_sequence(
+        sequence, "base", 0, tmp_path / "r", build=system_factory("threaded"), real_time=paced
+    )
     assert threaded["config"]["mode"] == "threaded"
     assert threaded["frames"] + threaded["dropped_frames"] == len(sequence)
     assert paced or threaded["dropped_frames"] == 0
@@ -96,7 +96,7 @@ def test_several_maps_have_a_folder_each(sequence, tmp_path):
 
 def test_a_recording_in_real_time_is_refused(sequence, tmp_path):
     with pytest.raises(ValueError, match="recording"):
-        run_sequence(sequence, "base", 0, tmp_path / "r", recording=True, pace=RealTime(sequence))
+        run_sequence(sequence, "base", 0, tmp_path / "r", recording=True, real_time=True)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,242 @@
+"""What happened in runs, as tables: figures, breakages, the audit against the truth."""
+
+from collections.abc import Mapping
+from statistics import median
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from experiments.cli.console import number, out, share
+from scenarios.describe import describe_kind
+
+_REASONS = {
+    "too_few_matches_with_last_frame": "too few matches with the last frame",
+    "too_few_local_map_inliers": "too few inliers in the local map",
+    "too_many_outliers": "too many outliers in the local map",
+    "no_reinit": "neither relocalized nor a new map",
+    "few_inliers": "too few inliers",
+}
+
+
+def print_runs(summaries: Mapping[str, dict]) -> None:
+    """Print what happened in one run, or in several over one sequence side by side."""
+    if len(summaries) == 1:
+        out.print(summary_table(*summaries.values()))
+    else:
+        out.print(systems_table(summaries))
+    if any(summary["breakage_list"] or _silent(summary) for summary in summaries.values()):
+        out.print(breakage_table(summaries))
+    for name, summary in summaries.items():
+        out.print(f"{name}: {audit_text(summary)}")
+
+
+def summary_table(summary: dict) -> Table:
+    """The main figures of a run."""
+    table = Table(
+        title=f"{summary['sequence']}, {summary['system']}, seed {summary['seed']}", show_header=False
+    )
+    dropped = summary["dropped_frames"]
+    first = summary["first_tracked_frame"]
+    rows = {"frames dropped, too late": str(dropped)} if dropped else {}
+    rows |= {
+        "frames tracked": f"{summary['tracked']} of {summary['frames']} ({share(summary['share_tracked'])})",
+        "first tracked frame": "none: never initialized"
+        if first is None
+        else f"{first}, after {number(summary['time_to_initialise_s'], 2, ' s')}",
+        "maps / keyframes / points": f"{summary['maps']} / {summary['keyframes']} / {summary['map_points']}",
+        "breakages / recovered / relocalized": f"{summary['breakages']} / {summary['recoveries']} / "
+        f"{summary['relocalizations']}",
+        "ATE (RMSE, Sim(3))": _ate(summary),
+        "path covered": f"{number(summary['path_m'], 2, ' m')} ({share(summary['path_share'])})",
+        "tracking CPU, median / p95": f"{number(summary['cpu_ms_median'], 1)} / "
+        f"{number(summary['cpu_ms_p95'], 1)} ms per frame",
+        "mapping CPU, median / p95": f"{number(summary['mapping_cpu_ms_median'], 1)} / "
+        f"{number(summary['mapping_cpu_ms_p95'], 1)} ms per keyframe",
+        "peak memory": number(summary["peak_rss_mb"], 0, " MiB"),
+    }
+    for name, value in rows.items():
+        table.add_row(name, value)
+    return table
+
+
+def systems_table(summaries: Mapping[str, dict]) -> Table:
+    """The main figures of several systems over one sequence: a row each, and one per injected segment."""
+    first = next(iter(summaries.values()))
+    table = _table(f"{first['sequence']}, seed {first['seed']}")
+    table.add_column("", overflow="fold")
+    for column in ("tracked", "with\npose", "breakages", "recovered", "relocal-\nized", "ATE"):
+        table.add_column(column, justify="right", overflow="fold")
+    for name, summary in summaries.items():
+        table.add_section()
+        table.add_row(Text(name, "bold"), *_cells(summary, summary["ate_m"], summary["ate_poses"]))
+        for segment in summary["segments"]:
+            part = f" {describe_kind(segment['kind'])} {_span(segment)}"
+            table.add_row(part, *_cells(segment, segment["ate_m"], segment["ate_frames"]))
+    table.caption = (
+        "Tracked: frames with a live pose. With pose: frames with a final pose in the\n"
+        "largest map; ATE: their RMSE after Sim(3) alignment. Recovered: the maps were\n"
+        f"fused. A breakage up to {_grace_s():g} s after a segment counts for the segment."
+    )
+    return table
+
+
+def breakage_table(summaries: Mapping[str, dict]) -> Table:
+    """A row per breakage, and per loss that was never declared: when, why, and what became of it."""
+    table = _table("Breakages")
+    judged = any(summary["audit"] for summary in summaries.values())
+    columns = ["declared", *(["truly lost"] if judged else []), "during", "cause", "what became of it"]
+    for column in columns:
+        table.add_column(column, overflow="fold", no_wrap=column in columns[:-3])
+    for name, summary in summaries.items():
+        table.add_section()
+        if len(summaries) > 1:
+            table.add_row(Text(name, "bold"))
+        rows = [_breakage_row(breakage, summary) for breakage in summary["breakage_list"]]
+        rows += [_silent_row(loss, summary) for loss in _silent(summary)]
+        for _, declared, lost, *rest in sorted(rows):
+            table.add_row(declared, *([lost] if judged else []), *rest)
+    return table
+
+
+def audit_text(summary: dict) -> str:
+    """What the audit against the truth finds in a run, in one line."""
+    audit = summary["audit"]
+    if audit is None:
+        return "not audited, as the sequence has no ground truth"
+    # Overlapping segments have a finding each.
+    declared = {f["declared_frame"]: f for f in audit["losses"] if f["declared_frame"] is not None}
+    delays_s = [f["delay_s"] for f in declared.values() if f["delay_s"] is not None]
+    losses = _count(len(declared), "declared loss", "declared losses")
+    if delays_s:
+        losses += f", {median(delays_s):.2f} s after the pose was truly lost"
+        losses += " (median)" if len(delays_s) > 1 else ""
+    repairs = [*audit["fusions"], *audit["relocalizations"]]
+    false = _count(sum(bool(r["false"]) for r in repairs), "false repair", "false repairs")
+    parts = [losses, _count(len(_silent(summary)), "silent loss", "silent losses")]
+    parts += [f"{false} of {len(repairs)}"] if repairs else []
+    unjudged = sum(f["silent"] is None for f in audit["losses"]) + sum(r["false"] is None for r in repairs)
+    parts += [f"{unjudged} not judged"] if unjudged else []
+    return f"audit by the truth: {'; '.join(parts)}"
+
+
+def _count(number: int, one: str, many: str) -> str:
+    return f"{number or 'no'} {one if number == 1 else many}"
+
+
+def _breakage_row(breakage: dict, summary: dict) -> tuple:
+    finding = _finding(breakage, summary)
+    if finding is None:
+        lost = "-"
+    elif finding["true_loss_frame"] is not None:
+        lost = _moment(finding["true_loss_time_s"], finding["true_loss_frame"])
+    else:
+        lost = "not judged" if finding["reason"] else "pose right\nuntil then"
+    reason = _words(breakage["reason"])
+    cause = f"{reason}: {breakage['inliers']}" if breakage["inliers"] else reason
+    declared = _moment(breakage["time_s"], breakage["frame"])
+    during = _segment(breakage["segment_index"], summary)
+    return breakage["frame"], declared, lost, during, cause, _fate(breakage, summary)
+
+
+def _silent_row(loss: dict, summary: dict) -> tuple:
+    lost = _moment(loss["true_loss_time_s"], loss["true_loss_frame"])
+    during = _segment(loss["segment"], summary)
+    return loss["true_loss_frame"], "never", lost, during, "wrong poses, given as right ones", "silent loss"
+
+
+def _fate(breakage: dict, summary: dict) -> str:
+    """What became of a broken map."""
+    if breakage["repair"] is None:
+        again = breakage["reinit_frame"]
+        begun = f"; new map from frame {again} on" if again is not None else ""
+        return f"never repaired: {_words(breakage['failure_reason'])}{begun}"
+    at = number(breakage["repair_time_s"], 2, " s")
+    if breakage["repair"] == "place":
+        return f"merged with the new map by place, at {at}"
+    if breakage["repair"] == "relocalization":
+        return (
+            f"relocalized at {at}, {number(breakage['lost_s'], 2, ' s')} later{_verdict(breakage, summary)}"
+        )
+    thread = f" by thread {breakage['thread']} ({breakage['method']})" if breakage["thread"] else ""
+    return f"recovered{thread}, fused at {at}{_verdict(breakage, summary)}"
+
+
+def _verdict(breakage: dict, summary: dict) -> str:
+    """The audit's verdict on a repair; empty without truth."""
+    audit = summary["audit"] or {"fusions": [], "relocalizations": []}
+    found = (*audit["fusions"], *audit["relocalizations"])
+    of = next((r for r in found if r["breakage_frame"] == breakage["frame"]), None)
+    if of is None:
+        return ""
+    if not of["false"]:
+        return "; right by the truth" if of["false"] is False else "; could not be judged"
+    figures = []
+    if of["scale_error"] is not None:
+        figures.append(f"scale {100 * of['scale_error']:+.0f} %")
+    if of["seam_error_m"] is not None:
+        figures.append(
+            f"{number(of['seam_error_m'], 2, ' m')} and {number(of['seam_rotation_deg'], 1, '°')} off"
+        )
+    return f"; FALSE by the truth: {', '.join(figures)}"
+
+
+def _finding(breakage: dict, summary: dict) -> dict | None:
+    """The audit's finding of a breakage, that of its own segment first; None without truth."""
+    losses = summary["audit"]["losses"] if summary["audit"] else []
+    own = [f for f in losses if f["declared_frame"] == breakage["frame"]]
+    return next((f for f in own if f["segment"] == breakage["segment_index"]), next(iter(own), None))
+
+
+def _silent(summary: dict) -> list[dict]:
+    return [f for f in summary["audit"]["losses"] if f["silent"]] if summary["audit"] else []
+
+
+def _segment(index: int | None, summary: dict) -> str:
+    if index is None:
+        return "no segment"
+    segment = summary["segments"][index]
+    return f"{describe_kind(segment['kind'])}\n{_span(segment)}"
+
+
+def _span(segment: dict) -> str:
+    return f"{segment['start_s']:g}-{segment['end_s']:g} s"
+
+
+def _moment(time_s: float, frame: int) -> str:
+    return f"{number(time_s, 2, ' s')}\nframe {frame}"
+
+
+def _words(reason: str) -> str:
+    return _REASONS.get(reason) or reason.replace("_", " ")
+
+
+def _cells(part: dict, ate_m: float | None, posed: int | None) -> list[str]:
+    frames = part["frames"]
+    return [
+        share(part["tracked"] / frames if frames else None),
+        share((posed or 0) / frames if frames else None),
+        str(part["breakages"]),
+        str(part["recoveries"]),
+        str(part["relocalizations"]),
+        number(ate_m, 3, " m"),
+    ]
+
+
+def _ate(summary: dict) -> str:
+    if summary["ate_m"] is None:
+        return f"- ({summary['ate_reason']})"
+    return (
+        f"{summary['ate_m']:.4f} m, {share(summary['ate_share_of_path'])} of the path, "
+        f"over {summary['ate_poses']} frames"
+    )
+
+
+def _table(title: str) -> Table:
+    return Table(title=title, box=box.SIMPLE, show_edge=False, padding=(0, 1, 0, 0))
+
+
+def _grace_s() -> float:
+    from experiments.evaluation.breakages import EXPOSURE_GRACE_S
+
+    return EXPOSURE_GRACE_S
