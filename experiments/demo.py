@@ -1,40 +1,73 @@
-"""Demonstration: base and Dual-SLAM⁺ on one scenario, then some units of an experiment."""
+"""Demonstration: base and Dual-SLAM⁺ under the lab's three stresses, then some units of an experiment."""
 
 from pathlib import Path
 
+from experiments.campaign.clusters import open_worker_pool
+from experiments.campaign.folder import read_experiment
+from experiments.campaign.runner import run_experiment
+from experiments.campaign.worker_pool import WorkerPoolSettings
+from experiments.eq1.spec import ExperimentSpec
+from experiments.eq1.trial import run_unit
 from experiments.result_folder import run_systems
 from experiments.runs.execution import SystemFactory, SystemKind
 from experiments.runs.files import to_json
+from experiments.statistics.analysis import analyse
+from experiments.statistics.results import CellAnalysis
 from sim.io.folders import Progress, new_directory
 from sim.sequence import Sequence
 
 SYSTEMS: tuple[SystemKind, ...] = ("base", "dual+")
 MARKER_FILE = "demo.json"
+EXPERIMENT_DIR = "experiment"
 
 
 def run_demo(
     sequence: Sequence,
     seed: int,
     out_dir: Path,
+    experiment: ExperimentSpec | None = None,
+    workers: int = 2,
     progress: Progress | None = None,
     build: SystemFactory | None = None,
-) -> dict[SystemKind, dict]:
-    """Run the systems and write a folder for each, with a common recording and picture.
+) -> tuple[dict[SystemKind, dict], list[CellAnalysis]]:
+    """Run the systems, then the units, and write the folder of the demonstration, whole or not at all.
+
+    It holds a folder for each system, their common recording and picture, and the folder of the experiment.
 
     Args:
         sequence: the rendered scenario.
         seed: root seed of the systems.
         out_dir: absent, empty, or an earlier demonstration, which is replaced.
+        experiment: whose units to run; None for none.
+        workers: number of processes for the units.
         progress: called with (step, done, total).
         build: factory of the systems; ``slam.factory.build_system`` by default.
 
     Returns:
-        Summary of each system.
+        Summary of each system, and the analysis of each cell of the experiment.
 
     Raises:
         InputError: the folder is taken or not writable, or the disk is full.
+        MachineError: the processes do not start, or every unit fails.
     """
     with new_directory(out_dir, replaces=MARKER_FILE) as folder:
         summaries = run_systems(sequence, SYSTEMS, seed, folder, True, progress, build)
+        cells = (
+            [] if experiment is None else _run_units(experiment, folder / EXPERIMENT_DIR, workers, progress)
+        )
         (folder / MARKER_FILE).write_text(to_json(summaries, indent=2) + "\n", encoding="utf-8")
-    return summaries
+    return summaries, cells
+
+
+def _run_units(
+    experiment: ExperimentSpec, folder: Path, workers: int, progress: Progress | None
+) -> list[CellAnalysis]:
+    show = progress or (lambda step, done, total: None)
+    run_experiment(
+        experiment,
+        folder,
+        lambda: open_worker_pool(WorkerPoolSettings(workers=workers), run_unit),
+        show=lambda tally: show("units", tally.done, tally.total),
+    )
+    spec, table = read_experiment(folder)
+    return list(analyse(table, len(spec.threads)).cells)

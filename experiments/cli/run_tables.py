@@ -65,7 +65,7 @@ def systems_table(summaries: Mapping[str, dict]) -> Table:
     first = next(iter(summaries.values()))
     table = _table(f"{first['sequence']}, seed {first['seed']}")
     table.add_column("", overflow="fold")
-    for column in ("tracked", "with\npose", "breakages", "recovered", "relocal-\nized", "ATE"):
+    for column in ("tracked", "with\npose", "break-\nages", "recov-\nered", "relocal-\nized", "ATE"):
         table.add_column(column, justify="right", overflow="fold")
     for name, summary in summaries.items():
         table.add_section()
@@ -74,9 +74,9 @@ def systems_table(summaries: Mapping[str, dict]) -> Table:
             part = f" {describe_kind(segment['kind'])} {_span(segment)}"
             table.add_row(part, *_cells(segment, segment["ate_m"], segment["ate_frames"]))
     table.caption = (
-        "Tracked: frames with a live pose. With pose: frames with a final pose in the\n"
-        "largest map; ATE: their RMSE after Sim(3) alignment. Recovered: the maps were\n"
-        f"fused. A breakage up to {_grace_s():g} s after a segment counts for the segment."
+        "Tracked: frames with a live pose. With pose: frames with a final pose in the largest map; ATE: "
+        "their RMSE after Sim(3) alignment. Recovered: the maps were fused. A breakage up to "
+        f"{_grace_s():g} s after a segment counts for the segment."
     )
     return table
 
@@ -233,7 +233,7 @@ def _ate(summary: dict) -> str:
 
 
 def _table(title: str) -> Table:
-    return Table(title=title, box=box.SIMPLE, show_edge=False, padding=(0, 1, 0, 0))
+    return Table(title=title, box=box.SIMPLE, show_edge=False, padding=(0, 1, 0, 0), caption_justify="left")
 
 
 def _grace_s() -> float:

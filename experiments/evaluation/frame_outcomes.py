@@ -22,12 +22,16 @@ def frame_outcomes(record: RunRecord) -> list[FrameOutcome]:
     """Outcome of each frame.
 
     A frame after a breakage that was not tracked live and has a final pose was posed by the recovery that
-    went back over it. Before the first breakage it was posed by initialization, which poses the frames
+    went back over it, if maps were fused later. Else it was posed by initialization, which poses the frames
     between its two views, and counts as tracked. A frame of a dropped map has no pose.
     """
     posed = posed_frames(record)
     first = min((e.frame for e in record.events if isinstance(e, Breakage)), default=len(posed))
-    return [_frame_outcome(bool(posed[r.frame]), is_tracked(r) or r.frame < first) for r in record.results]
+    fused_later = known_from(record.events, len(posed)) < len(posed)
+    return [
+        _frame_outcome(bool(posed[f]), is_tracked(r) or f < first or not fused_later[f])
+        for f, r in enumerate(record.results)
+    ]
 
 
 def posed_frames(record: RunRecord) -> np.ndarray:

@@ -17,7 +17,7 @@ COMMANDS = {
     "render without cache": "render {in}/scenario/scenario.yaml --no-cache --out {out}",
     "degrade": "degrade {in}/tum --segment jpeg:start_s=0.1,duration_s=0.2,quality=8 --out {out}",
     "run": "run {in}/scenario/scenario.yaml --system dual --rerun --map --out {out}",
-    "demo": "demo --scenario {in}/scenario/scenario.yaml --out {out}",
+    "demo": "demo --scenario {in}/scenario/scenario.yaml --no-units --out {out}",
     "gallery": "scenarios gallery {in}/scenario/scenario.yaml --seeds 2 --frames 2 --workers 2 --out {out}",
     "experiment": "experiment run {in}/experiment/spec.yaml --workers 2 --out {out}",
     "fuzz": "experiment fuzz --units 1 --system base --out {out}",

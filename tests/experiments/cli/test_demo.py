@@ -1,20 +1,29 @@
-"""The demonstration writes its files, replaces only its own, and prints a table."""
+"""The demonstration writes its files, replaces only its own, and prints what happened in runs and units."""
+
+from contextlib import nullcontext
 
 import pytest
 from rerun.chunk import RrdReader
 from slam_fakes import fake_factory, make_sequence
+from unit_fakes import LocalPool, made_up_unit
 
+from experiments.campaign.folder import read_experiment
+from experiments.cli.demo import SCENARIO
 from experiments.cli.run_tables import systems_table
 from experiments.cli.view import view_command
 from experiments.demo import run_demo
+from experiments.eq1.spec import load_spec
+from experiments.statistics.analysis import analyse
 from scenarios.errors import InputError
+from scenarios.loading import load_scenario
 
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
     out = tmp_path_factory.mktemp("demo") / "out"
     sequence = make_sequence()
-    summaries = run_demo(sequence, 0, out, build=fake_factory(sequence, breaks_at=160))
+    summaries, cells = run_demo(sequence, 0, out, build=fake_factory(sequence, breaks_at=160))
+    assert cells == []
     return out, sequence, summaries
 
 
@@ -54,3 +63,69 @@ def test_the_table_separates_base_from_dual(demo):
     assert rows[0][:6] == ["base", "51.7 %", "51.7 %", "1", "0", "0"]
     assert rows[2][:6] == ["dual+", "91.7 %", "91.7 %", "1", "1", "0"]
     assert sum("low texture 5-6 s" in row[0] for row in rows) == 2
+
+
+@pytest.fixture
+def made_up_units(monkeypatch):
+    """Synthetic units, run in this process."""
+    monkeypatch.setattr(
+        "experiments.campaign.clusters.embedded_worker_pool", lambda _, task: nullcontext(LocalPool(task))
+    )
+    monkeypatch.setattr("experiments.demo.run_unit", made_up_unit)
+
+
+@pytest.fixture
+def demo_command(dslab, made_up_units, no_picture, monkeypatch, tmp_path):
+    """`dslab demo` of the fake system and synthetic units, into tmp_path / "d"."""
+    sequence = make_sequence(60, segment=(20, 30))
+    monkeypatch.setattr("sim.sequence_rendering.render_sequence", lambda *_, **__: sequence)
+    monkeypatch.setattr(
+        "experiments.runs.execution.system_factory", lambda: fake_factory(sequence, breaks_at=25)
+    )
+    monkeypatch.setenv("COLUMNS", "80")
+    return lambda *words: dslab("demo", "--out", tmp_path / "d", *words)
+
+
+def test_units_follow_with_both_shares_and_their_intervals_and_no_verdict(demo_command, dslab, tmp_path):
+    code, out, _ = demo_command()
+    assert code == 0 and "…\n" not in out and "None" not in out
+    assert max(map(len, out[: out.index("picture ")].splitlines())) <= 80
+    spec, table = read_experiment(tmp_path / "d" / "experiment")
+    (cell,) = analyse(table, 2).cells
+    for level, threads in zip(cell.levels, ("orb ", "orb, sift "), strict=True):
+        (row,) = (line for line in out.splitlines() if line.startswith(f"{level.n} ") and threads in line)
+        assert f"{level.measured.events} of {level.measured.units}" in row
+        assert f"{100 * level.predicted.value:.1f} %" in row and row.count(" to ") == 2
+    assert "too few units to decide" in " ".join(out.split())
+    assert spec.units_per_world == 1 and table["world_seed"].nunique() == spec.units == len(table)
+    for command in ("report", "status"):
+        assert dslab("experiment", command, tmp_path / "d" / "experiment")[0] == 0
+
+
+def test_the_units_can_be_left_out_and_a_second_demonstration_replaces_the_first(demo_command, tmp_path):
+    assert demo_command()[0] == 0
+    code, out, _ = demo_command("--no-units")
+    assert code == 0 and "Eq. 1" not in out
+    assert not (tmp_path / "d" / "experiment").exists() and (tmp_path / "d" / "base").is_dir()
+
+
+def test_an_interrupted_demonstration_leaves_nothing(demo_command, monkeypatch, tmp_path):
+    def interrupted(unit, cache_dir=None, recording=None):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("experiments.demo.run_unit", interrupted)
+    assert demo_command()[0] == 130
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_its_scenario_has_the_three_stresses_one_after_the_other_with_clean_time_around():
+    scenario = load_scenario(SCENARIO)
+    segments = scenario.segments
+    assert [s.kind for s in segments] == ["low_texture", "motion_blur", "fast_rotation"]
+    edges_s = [0, *(t for s in segments for t in (s.start_s, s.end_s)), scenario.duration_s]
+    assert all(end - start >= 6 for start, end in zip(edges_s[::2], edges_s[1::2], strict=True))
+    quick = {d.kind: d for d in load_spec("eq1-quick").degradations}
+    for segment in segments:
+        degradation = quick[segment.kind]
+        assert getattr(segment, degradation.dose) == degradation.doses[-1]
+        assert segment.duration_s == degradation.acts_s
