@@ -5,17 +5,20 @@ import json
 import logging
 import os
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from scenarios.errors import InputError
 from scenarios.input_files import open_file, read_json
-from sim.unfinished import unfinished_folder
+from sim.unfinished import is_held, sweep, unfinished_folder
 
 CACHE_DIR_VARIABLE = "DSLAB_CACHE_DIR"
 MAX_BYTES = 20 * 10**9
+"""Size to which the cache is cut back."""
 _MANIFEST = "manifest.json"
 UNFINISHED = ".unfinished-"
 
@@ -45,6 +48,21 @@ class CorruptEntryError(Exception):
     """An entry of the cache whose content is not what was written."""
 
 
+@dataclass(frozen=True)
+class Entry:
+    """A finished folder of the cache.
+
+    Attributes:
+        path: the folder.
+        size_bytes: of its files.
+        used_s: when it was made or last found, seconds since the epoch.
+    """
+
+    path: Path
+    size_bytes: int
+    used_s: float
+
+
 class FolderCache:
     """Finished folders by key.
 
@@ -70,6 +88,32 @@ class FolderCache:
             return None
         _touch(entry / _MANIFEST)
         return entry
+
+    def entries(self) -> list[Entry]:
+        """Every entry, those used longest ago first; other folders and files are none."""
+        try:
+            paths = [path for path in self.root.iterdir() if (path / _MANIFEST).is_file()]
+        except OSError:
+            return []
+        found = (Entry(path, _bytes(path), _modified_s(path / _MANIFEST)) for path in paths)
+        return sorted(found, key=lambda entry: entry.used_s)
+
+    def clean(self, unused_for_s: float = 0.0) -> tuple[list[Entry], list[Entry]]:
+        """Delete entries, and what killed processes have left.
+
+        Args:
+            unused_for_s: only those that were last used so long ago.
+
+        Returns:
+            The entries deleted, and those kept because a process uses their frames.
+        """
+        old = [entry for entry in self.entries() if entry.used_s <= time.time() - unused_for_s]
+        used = [entry for entry in old if any(map(is_held, _files(entry.path)))]
+        deleted = [entry for entry in old if entry not in used]
+        for entry in deleted:
+            _discard(entry.path)
+        sweep(self.root, UNFINISHED)
+        return deleted, used
 
     def drop(self, entry: Path, fault: str) -> None:
         """Delete a corrupt entry, with a warning that names the fault."""
@@ -109,15 +153,14 @@ class FolderCache:
         )
 
     def _cut_back(self, keep: str) -> None:
-        entries = [path for path in self.root.iterdir() if not path.name.startswith(UNFINISHED)]
-        sizes = {entry: _bytes(entry) for entry in entries}
-        total = sum(sizes.values())
-        for entry in sorted(entries, key=lambda e: _modified_s(e / _MANIFEST)):
-            if total <= self._max_bytes:
+        entries = self.entries()
+        total_bytes = sum(entry.size_bytes for entry in entries)
+        for entry in entries:
+            if total_bytes <= self._max_bytes:
                 return
-            if entry.name != keep:
-                total -= sizes[entry]
-                _discard(entry)
+            if entry.path.name != keep:
+                total_bytes -= entry.size_bytes
+                _discard(entry.path)
 
 
 def _write_manifest(folder: Path) -> None:

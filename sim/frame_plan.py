@@ -15,7 +15,7 @@ from sim.degradations.chain import ImageChain
 from sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
 from sim.degradations.repeated_texture import with_repeated_texture
 from sim.degradations.scattering import Scattering
-from sim.io.raw import RawFrames, RawWriter, stored_array
+from sim.io.raw import RawWriter
 from sim.motion import plan_motion
 from sim.motion.base import Motion
 from sim.rendering.lens_renderer import lens_renderer
@@ -189,43 +189,6 @@ def rendered_clean_frames(world: WorldModel, camera: Camera, backend: RenderBack
         renderer.close()
 
 
-def stored_clean_frames(folder: Path, count: int, camera: Camera) -> tuple[np.ndarray, CleanFrames]:
-    """The survey and the CleanFrames written by ``store_clean_frames``.
-
-    Args:
-        folder: of a cache entry.
-        count: number of frames.
-        camera: of the scenario.
-
-    Raises:
-        CorruptEntryError: the folder holds anything else.
-    """
-    ideal = ideal_camera(camera_intrinsics(camera))
-    shape = (count, ideal.height_px, ideal.width_px)
-    view_share = np.array(stored_array(folder / "view_share.npy", (count, None), np.float32))
-    grays = RawFrames(folder / "gray.npy", shape, np.uint8)
-    depths = RawFrames(folder / "depth.npy", shape, np.float32)
-    return view_share, lambda frame, T_world_cam: (grays[frame], depths[frame])
-
-
-def store_clean_frames(
-    folder: Path, plan: FramePlan, clean_frames: CleanFrames, camera: Camera, progress: Progress
-) -> None:
-    """Write the clean frames of a plan, and its survey, into a folder."""
-    ideal = ideal_camera(camera_intrinsics(camera))
-    shape = (len(plan.stamps_s), ideal.height_px, ideal.width_px)
-    np.save(folder / "view_share.npy", plan.view_share)
-    with (
-        RawWriter(folder / "gray.npy", shape, np.uint8) as grays,
-        RawWriter(folder / "depth.npy", shape, np.float32) as depths,
-    ):
-        for frame, T_world_cam in enumerate(plan.motion.T_world_cam(plan.stamps_s)):
-            gray, depth_m = clean_frames(frame, T_world_cam)
-            grays.append(gray)
-            depths.append(depth_m)
-            progress("rendering", frame + 1, shape[0])
-
-
 def ideal_camera(camera: Intrinsics) -> Intrinsics:
     """The distortion-free camera through which a camera's frames are rendered."""
     return camera if camera.is_pinhole else Lens(camera).ideal
@@ -275,12 +238,25 @@ def expose_frames(
             image = chain.apply(image, index, (Stage.READOUT,), depth_m, plan.motion)
             if lens:
                 image, depth_m = lens.distort(image), lens.distort_depth(depth_m)
-            image = chain.apply(image, index, (Stage.LENS, Stage.SENSOR))
-            grays.append(chain.apply(noise.apply(image, frame), index, (Stage.ENCODER,)))
+            grays.append(sense(image, index, frame, chain, noise))
             if depths:
                 depths.append(depth_m)
             progress("exposing", index + 1, count)
     return blur_px
+
+
+def sense(image: np.ndarray, index: int, frame: int, chain: ImageChain, noise: SensorNoise) -> np.ndarray:
+    """The frame as it is stored, from the light that reaches the lens.
+
+    Args:
+        image: (H, W) uint8, exposed and, with a distorting lens, distorted.
+        index: of the frame in the sequence.
+        frame: its number before any was dropped.
+        chain: the image-space segments.
+        noise: of the sensor.
+    """
+    image = chain.apply(image, index, (Stage.LENS, Stage.SENSOR))
+    return chain.apply(noise.apply(image, frame), index, (Stage.ENCODER,))
 
 
 def _shutter_poses(plan: FramePlan) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,32 +1,25 @@
 """From a scenario and a seed to a sequence: frames and truth."""
 
-import hashlib
 import json
-import platform
 from collections.abc import Callable
 from collections.abc import Sequence as Many
-from contextlib import nullcontext
-from dataclasses import asdict
-from functools import cache, partial
-from importlib.metadata import PackageNotFoundError, version
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-import scenarios
 from scenarios.errors import InputError
-from scenarios.extensions import extension_digests
 from scenarios.input_files import read_json
 from scenarios.segments import ImageSegment
-from scenarios.spec import Scenario
-from sim.cache import CorruptEntryError, FolderCache, content_key
+from scenarios.spec import Camera, Scenario
+from sim.cache import CorruptEntryError, FolderCache
 from sim.degradations.base import FramePlan, Stage
 from sim.degradations.chain import ImageChain
 from sim.degradations.registry import DEGRADATIONS, in_order_of_action
 from sim.degradations.truths import truths_of
 from sim.frame_plan import (
-    CleanFrames,
     Progress,
     RenderBackend,
     camera_intrinsics,
@@ -37,13 +30,14 @@ from sim.frame_plan import (
     plan_in_world,
     render_backend,
     rendered_clean_frames,
-    store_clean_frames,
-    stored_clean_frames,
+    sense,
 )
 from sim.io.folders import check_free
-from sim.io.raw import RawFrames, stored_array, stored_columns
+from sim.io.raw import RawFrames, RawWriter, stored_array, stored_columns
 from sim.io.tum import write_tum
+from sim.provenance import entry_key, provenance
 from sim.room import Need, check_room, images_need
+from sim.sensors.noise import SensorNoise
 from sim.sequence import SegmentTruth, Sequence
 
 __all__ = [
@@ -58,16 +52,7 @@ __all__ = [
 
 ContentT = TypeVar("ContentT")
 
-_PACKAGES = (
-    "dual-slam-lab",
-    "mujoco",
-    "numba",
-    "numpy",
-    "opencv-contrib-python-headless",
-    "pyopengl",
-    "pyrender",
-    "scipy",
-)
+_VIEW_SHARE = "view_share.npy"
 
 
 def render_sequence(
@@ -85,7 +70,7 @@ def render_sequence(
     """Render a scenario, or read it from the cache.
 
     The same scenario and seed give the same bytes on one machine and GL driver. Frames stay on disk and are
-    read one by one. With segments that act on images, the clean frames with their depth are cached too:
+    read one by one. If segments act on images only behind the lens, the frames before them are cached too:
     another severity renders nothing again.
 
     Args:
@@ -93,7 +78,7 @@ def render_sequence(
         seed: root seed; None for the scenario's own.
         out_dir: also write the sequence there as a TUM-form folder.
         cache_dir: folder of the cache; None for the default one.
-        depth: keep depth images too.
+        depth: render and keep depth images too, four times as large as the frames.
         progress: called after every frame.
         backend: worlds and renderer; None for MuJoCo.
         needs: what the caller will write of the sequence, so that its room is checked beforehand too.
@@ -109,20 +94,20 @@ def render_sequence(
     if out_dir is not None:
         check_free(out_dir)
         needs = [*needs, images_need_of(scenario, out_dir, depth)]
-    meta = _provenance(scenario, seed, backend)
+    meta = provenance(scenario, seed, backend)
     store = FolderCache(cache_dir)
-    # Inertial readings change no frame.
-    provenance = _provenance(scenario.model_copy(update={"imu": None}), seed, backend)
-    key = content_key({"depth": depth, "sources": _sources(), **provenance})
+    keys = {kept: entry_key(scenario, seed, backend, depth=kept) for kept in (depth, True)}
     opened = partial(_open, scenario=scenario, meta=meta, depth=depth)
-    sequence = _cached(store, key, opened)
+    # An entry with depth has the same frames.
+    found = (_cached(store, key, opened) for key in keys.values())
+    sequence = next((sequence for sequence in found if sequence is not None), None)
     if sequence is None:
         needs = [*needs, Need(store.root, _stacks_bytes(scenario, depth))]
     check_room(scenario.name, scenario.frame_count, needs, force)
     if sequence is None:
-        with store.create(key) as folder:
+        with store.create(keys[depth]) as folder:
             _render_into(folder, scenario, seed, depth, backend, store, progress)
-        sequence = opened(store.root / key)
+        sequence = opened(store.root / keys[depth])
     if out_dir is not None:
         write_tum(sequence, out_dir, depth=depth, progress=progress)
     return sequence
@@ -135,15 +120,15 @@ def images_need_of(scenario: Scenario, out_dir: Path, depth: bool = False) -> Ne
 
 
 def _stacks_bytes(scenario: Scenario, depth: bool) -> int:
-    """Size of the stacks of frames in the cache: the clean ones have depth, and may be larger for a lens."""
-    of_frames = 5 if depth else 1
-    of_clean_frames = 5 if _has_image_segments(scenario) else 0
-    pixels = scenario.frame_count * scenario.camera.width_px * scenario.camera.height_px
-    return pixels * (of_frames + of_clean_frames)
+    """Size of the stacks of frames in the cache."""
+    per_pixel = 5 if depth else 2 if _ends_behind_the_lens(scenario) else 1
+    return per_pixel * scenario.frame_count * scenario.camera.width_px * scenario.camera.height_px
 
 
-def _has_image_segments(scenario: Scenario) -> bool:
-    return any(isinstance(segment, ImageSegment) for segment in scenario.segments)
+def _ends_behind_the_lens(scenario: Scenario) -> bool:
+    """Return True if segments act on images, and all of them on what the lens has let through."""
+    stages = [DEGRADATIONS[s.kind].stage for s in scenario.segments if isinstance(s, ImageSegment)]
+    return bool(stages) and min(stages) >= Stage.LENS
 
 
 def _render_into(
@@ -154,17 +139,16 @@ def _render_into(
     backend: RenderBackend,
     store: FolderCache,
     progress: Progress,
-) -> None:
-    """Write the frames and the truth of a sequence into a folder of the cache."""
-    camera = scenario.camera
-    if _has_image_segments(scenario):
-        view_share, stored = _clean_frames_of(scenario, seed, backend, store, progress)
+) -> FramePlan:
+    """Write the frames and the truth of a sequence into a folder of the cache; return its plan."""
+    camera, own = scenario.camera, camera_intrinsics(scenario.camera)
+    exposed = world = None
+    if _ends_behind_the_lens(scenario) and not depth:
+        exposed = _exposed_frames_of(scenario, seed, backend, store, progress)
+        view_share = exposed.view_share
         plan = plan_in_world(scenario, seed, backend, view_share.shape[1], lambda plan: view_share)
-        clean_frames = nullcontext(stored)
     else:
         plan, world = plan_frames(scenario, seed, backend, progress)
-        clean_frames = rendered_clean_frames(world, camera, backend)
-    own = camera_intrinsics(camera)
     chain = ImageChain(
         scenario.segments,
         own,
@@ -174,37 +158,84 @@ def _render_into(
         exposure_s=plan.exposure_s,
         ideal=ideal_camera(own),
     )
-    with clean_frames as source:
-        blur_px = expose_frames(folder, plan, source, camera, chain, depth, progress)
+    if exposed:
+        blur_px = exposed.blur_px[plan.frame]
+        _sense_frames(folder, plan, exposed.frames, camera, chain, progress)
+    else:
+        assert world is not None
+        with rendered_clean_frames(world, camera, backend) as clean_frames:
+            blur_px = expose_frames(folder, plan, clean_frames, camera, chain, depth, progress)
     _write_truth(folder, scenario, plan, chain, blur_px)
+    return plan
 
 
-def _clean_frames_of(
+def _sense_frames(
+    folder: Path,
+    plan: FramePlan,
+    exposed: RawFrames,
+    camera: Camera,
+    chain: ImageChain,
+    progress: Progress,
+) -> None:
+    """Degrade exposed frames behind the lens and write them."""
+    size = (camera.height_px, camera.width_px)
+    noise = SensorNoise(size, camera.noise_sigma, plan.seed)
+    with RawWriter(folder / "gray.npy", (len(plan.frame), *size), np.uint8) as grays:
+        for index, frame in enumerate(plan.frame.tolist()):
+            grays.append(sense(exposed[frame], index, frame, chain, noise))
+            progress("degrading", index + 1, len(plan.frame))
+
+
+@dataclass(frozen=True)
+class _ExposedFrames:
+    """Frames as they come through the lens: before the segments behind it, and before the sensor's noise.
+
+    Attributes:
+        frames: N frames (H, W) uint8, none of them dropped.
+        blur_px: (N,) median length of their motion blur.
+        view_share: (N, S) share of the view of every surface; see ``FramePlan``.
+    """
+
+    frames: RawFrames
+    blur_px: np.ndarray
+    view_share: np.ndarray
+
+
+def _exposed_frames_of(
     scenario: Scenario, seed: int, backend: RenderBackend, store: FolderCache, progress: Progress
-) -> tuple[np.ndarray, CleanFrames]:
-    """The survey and clean frames of a scenario; they are rendered if they are not cached."""
-    kept = [s for s in scenario.segments if DEGRADATIONS[s.kind].stage in (Stage.MOTION, Stage.WORLD)]
-    clean = scenario.model_copy(
+) -> _ExposedFrames:
+    """The exposed frames of a scenario; they are rendered if they are not cached."""
+    kept = [s for s in scenario.segments if DEGRADATIONS[s.kind].stage <= Stage.SHUTTER]
+    bare = scenario.model_copy(
         update={
-            "name": "clean_frames",
+            "name": "exposed_frames",
             "description": "",
-            "imu": None,
             "segments": tuple(in_order_of_action(kept)),
-            "camera": scenario.camera.model_copy(update={"exposure_s": 0.0, "noise_sigma": 0.0}),
+            "camera": scenario.camera.model_copy(update={"noise_sigma": 0.0}),
         }
     )
-    key = content_key({"clean_frames": True, "sources": _sources(), **_provenance(clean, seed, backend)})
-    stored = partial(stored_clean_frames, count=clean.frame_count, camera=clean.camera)
-    found = _cached(store, key, stored)
+    key = entry_key(bare, seed, backend, exposed_frames=True)
+    read = partial(_read_exposed_frames, scenario=bare)
+    found = _cached(store, key, read)
     if found is None:
-        plan, world = plan_frames(clean, seed, backend, progress)
-        with (
-            store.create(key) as folder,
-            rendered_clean_frames(world, clean.camera, backend) as clean_frames,
-        ):
-            store_clean_frames(folder, plan, clean_frames, clean.camera, progress)
-        found = stored(store.root / key)
+        with store.create(key) as folder:
+            plan = _render_into(folder, bare, seed, False, backend, store, progress)
+            np.save(folder / _VIEW_SHARE, plan.view_share)
+        found = read(store.root / key)
     return found
+
+
+def _read_exposed_frames(entry: Path, scenario: Scenario) -> _ExposedFrames:
+    """The exposed frames of an entry. Raises CorruptEntryError if it holds anything else."""
+    camera, count = scenario.camera, scenario.frame_count
+    columns = stored_columns(entry / "frame_truth.npz", count)
+    if "blur_px" not in columns:
+        raise CorruptEntryError("frame_truth.npz has no blur_px")
+    return _ExposedFrames(
+        RawFrames(entry / "gray.npy", (count, camera.height_px, camera.width_px), np.uint8),
+        columns["blur_px"],
+        np.array(stored_array(entry / _VIEW_SHARE, (count, None), np.float32)),
+    )
 
 
 def _write_truth(
@@ -255,43 +286,3 @@ def _open(entry: Path, scenario: Scenario, meta: dict[str, Any], depth: bool) ->
         meta=meta,
         frame_truth=stored_columns(entry / "frame_truth.npz", count),
     )
-
-
-def _provenance(scenario: Scenario, seed: int, backend: RenderBackend) -> dict[str, Any]:
-    """Everything on which the frames depend, as JSON-like data."""
-    return {
-        "spec": scenario.model_copy(update={"seed": seed}).model_dump(mode="json"),
-        "seed": seed,
-        "versions": {"python": platform.python_version(), **_versions()},
-        "renderer": backend.renderer_name,
-        "gl": backend.gl_info(),
-        "stamps": "centre of the exposure",
-        "poses": "camera (x right, y down, z forward) to world (z up), metres, at the stamp",
-    }
-
-
-@cache
-def _versions() -> dict[str, str]:
-    found = {}
-    for name in _PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "unknown"
-    return found
-
-
-@cache
-def _source_hash() -> str:
-    """Hash of every source file that can change a pixel; part of the cache key."""
-    digest = hashlib.sha256()
-    for root in (Path(str(scenarios.__file__)).parent, Path(__file__).parent):
-        for path in sorted(root.rglob("*.py")):
-            digest.update(path.relative_to(root).as_posix().encode())
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-def _sources() -> dict[str, str]:
-    """Digests of the sources of the packages and of the registered extensions."""
-    return {"packages": _source_hash(), **extension_digests()}

@@ -70,6 +70,20 @@ def remove_own() -> None:
         _remove(home)
 
 
+def hold(file: int) -> None:
+    """Mark an open file as in use, until it is closed; see ``is_held``."""
+    _lock(file, shared=True)
+
+
+def is_held(path: Path) -> bool:
+    """Return True if a file is known to be in use by a process, this one included."""
+    try:
+        with path.open("rb") as file:
+            return _lock(file.fileno()) is False
+    except OSError:
+        return False
+
+
 def _claimed(parent: Path, prefix: str) -> tuple[Path, int]:
     """A new folder with its lock. Between their making and the locking another process may sweep it."""
     while True:
@@ -89,12 +103,15 @@ def _claimed(parent: Path, prefix: str) -> tuple[Path, int]:
         _own.discard(home)
 
 
-def _lock(file: int) -> bool | None:
-    """Lock a file: True if it was free, False if it is held, None if there are no locks here."""
+def _lock(file: int, shared: bool = False) -> bool | None:
+    """Lock a file: True if it was free, False if it is held, None if there are no locks here.
+
+    Several processes may hold a file that each of them locks as ``shared``.
+    """
     try:
         if fcntl is None:
             return None
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     except OSError:  # some network file systems

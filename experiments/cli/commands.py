@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli import bench, config, demo, doctor, experiment, run, view, vocabulary, warmup
+from experiments.cli import bench, cache, config, demo, doctor, experiment, run, view, vocabulary, warmup
 from experiments.cli.degrade import degrade_command
 from experiments.cli.export import export_command
 from experiments.cli.paper import paper_command
@@ -27,6 +27,7 @@ app.command("warmup")(warmup.warmup_command)
 app.add_typer(scenarios_app, name="scenarios")
 app.add_typer(config.app, name="config")
 app.command("render")(render_command)
+app.add_typer(cache.app, name="cache")
 app.command("degrade")(degrade_command)
 app.command("export")(export_command)
 app.command("run")(run.run_command)

@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 from rich.table import Table
 
+from experiments.cli.cache import size_text
 from experiments.cli.console import err, out
 from experiments.kernel_cache import VARIABLE
 from scenarios.errors import InputError
@@ -68,9 +69,10 @@ def _memory() -> str:
 
 
 def _render_cache() -> str:
-    from sim.cache import default_cache_dir
+    from sim.cache import CACHE_DIR_VARIABLE, FolderCache
 
-    return _folder(default_cache_dir(), ("*",))
+    store = FolderCache()
+    return f"{store.root}, {size_text(store)}; {CACHE_DIR_VARIABLE} names another"
 
 
 def _kernel_cache() -> str:
@@ -79,10 +81,6 @@ def _kernel_cache() -> str:
     root = Path(str(slam.__file__)).parent
     if named := os.environ.get(VARIABLE):
         root = Path(named)
-    return _folder(root, ("*.nbi", "*.nbc"))
-
-
-def _folder(root: Path, patterns: tuple[str, ...]) -> str:
-    files = [f for pattern in patterns for f in root.rglob(pattern) if f.is_file()]
+    files = [f for pattern in ("*.nbi", "*.nbc") for f in root.rglob(pattern) if f.is_file()]
     size = sum(f.stat().st_size for f in files)
     return f"{root}, {len(files)} files, {size / 2**20:.0f} MiB"

@@ -11,6 +11,7 @@ import numpy as np
 from scenarios.errors import InputError
 from scenarios.input_files import open_file
 from sim.cache import CorruptEntryError
+from sim.unfinished import hold
 
 # What NumPy raises for files that are no array or archive of arrays, by the place of the damage.
 _UNREADABLE = (
@@ -62,7 +63,7 @@ class RawWriter:
 
 
 class RawFrames:
-    """A ``FrameSource`` over the file of a ``RawWriter``.
+    """A ``FrameSource`` over the file of a ``RawWriter``, which counts as in use as long as this exists.
 
     Args:
         path: the file.
@@ -75,6 +76,8 @@ class RawFrames:
 
     def __init__(self, path: Path, shape: tuple[int, int, int], dtype: type) -> None:
         self._stack = stored_array(path, shape, dtype)
+        self._held = path.open("rb")
+        hold(self._held.fileno())
 
     def __len__(self) -> int:
         return len(self._stack)

@@ -16,24 +16,28 @@ from sim.cache import CorruptEntryError, FolderCache, _write_manifest
 from sim.io.raw import RawFrames, RawWriter, stored_array, stored_columns
 from sim.sequence_rendering import render_sequence
 
-FOG = {"kind": "fog", "start_s": 0.1, "duration_s": 0.2, "extinction_per_m": 0.1}
-SHORT = Scenario.model_validate({**SPEC, "duration_s": 0.5, "segments": [FOG]})
+JPEG = {"kind": "jpeg", "start_s": 0.1, "duration_s": 0.2, "quality": 5}
+SHORT = Scenario.model_validate({**SPEC, "duration_s": 0.5, "segments": [JPEG]})
 
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory) -> Path:
-    """A cache with the entries of a short scenario: its frames, and its clean frames."""
+    """A cache with the entries of a short scenario: frames with depth, frames alone, exposed frames."""
     root = tmp_path_factory.mktemp("cache")
-    render_sequence(SHORT, cache_dir=root, depth=True, backend=fake_backend())
+    render(root, depth=False)
+    render(root, depth=True)
     return root
 
 
-def render(root: Path):
-    return render_sequence(SHORT, cache_dir=root, depth=True, backend=fake_backend())
+def render(root: Path, depth: bool):
+    return render_sequence(SHORT, cache_dir=root, depth=depth, backend=fake_backend())
 
 
-def entry_with(root: Path, file: str) -> Path:
-    return next(entry for entry in root.iterdir() if (entry / file).exists())
+def only_entry_with(root: Path, file: str) -> Path:
+    (found,) = [entry for entry in root.iterdir() if (entry / file).exists()]
+    for other in set(root.iterdir()) - {found}:
+        shutil.rmtree(other)
+    return found
 
 
 def save(path: Path, array: np.ndarray) -> None:
@@ -41,7 +45,7 @@ def save(path: Path, array: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize(
-    ("file", "content", "clean"),
+    ("file", "content", "exposed"),
     [
         ("gray.npy", np.zeros((5, 64, 95), np.uint8), False),
         ("gray.npy", np.zeros((4, 64, 96), np.uint8), False),
@@ -64,17 +68,15 @@ def save(path: Path, array: np.ndarray) -> None:
         ("view_share.npy", np.zeros((4, 10), np.float32), True),
         ("view_share.npy", np.zeros((5, 10)), True),
         ("gray.npy", np.zeros((5, 63, 96), np.uint8), True),
-        ("depth.npy", np.zeros((5, 64, 96)), True),
+        ("frame_truth.npz", np.zeros(6), True),
     ],
     ids=range(22),
 )
-def test_an_entry_of_another_shape_is_rendered_again(filled, tmp_path, caplog, file, content, clean):
-    expected = digest(render(filled))
+def test_an_entry_of_another_shape_is_rendered_again(filled, tmp_path, caplog, file, content, exposed):
+    expected = digest(render(filled, depth=True))
     root = tmp_path / "cache"
     shutil.copytree(filled, root)
-    entry = entry_with(root, "view_share.npy" if clean else "stamps_s.npy")
-    if clean:
-        shutil.rmtree(entry_with(root, "stamps_s.npy"))
+    entry = only_entry_with(root, "view_share.npy" if exposed else "depth.npy")
     if isinstance(content, bytes):
         (entry / file).write_bytes(content)
     else:
@@ -83,7 +85,7 @@ def test_an_entry_of_another_shape_is_rendered_again(filled, tmp_path, caplog, f
     (entry / "manifest.json").unlink()
     _write_manifest(entry)
     with caplog.at_level(logging.WARNING):
-        assert digest(render(root)) == expected
+        assert digest(render(root, depth=not exposed)) == expected
     assert len(caplog.records) == 1 and f"is corrupt ({file}" in caplog.records[0].getMessage()
 
 

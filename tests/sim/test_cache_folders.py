@@ -6,12 +6,14 @@ import os
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from killed import killed_in_a_folder
 
 from scenarios.errors import InputError
 from sim import cache
 from sim.cache import FolderCache, content_key, default_cache_dir
+from sim.io.raw import RawFrames, RawWriter
 
 
 def store(root: Path, key: str, text: str = "frames", max_bytes: int = 10**9) -> Path:
@@ -140,3 +142,34 @@ def test_keys_depend_on_content_and_not_on_order():
 
 def test_an_entry_that_vanishes_while_the_cache_is_measured_does_no_harm(tmp_path):
     assert cache._bytes(tmp_path / "gone") == 0
+
+
+def test_cleaning_deletes_what_was_not_used_for_long_and_leaves_what_is_in_use(tmp_path):
+    for name, age_s in (("old", 5000), ("new", 10), ("read", 9000)):
+        with (
+            FolderCache(tmp_path).create(name) as folder,
+            RawWriter(folder / "a.npy", (1, 2, 2), np.uint8) as f,
+        ):
+            f.append(np.zeros((2, 2), np.uint8))
+        os.utime(tmp_path / name / "manifest.json", (time.time() - age_s,) * 2)
+    (tmp_path / "notes").mkdir()
+    killed_in_a_folder(tmp_path, cache.UNFINISHED)
+    frames = RawFrames(tmp_path / "read" / "a.npy", (1, 2, 2), np.uint8)
+    with FolderCache(tmp_path).create("busy"):
+        deleted, used = FolderCache(tmp_path).clean(1000)
+        assert [entry.path.name for entry in deleted] == ["old"]
+        assert [entry.path.name for entry in used] == ["read"]
+        assert {p.name for p in tmp_path.iterdir() if p.name[0] != "."} == {"new", "notes", "read"}
+        assert len(list(tmp_path.glob(".*"))) == 1
+    del frames
+    deleted, used = FolderCache(tmp_path).clean()
+    assert {entry.path.name for entry in deleted} == {"busy", "new", "read"} and not used
+    assert [path.name for path in tmp_path.iterdir()] == ["notes"]
+
+
+def test_the_cap_counts_and_deletes_entries_only(tmp_path):
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "chapter.tex").write_text("x" * 5000)
+    store(tmp_path, "k", "x" * 1000, max_bytes=2000)
+    assert (tmp_path / "thesis" / "chapter.tex").exists() and (tmp_path / "k").exists()
+    assert [entry.path.name for entry in FolderCache(tmp_path).entries()] == ["k"]

@@ -16,7 +16,7 @@ from scenarios.worlds import WORLD_KINDS
 from sim.degradations import registry
 from sim.motion import _PLANS, plan_motion
 from sim.motion.walker import plan_walk
-from sim.sequence_rendering import _sources
+from sim.provenance import sources
 from sim.worlds import WORLDS, room
 
 
@@ -81,7 +81,7 @@ def test_specs_know_the_kind_and_its_faults_are_named(inverted):
 
 
 def test_the_sources_of_an_extension_are_part_of_the_cache_key(inverted):
-    assert _sources()["degradation: inverted"] == extension_digests()["degradation: inverted"]
+    assert sources()["degradation: inverted"] == extension_digests()["degradation: inverted"]
 
 
 @pytest.mark.parametrize(

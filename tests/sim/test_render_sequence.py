@@ -3,6 +3,7 @@
 import hashlib
 import json
 import logging
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -147,6 +148,44 @@ def test_seed_spec_and_depth_make_other_entries(tmp_path, rendered):
     assert digest(deep) == digest(rendered)
     assert deep.depths is not None and deep.depths[3].dtype == np.float32
     assert len(list((tmp_path / "cache").iterdir())) == 4
+
+
+def with_jpeg(quality: float) -> Scenario:
+    jpeg = {"kind": "jpeg", "start_s": 1, "duration_s": 2, "quality": quality}
+    drops = {"kind": "frame_drops", "start_s": 1, "duration_s": 1, "share": 0.5}
+    return Scenario.model_validate({**SPEC, "segments": [*SPEC["segments"], jpeg, drops]})
+
+
+def test_depth_is_kept_on_request_only_and_serves_both(tmp_path):
+    options = {"cache_dir": tmp_path, "backend": fake_backend()}
+    plain = render_sequence(with_jpeg(5), 1, **options)
+    assert not list(tmp_path.glob("*/depth.npy"))
+    # Two bytes per pixel: the frames, and those before the encoder.
+    assert sum(f.stat().st_size for f in tmp_path.glob("*/gray.npy")) < 2.1 * 40 * 64 * 96
+    deep = render_sequence(with_jpeg(5), 1, depth=True, **options)
+    assert digest(deep) == digest(plain) and deep.depths is not None
+    (with_depth,) = {path.parent for path in tmp_path.glob("*/depth.npy")}
+    for entry in set(tmp_path.iterdir()) - {with_depth}:
+        shutil.rmtree(entry)
+    again = render_sequence(with_jpeg(5), 1, **options)
+    assert digest(again) == digest(plain) and again.depths is None
+    assert list(tmp_path.iterdir()) == [with_depth]
+
+
+def test_another_severity_behind_the_lens_renders_nothing_again(tmp_path):
+    def forbidden(*_):
+        raise AssertionError("rendered again")
+
+    backend = fake_backend()
+    render_sequence(with_jpeg(5), 1, cache_dir=tmp_path / "a", backend=backend)
+    worse = render_sequence(
+        with_jpeg(2), 1, cache_dir=tmp_path / "a", backend=replace(backend, renderer=forbidden)
+    )
+    anew = render_sequence(with_jpeg(2), 1, cache_dir=tmp_path / "b", depth=True, backend=backend)
+    assert digest(worse) == digest(anew)
+    assert worse.segments == anew.segments
+    for name, column in anew.frame_truth.items():
+        np.testing.assert_array_equal(worse.frame_truth[name], column)
 
 
 def test_a_corrupt_entry_is_rendered_again(tmp_path, rendered, caplog):

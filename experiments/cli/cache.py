@@ -1,0 +1,87 @@
+"""``dslab cache``: what rendered frames take on the disk."""
+
+import time
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from experiments.cli.console import out
+
+if TYPE_CHECKING:
+    from sim.cache import Entry, FolderCache
+
+_HELP = """Show the cache of rendered frames: its folder, its size and how many entries it has.
+
+Frames are kept in `DSLAB_CACHE_DIR`, by default in the user's cache folder. Beyond 20 GB, those used longest
+ago are deleted. Depth images are kept only where they were asked for. For example:
+
+`dslab cache`
+
+`dslab cache clean --older-than 7`
+"""
+_DAY_S = 86400.0
+app = typer.Typer(help=_HELP)
+
+
+@app.callback(invoke_without_command=True)
+def show(context: typer.Context) -> None:
+    if context.invoked_subcommand is not None:
+        return
+    from sim.cache import CACHE_DIR_VARIABLE, FolderCache
+
+    store = FolderCache()
+    entries = store.entries()
+    table = Table(show_header=False, box=None)
+    table.add_row("folder", f"{store.root}; {CACHE_DIR_VARIABLE} names another")
+    table.add_row("size", size_text(store))
+    table.add_row("entries", str(len(entries)))
+    if entries:
+        table.add_row("last used", f"{_age(entries[-1])} ago; the oldest {_age(entries[0])} ago")
+    out.print(table)
+
+
+@app.command()
+def clean(
+    older_than: Annotated[
+        float, typer.Option(min=0, metavar="DAYS", help="Only what was not used for so many days.")
+    ] = 0.0,
+) -> None:
+    """Delete rendered frames; those that a running process reads or writes stay.
+
+    They are rendered again when needed, with the same bytes. For example:
+
+    `dslab cache clean`
+
+    `dslab cache clean --older-than 7`
+    """
+    from sim.cache import FolderCache
+
+    store = FolderCache()
+    deleted, used = store.clean(older_than * _DAY_S)
+    kept = f"; {_count(used)} in use" if used else ""
+    print(f"{store.root}: {_count(deleted)} deleted, {gigabytes(deleted)}{kept}")
+
+
+def size_text(store: "FolderCache") -> str:
+    """Size and cap of a cache."""
+    from sim.cache import MAX_BYTES
+
+    return f"{gigabytes(store.entries())} of at most {MAX_BYTES / 1e9:g} GB"
+
+
+def gigabytes(entries: "list[Entry]") -> str:
+    """Size of entries of the cache."""
+    return f"{sum(entry.size_bytes for entry in entries) / 1e9:.2f} GB"
+
+
+def _count(entries: "list[Entry]") -> str:
+    return f"{len(entries)} entr{'y' if len(entries) == 1 else 'ies'}"
+
+
+def _age(entry: "Entry") -> str:
+    seconds = max(time.time() - entry.used_s, 0)
+    for unit, length_s in (("days", _DAY_S), ("hours", 3600)):
+        if seconds >= 2 * length_s:
+            return f"{seconds / length_s:.0f} {unit}"
+    return f"{seconds / 60:.0f} min"

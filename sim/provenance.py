@@ -1,0 +1,79 @@
+"""Everything on which rendered frames depend: kept with them, and the key of their place in the cache."""
+
+import hashlib
+import platform
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import scenarios
+from scenarios.extensions import extension_digests
+from scenarios.spec import Scenario
+from sim.cache import content_key
+from sim.frame_plan import RenderBackend
+
+_PACKAGES = (
+    "dual-slam-lab",
+    "mujoco",
+    "numba",
+    "numpy",
+    "opencv-contrib-python-headless",
+    "pyopengl",
+    "pyrender",
+    "scipy",
+)
+
+
+def entry_key(scenario: Scenario, seed: int, backend: RenderBackend, **what: bool) -> str:
+    """Key of what is cached of a scenario.
+
+    Args:
+        scenario: what happens.
+        seed: root seed.
+        backend: worlds and renderer.
+        what: tells apart what is kept of it, for example ``depth=True``.
+    """
+    # Inertial readings change no frame.
+    frames = provenance(scenario.model_copy(update={"imu": None}), seed, backend)
+    return content_key({**what, "sources": sources(), **frames})
+
+
+def provenance(scenario: Scenario, seed: int, backend: RenderBackend) -> dict[str, Any]:
+    """The meta data of rendered frames, JSON-like."""
+    return {
+        "spec": scenario.model_copy(update={"seed": seed}).model_dump(mode="json"),
+        "seed": seed,
+        "versions": {"python": platform.python_version(), **_versions()},
+        "renderer": backend.renderer_name,
+        "gl": backend.gl_info(),
+        "stamps": "centre of the exposure",
+        "poses": "camera (x right, y down, z forward) to world (z up), metres, at the stamp",
+    }
+
+
+@cache
+def _versions() -> dict[str, str]:
+    found = {}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "unknown"
+    return found
+
+
+@cache
+def _source_hash() -> str:
+    """Hash of every source file that can change a pixel; part of the cache key."""
+    digest = hashlib.sha256()
+    for root in (Path(str(scenarios.__file__)).parent, Path(__file__).parent):
+        for path in sorted(root.rglob("*.py")):
+            digest.update(path.relative_to(root).as_posix().encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def sources() -> dict[str, str]:
+    """Digests of the sources of the packages and of the registered extensions."""
+    return {"packages": _source_hash(), **extension_digests()}
