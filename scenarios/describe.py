@@ -13,6 +13,8 @@ _UNITS = {
     "_mps": " m/s",
     "_deg": "°",
     "_px": " px",
+    "_mmph": " mm/h",
+    "_mm": " mm",
     "_hz": " Hz",
     "_e": " e⁻",
     "_m": " m",

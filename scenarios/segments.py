@@ -53,7 +53,10 @@ class ImageSegment(SegmentBase):
 
 
 class LowTexture(SegmentBase):
-    """The surfaces that the camera passes in this time have their texture contrast multiplied."""
+    """The surfaces that the camera passes in this time have their texture contrast multiplied.
+
+    In recordings: Detail of the frames fades; shading and noise stay.
+    """
 
     kind: Literal["low_texture"]
     contrast: float = Field(
@@ -62,7 +65,7 @@ class LowTexture(SegmentBase):
 
 
 class RepeatedTexture(SegmentBase):
-    """Surfaces passed in this time repeat one patch of the most seen of them."""
+    """Surfaces passed in this time repeat one patch of the most seen of them. Rendered scenarios only."""
 
     kind: Literal["repeated_texture"]
     share: float = Field(ge=0, le=1, description="share of those surfaces, by the view they fill")
@@ -70,24 +73,34 @@ class RepeatedTexture(SegmentBase):
 
 
 class MotionBlur(SegmentBase):
-    """The shutter stays open longer: beyond one frame interval it is the blur of averaged frames."""
+    """The shutter stays open longer: beyond one frame interval it is the blur of averaged frames.
+
+    In recordings: Light is averaged, between the frames too, along the optical flow.
+    """
 
     kind: Literal["motion_blur"]
-    exposure_s: float = Field(ge=0, le=1)
+    exposure_s: float = Field(ge=0, le=1, description="how long it is open; of averaged frames, their span")
 
 
 class FastRotation(SegmentBase):
-    """The camera swings out and back, a smooth burst of rotation about one of its axes on top of the path."""
+    """The camera swings out and back, a smooth burst of rotation about one of its axes on top of the path.
+
+    In recordings: Images and truth swing out and back; all frames are cropped to what every turn sees.
+    """
 
     kind: Literal["fast_rotation"]
-    rate_degps: float = Field(ge=0, le=1000, description="peak angular rate of the swing")
+    rate_degps: float = Field(
+        ge=0,
+        le=1000,
+        description="peak angular rate; the peak angle is 0.245 rate_degps duration_s",
+    )
     axis: Axis = "yaw"
 
 
 class PureRotation(SegmentBase):
     """The camera stops, turns out and back on the spot, without parallax, and goes on.
 
-    One that begins at 0 s begins at rest.
+    One that begins at 0 s begins at rest. Rendered scenarios only.
     """
 
     kind: Literal["pure_rotation"]
@@ -110,10 +123,10 @@ class TimeJitter(SegmentBase):
 
 
 class Fog(ImageSegment):
-    """Homogeneous fog between the camera and the surfaces."""
+    """Homogeneous fog between the camera and the surfaces. Recordings need depth images."""
 
     kind: Literal["fog"]
-    extinction_per_m: float = Field(ge=0, le=100)
+    extinction_per_m: float = Field(ge=0, le=100, description="share of the light lost per metre")
     airlight_level: float = Field(190.0, ge=0, le=255, description="grey level of endless fog")
 
 
@@ -126,7 +139,10 @@ class MovingObjects(ImageSegment):
 
 
 class RollingShutter(ImageSegment):
-    """Rows are read one after the other while the camera moves; the middle row at the frame's stamp."""
+    """Rows are read one after the other while the camera moves; the middle row at the frame's stamp.
+
+    Rendered scenarios only.
+    """
 
     kind: Literal["rolling_shutter"]
     readout_s: float = Field(ge=0, le=1, description="from the first row to the last")
@@ -178,7 +194,7 @@ class OverExposure(ImageSegment):
     """Too much exposure: what is bright saturates."""
 
     kind: Literal["over_exposure"]
-    stops: float = Field(ge=0, le=12)
+    stops: float = Field(ge=0, le=12, description="each doubles the light")
 
 
 class AutoExposureLag(ImageSegment):
@@ -186,7 +202,7 @@ class AutoExposureLag(ImageSegment):
 
     kind: Literal["auto_exposure_lag"]
     stops: float = Field(ge=-12, le=12, description="the jump; above 0 it gets brighter")
-    time_constant_s: float = Field(0.5, gt=0, le=60)
+    time_constant_s: float = Field(0.5, gt=0, le=60, description="of the exposure's delay")
 
 
 class Jpeg(ImageSegment):

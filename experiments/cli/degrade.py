@@ -17,6 +17,16 @@ from experiments.cli.console import (
 )
 
 
+def _print_kinds(requested: bool) -> None:
+    if not requested:
+        return
+    from experiments.cli.degrade_kinds import described_kinds
+
+    for part in described_kinds():
+        out.print(part)
+    raise typer.Exit
+
+
 def degrade_command(
     source: Annotated[Path, typer.Argument(help="A sequence folder, recorded or rendered.")],
     segment: Annotated[
@@ -26,6 +36,12 @@ def degrade_command(
         ),
     ],
     out_dir: FolderOption,
+    _listed: Annotated[
+        bool,
+        typer.Option(
+            "--list", callback=_print_kinds, is_eager=True, help="Print the kinds with their keys and exit."
+        ),
+    ] = False,
     form: Annotated[
         FormatChoice | None,
         typer.Option(
@@ -43,10 +59,13 @@ def degrade_command(
 
     Writes the frames with ground truth and calibration, depth images (TUM form) and inertial readings (EuRoC
     form) if present, and segments.json and frame_truth.csv with the true times and strengths of the segments.
-    Segments of different kinds may overlap. Kinds that act on images, stamps or the choice of frames work on
-    any folder; fog needs depth images.
+    Segments of different kinds may overlap; `dslab degrade --list` prints the kinds. Motion blur averages
+    light along the optical flow between the frames. Low texture fades detail and leaves shading and noise.
+    Fast rotation turns the images and the ground truth, and crops all frames to what every turn sees.
 
     For example:
+
+    `dslab degrade office --segment "motion_blur:start_s=2,duration_s=1,exposure_s=0.1" --out out/blurred`
 
     `dslab degrade office --segment "low_light:start_s=2,duration_s=1,illumination=0.1" --out out/dark`
 
@@ -56,8 +75,10 @@ def degrade_command(
     `dslab degrade MH_01 --segment "rain:start_s=10,duration_s=20,rate_mmph=40,ramp_s=2" --out out/rainy`
     """
     from experiments.runs.sources import open_imu
+    from scenarios.errors import InputError
     from scenarios.segment_text import parse_segment
-    from sim.degradations.recorded_sequences import check_recorded_sequence, degrade_sequence
+    from sim.degradations.recorded_kinds import check_recorded_sequence
+    from sim.degradations.recorded_sequences import degrade_sequence
     from sim.io.folders import check_free, scratch_beside
     from sim.io.forms import Form, detect_form, load_sequence, sequence_folder, write_sequence
     from sim.room import check_room, images_need
@@ -68,6 +89,9 @@ def degrade_command(
     found = detect_form(sequence_folder(source))
     target = Form(form.value) if form else Form.TUM if found is Form.TUM_MONO else found
     readings = open_imu(str(source), sequence.stamps_s) if target is Form.EUROC else None
+    if readings and any(segment.kind == "fast_rotation" for segment in segments):
+        problem = "fast_rotation turns the images, not the inertial readings of the folder"
+        raise InputError(str(source), problem, "add --format tum, which has none")
     check_free(out_dir)
     # The degraded frames twice: as a stack, then as images.
     size_px = sequence.camera.width_px, sequence.camera.height_px

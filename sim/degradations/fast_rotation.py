@@ -91,6 +91,16 @@ class FastRotationDegradation:
         return FELT_SHARE * segment.rate_degps
 
 
+def swing_axis(segment: FastRotation) -> np.ndarray:
+    """(3,) unit vector, camera frame."""
+    return np.array(AXES[segment.axis])
+
+
+def swing_angle_rad(segment: FastRotation) -> float:
+    """Angle of the swing at its turning point."""
+    return np.deg2rad(segment.rate_degps) * segment.duration_s / (4 * np.pi * PEAK)
+
+
 def _swung(base: Motion, segment: FastRotation) -> SwungMotion:
-    axis = np.array(AXES[segment.axis])
-    return SwungMotion(base, axis, segment.start_s, segment.duration_s, np.deg2rad(segment.rate_degps))
+    peak_radps = np.deg2rad(segment.rate_degps)
+    return SwungMotion(base, swing_axis(segment), segment.start_s, segment.duration_s, peak_radps)

@@ -4,63 +4,35 @@ from collections.abc import Callable
 from collections.abc import Sequence as Many
 from dataclasses import replace
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 
-from scenarios.errors import InputError
-from scenarios.segments import Segment, self_overlap
-from sim.degradations.base import FramePlan, Stage, true_runs
+from scenarios.segments import LowTexture, Segment
+from sim.degradations.base import FramePlan, Stage, during, true_runs
 from sim.degradations.chain import ImageChain
-from sim.degradations.registry import FRAME_PLAN_KINDS, IMAGE_KINDS, in_order_of_action
+from sim.degradations.image import USUAL_EXPOSURE_S
+from sim.degradations.recorded_kinds import check_recorded_sequence, view_of
+from sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
+from sim.degradations.retake import Retake
 from sim.degradations.truths import truths_of
 from sim.io.raw import RawFrames, RawWriter
-from sim.sequence import ChosenFrames, SegmentTruth, Sequence
+from sim.sequence import SegmentTruth, Sequence
 
 _STAGES = (Stage.SCENE, Stage.READOUT, Stage.LENS, Stage.SENSOR, Stage.ENCODER)
 
 
-class _NoMotion:
-    """Stands in for an unknown motion."""
+class _AsRecorded:
+    """The motion of the recorded camera, seen from itself: what segments add to it is all there is."""
 
-    def T_world_cam(self, stamp_s: float | np.ndarray) -> NoReturn:
-        raise RuntimeError("the motion is not known")
+    def T_world_cam(self, stamp_s: float | np.ndarray) -> np.ndarray:
+        """See ``Motion``."""
+        return np.broadcast_to(np.eye(4), (*np.shape(stamp_s), 4, 4))
 
-    velocity_mps = rate_radps = T_world_cam
+    def velocity_mps(self, stamp_s: float | np.ndarray) -> np.ndarray:
+        """See ``Motion``."""
+        return np.zeros((*np.shape(stamp_s), 3))
 
-
-def recorded_sequence_kinds(depth: bool) -> list[str]:
-    """Kinds that need no world and, unless ``depth``, no depth images."""
-    timing = [kind for kind, d in FRAME_PLAN_KINDS.items() if d.stage is Stage.TIMING]
-    images = [kind for kind, d in IMAGE_KINDS.items() if not d.needs_motion and (depth or not d.needs_depth)]
-    return timing + images
-
-
-def check_recorded_sequence(sequence: Sequence, segments: Many[Segment]) -> None:
-    """Check that segments can act on a recorded sequence.
-
-    Raises:
-        InputError: a kind needs what the sequence lacks, a segment ends after it, or two overlap.
-    """
-    kinds = recorded_sequence_kinds(sequence.depths is not None)
-    length_s = float(sequence.stamps_s[-1] - sequence.stamps_s[0]) + 1 / sequence.camera.fps
-    for segment in segments:
-        if segment.kind not in kinds:
-            lacking = (
-                "a folder with depth images" if segment.kind in recorded_sequence_kinds(True) else "a world"
-            )
-            problem = f"{segment.kind} needs {lacking}"
-            raise InputError(sequence.name, problem, f"use one of {', '.join(kinds)}")
-        if segment.end_s > length_s + 1e-6:
-            problem = f"{segment.label}, ends after the sequence"
-            raise InputError(sequence.name, problem, f"end it by {length_s:g} s after the first frame")
-    clash = self_overlap(segments)
-    if clash:
-        first, second = (
-            f"{segments[i].kind} ({segments[i].start_s:g}-{segments[i].end_s:g} s)" for i in clash
-        )
-        problem = f"{first} and {second} are of one kind and overlap"
-        raise InputError(sequence.name, problem, "start one when the other has ended")
+    rate_radps = velocity_mps
 
 
 def degrade_sequence(
@@ -72,7 +44,9 @@ def degrade_sequence(
 ) -> Sequence:
     """Apply segments to a sequence; their times count from the first frame.
 
-    Its poses, its depth and its earlier segments stay.
+    Its earlier segments stay. So do its poses and its depth, unless the camera turns: they turn with it, and
+    every frame is cropped to what all turns see (``TurnedView``). See ``Retake`` for the kinds that would
+    act before a frame is rendered.
 
     Args:
         sequence: any; its frames are read one by one.
@@ -85,56 +59,95 @@ def degrade_sequence(
         InputError: as ``check_recorded_sequence``, or a frame cannot be read.
     """
     check_recorded_sequence(sequence, segments)
-    plan = _plan(sequence, segments, seed)
-    known_s = sequence.frame_truth.get("exposure_s")
-    exposure_s = None if known_s is None else known_s[plan.frame]
-    chain = ImageChain(segments, sequence.camera, plan.stamps_s, plan.frame, seed, exposure_s=exposure_s)
-    size = (sequence.camera.height_px, sequence.camera.width_px)
+    view = view_of(sequence.camera, segments)
+    assert view.camera is not None
+    whole, plan = _plans(sequence, segments, seed)
+    own_s = _own_exposure_s(sequence)
+    retake = Retake(sequence, replace(whole, exposure_s=whole.exposure_s - own_s), view)
+    known = "exposure_s" in sequence.frame_truth
+    exposure_s = plan.exposure_s if known else np.maximum(plan.exposure_s, USUAL_EXPOSURE_S)
+    chain = ImageChain(segments, view.camera, plan.stamps_s, plan.frame, seed, exposure_s=exposure_s)
+    size, blur_px = (view.camera.height_px, view.camera.width_px), np.zeros(len(plan.frame))
     with RawWriter(scratch / "gray.npy", (len(plan.frame), *size), np.uint8) as grays:
         for index, frame in enumerate(plan.frame.tolist()):
-            depth_m = sequence.depths[frame] if sequence.depths is not None else None
-            grays.append(chain.apply(sequence.frames[frame], index, _STAGES, depth_m))
+            image, blur_px[index] = retake.image(frame)
+            grays.append(chain.apply(image, index, _STAGES, retake.depth(frame)))
             if progress:
                 progress("degrading", index + 1, len(plan.frame))
-    truths, columns = _truths(sequence, segments, plan, chain)
+    truths, columns = _truths(sequence, segments, plan, chain, blur_px)
     kept = plan.frame
+    degraded = {"segments": [segment.model_dump(mode="json") for segment in segments], "seed": seed}
+    if view.camera != sequence.camera:
+        degraded["window_px"] = {"left": view.left, "top": view.top}
     return replace(
         sequence,
+        camera=view.camera,
         stamps_s=sequence.stamps_s[kept] + plan.stamp_error_s,
         frames=RawFrames(scratch / "gray.npy", (len(kept), *size), np.uint8),
-        T_world_cam=None if sequence.T_world_cam is None else sequence.T_world_cam[kept],
-        depths=None if sequence.depths is None else ChosenFrames(sequence.depths, kept),
+        T_world_cam=None
+        if sequence.T_world_cam is None
+        else sequence.T_world_cam[kept] @ plan.motion.T_world_cam(plan.stamps_s),
+        depths=None if sequence.depths is None else _RetakenDepths(retake, kept),
         segments=truths,
-        meta={
-            **sequence.meta,
-            "degraded": {"segments": [segment.model_dump(mode="json") for segment in segments], "seed": seed},
-        },
+        meta={**sequence.meta, "degraded": degraded},
         frame_truth=columns,
     )
 
 
-def _plan(sequence: Sequence, segments: Many[Segment], seed: int) -> FramePlan:
-    """The frame plan of the sequence, with the segments' effects on frames and stamps."""
+class _RetakenDepths:
+    """The depth images of the kept frames of a retake."""
+
+    def __init__(self, retake: Retake, kept: np.ndarray) -> None:
+        self._retake, self._kept = retake, kept
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def __getitem__(self, index: int) -> np.ndarray:
+        depth_m = self._retake.depth(int(self._kept[index]))
+        assert depth_m is not None
+        return depth_m
+
+
+def _plans(sequence: Sequence, segments: Many[Segment], seed: int) -> tuple[FramePlan, FramePlan]:
+    """The plan of all frames, and that of those that are not dropped, with their stamps."""
     stamps_s = sequence.stamps_s - sequence.stamps_s[0]
     count = len(stamps_s)
-    plan = FramePlan(
-        stamps_s, _NoMotion(), np.zeros(count), np.empty(0), np.zeros((count, 0), np.float32), seed
-    )
+    # Where no surfaces are known, one stands for all that is seen during a segment of low texture.
+    shares = [during(segment, stamps_s) for segment in segments if isinstance(segment, LowTexture)]
+    view_share = np.array(shares, np.float32).reshape(-1, count).T
+    own_s = _own_exposure_s(sequence)
+    plan = FramePlan(stamps_s, _AsRecorded(), own_s, np.ones(len(shares)), view_share, seed)
+    whole = plan
     for segment in in_order_of_action(segments):
         if segment.kind in FRAME_PLAN_KINDS:
             plan = FRAME_PLAN_KINDS[segment.kind].apply(plan, segment)
-    return plan
+            # A shutter cannot be open for less time than it was.
+            plan = replace(plan, exposure_s=np.maximum(plan.exposure_s, own_s[plan.frame]))
+            whole = plan if FRAME_PLAN_KINDS[segment.kind].stage < Stage.TIMING else whole
+    return whole, plan
+
+
+def _own_exposure_s(sequence: Sequence) -> np.ndarray:
+    """(N,) shutter time of the recording, 0 where unknown."""
+    return sequence.frame_truth.get("exposure_s", np.zeros(len(sequence)))
 
 
 def _truths(
-    sequence: Sequence, segments: Many[Segment], plan: FramePlan, chain: ImageChain
+    sequence: Sequence,
+    segments: Many[Segment],
+    plan: FramePlan,
+    chain: ImageChain,
+    blur_px: np.ndarray,
 ) -> tuple[tuple[SegmentTruth, ...], dict[str, np.ndarray]]:
     """Truths of the earlier and the new segments, and the columns of both."""
     truths = [_renumbered(truth, plan.frame) for truth in sequence.segments]
     columns = {name: values[plan.frame] for name, values in sequence.frame_truth.items()}
-    added, measured = truths_of(segments, plan, chain, np.zeros(len(plan.frame)))
+    added, measured = truths_of(segments, plan, chain, blur_px)
     for name, measure in measured.items():
         columns[name] = np.maximum(columns.get(name, 0.0), measure)
+    if "exposure_s" in columns:
+        columns["exposure_s"] = plan.exposure_s
     return (*truths, *added), columns
 
 

@@ -72,6 +72,17 @@ def test_a_degradation_of_ones_own_acts_and_is_measured(inverted, tmp_path):
     assert digest(sequence) == digest(sim.render(scenario, cache_dir=tmp_path / "other", backend=backend))
 
 
+def test_a_degradation_of_ones_own_acts_on_recordings(inverted, tmp_path, dslab):
+    frames = [np.full((48, 64), 10 * k, np.uint8) for k in range(10)]
+    camera = sim.Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5, 10.0)
+    recorded = sim.Sequence("own", camera, np.arange(10) / 10, frames, None, None, (), {})
+    segment = scenarios.parse_segment("inverted:start_s=0.2,duration_s=0.3,share=1")
+    degraded = sim.degrade(recorded, [segment], 0, tmp_path)
+    assert [int(degraded.frames[k][0, 0]) for k in (1, 2, 4, 5)] == [10, 235, 215, 50]
+    assert (degraded.segments[0].first_frame, degraded.segments[0].last_frame) == (2, 4)
+    assert "inverted" in dslab("degrade", "--list")[1]
+
+
 def test_specs_know_the_kind_and_its_faults_are_named(inverted):
     assert "Inverted" in json_schema()["$defs"]
     segment = scenarios.parse_segment("inverted:start_s=1,duration_s=1,share=0.5")

@@ -7,6 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
+from scenarios.segments import SEGMENT_KINDS
+from sim.degradations.recorded_kinds import check_recorded_sequence, recorded_sequence_kinds
+from sim.degradations.registry import DEGRADATIONS
 from sim.io.tum import load_sequence
 
 COUNT, FPS = 40, 20.0
@@ -37,6 +40,45 @@ def add_depth(folder) -> None:
         cv2.imwrite(str(folder / f"depth/{frame}.png"), np.full((120, 160), 15000, np.uint16))
         lines.append(f"{line.split()[0]} depth/{frame}.png")
     (folder / "depth.txt").write_text("\n".join(lines) + "\n")
+
+
+def test_the_list_has_every_kind_that_acts_and_fits_80_columns(dslab, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, _ = dslab("degrade", "--list")
+    lines = out.splitlines()
+    assert code == 0 and max(map(len, lines)) <= 80
+    kinds = [line.split()[0] for line in lines if line[:1].islower()]
+    assert set(recorded_sequence_kinds(depth=True)) <= set(kinds)
+    assert {"motion_blur", "low_texture", "fast_rotation"} <= set(recorded_sequence_kinds(depth=False))
+    (exposure,) = [line for line in lines if line.startswith("  exposure_s")]
+    assert "0 to 1 s" in exposure
+    (rate,) = [line for line in lines if line.startswith("  rate_degps") and "(20)" in line]
+    assert "0 to 1000 °/s" in rate
+    assert "rendered scenarios only: pure_rotation" in " ".join(out.split())
+
+
+def test_every_kind_of_a_recording_can_be_listed_and_used(recorded, tmp_path):
+    add_depth(recorded)
+    sequence = load_sequence(recorded)
+    rng = np.random.default_rng(3)
+    for kind in recorded_sequence_kinds(depth=True):
+        drawn = DEGRADATIONS[kind].sample(rng) | ({"rate_degps": 50.0} if kind == "fast_rotation" else {})
+        segment = SEGMENT_KINDS[kind](kind=kind, start_s=0.5, duration_s=0.3, **drawn)
+        check_recorded_sequence(sequence, [segment])
+        assert "Rendered scenarios only" not in (SEGMENT_KINDS[kind].__doc__ or "")
+    for kind in set(DEGRADATIONS) - set(recorded_sequence_kinds(depth=True)):
+        assert "Rendered scenarios only" in (SEGMENT_KINDS[kind].__doc__ or "")
+
+
+def test_inertial_readings_that_would_not_turn_are_refused(dslab, recorded, tmp_path, monkeypatch):
+    turn = "fast_rotation:start_s=0.5,duration_s=0.5,rate_degps=50"
+    euroc = tmp_path / "euroc"
+    assert dslab("degrade", recorded, "--segment", turn, "--format", "euroc", "--out", euroc)[0] == 0
+    monkeypatch.setattr("experiments.runs.sources.open_imu", lambda *arguments: (None, None))
+    code, _, err = dslab("degrade", euroc, "--segment", turn, "--out", tmp_path / "out")
+    assert code == 2 and "inertial" in err and "--format tum" in err and err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+    assert dslab("degrade", euroc, "--segment", turn, "--format", "tum", "--out", tmp_path / "out")[0] == 0
 
 
 def digest(folder) -> str:
@@ -110,6 +152,8 @@ def test_fog_acts_where_depth_is_known(dslab, recorded, tmp_path):
         (["rolling_shutter:start_s=0,duration_s=1,readout_s=0.1"], ["needs a world", "defocus"]),
         (["jpeg:start_s=1,duration_s=5,quality=9"], ["ends after the sequence", "2 s"]),
         ([DARK, DARK.replace("s=0.5,d", "s=0.9,d", 1)], ["one kind and overlap"]),
+        (["motion_blur:start_s=0.1,duration_s=1,exposure_s=0.5"], ["before the first frame", "0.25 s"]),
+        (["fast_rotation:start_s=0,duration_s=1,rate_degps=300"], ["leaves less than half", "rate_degps = "]),
         (["jpg:start_s=0,duration_s=1,quality=9"], ["unknown kind 'jpg'", "jpeg (did you mean"]),
         (["jpeg:start_s=0,duration_s=1,quality=900"], ["quality", "'900'", "100"]),
     ],
