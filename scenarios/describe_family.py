@@ -1,4 +1,4 @@
-"""Descriptions of families: their members and their distributions."""
+"""Descriptions of the distributions of families."""
 
 import re
 from collections.abc import Iterator
@@ -20,16 +20,6 @@ from scenarios.spec import Scenario
 _PART = re.compile(r"[^.\[\]]+")
 # The step from a choice to one of its options, in a parameter's path.
 _OPTION = re.compile(r"\.choice\[\d+\]")
-
-
-def describe_members(family: Family) -> str:
-    """Describe number and names of the members; empty without members."""
-    members = family.members
-    if not members:
-        return ""
-    if all(member.isdigit() for member in members):
-        return f"{len(members)}: {members[0]} to {members[-1]}"
-    return f"{len(members)}: {', '.join(members)}"
 
 
 def describe_parameters(family: Family) -> dict[str, str]:

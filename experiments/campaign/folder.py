@@ -3,12 +3,18 @@
 import hashlib
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from experiments.campaign.folder_lock import LOCK_FILE
 from experiments.campaign.ledger import LEDGER_FILE, Ledger
 from experiments.campaign.schedule import Experiment
-from experiments.campaign.table_file import read_table, table_has_digest, write_errors, write_table
+from experiments.campaign.table_file import (
+    read_error_table,
+    read_table,
+    table_has_digest,
+    write_errors,
+    write_table,
+)
 from experiments.eq1.record_table import data_frame
 from scenarios.errors import InputError
 from scenarios.input_files import SETTINGS_BYTES, is_given, read_bytes
@@ -38,12 +44,29 @@ def read_experiment(folder: Path) -> "tuple[ExperimentSpec, pd.DataFrame]":
     Raises:
         InputError: it is not an experiment's folder, or its rows are damaged.
     """
+    spec, rows = read_rows(folder)
+    return spec, data_frame(rows, len(spec.threads))
+
+
+def read_rows(folder: Path) -> "tuple[ExperimentSpec, list[dict[str, Any]]]":
+    """Read the same as :func:`read_experiment`, the records as plain rows."""
     spec = read_spec(folder)
-    if not is_given(folder / LEDGER_FILE) and is_given(folder / TABLE_FILE):
-        rows = read_table(folder / TABLE_FILE, spec, _spec_digest(folder))
-        return spec, data_frame(rows, len(spec.threads))
+    if _is_exported(folder):
+        return spec, read_table(folder / TABLE_FILE, spec, _spec_digest(folder))
     with Ledger.open(folder, spec, read_only=True) as ledger:
-        return spec, ledger.records()
+        return spec, ledger.rows()
+
+
+def read_errors(folder: Path) -> list[dict[str, Any]]:
+    """Read the infrastructure errors of an experiment; none if they were not exported with its table.
+
+    Raises:
+        InputError: it is not an experiment's folder, or its rows are damaged.
+    """
+    if _is_exported(folder):
+        return read_error_table(folder / ERRORS_FILE) if is_given(folder / ERRORS_FILE) else []
+    with Ledger.open(folder, read_spec(folder), read_only=True) as ledger:
+        return ledger.errors()
 
 
 def read_spec(folder: Path) -> "ExperimentSpec":
@@ -65,7 +88,7 @@ def has_digests(folder: Path) -> bool:
     Raises:
         InputError: it is not an experiment's folder.
     """
-    if not (folder / LEDGER_FILE).is_file() and (folder / TABLE_FILE).is_file():
+    if _is_exported(folder):
         return table_has_digest(folder / TABLE_FILE)
     with Ledger.open(folder, read_spec(folder), read_only=True) as ledger:
         return ledger.has_digests
@@ -121,6 +144,11 @@ def export(folder: Path, csv: bool = False) -> Path:
     if csv:
         write_file(folder / "units.csv", partial(records.to_csv, index=False, lineterminator="\n"))
     return folder / TABLE_FILE
+
+
+def _is_exported(folder: Path) -> bool:
+    """True if the folder holds the exported table alone, without the ledger."""
+    return not is_given(folder / LEDGER_FILE) and is_given(folder / TABLE_FILE)
 
 
 def _spec_digest(folder: Path) -> str:

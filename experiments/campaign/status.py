@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from experiments.campaign.folder import read_spec
-from experiments.campaign.ledger import Ledger
+from experiments.campaign.folder import read_errors, read_rows
 from experiments.campaign.schedule import Schedule
 from experiments.campaign.stopping import stopping_rule
 from experiments.eq1.records import Outcome, dual_column
@@ -62,14 +61,13 @@ class ExperimentStatus:
 
 
 def experiment_status(folder: Path) -> ExperimentStatus:
-    """Read the status of the experiment in a folder, also during a run.
+    """Read the status of the experiment in a folder, also during a run, or of its exported tables.
 
     Raises:
         InputError: it is not an experiment's folder.
     """
-    spec = read_spec(folder)
-    with Ledger.open(folder, spec, read_only=True) as ledger:
-        rows, errors = ledger.rows(), ledger.errors()
+    spec, rows = read_rows(folder)
+    errors = read_errors(folder)
     schedule = Schedule(spec, rows, stopping_rule(spec.stopping))
     stopped = schedule.stopped_cells()
     whole = dual_column(len(spec.threads))

@@ -54,6 +54,16 @@ def write_errors(path: Path, errors: list[dict[str, Any]]) -> None:
     pq.write_table(pa.Table.from_pylist(errors, schema=schema), path)
 
 
+def read_error_table(path: Path) -> list[dict[str, Any]]:
+    """Read the infrastructure errors of an experiment.
+
+    Raises:
+        InputError: it is no such table.
+    """
+    _, rows, _ = _parquet(path)
+    return rows
+
+
 def read_table(path: Path, spec: Experiment, spec_digest: str) -> list[dict[str, Any]]:
     """Read the records of an experiment, whose spec is still the one of their export.
 

@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
 
 if TYPE_CHECKING:
     from sim.sequence import SegmentTruth
@@ -65,6 +67,13 @@ ForceOption = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one line of JSON.")]
 
 
+def check_seed(seed: int | None) -> int | None:
+    """Callback of options for a root seed: refuses one that could not be read back."""
+    if seed is not None and seed > MOST_SEED:
+        raise typer.BadParameter("is more than 2^63 - 1")
+    return seed
+
+
 def check_real_time(real_time: bool, mode: ModeChoice) -> None:
     """Raise InputError for --real-time outside threaded mode."""
     from scenarios.errors import InputError
@@ -98,6 +107,14 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
             progress.update(tasks[step], completed=done, total=total)
 
         yield show
+
+
+def print_table(table: Table) -> None:
+    """Print a table without frame; words too long for a narrow terminal are folded, never cut."""
+    table.box, table.show_edge, table.pad_edge, table.title_justify = box.SIMPLE_HEAD, False, False, "left"
+    for column in table.columns:
+        column.overflow = "fold"
+    out.print(table)
 
 
 def print_segments(segments: "Iterable[SegmentTruth]") -> None:

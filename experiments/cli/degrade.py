@@ -6,10 +6,10 @@ from typing import Annotated
 import typer
 
 from experiments.cli.console import (
-    MOST_SEED,
     FolderOption,
     ForceOption,
     FormatChoice,
+    check_seed,
     out,
     print_segments,
     progress_bars,
@@ -51,7 +51,7 @@ def degrade_command(
         ),
     ] = None,
     seed: Annotated[
-        int, typer.Option(min=0, max=MOST_SEED, help="Root seed of random effects in the segments.")
+        int, typer.Option(min=0, callback=check_seed, help="Root seed of random effects in the segments.")
     ] = 0,
     force: ForceOption = False,
 ) -> None:

@@ -6,7 +6,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from experiments.cli.console import JsonOption, err, number, out, print_json_line, progress_bars
+from experiments.cli.console import (
+    JsonOption,
+    err,
+    number,
+    out,
+    print_json_line,
+    print_table,
+    progress_bars,
+)
 from experiments.cli.experiment_progress import estimates_text, experiment_progress
 from experiments.cli.fuzz import fuzz_command
 
@@ -123,7 +131,9 @@ def run_command(
 
 @app.command("status")
 def status_command(folder: FolderArgument, as_json: JsonOption = False) -> None:
-    """Show the progress of an experiment, also while it runs. For example:
+    """Show the progress of an experiment, also while it runs, or what a published table holds.
+
+    For example:
 
     `dslab experiment status out/smoke`
     """
@@ -137,7 +147,7 @@ def status_command(folder: FolderArgument, as_json: JsonOption = False) -> None:
     if as_json:
         print_json_line(plain(asdict(status)))
         return
-    out.print(_status_table(status))
+    print_table(_status_table(status))
     out.print(f"{status.done} of {status.total} units, {number(status.wall_s / 3600, 2)} h of worker time")
     if status.failed_attempts:
         out.print(f"{status.failed_attempts} attempts ended in infrastructure errors")
@@ -161,7 +171,9 @@ def power_command(
     cells: Annotated[int, typer.Option(min=1, help="Number of cells tested together (Holm correction).")] = 1,
     as_json: JsonOption = False,
 ) -> None:
-    """Print the units per cell needed for a ratio and a power. For example:
+    """Print the units per cell needed for a ratio and a power.
+
+    For example:
 
     `dslab experiment power --p0 0.25 --pr 0.2 --n 2 --ratio 2 --power 0.8`
 
@@ -256,7 +268,9 @@ def report_command(
         int, typer.Option(min=0, help="Number of failed units to replay; the report links their recordings.")
     ] = 0,
 ) -> None:
-    """Write report.html, report.json and plots into the folder of an experiment. For example:
+    """Write report.html, report.json and plots into the folder of an experiment.
+
+    For example:
 
     `dslab experiment report out/smoke --recordings 3`
     """
@@ -270,7 +284,9 @@ def report_command(
 
 @app.command("schema")
 def schema_command() -> None:
-    """Print the JSON Schema of experiment files, for editors. For example:
+    """Print the JSON Schema of experiment files, for editors.
+
+    For example:
 
     `dslab experiment schema > experiment.schema.json`
     """
@@ -303,13 +319,16 @@ def _with_units(spec: "ExperimentSpec", units: int) -> "ExperimentSpec":
 
 def _status_table(status: "ExperimentStatus") -> Table:
     table = Table(title=f"{status.name} ({status.spec_hash[:12]})")
-    for column in ("cell", "units", "completed", "void", "errors", "B", "D_n", ""):
-        table.add_column(column, justify="left" if column in ("cell", "") else "right", overflow="fold")
+    table.add_column("cell")
+    for column in ("units", "completed", "void", "errors", "breakages", "all\nthreads\nfailed"):
+        table.add_column(column, justify="right")
+    if any(cell.stopped_at is not None for cell in status.cells):
+        table.add_column("stopped early")
     for cell in status.cells:
         ended = f"{cell.units} / {cell.budget}"
         counts = (cell.completed, cell.void, cell.errors, cell.breakages, cell.failures)
-        note = "" if cell.stopped_at is None else f"stopped at {cell.stopped_at}"
-        table.add_row(cell.cell, ended, *map(str, counts), note)
+        stopped = [] if cell.stopped_at is None else [f"at {cell.stopped_at}"]
+        table.add_row(cell.cell, ended, *map(str, counts), *stopped)
     return table
 
 

@@ -1,12 +1,14 @@
 """Progress of a running experiment on the terminal."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 from typing import TYPE_CHECKING
 
+from rich.console import RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.text import Text
 
 from experiments.cli.console import err
 
@@ -14,20 +16,33 @@ if TYPE_CHECKING:
     from experiments.campaign.runner import Tally
 
 
+class _Bar(Progress):
+    """A bar over the whole width, with the estimates on a line of their own."""
+
+    estimates = ""
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        yield from super().get_renderables()
+        yield Text(self.estimates)
+
+
 @contextmanager
 def experiment_progress(name: str) -> Iterator[Callable[["Tally"], None]]:
-    """Show a bar with rate, time left and estimates on stderr; yields its update callback."""
-    texts = (TextColumn(f"{{task.{text}}}", markup=False) for text in ("fields[experiment]", "description"))
-    columns = (next(texts), BarColumn(), MofNCompleteColumn(), *texts)
+    """Show count, bar, pace and time left, and below them the estimates; yields its update callback."""
+    columns = (
+        MofNCompleteColumn(),
+        BarColumn(bar_width=None),
+        TextColumn("{task.description}", markup=False),
+    )
     started_s = time.monotonic()
-    with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as progress:
-        task = progress.add_task("starting", experiment=name)
+    with _Bar(*columns, console=err, transient=True, disable=not err.is_terminal, expand=True) as progress:
+        progress.estimates = name
+        task = progress.add_task("starting")
 
         def show(tally: "Tally") -> None:
             pace = pace_text(tally, time.monotonic() - started_s)
-            progress.update(
-                task, completed=tally.done, total=tally.total, description=f"{pace}, {estimates_text(tally)}"
-            )
+            progress.estimates = f"{name}: {estimates_text(tally)}"
+            progress.update(task, completed=tally.done, total=tally.total, description=pace)
 
         yield show
 

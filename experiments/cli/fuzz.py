@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from experiments.cli.console import FolderOption, ModeChoice, ModeOption, out, progress_bars
+from experiments.cli.console import FolderOption, ModeChoice, ModeOption, out, print_table, progress_bars
 
 
 def fuzz_command(
@@ -39,7 +39,7 @@ def fuzz_command(
             _print_failure(row)
 
         rows = run_fuzz(chosen, out_dir, workers, timeout_s, report)
-    out.print(_table(rows, kinds))
+    print_table(_table(rows, kinds))
     out.print(f"one row per run in {out_dir / 'units.jsonl'}", soft_wrap=True)
     if failed(rows):
         raise typer.Exit(1)
@@ -74,7 +74,7 @@ def _kinds(text: str) -> tuple:
 
 def _table(rows: list[dict], kinds: tuple[str, ...]) -> Table:
     table = Table(title=f"{len(rows)} runs")
-    table.add_column("")
+    table.add_column("sum over the runs")
     for kind in kinds:
         table.add_column(kind, justify="right")
     of = {kind: [row for row in rows if row["system"] == kind] for kind in kinds}

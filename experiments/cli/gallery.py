@@ -11,7 +11,7 @@ def gallery_command(
     out_dir: FolderOption,
     names: Annotated[
         list[str] | None,
-        typer.Argument(help="Families, members or .yaml files; default: all of dslab.", metavar="[NAME]..."),
+        typer.Argument(help="Families, members or .yaml files; default: all of dslab.", metavar="NAME"),
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, max=100, help="Sequences per scenario, one seed each.")] = 3,
     frames: Annotated[int, typer.Option(min=1, max=100, help="Frames per sequence.")] = 8,

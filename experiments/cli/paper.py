@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from experiments.cli.console import JsonOption, out, print_json_line
+from experiments.cli.console import JsonOption, out, print_json_line, print_table
 
 Row = dict[str, Any]
 
@@ -64,10 +64,13 @@ def _write(figures: dict[str, Any], out_dir: Path) -> None:
 def _print(rows: list[Row]) -> None:
     from experiments.report.describe import ends, ends_percent, number, p_value, percent
 
+    def between(share: Row) -> str:
+        return ends_percent(share).removesuffix(" %")
+
     def counted(name: str) -> Callable[[Row], str]:
         def cell(row: Row) -> str:
             share = row[name]
-            return f"{share['events']}/{share['units']}  {percent(share['estimate'])}\n{ends_percent(share)}"
+            return f"{share['events']}/{share['units']}\n{percent(share['estimate'])}\n{between(share)}"
 
         return cell
 
@@ -78,23 +81,23 @@ def _print(rows: list[Row]) -> None:
                 estimate = estimate[name]
             if place[-1].startswith("ratio"):
                 return f"{number(estimate['value'])}\n{ends(estimate)}"
-            return f"{percent(estimate['value'])}\n{ends_percent(estimate)}"
+            return f"{percent(estimate['value'])}\n{between(estimate)}"
 
         return cell
 
     tables: dict[str, dict[str, Callable[[Row], str]]] = {
-        "Counts of the paper; below each share its 95 % Clopper-Pearson interval": {
-            "ORB-SLAM fails": counted("base_failure"),
-            "p0: needs recovery": counted("p0"),
-            "thread 1 fails": counted("thread_1"),
-            "then thread 2 fails": counted("thread_2"),
+        "Counts of the paper; below each share its 95 % Clopper-Pearson interval in %": {
+            "ORB-SLAM\nfails": counted("base_failure"),
+            "needs\nrecovery, p0": counted("p0"),
+            "thread 1\nfails": counted("thread_1"),
+            "then thread 2\nfails": counted("thread_2"),
         },
         "Eq. 1 with n = 2": {
-            "predicted: p0 · pr²": estimated("predicted"),
+            "predicted,\np0 · pr²": estimated("predicted"),
             "measured": counted("measured"),
-            "measured / predicted": estimated("ratio"),
-            "p: threads fail alike": lambda row: p_value(row["alike_p"]),
-            "ratio_if_alike: ten trials counted as one": estimated("ratio_if_alike"),
+            "measured /\npredicted": estimated("ratio"),
+            "threads\nalike, p": lambda row: p_value(row["alike_p"]),
+            "ratio, ten\ntrials as one": estimated("ratio_if_alike"),
         },
         "Alternative model: some breakages are unrecoverable": {
             "unrecoverable": estimated("mixture", "share_hopeless"),
@@ -102,15 +105,16 @@ def _print(rows: list[Row]) -> None:
         },
     }
     for title, columns in tables.items():
-        out.print(_table(title, columns, rows))
+        out.print(f"\n{title}\n")
+        print_table(_table(columns, rows))
 
 
-def _table(title: str, columns: dict[str, Callable[[Row], str]], rows: list[Row]) -> Table:
-    table = Table(title=title, title_justify="left", show_lines=True)
-    for name in ("system", "data set", *columns):
+def _table(columns: dict[str, Callable[[Row], str]], rows: list[Row]) -> Table:
+    table = Table()
+    for name in ("system,\ndata set", *columns):
         table.add_column(name)
     for row in rows:
-        table.add_row(
-            row["counts"]["system"], row["counts"]["dataset"], *(cell(row) for cell in columns.values())
-        )
+        counts = row["counts"]
+        table.add_row(f"{counts['system']}\n{counts['dataset']}", *(cell(row) for cell in columns.values()))
+        table.add_section()
     return table

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from experiments.cli.console import (
-    MOST_SEED,
     ForceOption,
     ModeChoice,
     ModeOption,
     RealTimeOption,
     RendererOption,
     check_real_time,
+    check_seed,
     out,
     print_json_line,
     progress_bars,
@@ -77,7 +77,7 @@ def run_command(
         int | None,
         typer.Option(
             min=0,
-            max=MOST_SEED,
+            callback=check_seed,
             metavar="N",
             help="Root seed of the scenario and of the SLAM; the scenario's own, or 0.",
         ),

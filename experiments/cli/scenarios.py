@@ -1,44 +1,76 @@
 """``dslab scenarios``: list, show, check and draw scenarios and their families."""
 
 import json
+import re
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.padding import Padding
 from rich.syntax import Syntax
 from rich.table import Table
 from rich.text import Text
 
-from experiments.cli.console import out
+from experiments.cli.console import out, print_table
 from experiments.cli.gallery import gallery_command
+
+if TYPE_CHECKING:
+    from scenarios.families import Family
 
 CHECKED_SEEDS = 20
 
 app = typer.Typer(
     no_args_is_help=True,
     help="List, show, check and draw scenarios, which are YAML files.",
-    rich_markup_mode="rich",
 )
 
 
 @app.command("list")
-def list_scenarios() -> None:
+def list_scenarios(
+    everything: Annotated[
+        bool, typer.Option("--all", help="Describe every family in full, with its members and what is drawn.")
+    ] = False,
+) -> None:
     """List the scenarios and families of dslab.
 
     Members of a family are named FAMILY/MEMBER; with FAMILY alone the seed selects the member.
 
-    Example: [bold]dslab scenarios list[/bold]
+    For example:
+
+    `dslab scenarios list`
+
+    `dslab scenarios list --all`
     """
-    from scenarios.describe_family import describe_members, describe_parameters
     from scenarios.families import library_names, load_family
 
-    table = Table("family", "members", "drawn by the seed", show_lines=True)
-    for name in library_names():
-        family = load_family(name)
-        title = Text.assemble((name, "bold"), "\n", family.description)
-        drawn = [f"{field}: {words}" for field, words in describe_parameters(family).items()]
-        table.add_row(title, describe_members(family) or "-", "\n".join(drawn) or "-")
-    out.print(table)
+    families = {name: load_family(name) for name in library_names()}
+    if everything:
+        for name, family in families.items():
+            _print_family(name, family)
+        return
+    table = Table()
+    table.add_column("family")
+    table.add_column("members", justify="right")
+    table.add_column("what it is")
+    for name, family in families.items():
+        table.add_row(name, str(len(family.members) or "-"), re.split(r"[.:](?: |$)", family.description)[0])
+    print_table(table)
+
+
+def _print_family(name: str, family: "Family") -> None:
+    """Print description, members and drawn parameters."""
+    from scenarios.describe_family import describe_parameters
+
+    drawn = [f"{field}: {words}" for field, words in describe_parameters(family).items()]
+    out.print(Text(name, "bold"))
+    for text in (
+        family.description,
+        f"members: {', '.join(f'{name}/{member}' for member in family.members)}" if family.members else "",
+        "\n".join(["drawn by the seed:", *drawn]) if drawn else "",
+    ):
+        if text:
+            out.print(Padding(text, (0, 0, 0, 2)))
+    out.print()
 
 
 @app.command()
@@ -53,7 +85,7 @@ def show(
 
     Either is YAML to start your own from.
 
-    Example: [bold]dslab scenarios show kitti-like/07 --seed 3 > mine.yaml[/bold]
+    Example: `dslab scenarios show kitti-like/07 --seed 3 > mine.yaml`
     """
     from scenarios.families import load_family
     from scenarios.loading import dump_yaml
@@ -74,7 +106,7 @@ def validate(
 
     From each member of a family, 20 scenarios are drawn.
 
-    Example: [bold]dslab scenarios validate mine.yaml[/bold]
+    Example: `dslab scenarios validate mine.yaml`
     """
     from scenarios.families import load_family_file
 
@@ -97,7 +129,7 @@ def validate(
 def schema() -> None:
     """Print the JSON Schema of scenario files, for editors and other tools.
 
-    Example: [bold]dslab scenarios schema > scenario.schema.json[/bold]
+    Example: `dslab scenarios schema > scenario.schema.json`
     """
     from scenarios.schema import json_schema
 

@@ -1,7 +1,10 @@
 """Viewer of recordings."""
 
+import os
 import socket
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -14,15 +17,29 @@ def open_viewer(path: Path, stamp_s: float) -> None:
     from rerun.experimental import ViewerClient
 
     try:
-        viewer = ViewerClient.spawn(
-            port=_free_port(),
-            executable_path=str(Path(sys.executable).with_name("rerun")),
-            detach_process=True,
-        )
+        with _silent_children():
+            viewer = ViewerClient.spawn(
+                port=_free_port(),
+                executable_path=str(Path(sys.executable).with_name("rerun")),
+                detach_process=True,
+            )
         viewer.open(str(path.resolve()))
         viewer.set_time("time", duration=stamp_s, play_state="paused")
     except RuntimeError as error:
         raise ConnectionError(str(error)) from error
+
+
+@contextmanager
+def _silent_children() -> Iterator[None]:
+    """Processes started meanwhile write no errors to the terminal: the viewer's are not for users."""
+    stderr, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(stderr, 2)
+        os.close(stderr)
+        os.close(nowhere)
 
 
 def _free_port() -> int:

@@ -59,8 +59,8 @@ TABLE_II: dict[str, dict[str, tuple[int, int]]] = {
 
 CAVEATS: tuple[str, ...] = (
     f"{TRIALS_PER_SEQUENCE} trials share a sequence, so that trials are not independent: the intervals are"
-    " too narrow by an amount that the tables do not give. ratio_if_alike takes the trials of a sequence for"
-    " one: the other extreme.",
+    " too narrow by an amount that the tables do not give. The ratio with ten trials as one takes the trials"
+    " of a sequence for one: the other extreme.",
     "On KITTI, Dual-SLAM fails 10 times, and only on sequence 01 (Table I): the 10 trials of one sequence.",
     "Thread 2 ran only after thread 1 had failed. Its own failure probability cannot be had from the paper,"
     " nor can that of thread 1 apart from breakages: thread 1's share of failures stands for pr.",

@@ -1,0 +1,117 @@
+"""What the commands print can be read on a terminal of 80 columns: nothing is cut."""
+
+import io
+import json
+import os
+import shutil
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+from typer.main import get_command
+
+from experiments.campaign.folder import ERRORS_FILE
+from experiments.campaign.runner import Tally
+from experiments.cli import bench, console, fuzz
+from experiments.cli.commands import app
+from experiments.cli.experiment_progress import experiment_progress
+from scenarios.families import library_names, load_family
+
+PUBLISHED = Path(__file__).resolve().parents[3] / "docs" / "eq1-quick"
+
+
+@pytest.fixture(autouse=True)
+def narrow(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+
+
+def paths(command, path: tuple[str, ...] = ()):
+    yield path
+    for name, part in getattr(command, "commands", {}).items():
+        yield from paths(part, (*path, name))
+
+
+def fits(text: str) -> bool:
+    """Nothing is cut, no line is too long, no markup is left."""
+    lines = text.splitlines()
+    return "…" not in text and "[/" not in text and max(map(len, lines)) <= 80
+
+
+def test_no_help_is_cut_or_announces_an_example_without_one(dslab):
+    helps = {path: dslab(*path, "-h")[1] for path in paths(get_command(app))}
+    assert len(helps) > 30
+    assert [path for path, text in helps.items() if not fits(text)] == []
+    assert [path for path, text in helps.items() if "example" in text.partition(" Commands ")[2]] == []
+
+
+def test_the_list_has_one_row_per_family_and_on_request_every_member(dslab):
+    families = {name: load_family(name) for name in library_names()}
+    _, brief, _ = dslab("scenarios", "list")
+    _, full, _ = dslab("scenarios", "list", "--all")
+    rows = {line.split()[0]: line.split()[1] for line in brief.splitlines() if line[:1].strip(" ─")}
+    assert fits(brief) and fits(full) and len(brief.splitlines()) < 3 * len(families)
+    assert {name: rows[name] for name in families} == {
+        name: str(len(family.members) or "-") for name, family in families.items()
+    }
+    assert all(f"{name}/{member}" in full for name, family in families.items() for member in family.members)
+
+
+def test_the_status_of_a_published_table_is_that_of_its_cells(dslab, tmp_path):
+    code, out, _ = dslab("experiment", "status", PUBLISHED)
+    assert code == 0 and fits(out) and "fast_rotation/3" in out and "540 of 540 units" in out
+    _, as_json, _ = dslab("experiment", "status", PUBLISHED, "--json")
+    status = json.loads(as_json)
+    assert sum(cell["breakages"] for cell in status["cells"]) == 226 and status["failed_attempts"] == 0
+    # The table alone is enough.
+    shutil.copytree(PUBLISHED, tmp_path / "p")
+    (tmp_path / "p" / ERRORS_FILE).unlink()
+    assert dslab("experiment", "status", tmp_path / "p")[1] == out
+
+
+def test_progress_shows_count_bar_and_time_left(monkeypatch):
+    shown = io.StringIO()
+    terminal = Console(file=shown, force_terminal=True, width=80, color_system=None)
+    monkeypatch.setattr("experiments.cli.experiment_progress.err", terminal)
+    with experiment_progress("eq1-full") as show:
+        show(Tally(1234, 5400, 1180, 44, 10, 50, breakages=401, failures=211, ended_here=617, workers=8))
+    lines = shown.getvalue().splitlines()
+    bar = next(line for line in reversed(lines) if "1234/5400" in line)
+    assert "━━━━━━" in bar and bar.rstrip().endswith("left") and "…" not in bar
+    assert any("p0 0.34 (401/1180)" in line and "10 errors" in line for line in lines)
+
+
+RATE = {"frames_per_s": 1234.5, "cpu_ms": 1234.5, "frames_per_s_alone": 1234.5, "peak_rss_mb": 12345}
+BENCHMARK = {
+    "renderer": "mujoco", "processes": 2, "size_px": [640, 480],
+    "asked": {"rendered_per_s": 60, "degraded_per_s": 150, "build_s": 5, "peak_rss_mb": 1536},
+    "rendered": {"large_city": RATE}, "degraded": {"sharp": RATE, "blurred": RATE},
+}  # fmt: skip
+RUN = defaultdict(int, {"system": "base", "outcome": "ok"})
+
+
+@pytest.mark.parametrize(
+    "table",
+    [bench._rates_table(BENCHMARK), fuzz._table([RUN], ("base", "dual"))],
+    ids=["simulator", "fuzz"],
+)
+def test_every_column_has_a_name_of_its_own(capsys, table):
+    console.print_table(table)
+    assert fits(capsys.readouterr().out)
+    names = [str(column.header).replace("\n", " ") for column in table.columns]
+    assert all(names) and len(set(names)) == len(names)
+
+
+def test_the_viewer_says_nothing_of_its_own(capfd, monkeypatch, tmp_path):
+    from rerun.experimental import ViewerClient
+
+    from experiments.recording import open_viewer
+
+    def spawn(**_):
+        os.write(2, b"Error: winit EventLoopError\n")
+        raise RuntimeError("no viewer")
+
+    monkeypatch.setattr(ViewerClient, "spawn", spawn)
+    with pytest.raises(ConnectionError):
+        open_viewer(tmp_path / "recording.rrd", 0.0)
+    assert capfd.readouterr().err == ""
