@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from experiments.report import outcomes, reproductions
+from experiments.report.answer import answer
 from experiments.report.conditioning import conditioning
+from experiments.report.conditions import conditions
 from experiments.report.plain_data import as_data
 from experiments.report.verdict import verdict
 from experiments.runs import provenance
@@ -46,9 +48,10 @@ def report_content(
     analysis = as_data(analyse(table, threads, settings))
     kinds_apart = as_data(kinds_of_world(table, threads, settings.confidence))
     units = outcomes.unit_counts(table, {cell: spec.units_of(cell) for cell in cells})
-    return {
+    results = {
         "format": FORMAT,
         "experiment": _about(spec),
+        "conditions": conditions(spec),
         "units": units,
         "warnings": _warnings(units, table),
         "verdict": verdict(analysis, kinds_apart),
@@ -76,6 +79,7 @@ def report_content(
         "sources": outcomes.sources(table) | {"report_commit": provenance.commit()},
         "versions": provenance.versions(),
     }
+    return {"answer": as_data(answer(results)), **results}
 
 
 def _in_order_of_cells(table: pd.DataFrame, cells: list[str]) -> pd.DataFrame:

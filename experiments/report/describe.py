@@ -1,6 +1,6 @@
 """Figures as text: rounded, with intervals; report.json holds them unrounded."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 NONE = "–"
@@ -78,6 +78,11 @@ def counts(values: dict[str, int]) -> str:
 def plural(count: int, noun: str) -> str:
     """Count with its noun."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def listed(words: Sequence[str]) -> str:
+    """Words as a list in a sentence."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
 def _estimate(estimate: dict[str, Any] | None, form: Callable[[float | None], str]) -> str:

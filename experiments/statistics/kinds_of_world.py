@@ -60,12 +60,14 @@ class PooledLevel:
         measured: share of units with a dual failure in the free arm.
         predicted_by_cell: p0 · Π pr of each cell, over distinct rows; None if a cell has too few.
         predicted_by_kind: the same of each cell and kind of world.
+        predicted_interval: ends of the interval of predicted_by_kind; None where the worlds do not give one.
     """
 
     n: int
     measured: WorldShare
     predicted_by_cell: float | None
     predicted_by_kind: float | None
+    predicted_interval: tuple[float, float] | None
 
 
 @dataclass(frozen=True)
@@ -163,7 +165,33 @@ def _level(done: pd.DataFrame, truths: dict[str, np.ndarray], n: int, confidence
     if measured is None:
         raise ValueError("no completed unit")
     by_cell, by_kind = (_predicted(done, columns, keys) for keys in (["cell"], ["cell", "world"]))
-    return PooledLevel(n, measured, by_cell, by_kind)
+    return PooledLevel(n, measured, by_cell, by_kind, _jackknife(done, columns, by_kind, confidence))
+
+
+def _jackknife(
+    done: pd.DataFrame, columns: np.ndarray, by_kind: float | None, confidence: float
+) -> tuple[float, float] | None:
+    """Interval of Eq. 1 of each cell and kind of world, each world left out in turn.
+
+    Returns:
+        None for fewer than two worlds, or where leaving one out leaves too few rows or changes nothing.
+
+    Source: Tukey, "Bias and confidence in not quite large samples", Annals of Mathematical Statistics 1958.
+    """
+    world = done["world_seed"].to_numpy()
+    worlds = np.unique(world)
+    if by_kind is None or len(worlds) < 2:
+        return None
+    left = [_predicted(done[world != w], columns[world != w], ["cell", "world"]) for w in worlds]
+    if any(value is None for value in left):
+        return None
+    pseudo = len(worlds) * by_kind - (len(worlds) - 1) * np.array(left, float)
+    half = float(
+        stats.t.ppf((1 + confidence) / 2, len(worlds) - 1) * pseudo.std(ddof=1) / np.sqrt(len(worlds))
+    )
+    if half == 0:
+        return None
+    return min(max(by_kind - half, 0.0), by_kind), max(min(by_kind + half, 1.0), by_kind)
 
 
 def _predicted(done: pd.DataFrame, columns: np.ndarray, keys: list[str]) -> float | None:

@@ -10,6 +10,11 @@ from experiments.eq1.records import columns, dual_column, thread_column
 from experiments.eq1.units import ThreadChoice
 
 KINDS = ("low_texture", "motion_blur", "fast_rotation")
+_DOSES = (
+    ("contrast", (0.3, 0.1, 0.03), (1.0, 2.0, 3.0)),
+    ("exposure_s", (1.0, 2.0, 3.0), None),
+    ("rate_degps", (1.0, 2.0, 3.0), None),
+)
 _TYPES = {"bool": "boolean", "int": "Int64", "float": "Float64", "text": "string"}
 _FRAMES_PER_S, _ONSET, _END = 20, 100, 299
 
@@ -31,11 +36,18 @@ class FakeSpec:
         images = [f"{kind}/{dose + 1}" for kind in KINDS for dose in range(self.doses)]
         return {
             f"{image}/{system}" if len(self.systems) > 1 else image: SimpleNamespace(
-                image=image, system=system
+                image=image, system=system, degradation=place // self.doses, dose=place % self.doses
             )
-            for image in images
+            for place, image in enumerate(images)
             for system in self.systems
         }
+
+    @property
+    def degradations(self) -> list[SimpleNamespace]:
+        return [
+            SimpleNamespace(kind=kind, dose=dose, doses=doses, severities=severities)
+            for kind, (dose, doses, severities) in zip(KINDS, _DOSES, strict=True)
+        ]
 
     def cell_names(self) -> list[str]:
         return list(self.cells)

@@ -1,0 +1,78 @@
+"""Conditions of an experiment: its cells in words, with their doses in physical units."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from experiments.report.describe import listed
+from scenarios.describe import describe_field, describe_kind, label_and_unit, plain
+
+if TYPE_CHECKING:
+    from experiments.eq1.spec import ExperimentSpec
+
+
+def conditions(spec: "ExperimentSpec") -> list[dict[str, Any]]:
+    """Describe every cell, in the order of the spec.
+
+    Args:
+        spec: the ExperimentSpec.
+
+    Returns:
+        Per cell its ``number`` from 1 and name, the ``kind`` of degradation, the ``dose`` in words, as
+        ``value`` and its ``field``, the ``axis`` label of such doses, the ``severity`` that stands for
+        the dose in the records, and the ``name`` of all that.
+    """
+    return [_condition(spec, number, name) for number, name in enumerate(spec.cells, 1)]
+
+
+def _condition(spec: "ExperimentSpec", number: int, name: str) -> dict[str, Any]:
+    cell = spec.cells[name]
+    degradation = spec.degradations[cell.degradation]
+    value = degradation.doses[cell.dose]
+    dose = describe_field(degradation.dose, value)
+    label, unit = label_and_unit(degradation.dose)
+    *base, _, _ = cell.image.split("/")
+    system = str(cell.system) if name != cell.image else None
+    named = ", ".join([*base, describe_kind(degradation.kind), dose])
+    return {
+        "number": number,
+        "cell": name,
+        "kind": degradation.kind,
+        "field": degradation.dose,
+        "dose": dose,
+        "value": value,
+        "axis": f"{label} ({unit.strip()})" if unit and label != unit.strip() else label,
+        "severity": (degradation.severities or degradation.doses)[cell.dose],
+        "name": f"{named} ({system})" if system else named,
+    }
+
+
+def doses_of(found: list[dict[str, Any]], kind: str) -> list[dict[str, Any]]:
+    """Conditions of a kind of degradation, one per dose, in the order of the spec."""
+    return list({c["severity"]: c for c in reversed(found) if c["kind"] == kind}.values())[::-1]
+
+
+def describe_stress(found: list[dict[str, Any]], kind: str) -> str:
+    """Name a kind of degradation with its doses: ``motion blur (exposure 0.1 and 0.2 s)``."""
+    doses = doses_of(found, kind)
+    label, unit = label_and_unit(doses[0]["field"])
+    values = listed([plain(dose["value"]) for dose in doses])
+    return f"{describe_kind(kind)} ({'' if label == unit.strip() else label + ' '}{values}{unit})"
+
+
+def dose_at(doses: list[dict[str, Any]], severity: float | None) -> str | None:
+    """Dose at a severity, as text with its unit.
+
+    Args:
+        doses: from `doses_of`.
+        severity: in the records' measure; between two doses the dose is interpolated.
+
+    Returns:
+        The outermost dose where the severity lies beyond it, None without a severity.
+    """
+    if severity is None:
+        return None
+    axis, values = zip(*sorted((d["severity"], d["value"]) for d in doses), strict=True)
+    if not axis[0] <= severity <= axis[-1]:
+        return f"beyond {plain(values[0] if severity < axis[0] else values[-1])}"
+    return f"{np.interp(severity, axis, values):.3g}"
