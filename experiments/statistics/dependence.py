@@ -1,7 +1,8 @@
 """Dependence of forward and backward failures: two-by-two tables of paired units."""
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +12,7 @@ from statsmodels.stats.contingency_tables import StratifiedTable
 from experiments.statistics.joint import Bools, Floats
 from experiments.statistics.results import Estimate
 
-_POSTERIOR = "interval of posterior draws, one unit's worth of prior"
+_LIMITS = "limits of posterior draws, a unit's worth of prior on their own side"
 
 
 @dataclass(frozen=True)
@@ -43,23 +44,19 @@ def conditional_ratio(
     counts: PairedCounts, draws: int, rng: np.random.Generator, confidence: float = 0.95
 ) -> Estimate:
     """ρ = P(R | A) / P(R); 1 under independence, undetermined without A or without R."""
-    method = f"P(R | A) / P(R); {_POSTERIOR}"
-    has_a, has_r = counts.both + counts.only_a, counts.both + counts.only_r
-    if has_a == 0 or has_r == 0:
+    method = f"P(R | A) / P(R); {_LIMITS}"
+    if counts.both + counts.only_a == 0 or counts.both + counts.only_r == 0:
         return Estimate.undetermined(method)
-    both, only_a, only_r, _ = _draws(counts, draws, rng)
-    value = counts.both / has_a / (has_r / counts.units)
-    found = Estimate.of_draws(value, both / (both + only_a) / (both + only_r), confidence, method)
-    return found if counts.both else replace(found, low=0.0)
+    return _with_limits(_ratio, counts, draws, rng, confidence, method)
 
 
 def phi(counts: PairedCounts, draws: int, rng: np.random.Generator, confidence: float = 0.95) -> Estimate:
     """Correlation of A and R; undetermined if one of them always or never happened."""
-    method = f"phi; {_POSTERIOR}"
-    cells = np.array([[counts.both], [counts.only_a], [counts.only_r], [counts.neither]], float)
-    if (cells[0] + cells[1]) * (cells[0] + cells[2]) * (cells[1] + cells[3]) * (cells[2] + cells[3]) == 0:
+    method = f"phi; {_LIMITS}"
+    table = np.array(counts.table)
+    if 0 in (*table.sum(axis=0), *table.sum(axis=1)):
         return Estimate.undetermined(method)
-    return Estimate.of_draws(float(_phi(cells)[0]), _phi(_draws(counts, draws, rng)), confidence, method)
+    return _with_limits(_phi, counts, draws, rng, confidence, method)
 
 
 def fisher(counts: PairedCounts) -> float | None:
@@ -113,9 +110,35 @@ def mantel_haenszel(
     )
 
 
-def _draws(counts: PairedCounts, draws: int, rng: np.random.Generator) -> Floats:
-    cells = np.array([counts.both, counts.only_a, counts.only_r, counts.neither])
-    return rng.dirichlet(cells + 0.25, draws).T
+def _with_limits(
+    figure: Callable[[Floats], Floats],
+    counts: PairedCounts,
+    draws: int,
+    rng: np.random.Generator,
+    confidence: float,
+    method: str,
+) -> Estimate:
+    """A figure of the counts; its limits are posterior quantiles, with one further unit as the prior.
+
+    That unit speaks against a positive association for the lower limit, for one for the upper limit; as in
+    `eq1.posterior_draws` they enclose the figure.
+    """
+    cells = np.array([counts.both, counts.only_a, counts.only_r, counts.neither], float)
+    tails = (1 - confidence) / 2, (1 + confidence) / 2
+    low, high = (
+        float(np.quantile(figure(_draws(cells + prior, draws, rng)), tail))
+        for prior, tail in zip(([0, 0.5, 0.5, 0], [0.5, 0, 0, 0.5]), tails, strict=True)
+    )
+    return Estimate(float(figure(cells[:, None])[0]), low, high, method)
+
+
+def _draws(weights: Floats, draws: int, rng: np.random.Generator) -> Floats:
+    return rng.standard_gamma(weights, (draws, 4)).T
+
+
+def _ratio(cells: Floats) -> Floats:
+    both, only_a, only_r, _ = cells
+    return both * cells.sum(axis=0) / ((both + only_a) * (both + only_r))
 
 
 def _phi(cells: Floats) -> Floats:

@@ -4,71 +4,98 @@ Source: Huang et al., "Dual-SLAM", IROS 2020, Eq. (1).
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.statistics.joint import Floats, JointCounts, patterns
+from experiments.statistics.joint import (
+    DUAL_FAILURE,
+    NO_BREAKAGE,
+    RECOVERED,
+    Floats,
+    JointCounts,
+    patterns,
+)
 from experiments.statistics.results import Estimate, Verdict
 
-_PREDICTED = "p0 · Π pr_j of the crossing arm; interval of joint posterior draws"
-_RATIO = "measured over predicted; interval of joint posterior draws"
+_PREDICTED = "p0 · Π pr_j of the crossing arm; limits of joint posterior draws"
+_RATIO = "measured over predicted; limits of joint posterior draws"
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Joint draws of the probabilities in Eq. 1, paired as the units are.
+
+    Attributes:
+        p0: (D,) probability of a breakage.
+        share: (D,) P(D_n | B).
+        pr: (D, n) probabilities of R_j.
+    """
+
+    p0: Floats
+    share: Floats
+    pr: Floats
 
 
 def posterior_draws(
-    counts: JointCounts, draws: int, rng: np.random.Generator
-) -> tuple[Floats, Floats, Floats]:
-    """Joint draws of p0, of P(D_n | B) and of the pr_j, paired as the units are.
+    counts: JointCounts, state: int, failed: bool, draws: int, rng: np.random.Generator
+) -> Draws:
+    """Draw from the posterior whose prior is one further unit.
 
-    The prior is Jeffreys' for p0 and for P(D_n | B), and one unit's worth spread evenly over the patterns of
-    the crossing arm, which leaves each pr_j close to Jeffreys' own posterior.
+    The quantiles with the unit that speaks most against a large value, and with the one that speaks most for
+    it, are the limits of an interval. For a single share they are those of Clopper and Pearson; as no prior
+    pulls between them, they enclose the estimate that has none.
 
-    Returns:
-        (draws,) p0, (draws,) P(D_n | B), (draws, n) pr_j.
+    Args:
+        counts: of the units.
+        state: the further unit's state in the free arm.
+        failed: True if all its threads failed in the crossing arm, False if none did.
+        draws: number D.
+        rng: of the draws.
+
+    Source: Walley, "Inferences from multinomial data", J. Royal Statistical Society B 1996.
     """
-    table = counts.table
-    rows = table.sum(axis=1)
-    p0 = rng.beta(rows[1] + rows[2] + 0.5, rows[0] + 0.5, draws)
-    share = rng.beta(rows[2] + 0.5, rows[1] + 0.5, draws)
-    states = np.stack([1 - p0, p0 * (1 - share), p0 * share])
-    failed = patterns(counts.threads).astype(float)
-    pr = np.zeros((draws, counts.threads))
-    for state in range(3):
-        shares = rng.standard_gamma(table[state] + 1 / table.size, (draws, table.shape[1])) + 1e-300
-        pr += states[state][:, None] * (shares / shares.sum(axis=1, keepdims=True)) @ failed
-    return p0, share, pr
+    table = counts.table.astype(float)
+    table[state, -1 if failed else 0] += 1
+    shares = rng.standard_gamma(table, (draws, *table.shape))
+    shares /= shares.sum(axis=(1, 2), keepdims=True)
+    rows = shares.sum(axis=2)
+    p0 = rows[:, RECOVERED] + rows[:, DUAL_FAILURE]
+    share = np.divide(rows[:, DUAL_FAILURE], p0, out=np.zeros_like(p0), where=p0 > 0)
+    return Draws(p0, share, shares.sum(axis=1) @ patterns(counts.threads).astype(float))
 
 
 def predicted_and_ratio(
     counts: JointCounts, draws: int, rng: np.random.Generator, confidence: float = 0.95
 ) -> tuple[Estimate, Estimate]:
-    """P(D_n) by Eq. 1, and measured over predicted, with equal-tailed posterior intervals.
+    """P(D_n) by Eq. 1, and measured over predicted, with limits of `posterior_draws`.
 
     p0 cancels in the ratio, which is P(D_n | B) / Π pr_j: it is undetermined without a breakage, and has no
     upper bound if some thread never failed to cross.
     """
     found = counts.margins
     units, breakages, failures = (float(x[0]) for x in (found.units, found.breakages, found.failures))
-    crossings = found.crossings[0]
     if units == 0:
         return Estimate.undetermined(_PREDICTED), Estimate.undetermined(_RATIO)
-    p0, share, pr = posterior_draws(counts, draws, rng)
-    product = float(np.prod(crossings / units))
-    tails = [(1 - confidence) / 2, (1 + confidence) / 2]
-    low, high = np.quantile(p0 * pr.prod(axis=1), tails)
-    value = breakages / units * product
+    product = float(np.prod(found.crossings[0] / units))
+    least, most = (1 - confidence) / 2, (1 + confidence) / 2
+    below = posterior_draws(counts, NO_BREAKAGE, False, draws, rng)
+    above = posterior_draws(counts, DUAL_FAILURE, True, draws, rng)
     predicted = Estimate(
-        value, float(low) if value > 0 else 0.0, float(high) if value < 1 else 1.0, _PREDICTED
+        breakages / units * product,
+        float(np.quantile(below.p0 * below.pr.prod(axis=1), least)),
+        float(np.quantile(above.p0 * above.pr.prod(axis=1), most)),
+        _PREDICTED,
     )
     if breakages == 0 or (failures == 0 and product == 0):
         return predicted, Estimate.undetermined(_RATIO)
-    low, high = np.quantile(share / pr.prod(axis=1), tails)
-    ratio = Estimate(
-        failures / breakages / product if product > 0 else None,
-        float(low) if failures > 0 else 0.0,
-        float(high) if product > 0 else None,
-        _RATIO,
-    )
-    return predicted, ratio
+    below = posterior_draws(counts, RECOVERED, True, draws, rng)
+    low = float(np.quantile(below.share / below.pr.prod(axis=1), least))
+    if product == 0:
+        return predicted, Estimate(None, low, None, _RATIO)
+    above = posterior_draws(counts, DUAL_FAILURE, False, draws, rng)
+    high = float(np.quantile(above.share / above.pr.prod(axis=1), most))
+    return predicted, Estimate(failures / breakages / product, low, high, _RATIO)
 
 
 def predicted_at_free_length(

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from experiments.statistics.eq1 import posterior_draws
 from experiments.statistics.intervals import clopper_pearson
-from experiments.statistics.joint import Floats, JointCounts
+from experiments.statistics.joint import DUAL_FAILURE, NO_BREAKAGE, Floats, JointCounts
 from experiments.statistics.results import BetaBinomial, BetaFactor, EckhardtLee, Estimate, Mixture
 
 _LARGEST_PRECISION = 1e5
@@ -43,21 +43,35 @@ def eckhardt_lee(
     found = [c.margins for c in cells]
     p0 = np.array([m.breakages[0] for m in found]) / units
     pr = np.array([m.crossings[0] for m in found]) / units[:, None]
-    drawn = [posterior_draws(c, draws, rng) for c in cells]
-    drawn_p0, drawn_pr = np.stack([d[0] for d in drawn], axis=1), np.stack([d[2] for d in drawn], axis=1)
-    within = drawn_p0 * drawn_pr.prod(axis=2) @ np.diag(weights)
-    pooled = (drawn_p0 @ weights) * np.einsum("dcj,c->dj", drawn_pr, weights).prod(axis=1)
+    ends = []
+    for state, failed, tail in (
+        (NO_BREAKAGE, False, (1 - confidence) / 2),
+        (DUAL_FAILURE, True, (1 + confidence) / 2),
+    ):
+        drawn = [posterior_draws(c, state, failed, draws, rng) for c in cells]
+        p0_drawn, pr_drawn = (np.stack([getattr(d, name) for d in drawn], axis=1) for name in ("p0", "pr"))
+        ends.append([np.quantile(x, tail) for x in _averaged(p0_drawn, pr_drawn, weights)])
+    values = _averaged(p0[None], pr[None], weights)
+    within, pooled = (
+        Estimate(float(value[0]), float(low), float(high), method)
+        for value, low, high, method in zip(
+            values, *ends, ("E[p0 · Π pr_j]", "E[p0] · Π E[pr_j]"), strict=True
+        )
+    )
     failures = int(sum(m.failures[0] for m in found))
     return EckhardtLee(
         cells[0].threads,
-        Estimate.of_draws(
-            float(weights @ (p0 * pr.prod(axis=1))), within.sum(axis=1), confidence, "E[p0 · Π pr_j]"
-        ),
-        Estimate.of_draws(
-            float(weights @ p0 * (weights @ pr).prod()), pooled, confidence, "E[p0] · Π E[pr_j]"
-        ),
+        within,
+        pooled,
         clopper_pearson(failures, int(units.sum()), confidence),
     )
+
+
+def _averaged(p0: Floats, pr: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """Mean of the cells' products, and product of their means: (D, C) p0, (D, C, n) pr, (C,) weights."""
+    within = (p0 * pr.prod(axis=2)) @ weights
+    pooled = (p0 @ weights) * np.einsum("dcj,c->dj", pr, weights).prod(axis=1)
+    return within, pooled
 
 
 def beta_binomial(quantity: str, events: Floats, units: Floats) -> BetaBinomial:
@@ -166,14 +180,26 @@ def mixture(
     counts = np.bincount(np.asarray(failed_threads, int), minlength=threads + 1).astype(float)
     if threads < 2 or counts.sum() == 0:
         return None
+    method = "two-class mixture; interval of posterior draws"
+    if counts[:-1].sum() == 0:  # every thread failed every time: the rest may be empty, or fail always
+        none = Estimate.undetermined(method)
+        return Mixture(int(counts.sum()), none, none)
     best = _mixture_fit(counts[None])
     drawn = _mixture_fit(rng.dirichlet(counts + 0.5, draws) * counts.sum())
-    method = "two-class mixture; interval of posterior draws"
     return Mixture(
         int(counts.sum()),
-        Estimate.of_draws(float(best[0][0]), drawn[0], confidence, method),
-        Estimate.of_draws(float(best[1][0]), drawn[1], confidence, method),
+        _share(float(best[0][0]), drawn[0], confidence, method),
+        _share(float(best[1][0]), drawn[1], confidence, method),
     )
+
+
+def _share(value: float, drawn: Floats, confidence: float, method: str) -> Estimate:
+    """A share and its interval, which ends at 0 or 1 where the share is on that border.
+
+    Source: Brown, Cai & DasGupta, "Interval estimation for a binomial proportion", Statistical Science 2001.
+    """
+    low, high = np.quantile(drawn, [(1 - confidence) / 2, (1 + confidence) / 2])
+    return Estimate(value, float(low) if low <= value else 0.0, float(high) if value <= high else 1.0, method)
 
 
 def _mixture_fit(counts: Floats) -> tuple[Floats, Floats]:

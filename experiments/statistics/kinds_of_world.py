@@ -149,7 +149,9 @@ def share_by_world(
     z = float(stats.t.ppf((1 + confidence) / 2, worlds - 1))
     centre = (value + z**2 / (2 * effective)) / (1 + z**2 / effective)
     half = z * np.sqrt(value * (1 - value) / effective + z**2 / (4 * effective**2)) / (1 + z**2 / effective)
-    return WorldShare(value, max(0.0, centre - half), min(1.0, centre + half), len(flags), worlds)
+    # The ends at a share of 0 or 1 are exact but for rounding.
+    low, high = min(max(0.0, float(centre - half)), value), max(min(1.0, float(centre + half)), value)
+    return WorldShare(value, low, high, len(flags), worlds)
 
 
 def _truths(done: pd.DataFrame, threads: int) -> dict[str, np.ndarray]:
