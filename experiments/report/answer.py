@@ -113,8 +113,8 @@ def _mixture(kinds: dict[str, Any]) -> str | None:
     if not kinds["mixed"]:
         return None
     return (
-        f"Predicted from {listed(kinds['kinds'])} mixed, instead of each kind of world apart, it would be "
-        f"{listed(shares)}: where easy and hard worlds are mixed, failures coincide more often than Eq. 1 "
+        f"Mixed worlds: predicted from {listed(kinds['kinds'])} together, not from each kind apart, it would "
+        f"be {listed(shares)}: where easy and hard worlds are mixed, failures coincide more often than Eq. 1 "
         "says, even if it holds in each kind."
     )
 

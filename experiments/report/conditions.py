@@ -10,6 +10,8 @@ from scenarios.describe import describe_field, describe_kind, label_and_unit, pl
 if TYPE_CHECKING:
     from experiments.eq1.spec import ExperimentSpec
 
+_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+
 
 def conditions(spec: "ExperimentSpec") -> list[dict[str, Any]]:
     """Describe every cell, in the order of the spec.
@@ -33,7 +35,11 @@ def _condition(spec: "ExperimentSpec", number: int, name: str) -> dict[str, Any]
     label, unit = label_and_unit(degradation.dose)
     *base, _, _ = cell.image.split("/")
     system = str(cell.system) if name != cell.image else None
-    named = ", ".join([*base, describe_kind(degradation.kind), dose])
+    # A value is not parted from its unit.
+    together = dose.replace(
+        f"{plain(value)}{unit}", f"{plain(value)}{unit}".replace(" ", "\N{NO-BREAK SPACE}")
+    )
+    named = ", ".join([*base, describe_kind(degradation.kind), together])
     return {
         "number": number,
         "cell": name,
@@ -60,12 +66,29 @@ def describe_stress(found: list[dict[str, Any]], kind: str) -> str:
     return f"{describe_kind(kind)} ({'' if label == unit.strip() else label + ' '}{values}{unit})"
 
 
-def dose_at(doses: list[dict[str, Any]], severity: float | None) -> str | None:
-    """Dose at a severity, as text with its unit.
+def thread_names(report: dict[str, Any]) -> list[str]:
+    """Name each recovery thread of a report, equal kinds with their places."""
+    kinds = [thread["kind"].upper() for thread in report["experiment"]["threads"]]
+    return [
+        f"{kind} ({kinds[:i].count(kind) + 1})" if kinds.count(kind) > 1 else kind
+        for i, kind in enumerate(kinds)
+    ]
+
+
+def describe_quantity(quantity: str, threads: list[str]) -> str:
+    """Name a probability: ``p0`` as breaking, ``pr1`` as the failure of the first thread."""
+    if quantity == "p0":
+        return "tracking breaks (p₀)"
+    number = int(quantity.removeprefix("pr"))
+    return f"{threads[number - 1]} fails (pr{str(number).translate(_SUBSCRIPTS)})"
+
+
+def dose_at(severity: float | None, doses: list[dict[str, Any]]) -> str | None:
+    """Dose at a severity, in the unit of the doses.
 
     Args:
-        doses: from `doses_of`.
         severity: in the records' measure; between two doses the dose is interpolated.
+        doses: from `doses_of`.
 
     Returns:
         The outermost dose where the severity lies beyond it, None without a severity.

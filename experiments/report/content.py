@@ -39,24 +39,28 @@ def report_content(
     cells = spec.cell_names()
     families = {name: cell.image.split("/")[0] for name, cell in spec.cells.items()}
     systems = {name: str(cell.system) for name, cell in spec.cells.items()}
+    found = conditions(spec)
     # All units of a cell have the same frame rate and duration.
     scenarios = {cell: spec.unit(cell, 0).scenario for cell in cells}
     table = _in_order_of_cells(table, cells)
     threads = len(spec.threads)
-    kinds = tuple(thread.kind for thread in spec.threads)
-    settings = replace(settings or AnalysisSettings(), thread_methods=kinds)
+    methods = tuple(thread.kind for thread in spec.threads)
+    settings = replace(settings or AnalysisSettings(), thread_methods=methods)
     analysis = as_data(analyse(table, threads, settings))
+    analysis["cells"].sort(key=lambda cell: cells.index(cell["cell"]))
+    kinds = [condition["kind"] for condition in found]
+    analysis["dose_response"].sort(key=lambda fit: kinds.index(fit["kind"]))
     kinds_apart = as_data(kinds_of_world(table, threads, settings.confidence))
     units = outcomes.unit_counts(table, {cell: spec.units_of(cell) for cell in cells})
     results = {
         "format": FORMAT,
         "experiment": _about(spec),
-        "conditions": conditions(spec),
+        "conditions": found,
         "units": units,
         "warnings": _warnings(units, table),
-        "verdict": verdict(analysis, kinds_apart),
+        "verdict": verdict(analysis),
         "kinds_of_world": kinds_apart,
-        "calibration": _calibration(analysis),
+        "calibration": _calibration(analysis, cells),
         "analysis": analysis,
         "lengths": _lengths(analysis, table),
         "conditioning": conditioning(analysis, table),
@@ -105,9 +109,8 @@ def _warnings(units: dict[str, Any], table: pd.DataFrame) -> list[str]:
     warnings = []
     if units["missing"]:
         warnings.append(
-            f"{units['missing']} of {units['planned']} planned units are not recorded. During a run only the "
-            "anytime-valid intervals of p0 allow repeated looks; in a cell ended by a stopping rule the "
-            "missing units are not needed."
+            f"{units['missing']} of {units['planned']} planned trials are not recorded: figures will "
+            "change. Where a stopping rule ends a condition early, its missing trials are not needed."
         )
     for name, what in (("code", "the sources of sim, scenarios and slam"), ("commit", "the repository")):
         versions = len(set(table[name].dropna()))
@@ -119,12 +122,13 @@ def _warnings(units: dict[str, Any], table: pd.DataFrame) -> list[str]:
     return warnings
 
 
-def _calibration(analysis: dict[str, Any]) -> list[dict[str, Any]]:
-    """One point per cell and n; cells are numbered from 1 in order."""
+def _calibration(analysis: dict[str, Any], cells: list[str]) -> list[dict[str, Any]]:
+    """One point per cell and n; cells are numbered from 1 in the order of the spec."""
     names = ("n", "predicted", "measured", "ratio", "verdict", "holm_p", "power_ratio_2")
     return [
-        {"number": place, "cell": cell["cell"]} | {name: level[name] for name in names}
-        for place, cell in enumerate(analysis["cells"], 1)
+        {"number": cells.index(cell["cell"]) + 1, "cell": cell["cell"]}
+        | {name: level[name] for name in names}
+        for cell in analysis["cells"]
         for level in cell["levels"]
     ]
 

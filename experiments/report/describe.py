@@ -71,8 +71,8 @@ def figure_of(estimate: dict[str, Any] | None) -> str:
 
 
 def counts(values: dict[str, int]) -> str:
-    """List of names with their counts."""
-    return ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in values.items()) or NONE
+    """List of names, each after its count: names may end in a number."""
+    return "; ".join(f"{n} × {name.replace('_', ' ')}" for name, n in values.items()) or NONE
 
 
 def plural(count: int, noun: str) -> str:

@@ -142,9 +142,14 @@ def _thread_taxonomy(rows: pd.DataFrame, arm: Any, thread: int) -> dict[str, Any
         "attempts": int(failed.notna().sum()),
         "failed": len(lost),
         "stages": counted(lost[thread_column(arm, thread, "stage")]),
-        "reasons": counted(lost[thread_column(arm, thread, "reason")]),
+        "reasons": counted(_without_figures(lost[thread_column(arm, thread, "reason")])),
         "false": as_data(clopper_pearson(int((false & declared).sum()), int(declared.sum()))),
     }
+
+
+def _without_figures(reasons: pd.Series) -> pd.Series:
+    """Reasons that differ in their figures only, made equal."""
+    return reasons.str.replace(r"[-+]?\d+(\.\d+)?", "…", regex=True)
 
 
 def set_aside(table: pd.DataFrame) -> dict[str, Any]:

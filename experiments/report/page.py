@@ -1,13 +1,17 @@
 """Page of a report: one self-contained HTML file."""
 
 import base64
+import re
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup, escape
+
 from experiments.pages import render_page
+from experiments.report.conditions import describe_quantity, dose_at, doses_of, thread_names
 from experiments.report.describe import FILTERS
 from experiments.report.paper_figures import PAPER
-from experiments.report.plots.draw import Plot
+from experiments.report.plots.draw import Image, Plot
 
 _TEMPLATES = Path(__file__).with_name("templates")
 
@@ -21,13 +25,27 @@ def report_html(report: dict[str, Any], plots: dict[str, Plot]) -> str:
     """
     return render_page(
         _TEMPLATES,
-        FILTERS | {"data_uri": _data_uri},
+        FILTERS
+        | {"data_uri": _data_uri, "labelled": _labelled, "dose_at": dose_at, "quantity": describe_quantity},
         report=report,
         plots=plots,
         paper=PAPER,
         threads=report["analysis"]["threads"],
+        named={condition["cell"]: condition for condition in report["conditions"]},
+        thread_names=thread_names(report),
+        doses_of=doses_of,
     )
 
 
-def _data_uri(plot: Plot) -> str:
-    return "data:image/svg+xml;base64," + base64.b64encode(plot.svg).decode("ascii")
+def _data_uri(image: Image) -> str:
+    return "data:image/svg+xml;base64," + base64.b64encode(image.svg).decode("ascii")
+
+
+def _labelled(rows: Markup, heads: list[str]) -> Markup:
+    """Write the head of its column into every cell: on narrow screens a row becomes a card."""
+
+    def labelled(row: re.Match[str]) -> str:
+        names = iter(heads)
+        return re.sub(r"<t[hd](?=[ >])", lambda cell: f'{cell[0]} data-label="{escape(next(names))}"', row[0])
+
+    return Markup(re.sub(r"<tr.*?</tr>", labelled, rows, flags=re.DOTALL))

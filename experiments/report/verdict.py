@@ -2,22 +2,19 @@
 
 from typing import Any
 
-from experiments.report.describe import figure_of, number, p_value, percent, plural, proportion, share_of
+from experiments.report.describe import figure_of, number, p_value, plural, proportion, share_of
 
 VERDICTS = ("consistent", "optimistic", "pessimistic", "undecided")
 
 
-def verdict(analysis: dict[str, Any], kinds: dict[str, Any]) -> dict[str, Any]:
-    """Reasons for withholding a verdict, and the results of the tests.
+def verdict(analysis: dict[str, Any]) -> dict[str, Any]:
+    """Results of the withdrawn tests, which take units for independent.
 
     Args:
         analysis: the analysis as plain data.
-        kinds: results per kind of world as plain data.
     """
     levels = [_level(analysis, n) for n in range(1, analysis["threads"] + 1)]
     return {
-        "headline": "No verdict on Eq. 1: it is withdrawn until a new measurement.",
-        "reasons": _reasons(kinds),
         "tests_headline": _tests_headline(levels),
         "levels": [
             level | {"told": _overall(level), "sentences": _sentences(level, analysis)} for level in levels
@@ -32,11 +29,10 @@ def _meanings(settings: dict[str, Any]) -> dict[str, str]:
     return {
         "consistent": f"the test does not reject Eq. 1 and would have detected a ratio of {ratio} with a "
         f"power of at least {power}; this does not confirm Eq. 1",
-        "optimistic": "Eq. 1 is too optimistic: significantly more dual failures were measured than it "
-        "predicts",
-        "pessimistic": "Eq. 1 is too pessimistic: significantly fewer dual failures were measured than "
+        "optimistic": "Eq. 1 is too optimistic: significantly more failures were measured than it predicts",
+        "pessimistic": "Eq. 1 is too pessimistic: significantly fewer failures were measured than "
         "it predicts",
-        "undecided": f"Eq. 1 is not rejected, but there are too few units: the power to detect a ratio "
+        "undecided": f"Eq. 1 is not rejected, but there are too few trials: the power to detect a ratio "
         f"of {ratio} is below {power}",
     }
 
@@ -62,33 +58,13 @@ def _level(analysis: dict[str, Any], n: int) -> dict[str, Any]:
     }
 
 
-def _reasons(kinds: dict[str, Any]) -> list[str]:
-    """Reasons why the tests decide nothing."""
-    reasons = [
-        f"The sample is {plural(kinds['worlds'], 'world')}, not {plural(kinds['units'], 'unit')}: units of "
-        "one world succeed and fail together, but the tests below assume independent units."
-    ]
-    if kinds["mixed"]:
-        reasons.append(
-            f"{len(kinds['mixed'])} of the cells mix {' and '.join(kinds['kinds'])}. A mixture of an easy "
-            "and a hard population refutes Eq. 1 by itself, even if it holds in each of them."
-        )
-        for level in kinds["levels"]:
-            reasons.append(
-                f"n = {level['n']}: measured {share_of(level['measured'])} with worlds as the sample; Eq. 1 "
-                f"predicts {percent(level['predicted_by_cell'])} from whole cells and "
-                f"{percent(level['predicted_by_kind'])} from each kind of world separately."
-            )
-    return reasons
-
-
 def _tests_headline(levels: list[dict[str, Any]]) -> str:
     if not any(level["overall"] and level["overall"]["measured"]["units"] for level in levels):
-        return "No result yet: no unit is completed."
+        return "No result yet: no trial is completed."
     total = {v: sum(level["counts"][v] for level in levels) for v in VERDICTS}
     tests = sum(total.values())
     if total["undecided"] == tests:
-        return "Undecided: no cell has enough units to test Eq. 1."
+        return "Undecided: no condition has enough trials to test Eq. 1."
     rest = f" {total['undecided']} of {tests} verdicts are undecided." if total["undecided"] else ""
     if total["optimistic"] and total["pessimistic"]:
         return (
@@ -98,7 +74,7 @@ def _tests_headline(levels: list[dict[str, Any]]) -> str:
     if total["optimistic"] or total["pessimistic"]:
         way, which = ("more", "optimistic") if total["optimistic"] else ("fewer", "pessimistic")
         off = f"Eq. 1 is rejected in {total[which]} of {tests} verdicts"
-        return f"{off}: {way} dual failures than it predicts.{rest}"
+        return f"{off}: {way} failures than it predicts.{rest}"
     return f"Eq. 1 is not rejected in {total['consistent']} of {tests} verdicts with enough power.{rest}"
 
 
@@ -108,11 +84,11 @@ def _sentences(level: dict[str, Any], analysis: dict[str, Any]) -> list[str]:
         low, high = (number(round(level[f"power_{end}"], 2)) for end in ("low", "high"))
         sentences.append(
             f"The power to detect a ratio of {number(settings['power_ratio'])} is {low} to {high}; it "
-            f"reaches {number(settings['power_wanted'])} in {plural(level['powered'], 'cell')}."
+            f"reaches {number(settings['power_wanted'])} in {plural(level['powered'], 'condition')}."
         )
     sentences.append(
         f"Agreement within a factor of {number(settings['equivalence_ratio'])} is shown in "
-        f"{plural(level['equivalent'], 'cell')} (equivalence test, uncorrected)."
+        f"{plural(level['equivalent'], 'condition')} (equivalence test, uncorrected)."
     )
     return sentences
 
@@ -123,19 +99,11 @@ def _overall(level: dict[str, Any]) -> str | None:
     if not overall or not overall["measured"]["units"]:
         return None
     measured, within = overall["measured"], overall["within"]
-    text = (
-        f"All cells together, n = {level['n']}: dual failures were measured in {proportion(measured)}. "
-        f"Eq. 1 within each cell predicts {share_of(within)}, "
+    return (
+        f"All conditions together, n = {level['n']}: failures were measured in {proportion(measured)}. "
+        f"Eq. 1 within each condition predicts {share_of(within)}, "
         f"Eq. 1 of the pooled shares {share_of(overall['pooled'])}."
     )
-    if within["low"] is None or within["high"] is None:
-        return text
-    apart = (
-        "above" if measured["low"] > within["high"] else "below" if measured["high"] < within["low"] else None
-    )
-    if apart is None:
-        return f"{text} The intervals of measured and predicted within cells overlap."
-    return f"{text} The measured interval lies {apart} that of the prediction within cells."
 
 
 def _dependence(analysis: dict[str, Any]) -> list[str]:
@@ -152,10 +120,10 @@ def _dependence(analysis: dict[str, Any]) -> list[str]:
             least = p_value(min(t["fisher_p"] for t in tested))
             sentences.append(
                 f"Thread {thread}: independence of breakage and recovery failure is rejected in {rejected} "
-                f"of {plural(len(tested), 'cell')} over all worlds (least p {least}, uncorrected) and in "
+                f"of {plural(len(tested), 'condition')} over all worlds (least p {least}) and in "
                 f"{rejected_within} of {len(within)} within worlds."
             )
     for name, estimate in analysis["heterogeneity"]["gee"].items():
         if estimate["value"] is not None and "odds" in name:
-            sentences.append(f"Over all units, {name}: {figure_of(estimate)}.")
+            sentences.append(f"Over all trials, {name}: {figure_of(estimate)}.")
     return sentences

@@ -2,7 +2,7 @@
 
 from html.parser import HTMLParser
 
-VOID_ELEMENTS = {"meta", "link", "img", "br", "hr", "input"}
+VOID_ELEMENTS = {"meta", "link", "img", "br", "hr", "input", "source"}
 
 
 class Page(HTMLParser):

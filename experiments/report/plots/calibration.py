@@ -1,93 +1,106 @@
 """Plot of measured against predicted failures: a test of Eq. 1."""
 
-import math
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import FixedLocator
 
 from experiments.report.plots.style import (
     GREY,
-    VERDICT_MARKS,
+    NARROW_IN,
+    THREAD_MARKS,
     bars,
+    legend_above,
+    legend_mark,
     new_figure,
     percent_axis,
     thread_colour,
 )
 
-_LOWEST = 1e-6
+_TICKS, _FEW_TICKS = (0, 0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1), (0, 0.05, 0.2, 0.4, 0.7, 1)
+
+_NEAR_ZERO = 0.005
 
 
-def draw_calibration(report: dict[str, Any]) -> Figure | None:
-    """Draw measured against predicted shares of every cell and n, on log axes.
+def draw_calibration(report: dict[str, Any], width_in: float) -> Figure | None:
+    """Draw measured against predicted shares of every cell and n.
 
-    A share below the range of the axes, such as zero, is drawn on their edge.
+    The axes grow with the square root of a share: small ones are told apart, and zero has its place.
     """
-    marks = report["calibration"]
     drawn = [
-        m for m in marks if m["predicted"]["value"] is not None and m["measured"]["estimate"] is not None
+        m
+        for m in report["calibration"]
+        if m["predicted"]["value"] is not None and m["measured"]["estimate"] is not None
     ]
     if not drawn:
         return None
-    figure = new_figure(6.6)
+    side = min(width_in, 6.2)
+    figure = new_figure(side + 0.3, side)
     axes = figure.subplots()
-    floor = _floor(drawn)
-    axes.plot([floor, 1], [floor, 1], color=GREY, linewidth=1.2)
-    axes.fill_between([floor, 1], [floor / 2, 0.5], [floor * 2, 2], color="#eeeeee", linewidth=0, zorder=0)
+    most = max(end or 0 for m in drawn for end in (m["predicted"]["high"], m["measured"]["high"]))
+    end = min(max(1.1 * most, 0.01), 1.0)
+    axes.plot([0, end], [0, end], color=GREY, linewidth=1.2)
+    axes.fill_between([0, end], [0, end / 2], [0, end * 2], color="#eeeeee", linewidth=0, zorder=0)
     for mark in drawn:
-        _draw_mark(axes, mark, floor)
-    axes.set(xscale="log", yscale="log", xlim=(floor, 1.15), ylim=(floor, 1.15), aspect="equal")
-    axes.set_xlabel("predicted by Eq. 1 from the crossing arm: p₀ · Π prⱼ")
-    axes.set_ylabel("measured in the free arm: share of dual failures")
-    percent_axis(axes.xaxis)
-    percent_axis(axes.yaxis)
-    _legend(axes, drawn)
+        _draw_mark(axes, mark)
+    _number(axes, drawn)
+    axes.set_xscale("function", functions=(_root, np.square))
+    axes.set_yscale("function", functions=(_root, np.square))
+    ticks = _TICKS if width_in > NARROW_IN else _FEW_TICKS
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(FixedLocator([t for t in ticks if t <= end]))
+        percent_axis(axis)
+    axes.set(xlim=(0, end), ylim=(0, end), aspect="equal")
+    axes.set_xlabel("predicted by Eq. 1: p₀ · Π prⱼ")
+    axes.set_ylabel("measured: share of failed trials")
+    levels = sorted({mark["n"] for mark in drawn})
+    handles = [legend_mark(thread_colour(n), f"n = {n}", _shape(n)) for n in levels]
+    handles.append(Line2D([], [], color=GREY, linewidth=1.2, label="Eq. 1 (band: factor of 2)"))
+    legend_above(figure, handles, 4, width_in)
     return figure
 
 
-def _floor(drawn: list[dict[str, Any]]) -> float:
-    """Power of ten below every share above zero."""
-    values = [v for m in drawn for v in (m["predicted"]["value"], m["measured"]["estimate"]) if v]
-    lows = [v for m in drawn for v in (m["predicted"]["low"], m["measured"]["low"]) if v]
-    least = min(values, default=0.1)
-    # Lower limits may be very small: the axes show at most a decade below the least share.
-    return max(10 ** math.floor(math.log10(max(min([least, *lows], default=0.1), least / 10))), _LOWEST)
+def _root(share: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.maximum(share, 0))
 
 
-def _draw_mark(axes: Axes, mark: dict[str, Any], floor: float) -> None:
+def _shape(n: int) -> str:
+    return THREAD_MARKS[(n - 1) % len(THREAD_MARKS)]
+
+
+def _draw_mark(axes: Axes, mark: dict[str, Any]) -> None:
     predicted, measured = mark["predicted"], mark["measured"]
-    x, y = max(predicted["value"], floor), max(measured["estimate"], floor)
-    colour = thread_colour(mark["n"])
-    low = [
-        max(end, floor) if end is not None else at
-        for end, at in ((predicted["low"], x), (measured["low"], y))
-    ]
-    high = [end if end is not None else at for end, at in ((predicted["high"], x), (measured["high"], y))]
+    x, y = predicted["value"], measured["estimate"]
     axes.errorbar(
         x,
         y,
-        xerr=bars(x, low[0], high[0]),
-        yerr=bars(y, low[1], high[1]),
-        fmt=VERDICT_MARKS[mark["verdict"]],
-        color=colour,
-        markersize=7.5,
-        elinewidth=1,
+        xerr=bars(x, predicted["low"], predicted["high"]),
+        yerr=bars(y, measured["low"], measured["high"]),
+        fmt=_shape(mark["n"]),
+        color=thread_colour(mark["n"]),
+        # A later point on the same place lets the earlier one be seen.
+        markersize=10 - 2 * min(mark["n"], 3),
+        elinewidth=max(3 - mark["n"], 0.8),
         alpha=0.85,
         clip_on=False,
     )
-    axes.annotate(
-        str(mark["number"]), (x, y), xytext=(5, 4), textcoords="offset points", fontsize=9, color=colour
-    )
 
 
-def _legend(axes: Axes, drawn: list[dict[str, Any]]) -> None:
-    levels = sorted({mark["n"] for mark in drawn})
-    verdicts = [v for v in VERDICT_MARKS if v in {mark["verdict"] for mark in drawn}]
-    handles = [Line2D([], [], color=thread_colour(n), linewidth=3, label=f"n = {n}") for n in levels]
-    handles += [
-        Line2D([], [], color=GREY, marker=VERDICT_MARKS[v], linestyle="", markersize=7, label=v)
-        for v in verdicts
-    ]
-    handles.append(Line2D([], [], color=GREY, linewidth=1.2, label="Eq. 1 (band: ratio of 2)"))
-    axes.legend(handles=handles, loc="lower right", fontsize=9)
+def _number(axes: Axes, drawn: list[dict[str, Any]]) -> None:
+    """Write the conditions' numbers beside their points, those of one place together."""
+    places: dict[tuple[int, float, float], list[int]] = {}
+    for mark in drawn:
+        x, y = (round(share, 3) for share in (mark["predicted"]["value"], mark["measured"]["estimate"]))
+        places.setdefault((mark["n"], x, y), []).append(mark["number"])
+    for (n, x, y), numbers in places.items():
+        axes.annotate(
+            ", ".join(map(str, numbers)),
+            (x, y),
+            xytext=(5, 4 if n % 2 else -11 if y > _NEAR_ZERO else 14),
+            textcoords="offset points",
+            fontsize=9,
+            color=thread_colour(n),
+        )

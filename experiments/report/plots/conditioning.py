@@ -9,22 +9,34 @@ from matplotlib.ticker import NullFormatter
 
 from experiments.report.conditioning import QUANTITY_WORDS
 from experiments.report.describe import number
-from experiments.report.plots.style import BLUE, GREEN, GREY, ORANGE, PURPLE, bars, log_ticks, new_figure
+from experiments.report.plots.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    NARROW_IN,
+    ORANGE,
+    PURPLE,
+    bars,
+    legend_above,
+    log_ticks,
+    new_figure,
+)
 
 _COLOURS = (BLUE, ORANGE, GREEN, PURPLE)
 
 
-def draw_conditioning(report: dict[str, Any]) -> Figure | None:
+def draw_conditioning(report: dict[str, Any], width_in: float) -> Figure | None:
     """Draw a log-log panel per error: points per lead-in and gap, medians with intervals, slope."""
     found = report["analysis"]["conditioning"]
     if not found:
         return None
-    figure = new_figure(3.9)
-    panels = figure.subplots(1, len(found), squeeze=False)[0]
+    columns = len(found) if width_in > NARROW_IN else 1
+    rows = len(found) // columns
+    figure = new_figure(0.4 + 3.3 * rows, width_in)
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes, errors in zip(panels, found, strict=True):
         _draw_panel(axes, errors, report["conditioning"]["marks"])
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=4, fontsize=9)
+    legend_above(figure, panels[0].get_legend_handles_labels()[0], 4, width_in)
     return figure
 
 

@@ -3,21 +3,33 @@
 import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
 
 from experiments.report.paths_file import read_paths
+from experiments.report.plots.answer import draw_answer
 from experiments.report.plots.calibration import draw_calibration
 from experiments.report.plots.conditioning import draw_conditioning
 from experiments.report.plots.dependence import draw_dependence
-from experiments.report.plots.models import draw_dose_response, draw_heterogeneity
+from experiments.report.plots.dose_response import draw_dose_response
+from experiments.report.plots.models import draw_heterogeneity
 from experiments.report.plots.paths import draw_paths
-from experiments.report.plots.style import settings
+from experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
 from experiments.report.plots.trials import draw_end_errors, draw_timeline
 
 _PNG_DPI = 110
+
+
+@dataclass(frozen=True)
+class Image:
+    """A drawing of a plot: an SVG and its natural size."""
+
+    svg: bytes
+    width_px: int
+    height_px: int
 
 
 @dataclass(frozen=True)
@@ -27,16 +39,20 @@ class Plot:
     Attributes:
         name: file name without suffix.
         alt: text alternative.
-        svg, png: contents of the files.
-        width_px, height_px: natural size of the SVG.
+        wide, narrow: drawings for a page, and for a telephone's.
+        png: the wide drawing as PNG.
     """
 
     name: str
     alt: str
-    svg: bytes
+    wide: Image
+    narrow: Image
     png: bytes
-    width_px: int
-    height_px: int
+
+    @property
+    def svg(self) -> bytes:
+        """The wide drawing as SVG."""
+        return self.wide.svg
 
 
 def draw_plots(report: dict[str, Any], folder: Path) -> dict[str, Plot]:
@@ -46,59 +62,76 @@ def draw_plots(report: dict[str, Any], folder: Path) -> dict[str, Plot]:
         report: figures from `report_content`.
         folder: folder of the experiment, which may hold trajectories.
     """
-    cells = len(report["analysis"]["cells"])
-    drawings: Mapping[str, tuple[str, Callable[[], Figure | None]]] = {
+    paths = read_paths(folder)
+    drawings: Mapping[str, tuple[str, Callable[[float], Figure | None]]] = {
+        "answer": (
+            "Measured and predicted share of failures with intervals, as in the table above.",
+            partial(draw_answer, report),
+        ),
         "calibration": (
-            f"Predicted against measured share of dual failures, {len(report['calibration'])} points, as in "
-            "the table of cells.",
-            lambda: draw_calibration(report),
+            f"Predicted against measured share of failures, {len(report['calibration'])} points, as in the "
+            "table of conditions.",
+            partial(draw_calibration, report),
         ),
         "dependence": (
-            f"Ratio of P(R given B) to P(R) with intervals for {cells} cells, as in the table below.",
-            lambda: draw_dependence(report),
+            "P(R given B) over P(R) with intervals per condition, as in the table below.",
+            partial(draw_dependence, report),
         ),
         "dose_response": (
-            "Share of breakages and of failed crossings against severity, with the fits of the table below.",
-            lambda: draw_dose_response(report),
+            "Share of breakages and of failed crossings against the dose, with the fits of the table below.",
+            partial(draw_dose_response, report),
         ),
         "heterogeneity": (
-            "Pooled prediction, prediction within cells and measured share, as in the table below.",
-            lambda: draw_heterogeneity(report),
+            "Pooled prediction, prediction within conditions and measured share, as in the table below.",
+            partial(draw_heterogeneity, report),
         ),
         "conditioning": (
             "Error of rotation and of direction against baseline, medians per gap as in the table below.",
-            lambda: draw_conditioning(report),
+            partial(draw_conditioning, report),
         ),
         "timeline": (
             "Per trial, the frames that base and Dual-SLAM tracked, lost or recovered.",
-            lambda: draw_timeline(report),
+            partial(draw_timeline, report),
         ),
         "paths": (
             "Estimated paths of base and Dual-SLAM over the true path, from above.",
-            lambda: draw_paths(read_paths(folder), _unit_names(report)),
+            partial(draw_paths, paths, _unit_names(report)),
         ),
         "end_errors": (
             "Error of the last pose of every trial as colours, base beside Dual-SLAM.",
-            lambda: draw_end_errors(report),
+            partial(draw_end_errors, report),
         ),
     }
     with settings():
-        made = ((name, alt, draw()) for name, (alt, draw) in drawings.items())
-        return {name: rendered(name, alt, figure) for name, alt, figure in made if figure is not None}
+        made = ((name, alt, draw(WIDE_IN), draw(NARROW_IN)) for name, (alt, draw) in drawings.items())
+        return {
+            name: rendered(name, alt, wide, narrow)
+            for name, alt, wide, narrow in made
+            if wide is not None and narrow is not None
+        }
 
 
 def _unit_names(report: dict[str, Any]) -> dict[str, str]:
-    """Cell and index of each unit in the report, by unit id."""
+    """Condition and index of each unit in the report, by unit id."""
     named = [*report["failures"], *({"cell": c["cell"], **u} for c in report["timeline"] for u in c["units"])]
-    return {unit["unit_id"]: f"{unit['cell']} · {unit['index']}" for unit in named}
+    names = {condition["cell"]: condition["name"] for condition in report["conditions"]}
+    return {unit["unit_id"]: f"{names[unit['cell']]}, trial {unit['index']}" for unit in named}
 
 
-def rendered(name: str, alt: str, figure: Figure) -> Plot:
-    """Save a figure in both formats; call within `settings`."""
-    files = {}
-    for form, metadata in (("svg", {"Date": None, "Creator": None}), ("png", {"Software": None})):
-        file = io.BytesIO()
-        figure.savefig(file, format=form, dpi=_PNG_DPI, metadata=metadata)
-        files[form] = file.getvalue()
+def rendered(name: str, alt: str, wide: Figure, narrow: Figure | None = None) -> Plot:
+    """Save the figures of a plot, or one figure for both; call within `settings`."""
+    png = _saved(wide, "png", {"Software": None})
+    drawn = _image(wide)
+    return Plot(name, alt, drawn, drawn if narrow is None else _image(narrow), png)
+
+
+def _image(figure: Figure) -> Image:
     width_in, height_in = figure.get_size_inches()
-    return Plot(name, alt, files["svg"], files["png"], round(96 * width_in), round(96 * height_in))
+    svg = _saved(figure, "svg", {"Date": None, "Creator": None})
+    return Image(svg, round(96 * width_in), round(96 * height_in))
+
+
+def _saved(figure: Figure, form: str, metadata: dict[str, None]) -> bytes:
+    file = io.BytesIO()
+    figure.savefig(file, format=form, dpi=_PNG_DPI, metadata=metadata)
+    return file.getvalue()

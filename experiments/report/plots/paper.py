@@ -4,7 +4,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from experiments.report.plots.style import GREEN, ORANGE, bars, log_ticks, new_figure, percent_axis
+from experiments.report.plots.style import GREEN, ORANGE, WIDE_IN, bars, log_ticks, new_figure, percent_axis
 
 
 def draw_paper(rows: list[dict[str, Any]]) -> Figure:
@@ -13,7 +13,7 @@ def draw_paper(rows: list[dict[str, Any]]) -> Figure:
     Args:
         rows: rows of the re-analysis as plain data.
     """
-    figure = new_figure(1.6 + 0.42 * len(rows))
+    figure = new_figure(1.6 + 0.42 * len(rows), WIDE_IN)
     axes = figure.subplots()
     for place, row in enumerate(rows):
         pairs = (

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.report.plots.style import BLUE, GREEN, ORANGE, direct_legend, new_figure, shorten
+from experiments.report.plots.style import BLUE, GREEN, NARROW_IN, ORANGE, legend_above, new_figure, wrapped
 
 _COLUMNS = 3
 _STYLES = {
@@ -15,7 +15,9 @@ _STYLES = {
 }
 
 
-def draw_paths(paths: dict[str, dict[str, np.ndarray]], names: dict[str, str]) -> Figure | None:
+def draw_paths(
+    paths: dict[str, dict[str, np.ndarray]], names: dict[str, str], width_in: float
+) -> Figure | None:
     """Draw a panel per unit, in the plane of the path's two longest axes.
 
     Args:
@@ -25,7 +27,7 @@ def draw_paths(paths: dict[str, dict[str, np.ndarray]], names: dict[str, str]) -
     shown: list[tuple[str, dict[str, Any]]] = [(unit, own) for unit, own in paths.items() if "truth" in own]
     if not shown:
         return None
-    columns = min(_COLUMNS, len(shown))
+    columns = min(_COLUMNS if width_in > NARROW_IN else 1, len(shown))
     rows = -(-len(shown) // columns)
     figure = new_figure(0.5 + 2.8 * rows, 2.9 * columns)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
@@ -34,11 +36,11 @@ def draw_paths(paths: dict[str, dict[str, np.ndarray]], names: dict[str, str]) -
         for which, style in _STYLES.items():
             if which in own:
                 axes.plot(*own[which][:, ground].T, **style)
-        axes.set_title(shorten(names.get(unit, unit), 30), fontsize=9)
+        axes.set_title(wrapped(names.get(unit, unit), width_in), fontsize=9)
         axes.set_aspect("equal", adjustable="datalim")
         axes.tick_params(labelsize=7)
     for empty in panels[len(shown) :]:
         empty.remove()
     panels[0].set_ylabel("m")
-    direct_legend(panels[0], fontsize=8)
+    legend_above(figure, panels[0].get_legend_handles_labels()[0], 3, width_in)
     return figure

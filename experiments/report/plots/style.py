@@ -1,18 +1,21 @@
 """Common style of the plots. Colours are safe for colour-blind readers (Okabe and Ito)."""
 
+import textwrap
+from collections.abc import Sequence
 from typing import Any
 
 from matplotlib import rc_context
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
 BLUE, ORANGE, GREEN, PURPLE, SKY = "#0072B2", "#D55E00", "#00795A", "#A8447F", "#56B4E9"
 GREY, PALE = "#6b7177", "#b4bcc4"
 THREAD_COLOURS = (ORANGE, GREEN, PURPLE, SKY)
-VERDICT_MARKS = {"consistent": "o", "optimistic": "^", "pessimistic": "v", "undecided": "x"}
-WIDTH_IN = 7.6
+THREAD_MARKS = ("o", "^", "s", "D")
+WIDE_IN, NARROW_IN = 7.6, 3.6
+"""Widths of the two drawings of a plot: for a page, and for a telephone's."""
 
 _SETTINGS = {
     "font.family": "DejaVu Sans",
@@ -34,7 +37,7 @@ def settings():
     return rc_context(_SETTINGS)
 
 
-def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
+def new_figure(height_in: float, width_in: float) -> Figure:
     """Create a figure outside the global state of pyplot."""
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(figure)
@@ -62,12 +65,17 @@ def log_ticks(axis: Any, low: float, high: float) -> None:
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 150 * low else (1.0,), numticks=20))
 
 
-def shorten(text: str, length: int = 22) -> str:
-    """Shorten a name to fit a tick label."""
-    return text if len(text) <= length else text[: length - 1] + "…"
+def wrapped(text: str, width_in: float) -> str:
+    """Break a name of a row or a panel into lines that leave room for the plot."""
+    return "\n".join(textwrap.wrap(text, 34 if width_in > NARROW_IN else 16)[:3])
 
 
-def direct_legend(axes: Axes, **where: Any) -> None:
-    """Add a legend if any artist has a label."""
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(**({"fontsize": 9} | where))
+def legend_above(figure: Figure, handles: Sequence[Any], columns: int, width_in: float) -> None:
+    """Add a legend over the panels, never within them."""
+    columns = columns if width_in > NARROW_IN else min(columns, 2)
+    figure.legend(handles=handles, loc="outside upper left", ncols=columns, fontsize=9)
+
+
+def legend_mark(colour: str, label: str, shape: str = "o") -> Line2D:
+    """Entry of a legend for points with error bars."""
+    return Line2D([], [], color=colour, marker=shape, linewidth=1.4, label=label)

@@ -8,9 +8,9 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from experiments.report.plots.style import BLUE, GREEN, ORANGE, PALE, SKY, new_figure, shorten
+from experiments.report.plots.style import BLUE, GREEN, NARROW_IN, ORANGE, PALE, SKY, legend_above, new_figure
 
-_EXPOSED = "#f3e3c4"
+_EXPOSED: dict[str, Any] = {"facecolor": "none", "edgecolor": "#222222", "linewidth": 0.9, "zorder": 3}
 _PARTS = {
     "tracked": BLUE,
     "bridged by recovery": GREEN,
@@ -21,33 +21,34 @@ _PARTS = {
 _COLUMNS = 3
 
 
-def draw_timeline(report: dict[str, Any]) -> Figure | None:
+def draw_timeline(report: dict[str, Any], width_in: float) -> Figure | None:
     """Draw two bars per trial over frames, base above Dual-SLAM, a panel per cell."""
     cells = [cell for cell in report["timeline"] if cell["units"]]
     if not cells:
         return None
-    columns = min(_COLUMNS, len(cells))
+    columns = min(_COLUMNS if width_in > NARROW_IN else 1, len(cells))
     rows = -(-len(cells) // columns)
-    figure = new_figure(0.7 + rows * 2.3, 3.2 * columns)
+    figure = new_figure(0.9 + rows * 2.3, max(3.2 * columns, NARROW_IN))
+    names = {c["cell"]: f"{c['number']}. {c['name']}" for c in report["conditions"]}
     for axes, cell in zip(_panels(figure, rows, columns, len(cells)), cells, strict=True):
         for place, unit in enumerate(cell["units"]):
             _draw_trial(axes, place, unit, cell["frames"])
-        axes.set_title(shorten(cell["cell"], 30), fontsize=10)
+        axes.set_title(names[cell["cell"]], fontsize=9)
         axes.set(xlim=(0, cell["frames"]), ylim=(len(cell["units"]) - 0.4, -0.6))
         axes.set_yticks(range(len(cell["units"])), [str(unit["index"]) for unit in cell["units"]], fontsize=7)
         axes.grid(visible=False)
         axes.set_xlabel("frame", fontsize=9)
         axes.set_ylabel("trial", fontsize=9)
     handles = [Patch(color=colour, label=part) for part, colour in _PARTS.items()]
-    handles.append(Patch(color=_EXPOSED, label="exposed segment"))
-    figure.legend(handles=handles, loc="outside upper left", ncols=3 if columns > 1 else 1, fontsize=9)
+    handles.append(Patch(**_EXPOSED, label="exposed segment"))
+    legend_above(figure, handles, 3, max(3.2 * columns, NARROW_IN))
     return figure
 
 
 def _draw_trial(axes: Axes, place: int, unit: dict[str, Any], frames: int) -> None:
     if unit["onset_frame"] is not None and unit["end_frame"] is not None:
         width = unit["end_frame"] - unit["onset_frame"] + 1
-        axes.barh(place, width, left=unit["onset_frame"], height=0.9, color=_EXPOSED, zorder=0)
+        axes.barh(place, width, left=unit["onset_frame"], height=0.86, **_EXPOSED)
     for offset, parts in ((-0.2, base_parts(unit, frames)), (0.2, dual_parts(unit, frames))):
         for start, end, part in parts:
             axes.barh(place + offset, end - start, left=start, height=0.32, color=_PARTS[part])
@@ -76,23 +77,23 @@ def dual_parts(unit: dict[str, Any], frames: int) -> list[tuple[int, int, str]]:
     return [before, (broke, again, "bridged by recovery"), (again, frames, "tracked")]
 
 
-def draw_end_errors(report: dict[str, Any]) -> Figure | None:
+def draw_end_errors(report: dict[str, Any], width_in: float) -> Figure | None:
     """Draw the position error of the last pose per cell and trial, base beside Dual-SLAM."""
     cells = report["end_errors"]
     values = [v for cell in cells for name in ("base_m", "dual_m") for v in cell[name] if v]
     if not values:
         return None
     most = max(len(cell["index"]) for cell in cells)
-    figure = new_figure(2.4 + min(0.09 * most, 4.5))
+    figure = new_figure(2.2 + min(0.09 * most, 4.5), width_in)
     panels = figure.subplots(1, 2, sharey=True)
     norm = LogNorm(max(min(values), 1e-3), max(*values, 2e-3))
     image = None
+    numbers = {c["cell"]: str(c["number"]) for c in report["conditions"]}
     for axes, name, title in zip(panels, ("base", "dual"), ("base", "Dual-SLAM"), strict=True):
         image = _heat(axes, cells, name, most, norm)
         axes.set_title(title, fontsize=10)
-        axes.set_xticks(
-            range(len(cells)), [shorten(c["cell"]) for c in cells], rotation=60, ha="right", fontsize=8
-        )
+        axes.set_xticks(range(len(cells)), [numbers[c["cell"]] for c in cells], fontsize=8)
+        axes.set_xlabel("condition", fontsize=9)
         axes.grid(visible=False)
     panels[0].set_ylabel("trial")
     if image is not None:
@@ -101,7 +102,7 @@ def draw_end_errors(report: dict[str, Any]) -> Figure | None:
         Patch(facecolor="#222222", label="failed"),
         Patch(facecolor="#d8d8d8", label="no last pose or truth"),
     ]
-    figure.legend(handles=failed, loc="outside upper left", ncols=2, fontsize=9)
+    legend_above(figure, failed, 2, width_in)
     return figure
 
 

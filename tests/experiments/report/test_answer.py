@@ -66,7 +66,7 @@ def test_doses_that_stand_for_a_severity_are_found_again():
     found = conditions(load_spec("eq1-quick"))
     contrasts = doses_of(found, "low_texture")
     assert [d["value"] for d in contrasts] == [0.3, 0.15, 0.05]
-    assert [dose_at(contrasts, d["severity"]) for d in contrasts] == ["0.3", "0.15", "0.05"]
-    assert dose_at(contrasts, 3.5) == "0.1"
-    assert (dose_at(contrasts, 9.0), dose_at(contrasts, 0.1)) == ("beyond 0.05", "beyond 0.3")
+    assert [dose_at(d["severity"], contrasts) for d in contrasts] == ["0.3", "0.15", "0.05"]
+    assert dose_at(3.5, contrasts) == "0.1"
+    assert (dose_at(9.0, contrasts), dose_at(0.1, contrasts)) == ("beyond 0.05", "beyond 0.3")
     assert describe_stress(found, "motion_blur") == "motion blur (exposure 0.06, 0.1 and 0.2 s)"

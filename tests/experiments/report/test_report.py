@@ -25,16 +25,17 @@ from experiments.report.page import report_html
 from experiments.report.paths_file import add_paths, paths_of, read_paths
 from experiments.report.plots import draw
 from experiments.report.plots.calibration import draw_calibration
-from experiments.report.plots.draw import Plot, rendered
+from experiments.report.plots.draw import Image, Plot, rendered
 from experiments.report.plots.paths import draw_paths
-from experiments.report.plots.style import settings
+from experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
 from experiments.report.verdict import VERDICTS
 from experiments.report.write import write_files, write_report
 from experiments.runs.execution import execute
 from experiments.statistics.analysis import AnalysisSettings
 from scenarios.errors import InputError
 
-PLOT = Plot("dependence", "A plot.", b"<svg xmlns='http://www.w3.org/2000/svg'/>", b"png", 10, 10)
+IMAGE = Image(b"<svg xmlns='http://www.w3.org/2000/svg' width='300' height='150'/>", 300, 150)
+PLOT = Plot("dependence", "A plot.", IMAGE, IMAGE, b"png")
 FEW = AnalysisSettings(draws=40, replicates=19)
 
 
@@ -47,7 +48,7 @@ def made(tmp_path_factory) -> SimpleNamespace:
     report = report_content(spec, table, folder, FEW)
     with pytest.MonkeyPatch.context() as patch:
         # The figures are drawn; as files they take seconds.
-        patch.setattr(draw, "rendered", lambda name, alt, figure: replace(PLOT, name=name, alt=alt))
+        patch.setattr(draw, "rendered", lambda name, alt, *figures: replace(PLOT, name=name, alt=alt))
         write_files(report, folder)
     read = json.loads((folder / "report.json").read_text())
     html = (folder / "report.html").read_text()
@@ -122,17 +123,41 @@ def test_every_failed_unit_is_listed_with_its_command(made):
     assert "dual failure (n = 1, 2)" in what and "silent failure" in what and "false recovery" in what
 
 
-def test_the_page_begins_with_the_withdrawn_verdict(made):
-    text = made.page.text
-    verdict = made.report["verdict"]
-    assert text.index(verdict["headline"]) < text.index("Predicted and measured", text.index("Skip to") + 400)
-    for level in verdict["levels"]:
-        assert sum(level["counts"].values()) == 3
-        assert level["told"] in text
+def test_the_page_begins_with_the_answer(made):
+    text, answered = made.page.text, made.report["answer"]
+    first = text[: text.index("Words used on this page")]
+    assert first.index(answered["sentences"][0]) < first.index("Asked")
+    assert made.html.index('id="answer"') < made.html.index("<nav")
+    for sentence in answered["sentences"][1:]:
+        assert sentence.partition(": ")[2][1:] in first
+    for row in answered["rows"]:
+        for share in ("measured", "low", "predicted", "predicted_high"):
+            assert percent(row[share]).removesuffix(" %") in first
+
+
+def test_every_condition_stands_with_its_dose_and_unit(made):
+    table = made.html[made.html.index('id="t-conditions"') :]
+    table = table[: table.index("</table>")].replace("\N{NO-BREAK SPACE}", " ")
+    for name in (
+        "1. low texture, contrast 0.3",
+        "2. motion blur, exposure 1 s",
+        "3. fast rotation, rate 1 °/s",
+    ):
+        assert f">{name} <small>" in table
     for mark in made.report["calibration"]:
-        assert f'<span class="verdict {mark["verdict"]}">' in made.html
         share = mark["measured"]
-        assert f"{percent(share['estimate'])} {share['events']} of {share['units']}" in text
+        assert (
+            f"{percent(share['estimate'])} <small><span>{share['events']} of {share['units']},</span>"
+            in table
+        )
+
+
+def test_a_card_of_a_narrow_page_names_each_of_its_cells(made):
+    heads = re.compile(r"<thead>.*?</thead>", re.DOTALL)
+    for table in re.findall(r"<table>.*?</table>", made.html, re.DOTALL):
+        names = re.findall(r'<th scope="col">(.*?)</th>', heads.search(table)[0])
+        for row in re.findall(r"<tr.*?</tr>", heads.sub("", table), re.DOTALL):
+            assert re.findall(r'data-label="(.*?)"', row) == names
 
 
 def test_the_page_stands_alone(made):
@@ -164,7 +189,15 @@ def test_the_page_is_accessible(made):
 
 
 def test_every_plot_is_written_as_png_and_svg(made):
-    names = {"calibration", "dependence", "dose_response", "heterogeneity", "timeline", "end_errors"}
+    names = {
+        "answer",
+        "calibration",
+        "dependence",
+        "dose_response",
+        "heterogeneity",
+        "timeline",
+        "end_errors",
+    }
     files = {path.name for path in (made.folder / "plots").iterdir()}
     assert files == {f"{name}.{form}" for name in names for form in ("png", "svg")}
     assert sum(tag == "img" for tag, _ in made.page.elements) == len(names)
@@ -173,16 +206,27 @@ def test_every_plot_is_written_as_png_and_svg(made):
 
 def test_the_same_figures_give_the_same_files(made):
     with settings():
-        first, second = (rendered("calibration", "", draw_calibration(made.report)) for _ in range(2))
-    assert first == second
+        first, second = (rendered("calibration", "", draw_calibration(made.report, 4.0)) for _ in range(2))
+    assert first == second and first.wide == first.narrow and first.wide.width_px == 384
     assert first.png.startswith(b"\x89PNG") and b"</svg>" in first.svg
+
+
+@pytest.mark.parametrize("width_in", [WIDE_IN, NARROW_IN])
+def test_no_legend_lies_over_data_and_no_plot_is_wider_than_its_page(made, width_in, monkeypatch, tmp_path):
+    figures = {}
+    monkeypatch.setattr(draw, "rendered", lambda name, alt, *drawn: figures.update({name: drawn}))
+    draw.draw_plots(made.report, tmp_path)
+    for wide, narrow in figures.values():
+        figure = wide if width_in == WIDE_IN else narrow
+        assert figure.get_figwidth() <= (1110 if width_in == WIDE_IN else 350) / 96
+        assert not [axes for axes in figure.axes if axes.get_legend() is not None]
 
 
 def test_an_experiment_without_a_unit_has_a_report(tmp_path):
     spec = FakeSpec(doses=1)
     report = report_content(spec, fake_table(spec, units=0), tmp_path, FEW)
     text = Page(write_files(report, tmp_path).read_text()).text
-    assert "120 of 120 planned units missing" in text
+    assert "120 of 120 planned trials are missing" in text
     assert report["verdict"]["levels"][0]["counts"] == dict.fromkeys(VERDICTS, 0)
     assert report["failures"] == []
 
@@ -201,7 +245,7 @@ def test_one_thread_and_two_systems_and_no_crossing_arm(odd):
     assert "dual+" in report_html(odd, {})
     systems = [(row["system"], row["family"]) for row in odd["tables"]["table_2"]]
     assert len(systems) == 8 and ("dual+", "all") in systems
-    assert draw_calibration(odd) is None
+    assert draw_calibration(odd, WIDE_IN) is None
 
 
 def test_records_of_several_code_states_give_a_warning(odd):
@@ -286,7 +330,7 @@ def test_paths_are_kept_and_shown(made, tmp_path):
         "b": {"truth": 50, "base": 30},
         "a": {"truth": 50},
     }
-    figure = draw_paths(paths, {"b": "cell 0"})
+    figure = draw_paths(paths, {"b": "cell 0"}, WIDE_IN)
     assert figure is not None and figure.axes[0].get_title() == "cell 0"
     # Drawn in the plane of the two longest axes.
     assert np.array_equal(figure.axes[0].lines[0].get_xydata(), truth[:, :2])
@@ -316,8 +360,12 @@ def test_a_browser_shows_every_plot_without_errors(made, tmp_path):
             for (const part of document.querySelectorAll('details')) part.open = true;
             const shown = [...document.images].filter(image =>
                 image.naturalWidth > 0 && image.getBoundingClientRect().height > 100).length;
-            const wide = document.documentElement.scrollWidth - document.documentElement.clientWidth;
-            document.title = `${shown} shown, ${missing} missing, ${wide} beyond the edge`;
+            const over = part => part.scrollWidth - part.clientWidth;
+            const wide = over(document.documentElement);
+            const cut = [...document.querySelectorAll('.scroll')].filter(part => over(part) > 1).length;
+            const blown = [...document.images].filter(image => image.width > image.naturalWidth + 1).length;
+            document.title =
+                `${shown} shown, ${missing} missing, ${blown} blown up, ${cut} cut, ${wide} beyond the edge`;
         });
     </script>"""
     html = write_files(made.report, tmp_path).read_text()
@@ -335,4 +383,4 @@ def test_a_browser_shows_every_plot_without_errors(made, tmp_path):
             capture_output=True, text=True, timeout=60, check=True,
         )  # fmt: skip
         assert "CONSOLE" not in done.stderr
-        assert f"<title>{plots} shown, 0 missing, 0 beyond the edge</title>" in done.stdout
+        assert f"<title>{plots} shown, 0 missing, 0 blown up, 0 cut, 0 beyond the edge</title>" in done.stdout
