@@ -9,6 +9,7 @@ from scenarios.spec import Scenario
 _UNITS = {
     "_per_m": " /m",
     "_degps": " °/s",
+    "_mmph": " mm/h",
     "_mps2": " m/s²",
     "_mps": " m/s",
     "_deg": "°",
@@ -64,7 +65,7 @@ def describe_span(segment: SegmentBase) -> str:
 
 
 def describe_world(scenario: Scenario) -> str:
-    """Describe the world and its sizes."""
+    """Describe the world and its sizes; fields that are not set are left out."""
     return _with_fields(scenario.world.kind, scenario.world.model_dump(exclude={"kind"}))
 
 
@@ -98,4 +99,5 @@ def label_and_unit(name: str) -> tuple[str, str]:
 
 
 def _with_fields(kind: str, fields: dict[str, Any]) -> str:
-    return ", ".join([describe_kind(kind), *(describe_field(name, value) for name, value in fields.items())])
+    given = (describe_field(name, value) for name, value in fields.items() if value is not None)
+    return ", ".join([describe_kind(kind), *given])

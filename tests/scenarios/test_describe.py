@@ -2,7 +2,7 @@
 
 import pytest
 
-from scenarios.describe import describe_severity
+from scenarios.describe import describe_camera, describe_motion, describe_severity, describe_world
 from scenarios.describe_family import describe_distribution, describe_parameter, parameter_label
 from scenarios.distributions import LogUniform, Uniform, parse_distribution
 from scenarios.families import load_family
@@ -14,6 +14,13 @@ def test_severities_have_their_units():
         "ramp 0.5 s, extinction 0.5 /m, airlight level 190"
     )
     assert describe_severity(parse_segment("over_exposure:start_s=1,duration_s=2,stops=3")) == "3 stops"
+
+
+@pytest.mark.parametrize("name", ["breakage", "kitti-like/01", "loop/city"])
+def test_only_what_is_set_is_described(name):
+    scenario = load_family(name).sample(1)
+    for describe in (describe_world, describe_motion, describe_camera):
+        assert "None" not in describe(scenario)
 
 
 @pytest.mark.parametrize(
