@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
 
 from experiments.cli.console import (
     JsonOption,
@@ -16,10 +15,10 @@ from experiments.cli.console import (
     progress_bars,
 )
 from experiments.cli.experiment_progress import estimates_text, experiment_progress
+from experiments.cli.experiment_tables import print_answer, print_replay, status_table
 from experiments.cli.fuzz import fuzz_command
 
 if TYPE_CHECKING:
-    from experiments.campaign.status import ExperimentStatus
     from experiments.eq1.spec import ExperimentSpec
 
 _HELP = """Run many units with base and Dual-SLAM: run, resume, status, replay, report.
@@ -147,7 +146,7 @@ def status_command(folder: FolderArgument, as_json: JsonOption = False) -> None:
     if as_json:
         print_json_line(plain(asdict(status)))
         return
-    print_table(_status_table(status))
+    print_table(status_table(status))
     out.print(f"{status.done} of {status.total} units, {number(status.wall_s / 3600, 2)} h of worker time")
     if status.failed_attempts:
         out.print(f"{status.failed_attempts} attempts ended in infrastructure errors")
@@ -239,7 +238,7 @@ def replay_command(
             plain({"record": done.record, "recorded": done.recorded, "differing": done.differing})
         )
     else:
-        _print_replay(done, rerun)
+        print_replay(done, rerun)
     if done.differing:
         raise typer.Exit(1)
 
@@ -268,16 +267,19 @@ def report_command(
         int, typer.Option(min=0, help="Number of failed units to replay; the report links their recordings.")
     ] = 0,
 ) -> None:
-    """Write report.html, report.json and plots into the folder of an experiment.
+    """Write report.html, report.json and plots into the folder of an experiment, and print the answer.
 
     For example:
 
     `dslab experiment report out/smoke --recordings 3`
     """
-    from experiments.report.write import write_report
+    from experiments.report.write import FIGURES, write_report
+    from scenarios.input_files import read_json
 
     with progress_bars() as show:
         path = write_report(folder, recordings, lambda done, total: show("recordings", done, total))
+    if answer := read_json(folder / FIGURES, dict).get("answer"):
+        print_answer(answer)
     out.print(f"report in {path}", soft_wrap=True)
     _note_digests(folder)
 
@@ -315,34 +317,3 @@ def _with_units(spec: "ExperimentSpec", units: int) -> "ExperimentSpec":
     except ValidationError as error:
         problem = error.errors()[0]["msg"].removeprefix("Value error, ").replace("units = ", "")
         raise InputError("--units", problem, "give more units or change the spec") from None
-
-
-def _status_table(status: "ExperimentStatus") -> Table:
-    table = Table(title=f"{status.name} ({status.spec_hash[:12]})")
-    table.add_column("cell")
-    for column in ("units", "completed", "void", "errors", "breakages", "all\nthreads\nfailed"):
-        table.add_column(column, justify="right")
-    if any(cell.stopped_at is not None for cell in status.cells):
-        table.add_column("stopped early")
-    for cell in status.cells:
-        ended = f"{cell.units} / {cell.budget}"
-        counts = (cell.completed, cell.void, cell.errors, cell.breakages, cell.failures)
-        stopped = [] if cell.stopped_at is None else [f"at {cell.stopped_at}"]
-        table.add_row(cell.cell, ended, *map(str, counts), *stopped)
-    return table
-
-
-def _print_replay(done, rerun: Path | None) -> None:
-    record, unit = done.record, done.unit
-    out.print(f"unit {unit.unit_id} ({unit.cell}:{unit.index}): {record['outcome']} {record['message']}")
-    if done.recorded is None:
-        out.print("not yet in the ledger")
-    elif done.differing:
-        for name in done.differing:
-            out.print(f"{name}: {record[name]!r}, in the ledger {done.recorded[name]!r}")
-        if record["code"] != done.recorded["code"]:
-            out.print(f"the code has changed: the ledger is of commit {done.recorded['commit']}")
-    else:
-        out.print("agrees with the ledger in every column except time and memory")
-    if rerun is not None and rerun.is_file():
-        out.print(f"open it: dslab view {rerun}")

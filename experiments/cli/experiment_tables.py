@@ -1,0 +1,63 @@
+"""Results of the commands of ``dslab experiment`` as text."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.table import Table
+
+from experiments.cli.console import out, print_table
+
+if TYPE_CHECKING:
+    from experiments.campaign.replay import Replay
+    from experiments.campaign.status import ExperimentStatus
+
+
+def print_answer(answer: dict[str, Any]) -> None:
+    """Print verdict, measured and predicted shares of a report.
+
+    Args:
+        answer: of report.json: ``sentences``, the verdict first, and one of ``rows`` per n.
+    """
+    from experiments.report.describe import ends_percent, percent
+
+    out.print(answer["sentences"][0])
+    table = Table()
+    for column in ("threads, n", "failures measured", "95 % interval", "predicted by Eq. 1"):
+        table.add_column(column, justify="right")
+    for row in answer["rows"]:
+        table.add_row(str(row["n"]), percent(row["measured"]), ends_percent(row), percent(row["predicted"]))
+    if answer["rows"]:
+        print_table(table)
+
+
+def status_table(status: "ExperimentStatus") -> Table:
+    """Table with the counts of every cell."""
+    table = Table(title=f"{status.name} ({status.spec_hash[:12]})")
+    table.add_column("cell")
+    for column in ("units", "completed", "void", "errors", "breakages", "all\nthreads\nfailed"):
+        table.add_column(column, justify="right")
+    if any(cell.stopped_at is not None for cell in status.cells):
+        table.add_column("stopped early")
+    for cell in status.cells:
+        ended = f"{cell.units} / {cell.budget}"
+        counts = (cell.completed, cell.void, cell.errors, cell.breakages, cell.failures)
+        stopped = [] if cell.stopped_at is None else [f"at {cell.stopped_at}"]
+        table.add_row(cell.cell, ended, *map(str, counts), *stopped)
+    return table
+
+
+def print_replay(done: "Replay", rerun: Path | None) -> None:
+    """Print the outcome of a replayed unit and how it differs from the ledger."""
+    record, unit = done.record, done.unit
+    out.print(f"unit {unit.unit_id} ({unit.cell}:{unit.index}): {record['outcome']} {record['message']}")
+    if done.recorded is None:
+        out.print("not yet in the ledger")
+    elif done.differing:
+        for name in done.differing:
+            out.print(f"{name}: {record[name]!r}, in the ledger {done.recorded[name]!r}")
+        if record["code"] != done.recorded["code"]:
+            out.print(f"the code has changed: the ledger is of commit {done.recorded['commit']}")
+    else:
+        out.print("agrees with the ledger in every column except time and memory")
+    if rerun is not None and rerun.is_file():
+        out.print(f"open it: dslab view {rerun}")
