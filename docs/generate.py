@@ -30,7 +30,7 @@ from scenarios.motions import KINDS as MOTIONS
 from scenarios.motions import Trajectory
 from scenarios.segments import SEGMENT_KINDS
 from scenarios.worlds import WORLD_KINDS
-from sim.degradations.recorded_sequences import recorded_sequence_kinds
+from sim.degradations.recorded_kinds import recorded_sequence_kinds
 from sim.degradations.registry import DEGRADATIONS
 
 HERE = Path(__file__).parent

@@ -14,7 +14,6 @@ _UNITS = {
     "_mps": " m/s",
     "_deg": "°",
     "_px": " px",
-    "_mmph": " mm/h",
     "_mm": " mm",
     "_hz": " Hz",
     "_e": " e⁻",
