@@ -94,7 +94,7 @@ class Run:
         return figure
 
     def save(self, folder: str | Path) -> Path:
-        """Write the result folder, whole or not at all: trajectories, frames, events, summary.
+        """Write the result folder, whole or not at all: trajectories, frames, events, summary, picture.
 
         Raises:
             InputError: the folder is taken or not writable.

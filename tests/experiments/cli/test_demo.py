@@ -98,8 +98,7 @@ def test_units_follow_with_both_shares_and_their_intervals_and_no_verdict(demo_c
         assert f"{100 * level.predicted.value:.1f} %" in row and row.count(" to ") == 2
     assert "too few units to decide" in " ".join(out.split())
     assert spec.units_per_world == 1 and table["world_seed"].nunique() == spec.units == len(table)
-    for command in ("report", "status"):
-        assert dslab("experiment", command, tmp_path / "d" / "experiment")[0] == 0
+    assert dslab("experiment", "status", tmp_path / "d" / "experiment")[0] == 0
 
 
 def test_the_units_can_be_left_out_and_a_second_demonstration_replaces_the_first(demo_command, tmp_path):
