@@ -2,6 +2,7 @@
 
 import math
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -12,6 +13,7 @@ from scipy.stats import norm, t
 from experiments.statistics.joint import Bools, Floats
 from experiments.statistics.results import Estimate
 
+_NO_SPREAD = 1e-9
 _PERCENTILE = "percentile interval widened for their number"
 
 
@@ -21,7 +23,7 @@ def cluster_bootstrap(
     """Share of units with an event, its interval by resampling whole clusters.
 
     Percentile interval, widened for the number of clusters as Student's t is over the normal. There is no
-    interval for fewer than two clusters, or if all units agree (resampling then has no spread).
+    interval for fewer than two clusters, or if all clusters agree (resampling then has no spread).
 
     Source: Hesterberg, "What teachers should know about the bootstrap", American Statistician 2015, Sec. 3.
     """
@@ -31,7 +33,9 @@ def cluster_bootstrap(
     share = float(event.mean())
     if share in (0.0, 1.0):
         return Estimate(share, None, None, method)
-    return cluster_ratio(event.astype(float), np.ones(event.size), cluster, draws, rng, method, confidence)
+    found = cluster_ratio(event.astype(float), np.ones(event.size), cluster, draws, rng, method, confidence)
+    agree = found.low is not None and found.high is not None and found.high - found.low < _NO_SPREAD
+    return replace(found, low=None, high=None) if agree else found
 
 
 def cluster_ratio(
@@ -163,4 +167,6 @@ def _fit(
     half = float(norm.ppf((1 + confidence) / 2)) * error
     if not (fitted.converged and math.isfinite(value) and math.isfinite(half) and abs(value) + half < 50):
         return None, None, None
+    if half < _NO_SPREAD:  # the clusters agree, and say nothing about others
+        return value, None, None
     return value, value - half, value + half

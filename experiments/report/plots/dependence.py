@@ -48,6 +48,8 @@ def draw_dependence(report: dict[str, Any], width_in: float) -> Figure | None:
     axes.set_yticks(range(len(cells)), [names[cell["cell"]] for cell in cells], fontsize=9)
     axes.set_ylim(len(cells) - 0.4, -0.6)
     axes.set_xscale("log")
+    least, most = axes.get_xlim()
+    axes.set_xlim(min(least, 0.45), max(most, 2.2))
     axes.set_xlabel("P(Rⱼ | B) / P(Rⱼ)")
     log_ticks(axes.xaxis, *axes.get_xlim())
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")

@@ -243,7 +243,7 @@ def test_the_page_states_and_plots_the_slope(tmp_path):
     table = simulated(np.random.default_rng(7), -0.7)
     report = report_content(spec, table, tmp_path, QUICK)
     with settings():
-        plot = rendered("conditioning", "Errors.", draw_conditioning(report))
+        plot = rendered("conditioning", "Errors.", draw_conditioning(report, 7.6))
     page = Page(report_html(report, {"conditioning": plot}))
     rotation, direction = report["conditioning"]["told"]
     assert "neither falls nor rises significantly" in rotation and "falls as the baseline grows" in direction
@@ -267,7 +267,7 @@ def test_without_the_arm_there_is_no_section(tmp_path):
     spec = FakeSpec(doses=1, units=6)
     report = report_content(spec, fake_table(spec), tmp_path, QUICK)
     assert report["conditioning"] is None and report["analysis"]["conditioning"] == []
-    assert draw_conditioning(report) is None
+    assert draw_conditioning(report, 7.6) is None
     assert "against baseline" not in Page(report_html(report, {})).text
 
 
@@ -275,4 +275,4 @@ def test_one_lead_in_has_a_plot_without_intervals(tmp_path):
     table = simulated(np.random.default_rng(9), -0.7)[:1]
     report = report_content(FakeSpec(doses=1), table, tmp_path, QUICK)
     assert "without an interval" in report["conditioning"]["told"][0]
-    assert draw_conditioning(report) is not None
+    assert draw_conditioning(report, 7.6) is not None

@@ -28,6 +28,7 @@ rows = st.lists(st.tuples(st.booleans(), st.booleans(), st.integers(0, 3)), min_
 
 
 def check(estimate: Estimate) -> None:
+    assert estimate.low is None or estimate.high is None or estimate.low < estimate.high
     assert not [x for x in (estimate.value, estimate.low, estimate.high) if x is not None and np.isnan(x)]
     if estimate.value is not None:
         assert estimate.low is None or estimate.low <= estimate.value
@@ -89,6 +90,15 @@ def test_of_shares_over_worlds(found):
     check(cluster_bootstrap(event, world, DRAWS, np.random.default_rng(0)))
     check(gee_share(event, world))
     check(mantel_haenszel(event, factor, world)[0])
+
+
+def test_worlds_that_agree_give_no_interval():
+    event, world = np.array([True, False] * 4), np.arange(8) // 2
+    for estimate in (
+        cluster_bootstrap(event, world, DRAWS, np.random.default_rng(0)),
+        gee_share(event, world),
+    ):
+        assert estimate.value == pytest.approx(0.5) and estimate.low is estimate.high is None
 
 
 @pytest.mark.parametrize("interval", [clopper_pearson, jeffreys, confidence_sequence])
