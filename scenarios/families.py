@@ -10,9 +10,10 @@ for a whole-numbered field are rounded, which gives the two ends of a ``uniform`
 """
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from copy import deepcopy
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, reduce
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,8 @@ from pydantic import ValidationError
 
 from scenarios.distributions import Choice, Distribution, NotationError, is_distribution, parse_distribution
 from scenarios.drawing import Draw
-from scenarios.errors import InputError
-from scenarios.faults import first_fault, guess
+from scenarios.errors import InputError, collect
+from scenarios.faults import all_faults, guess
 from scenarios.input_files import is_given
 from scenarios.seeds import rng_for
 from scenarios.spec import Scenario
@@ -96,7 +97,7 @@ class Family:
             return Scenario.model_validate({**data, "seed": seed})
         except ValidationError as error:
             of_sample = f", in {self.name} as drawn with seed {seed}" if self.parameters else ""
-            raise first_fault(
+            raise all_faults(
                 error,
                 lambda at: _where(self.file, self.member_id, draw.written_at(at), at),
                 of_sample,
@@ -166,6 +167,41 @@ def load_family_file(path: Path) -> Family:
     return _family(read_yaml(path))
 
 
+def file_faults(path: Path, seeds: int) -> list[InputError]:
+    """Every fault of a scenario file, in the order of its lines.
+
+    Args:
+        path: a YAML file.
+        seeds: number of seeds with which each member is drawn.
+
+    Raises:
+        InputError: it cannot be read as YAML.
+    """
+    faults: list[InputError] = []
+    file = read_yaml(path, faults=faults)
+    family = _family(file, None, faults)
+    for one in [_family(file, member, faults) for member in family.members] or [family]:
+        for seed in range(one.seed, one.seed + (seeds if one.parameters else 1)):
+            try:
+                one.sample(seed)
+            except InputError as error:
+                faults += error.faults
+    return in_order_of_lines(path, faults)
+
+
+def in_order_of_lines(path: Path, faults: Iterable[InputError]) -> list[InputError]:
+    """The faults of a file by line, of each place the first."""
+    by_place: dict[str, InputError] = {}
+    for fault in faults:
+        by_place.setdefault(fault.where, fault)
+
+    def line(fault: InputError) -> int:
+        found = re.match(r":(\d+)", fault.where.removeprefix(str(path)))
+        return int(found[1]) if found else 0
+
+    return sorted(by_place.values(), key=line)
+
+
 @cache
 def _library() -> dict[str, Path]:
     return {path.stem: path for path in sorted(LIBRARY_DIR.glob("*.yaml"), key=lambda path: path.stem)}
@@ -176,11 +212,17 @@ def _library_family(name: str) -> Family:
     return load_family_file(_library()[name])
 
 
-def _family(file: YamlFile, member_id: str | None = None) -> Family:
-    """A family from its file, or one member of it."""
+def _family(file: YamlFile, member_id: str | None = None, faults: list[InputError] | None = None) -> Family:
+    """A family from its file, or one member of it.
+
+    Args:
+        file: of the family.
+        member_id: of the member.
+        faults: gets what is wrong, the family is then one without it; None to raise it.
+    """
     own = {key: value for key, value in file.data.items() if key != MEMBERS}
     if member_id is None:
-        members = _members(file)
+        members = _members(file, faults)
         name = str(own.get("name", file.path.stem))
     else:
         members = ()
@@ -190,36 +232,65 @@ def _family(file: YamlFile, member_id: str | None = None) -> Family:
     def where(at: Location) -> str:
         return _where(file, member_id, at, at)
 
-    for key in _FIXED:
-        if is_distribution(own.get(key)):
-            raise InputError(where((key,)), "cannot be drawn", "give one value")
-    parameters = {
-        field_path(at): found
-        for key, value in own.items()
-        for at, found in distributions_in(value, (key,), where)
+    wrong: dict[Location, InputError] = {
+        (key,): InputError(where((key,)), "cannot be drawn", "give one value")
+        for key in _FIXED
+        if is_distribution(own.get(key))
     }
-    description = str(own.get("description", ""))
-    return Family(name, description, members, parameters, _seed(own, where), own, file, member_id)
+    parameters = {}
+    for at, found in distributions_in({key: own[key] for key in own if (key,) not in wrong}, ()):
+        if isinstance(found, NotationError):
+            wrong[at] = InputError(where(at), found.problem, found.remedy)
+        else:
+            parameters[field_path(at)] = found
+    if ("seed",) not in wrong and (fault := _seed_fault(own, where)):
+        wrong[("seed",)] = fault
+    collect(list(wrong.values()), faults)
+    own = _without(own, wrong)
+    description, seed = str(own.get("description", "")), own.get("seed") or 0
+    return Family(name, description, members, parameters, seed, own, file, member_id)
 
 
-def _members(file: YamlFile) -> tuple[str, ...]:
+def _without(data: dict[Any, Any], places: Iterable[Location]) -> dict[Any, Any]:
+    """The data with nothing at some places."""
+    places = list(places)
+    if places:
+        data = deepcopy(data)
+    for place in places:
+        holder: Any = reduce(lambda part, key: part[key], place[:-1], data)
+        holder[place[-1]] = None
+    return data
+
+
+def _members(file: YamlFile, faults: list[InputError] | None) -> tuple[str, ...]:
     if MEMBERS not in file.data:
         return ()
     members = file.data[MEMBERS]
     if not isinstance(members, dict) or not members:
-        raise InputError(file.where((MEMBERS,)), "holds no members", "map each id to its own fields")
-    for member_id, overrides in members.items():
-        at: Location = (MEMBERS, str(member_id))
-        if not isinstance(member_id, str):
-            problem = f"has an id that is no text, {member_id!r}"
-            raise InputError(file.where((MEMBERS,)), problem, 'put ids in quotes, for example "00"')
-        if not _MEMBER_ID.fullmatch(member_id):
-            raise InputError(file.where(at), "is no id", "use small letters, digits, - and _")
-        if not isinstance(overrides, dict | None):
-            raise InputError(file.where(at), "is no mapping", "give the fields that differ")
-        if "name" in (overrides or {}):
-            raise InputError(file.where((*at, "name")), "is given by the member's id", "leave it out")
-    return tuple(members)
+        fault = InputError(file.where((MEMBERS,)), "holds no members", "map each id to its own fields")
+        collect([fault], faults)
+        return ()
+    wrong = {
+        member_id: fault
+        for member_id, overrides in members.items()
+        if (fault := _member_fault(file, member_id, overrides))
+    }
+    collect(list(wrong.values()), faults)
+    return tuple(member_id for member_id in members if member_id not in wrong)
+
+
+def _member_fault(file: YamlFile, member_id: Any, overrides: Any) -> InputError | None:
+    at: Location = (MEMBERS, str(member_id))
+    if not isinstance(member_id, str):
+        problem = f"has an id that is no text, {member_id!r}"
+        return InputError(file.where((MEMBERS,)), problem, 'put ids in quotes, for example "00"')
+    if not _MEMBER_ID.fullmatch(member_id):
+        return InputError(file.where(at), "is no id", "use small letters, digits, - and _")
+    if not isinstance(overrides, dict | None):
+        return InputError(file.where(at), "is no mapping", "give the fields that differ")
+    if "name" in (overrides or {}):
+        return InputError(file.where((*at, "name")), "is given by the member's id", "leave it out")
+    return None
 
 
 def merged(base: dict[Any, Any], over: dict[Any, Any]) -> dict[Any, Any]:
@@ -239,27 +310,25 @@ def _is_plain_mapping(node: Any) -> bool:
     return isinstance(node, dict) and not is_distribution(node)
 
 
-def distributions_in(
-    node: Any, at: Location, where: Callable[[Location], str]
-) -> Iterator[tuple[Location, Distribution]]:
-    """Yield every distribution in a node with its place."""
+def distributions_in(node: Any, at: Location) -> Iterator[tuple[Location, Distribution | NotationError]]:
+    """Yield every distribution in a node with its place, or the fault of one that is not written as one."""
     if is_distribution(node):
         try:
             found = parse_distribution(node)
         except NotationError as error:
-            raise InputError(where(at), error.problem, error.remedy) from None
+            found = error
         yield at, found
         node, at = (node["choice"], (*at, "choice")) if isinstance(found, Choice) else (None, at)
     inner = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
     for key, value in inner:
-        yield from distributions_in(value, (*at, key), where)
+        yield from distributions_in(value, (*at, key))
 
 
-def _seed(written: dict[str, Any], where: Callable[[Location], str]) -> int:
+def _seed_fault(written: dict[str, Any], where: Callable[[Location], str]) -> InputError | None:
     seed = written.get("seed", 0)
     if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < SEED_END:
-        raise InputError(where(("seed",)), f"{seed!r} is not valid", "give a whole number from 0")
-    return seed
+        return InputError(where(("seed",)), f"{seed!r} is not valid", "give a whole number from 0")
+    return None
 
 
 def _where(file: YamlFile, member_id: str | None, written: Location, field: Location) -> str:

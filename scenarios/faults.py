@@ -7,7 +7,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from scenarios.errors import InputError
+from scenarios.errors import InputError, SeveralFaultsError
 from scenarios.kinds import models_in
 from scenarios.spec import Scenario
 from scenarios.yaml_file import Location
@@ -29,14 +29,14 @@ def problem_and_remedy(fault: Any) -> tuple[str, str]:
     return f"{fault['input']!r} is not valid", fault["msg"][0].lower() + fault["msg"][1:]
 
 
-def first_fault(
+def all_faults(
     error: ValidationError,
     where: Callable[[Location], str],
     of_sample: str = "",
     extra_keys: tuple[str, ...] = (),
     root: type[BaseModel] = Scenario,
 ) -> InputError:
-    """The most informative fault, with the number of further ones.
+    """The faults of a spec as one error, the most informative first.
 
     Args:
         error: from validating ``root``, usually a scenario.
@@ -46,11 +46,10 @@ def first_fault(
         root: the model.
     """
     # A misspelt key also shows as a missing one: name the misspelling.
-    first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
-    more = error.error_count() - 1
-    rest = f" ({more} more in this file)" if more else ""
-    location, problem, remedy = _explained(first, extra_keys, root)
-    return InputError(where(location), problem + of_sample, remedy + rest)
+    ordered = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
+    explained = (_explained(fault, extra_keys, root) for fault in ordered)
+    faults = [InputError(where(at), problem + of_sample, remedy) for at, problem, remedy in explained]
+    return faults[0] if len(faults) == 1 else SeveralFaultsError(faults)
 
 
 def field_annotation(location: Location, data: Any) -> Any:

@@ -1,8 +1,10 @@
 """The scenario: what happens, as typed and validated data. Nothing is executed here."""
 
+import math
 from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from scenarios.cameras import Camera
 from scenarios.imu import Imu
@@ -52,18 +54,30 @@ class Scenario(Strict):
         """Frames of the sequence; the first has stamp 0."""
         return max(1, round(self.duration_s * self.camera.fps))
 
-    @model_validator(mode="after")
-    def _segments_fit(self) -> "Scenario":
-        for index, segment in enumerate(self.segments):
-            if segment.end_s > self.duration_s + 1e-9:
-                raise ValueError(
-                    f"segments[{index}] ({segment.label}) ends after the sequence, "
-                    f"end it by duration_s = {self.duration_s:g}"
-                )
-        clash = self_overlap(self.segments)
-        if clash:
-            first, second = (f"segments[{i}] ({self.segments[i].label})" for i in clash)
-            raise ValueError(
-                f"{first} and {second} are of one kind and overlap, start one when the other has ended"
+    @field_validator("segments")
+    @classmethod
+    def _segments_fit(cls, segments: tuple[Segment, ...], info: ValidationInfo) -> tuple[Segment, ...]:
+        # Without a valid duration there is no end to keep to.
+        end_s = info.data.get("duration_s", math.inf)
+        faults = {
+            index: f"{segment.label}, ends after the sequence, end it by duration_s = {end_s:g}"
+            for index, segment in enumerate(segments)
+            if segment.end_s > end_s + 1e-9
+        }
+        clash = self_overlap(segments)
+        if clash and clash[1] not in faults:
+            first, second = (segments[i].label for i in clash)
+            faults[clash[1]] = (
+                f"{second}, and segments[{clash[0]}] ({first}) are of one kind and overlap, "
+                "start one when the other has ended"
             )
-        return self
+        if faults:
+            raise ValidationError.from_exception_data(
+                cls.__name__, [_value_error(index, text) for index, text in faults.items()]
+            )
+        return segments
+
+
+def _value_error(index: int, text: str) -> InitErrorDetails:
+    kind = PydanticCustomError("value_error", "{error}", {"error": text})
+    return InitErrorDetails(type=kind, loc=(index,), input=None)

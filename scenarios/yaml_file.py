@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from scenarios.errors import InputError
+from scenarios.errors import InputError, collect
 from scenarios.input_files import SETTINGS_BYTES, number_fault, read_text
 
 Location = tuple[str | int, ...]
@@ -61,6 +61,7 @@ def read_yaml(
     holds: str = "scenario",
     example: str = "`dslab scenarios show clean-room`",
     if_missing: str | None = None,
+    faults: list[InputError] | None = None,
 ) -> YamlFile:
     """Read one file.
 
@@ -69,6 +70,7 @@ def read_yaml(
         holds: its expected content, for the fault.
         example: source of an example, for the fault.
         if_missing: advice if there is no such file; None for the example.
+        faults: gets the keys given twice and the numbers that are not finite; None to raise them.
 
     Raises:
         InputError: the file cannot be read, is no YAML, has too many or too deeply nested parts, holds no
@@ -86,13 +88,17 @@ def read_yaml(
         raise InputError(str(path), f"is not valid YAML ({error})", "correct the value") from None
     if not isinstance(data, dict) or root is None:
         raise InputError(str(path), f"holds no {holds}", f"start from {example}")
-    for location, key in _duplicate_keys(root):
-        where = f"{path}:{key.start_mark.line + 1}: {field_path(location)}"
-        raise InputError(where, "key appears twice", "keep one of them")
     file = YamlFile(path, text, data, root)
-    for location, value in _leaves(data):
-        if fault := number_fault(value):
-            raise InputError(file.where(location), fault, "correct it")
+    places = [
+        f"{path}:{key.start_mark.line + 1}: {field_path(location)}" for location, key in _duplicate_keys(root)
+    ]
+    found = [InputError(where, "key appears twice", "keep one of them") for where in places]
+    found += [
+        InputError(file.where(location), fault, "correct it")
+        for location, value in _leaves(data)
+        if (fault := number_fault(value))
+    ]
+    collect(found, faults)
     return file
 
 

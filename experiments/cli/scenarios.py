@@ -11,13 +11,15 @@ from rich.syntax import Syntax
 from rich.table import Table
 from rich.text import Text
 
-from experiments.cli.console import out, print_table
+from experiments.cli.console import err, out, print_table
 from experiments.cli.gallery import gallery_command
+from scenarios.errors import InputError, collect
 
 if TYPE_CHECKING:
     from scenarios.families import Family
 
 CHECKED_SEEDS = 20
+MOST_FAULTS = 50
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -102,27 +104,43 @@ def show(
 def validate(
     file: Annotated[Path, typer.Argument(help="A .yaml file.", metavar="FILE")],
 ) -> None:
-    """Check a scenario file; exit code 2 and one line if it is not valid.
+    """Check a scenario or experiment file; exit code 2 and a line for every fault if it is not valid.
 
-    From each member of a family, 20 scenarios are drawn.
+    From each member of a family, 20 scenarios are drawn; of an experiment, the first unit of every cell.
 
     Example: `dslab scenarios validate mine.yaml`
     """
-    from scenarios.families import load_family_file
+    from scenarios.families import in_order_of_lines
 
+    try:
+        print(f"{file}: valid, {_valid_content(file)}")
+    except InputError as error:
+        faults = in_order_of_lines(file, error.faults)
+        for fault in faults[:MOST_FAULTS]:
+            err.print(f"error: {fault}", soft_wrap=True)
+        if len(faults) > MOST_FAULTS:
+            err.print(f"and {len(faults) - MOST_FAULTS} more")
+        raise typer.Exit(2) from None
+
+
+def _valid_content(file: Path) -> str:
+    """What a valid file holds. Raises InputError with every fault of another."""
+    from scenarios.families import file_faults, load_family_file
+    from scenarios.yaml_file import read_yaml
+
+    if "bases" in read_yaml(file, faults=[]).data:
+        from experiments.eq1.spec import load_spec
+
+        spec = load_spec(file)
+        return f"{spec.name}, an experiment, {len(spec.cell_names())} cells of {spec.units} units"
+    collect(file_faults(file, CHECKED_SEEDS), None)
     family = load_family_file(file)
-    everyone = [family.member(member) for member in family.members] or [family]
-    for one in everyone:
-        seeds = range(one.seed, one.seed + CHECKED_SEEDS) if one.parameters else [one.seed]
-        for seed in seeds:
-            one.sample(seed)
     if family.members or family.parameters:
         members = f"{len(family.members)} members, " if family.members else ""
-        print(f"{file}: valid, {family.name}, a family, {members}drawn with {CHECKED_SEEDS} seeds each")
-        return
+        return f"{family.name}, a family, {members}drawn with {CHECKED_SEEDS} seeds each"
     scenario = family.sample(family.seed)
     segments = f"{len(scenario.segments)} segment{'' if len(scenario.segments) == 1 else 's'}"
-    print(f"{file}: valid, {scenario.name}, {scenario.duration_s:g} s, {segments}")
+    return f"{scenario.name}, {scenario.duration_s:g} s, {segments}"
 
 
 @app.command()

@@ -16,9 +16,10 @@ from pydantic import Field, ValidationError, model_validator
 from experiments.eq1.spec_parts import Base, Degradation, Stopping, Threads
 from experiments.eq1.unit_drawing import Cell, draw_scenario, written_base
 from experiments.eq1.units import ArmName, ThreadChoice, UnitSpec, content_hash
-from scenarios.errors import InputError
-from scenarios.families import distributions_in, load_family
-from scenarios.faults import first_fault, guess
+from scenarios.distributions import NotationError
+from scenarios.errors import InputError, collect
+from scenarios.families import distributions_in, in_order_of_lines, load_family
+from scenarios.faults import all_faults, guess
 from scenarios.seeds import rng_for
 from scenarios.strict import Strict
 from scenarios.yaml_file import Location, YamlFile, read_yaml
@@ -200,17 +201,26 @@ def _load(path: Path) -> ExperimentSpec:
     try:
         spec = ExperimentSpec.model_validate(file.data)
     except ValidationError as error:
-        raise first_fault(error, file.where, root=ExperimentSpec) from None
-    _check_distributions(file)
+        raise all_faults(error, file.where, root=ExperimentSpec) from None
+    collect(_distribution_faults(file), None)
+    faults: list[InputError] = []
     for cell in spec.cell_names():
-        spec._unit(cell, 0, file.where)
+        try:
+            spec._unit(cell, 0, file.where)
+        except InputError as error:
+            faults += error.faults
+    collect(in_order_of_lines(path, faults), None)
     return spec
 
 
-def _check_distributions(file: YamlFile) -> None:
-    for key in ("bases", "degradations"):
-        # Iterated for its checks: every node meant as a distribution must be a valid one.
-        list(distributions_in(file.data[key], (key,), file.where))
+def _distribution_faults(file: YamlFile) -> list[InputError]:
+    """What is meant as a distribution and is none."""
+    return [
+        InputError(file.where(at), found.problem, found.remedy)
+        for key in ("bases", "degradations")
+        for at, found in distributions_in(file.data[key], (key,))
+        if isinstance(found, NotationError)
+    ]
 
 
 def _members(base: Base) -> tuple[str | None, ...]:

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from experiments.eq1.spec_parts import Degradation
 from scenarios.drawing import Draw
 from scenarios.families import load_family, merged
-from scenarios.faults import first_fault
+from scenarios.faults import all_faults
 from scenarios.seeds import rng_for
 from scenarios.spec import Scenario
 from scenarios.yaml_file import Location
@@ -112,7 +112,7 @@ def draw_scenario(
         return Scenario.model_validate(data)
     except ValidationError as error:
         of_sample = f", in cell {cell.image} as drawn for unit {index}"
-        raise first_fault(error, lambda at: where(_in_spec(spec, cell, at)), of_sample) from None
+        raise all_faults(error, lambda at: where(_in_spec(spec, cell, at)), of_sample) from None
 
 
 def _segment(spec: UnitPlan, cell: Cell, draw: Draw) -> dict[str, Any]:

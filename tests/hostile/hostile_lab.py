@@ -115,7 +115,7 @@ class Lab:
         ended = self._call(words, folder, variables, stdout or str(folder / "stdout"))
         after = contents(folder / given)
         changed = [n for n in {*before, *after} if before.get(n) != after.get(n) and not passing(n, example)]
-        faults = faults_of(ended) + debris(folder, given, result, ended.code)
+        faults = faults_of(ended, command) + debris(folder, given, result, ended.code)
         outcome = {0: "accepted", 2: "refused"}.get(ended.code, "failed")
         if ended.code != 0:
             faults += [f"input {'changed' if name in before else 'added'}: {name}" for name in changed]

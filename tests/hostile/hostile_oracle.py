@@ -16,6 +16,7 @@ PEAK_MB = 1500
 _WORKING = ("experiment run", "experiment fuzz", "bench", "doctor", "warmup", "paper", "demo")
 """Commands that an input can set to long work: at the end of their time they are no hang."""
 _REFUSAL = re.compile(r"error: [^\n]+: [^\n]+; [^\n]+\n")
+_REFUSALS = re.compile(rf"({_REFUSAL.pattern})+(and \d+ more\n)?")
 _PARTIAL = re.compile(r"partial|unfinished|dslab|tmp")
 _PASSING = ("-wal", "-shm", "-journal")
 
@@ -43,14 +44,15 @@ def filled(word: str, places: dict[str, str]) -> str:
     return word
 
 
-def faults_of(ended: Ended) -> list[str]:
+def faults_of(ended: Ended, command: str = "") -> list[str]:
     """All that must not be at the end of a command, whatever it was given."""
     faults = []
+    refusal = _REFUSALS if command.startswith("scenarios validate") else _REFUSAL
     if ended.code < 0:
         faults.append(f"ended by signal {-ended.code} after {ended.wall_s:.0f} s")
     elif ended.code not in (0, 2):
         faults.append(f"exit code {ended.code}: {_last_frames(ended.err)}")
-    elif ended.code == 2 and not _REFUSAL.fullmatch(ended.err):
+    elif ended.code == 2 and not refusal.fullmatch(ended.err):
         faults.append(f"not one line: {ended.err[:400]!r}")
     if "Traceback" in ended.err and ended.code in (0, 2):
         faults.append(f"a traceback: {_last_frames(ended.err)}")

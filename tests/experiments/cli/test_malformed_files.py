@@ -117,7 +117,7 @@ def test_every_yaml_file_is_bounded(refused, tmp_path, kind, fault):
     path = tmp_path / "mine.yaml"
     path.write_text({"scenario": SCENARIO, "experiment": EXPERIMENT, "settings": ""}[kind] + text)
     commands = {
-        "scenario": ["scenarios", "validate", path],
+        "scenario": ["scenarios", "show", path],
         "experiment": ["experiment", "run", path, "--out", "o"],
         "settings": ["run", "clean-room", "--config", path, "--out", "o"],
     }
