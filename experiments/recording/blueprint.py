@@ -7,17 +7,21 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from experiments.evaluation.scene import Scene
+from experiments.recording.drawing import INJECTED, SYSTEMS
+from experiments.recording.key import key_view
 from experiments.recording.stream import part
 from experiments.runs.execution import RunRecord
 from slam.core.events import Breakage
 
+_HEIGHT_PX, _LANES_PX, _LANE_PX, _MOST_LANES_PX = 800, 56, 40, 560
+"""Heights on a screen of usual size: of all, of the head of the timeline, of a lane, of the timeline."""
 _BEFORE_S, _AFTER_S = 1.0, 6.0
 """Selected time around the first breakage."""
 _GRID = (255, 255, 255, 10)
 _SHARED_TIME = rrb.TimeAxis(link="linktoglobal")
 
 
-def make_blueprint(records: Many[RunRecord], scene: Scene, shrink: float) -> rrb.Blueprint:
+def make_blueprint(records: Many[RunRecord], scene: Scene, shrink: float, lanes: int) -> rrb.Blueprint:
     """Make the layout for runs over one sequence.
 
     A blueprint cannot set the time cursor. It opens at the end of the recording, with the time around the
@@ -27,32 +31,40 @@ def make_blueprint(records: Many[RunRecord], scene: Scene, shrink: float) -> rrb
         records: one run per system.
         scene: common scene of all runs.
         shrink: scale of the recorded images relative to the input images.
+        lanes: number of lanes of the timeline.
     """
     camera = records[0].sequence.camera
     size = camera.width_px * shrink, camera.height_px * shrink
     kinds = [record.system_kind for record in records]
-    lanes = rrb.StateTimelineView(name="states", origin="lanes", time_view=_SHARED_TIME)
-    inliers = rrb.TimeSeriesView(name="inliers", origin="plots/inliers", axis_x=_SHARED_TIME)
-    ms = rrb.TimeSeriesView(
-        name="tracking, ms per frame",
-        origin="plots/ms",
-        axis_x=_SHARED_TIME,
-        axis_y=rrb.ScalarAxis(range=(0.0, _usual_ms(records))),
+    results = [result for record in records for result in record.results]
+    timeline = rrb.StateTimelineView(
+        name="injected, broken, repaired",
+        origin="/",
+        contents=[f"+ /{INJECTED}/**", f"+ /{SYSTEMS}/**"],
+        time_view=_SHARED_TIME,
     )
     log = rrb.TextLogView(
         name="events",
         origin="events",
-        columns=rrb.TextLogColumns(timeline_columns=[], text_log_columns=["LogLevel", "Body"]),
+        columns=rrb.TextLogColumns(timeline_columns=["frame"], text_log_columns=["Body"]),
     )
-    rows = 3 * len(records) + 2
+    height = min(_MOST_LANES_PX, _LANES_PX + _LANE_PX * lanes)
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(lanes, inliers, ms, row_shares=[rows, 4, 4]),
+            rrb.Vertical(
+                timeline,
+                _curves("inliers", "inliers", _usual([float(r.inliers) for r in results]), len(kinds)),
+                _curves(
+                    "tracking, ms per frame", "ms", _usual([sum(r.ms.values()) for r in results]), len(kinds)
+                ),
+                row_shares=[height, (_HEIGHT_PX - height) / 2, (_HEIGHT_PX - height) / 2],
+            ),
             rrb.Vertical(
                 rrb.Horizontal(*[_world_view(kind, scene) for kind in kinds]),
+                key_view(),
                 rrb.Horizontal(*[_image_view(kind, *size) for kind in kinds]),
                 log,
-                row_shares=[10, 7, 6],
+                row_shares=[9, 2.6, 7, 5],
             ),
             column_shares=[6, 8],
         ),
@@ -62,20 +74,40 @@ def make_blueprint(records: Many[RunRecord], scene: Scene, shrink: float) -> rrb
     )
 
 
+def _curves(name: str, plot: str, high: float, systems: int) -> rrb.TimeSeriesView:
+    """Plot of one curve per system, with room for the legend above them."""
+    return rrb.TimeSeriesView(
+        name=name,
+        origin=f"plots/{plot}",
+        axis_x=_SHARED_TIME,
+        axis_y=rrb.ScalarAxis(range=(0.0, high)),
+        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop, visible=systems > 1),
+    )
+
+
 def _world_view(kind: str, scene: Scene) -> rrb.Spatial3DView:
-    """3D view of one system, framed on the path."""
-    across = np.roll(np.abs(scene.up), 1) * 0.8 + np.roll(np.abs(scene.up), 2) * 0.6
-    eye = scene.centre + scene.extent * (1.15 * scene.up - 0.55 * across)
-    title = "map, aligned to the truth for display" if scene.T_world_cam is not None else "map"
+    """3D view of one system, framed on the path, the longer side of which lies across."""
+    # Labels stand above the path.
+    target = scene.centre + 0.08 * scene.extent * scene.up
+    eye = target + scene.extent * (1.05 * scene.up - 0.8 * _short_side(scene))
+    title = "path, aligned to the truth" if scene.T_world_cam is not None else "path"
     return rrb.Spatial3DView(
         name=f"{kind}: {title}",
         origin="world",
         contents=["+ world", "+ world/true_path", "+ world/true_camera", f"+ world/{part(kind)}/**"],
         line_grid=rrb.LineGrid3D(color=_GRID),
         eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital, position=eye, look_target=scene.centre, eye_up=scene.up
+            kind=rrb.Eye3DKind.Orbital, position=eye, look_target=target, eye_up=scene.up
         ),
     )
+
+
+def _short_side(scene: Scene) -> np.ndarray:
+    """(3,) unit vector across the true path on the ground; any on the ground without truth."""
+    ground = np.eye(3)[scene.up == 0]
+    truth = np.empty((0, 4, 4)) if scene.T_world_cam is None else scene.T_world_cam
+    places = (truth[np.isfinite(truth).all(axis=(1, 2)), :3, 3] - scene.centre) @ ground.T
+    return np.linalg.eigh(places.T @ places)[1][:, 0] @ ground
 
 
 def _image_view(kind: str, width: float, height: float) -> rrb.Spatial2DView:
@@ -88,12 +120,12 @@ def _image_view(kind: str, width: float, height: float) -> rrb.Spatial2DView:
 
 
 def _time_panel(records: Many[RunRecord]) -> rrb.TimePanel:
-    stamps_s = records[0].sequence.stamps_s
-    broke = [e.stamp_s for r in records for e in r.events if isinstance(e, Breakage)]
+    times_s = records[0].sequence.stamps_s - records[0].sequence.stamps_s[0]
+    broke = [float(times_s[e.frame]) for r in records for e in r.events if isinstance(e, Breakage)]
     if not broke:
         return rrb.TimePanel(state="collapsed", timeline="time")
-    start_s = max(float(stamps_s[0]), min(broke) - _BEFORE_S)
-    end_s = min(float(stamps_s[-1]), min(broke) + _AFTER_S)
+    start_s = max(0.0, min(broke) - _BEFORE_S)
+    end_s = min(float(times_s[-1]), min(broke) + _AFTER_S)
     return rrb.TimePanel(
         state="collapsed",
         timeline="time",
@@ -104,7 +136,6 @@ def _time_panel(records: Many[RunRecord]) -> rrb.TimePanel:
     )
 
 
-def _usual_ms(records: Many[RunRecord]) -> float:
-    """Upper limit of the time plot, without the first frame, which loads the kernels."""
-    times = [sum(r.ms.values()) for record in records for r in record.results]
-    return max(1.0, 1.5 * float(np.percentile(times, 98)))
+def _usual(values: list[float]) -> float:
+    """Upper limit of a plot, above all but a few peaks, as of the first frame, which loads the kernels."""
+    return max(1.0, 1.5 * float(np.percentile(values, 98)))

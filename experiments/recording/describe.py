@@ -1,25 +1,46 @@
-"""Text of events."""
+"""Text and colour of events."""
 
+from experiments.recording import palette
+from experiments.recording.palette import Color
 from slam.core.events import Event
 
-_LEVELS = {"breakage": "ERROR", "map_dropped": "WARN"}
+_TEXTS = {
+    "initialized": "map {map_id} initialized with {points} points ({model})",
+    "breakage": "breakage: map {map_id} lost, {reason}",
+    "relocalized": "relocalized in map {map_id}, {lost_s:.2f} s after the breakage",
+    "loop_closed": "loop closed in map {map_id}, scale corrected by {scale:.3f}",
+    "map_adjusted": "map {map_id} adjusted as a whole: {keyframes} keyframes, {points} points",
+    "map_dropped": "map {map_id} dropped: {reason}",
+    "map_saved": "map {map_id} saved: {keyframes} keyframes, {points} points",
+    "map_cut": "map {map_id} cut on request",
+    "reinit_start": "initialization of map {map_id} begins",
+    "reinit_done": "map {map_id} is in use after {frames_taken} frames",
+    "recovery_start": "recovery thread {thread} ({method}) begins, back over {buffered_frames} frames",
+    "recovery_end": "recovery thread {thread} ({method}) is back in map {old_map_id}",
+    "recovery_failed": "recovery thread {thread} ({method}) failed, {stage}: {reason}",
+    "fusion": "map {new_map_id} fused into map {old_map_id} by {by}, at scale {scale:.3f}",
+    "fusion_refused": "fusion of map {new_map_id} with map {old_map_id} refused: {reason}",
+}
 
 
-def describe_event(event: Event) -> tuple[str, str]:
-    """Text and log level of an event: time, frame, kind, non-empty fields.
+_COLORS = {
+    "breakage": palette.LOST,
+    "map_dropped": palette.REFUSED,
+    "relocalized": palette.FUSED,
+    "recovery_start": palette.RECOVERY,
+    "recovery_failed": palette.REFUSED,
+    "fusion": palette.FUSED,
+    "fusion_refused": palette.REFUSED,
+}
 
-    Lists are given by their length.
-    """
+
+def describe_event(event: Event) -> tuple[str, Color]:
+    """Describe an event in one short sentence, without its time; returns its colour too."""
     fields = event.record()
-    kind, frame, stamp_s = fields.pop("event"), fields.pop("frame"), fields.pop("stamp_s")
-    level = _LEVELS.get(kind, "INFO")
-    if fields.get("success") is False or fields.get("accepted") is False:
-        level = "WARN"
-    details = ", ".join(f"{name} {_value(v)}" for name, v in fields.items() if v not in ("", None, []))
-    return f"{stamp_s:.2f} s  frame {frame}  {kind.replace('_', ' ')}: {details}", level
-
-
-def _value(value: object) -> str:
-    if isinstance(value, list):
-        return str(len(value))
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    kind = event.kind
+    if fields.get("success") is False:
+        kind = "recovery_failed"
+    elif fields.get("accepted") is False:
+        kind = "fusion_refused"
+    words = {name: v.replace("_", " ") if isinstance(v, str) else v for name, v in fields.items()}
+    return _TEXTS.get(kind, kind.replace("_", " ")).format(**words), _COLORS.get(kind, palette.PLAIN)

@@ -9,14 +9,19 @@ import rerun as rr
 from experiments.evaluation.scene import Scene
 from experiments.recording import palette
 from experiments.recording.describe import describe_event
-from experiments.recording.lanes import Lane, system_lanes
+from experiments.recording.lanes import Lane
 from experiments.recording.palette import Color
-from experiments.recording.paths import RunPaths
+from experiments.recording.paths import RunPaths, pins, thin
+from experiments.recording.stories import stories
 from experiments.recording.stream import Stream, part
 from experiments.runs.execution import RunRecord
 from sim.sequence import Sequence
 
+INJECTED, SYSTEMS = "injected", "slam"
+"""Paths of the lanes of segments and of systems, in this order in the viewer."""
+
 _STEP_S = 0.5
+_MOST_DOTS = 60
 
 
 def draw_truth(stream: Stream, sequence: Sequence, scene: Scene, shrink: float) -> None:
@@ -32,9 +37,9 @@ def draw_truth(stream: Stream, sequence: Sequence, scene: Scene, shrink: float) 
     if scene.T_world_cam is None:
         return
     known = np.isfinite(scene.T_world_cam).all(axis=(1, 2))
-    path = rr.LineStrips3D(
-        [scene.T_world_cam[known, :3, 3]], colors=palette.TRUTH, radii=rr.Radius.ui_points(1.0)
-    )
+    # Dots, between which the estimate can be seen.
+    places = thin(scene.T_world_cam[known, :3, 3], _MOST_DOTS)
+    path = rr.Points3D(places, colors=palette.TRUTH, radii=rr.Radius.ui_points(2.6))
     stream.static("world/true_path", path)
     stream.static("world/true_camera", pinhole(sequence, shrink, 0.03 * scene.extent, palette.TRUTH))
     stream.poses("world/true_camera", np.flatnonzero(known), scene.T_world_cam[known])
@@ -97,12 +102,7 @@ class RunDrawing:
         self._draw_maps(snapshots)
         self._draw_marks()
         self._draw_curves(color)
-        for lane in system_lanes(self._record):
-            draw_lane(self._stream, f"lanes/{self._name}", lane)
-        for event in self._record.events:
-            text, level = describe_event(event)
-            line = rr.TextLog(f"{self._record.system_kind}: {text}", level=level)
-            self._stream.log(f"events/{self._name}", event.frame, line)
+        self._draw_log()
 
     def _draw_camera(self) -> None:
         """Draw the estimated camera in the colour of its state; without a pose it stays."""
@@ -128,7 +128,7 @@ class RunDrawing:
             for map_id in self._scene.alignments:
                 if self._record.live[map_id].frames[0] <= frame:
                     strips = self._paths.live_strips(map_id, frame)
-                    self._line(f"map_{map_id}/path", frame, strips, palette.map_color(map_id), 2.0)
+                    self._line(f"map_{map_id}/path", frame, strips, palette.map_color(map_id), 1.5)
             self._line("recovered", frame, self._paths.recovered_strips(frame), palette.RECOVERED, 4.0)
             self._line("lost", frame, self._paths.lost_strips(frame), palette.LOST, 2.5)
 
@@ -147,24 +147,59 @@ class RunDrawing:
             live = self._record.live[map_id]
             chosen = np.isin(live.frames[live.frames <= frame], keyframes)
             centres = self._paths.live(map_id, frame)[chosen, :3, 3]
-            dots = rr.Points3D(centres, colors=color, radii=rr.Radius.ui_points(3.0))
+            dots = rr.Points3D(centres, colors=color, radii=rr.Radius.ui_points(1.5))
             self._stream.log(f"{entity}/keyframes", frame, dots)
             points = self._scene.alignments[map_id].points(snapshot.points).astype(np.float32)
             cloud = rr.Points3D(points, colors=[*color, 120], radii=rr.Radius.ui_points(1.2))
             self._stream.log(f"{entity}/points", frame, cloud)
 
     def _draw_marks(self) -> None:
-        marks = self._paths.marks()
-        for count, mark in enumerate(marks, start=1):
-            so_far = marks[:count]
-            points = rr.Points3D(
-                [m.position for m in so_far],
-                colors=[palette.LOST if m.broke else palette.FUSED for m in so_far],
-                labels=[m.label for m in so_far],
-                show_labels=True,
-                radii=rr.Radius.ui_points(6.0),
-            )
-            self._stream.log(f"{self._world}/marks", mark.frame, points)
+        """Draw breakages as labelled pins and repairs as dots."""
+        found = [(story, self._paths.position(story.frame)) for story in stories(self._record)]
+        told = [(story, at) for story, at in found if at is not None]
+        needles = pins([at for _, at in told], self._scene.up, self._extent)
+        ends = {
+            story.end: at
+            for story, _ in told
+            if story.end and (at := self._paths.position(story.end)) is not None
+        }
+        for frame in sorted({story.frame for story, _ in told} | set(ends)):
+            known = [
+                (story, needle)
+                for (story, _), needle in zip(told, needles, strict=True)
+                if story.frame <= frame
+            ]
+            self._dots("breakages", frame, [needle[0] for _, needle in known], palette.LOST, 6.0)
+            self._dots("repairs", frame, [at for end, at in ends.items() if end <= frame], palette.FUSED, 6.0)
+            self._line("marks/pins", frame, [needle for _, needle in known], palette.LOST, 1.0)
+            heads, labels = [needle[1] for _, needle in known], [story.text_at(frame) for story, _ in known]
+            self._dots("labels", frame, heads, palette.LOST, 1.0, labels)
+
+    def _dots(
+        self,
+        name: str,
+        frame: int,
+        positions: list[np.ndarray],
+        color: Color,
+        radius: float,
+        labels: list[str] | None = None,
+    ) -> None:
+        dots = rr.Points3D(
+            positions,
+            colors=color,
+            radii=rr.Radius.ui_points(radius),
+            labels=labels,
+            show_labels=bool(labels),
+        )
+        self._stream.log(f"{self._world}/marks/{name}", frame, dots)
+
+    def _draw_log(self) -> None:
+        stamps_s = self._record.sequence.stamps_s
+        for event in self._record.events:
+            time_s = stamps_s[event.frame] - stamps_s[0]
+            text, color = describe_event(event)
+            line = rr.TextLog(f"{self._record.system_kind}  {time_s:.2f} s  {text}", color=color)
+            self._stream.log(f"events/{self._name}", event.frame, line)
 
     def _draw_curves(self, color: Color) -> None:
         results = self._record.results
@@ -179,14 +214,26 @@ class RunDrawing:
         self._stream.columns(entity, frames, rr.Scalars.columns(scalars=values))
 
 
-def draw_lane(stream: Stream, under: str, lane: Lane) -> None:
-    """Draw a lane as a row of the timeline view."""
+def draw_lane(stream: Stream, under: str, lane: Lane, frames: int) -> None:
+    """Draw a lane of a run of some frames as a row of the timeline view.
+
+    A value whose words do not fit into its time is drawn without them.
+    """
     entity = f"{under}/{part(lane.name)}"
-    values = list(lane.colors)
-    colors = np.array([palette.rgba(c) for c in lane.colors.values()], np.uint32)
-    stream.static(entity, rr.StateConfiguration(values=values, labels=values, colors=colors))
-    changes = rr.StateChange.columns(state=[value for _, value in lane.changes])
-    stream.columns(entity, [frame for frame, _ in lane.changes], changes)
+    spans = lane.labelled(frames)
+    styles = {
+        shown(value, fits): (value if fits else " ", lane.colors[value]) for _, value, fits in spans if value
+    }
+    labels, colors = zip(*styles.values(), strict=True)
+    rgba = np.array([palette.rgba(color) for color in colors], np.uint32)
+    stream.static(entity, rr.StateConfiguration(values=list(styles), labels=labels, colors=rgba))
+    changes = rr.StateChange.columns(state=[shown(value, fits) for _, value, fits in spans])
+    stream.columns(entity, [frame for frame, _, _ in spans], changes)
+
+
+def shown(value: str, fits: bool) -> str:
+    """The state that is drawn for a value: with another one, words may be left out."""
+    return value if fits else f"{value} (brief)"
 
 
 def _view_coordinates(up: np.ndarray) -> rr.ViewCoordinates:

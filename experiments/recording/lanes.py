@@ -1,17 +1,20 @@
 """Lanes of a run: its states over time, from its results and events alone."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from experiments.evaluation.frame_outcomes import FrameOutcome, frame_outcomes
 from experiments.evaluation.summary import is_tracked
 from experiments.recording import palette
 from experiments.recording.palette import Color
+from experiments.recording.stories import Story, stories
 from experiments.runs.execution import RunRecord
 from slam.core.events import Event, Fusion, RecoveryEnd, RecoveryStart
 
-MARK_SHARE = 0.08
-"""Length of a momentary event, as a share of the run, so that its label is readable."""
+LETTERS = 72
+"""Letters that fit into a lane on a screen of usual width."""
+MARK_SHARE = 0.16
+"""Length of a momentary event with a label, as a share of the run, so that the label fits."""
+_TICK_SHARE = 0.01
 
 _STATE_WORDS = {"not_initialized": "initialising"}
 
@@ -21,7 +24,7 @@ class Lane:
     """One row of the timeline.
 
     Attributes:
-        name: one word.
+        name: words and figures; ``_`` stands for a space.
         changes: (frame, value) in order of frames; a value holds until the next, empty for none.
         colors: colour of every value.
     """
@@ -31,8 +34,8 @@ class Lane:
     colors: dict[str, Color] = field(default_factory=dict)
 
     def add(self, frame: int, value: str, color: Color | None = None) -> None:
-        """Set the value from a frame on; a later call for the frame replaces it."""
-        if self.changes and self.changes[-1][0] == frame:
+        """Set the value from a frame on, in place of what was set for it and for later ones."""
+        while self.changes and self.changes[-1][0] >= frame:
             self.changes.pop()
         if not self.changes or self.changes[-1][1] != value:
             self.changes.append((frame, value))
@@ -43,24 +46,39 @@ class Lane:
         """Value at a frame."""
         return next((value for f, value in reversed(self.changes) if f <= frame), "")
 
+    def labelled(self, frames: int) -> list[tuple[int, str, bool]]:
+        """Changes as (frame, value, True if the value's words fit into its time), of a run of some frames."""
+        ends = [frame for frame, _ in self.changes[1:]] + [frames]
+        return [
+            (frame, value, len(value) <= LETTERS * (end - frame) / frames)
+            for (frame, value), end in zip(self.changes, ends, strict=True)
+        ]
+
 
 def system_lanes(record: RunRecord) -> list[Lane]:
-    """Lanes of state, events, each recovery thread, and final outcome of each frame."""
-    return [_states(record), _marks(record), *_recoveries(record), _outcomes(record)]
+    """Lanes of each breakage, other events, final poses, each recovery thread, and state."""
+    broken = [_breakage(record, story) for story in stories(record)]
+    return [*broken, *_others(record), _outcomes(record), *_recoveries(record), _states(record)]
 
 
-def segment_lane(record: RunRecord) -> Lane:
-    """Lane of injected segments; overlapping segments share a value, in the last one's colour."""
-    lane = Lane("segment")
-    for frame in range(len(record.results)):
-        kinds = record.sequence.kinds_at(frame)
-        label = " + ".join(kinds).replace("_", " ")
-        lane.add(frame, label, palette.segment_color(kinds[-1]) if kinds else None)
-    return lane
+def segment_lanes(record: RunRecord) -> list[Lane]:
+    """One lane per injected segment that acts on a frame, by the time of its start."""
+    lanes = []
+    for segment in record.sequence.segments:
+        if segment.first_frame < 0:
+            continue
+        lane = Lane(f"{segment.start_s:.2f}_to_{segment.end_s:.2f}_s_{segment.kind}")
+        lane.add(0, "")
+        for first, last in segment.runs or ((segment.first_frame, segment.last_frame),):
+            lane.add(first, segment.kind.replace("_", " "), palette.INJECTED)
+            if last + 1 < len(record.results):
+                lane.add(last + 1, "")
+        lanes.append(lane)
+    return lanes
 
 
 def _states(record: RunRecord) -> Lane:
-    lane = Lane("state")
+    lane = Lane("tracking")
     several = len({r.map_id for r in record.results if is_tracked(r)}) > 1
     for result in record.results:
         state = str(result.state)
@@ -71,50 +89,36 @@ def _states(record: RunRecord) -> Lane:
     return lane
 
 
-def _marks(record: RunRecord) -> Lane:
-    """Lane of breakages, recoveries and other events; a mark ends when the next begins."""
-    lane = Lane("events")
-    length = _mark_frames(record)
-    ends_at: int | None = None
-    for frame, value, color in _mark_list(record.events):
-        if ends_at is not None and ends_at < frame:
-            lane.add(ends_at, "")
-        lane.add(frame, value, color)
-        ends_at = frame + length
-    if ends_at is not None and ends_at < len(record.results):
-        lane.add(ends_at, "")
+def _breakage(record: RunRecord, story: Story) -> Lane:
+    """Lane of a breakage: broken, then how it was repaired."""
+    lane = Lane(story.text.replace(",", "").replace(" ", "_"))
+    lane.add(story.frame, "broken", palette.LOST)
+    if story.end is not None:
+        _mark(lane, record, story.end, story.how, palette.FUSED)
     return lane
 
 
-def _mark_list(events: Iterable[Event]) -> list[tuple[int, str, Color]]:
-    """Marks as (frame, label, colour); events of one frame share a mark."""
-    marks: list[tuple[int, str, Color]] = []
-    for event in events:
-        found = _mark(event)
-        if found is None:
-            continue
-        label, color = found
-        if marks and marks[-1][0] == event.frame:
-            label = f"{marks.pop()[1]}, {label}"
-        marks.append((event.frame, label, color))
-    return marks
+def _others(record: RunRecord) -> list[Lane]:
+    """One lane per kind of other event, with a tick at each."""
+    lanes: dict[str, Lane] = {}
+    for event in record.events:
+        name, color = _other(event)
+        if color is not None:
+            lane = lanes.setdefault(name, Lane(name))
+            _mark(lane, record, event.frame, name.replace("_", " "), color, _TICK_SHARE)
+    return list(lanes.values())
 
 
-def _mark(event: Event) -> tuple[str, Color] | None:
-    if isinstance(event, Fusion):
-        if not event.accepted:
-            return "fusion refused", palette.REFUSED
-        by_place = event.record().get("by") == "place"
-        return "fused by place" if by_place else "fused", palette.FUSED
-    return _MARKS.get(event.kind)
+def _other(event: Event) -> tuple[str, Color | None]:
+    if isinstance(event, Fusion) and not event.accepted:
+        return "fusion_refused", palette.REFUSED
+    return event.kind, _OTHERS.get(event.kind)
 
 
-_MARKS: dict[str, tuple[str, Color]] = {
-    "breakage": ("breakage", palette.LOST),
-    "map_cut": ("map cut", palette.LOST),
-    "map_dropped": ("map dropped", palette.REFUSED),
-    "relocalized": ("relocalized", palette.FUSED),
-    "loop_closed": ("loop closed", palette.NOTE),
+_OTHERS: dict[str, Color] = {
+    "map_cut": palette.LOST,
+    "map_dropped": palette.REFUSED,
+    "loop_closed": palette.NOTE,
 }
 
 
@@ -125,28 +129,15 @@ def _recoveries(record: RunRecord) -> list[Lane]:
 
 
 def _recovery(record: RunRecord, thread: int) -> Lane:
-    lane = Lane(f"recovery_{thread}")
-    length = _mark_frames(record)
-    ends_at: int | None = None
-    for event in record.events:
-        if not isinstance(event, RecoveryStart | RecoveryEnd) or event.thread != thread:
-            continue
-        if ends_at is not None and ends_at < event.frame:
-            lane.add(ends_at, "")
-        ends_at = None
+    lane = Lane(f"recovery_thread_{thread}")
+    own = [e for e in record.events if isinstance(e, RecoveryStart | RecoveryEnd) and e.thread == thread]
+    for event in own:
         if isinstance(event, RecoveryStart):
             lane.add(event.frame, f"{event.method} at work", palette.RECOVERY)
         else:
-            outcome = ("succeeded", palette.FUSED) if event.success else _failure(event)
-            lane.add(event.frame, *outcome)
-            ends_at = event.frame + length
-    if ends_at is not None and ends_at < len(record.results):
-        lane.add(ends_at, "")
+            outcome = ("succeeded", palette.FUSED) if event.success else ("failed", palette.REFUSED)
+            _mark(lane, record, event.frame, *outcome)
     return lane
-
-
-def _failure(event: RecoveryEnd) -> tuple[str, Color]:
-    return (f"failed: {event.stage}" if event.stage else "failed"), palette.REFUSED
 
 
 def _outcomes(record: RunRecord) -> Lane:
@@ -155,11 +146,18 @@ def _outcomes(record: RunRecord) -> Lane:
         FrameOutcome.RECOVERED: ("pose by recovery", palette.RECOVERED),
         FrameOutcome.NONE: ("no pose", palette.LOST),
     }
-    lane = Lane("outcome")
+    lane = Lane("final_poses")
     for frame, outcome in enumerate(frame_outcomes(record)):
         lane.add(frame, *words[outcome])
     return lane
 
 
-def _mark_frames(record: RunRecord) -> int:
-    return max(1, round(MARK_SHARE * len(record.results)))
+def _mark(
+    lane: Lane, record: RunRecord, frame: int, value: str, color: Color, share: float = MARK_SHARE
+) -> None:
+    """Add a momentary event, drawn over a share of the run."""
+    frames = len(record.results)
+    end = frame + max(1, round(share * frames))
+    lane.add(frame, value, color)
+    if end < frames:
+        lane.add(end, "")

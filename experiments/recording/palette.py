@@ -2,14 +2,15 @@
 
 Color = tuple[int, int, int]
 
-TRUTH: Color = (150, 150, 150)
+TRUTH: Color = (210, 210, 210)
 TRACKED: Color = (60, 179, 113)
 INITIALISING: Color = (224, 160, 48)
 LOST: Color = (224, 64, 64)
 RELOCALIZING: Color = (200, 110, 110)
 RECOVERED: Color = (80, 235, 90)
-RECOVERY: Color = (70, 150, 255)
-FUSED: Color = (40, 210, 120)
+RECOVERY: Color = (90, 200, 220)
+FUSED: Color = TRACKED
+INJECTED: Color = (165, 120, 230)
 REFUSED: Color = (230, 120, 40)
 NOTE: Color = (130, 130, 160)
 
@@ -23,6 +24,8 @@ STATES = {
     "relocalizing": RELOCALIZING,
 }
 
+PLAIN: Color = (200, 200, 200)
+
 _MAPS: tuple[Color, ...] = (
     (31, 160, 255),
     (255, 150, 40),
@@ -32,12 +35,18 @@ _MAPS: tuple[Color, ...] = (
     (220, 90, 160),
 )
 _SYSTEMS: tuple[Color, ...] = ((217, 98, 43), (31, 160, 255), (120, 220, 120), (200, 110, 255))
-_SEGMENTS: dict[str, Color] = {
-    "low_texture": (200, 160, 64),
-    "motion_blur": (144, 96, 208),
-    "fast_rotation": (48, 144, 192),
+
+KEY: dict[str, Color] = {
+    "true path": TRUTH,
+    "estimated path": _MAPS[0],
+    "placed by recovery": RECOVERED,
+    "lost, no pose": LOST,
+    "tracked, repaired": TRACKED,
+    "initialising": INITIALISING,
+    "recovery at work": RECOVERY,
+    "injected stress": INJECTED,
 }
-_OTHER_SEGMENT: Color = (176, 96, 96)
+"""Meaning of the main colours."""
 
 
 def map_color(map_id: int) -> Color:
@@ -48,11 +57,6 @@ def map_color(map_id: int) -> Color:
 def system_color(index: int) -> Color:
     """Colour of a system's curves in a shared plot."""
     return _SYSTEMS[index % len(_SYSTEMS)]
-
-
-def segment_color(kind: str) -> Color:
-    """Colour of an injected segment."""
-    return _SEGMENTS.get(kind, _OTHER_SEGMENT)
 
 
 def rgba(color: Color) -> int:

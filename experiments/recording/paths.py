@@ -1,34 +1,18 @@
 """Paths of a run as known at a frame, as line strips in the world."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from experiments.evaluation.frame_outcomes import FrameOutcome, frame_outcomes, known_from
 from experiments.evaluation.scene import Scene
 from experiments.evaluation.summary import is_tracked
 from experiments.runs.execution import RunRecord
-from slam.core.events import Breakage, Event, Fusion, Relocalized
+from slam.core.events import Breakage
 
 MAX_PATH = 600
 """Largest number of points of a drawn path."""
 
-
-@dataclass(frozen=True)
-class Mark:
-    """Position of an event on the path.
-
-    Attributes:
-        frame: frame of the event.
-        position: (3,) float64 in the world.
-        broke: True for a breakage, False for the end of one.
-        label: text shown at the mark.
-    """
-
-    frame: int
-    position: np.ndarray
-    broke: bool
-    label: str
+_PIN, _LABEL_HEIGHT, _LABEL_WIDTH = 0.22, 0.1, 0.7
+"""Least height of a pin, height and width of its label, as shares of what is drawn."""
 
 
 class RunPaths:
@@ -78,20 +62,10 @@ class RunPaths:
         frames = np.flatnonzero(without & np.isfinite(truth).all(axis=(1, 2)))
         return strips(frames, truth[frames, :3, 3])
 
-    def marks(self) -> list[Mark]:
-        """Breakages, fusions and relocalizations at the position of the camera, in order."""
-        found = []
-        for event in self._record.events:
-            label = _label(event)
-            position = None if label is None else self._position(event.frame)
-            if label is not None and position is not None:
-                found.append(Mark(event.frame, position, isinstance(event, Breakage), label))
-        return found
-
     def _first_breakage(self) -> int | None:
         return min((e.frame for e in self._record.events if isinstance(e, Breakage)), default=None)
 
-    def _position(self, frame: int) -> np.ndarray | None:
+    def position(self, frame: int) -> np.ndarray | None:
         """True position at a frame, else the last estimated one before it, else None."""
         truth = self._scene.T_world_cam
         if truth is not None and np.isfinite(truth[frame]).all():
@@ -100,12 +74,21 @@ class RunPaths:
         return self._placed[known[-1]] if len(known) else None
 
 
-def _label(event: Event) -> str | None:
-    if isinstance(event, Breakage):
-        return "breakage"
-    if isinstance(event, Fusion) and event.accepted:
-        return "fused"
-    return "relocalized" if isinstance(event, Relocalized) else None
+def pins(positions: list[np.ndarray], up: np.ndarray, extent: float) -> list[np.ndarray]:
+    """Upright pins, (2, 3) from foot to head, as high as keeps the labels of close ones apart.
+
+    Args:
+        positions: (3,) float64 feet.
+        up: (3,) unit vector.
+        extent: of all that is drawn.
+    """
+    levels: list[int] = []
+    for place, foot in enumerate(positions):
+        near = [np.linalg.norm(foot - other) < _LABEL_WIDTH * extent for other in positions[:place]]
+        taken = {level for level, close in zip(levels, near, strict=True) if close}
+        levels.append(next(level for level in range(place + 1) if level not in taken))
+    heights = [(_PIN + _LABEL_HEIGHT * level) * extent for level in levels]
+    return [np.array([foot, foot + height * up]) for foot, height in zip(positions, heights, strict=True)]
 
 
 def strips(frames: np.ndarray, positions: np.ndarray) -> list[np.ndarray]:

@@ -12,8 +12,9 @@ from experiments.evaluation.scene import lay_out, together
 from experiments.evaluation.summary import is_tracked
 from experiments.recording import palette
 from experiments.recording.blueprint import make_blueprint
-from experiments.recording.drawing import MapSnapshot, RunDrawing, draw_lane, draw_truth
-from experiments.recording.lanes import segment_lane
+from experiments.recording.drawing import INJECTED, SYSTEMS, MapSnapshot, RunDrawing, draw_lane, draw_truth
+from experiments.recording.key import draw_key
+from experiments.recording.lanes import segment_lanes, system_lanes
 from experiments.recording.paths import thin
 from experiments.recording.stream import Stream, part
 from experiments.runs.execution import RunRecord, SlamSystem
@@ -80,8 +81,17 @@ class Recording:
             snapshots = self._watchers[record.system_kind].snapshots
             drawing = RunDrawing(self._stream, record, scenes[place], scene.extent, self._shrink)
             drawing.draw(snapshots, palette.system_color(place))
-        draw_lane(self._stream, "lanes", segment_lane(records[0]))
-        self._stream.blueprint(make_blueprint(records, scene, self._shrink))
+        draw_key(self._stream)
+        self._stream.blueprint(make_blueprint(records, scene, self._shrink, self._draw_lanes(records)))
+
+    def _draw_lanes(self, records: Many[RunRecord]) -> int:
+        """Draw the lanes of segments and systems; returns their number."""
+        lanes = [(INJECTED, lane) for lane in segment_lanes(records[0])]
+        for record in records:
+            lanes += [(f"{SYSTEMS}/{part(record.system_kind)}", lane) for lane in system_lanes(record)]
+        for under, lane in lanes:
+            draw_lane(self._stream, under, lane, len(records[0].results))
+        return len(lanes)
 
     def show_image(self, frame: int, image: np.ndarray) -> None:
         """Write the image of a frame, once for all systems."""

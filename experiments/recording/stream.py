@@ -21,7 +21,7 @@ class Stream:
     Args:
         path: file to write.
         title: name of the recording.
-        stamps_s: (N,) float64 times of the frames.
+        stamps_s: (N,) float64 times of the frames; those of the file count from the first.
 
     Raises:
         OSError: the file cannot be written; also from :meth:`close`.
@@ -29,7 +29,7 @@ class Stream:
 
     def __init__(self, path: Path, title: str, stamps_s: np.ndarray) -> None:
         self._path = path
-        self._stamps_s = stamps_s
+        self._times_s = stamps_s - stamps_s[0]
         self._rec = rr.RecordingStream(APPLICATION, recording_id=title)
         self._rec.set_log_time_enabled(False)
         self._rec.set_log_tick_enabled(False)
@@ -57,7 +57,7 @@ class Stream:
     def log(self, entity: str, frame: int, archetype: Any) -> None:
         """Write data from a frame on."""
         self._rec.set_time("frame", sequence=frame)
-        self._rec.set_time("time", duration=float(self._stamps_s[frame]))
+        self._rec.set_time("time", duration=float(self._times_s[frame]))
         self._rec.log(entity, archetype)
 
     def columns(self, entity: str, frames: Iterable[int], columns: Any) -> None:
@@ -67,7 +67,7 @@ class Stream:
             return
         times = [
             rr.TimeColumn("frame", sequence=frames),
-            rr.TimeColumn("time", duration=self._stamps_s[frames]),
+            rr.TimeColumn("time", duration=self._times_s[frames]),
         ]
         self._rec.send_columns(entity, times, columns)
 
@@ -92,5 +92,5 @@ class Stream:
 
 
 def part(name: str) -> str:
-    """Escape a name as one part of an entity path."""
-    return rr.escape_entity_path_part(name)
+    """A name as one part of an entity path, which the viewer shows as it is: ``dual+`` is ``dual_plus``."""
+    return rr.escape_entity_path_part(name.replace("+", "_plus").replace(" ", "_"))

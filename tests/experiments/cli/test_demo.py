@@ -33,7 +33,7 @@ def test_each_system_has_a_folder_and_all_share_one_recording_and_picture(demo):
         assert {"summary.json", "trajectory.txt"} <= {p.name for p in (out / kind).iterdir()}
     assert (out / "trajectory.png").read_bytes()[:4] == b"\x89PNG"
     entities = {chunk.entity_path for chunk in RrdReader(out / "recording.rrd").stream()}
-    assert {"/lanes/base/state", "/lanes/dual\\+/state", "/camera/image"} <= entities
+    assert {"/slam/base/tracking", "/slam/dual_plus/tracking", "/camera/image"} <= entities
 
 
 def test_the_viewer_opens_the_demonstration_at_the_first_breakage(demo, monkeypatch):

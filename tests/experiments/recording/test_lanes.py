@@ -1,14 +1,16 @@
 """Lanes of a recording agree with the events and results."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from slam_fakes import CAMERA, fake_factory, make_sequence
 
 from experiments.evaluation.frame_outcomes import FrameOutcome, frame_outcomes, known_from
 from experiments.evaluation.scene import lay_out
-from experiments.recording.lanes import Lane, segment_lane, system_lanes
-from experiments.recording.paths import RunPaths, strips
+from experiments.recording.lanes import LETTERS, Lane, segment_lanes, system_lanes
+from experiments.recording.paths import RunPaths, pins, strips
+from experiments.recording.stories import stories
 from experiments.runs.execution import RunRecord, execute
 from slam.core import events as ev
 from slam.core.results import MapTrajectory
@@ -59,7 +61,7 @@ def end(frame: int, thread: int, success: bool) -> ev.RecoveryEnd:
 
 
 def test_the_state_lane_follows_the_base():
-    state = lane(run("base", relocalizes_after=50), "state")
+    state = lane(run("base", relocalizes_after=50), "tracking")
     assert state.changes == [
         (0, "initialising"), (5, "tracking"), (BREAKS, "lost"), (BREAKS + 1, "relocalizing"),
         (BREAKS + 50, "tracking"),
@@ -68,51 +70,67 @@ def test_the_state_lane_follows_the_base():
 
 
 def test_the_state_names_the_map_if_there_are_several():
-    state = lane(run(recovers=False), "state")
+    state = lane(run(recovers=False), "tracking")
     assert [value for _, value in state.changes] == [
         "initialising", "tracking, map 0", "initialising", "tracking, map 1",
     ]  # fmt: skip
 
 
-def test_a_mark_ends_after_its_length_or_at_the_next_mark():
-    marks = lane(run(), "events")
-    # 24 of 300 frames each.
-    assert marks.changes == [
-        (BREAKS, "breakage"), (NEW_MAP, "fused"), (204, ""),
+def test_the_lane_of_a_breakage_tells_when_it_broke_and_what_became_of_it():
+    repaired, base = run(), run("base")
+    # 48 of 300 frames for the words.
+    assert lane(repaired, "breakage_1_at_5.33_s_fused_at_6.00_s").changes == [
+        (BREAKS, "broken"), (NEW_MAP, "fused"), (228, ""),
     ]  # fmt: skip
+    assert lane(base, "breakage_1_at_5.33_s_not_repaired").changes == [(BREAKS, "broken")]
+
+
+def test_a_breakage_is_told_only_as_far_as_it_is_known():
+    (story,) = stories(run())
+    assert story.text_at(NEW_MAP - 1) == "breakage 1 at 5.33 s"
+    assert story.text_at(NEW_MAP) == "breakage 1 at 5.33 s, fused at 6.00 s"
+
+
+def test_other_events_have_a_lane_of_their_kind():
     record = run()
     refused = replace(record.events[-1], frame=105, accepted=False)
-    close = with_events(
-        record,
-        ev.Breakage(**at(100), reason="", inliers=0),
-        ev.MapDropped(**at(100), reason="", keyframes=2),
-        refused,
-        ev.Breakage(**at(290), reason="", inliers=0),
-    )
-    assert lane(close, "events").changes == [
-        (100, "breakage, map dropped"), (105, "fusion refused"), (129, ""), (290, "breakage"),
-    ]  # fmt: skip
+    dropped = [ev.MapDropped(**at(frame), reason="", keyframes=2) for frame in (100, 101)]
+    several = with_events(record, *dropped, refused)
+    assert lane(several, "map_dropped").changes == [(100, "map dropped"), (104, "")]
+    assert lane(several, "fusion_refused").changes == [(105, "fusion refused"), (108, "")]
+
+
+def test_words_that_do_not_fit_into_their_time_are_known():
+    found = [
+        (value, fits, end - frame)
+        for x in system_lanes(run("base", relocalizes_after=5)) + segment_lanes(run())
+        for (frame, value, fits), (end, *_) in pairwise([*x.labelled(300), (300, "", True)])
+    ]
+    assert {fits for _, fits, _ in found} == {True, False}
+    assert all(fits == (len(value) <= LETTERS * frames / 300) for value, fits, frames in found)
 
 
 def test_each_recovery_thread_has_a_lane_from_start_to_end():
     record = with_events(
         run(), start(170, 1), end(200, 1, False), start(200, 2), end(260, 2, True), start(290, 1)
     )
-    assert lane(record, "recovery_1").changes == [
-        (170, "orb at work"), (200, "failed: overlap"), (224, ""), (290, "orb at work"),
+    assert lane(record, "recovery_thread_1").changes == [
+        (170, "orb at work"), (200, "failed"), (248, ""), (290, "orb at work"),
     ]  # fmt: skip
-    assert lane(record, "recovery_2").changes == [(200, "orb at work"), (260, "succeeded"), (284, "")]
+    assert lane(record, "recovery_thread_2").changes == [(200, "orb at work"), (260, "succeeded")]
     assert not [x for x in system_lanes(run("base")) if x.name.startswith("recovery")]
+    early = with_events(run(), start(170, 1), end(200, 1, False), start(210, 1))
+    assert lane(early, "recovery_thread_1").changes[1:] == [(200, "failed"), (210, "orb at work")]
 
 
 def test_a_recovery_within_one_frame_shows_its_outcome():
     record = with_events(run(), start(200, 1), end(200, 1, True))
-    assert lane(record, "recovery_1").changes == [(200, "succeeded"), (224, "")]
+    assert lane(record, "recovery_thread_1").changes == [(200, "succeeded"), (248, "")]
 
 
 def test_the_outcome_lane_shows_the_final_outcome_of_each_frame():
     record = recovered(run(), BREAKS + 6, NEW_MAP - 1)
-    assert lane(record, "outcome").changes == [
+    assert lane(record, "final_poses").changes == [
         (0, "no pose"), (5, "pose"), (BREAKS, "no pose"), (BREAKS + 6, "pose by recovery"), (NEW_MAP, "pose"),
     ]  # fmt: skip
 
@@ -140,19 +158,35 @@ def test_a_recovered_frame_is_known_from_the_fusion_onwards():
     assert 20 <= len(green) <= 21 and paths.lost_strips(NEW_MAP) == []
 
 
-def test_marks_lie_at_the_position_of_the_camera():
+def test_positions_of_events_are_those_of_the_camera():
     record = run()
-    marks = RunPaths(record, lay_out(record)).marks()
-    assert [(m.frame, m.label, m.broke) for m in marks] == [
-        (BREAKS, "breakage", True),
-        (NEW_MAP, "fused", False),
+    found = RunPaths(record, lay_out(record)).position(BREAKS)
+    np.testing.assert_allclose(found, record.sequence.T_world_cam[BREAKS, :3, 3])
+
+
+def test_pins_close_to_each_other_differ_in_height():
+    up, feet = np.array([0.0, 0, 1]), [np.array([x, 0.0, 0]) for x in (0, 1, 2, 50, 51)]
+    found = pins(feet, up, 10.0)
+    np.testing.assert_allclose([pin[0] for pin in found], feet)
+    heights = [round(float(pin[1] @ up), 6) for pin in found]
+    assert len(set(heights[:3])) == 3 and heights[3:] == heights[:2] and min(heights) > 0
+
+
+def test_every_segment_has_a_lane_even_if_two_of_a_kind_overlap():
+    record = run()
+    (first,) = record.sequence.segments
+    second = replace(
+        first, start_s=5.5, end_s=6.5, first_frame=165, last_frame=299, runs=((165, 170), (299, 299))
+    )
+    none = replace(first, first_frame=-1, last_frame=-1)
+    record = replace(record, sequence=replace(record.sequence, segments=(first, second, none)))
+    assert [(x.name, x.changes) for x in segment_lanes(record)] == [
+        ("5.00_to_6.00_s_low_texture", [(0, ""), (150, "low texture"), (181, "")]),
+        (
+            "5.50_to_6.50_s_low_texture",
+            [(0, ""), (165, "low texture"), (171, ""), (299, "low texture")],
+        ),
     ]
-    np.testing.assert_allclose(marks[0].position, record.sequence.T_world_cam[BREAKS, :3, 3])
-
-
-def test_overlapping_segments_share_the_lane():
-    record = run()
-    assert segment_lane(record).changes == [(0, ""), (150, "low texture"), (181, "")]
 
 
 def test_a_path_is_cut_where_frames_are_missing_and_thinned():

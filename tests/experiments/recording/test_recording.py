@@ -1,5 +1,7 @@
 """A recording holds every part of its systems side by side and stays small."""
 
+import dataclasses
+import json
 from collections import Counter, defaultdict
 from dataclasses import replace
 from pathlib import Path
@@ -11,17 +13,17 @@ from rerun.chunk import RrdReader
 from slam_fakes import CAMERA, FakeSystem, fake_factory, make_sequence
 
 from experiments.evaluation.scene import lay_out
-from experiments.recording import Recording
+from experiments.recording import Recording, palette
 from experiments.recording.describe import describe_event
 from experiments.result_folder import run_sequence
 from experiments.runs.execution import execute
-from slam.core.events import PlacedKeyframe, RecoveryEnd
+from slam.core.events import Event
 
 PER_SYSTEM = (
     "/world/{}/camera", "/world/{}/map_0/path", "/world/{}/map_0/points", "/world/{}/map_0/keyframes",
-    "/world/{}/lost", "/world/{}/recovered", "/world/{}/marks", "/camera/{}/features", "/camera/{}/inliers",
-    "/plots/inliers/{}", "/plots/ms/{}", "/lanes/{}/state", "/lanes/{}/events", "/lanes/{}/outcome",
-    "/events/{}",
+    "/world/{}/lost", "/world/{}/recovered", "/world/{}/marks/labels",
+    "/camera/{}/features", "/camera/{}/inliers", "/plots/inliers/{}", "/plots/ms/{}",
+    "/slam/{}/tracking", "/slam/{}/final_poses", "/events/{}",
 )  # fmt: skip
 
 
@@ -33,8 +35,11 @@ class Content:
         self.times: dict[str, set[str]] = defaultdict(set)
         self.columns: dict[str, dict[str, list]] = defaultdict(lambda: defaultdict(list))
         self._reader = RrdReader(path)
+        self.fixed: dict[str, dict[str, list]] = defaultdict(dict)
         for chunk in self._reader.stream():
             if chunk.is_static:
+                for name, values in chunk.to_record_batch().to_pydict().items():
+                    self.fixed[chunk.entity_path][name.rsplit(":", 1)[-1]] = values
                 continue
             self.rows[chunk.entity_path] += chunk.num_rows
             self.times[chunk.entity_path] |= set(chunk.timeline_names)
@@ -65,10 +70,12 @@ def side_by_side(tmp_path_factory):
 
 
 def test_every_system_has_every_part_on_both_time_lines(side_by_side):
-    for system in ("base", r"dual\+"):
+    for system in ("base", "dual_plus"):
         for entity in PER_SYSTEM:
             assert side_by_side.rows[entity.format(system)], entity.format(system)
-    assert side_by_side.rows[r"/lanes/dual\+/recovery_1"] and not side_by_side.rows["/lanes/base/recovery_1"]
+    assert side_by_side.rows["/slam/dual_plus/recovery_thread_1"]
+    assert side_by_side.rows["/slam/dual_plus/breakage_1_at_5.33_s_fused_at_6.00_s"]
+    assert side_by_side.rows["/slam/base/breakage_1_at_5.33_s_not_repaired"]
     assert all({"frame", "time"} == times for times in side_by_side.times.values() if times)
 
 
@@ -76,15 +83,33 @@ def test_data_common_to_the_systems_is_written_once(side_by_side):
     # 300 frames at 30 fps, 10 images a second, and those at which a state begins.
     assert 100 <= side_by_side.rows["/camera/image"] <= 106
     assert side_by_side.rows["/world/true_camera"] == 300
-    assert side_by_side.rows["/lanes/segment"] == 3
+    assert side_by_side.rows["/injected/5.00_to_6.00_s_low_texture"] == 3
+
+
+def test_no_name_needs_an_escape(side_by_side):
+    assert side_by_side.rows and not [path for path in side_by_side.rows if "\\" in path]
+
+
+def test_the_key_names_each_colour(side_by_side):
+    ((labels,), (colors,)) = (side_by_side.fixed["/key"][name] for name in ("labels", "colors"))
+    assert labels == list(palette.KEY) and len(set(colors)) == len(labels)
+    assert {palette.rgba(c) for c in (palette.TRUTH, palette.LOST, palette.map_color(0))} <= set(colors)
+
+
+def test_times_count_from_the_first_frame(tmp_path):
+    sequence = make_sequence(60, segment=None)
+    later = replace(sequence, stamps_s=sequence.stamps_s + 1305031102.25)
+    content = Content(record(tmp_path, later, lambda *_: FakeSystem(sequence.T_world_cam)))
+    times = content.columns["/plots/inliers/dual"]["time"]
+    assert times[0].total_seconds() == 0 and times[-1].total_seconds() == pytest.approx(59 / 30, abs=1e-6)
 
 
 def test_the_true_path_is_red_where_no_pose_is_known(side_by_side):
-    lost = {system: lines(side_by_side, f"/world/{system}/lost") for system in ("base", r"dual\+")}
+    lost = {system: lines(side_by_side, f"/world/{system}/lost") for system in ("base", "dual_plus")}
     assert lost["base"][159] == 0
     assert 19 <= lost["base"][180] < lost["base"][299] and 139 <= lost["base"][299] <= 141
     # Frames up to the new map are lost too, later ones are not.
-    assert lost[r"dual\+"][180] == lost[r"dual\+"][299] <= 22
+    assert lost["dual_plus"][180] == lost["dual_plus"][299] <= 22
 
 
 def lines(content: Content, entity: str) -> dict[int, int]:
@@ -97,10 +122,27 @@ def lines(content: Content, entity: str) -> dict[int, int]:
 
 def test_the_blueprint_shows_each_system_and_opens_at_the_breakage(side_by_side):
     text = side_by_side.blueprint()
-    for title in ("base: camera", "dual+: camera", "base: map", "dual+: map", "states", "inliers", "events"):
+    for title in (
+        "base: camera",
+        "dual+: camera",
+        "base: path",
+        "dual+: path",
+        "injected",
+        "colours",
+        "events",
+    ):
         assert title in text, title
     # From a second before the breakage, 160 / 30 s, in nanoseconds.
     assert "4333333333" in text
+
+
+def test_the_viewer_opens_at_the_breakage_as_counted_from_the_first_frame(dslab, monkeypatch, tmp_path):
+    opened = []
+    monkeypatch.setattr("experiments.recording.open_viewer", lambda path, at: opened.append(at))
+    (tmp_path / "recording.rrd").touch()
+    breakage = {"stamp_s": 1305031106.75, "time_s": 4.5}
+    (tmp_path / "summary.json").write_text(json.dumps({"breakage_list": [breakage]}))
+    assert dslab("view", tmp_path)[0] == 0 and opened == [4.5]
 
 
 def test_without_truth_there_is_no_true_path(tmp_path):
@@ -165,22 +207,21 @@ def test_the_estimate_is_aligned_to_the_truth_for_display():
     assert scene.up.tolist() == [0, 0, 1]
 
 
-@pytest.mark.parametrize(("breaks_at", "level"), [(None, "INFO"), (160, "ERROR")])
-def test_events_read_as_sentences(breaks_at, level):
+@pytest.mark.parametrize(
+    ("breaks_at", "begin", "color"), [(None, "map 0 init", palette.PLAIN), (160, "breakage", palette.LOST)]
+)
+def test_events_read_as_sentences(breaks_at, begin, color):
     sequence = make_sequence()
     run = execute(sequence, "base", 0, build=fake_factory(sequence, breaks_at=breaks_at))
     text, found = describe_event(run.events[-1])
-    assert found == level
-    assert text.startswith("0.17 s  frame 5" if breaks_at is None else "5.33 s  frame 160  breakage: ")
+    assert found == color and text.startswith(begin) and "_" not in text
 
 
-def test_an_event_with_a_list_is_one_short_line():
-    pose = tuple(map(tuple, np.eye(4).tolist()))
-    end = RecoveryEnd(
-        frame=9, stamp_s=0.3, map_id=1, thread=1, method="orb", old_map_id=0, success=True, stage="",
-        reason="", frames_covered=7, frames_passed_over=0, inliers=50, cpu_ms=3.0,
-        placed=tuple(PlacedKeyframe(i, i / 30, pose) for i in range(5)),
-    )  # fmt: skip
-    text, _ = describe_event(end)
-    assert "placed 5" in text and len(text) < 200
-    assert "placed" not in describe_event(replace(end, success=False, placed=()))[0]
+def test_every_kind_of_event_is_a_short_line_without_names_of_fields():
+    given = {str: "too_few_inliers", int: 7, float: 0.5, bool: True}
+    for kind in Event.__subclasses__():
+        fields = {field.name: given.get(field.type, ()) for field in dataclasses.fields(kind)}
+        for judged in (True, False):
+            values = {name: judged if value is True else value for name, value in fields.items()}
+            text, _ = describe_event(kind(**values))
+            assert " " in text and len(text) < 80 and not {"_", "{", "None"} & set(text.split() + list(text))
