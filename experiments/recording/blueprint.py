@@ -87,9 +87,7 @@ def _curves(name: str, plot: str, high: float, systems: int) -> rrb.TimeSeriesVi
 
 def _world_view(kind: str, scene: Scene) -> rrb.Spatial3DView:
     """3D view of one system, framed on the path, the longer side of which lies across."""
-    # Labels stand above the path.
-    target = scene.centre + 0.08 * scene.extent * scene.up
-    eye = target + scene.extent * (1.05 * scene.up - 0.8 * _short_side(scene))
+    eye = scene.centre + scene.extent * (0.9 * scene.up - 0.95 * _short_side(scene))
     title = "path, aligned to the truth" if scene.T_world_cam is not None else "path"
     return rrb.Spatial3DView(
         name=f"{kind}: {title}",
@@ -97,7 +95,7 @@ def _world_view(kind: str, scene: Scene) -> rrb.Spatial3DView:
         contents=["+ world", "+ world/true_path", "+ world/true_camera", f"+ world/{part(kind)}/**"],
         line_grid=rrb.LineGrid3D(color=_GRID),
         eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital, position=eye, look_target=target, eye_up=scene.up
+            kind=rrb.Eye3DKind.Orbital, position=eye, look_target=scene.centre, eye_up=scene.up
         ),
     )
 
@@ -106,7 +104,8 @@ def _short_side(scene: Scene) -> np.ndarray:
     """(3,) unit vector across the true path on the ground; any on the ground without truth."""
     ground = np.eye(3)[scene.up == 0]
     truth = np.empty((0, 4, 4)) if scene.T_world_cam is None else scene.T_world_cam
-    places = (truth[np.isfinite(truth).all(axis=(1, 2)), :3, 3] - scene.centre) @ ground.T
+    places = truth[np.isfinite(truth).all(axis=(1, 2)), :3, 3] @ ground.T
+    places = places - places.mean(axis=0) if len(places) else places
     return np.linalg.eigh(places.T @ places)[1][:, 0] @ ground
 
 

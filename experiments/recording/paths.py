@@ -11,7 +11,7 @@ from slam.core.events import Breakage
 MAX_PATH = 600
 """Largest number of points of a drawn path."""
 
-_PIN, _LABEL_HEIGHT, _LABEL_WIDTH = 0.22, 0.1, 0.7
+_PIN, _LABEL_HEIGHT, _LABEL_WIDTH = 0.22, 0.14, 0.7
 """Least height of a pin, height and width of its label, as shares of what is drawn."""
 
 
