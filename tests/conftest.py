@@ -10,6 +10,11 @@ import pytest
 def dslab(monkeypatch, capsys) -> Callable[..., tuple[int, str, str]]:
     """Runs the command with its arguments in this process; (exit code, stdout, stderr)."""
     from experiments import cli
+    from experiments.cli import console
+
+    # A console that was made while COLUMNS was set would keep that width for ever.
+    for one in (console.out, console.err):
+        monkeypatch.setattr(one, "_width", None)
 
     def run(*arguments: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["dslab", *map(str, arguments)])

@@ -4,9 +4,8 @@ import time
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
 
-from experiments.cli.console import out
+from experiments.cli.console import print_facts
 
 if TYPE_CHECKING:
     from sim.cache import Entry, FolderCache
@@ -32,13 +31,14 @@ def show(context: typer.Context) -> None:
 
     store = FolderCache()
     entries = store.entries()
-    table = Table(show_header=False, box=None)
-    table.add_row("folder", f"{store.root}; {CACHE_DIR_VARIABLE} names another")
-    table.add_row("size", size_text(store))
-    table.add_row("entries", str(len(entries)))
+    facts = {
+        "folder": f"{store.root}; {CACHE_DIR_VARIABLE} names another",
+        "size": size_text(store),
+        "entries": str(len(entries)),
+    }
     if entries:
-        table.add_row("last used", f"{_age(entries[-1])} ago; the oldest {_age(entries[0])} ago")
-    out.print(table)
+        facts["last used"] = f"{_age(entries[-1])} ago; the oldest {_age(entries[0])} ago"
+    print_facts(facts)
 
 
 @app.command()

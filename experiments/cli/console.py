@@ -1,7 +1,7 @@
 """Common parts of the commands: options, consoles, progress bars."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
@@ -115,6 +115,13 @@ def print_table(table: Table) -> None:
     for column in table.columns:
         column.overflow = "fold"
     out.print(table)
+
+
+def print_facts(facts: Mapping[str, str]) -> None:
+    """Print a line per fact, never cut: names of folders can be copied from it."""
+    longest = max(map(len, facts))
+    for name, value in facts.items():
+        out.print(f"{name:{longest}s}  {value}", soft_wrap=True)
 
 
 def print_segments(segments: "Iterable[SegmentTruth]") -> None:

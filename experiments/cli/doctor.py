@@ -5,10 +5,9 @@ import platform
 from pathlib import Path
 
 import typer
-from rich.table import Table
 
 from experiments.cli.cache import size_text
-from experiments.cli.console import err, out
+from experiments.cli.console import err, print_facts
 from experiments.kernel_cache import VARIABLE
 from scenarios.errors import InputError
 
@@ -20,19 +19,20 @@ def doctor_command() -> None:
     """
     from experiments.runs.provenance import commit, usable_cores, versions
 
-    table = Table(show_header=False, box=None)
     gl, gl_error = _gl()
-    table.add_row("GL renderer", gl)
-    table.add_row("renderers", "none" if gl_error else _renderers())
-    for name, version in versions().items():
-        table.add_row(name, version)
-    table.add_row("commit", commit() or "not a git work tree")
-    table.add_row("system", f"{platform.system()} {platform.release()}, {platform.machine()}")
-    table.add_row("cores", f"{usable_cores()} usable of {os.cpu_count()}")
-    table.add_row("memory", _memory())
-    table.add_row("render cache", _render_cache())
-    table.add_row("kernel cache", _kernel_cache())
-    out.print(table)
+    print_facts(
+        {
+            "GL renderer": gl,
+            "renderers": "none" if gl_error else _renderers(),
+            **versions(),
+            "commit": commit() or "not a git work tree",
+            "system": f"{platform.system()} {platform.release()}, {platform.machine()}",
+            "cores": f"{usable_cores()} usable of {os.cpu_count()}",
+            "memory": _memory(),
+            "render cache": _render_cache(),
+            "kernel cache": _kernel_cache(),
+        }
+    )
     if gl_error is not None:
         err.print(f"error: {gl_error}", soft_wrap=True)
         raise typer.Exit(2)

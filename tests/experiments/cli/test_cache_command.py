@@ -12,7 +12,6 @@ from sim.cache import FolderCache
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("DSLAB_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setenv("COLUMNS", "200")
     for name, days in (("new", 0.1), ("old", 9)):
         with FolderCache().create(name) as folder:
             (folder / "gray.npy").write_bytes(bytes(10**7))
