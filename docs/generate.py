@@ -23,7 +23,7 @@ from experiments.runs.slam_settings import settings_yaml
 from scenarios.cameras import PRESETS as CAMERAS
 from scenarios.cameras import Camera
 from scenarios.describe import describe_kind, label_and_unit
-from scenarios.describe_family import describe_members, describe_parameters
+from scenarios.describe_family import describe_parameters
 from scenarios.families import library_names, load_family
 from scenarios.imu import Imu
 from scenarios.motions import KINDS as MOTIONS
@@ -131,7 +131,7 @@ def library() -> str:
 
 def _family(name: str) -> str:
     family = load_family(name)
-    members = describe_members(family)
+    members = _members(list(family.members))
     drawn = ", ".join(f"`{field}` {words}" for field, words in describe_parameters(family).items())
     return " ".join(
         [
@@ -140,6 +140,12 @@ def _family(name: str) -> str:
             f"*Drawn:* {drawn}." if drawn else "",
         ]
     )
+
+
+def _members(names: list[str]) -> str:
+    numbered = names and all(name.isdigit() for name in names)
+    named = f"{names[0]} to {names[-1]}" if numbered else ", ".join(names)
+    return f"{len(names)}: {named}" if names else ""
 
 
 def presets() -> str:

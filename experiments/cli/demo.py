@@ -13,8 +13,9 @@ if TYPE_CHECKING:
     from experiments.eq1.spec import ExperimentSpec
     from experiments.statistics.results import CellAnalysis
 
-SCENARIO = "three-stresses"
-"""Default scenario of the demonstration."""
+SCENARIO, SEED = "stressed", 4
+"""Default of the demonstration: of the seeds 0 to 4 the one in which the base stays lost and a recovery
+brings Dual-SLAM back; what the others show stands in docs/first-steps.md."""
 EXPERIMENT = "demo"
 """Preset whose units it runs."""
 _WORKERS = 2
@@ -30,7 +31,12 @@ def demo_command(
     ] = SCENARIO,
     seed: Annotated[
         int | None,
-        typer.Option(min=0, max=MOST_SEED, metavar="N", help="Its root seed; default: that of the scenario."),
+        typer.Option(
+            min=0,
+            max=MOST_SEED,
+            metavar="N",
+            help="Its root seed; by default 4 for stressed, else that of the scenario.",
+        ),
     ] = None,
     no_units: Annotated[bool, typer.Option("--no-units", help="Leave out the second part.")] = False,
     force: ForceOption = False,
@@ -60,7 +66,7 @@ def demo_command(
 
     check_free(out_dir, MARKER_FILE)
     single_threaded_opencv()
-    spec = load_scenario(scenario, seed)
+    spec = load_scenario(scenario, SEED if seed is None and scenario == SCENARIO else seed)
     experiment = None if no_units else load_spec(EXPERIMENT)
     with progress_bars() as show:
         sequence = render_sequence(spec, progress=show, force=force)

@@ -105,7 +105,7 @@ def _mark(axes: Axes, place: np.ndarray, outcomes: list[BreakageOutcome]) -> Non
 def _headline(run: DrawnRun) -> str:
     posed = sum(outcome is not FrameOutcome.NONE for outcome in run.frames) / max(1, len(run.frames))
     count = len(run.outcomes)
-    lines = [f"{run.name}: {posed:.0%} of the frames have a pose"]
+    lines = [f"{run.name}: {posed:.1%} of the frames have a pose"]
     if count:
         repairs = {
             "recovered": sum(o.recovered for o in run.outcomes),
