@@ -191,11 +191,11 @@ def test_the_command_passes_its_options_on_and_prints_the_page(dslab, monkeypatc
 def test_a_browser_shows_every_picture_without_errors(gallery, page, tmp_path):
     folder = shutil.copytree(gallery[0].page.parent, tmp_path / "copy")
     pictures = len(page.all("img"))
-    assert seen_by_browser(folder, tmp_path) == (f"{pictures} shown, 0 missing", False)
+    assert seen_by_browser(folder, tmp_path) == (f"{pictures} shown, 0 missing, 0 wide", False)
     # A missing file is detected: here the first picture, shown twice on the page, and a map.
     (folder / page.all("img")[0]["src"]).unlink()
     (folder / page.all("image")[0]["href"]).unlink()
-    assert seen_by_browser(folder, tmp_path) == (f"{pictures - 2} shown, 3 missing", True)
+    assert seen_by_browser(folder, tmp_path) == (f"{pictures - 2} shown, 3 missing, 0 wide", True)
 
 
 def seen_by_browser(folder, profile) -> tuple[str, bool]:
@@ -211,7 +211,8 @@ def seen_by_browser(folder, profile) -> tuple[str, bool]:
         addEventListener('error', () => { missing += 1; console.error('missing'); }, true);
         addEventListener('load', () => {
             const shown = [...document.images].filter(image => image.naturalWidth > 0).length;
-            document.title = `${shown} shown, ${missing} missing`;
+            const page = document.documentElement;
+            document.title = `${shown} shown, ${missing} missing, ${page.scrollWidth - page.clientWidth} wide`;
         });
     </script>"""
     (folder / "watched.html").write_text(html.replace("<head>", watch))
@@ -219,7 +220,7 @@ def seen_by_browser(folder, profile) -> tuple[str, bool]:
         [
             "chromium", "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
             "--disable-background-networking", f"--user-data-dir={profile / 'profile'}",
-            "--enable-logging=stderr", "--virtual-time-budget=20000", "--dump-dom",
+            "--enable-logging=stderr", "--window-size=400,900", "--virtual-time-budget=20000", "--dump-dom",
             (folder / "watched.html").as_uri(),
         ],
         capture_output=True, text=True, timeout=60, check=True,
