@@ -212,7 +212,8 @@ def seen_by_browser(folder, profile) -> tuple[str, bool]:
         addEventListener('load', () => {
             const shown = [...document.images].filter(image => image.naturalWidth > 0).length;
             const page = document.documentElement;
-            document.title = `${shown} shown, ${missing} missing, ${page.scrollWidth - page.clientWidth} wide`;
+            const wide = page.scrollWidth - page.clientWidth;
+            document.title = `${shown} shown, ${missing} missing, ${wide} wide`;
         });
     </script>"""
     (folder / "watched.html").write_text(html.replace("<head>", watch))
