@@ -70,9 +70,6 @@ def run_command(
             "--no-relocalization", help="Do not relocalize in saved maps until a new map is initialized."
         ),
     ] = False,
-    _relocalization: Annotated[
-        bool, typer.Option("--relocalization", help="The default.", hidden=True)
-    ] = False,
     seed: Annotated[
         int | None,
         typer.Option(

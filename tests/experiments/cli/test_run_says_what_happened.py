@@ -134,7 +134,7 @@ def test_a_wrong_list_of_systems_is_one_line_and_leaves_nothing(run_fake, tmp_pa
 
 def test_a_setting_of_recovery_fits_if_any_system_has_recovery(run_fake, tmp_path):
     assert run_fake("--system", "base", "--recovery", "orb")[0] == 2
-    assert run_fake("--system", "base,dual", "--recovery", "orb", "--relocalization")[0] == 0
+    assert run_fake("--system", "base,dual", "--recovery", "orb")[0] == 0
 
 
 def test_a_breakage_counts_in_one_of_overlapping_segments():
