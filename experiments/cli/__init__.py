@@ -56,6 +56,6 @@ def _clear_up() -> None:
 
 
 def _say(line: str) -> None:
-    from experiments.cli.console import err
+    from experiments.cli.console import print_error_line
 
-    err.print(line.replace("\n", " "), soft_wrap=True)
+    print_error_line(line)

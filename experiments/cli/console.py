@@ -117,6 +117,11 @@ def print_table(table: Table) -> None:
     out.print(table)
 
 
+def print_error_line(line: str) -> None:
+    """Print one unwrapped line on stderr, whatever the names in it hold."""
+    err.print(line.replace("\n", " "), soft_wrap=True)
+
+
 def print_facts(facts: Mapping[str, str]) -> None:
     """Print a line per fact, never cut: names of folders can be copied from it."""
     longest = max(map(len, facts))

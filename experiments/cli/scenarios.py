@@ -11,7 +11,7 @@ from rich.syntax import Syntax
 from rich.table import Table
 from rich.text import Text
 
-from experiments.cli.console import err, out, print_table
+from experiments.cli.console import err, out, print_error_line, print_table
 from experiments.cli.gallery import gallery_command
 from scenarios.errors import InputError, collect
 
@@ -117,7 +117,7 @@ def validate(
     except InputError as error:
         faults = in_order_of_lines(file, error.faults)
         for fault in faults[:MOST_FAULTS]:
-            err.print(f"error: {fault}", soft_wrap=True)
+            print_error_line(f"error: {fault}")
         if len(faults) > MOST_FAULTS:
             err.print(f"and {len(faults) - MOST_FAULTS} more")
         raise typer.Exit(2) from None

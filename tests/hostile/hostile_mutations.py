@@ -58,9 +58,10 @@ def mutations(draw: Any, example: Example, folder: Path) -> Mutation:
     kind = draw(st.sampled_from([content, place, *_BY_SUFFIX.get(Path(path).suffix, [])]))
     what, strict, apply = kind(draw, folder / path)
     excused = {UNLESS_OPTIONAL: example.optional + example.sparse, UNLESS_SPARSE: example.sparse}
+    strict = strict or _among(path, example.ours)
     # Without its ledger an experiment begins anew, as its messages say.
-    strict = strict or (what != "missing" and _among(path, example.ours))
-    if _among(path, example.free + excused.get(strict, ())):
+    begun_anew = what == "missing" and path == "ledger.sqlite"
+    if begun_anew or _among(path, example.free + excused.get(strict, ())):
         strict = False
     return Mutation(kind.__name__, what, path, bool(strict), apply)
 

@@ -63,7 +63,10 @@ def tree(draw: Any, path: Path) -> Change:
     is_json = path.suffix == ".json"
     text = path.read_text()
     content = json.loads(text) if is_json else yaml.safe_load(text.replace("%YAML:1.0", ""))
-    place = draw(st.sampled_from([place for place in _places(content) if place]))
+    places = [place for place in _places(content) if place]
+    if not places:
+        return "is 1", True, lambda path: path.write_text("1")
+    place = draw(st.sampled_from(places))
     parent, key = _at(content, place[:-1]), place[-1]
     raws = _JSON if is_json else _YAML
     raw = draw(st.sampled_from([raw for raw in raws if not _alike(raw, parent[key])]))

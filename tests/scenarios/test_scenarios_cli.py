@@ -91,6 +91,16 @@ def test_validate_names_every_fault_once_in_the_order_of_the_lines(dslab, tmp_pa
     assert all(line.startswith("error: ") and "; " in line for line in err.splitlines())
 
 
+def test_a_name_over_two_lines_makes_no_second_line(dslab, tmp_path):
+    text = """
+name: "a\\nb"
+duration_s: {uniform: [4, 5]}
+world: {kind: room}
+"""
+    code, out, err = dslab("scenarios", "validate", write(tmp_path, text))
+    assert (code, out, err.count("\n")) == (2, "", 1) and "name: " in err
+
+
 def test_validate_names_every_segment_that_does_not_fit(dslab, tmp_path):
     text = "name: bad\nworld: {kind: room}\ncamera: {fy: 3}\nsegments:\n" + "".join(
         f"  - {{kind: jpeg, start_s: {start_s}, duration_s: 3, quality: 9}}\n" for start_s in (28, 1, 2, 29)
