@@ -8,7 +8,7 @@ from experiments.report.describe import listed, number, percent, plural
 from scenarios.describe import describe_kind
 
 WORLDS_FOR_A_TEST = 100
-"""Worlds that tell a doubled share of failures from Eq. 1 with a power of about 0.8."""
+"""Number of worlds below which they are called too few: a rough figure, the power was not simulated."""
 
 _KINDS_WITH_DOSES = 4
 
@@ -99,11 +99,9 @@ def _stress(found: list[dict[str, Any]]) -> str:
 
 def _certainty(results: dict[str, Any]) -> str:
     kinds, confidence = results["kinds_of_world"], results["analysis"]["settings"]["confidence"]
-    few = kinds["worlds"] < WORLDS_FOR_A_TEST
-    wanted = f"; a test of Eq. 1 needs about {WORLDS_FOR_A_TEST}" if few else ""
     return (
         f"How sure: the {number(100 * confidence)} % intervals rest on {plural(kinds['worlds'], 'world')}, "
-        f"for trials in one world succeed and fail together{wanted}."
+        "for trials in one world succeed and fail together."
     )
 
 

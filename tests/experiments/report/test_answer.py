@@ -6,7 +6,7 @@ import pytest
 from report_fakes import FakeSpec, fake_table
 
 from experiments.eq1.spec import load_spec, preset_names
-from experiments.report.answer import WORLDS_FOR_A_TEST, answer
+from experiments.report.answer import answer
 from experiments.report.conditions import conditions, describe_stress, dose_at, doses_of
 from experiments.report.content import report_content
 from experiments.statistics.analysis import AnalysisSettings
@@ -39,7 +39,7 @@ def test_the_answer_begins_with_the_verdict_and_names_what_was_tried(results):
     assert first.startswith("No verdict") and "too few" in first
     text = " ".join(rest)
     assert "low texture (contrast 0.3 and 0.1)" in text and "10 rendered worlds (corridor)" in text
-    assert f"about {WORLDS_FOR_A_TEST}" in text and str(results["kinds_of_world"]["units"]) in text
+    assert str(results["kinds_of_world"]["units"]) in text
     assert f"{results['units']['void']} trials without a healthy map" in text
 
 
