@@ -7,6 +7,7 @@ from slam.features.orb import OrbConfig
 from slam.initialization.initializer import InitializationConfig
 from slam.loop_closing.detection import LoopClosingConfig
 from slam.mapping.local_mapping import LocalMappingConfig
+from slam.tracking.probation import ProbationConfig
 from slam.tracking.relocalization import RelocalizationConfig
 from slam.tracking.tracker import TrackingConfig
 
@@ -22,6 +23,7 @@ class SlamConfig:
         mapping: new points, their culling, local bundle adjustment.
         loops: detection and correction of loops.
         relocalization: poses of frames after tracking was lost.
+        probation: confirmation of these poses by the frames that follow.
         initial_features: features of a frame before initialization over those of a tracked one, as far as the
             image has room for them; many are needed to see parallax after small steps.
         min_map_keyframes: a map that breaks with no more keyframes is dropped instead of kept.
@@ -34,6 +36,7 @@ class SlamConfig:
     mapping: LocalMappingConfig = field(default_factory=LocalMappingConfig)
     loops: LoopClosingConfig = field(default_factory=LoopClosingConfig)
     relocalization: RelocalizationConfig = field(default_factory=RelocalizationConfig)
+    probation: ProbationConfig = field(default_factory=ProbationConfig)
     min_map_keyframes: int = 5
 
 

@@ -1,5 +1,6 @@
 """Monocular SLAM system, written as the steps of the method."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from numbers import Real
 from typing import Self
@@ -23,7 +24,17 @@ from slam.map.map import Map
 from slam.map.trajectory import FramePoses, keyframe_trajectory
 from slam.map_places import Places
 from slam.mapping.local_mapping import LocalMapper
-from slam.runtime.backend import Backend, Change, Corrected, ExecutionMode, KeyframeTask, Mapped, Searched
+from slam.runtime.backend import (
+    Backend,
+    Change,
+    Corrected,
+    ExecutionMode,
+    KeyframeTask,
+    Mapped,
+    Refused,
+    Searched,
+)
+from slam.tracking.probation import Probation, Verdict
 from slam.tracking.tracker import Tracker, TrackingOutcome
 
 _PX_PER_FEATURE = 45.0  # an image has room for at most one feature in this many pixels
@@ -68,6 +79,7 @@ class MonocularSlam:
         self._maps: dict[int, Map] = {}
         self._known_places: dict[int, Places] = {}
         self._broken_at: dict[int, FrameFeatures] = {}
+        self._probation: Probation | None = None
         self._backend = Backend(self._apply, mode)
         self._mapping_cpu_ms = self._loop_cpu_ms = 0.0
         self._poses = FramePoses()
@@ -178,6 +190,8 @@ class MonocularSlam:
             self._loop_cpu_ms += change.cpu_ms
         elif isinstance(change, Corrected):
             self._apply_correction(change)
+        elif isinstance(change, Refused):
+            self._report_refusal(change)
         else:
             self._loop_cpu_ms += change.cpu_ms
             m = change.task.mapper.map
@@ -209,32 +223,92 @@ class MonocularSlam:
             cpu_ms=change.cpu_ms,
         )
 
+    def _report_refusal(self, change: Refused) -> None:
+        m, refusal = change.task.mapper.map, change.refusal
+        self._emit_at(
+            change.task.frame,
+            ev.LoopRefused,
+            m.map_id,
+            keyframe=m.frame_index(refusal.keyframe),
+            loop_keyframe=m.frame_index(refusal.loop_keyframe),
+            matches=refusal.matches,
+            reason=refusal.reason,
+        )
+
     def _relocalize(self, frame: Frame) -> TrackingOutcome:
         """Relocalize the frame in the map in which tracking was lost."""
         self.state = TrackingState.RELOCALIZING
-        return self._relocalize_in(self._map_id, frame)
+        return self._relocalize_in([self._map_id], frame)
 
-    def _relocalize_in(self, map_id: int, frame: Frame) -> TrackingOutcome:
-        """Relocalize the frame in a map; on success, tracking goes on there."""
+    def _relocalize_in(self, map_ids: Sequence[int], frame: Frame) -> TrackingOutcome:
+        """Relocalize the frame in the first of some maps that recognises it.
+
+        It counts, and tracking goes on there, once the frames that follow have confirmed it.
+        """
+        outcome = TrackingOutcome(False, 0, 0, "no_candidates")
+        if self._probation is not None:
+            outcome = self._on_probation(self._probation, map_ids, frame)
+        if self._probation is None and not outcome.success:
+            for map_id in map_ids:
+                outcome = self._begin_probation(map_id, frame)
+                if self._probation is not None:
+                    break
+        return outcome
+
+    def _begin_probation(self, map_id: int, frame: Frame) -> TrackingOutcome:
+        """Search a map for the frame; if it is found there, it is on probation."""
         rng = rng_for(self.seed, "relocalization", frame.features.index)
         with self.timer("relocalize"), self._backend.lock:
             found = self._places(map_id).relocalizer.relocalize(frame, rng)
-        if not found.success:
-            return TrackingOutcome(False, found.inliers, found.matches, found.reason)
-        if map_id != self._map_id:
-            self._enter(map_id)
-        self.tracker.resume(frame)
+            if found.success:
+                tracker = Tracker(self._maps[map_id], self.config.tracking, self.timer)
+                probation = Probation(map_id, frame, found.keyframe, tracker, self.config.probation)
+                self._probation = probation
+        reason = "on_probation" if found.success else found.reason
+        return TrackingOutcome(False, found.inliers, found.matches, reason)
+
+    def _on_probation(self, probation: Probation, map_ids: Sequence[int], frame: Frame) -> TrackingOutcome:
+        """Track the frame where an earlier one was relocalized; success if that is now confirmed."""
+        if probation.map_id in map_ids:
+            with self._backend.lock:
+                outcome = probation.offer(frame)
+        else:
+            outcome = TrackingOutcome(False, 0, 0, "map_in_use")
+            probation.withdraw(outcome.reason)
+        if probation.verdict is Verdict.PENDING:
+            return outcome
+        self._probation = None
+        keyframe = self._maps[probation.map_id].frame_index(probation.keyframe)
+        first = probation.first.features.index
+        if probation.verdict is Verdict.WITHDRAWN:
+            self._emit_at(
+                frame,
+                ev.RelocalizationWithdrawn,
+                probation.map_id,
+                keyframe=keyframe,
+                first_frame=first,
+                frames=len(probation.frames),
+                reason=probation.reason,
+            )
+            frame.point[:] = -1
+            return outcome
+        if probation.map_id != self._map_id:
+            self._enter(probation.map_id)
+        self._tracker = probation.tracker
+        for tracked in probation.frames:
+            self._poses.add(probation.map_id, tracked)
         self.state = TrackingState.TRACKING
-        broken = self._broken_at[map_id]
+        broken = self._broken_at[probation.map_id]
         self._emit(
             frame,
             ev.Relocalized,
-            keyframe=self.current_map.frame_index(found.keyframe),
-            inliers=found.inliers,
+            keyframe=keyframe,
+            first_frame=first,
+            inliers=outcome.inliers,
             frames_lost=frame.features.index - broken.index,
             lost_s=frame.features.stamp_s - broken.stamp_s,
         )
-        return TrackingOutcome(True, found.inliers, found.matches)
+        return outcome
 
     def _break(self, frame: Frame, outcome: TrackingOutcome) -> None:
         """Handle lost tracking: replace a map with too few keyframes, else start relocalization."""

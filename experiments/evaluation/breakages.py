@@ -172,7 +172,7 @@ def _outcome(
         recoveries=tuple(e for e in after if isinstance(e, RecoveryEnd) and e.old_map_id == breakage.map_id),
         fusion=_last(e for e in fusions if e.by == "recovery"),
         bridged=across[0] if across else None,
-        joined=_last(e for e in fusions if e.by == "place"),
+        joined=_last(e for e in fusions if e.by == "place" and e.accepted),
         relocalized=found[0] if found else None,
         dropped=dropped[0] if dropped else "",
     )

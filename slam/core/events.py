@@ -56,17 +56,39 @@ class Breakage(Event):
 
 @dataclass(frozen=True, kw_only=True)
 class Relocalized(Event):
-    """Tracking resumed in a lost map; ``keyframe`` is the frame index of the recognised keyframe.
+    """Tracking resumed in a lost map: a relocalized frame was confirmed by those that followed.
 
     Attributes:
+        keyframe: frame index of the recognised keyframe.
+        first_frame: the relocalized frame; the poses count from it on.
+        inliers: map matches of the confirming frame.
         frames_lost, lost_s: frames and time since the breakage.
     """
 
     kind: ClassVar[str] = "relocalized"
     keyframe: int
+    first_frame: int
     inliers: int
     frames_lost: int
     lost_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class RelocalizationWithdrawn(Event):
+    """A frame seemed to be relocalized, but those that followed did not confirm it.
+
+    Attributes:
+        keyframe: frame index of the keyframe that seemed to be recognised.
+        first_frame: the frame that seemed to be relocalized.
+        frames: number of frames tracked from there, itself included; none of their poses counts.
+        reason: what spoke against the place.
+    """
+
+    kind: ClassVar[str] = "relocalization_withdrawn"
+    keyframe: int
+    first_frame: int
+    frames: int
+    reason: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,6 +108,25 @@ class LoopClosed(Event):
     scale: float
     matches: int
     cpu_ms: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopRefused(Event):
+    """A place seemed to be recognised, but the evidence spoke against it; the map is unchanged.
+
+    Attributes:
+        keyframe, loop_keyframe: frame indices of the two keyframes.
+        matches: points matched between them.
+        reason: what spoke against it: in their surroundings ``expected_points_missing``, ``contradicted``,
+            ``too_narrow`` or ``neighbours_disagree``; in the corrected copy of the map
+            ``matches_do_not_fit`` or ``map_does_not_fit``; or ``map_has_changed`` meanwhile.
+    """
+
+    kind: ClassVar[str] = "loop_refused"
+    keyframe: int
+    loop_keyframe: int
+    matches: int
+    reason: str
 
 
 @dataclass(frozen=True, kw_only=True)

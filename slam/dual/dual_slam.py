@@ -178,11 +178,7 @@ class DualSlam(RestartingSlam):
         old, new = self._maps[alignment.old_map_id], self._maps[attempt.new_id]
         merged = merge_recovered(new, result.map, attempt.keyframes, attempt.points)
         if merged is None:
-            self._emit_at(
-                frame, ev.Fusion, new.map_id, old_map_id=old.map_id, new_map_id=new.map_id,
-                by="recovery", accepted=False, scale=alignment.scale, inliers=alignment.inliers,
-                reason="new_map_has_changed",
-            )  # fmt: skip
+            self._refuse(frame, old.map_id, new.map_id, "recovery", alignment, "new_map_has_changed")
             return
         alignments = [merged.moved(a, new) for a in (*result.confirming, alignment)]
         seam = seam_frame(old, alignments)
@@ -219,6 +215,14 @@ class DualSlam(RestartingSlam):
         )  # fmt: skip
         return fused
 
+    def _refuse(
+        self, frame: Frame, old_id: int, new_id: int, by: str, alignment: Alignment, reason: str
+    ) -> None:
+        self._emit_at(
+            frame, ev.Fusion, new_id, old_map_id=old_id, new_map_id=new_id, by=by,
+            accepted=False, scale=alignment.scale, inliers=alignment.inliers, reason=reason,
+        )  # fmt: skip
+
     # -- merging by place recognition --------------------------------------------------------------------
 
     def _apply(self, change: Change) -> None:
@@ -241,6 +245,8 @@ class DualSlam(RestartingSlam):
             lambda map_id: self._places(map_id).database,
             self._backend.lock,
         )
+        for alignment, reason in self._place_merger.refused:
+            self._refuse(frame, alignment.old_map_id, current.map_id, "place", alignment, reason)
         if not alignments:
             return
         happened = len(self.events)

@@ -71,11 +71,11 @@ class RestartingSlam(MonocularSlam):
     def _initialize(self, frame: Frame) -> tuple[TrackingOutcome, bool]:
         if self._initialization_paused:
             return TrackingOutcome(False, 0, 0, "held"), False
-        for map_id in self._relocalization_maps():
-            outcome = self._relocalize_in(map_id, frame)
-            if outcome.success:
-                self._resume_saved_map(map_id)
-                return outcome, False
+        outcome = self._relocalize_in(self._relocalization_maps(), frame)
+        if outcome.success:
+            self._resume_saved_map(self._map_id)
+        if outcome.success or self._probation is not None:
+            return outcome, False
         return super()._initialize(frame)
 
     def _relocalization_maps(self) -> Sequence[int]:

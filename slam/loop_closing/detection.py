@@ -9,7 +9,9 @@ import numpy as np
 
 from slam.loop_closing._alignment_kernels import match_across
 from slam.loop_closing.correction import Loop
+from slam.loop_closing.judgement import JudgementConfig
 from slam.loop_closing.map_alignment import Alignment, AlignmentConfig, align
+from slam.loop_closing.place_check import PlaceCheckConfig, doubt
 from slam.map.map import Map
 from slam.optimization.sim3 import sim3_decompose, sim3_inverse
 from slam.places.recognition import KeyframeDatabase
@@ -26,7 +28,9 @@ class LoopClosingConfig:
             loop's surroundings decides.
         radius_px: window of that search, on level 0.
         min_matches: fewest points of the loop's surroundings matched in the keyframe.
+        place: what the keyframes on either side must show besides.
         adjustment_iterations: of global bundle adjustment after a loop closure.
+        judgement: of the corrected and adjusted copy of the map.
     """
 
     min_gap: int = 10
@@ -38,7 +42,25 @@ class LoopClosingConfig:
     )
     radius_px: float = 10.0
     min_matches: int = 40
+    place: PlaceCheckConfig = field(default_factory=PlaceCheckConfig)
     adjustment_iterations: int = 10
+    judgement: JudgementConfig = field(default_factory=JudgementConfig)
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A loop that was verified and yet refused.
+
+    Attributes:
+        keyframe, loop_keyframe: rows.
+        matches: points matched between them.
+        reason: what speaks against it.
+    """
+
+    keyframe: int
+    loop_keyframe: int
+    matches: int
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -59,7 +81,9 @@ class LoopDetector:
         self._groups: list[_Candidates] = []
         self._last_loop = 0
 
-    def detect(self, keyframe: int, rng: np.random.Generator) -> tuple[Loop, np.ndarray] | None:
+    def detect(
+        self, keyframe: int, rng: np.random.Generator
+    ) -> tuple[tuple[Loop, np.ndarray] | None, list[Refusal]]:
         """Detect a loop at a new keyframe, which need not be in the database yet.
 
         Args:
@@ -67,16 +91,23 @@ class LoopDetector:
             rng: stream of the RANSAC.
 
         Returns:
-            The loop and (q,) int32 the points of its surroundings; None if there is no loop.
+            The loop and (q,) int32 the points of its surroundings, None if there is no loop; and the loops
+            that were refused.
         """
+        refused: list[Refusal] = []
         if keyframe - self._last_loop < self.config.min_gap or self.map.arrays.kf_bad[keyframe]:
-            return None
+            return None, refused
         for candidate in self._consistent(keyframe):
             found = self._verify(keyframe, candidate, rng)
-            if found is not None:
-                self._last_loop, self._groups = keyframe, []
-                return found
-        return None
+            if isinstance(found, Refusal):
+                refused.append(found)
+            elif found is not None:
+                return found, refused
+        return None, refused
+
+    def closed(self, keyframe: int) -> None:
+        """Take over that a loop was closed at a keyframe."""
+        self._last_loop, self._groups = keyframe, []
 
     def _consistent(self, keyframe: int) -> list[int]:
         """Candidates whose surroundings were candidates at the previous keyframes too."""
@@ -94,8 +125,8 @@ class LoopDetector:
 
     def _verify(
         self, keyframe: int, candidate: int, rng: np.random.Generator
-    ) -> tuple[Loop, np.ndarray] | None:
-        """Estimate the similarity of the two keyframes and check it on the candidate's surroundings."""
+    ) -> tuple[Loop, np.ndarray] | Refusal | None:
+        """Estimate the similarity of the two keyframes and check it on the surroundings of both."""
         m = self.map
         alignment, _, _ = align(m, m, candidate, keyframe, rng, self.config.alignment)
         if alignment is None:
@@ -105,6 +136,9 @@ class LoopDetector:
         rows, points = self._extended(keyframe, alignment, S_cam_map, around)
         if len(points) < self.config.min_matches:
             return None
+        reason = doubt(m, m, alignment, rng, self.config.place)
+        if reason:
+            return Refusal(keyframe, candidate, len(points), reason)
         return Loop(keyframe, candidate, S_cam_map, rows, points), around
 
     def _surroundings(self, candidate: int) -> np.ndarray:

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.loop_closing._alignment_kernels import match_across
+from slam.map import _map_kernels as kernels
 from slam.map.map import Map
 from slam.matching.brute_force import match_brute_force, rotation_consistent
 from slam.matching.guided import NEAR
-from slam.optimization.sim3 import optimize_sim3, ransac_sim3, sim3_decompose, sim3_matrix
+from slam.optimization.sim3 import optimize_sim3, ransac_sim3, sim3_decompose, sim3_inverse, sim3_matrix
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,20 @@ class AlignmentConfig:
     min_inliers: int = 20
     min_share: float = 0.5
     min_matches: int = 40
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Largest differences between two alignments that confirm each other.
+
+    Attributes:
+        max_scale_change, max_rotation_deg: of the similarities.
+        max_shift: of the second one's matched points, in median depths.
+    """
+
+    max_scale_change: float = 0.05
+    max_rotation_deg: float = 2.0
+    max_shift: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -115,6 +130,21 @@ def align(
         "",
         int(keep.sum()),
     )
+
+
+def agree(old: Map, first: Alignment, second: Alignment, config: Agreement) -> bool:
+    """Return True if two alignments of the same maps give the same similarity."""
+    s_1, R_1, _ = sim3_decompose(first.S_old_new)
+    s_2, R_2, _ = sim3_decompose(second.S_old_new)
+    if abs(np.log(s_1 / s_2)) > np.log1p(config.max_scale_change):
+        return False
+    cosine = np.clip((np.trace(R_1.T @ R_2) - 1) / 2, -1, 1)
+    if np.rad2deg(np.arccos(cosine)) > config.max_rotation_deg:
+        return False
+    depth = kernels.median_depth(old.arrays, second.old_keyframe)
+    where = np.append(old.arrays.pt_xyz[second.old_points].mean(0), 1.0)
+    moved = (first.S_old_new @ sim3_inverse(second.S_old_new) @ where)[:3]
+    return bool(np.linalg.norm(moved - where[:3]) <= config.max_shift * depth)
 
 
 def _matches(old: Map, new: Map, old_keyframe: int, new_keyframe: int) -> tuple[np.ndarray, np.ndarray]:

@@ -17,8 +17,9 @@ import numpy as np
 from slam.core.frame import Frame
 from slam.core.timing import StageTimer
 from slam.loop_closing.correction import Loop, correct_loop
-from slam.loop_closing.detection import LoopDetector
+from slam.loop_closing.detection import LoopDetector, Refusal
 from slam.loop_closing.global_adjustment import GlobalAdjustment, adjust_globally
+from slam.loop_closing.judgement import judge
 from slam.map.map import Map
 from slam.mapping.local_mapping import LocalMapper
 from slam.runtime.worker import Worker
@@ -78,13 +79,21 @@ class Adjusted:
 
 
 @dataclass(frozen=True)
+class Refused:
+    """A loop was found and refused."""
+
+    task: KeyframeTask
+    refusal: Refusal
+
+
+@dataclass(frozen=True)
 class Searched:
     """Loop detection has found no loop."""
 
     cpu_ms: float
 
 
-Change = Mapped | Corrected | Adjusted | Searched
+Change = Mapped | Corrected | Adjusted | Refused | Searched
 
 
 @dataclass
@@ -171,24 +180,41 @@ class Backend:
     def _close_loop(self, task: KeyframeTask, keyframe: int) -> None:
         map_, timer = task.mapper.map, StageTimer()
         with timer("detect"), self.lock:
-            found = task.detector.detect(keyframe, task.rng)
+            found, refused = task.detector.detect(keyframe, task.rng)
+        for refusal in refused:
+            self._hand_over(Refused(task, refusal))
         if found is None:
             self._hand_over(Searched(timer.cpu_ms["detect"]))
             return
         loop, around = found
-        with self._gate:
-            with timer("detect"):
-                corrected = self._copy_of(map_)
-                factor = correct_loop(corrected, loop, around)
-            self._hand_over(Corrected(task, loop, corrected, factor, timer.cpu_ms["detect"]), wait=True)
-        timer = StageTimer()
+        config = task.detector.config
+        with timer("correct"):
+            before = self._copy_of(map_)
+            corrected = before.copy()
+            factor = correct_loop(corrected, loop, around)
         with timer("adjust"):
             adjustment = adjust_globally(
-                self._copy_of(map_), task.detector.config.adjustment_iterations, apart=self._news is not None
+                corrected, config.adjustment_iterations, apart=self._news is not None
             )
-        if adjustment is not None:
-            with self._gate:
-                self._hand_over(Adjusted(task, loop, adjustment, timer.cpu_ms["adjust"]), wait=True)
+        if adjustment is None:
+            raise RuntimeError("a map with a loop has nothing to adjust")
+        reason = judge(before, corrected, adjustment, loop).fault(config.judgement)
+        with self._gate:
+            if map_.arrays.kf_bad[[loop.keyframe, loop.loop_keyframe]].any():
+                reason = "map_has_changed"
+            if reason:
+                refusal = Refusal(loop.keyframe, loop.loop_keyframe, len(loop.points), reason)
+                self._hand_over(Refused(task, refusal))
+                self._hand_over(Searched(sum(timer.cpu_ms.values())))
+                return
+            if map_.n_keyframes > before.n_keyframes:
+                with timer("correct"):
+                    corrected = self._copy_of(map_)
+                    factor = correct_loop(corrected, loop, around)
+            task.detector.closed(keyframe)
+            cpu_ms = timer.cpu_ms["detect"] + timer.cpu_ms["correct"]
+            self._hand_over(Corrected(task, loop, corrected, factor, cpu_ms), wait=True)
+            self._hand_over(Adjusted(task, loop, adjustment, timer.cpu_ms["adjust"]), wait=True)
 
     def _copy_of(self, map_: Map) -> Map:
         with self.lock:

@@ -61,6 +61,7 @@ class Tracker:
     """Tracks frames in one map, forward or backward in time.
 
     Attributes:
+        observing: count in the map how often its points are seen; else tracking leaves the map unchanged.
         last: the last tracked frame.
         velocity: T_cam_last of the last step, None where unknown.
     """
@@ -69,6 +70,7 @@ class Tracker:
         self.map = map_
         self.config = config
         self.timer = timer
+        self.observing = True
         self.last: Frame | None = None
         self.velocity: np.ndarray | None = None
         self._local_points = np.empty(0, np.int32)
@@ -264,7 +266,7 @@ class Tracker:
             return 0, 0
         guided.match_local_points(
             m.arrays, m.view, frame.T_cam_map, self._local_points,
-            f.xy, f.octave, f.descriptors, f.cell_start, frame.point, 1.0, 0.8, True,
+            f.xy, f.octave, f.descriptors, f.cell_start, frame.point, 1.0, 0.8, self.observing,
         )  # fmt: skip
         matches = int((frame.point >= 0).sum())
         inliers = optimize_frame(frame, self.map)
@@ -272,8 +274,8 @@ class Tracker:
         return inliers, matches
 
     def _accept(self, frame: Frame, last: Frame) -> None:
-        a = self.map.arrays
-        a.pt_found[frame.point[frame.point >= 0]] += 1
+        if self.observing:
+            self.map.arrays.pt_found[frame.point[frame.point >= 0]] += 1
         frame.T_cam_reference = frame.T_cam_map @ np.linalg.inv(self.map.T_cam_map(frame.reference_keyframe))
         if not self._passed_over:
             self.velocity = frame.T_cam_map @ np.linalg.inv(last.T_cam_map)

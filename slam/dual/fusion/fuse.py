@@ -1,13 +1,14 @@
 """Map fusion: make one map of two, given a similarity between them. Source: paper, Sec. III-C, Eq. 2."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from slam.loop_closing.correction import move_points
 from slam.loop_closing.essential_graph import essential_edges
-from slam.loop_closing.map_alignment import Alignment, AlignmentConfig
+from slam.loop_closing.map_alignment import Agreement, Alignment, AlignmentConfig, agree
+from slam.loop_closing.place_check import PlaceCheckConfig
 from slam.map import _map_kernels as kernels
 from slam.map.map import Map
 from slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
@@ -18,38 +19,25 @@ from slam.optimization.sim3_algebra import invert_sim3
 
 
 @dataclass(frozen=True)
-class FusionConfig(AlignmentConfig):
-    """Acceptance thresholds of a fusion: of each alignment, and of several together.
+class FusionConfig(Agreement, AlignmentConfig):
+    """Acceptance thresholds of a fusion: of each alignment, of several together, and of the place.
 
     Attributes:
         max_frame_gap: most frames between two keyframes that are compared.
-        max_scale_change, max_rotation_deg, max_shift: largest differences between two alignments, at
-            different keyframes of the old map, that confirm each other; the shift is in median depths.
-        confirmations: number of alignments that must agree.
+        confirmations: number of alignments, at different keyframes of the old map, that must agree.
+        place: what the keyframes on either side must show besides.
     """
 
     max_frame_gap: int = 5
-    max_scale_change: float = 0.05
-    max_rotation_deg: float = 2.0
-    max_shift: float = 0.05
     confirmations: int = 2
+    place: PlaceCheckConfig = field(default_factory=PlaceCheckConfig)
 
 
-def agree(old: Map, first: Alignment, second: Alignment, config: FusionConfig) -> bool:
-    """Return True if two alignments at different old keyframes give the same similarity."""
+def confirms(old: Map, first: Alignment, second: Alignment, config: FusionConfig) -> bool:
+    """Return True if two alignments with one old map, at different keyframes of it, agree."""
     if first.old_map_id != second.old_map_id or first.old_keyframe == second.old_keyframe:
         return False
-    s_1, R_1, _ = sim3_decompose(first.S_old_new)
-    s_2, R_2, _ = sim3_decompose(second.S_old_new)
-    if abs(np.log(s_1 / s_2)) > np.log1p(config.max_scale_change):
-        return False
-    cosine = np.clip((np.trace(R_1.T @ R_2) - 1) / 2, -1, 1)
-    if np.rad2deg(np.arccos(cosine)) > config.max_rotation_deg:
-        return False
-    depth = kernels.median_depth(old.arrays, second.old_keyframe)
-    where = np.append(old.arrays.pt_xyz[second.old_points].mean(0), 1.0)
-    moved = (first.S_old_new @ sim3_inverse(second.S_old_new) @ where)[:3]
-    return bool(np.linalg.norm(moved - where[:3]) <= config.max_shift * depth)
+    return agree(old, first, second, config)
 
 
 @dataclass(frozen=True)

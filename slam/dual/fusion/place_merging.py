@@ -6,8 +6,9 @@ from contextlib import AbstractContextManager
 import numpy as np
 
 from slam.core.seeds import rng_for
-from slam.dual.fusion.fuse import FusionConfig, agree
+from slam.dual.fusion.fuse import FusionConfig, confirms
 from slam.loop_closing.map_alignment import Alignment, align
+from slam.loop_closing.place_check import doubt
 from slam.map.map import Map
 from slam.optimization.sim3 import sim3_inverse
 from slam.places.recognition import KeyframeDatabase
@@ -22,6 +23,9 @@ class PlaceMerger:
     Args:
         config: acceptance thresholds; ``max_frame_gap`` is not used.
         seed: the system's.
+
+    Attributes:
+        refused: alignments that were confirmed and yet refused in the last search, with the reasons.
     """
 
     def __init__(self, config: FusionConfig, seed: int) -> None:
@@ -29,6 +33,7 @@ class PlaceMerger:
         self._seed = seed
         self._waiting: list[int] = []
         self._found: dict[tuple[int, int], list[Alignment]] = {}
+        self.refused: list[tuple[Alignment, str]] = []
 
     def note(self, keyframe: int) -> None:
         """Add a new keyframe of the current map to the next search."""
@@ -53,6 +58,7 @@ class PlaceMerger:
             Alignments with one saved map that agree, as from :meth:`offer`.
         """
         keyframes, self._waiting = self._waiting, []
+        self.refused = []
         for keyframe in keyframes:
             for old in saved:
                 rng = rng_for(self._seed, "joining", current.frame_index(keyframe), old.map_id)
@@ -85,10 +91,14 @@ class PlaceMerger:
             alignment, _, _ = align(old, current, candidate, keyframe, rng, self._config)
             if alignment is None:
                 continue
-            agreeing = tuple(a for a in known if agree(old, a, alignment, self._config))
+            agreeing = tuple(a for a in known if confirms(old, a, alignment, self._config))
             known.append(alignment)
-            if len(agreeing) + 1 >= self._config.confirmations:
+            if len(agreeing) + 1 < self._config.confirmations:
+                continue
+            reason = doubt(old, current, alignment, rng, self._config.place)
+            if not reason:
                 return (*agreeing, alignment)
+            self.refused.append((alignment, reason))
         return ()
 
     def reset_keyframes(self) -> None:

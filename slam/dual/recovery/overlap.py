@@ -1,9 +1,10 @@
 """Overlap of the extended map with old maps, tested at keyframes of similar time."""
 
 from slam.core.frame import Frame
-from slam.dual.fusion.fuse import FusionConfig, agree
+from slam.dual.fusion.fuse import FusionConfig, confirms
 from slam.dual.recovery.interface import RecoveryTask
 from slam.loop_closing.map_alignment import Alignment, align
+from slam.loop_closing.place_check import doubt
 from slam.map.map import Map
 
 
@@ -23,6 +24,7 @@ class Overlap:
         ]
         self._found: list[Alignment] = []
         self._failures: list[str] = []
+        self._doubt = ""
         self.tried = 0
         self.confirming: tuple[Alignment, ...] = ()
 
@@ -51,12 +53,17 @@ class Overlap:
         if alignment is None:
             self._failures.append(reason)
             return False
-        self.confirming = tuple(e for e in self._found if agree(old, e, alignment, self._config))
+        self.confirming = tuple(e for e in self._found if confirms(old, e, alignment, self._config))
         self._found.append(alignment)
-        return len(self.confirming) + 1 >= self._config.confirmations
+        if len(self.confirming) + 1 < self._config.confirmations:
+            return False
+        self._doubt = doubt(old, task.new_map, alignment, task.rng, self._config.place)
+        return not self._doubt
 
     def verdict(self) -> tuple[str, str]:
         """(stage, reason) of a recovery without a confirmed alignment."""
+        if self._doubt:
+            return "sim3", self._doubt
         if self._found:
             return "sim3", "alignments_do_not_agree" if len(self._found) > 1 else "alignment_not_confirmed"
         if "sim3" in self._failures:

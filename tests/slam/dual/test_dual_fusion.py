@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from slam_scenes import NO_POINT, VIEW, PointWorld, pose_error, rigid, rms, walk, world_ids
 
-from slam.dual.fusion.fuse import FusionConfig, agree, fuse
+from slam.dual.fusion.fuse import FusionConfig, confirms, fuse
 from slam.loop_closing.map_alignment import align
 from slam.map.invariants import check_map
 from slam.mapping.local_mapping import LocalMappingConfig
@@ -174,18 +174,18 @@ def test_every_threshold_is_applied(maps):
 
 def test_alignments_at_different_keyframes_confirm_each_other(maps):
     first, second = aligned(maps, 30, 30)[0], aligned(maps, 25, 25)[0]
-    assert agree(maps[0], first, second, CONFIG) and agree(maps[0], second, first, CONFIG)
+    assert confirms(maps[0], first, second, CONFIG) and confirms(maps[0], second, first, CONFIG)
 
 
 def test_an_alignment_does_not_confirm_itself(maps):
     first, second = aligned(maps, 25, 25)[0], aligned(maps, 25, 20)[0]
-    assert not agree(maps[0], first, first, CONFIG)
-    assert not agree(maps[0], first, second, CONFIG)
+    assert not confirms(maps[0], first, first, CONFIG)
+    assert not confirms(maps[0], first, second, CONFIG)
 
 
 def test_alignments_with_different_maps_do_not_confirm_each_other(maps):
     first, second = aligned(maps, 30, 30)[0], aligned(maps, 25, 25)[0]
-    assert not agree(maps[0], first, replace(second, old_map_id=7), CONFIG)
+    assert not confirms(maps[0], first, replace(second, old_map_id=7), CONFIG)
 
 
 @pytest.mark.parametrize(
@@ -208,7 +208,7 @@ def test_alignments_that_differ_too_much_do_not_agree(maps, change, agrees):
     where = old.arrays.pt_xyz[second.old_points].mean(0)
     about = rigid(where) @ rigid((shift, 0, 0), (0, turn_deg, 0)) @ sim3_matrix(scale, np.eye(3), np.zeros(3))
     changed = replace(second, S_old_new=about @ rigid(-where) @ second.S_old_new)
-    assert agree(old, first, changed, CONFIG) is agrees
+    assert confirms(old, first, changed, CONFIG) is agrees
 
 
 # -- fusion --------------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ import pytest
 from slam_scenes import PointWorld, pose_error, rigid, walk
 
 from slam.dual.fusion import fuse as fusion
-from slam.dual.fusion.fuse import FusionConfig, agree, fuse
+from slam.dual.fusion.fuse import FusionConfig, confirms, fuse
 from slam.dual.fusion.place_merging import inverted
 from slam.loop_closing.map_alignment import align
 from slam.map.invariants import check_map
@@ -75,7 +75,7 @@ def misfits(fused, keyframes, placed, new):
 def test_differing_alignments_are_both_satisfied_better_than_by_a_rigid_placement(maps, built):
     old, new, (first, last) = maps
     first, last = changed(old, first, 1.015, 0.08), changed(old, last, 0.985, -0.08)
-    assert agree(old, first, last, CONFIG)
+    assert confirms(old, first, last, CONFIG)
     rigidly, both = old.copy(), old.copy()
     alone = fuse(rigidly, new.copy(), [last], LocalMappingConfig())
     settled = fuse(both, new.copy(), [first, last], LocalMappingConfig())

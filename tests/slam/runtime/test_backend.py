@@ -2,15 +2,18 @@
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from slam_scenes import blanked, errors_m, feed, kinds, rms, toy
 
+from slam.config import default_config
 from slam.core.events import TrackingState
 from slam.factory import build_system
 from slam.loop_closing.correction import Loop
 from slam.loop_closing.global_adjustment import GlobalAdjustment
+from slam.loop_closing.judgement import JudgementConfig
 from slam.map.invariants import check_map
 from slam.runtime.backend import ExecutionMode
 from slam.warmup import CAMERA
@@ -120,16 +123,21 @@ def drifted(scale):
 
     def detect(self, keyframe, rng):
         if keyframe < 6 or self._last_loop:
-            return None
-        self._last_loop = keyframe
+            return None, []
         S = self.map.T_cam_map(keyframe).copy()
         centre = np.linalg.inv(S)[:3, 3]
         S[:3, :3] *= scale
         S[:3, 3] = -S[:3, :3] @ centre
         nothing = np.empty(0, np.int32)
-        return Loop(keyframe, 0, S, nothing.astype(int), nothing), nothing
+        return (Loop(keyframe, 0, S, nothing.astype(int), nothing), nothing), []
 
     return detect
+
+
+def accepting_all():
+    judgement = JudgementConfig(max_lost=1.0, max_rise=np.inf, min_ties=0.0)
+    config = default_config(CAMERA)
+    return replace(config, loops=replace(config.loops, judgement=judgement))
 
 
 @pytest.mark.parametrize("mode", list(ExecutionMode))
@@ -139,7 +147,7 @@ def test_a_loop_is_corrected_and_tracking_continues(sequence, monkeypatch, mode)
     monkeypatch.setattr(
         "slam.runtime.backend.adjust_globally", lambda map_, iterations, apart: _unchanged(map_)
     )
-    system = build_system("base", CAMERA, 0, mode=mode)
+    system = build_system("base", CAMERA, 0, accepting_all(), mode=mode)
     feeding = fed_in_time if mode is THREADED else feed
     results = feeding(system, images, stamps_s)
     assert kinds(system) == ["initialized", "loop_closed", "map_adjusted"]
@@ -152,6 +160,23 @@ def test_a_loop_is_corrected_and_tracking_continues(sequence, monkeypatch, mode)
     path = system.trajectories()[0]
     steps = np.linalg.norm(np.diff(path.T_map_cam[:, :3, 3], axis=0), axis=1) / np.diff(path.frames)
     assert steps.max() < 3 * np.median(steps)
+
+
+@pytest.mark.parametrize("mode", list(ExecutionMode))
+def test_a_loop_that_the_corrected_map_contradicts_is_refused(sequence, monkeypatch, mode):
+    images, stamps_s, _ = sequence
+    plain = build_system("base", CAMERA, 0)
+    feed(plain, images, stamps_s)
+    monkeypatch.setattr("slam.loop_closing.detection.LoopDetector.detect", drifted(1.25))
+    system = build_system("base", CAMERA, 0, mode=mode)
+    (fed_in_time if mode is THREADED else feed)(system, images, stamps_s)
+    refused = [e for e in system.events if e.kind == "loop_refused"]
+    assert set(kinds(system)) == {"initialized", "loop_refused"}
+    assert refused[0].loop_keyframe == system.current_map.frame_index(0)
+    assert {e.reason for e in refused} <= {"matches_do_not_fit", "map_does_not_fit"}
+    if mode is ExecutionMode.LOCKSTEP:  # nothing of it is left
+        for mine, theirs in zip(system.trajectories(), plain.trajectories(), strict=True):
+            assert mine.T_map_cam.tobytes() == theirs.T_map_cam.tobytes()
 
 
 def _unchanged(map_):

@@ -1,0 +1,132 @@
+"""Evidence for and against a similarity between two places, from the keyframes on either side."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from slam.loop_closing.map_alignment import Agreement, Alignment, AlignmentConfig, agree, align
+from slam.map.map import Map
+from slam.optimization.sim3 import sim3_inverse
+from slam.places.evidence import Support, support
+
+
+@dataclass(frozen=True)
+class PlaceCheckConfig:
+    """What the keyframes on either side must show for two places to be one.
+
+    Attributes:
+        views: keyframes on either side that look for the points of the other: the aligned one and the most
+            covisible.
+        around: covisible keyframes whose points are looked for.
+        radius_px: half side of the search window, level 0.
+        min_expected: a view that should see fewer points of the other side says nothing.
+        min_share: least share of the expected points that a view finds.
+        max_contradicted: largest share of the expected points in parts of the image where they are missing.
+        min_cells: fewest cells of the image, of 8 columns, in which found points speak for the place.
+        min_sound: share of the views of either side for which these three must hold.
+        pairs: further pairs, of one of the two keyframes and a neighbour of the other, that are aligned on
+            their own by the thresholds of ``alignment``.
+        min_agreeing: share of the pairs that must give the same similarity.
+        agreement: how near the similarities must be.
+    """
+
+    views: int = 5
+    around: int = 10
+    radius_px: float = 10.0
+    min_expected: float = 20.0
+    min_share: float = 0.35
+    max_contradicted: float = 0.2
+    min_cells: int = 8
+    min_sound: float = 0.6
+    pairs: int = 4
+    min_agreeing: float = 0.5
+    agreement: Agreement = field(default_factory=Agreement)
+    alignment: AlignmentConfig = field(
+        default_factory=lambda: AlignmentConfig(
+            min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20
+        )
+    )
+
+
+def doubt(old: Map, new: Map, found: Alignment, rng: np.random.Generator, config: PlaceCheckConfig) -> str:
+    """What speaks against an alignment of two maps, or of two ends of one.
+
+    Args:
+        old, new: the maps; one and the same for a loop.
+        found: the alignment.
+        rng: stream of the RANSAC of further alignments.
+        config: thresholds.
+
+    Returns:
+        ``expected_points_missing``, ``contradicted``, ``too_narrow`` or ``neighbours_disagree``; empty if
+        nothing does.
+    """
+    old_side = _side(old, found.old_keyframe, config.around)
+    new_side = _side(new, found.new_keyframe, config.around)
+    if old is new:
+        new_side = [k for k in new_side if k not in old_side]
+    S_new_old = sim3_inverse(found.S_old_new)
+    fault = _one_way(new, old, new_side, old_side, S_new_old, config) or _one_way(
+        old, new, old_side, new_side, found.S_old_new, config
+    )
+    if fault:
+        return fault
+    if not _neighbours_agree(old, new, found, old_side, new_side, rng, config):
+        return "neighbours_disagree"
+    return ""
+
+
+def _side(map_: Map, keyframe: int, around: int) -> list[int]:
+    """The keyframe, then its most covisible ones."""
+    return [keyframe, *(int(k) for k in map_.neighbours(keyframe, around))]
+
+
+def _one_way(
+    here: Map,
+    there: Map,
+    here_side: list[int],
+    there_side: list[int],
+    S_here_there: np.ndarray,
+    config: PlaceCheckConfig,
+) -> str:
+    """The most frequent fault of the views here, which look for the points there; empty if most are sound."""
+    points = np.unique(np.concatenate([there.observed_points(k) for k in there_side]))
+    points = points[points >= 0].astype(np.int32)
+    faults = []
+    for k in here_side[: config.views]:
+        seen = support(there, points, here.T_cam_map(k) @ S_here_there, here.features(k), config.radius_px)
+        if seen.expected >= config.min_expected:
+            faults.append(_fault(seen, config))
+    if not faults:
+        return "expected_points_missing"
+    if faults.count("") >= config.min_sound * len(faults):
+        return ""
+    return max((f for f in faults if f), key=faults.count)
+
+
+def _fault(seen: Support, config: PlaceCheckConfig) -> str:
+    if seen.share < config.min_share:
+        return "expected_points_missing"
+    if seen.contradicted > config.max_contradicted:
+        return "contradicted"
+    return "too_narrow" if seen.cells < config.min_cells else ""
+
+
+def _neighbours_agree(
+    old: Map,
+    new: Map,
+    found: Alignment,
+    old_side: list[int],
+    new_side: list[int],
+    rng: np.random.Generator,
+    config: PlaceCheckConfig,
+) -> bool:
+    """Align further pairs of keyframes on their own, and compare the similarities."""
+    more = config.pairs // 2
+    pairs = [(found.old_keyframe, k) for k in new_side[1 : 1 + more]]
+    pairs += [(k, found.new_keyframe) for k in old_side[1 : 1 + more]]
+    agreeing = 0
+    for old_keyframe, new_keyframe in pairs:
+        other, _, _ = align(old, new, old_keyframe, new_keyframe, rng, config.alignment)
+        agreeing += other is not None and agree(old, other, found, config.agreement)
+    return agreeing >= config.min_agreeing * len(pairs)

@@ -1,0 +1,74 @@
+"""Points that a view should show, if it is where it is supposed to be, and what it shows of them."""
+
+import numpy as np
+from numba import njit
+
+from slam.matching.guided import in_view, nearest_in_window, predicted_octave, project
+
+_BORDER_PX = 20.0  # no features are extracted nearer to the border of an image
+_MIN_COSINE = 0.8  # between the direction of view and a point's mean one
+_SAME = 70  # largest distance of two descriptors of one point, bits
+
+
+@njit(cache=True, nogil=True)
+def look_for(m, view, S_cam_map, scale, candidates, xy, octave, descriptors, cell_start, first, radius):
+    """Project points into a view by a supposed similarity, and look for them there.
+
+    Args:
+        m: MapArrays of the points.
+        view: ViewGeometry.
+        S_cam_map: (4, 4) similarity from the points' map to the camera; its lengths are the view's.
+        scale: its scale factor.
+        candidates: (Q,) int32 points.
+        xy, octave, descriptors, cell_start: features of the view; its rows start at ``first``.
+        first: see there.
+        radius: half side of the search window on level 0, px.
+
+    Returns:
+        Of the n points that the view should show: rows (n,) int32, pixels (n, 2), depths (n,) in the view's
+        lengths, share of the frames in which each was found so far (n,), and the keypoint within the view
+        that shows it (n,) int32, -1 for none.
+    """
+    size = len(candidates)
+    rows = np.empty(size, np.int32)
+    pixels = np.empty((size, 2))
+    depths = np.empty(size)
+    likely = np.empty(size)
+    keypoint = np.empty(size, np.int32)
+    nothing_taken = np.zeros(cell_start[-1], np.bool_)
+    R = S_cam_map[:3, :3] / scale
+    t = S_cam_map[:3, 3]
+    n = 0
+    for p in candidates:
+        if m.pt_bad[p]:
+            continue
+        u, v, z = project(S_cam_map, view, m.pt_xyz[p])
+        if z <= 0 or not in_view(view, u, v):
+            continue
+        if not (view.x_min + _BORDER_PX <= u < view.x_max - _BORDER_PX):
+            continue
+        if not (view.y_min + _BORDER_PX <= v < view.y_max - _BORDER_PX):
+            continue
+        distance, along = 0.0, 0.0
+        for r in range(3):
+            c, d = t[r], 0.0
+            for s in range(3):
+                c += scale * R[r, s] * m.pt_xyz[p, s]
+                d += R[r, s] * m.pt_normal[p, s]
+            distance += c * c
+            along += c * d
+        distance = np.sqrt(distance)
+        far = scale * m.pt_max_distance[p]
+        if distance > far or distance < far / view.scale[-1] or along < _MIN_COSINE * distance:
+            continue
+        level = predicted_octave(view, far, distance)
+        i, d = nearest_in_window(
+            view, xy, octave, descriptors, cell_start, first, nothing_taken, u, v,
+            radius * view.scale[level], level - 1, level + 1, m.pt_descriptor[p], 1.0,
+        )  # fmt: skip
+        rows[n] = p
+        pixels[n, 0], pixels[n, 1], depths[n] = u, v, z
+        likely[n] = (m.pt_found[p] + 1.0) / (m.pt_visible[p] + 2.0)
+        keypoint[n] = i if i >= 0 and d <= _SAME else -1
+        n += 1
+    return rows[:n].copy(), pixels[:n].copy(), depths[:n].copy(), likely[:n].copy(), keypoint[:n].copy()

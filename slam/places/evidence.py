@@ -1,0 +1,83 @@
+"""Evidence for and against a supposed place: what a view should show there, and what it shows."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.core.frame import FrameFeatures
+from slam.core.geometry import ViewGeometry
+from slam.map.map import Map
+from slam.optimization.sim3 import sim3_decompose
+from slam.places._evidence_kernels import look_for
+
+_COLUMNS = 8  # of the grid on which found and missing points are counted
+_CHANCE = 0.06  # share of the points of another place that are found by chance
+_TELLING = 2.0  # log-likelihood ratio from which a cell speaks for or against
+
+
+@dataclass(frozen=True)
+class Support:
+    """What one view says of its supposed place.
+
+    Attributes:
+        expected: number of points that the view should show, each counted by the share of the frames in
+            which it was found so far.
+        found: number of those that it shows.
+        cells: cells of the image, of 8 columns, in which the found points speak for the place.
+        contradicted: share of ``expected`` in cells in which far fewer points are found than elsewhere.
+    """
+
+    expected: float
+    found: int
+    cells: int
+    contradicted: float
+
+    @property
+    def share(self) -> float:
+        """Found over expected points; 0 if none is expected."""
+        return self.found / self.expected if self.expected > 0 else 0.0
+
+
+def support(
+    map_: Map,
+    points: np.ndarray,
+    S_cam_map: np.ndarray,
+    features: FrameFeatures,
+    radius_px: float,
+) -> Support:
+    """Count what a view shows of the points of a map, given its supposed place.
+
+    A cell of the image speaks for the place if its found and missing points are more likely at the mean rate
+    of the whole view than at that of chance, and against it if less likely, both by a likelihood ratio.
+
+    Args:
+        map_: the map.
+        points: (Q,) int32 rows of its points around the place.
+        S_cam_map: (4, 4) supposed similarity from the map to the view's camera.
+        features: of the view.
+        radius_px: half side of the search window on level 0, px.
+    """
+    scale, _, _ = sim3_decompose(S_cam_map)
+    _, pixels, _, likely, keypoint = look_for(
+        map_.arrays, map_.view, np.ascontiguousarray(S_cam_map), scale, np.asarray(points, np.int32),
+        features.xy, features.octave, features.descriptors, features.cell_start, 0, radius_px,
+    )  # fmt: skip
+    cell = _cell(map_.view, pixels)
+    expected = np.bincount(cell, weights=likely)
+    found = np.bincount(cell, weights=keypoint >= 0)
+    total = float(expected.sum())
+    if total <= 0:
+        return Support(0.0, 0, 0, 0.0)
+    rate = float(np.clip(found.sum() / total, 2 * _CHANCE, 0.95))
+    hits = np.minimum(found, expected)
+    for_place = hits * np.log(rate / _CHANCE) + (expected - hits) * np.log((1 - rate) / (1 - _CHANCE))
+    against = float(expected[for_place < -_TELLING].sum())
+    return Support(total, int(found.sum()), int((for_place > _TELLING).sum()), against / total)
+
+
+def _cell(view: ViewGeometry, pixels: np.ndarray) -> np.ndarray:
+    """(n,) cell of each pixel (n, 2); cells are square."""
+    side = (view.x_max - view.x_min) / _COLUMNS
+    column = ((pixels[:, 0] - view.x_min) / side).astype(int)
+    row = ((pixels[:, 1] - view.y_min) / side).astype(int)
+    return row * _COLUMNS + column

@@ -1,0 +1,125 @@
+"""Probation of a relocalization: the frames that follow confirm it or not, before it counts."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from slam.core.frame import Frame
+from slam.map.map import Map
+from slam.matching.guided import collect_local_map
+from slam.places.evidence import Support, support
+from slam.tracking.tracker import Tracker, TrackingOutcome
+
+
+@dataclass(frozen=True)
+class ProbationConfig:
+    """What confirms a relocalization.
+
+    Attributes:
+        frames, span_s: number of frames after the relocalized one that must be tracked, and their time.
+        max_s: time in which this must happen; else the relocalization is withdrawn.
+        radius_px: half side of the window in which an expected point is searched, level 0.
+        min_share: least share of the expected points that are found.
+        max_contradicted: largest share of the expected points in parts of the image where they are missing.
+        min_cells: fewest cells of the image, of 8 columns, in which found points speak for the place.
+        min_sound: share of the frames, the relocalized one included, for which these three must hold.
+    """
+
+    frames: int = 3
+    span_s: float = 0.1
+    max_s: float = 0.5
+    radius_px: float = 4.0
+    min_share: float = 0.35
+    max_contradicted: float = 0.2
+    min_cells: int = 8
+    min_sound: float = 0.75
+
+
+class Verdict(StrEnum):
+    """State of a probation."""
+
+    PENDING = "pending"
+    CONFIRMED = "confirmed"
+    WITHDRAWN = "withdrawn"
+
+
+class Probation:
+    """A relocalized frame and the frames tracked since; the map is left unchanged.
+
+    Args:
+        map_id: the map.
+        frame: the relocalized frame.
+        keyframe: the recognised keyframe.
+        tracker: of the same map, not yet started.
+        config: settings.
+
+    Attributes:
+        frames: the relocalized frame and those tracked since.
+        verdict: whether it has ended, and how.
+        reason: reason of a withdrawal; empty otherwise.
+    """
+
+    def __init__(
+        self, map_id: int, frame: Frame, keyframe: int, tracker: Tracker, config: ProbationConfig
+    ) -> None:
+        self.map_id = map_id
+        self.keyframe = keyframe
+        self.tracker = tracker
+        self.frames = [frame]
+        self.verdict = Verdict.PENDING
+        self.reason = ""
+        self._config = config
+        tracker.observing = False
+        tracker.resume(frame)
+        self._supports = [self._support(frame)]
+
+    @property
+    def first(self) -> Frame:
+        """The relocalized frame."""
+        return self.frames[0]
+
+    def offer(self, frame: Frame) -> TrackingOutcome:
+        """Track the next frame and decide, if possible."""
+        outcome = self.tracker.track(frame)
+        if not outcome.success:
+            self.withdraw(outcome.reason)
+            return outcome
+        self.frames.append(frame)
+        self._supports.append(self._support(frame))
+        self._decide()
+        confirmed = self.verdict is Verdict.CONFIRMED
+        return TrackingOutcome(
+            confirmed, outcome.inliers, outcome.matches, "" if confirmed else "on_probation"
+        )
+
+    def withdraw(self, reason: str) -> None:
+        """End it without confirmation."""
+        self.verdict, self.reason = Verdict.WITHDRAWN, reason
+
+    def _decide(self) -> None:
+        span_s = self.frames[-1].features.stamp_s - self.first.features.stamp_s
+        long_enough = len(self.frames) > self._config.frames and span_s >= self._config.span_s - 1e-6
+        if not long_enough:
+            return
+        faults = [self._fault(s) for s in self._supports]
+        if faults.count("") >= self._config.min_sound * len(faults) and not faults[-1]:
+            self.verdict = Verdict.CONFIRMED
+            self.tracker.observing = True
+        elif span_s >= self._config.max_s - 1e-6:
+            self.withdraw(faults[-1] or next(fault for fault in faults if fault))
+
+    def _support(self, frame: Frame) -> Support:
+        m: Map = self.tracker.map
+        _, points = collect_local_map(
+            m.arrays, m.n_keyframes, m.n_points, frame.point, self.tracker.config.local_map_keyframes
+        )
+        return support(m, points, frame.T_cam_map, frame.features, self._config.radius_px)
+
+    def _fault(self, found: Support) -> str:
+        """What speaks against the place in one view; empty if nothing does."""
+        if found.share < self._config.min_share:
+            return "expected_points_missing"
+        if found.contradicted > self._config.max_contradicted:
+            return "contradicted"
+        if found.cells < self._config.min_cells:
+            return "too_narrow"
+        return ""
