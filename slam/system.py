@@ -21,6 +21,7 @@ from slam.features.orb import OrbExtractor
 from slam.initialization.initializer import Initializer, InitialMap, frames_between
 from slam.loop_closing.global_adjustment import apply_adjustment
 from slam.map.map import Map
+from slam.map.relation import loop_relation, relocalization_relation
 from slam.map.trajectory import FramePoses, keyframe_trajectory
 from slam.map_places import Places
 from slam.mapping.local_mapping import LocalMapper
@@ -209,6 +210,7 @@ class MonocularSlam:
         """Apply a loop closure to the map, its frames and the tracker."""
         m, loop, frame = change.task.mapper.map, change.loop, change.task.frame
         self._loop_cpu_ms += change.cpu_ms
+        relation = loop_relation(m, loop.keyframe, loop.loop_keyframe, loop.S_cam_map)
         m.adopt(change.corrected_map)
         self._poses.rescale(m.map_id, change.factor)
         self.tracker.corrected(change.factor)
@@ -221,6 +223,7 @@ class MonocularSlam:
             scale=float(change.factor[loop.keyframe]),
             matches=len(loop.points),
             cpu_ms=change.cpu_ms,
+            relation=relation,
         )
 
     def _report_refusal(self, change: Refused) -> None:
@@ -307,6 +310,7 @@ class MonocularSlam:
             inliers=outcome.inliers,
             frames_lost=frame.features.index - broken.index,
             lost_s=frame.features.stamp_s - broken.stamp_s,
+            relation=relocalization_relation(self.current_map, frame),
         )
         return outcome
 

@@ -50,7 +50,7 @@ class Ledger:
         self._threads = len(experiment.threads)
         self._types = columns(self._threads)
         self._cells = {cell: place for place, cell in enumerate(experiment.cell_names())}
-        self._version = SCHEMA_VERSION
+        self._version, self._stored = SCHEMA_VERSION, tuple(self._types)
 
     @classmethod
     def open(cls, folder: Path, experiment: "Experiment", read_only: bool = False) -> Self:
@@ -59,7 +59,7 @@ class Ledger:
         Args:
             folder: of the experiment; must exist.
             experiment: owner of the units.
-            read_only: change nothing; possible during a run, and for ledgers of schema version 1.
+            read_only: change nothing; possible during a run, and for ledgers of earlier versions.
 
         Raises:
             InputError: it holds units of another spec, is missing although only to be read, or is damaged, or
@@ -78,7 +78,7 @@ class Ledger:
                     # A commit costs little beside its unit, so it may as well outlive a power failure.
                     connection.execute("PRAGMA synchronous=FULL")
                     create_tables(connection, experiment, ledger._types)
-                ledger._version = check_owner(connection, path, experiment, ledger._types)
+                ledger._version, ledger._stored = check_owner(connection, path, experiment, ledger._types)
                 if not read_only:
                     ledger._check_writable()
         except BaseException:
@@ -100,6 +100,11 @@ class Ledger:
     def has_digests(self) -> bool:
         """False for a ledger of schema version 1, in which a changed value may pass for a true one."""
         return self._version > 1
+
+    @property
+    def is_current(self) -> bool:
+        """False for a ledger of an earlier version, which can only be read: no digests, or fewer columns."""
+        return self.has_digests and len(self._stored) == len(self._types)
 
     def add(self, record: Mapping[str, Any]) -> None:
         """Write the row of a unit that has ended, in one transaction.
@@ -205,12 +210,14 @@ class Ledger:
             fault = f"cell is {row['cell']!r}"
         if fault is None and row.get("experiment", self._experiment) != self._experiment:
             fault = f"experiment is {row['experiment']!r}"
-        if fault is None and self.has_digests and stored["digest"] != digest_of(row):
+        written = {name: row[name] for name in (self._stored if table == "units" else row)}
+        if fault is None and self.has_digests and stored["digest"] != digest_of(written):
             fault = "it does not agree with its digest"
         return fault
 
     def _plain(self, table: Table, stored: sqlite3.Row) -> Row:
-        row = {name: stored[name] for name in self._names(table)}
+        present = set(stored.keys())
+        row = {name: stored[name] if name in present else None for name in self._names(table)}
         if table == "units":
             for name, kind in self._types.items():
                 if kind == "bool" and row[name] in (0, 1):
@@ -231,8 +238,9 @@ class Ledger:
         )
 
     def _check_writable(self) -> None:
-        if not self.has_digests:
-            raise InputError(str(self.path), "has the form 1", "continue it by `dslab experiment run`")
+        if not self.is_current:
+            problem = "is of an earlier version"
+            raise InputError(str(self.path), problem, "continue it by `dslab experiment run`")
         (found,) = self._connection.execute("PRAGMA integrity_check(1)").fetchone()
         if found != "ok":
             raise InputError(str(self.path), f"is damaged ({found})", RERUN)

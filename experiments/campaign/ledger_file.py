@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from experiments.eq1.record_checks import digest_of, joint_digest
 from experiments.eq1.record_table import SQL_TYPES
-from experiments.eq1.records import ColumnType
+from experiments.eq1.records import ColumnType, added_later
 from scenarios.errors import InputError
 
 if TYPE_CHECKING:
@@ -86,8 +86,11 @@ def create_tables(
 
 def check_owner(
     connection: sqlite3.Connection, path: Path, experiment: "Experiment", types: Mapping[str, ColumnType]
-) -> int:
-    """Check that a ledger is that of an experiment; returns its schema version.
+) -> tuple[int, tuple[str, ...]]:
+    """Check that a ledger is that of an experiment.
+
+    Returns:
+        Its schema version, and those of the columns of units that it has: columns added later may be missing.
 
     Raises:
         InputError: it is not, has no tables yet, or its description is damaged.
@@ -115,10 +118,11 @@ def check_owner(
             "choose a new folder, or give the spec.yaml of this one",
         )
     added = {"digest"} if version > 1 else set()
-    if known != {*types} | added or of_errors != {"number", *ERROR_COLUMNS} | added:
+    lacking = {name for name in {*types} - known if added_later(name)}
+    if known != {*types} - lacking | added or of_errors != {"number", *ERROR_COLUMNS} | added:
         problem = "has other columns than this version of the programs writes"
         raise InputError(str(path), problem, "choose a new folder")
-    return version
+    return version, tuple(name for name in types if name not in lacking)
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from experiments.campaign.ledger_file import ERROR_COLUMNS
 from experiments.campaign.schedule import Experiment
 from experiments.eq1.record_checks import digest_of, record_fault
 from experiments.eq1.record_table import arrow_table
-from experiments.eq1.records import columns
+from experiments.eq1.records import added_later, columns
 from scenarios.errors import InputError
 from scenarios.input_files import open_file
 
@@ -67,7 +67,7 @@ def read_error_table(path: Path) -> list[dict[str, Any]]:
 def read_table(path: Path, spec: Experiment, spec_digest: str) -> list[dict[str, Any]]:
     """Read the records of an experiment, whose spec is still the one of their export.
 
-    Columns of pairs of frames become null if they are missing, since older tables lack them. So do tables
+    Columns that were added later become null if they are missing, since older tables lack them. So do tables
     lack digests; of these only types and domains are checked.
 
     Raises:
@@ -78,13 +78,14 @@ def read_table(path: Path, spec: Experiment, spec_digest: str) -> list[dict[str,
         raise InputError(str(path), "was exported with another spec.yaml than stands beside it", _REMEDY)
     types = columns(len(spec.threads))
     differing = set(types) ^ set(names)
-    if differing := {name for name in differing if name not in types or not name.startswith("pairs")}:
+    if differing := {name for name in differing if name not in types or not added_later(name)}:
         problem = f"missing or unknown columns: {', '.join(sorted(differing))}"
         raise InputError(str(path), problem, _REMEDY)
     rows = [{name: row.get(name) for name in types} for row in found]
     _check(path, rows, spec)
     written = about.get(_DIGEST)
-    if written is not None and written != _digest(rows).encode():
+    stored = [name for name in types if name in names]
+    if written is not None and written != _digest({n: row[n] for n in stored} for row in rows).encode():
         raise InputError(str(path), "is damaged: its rows are not those that were written", _REMEDY)
     return rows
 

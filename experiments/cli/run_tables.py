@@ -17,6 +17,13 @@ _REASONS = {
     "no_reinit": "neither relocalized nor a new map",
     "few_inliers": "too few inliers",
 }
+_REPAIRS = {"recovery": "fusions", "place": "joins", "relocalization": "relocalizations"}
+_DECLARED = {
+    "loop": "loops",
+    "fusion": "fusions",
+    "join": "joins",
+    "relocalization": "relocalizations",
+}
 
 
 def print_runs(summaries: Mapping[str, dict]) -> None:
@@ -41,6 +48,8 @@ def summary_table(summary: dict) -> Table:
     rows = {"frames dropped, too late": str(dropped)} if dropped else {}
     rows |= {
         "frames tracked": f"{summary['tracked']} of {summary['frames']} ({share(summary['share_tracked'])})",
+        "frames with a pose in the end": f"{summary['posed']} of {summary['frames']} "
+        f"({share(summary['share_posed'])})",
         "first tracked frame": "none: never initialized"
         if first is None
         else f"{first}, after {number(summary['time_to_initialise_s'], 2, ' s')}",
@@ -111,13 +120,21 @@ def audit_text(summary: dict) -> str:
     if delays_s:
         losses += f", {median(delays_s):.2f} s after the pose was truly lost"
         losses += " (median)" if len(delays_s) > 1 else ""
-    repairs = [*audit["fusions"], *audit["relocalizations"]]
-    false = _count(sum(bool(r["false"]) for r in repairs), "false repair", "false repairs")
     parts = [losses, _count(len(_silent(summary)), "silent loss", "silent losses")]
-    parts += [f"{false} of {len(repairs)}"] if repairs else []
-    unjudged = sum(f["silent"] is None for f in audit["losses"]) + sum(r["false"] is None for r in repairs)
+    parts += [_declared(one, many, audit[many]) for one, many in _DECLARED.items() if audit[many]]
+    unjudged = sum(f["silent"] is None for f in audit["losses"])
+    unjudged += sum(row["false"] is None for many in _DECLARED.values() for row in audit[many])
     parts += [f"{unjudged} not judged"] if unjudged else []
     return f"audit by the truth: {'; '.join(parts)}"
+
+
+def _declared(one: str, many: str, rows: list[dict]) -> str:
+    """How many of the declared loops, fusions, joins or relocalizations are false, and when."""
+    false = [number(row["time_s"], 2, " s") for row in rows if row["false"] and not row.get("withdrawn")]
+    found = f"{_count(len(false), f'false {one}', f'false {many}')} of {len(rows)}"
+    withdrawn = sum(row.get("withdrawn", False) for row in rows)
+    found += f", {withdrawn} withdrawn" if withdrawn else ""
+    return f"{found} (at {', '.join(false)})" if false else found
 
 
 def _count(number: int, one: str, many: str) -> str:
@@ -153,7 +170,7 @@ def _fate(breakage: dict, summary: dict) -> str:
         return f"never repaired: {_words(breakage['failure_reason'])}{begun}"
     at = number(breakage["repair_time_s"], 2, " s")
     if breakage["repair"] == "place":
-        return f"merged with the new map by place, at {at}"
+        return f"merged with the new map by place, at {at}{_verdict(breakage, summary)}"
     if breakage["repair"] == "relocalization":
         return (
             f"relocalized at {at}, {number(breakage['lost_s'], 2, ' s')} later{_verdict(breakage, summary)}"
@@ -164,19 +181,20 @@ def _fate(breakage: dict, summary: dict) -> str:
 
 def _verdict(breakage: dict, summary: dict) -> str:
     """The audit's verdict on a repair; empty without truth."""
-    audit = summary["audit"] or {"fusions": [], "relocalizations": []}
-    found = (*audit["fusions"], *audit["relocalizations"])
-    of = next((r for r in found if r["breakage_frame"] == breakage["frame"]), None)
+    if summary["audit"] is None:
+        return ""
+    rows = summary["audit"][_REPAIRS[breakage["repair"]]]
+    of = next((r for r in rows if r["frame"] == breakage["repair_frame"]), None)
     if of is None:
         return ""
     if not of["false"]:
         return "; right by the truth" if of["false"] is False else "; could not be judged"
     figures = []
-    if of["scale_error"] is not None:
+    if of.get("scale_error") is not None:
         figures.append(f"scale {100 * of['scale_error']:+.0f} %")
-    if of["seam_error_m"] is not None:
+    if of["position_error_m"] is not None:
         figures.append(
-            f"{number(of['seam_error_m'], 2, ' m')} and {number(of['seam_rotation_deg'], 1, '°')} off"
+            f"{number(of['position_error_m'], 2, ' m')} and {number(of['rotation_error_deg'], 1, '°')} off"
         )
     return f"; FALSE by the truth: {', '.join(figures)}"
 

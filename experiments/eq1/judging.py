@@ -12,8 +12,8 @@ from experiments.evaluation.alignment import Similarity, Undefined, align_poses
 from experiments.evaluation.audit import LossAudit
 from experiments.evaluation.audit_report import audit_loss_in, declaration_delay_s
 from experiments.evaluation.breakages import BreakageOutcome, breakage_outcomes
-from experiments.evaluation.frame_outcomes import posed_frames
-from experiments.evaluation.summary import is_tracked, main_map_pairs
+from experiments.evaluation.declared_audit import audit_declared
+from experiments.evaluation.summary import is_tracked, main_map_pairs, posed_frames
 from experiments.runs.execution import RunRecord
 
 
@@ -30,6 +30,8 @@ def judge_free(arm: FreeArm, reference: Reference) -> dict[str, Any]:
         "dual_share_tracked": float(posed_frames(arm.dual).mean()),
         **_accuracy(arm.base, "base", exposure),
         **_accuracy(arm.dual, "dual", exposure),
+        **_declared(arm.base, "base", ("loops", "relocalizations")),
+        **_declared(arm.dual, "dual", ("loops", "relocalizations", "fusions", "joins")),
         **{dual_column(n): False for n in range(1, threads + 1)},
         "dual_failure": False,
     }
@@ -92,6 +94,13 @@ def _loss(record: RunRecord, exposure: Exposure, first: BreakageOutcome | None) 
     end = exposure.last_frame if first is None else first.breakage.frame
     audit = audit_loss_in(record, exposure.onset_frame, end)
     return None if isinstance(audit, Undefined) else audit
+
+
+def _declared(record: RunRecord, name: str, kinds: tuple[str, ...]) -> dict[str, int]:
+    """Number of false declarations by kind, and of all that could not be judged."""
+    audit = audit_declared(record)
+    false = {f"{name}_false_{kind}": audit.false_counts[f"false_{kind}"] for kind in kinds}
+    return {**false, f"{name}_unjudged": audit.unjudged}
 
 
 def _accuracy(record: RunRecord, name: str, exposure: Exposure) -> dict[str, Any]:

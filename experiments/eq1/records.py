@@ -70,6 +70,9 @@ UNIT_COLUMNS: dict[str, tuple[Domain, str]] = {
     "base_ate_m": ("amount", "ATE of the largest map"),
     "base_path_share": ("share", "share of the path that this map covers"),
     "base_end_error_m": ("amount", "position error of the last pose, aligned on the lead-in"),
+    "base_false_loops": ("count", "loops it closed that are false by the audit"),
+    "base_false_relocalizations": ("count", "relocalizations it declared and did not withdraw, likewise"),
+    "base_unjudged": ("count", "loops and relocalizations that the audit could not judge"),
     # Free arm, given B.
     "reinit": ("bool", "given B: a new map was initialized before the end"),
     "reinit_frame": ("count", "its frame"),
@@ -78,6 +81,11 @@ UNIT_COLUMNS: dict[str, tuple[Domain, str]] = {
     "dual_ate_m": ("amount", "ATE of its largest map"),
     "dual_path_share": ("share", "share of the path that this map covers"),
     "dual_end_error_m": ("amount", "position error of the last pose, aligned on the lead-in"),
+    "dual_false_loops": ("count", "loops it closed that are false by the audit"),
+    "dual_false_relocalizations": ("count", "relocalizations it declared and did not withdraw, likewise"),
+    "dual_false_fusions": ("count", "fusions by a recovery, likewise"),
+    "dual_false_joins": ("count", "fusions by place, likewise"),
+    "dual_unjudged": ("count", "of all these, those that the audit could not judge"),
     "dual_failure": ("bool", "B, and the first thread to declare success was false, or none declared it"),
     "dual_relocalized": ("bool", "given B: the dual continued in the broken map by relocalization"),
     # Crossing arm.
@@ -140,6 +148,18 @@ GIVEN_BREAKAGE = frozenset(
     }
 )
 """Columns that are null without a breakage, besides those of the threads in the free arm."""
+
+_ADDED_COLUMNS = frozenset(
+    f"{system}_{name}"
+    for system in ("base", "dual")
+    for name in ("false_loops", "false_relocalizations", "false_fusions", "false_joins", "unjudged")
+)
+
+
+def added_later(column: str) -> bool:
+    """True if tables and ledgers of earlier versions may lack a column; its values are then null."""
+    return column in _ADDED_COLUMNS or column.startswith("pairs")
+
 
 MEASURED_COLUMNS = ("attempts", "render_s", "slam_s", "cpu_s", "wall_s", "peak_rss_mb")
 """Columns that may differ between two runs of a unit, besides the threads' ``cpu_ms``."""

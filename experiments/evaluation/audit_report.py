@@ -1,12 +1,14 @@
-"""The audit of a whole run: true loss in every exposure and breakage, and every repair."""
+"""The audit of a whole run: true loss in every exposure and breakage, and all that was declared."""
 
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from experiments.evaluation.alignment import Undefined
-from experiments.evaluation.audit import AuditBounds, FusionAudit, LossAudit, audit_fusion, audit_loss
+from experiments.evaluation.audit import AuditBounds, LossAudit, audit_loss
 from experiments.evaluation.breakages import EXPOSURE_GRACE_S, BreakageOutcome
+from experiments.evaluation.declared_audit import audit_declared
+from experiments.evaluation.relation_audit import RelationBounds
 from experiments.runs.execution import RunRecord
 
 _LOOKBACK_S = 2.0
@@ -35,15 +37,6 @@ class LossFinding:
     delay_s: float | None
     silent: bool | None
     reason: str
-
-
-@dataclass(frozen=True)
-class FusionFinding:
-    """One accepted fusion or relocalization, with the breakage that it repairs."""
-
-    breakage_frame: int
-    old_map_id: int
-    audit: FusionAudit
 
 
 def loss_findings(
@@ -97,76 +90,23 @@ def declaration_delay_s(stamps_s: np.ndarray, lost: int | None, declared: int | 
     return None if lost is None or declared is None else float(stamps_s[declared] - stamps_s[lost])
 
 
-def fusion_findings(
-    record: RunRecord, outcomes: list[BreakageOutcome], bounds: AuditBounds | None = None
-) -> list[FusionFinding]:
-    """Audit every accepted fusion on the final map that contains it."""
-    return [
-        _seam_finding(record, outcomes, o, {o.breakage.map_id, o.fusion.map_id}, bounds)
-        for o in outcomes
-        if o.recovered and o.fusion is not None
-    ]
-
-
-def relocalization_findings(
-    record: RunRecord, outcomes: list[BreakageOutcome], bounds: AuditBounds | None = None
-) -> list[FusionFinding]:
-    """Audit every relocalization like a fusion: the final map before and after the breakage."""
-    return [
-        _seam_finding(record, outcomes, o, {o.breakage.map_id}, bounds)
-        for o in outcomes
-        if o.relocalized is not None and not o.recovered
-    ]
-
-
-def _seam_finding(
-    record: RunRecord,
-    outcomes: list[BreakageOutcome],
-    outcome: BreakageOutcome,
-    map_ids: set[int],
-    bounds: AuditBounds | None,
-) -> FusionFinding:
-    sequence, frame = record.sequence, outcome.breakage.frame
-    assert sequence.T_world_cam is not None
-    healed = next((t for t in record.trajectories if t.map_id in map_ids), None)
-    if healed is None:
-        audit = FusionAudit(None, None, None, None, None, "the fused map no longer exists")
-    else:
-        earlier = [o.breakage.frame for o in outcomes if o.breakage.frame < frame]
-        audit = audit_fusion(
-            healed,
-            sequence.stamps_s,
-            sequence.T_world_cam,
-            frame,
-            from_frame=max(earlier, default=-1) + 1,
-            until_frame=outcome.until_frame,
-            bounds=bounds,
-        )
-    return FusionFinding(frame, outcome.breakage.map_id, audit)
-
-
 def audit_record(record: RunRecord, outcomes: list[BreakageOutcome]) -> dict | None:
     """The audit as part of the summary; None without truth."""
     if record.sequence.T_world_cam is None:
         return None
-    bounds, stamps_s = AuditBounds(), record.sequence.stamps_s
+    bounds, relation_bounds = AuditBounds(), RelationBounds()
+    stamps_s = record.sequence.stamps_s
     losses = loss_findings(record, outcomes, bounds)
     lost_at = [
         None if f.true_loss_frame is None else stamps_s[f.true_loss_frame] - stamps_s[0] for f in losses
     ]
     return {
         "bounds": asdict(bounds),
+        "relation_bounds": asdict(relation_bounds),
         "losses": [
             asdict(f) | {"true_loss_time_s": time_s} for f, time_s in zip(losses, lost_at, strict=True)
         ],
-        "fusions": [
-            {"breakage_frame": f.breakage_frame, "old_map_id": f.old_map_id, **asdict(f.audit)}
-            for f in fusion_findings(record, outcomes, bounds)
-        ],
-        "relocalizations": [
-            {"breakage_frame": f.breakage_frame, "map_id": f.old_map_id, **asdict(f.audit)}
-            for f in relocalization_findings(record, outcomes, bounds)
-        ],
+        **audit_declared(record, relation_bounds).rows(float(stamps_s[0])),
     }
 
 

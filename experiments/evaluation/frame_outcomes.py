@@ -5,7 +5,7 @@ from enum import Enum
 
 import numpy as np
 
-from experiments.evaluation.summary import is_tracked
+from experiments.evaluation.summary import is_tracked, posed_frames
 from experiments.runs.execution import RunRecord
 from slam.core.events import Breakage, Event, Fusion
 
@@ -32,14 +32,6 @@ def frame_outcomes(record: RunRecord) -> list[FrameOutcome]:
         _frame_outcome(bool(posed[f]), is_tracked(r) or f < first or not fused_later[f])
         for f, r in enumerate(record.results)
     ]
-
-
-def posed_frames(record: RunRecord) -> np.ndarray:
-    """(frames,) bool, true if the frame has a final pose in any map."""
-    posed = np.zeros(len(record.results), bool)
-    for trajectory in record.trajectories:
-        posed[trajectory.frames] = True
-    return posed
 
 
 def _frame_outcome(posed: bool, live: bool) -> FrameOutcome:

@@ -26,6 +26,8 @@ def summarise(record: RunRecord) -> dict:
 
     ``ate_m`` is the RMSE after Sim(3) alignment of the map with most frames, over ``ate_poses`` frames. It
     favours a system that gets lost early, so read it together with ``share_tracked`` and ``path_share``.
+    ``tracked`` counts the frames that had a pose live, ``posed`` those that have one in the end: a recovery
+    adds poses, and the system may take some back.
     ``cpu_ms_*`` is the CPU time of the tracking stages per frame, ``mapping_cpu_ms_*`` that of local mapping
     per keyframe, ``loop_cpu_ms_*`` that of loop closing. ``dropped_frames`` were too late to be fed; they are
     not among the ``frames``.
@@ -62,6 +64,14 @@ def sequence_label(sequence: Sequence) -> str:
 def is_tracked(result: TrackingResult) -> bool:
     """True if the frame has a pose."""
     return result.state is TrackingState.TRACKING and result.T_map_cam is not None
+
+
+def posed_frames(record: RunRecord) -> np.ndarray:
+    """(frames,) bool, true if the frame has a final pose in any map."""
+    posed = np.zeros(len(record.results), bool)
+    for trajectory in record.trajectories:
+        posed[trajectory.frames] = True
+    return posed
 
 
 def main_map_pairs(record: RunRecord) -> metrics.PosePairs | None:
@@ -129,12 +139,15 @@ def stage_times(results: Iterable[TrackingResult]) -> dict[str, dict[str, float 
 def _counts(record: RunRecord, outcomes: list[BreakageOutcome]) -> dict:
     tracked = [r.frame for r in record.results if is_tracked(r)]
     frames, first = len(record.results), tracked[0] if tracked else None
+    posed = int(posed_frames(record).sum())
     stamps_s = record.sequence.stamps_s
     return {
         "frames": frames,
         "dropped_frames": record.dropped_frames,
         "tracked": len(tracked),
         "share_tracked": len(tracked) / frames if frames else None,
+        "posed": posed,
+        "share_posed": posed / frames if frames else None,
         "share_tracked_after_init": None if first is None else len(tracked) / (frames - first),
         "first_tracked_frame": first,
         "frames_to_initialise": None if first is None else first + 1,

@@ -1,9 +1,10 @@
 """Tracking states and typed events, the system's only report of its actions."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import ClassVar
 
+from slam.core.relation import Relation
 from slam.core.snapshot import Unchanging
 
 
@@ -37,6 +38,24 @@ class Event(Unchanging):
 
 
 @dataclass(frozen=True, kw_only=True)
+class RelatingEvent(Event):
+    """An event that asserts how two sides of a map lie to each other.
+
+    Attributes:
+        relation: what was asserted, for whoever judges it; kept in memory only, not among the record's
+            fields. None from a system that does not say it.
+    """
+
+    relation: Relation | None = field(default=None, repr=False, compare=False)
+
+    def record(self) -> dict:
+        """Flat record for events.jsonl, without the relation."""
+        record = super().record()
+        del record["relation"]
+        return record
+
+
+@dataclass(frozen=True, kw_only=True)
 class Initialized(Event):
     """A two-view map was accepted."""
 
@@ -55,7 +74,7 @@ class Breakage(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Relocalized(Event):
+class Relocalized(RelatingEvent):
     """Tracking resumed in a lost map: a relocalized frame was confirmed by those that followed.
 
     Attributes:
@@ -92,7 +111,7 @@ class RelocalizationWithdrawn(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoopClosed(Event):
+class LoopClosed(RelatingEvent):
     """A loop was closed: a place was recognised and the drift corrected.
 
     Attributes:
@@ -233,7 +252,7 @@ class MapCut(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fusion(Event):
+class Fusion(RelatingEvent):
     """Two maps were fused, or a fusion was rejected; ``map_id`` is the map that remains.
 
     Attributes:

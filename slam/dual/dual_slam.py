@@ -26,6 +26,7 @@ from slam.dual.restarting import RestartingSlam
 from slam.initialization.initializer import InitialMap
 from slam.loop_closing.map_alignment import Alignment
 from slam.map.map import Map
+from slam.map.relation import fusion_relation
 from slam.runtime.backend import Adjusted, Change, Corrected, ExecutionMode, Mapped
 from slam.tracking.tracker import TrackingOutcome
 
@@ -190,8 +191,12 @@ class DualSlam(RestartingSlam):
 
     def _fuse(self, frame: Frame, old: Map, new: Map, alignments: Sequence[Alignment], by: str) -> Fused:
         """Fuse the new map into the old one; tracker, poses and saved maps follow."""
-        accepted = alignments[-1]
-        fused = fuse(old, new, alignments, self.config.mapping, renewed=by == "recovery")
+        accepted, renewed = alignments[-1], by == "recovery"
+        relation = fusion_relation(
+            old, new, accepted.old_keyframe, accepted.new_keyframe, accepted.S_old_new,
+            seam_frame(old, alignments) if renewed else None,
+        )  # fmt: skip
+        fused = fuse(old, new, alignments, self.config.mapping, renewed)
         self._poses.join(old.map_id, new.map_id, fused.keyframes, accepted.scale)
         self._poses.rescale(old.map_id, fused.factor)
         both = (old.map_id, new.map_id)
@@ -211,7 +216,7 @@ class DualSlam(RestartingSlam):
             self._place_merger.reset_alignments()
         self._emit_at(
             frame, ev.Fusion, old.map_id, old_map_id=old.map_id, new_map_id=new.map_id, by=by,
-            accepted=True, scale=accepted.scale, inliers=accepted.inliers, reason="",
+            accepted=True, scale=accepted.scale, inliers=accepted.inliers, reason="", relation=relation,
         )  # fmt: skip
         return fused
 

@@ -1,5 +1,6 @@
 """A synthetic sequence, and a system that replays its truth with noise, breakages and recoveries."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,6 +10,7 @@ from sim.sensors.camera import Intrinsics
 from sim.sequence import SegmentTruth, Sequence
 from slam.core import events as ev
 from slam.core.events import TrackingState
+from slam.core.relation import PlacedFrames, Relation
 from slam.core.results import MapTrajectory, TrackingResult
 
 CAMERA = Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5, 30.0)
@@ -80,12 +82,14 @@ class FakeSystem:
 
     def __post_init__(self) -> None:
         self._frame = -1
+        self._stamps_s: list[float] = []
         self._rng = np.random.default_rng(1)
         self._poses: dict[int, dict[int, tuple[float, np.ndarray]]] = {}
 
     def process(self, image: np.ndarray, stamp_s: float) -> TrackingResult:
         self._frame += 1
         f = self._frame
+        self._stamps_s.append(stamp_s)
         if f == self.fails_at:
             raise RuntimeError("the fake was told to fail")
         state, map_id, reason = self._script(f, stamp_s)
@@ -162,7 +166,13 @@ class FakeSystem:
         if lost == self.relocalizes_after:
             self.events.append(
                 ev.Relocalized(
-                    **common, map_id=0, keyframe=30, inliers=60, frames_lost=lost, lost_s=lost / CAMERA.fps
+                    **common,
+                    map_id=0,
+                    keyframe=30,
+                    inliers=60,
+                    frames_lost=lost,
+                    lost_s=lost / CAMERA.fps,
+                    relation=self._relation([f]),
                 )
             )
         return TrackingState.TRACKING, 0, ""
@@ -201,9 +211,23 @@ class FakeSystem:
                         scale=1.0,
                         inliers=50,
                         reason="",
+                        relation=self._relation(range(self.breaks_at + 1, f + 1)),
                     )
                 )
         return TrackingState.TRACKING, 0 if self.recovers else 1, ""
+
+    def _relation(self, new: Iterable[int]) -> Relation:
+        """The newest frames of the old map beside new ones, as they are posed."""
+        old = range(self.breaks_at - 1, self.starts_at, -3)
+        sides = [
+            PlacedFrames(
+                np.array(side),
+                np.array([self._stamps_s[f] for f in side]),
+                np.array([self._pose(f) for f in side]),
+            )
+            for side in (list(old), list(new))
+        ]
+        return Relation(*sides, depth=0.4 * self.scale)
 
     def _pose(self, f: int) -> np.ndarray:
         S_map_world = Rotation.from_euler("xyz", [0.3, -0.5, 1.0]).as_matrix()

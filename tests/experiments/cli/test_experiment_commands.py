@@ -8,16 +8,18 @@ from functools import partial
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from unit_fakes import LocalPool, made_up_record, made_up_unit
 
-from experiments.campaign.folder import TABLE_FILE, export, has_digests, read_experiment
+from experiments.campaign.folder import TABLE_FILE, export, has_digests, read_experiment, read_spec
 from experiments.campaign.ledger import LEDGER_FILE, Ledger
 from experiments.campaign.runner import Tally, run_experiment
 from experiments.campaign.unit_job import unit_record
 from experiments.cli.experiment_progress import estimates_text, pace_text
-from experiments.eq1.records import columns, decided
+from experiments.eq1.record_checks import digest_of, joint_digest
+from experiments.eq1.records import added_later, columns, decided
 from experiments.eq1.spec import load_spec
 from scenarios.errors import InputError
 
@@ -261,6 +263,66 @@ def test_values_of_a_ledger_of_version_1_are_checked(dslab, of_version_1):
         assert code == 2 and "breakage is 2" in err
     code, _, err = dslab("experiment", "run", "smoke", "--out", of_version_1)
     assert code == 2 and "breakage is 2" in err
+
+
+@pytest.fixture
+def of_fewer_columns(smoke):
+    """Turns the ledger into one that was written before the columns of false declarations."""
+    with Ledger.open(smoke, read_spec(smoke), read_only=True) as ledger:
+        rows = ledger.rows()
+    added = [name for name in rows[0] if added_later(name) and not name.startswith("pairs")]
+    assert len(added) == 8
+    digests = {r["unit_id"]: digest_of({k: v for k, v in r.items() if k not in added}) for r in rows}
+    change(
+        smoke,
+        *(f"ALTER TABLE units DROP COLUMN {name}" for name in added),
+        *(f"UPDATE units SET digest = '{d}' WHERE unit_id = '{unit}'" for unit, d in digests.items()),
+        f"UPDATE sums SET digest = '{joint_digest(digests.values())}' WHERE name = 'units'",
+    )
+    return smoke, added
+
+
+def test_a_ledger_that_lacks_later_columns_is_read_exported_and_continued(dslab, of_fewer_columns):
+    folder, added = of_fewer_columns
+    for name, *rest in READERS:
+        code, _, err = dslab("experiment", name, folder, *rest)
+        assert code == 0, err
+    _, before = read_experiment(folder)
+    assert before[added].isna().all(axis=None)
+    code, out, _ = dslab("experiment", "run", "smoke", "--out", folder, "--units", 4)
+    assert code == 0 and "8 of 8 units" in out
+    _, table = read_experiment(folder)
+    assert table[table["index"] < 3].reset_index(drop=True).equals(before)
+    with Ledger.open(folder, read_spec(folder), read_only=True) as ledger:
+        assert ledger.is_current
+
+
+def test_a_changed_value_of_a_ledger_that_lacks_later_columns_is_found(dslab, of_fewer_columns):
+    folder, _ = of_fewer_columns
+    change(folder, "UPDATE units SET severity = 7 WHERE rowid = 2")
+    code, _, err = dslab("experiment", "status", folder)
+    assert code == 2 and "does not agree with its digest" in err
+
+
+def test_an_exported_table_that_lacks_later_columns_is_read_by_its_digest(dslab, of_fewer_columns):
+    folder, added = of_fewer_columns
+    dslab("experiment", "export", folder)
+    (folder / LEDGER_FILE).unlink()
+    _, table = read_experiment(folder)
+    whole = pq.read_table(folder / TABLE_FILE)
+    rows = [{k: v for k, v in row.items() if k not in added} for row in whole.to_pylist()]
+    digest = digest_of({str(number): digest_of(row) for number, row in enumerate(rows)})
+    for severity, fits in ((None, True), (7.0, False)):
+        if severity:
+            rows[0]["severity"] = severity
+        older = pa.Table.from_pylist(rows, schema=pa.schema([f for f in whole.schema if f.name not in added]))
+        about = {**whole.schema.metadata, b"digest": digest.encode()}
+        pq.write_table(older.replace_schema_metadata(about), folder / TABLE_FILE)
+        if fits:
+            pd.testing.assert_frame_equal(read_experiment(folder)[1], table)
+        else:
+            with pytest.raises(InputError, match="not those that were written"):
+                read_experiment(folder)
 
 
 def test_a_changed_bit_of_an_exported_table_changes_no_row_silently(dslab, smoke):

@@ -76,7 +76,7 @@ def test_a_false_repair_is_called_false():
     summary = summary_of(breaks_at=160, new_map_scale=1.4)
     ((*_, end),) = cells(breakage_table({"": summary}))
     assert "FALSE" in end and "scale +40 %" in end
-    assert "1 false repair of 1" in audit_text(summary)
+    assert "1 false fusion of 1 (at 6.00 s)" in audit_text(summary)
 
 
 def test_times_count_from_the_first_frame():

@@ -112,7 +112,8 @@ def test_the_audit_of_a_run_judges_a_relocalization(scale, false):
     build = fake_factory(sequence, breaks_at=160, relocalizes_after=40, new_map_scale=scale)
     summary = summarise(execute(sequence, "base", 0, build=build))
     (found,) = summary["audit"]["relocalizations"]
-    assert (found["breakage_frame"], found["map_id"], found["false"]) == (160, 0, false)
+    assert (found["frame"], found["map_id"], found["false"]) == (200, 0, false)
+    assert summary["audit"]["false_relocalizations"] == int(false)
     assert summary["audit"]["fusions"] == []
     assert (summary["relocalizations"], summary["recoveries"]) == (1, 0)
     (breakage,) = summary["breakage_list"]

@@ -1,0 +1,93 @@
+"""What a loop closure, a fusion or a relocalization asserts, put down for whoever judges it later."""
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from slam.core.frame import Frame
+from slam.core.relation import PlacedFrames, Relation
+from slam.map import _map_kernels as kernels
+from slam.map.map import Map
+from slam.optimization.sim3 import sim3_decompose, sim3_inverse
+
+_COVISIBLE = 20  # most covisible keyframes of a side
+_IN_TIME = 20  # most further keyframes of a side, the next ones in time: covisible ones may stand too close
+
+
+def loop_relation(map_: Map, keyframe: int, loop_keyframe: int, S_cam_map: np.ndarray) -> Relation:
+    """Relation asserted by a loop, before the map is corrected.
+
+    Args:
+        map_: the map, not corrected yet.
+        keyframe, loop_keyframe: rows of the recognising and the recognised keyframe.
+        S_cam_map: (4, 4) similarity from points around the loop keyframe to the keyframe's camera.
+    """
+    middle = (map_.frame_index(keyframe) + map_.frame_index(loop_keyframe)) / 2
+    later = {int(k) for k in map_.keyframes() if map_.frame_index(int(k)) > middle}
+    earlier = set(map(int, map_.keyframes())) - later
+    covisible = set(_covisible(map_, keyframe))
+    new = _side(map_, keyframe, not_in_time=earlier)
+    old = _side(map_, loop_keyframe, without=covisible, not_in_time=later)
+    S_old_new = sim3_inverse(S_cam_map) @ map_.T_cam_map(keyframe)
+    return Relation(_placed(map_, old), _placed(map_, new, S_old_new), _depth(map_, loop_keyframe))
+
+
+def fusion_relation(
+    old: Map,
+    new: Map,
+    old_keyframe: int,
+    new_keyframe: int,
+    S_old_new: np.ndarray,
+    last_frame: int | None = None,
+) -> Relation:
+    """Relation asserted by the alignment of two maps, before they are fused.
+
+    Args:
+        old, new: the maps, not fused yet.
+        old_keyframe, new_keyframe: rows of the aligned keyframes.
+        S_old_new: (4, 4) similarity from the new map to the old one.
+        last_frame: last frame of the trusted part of the old map; None for all of it.
+    """
+    end = np.inf if last_frame is None else last_frame
+    distrusted = {int(k) for k in old.keyframes() if old.frame_index(int(k)) > end}
+    old_side, new_side = _side(old, old_keyframe, without=distrusted), _side(new, new_keyframe)
+    return Relation(_placed(old, old_side), _placed(new, new_side, S_old_new), _depth(old, old_keyframe))
+
+
+def relocalization_relation(map_: Map, frame: Frame) -> Relation:
+    """Relation asserted by a relocalized frame: its pose in the surroundings of its reference keyframe."""
+    keyframe, features = frame.reference_keyframe, frame.features
+    T_map_cam = np.linalg.inv(frame.T_cam_map)[None]
+    own = PlacedFrames(np.array([features.index]), np.array([features.stamp_s]), T_map_cam)
+    return Relation(_placed(map_, _side(map_, keyframe)), own, _depth(map_, keyframe))
+
+
+def _side(
+    map_: Map, keyframe: int, without: Collection[int] = (), not_in_time: Collection[int] = ()
+) -> list[int]:
+    """A keyframe, those that share most of its points, then the next ones in time."""
+    side = [k for k in _covisible(map_, keyframe) if k not in without][:_COVISIBLE]
+    at, taken = map_.frame_index(keyframe), {*side, *without, *not_in_time}
+    others = [int(k) for k in map_.keyframes() if int(k) not in taken]
+    return side + sorted(others, key=lambda k: abs(map_.frame_index(k) - at))[:_IN_TIME]
+
+
+def _covisible(map_: Map, keyframe: int) -> list[int]:
+    live = map_.live(keyframe)
+    return [live, *map(int, map_.neighbours(live, map_.n_keyframes))]
+
+
+def _depth(map_: Map, keyframe: int) -> float:
+    return float(kernels.median_depth(map_.arrays, map_.live(keyframe)))
+
+
+def _placed(map_: Map, rows: Sequence[int], S_old_map: np.ndarray | None = None) -> PlacedFrames:
+    """Poses of keyframes, moved by a similarity if one is given."""
+    T = np.array([np.linalg.inv(map_.T_cam_map(k)) for k in rows]).reshape(-1, 4, 4)
+    if S_old_map is not None:
+        T = S_old_map @ T
+        T[:, :3, :3] /= sim3_decompose(S_old_map)[0]
+    features = [map_.features(k) for k in rows]
+    return PlacedFrames(
+        np.array([f.index for f in features], int), np.array([f.stamp_s for f in features], float), T
+    )
