@@ -25,7 +25,8 @@ class RelationBounds:
         position_floor_m: position error allowed in any case.
         rotation_deg: orientation error allowed.
         scale_share: difference of scale allowed between the two sides.
-        nearest: keyframes of a side that are compared; more only where they stand too close.
+        compared: nearest keyframes of the recognising side whose place and direction are compared.
+        aligned: nearest keyframes of a side that are aligned to the truth; more where they stand too close.
         min_poses: least number of keyframes of a side for an alignment.
         min_spread_m: least true distance between the outermost of them.
         min_spread_share: likewise for a judgement of scale, as a share of the median depth.
@@ -36,7 +37,8 @@ class RelationBounds:
     position_floor_m: float = 0.1
     rotation_deg: float = 5.0
     scale_share: float = 0.10
-    nearest: int = 10
+    compared: int = 5
+    aligned: int = 10
     min_poses: int = 5
     min_spread_m: float = 0.2
     min_spread_share: float = 0.05
@@ -153,7 +155,7 @@ def audit_asserted(
     new = _pairs(relation.new, stamps_s, T_world_cam)
     if not len(new):
         return RelationAudit(None, None, None, None, None, "no true pose of the recognising keyframes")
-    errors = side.errors(new.where(np.arange(len(new)) < bounds.nearest), bounds)
+    errors = side.errors(new.where(np.arange(len(new)) < bounds.compared), bounds)
     position_m, bound_m = float(np.median(errors.position_m)), float(np.median(errors.bound_m))
     rotation_deg = float(np.median(errors.rotation_deg))
     false = position_m > bound_m or rotation_deg > bounds.rotation_deg
@@ -185,7 +187,7 @@ def _spread_out(pairs: PosePairs, depth: float, bounds: RelationBounds) -> PoseP
     n = len(pairs)
     if n < bounds.min_poses:
         return Undefined(f"{n} with a true pose, {bounds.min_poses} needed")
-    for count in range(min(n, bounds.nearest), n + 1):
+    for count in range(min(n, bounds.aligned), n + 1):
         part = pairs.where(np.arange(n) < count)
         enough = _spread(part.T_map_cam) >= bounds.min_spread_share * depth
         if enough and _spread(part.T_world_cam) >= bounds.min_spread_m:

@@ -1,0 +1,173 @@
+"""The real systems say what they assert; what a tampered part makes them assert falsely is found."""
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+from loop_scenes import ring
+
+from experiments.evaluation.declared_audit import audit_declared
+from experiments.evaluation.relation_audit import RelationBounds, audit_asserted
+from experiments.runs.execution import execute, system_factory
+from sim.sensors.camera import Intrinsics
+from sim.sequence import Sequence
+from slam.core.frame import Frame
+from slam.dual.config import DualConfig
+from slam.dual.dual_slam import DualSlam
+from slam.dual.recovery.registry import ThreadSpec
+from slam.loop_closing.detection import LoopClosingConfig, LoopDetector
+from slam.map.relation import loop_relation
+from slam.runtime.backend import KeyframeTask
+from slam.system import MonocularSlam
+from slam.tracking.relocalization import Relocalizer
+from slam.warmup import CAMERA, toy_frames
+
+RECOVERY_ALONE = DualConfig(threads=(ThreadSpec("orb"),), relocalization=False, place_merging=None)
+PLACE_ALONE = DualConfig(threads=(), relocalization=False)
+
+
+@pytest.fixture(scope="module")
+def sequence():
+    images, stamps_s, poses = zip(*toy_frames(120, range(80, 86)), strict=True)
+    return Sequence(
+        name="toy",
+        camera=Intrinsics(**asdict(CAMERA)),
+        stamps_s=np.array(stamps_s),
+        frames=images,
+        T_world_cam=np.array(poses),
+        depths=None,
+        segments=(),
+        meta={},
+    )
+
+
+def declared(sequence, kind="base", dual=None):
+    return audit_declared(execute(sequence, kind, 0, build=system_factory(dual=dual)))
+
+
+def shifted(S, share=0.3):
+    """A similarity whose result stands aside by a share of the map's unit, its mean depth at the start."""
+    aside = np.eye(4)
+    aside[0, 3] = share
+    return aside @ S
+
+
+# -- loops ---------------------------------------------------------------------------------------------------
+
+
+def judged_on_ring(**change):
+    """Judge a loop of a ring whose end has drifted by a third in scale, from it or with a change."""
+    r = ring()
+    loop = replace(r.loop, **change)
+    relation = loop_relation(r.map, loop.keyframe, loop.loop_keyframe, loop.S_cam_map)
+    return audit_asserted(relation, *truth_of(r), RelationBounds())
+
+
+def truth_of(r):
+    """Times and true poses of a ring's keyframes."""
+    return np.arange(len(r.T_cam_world)) / 30, np.linalg.inv(r.T_cam_world)
+
+
+def test_a_right_loop_after_heavy_drift_is_right_with_a_margin():
+    drifted = ring()
+    off = drifted.centres() - drifted.true_centres()
+    assert np.linalg.norm(off, axis=1)[-6:].min() > 2  # metres, or there is no drift to survive
+    found = judged_on_ring()
+    assert found.false is False and found.reason == ""
+    assert found.position_error_m < 0.5 * found.position_bound_m
+    assert found.rotation_error_deg < 1 and abs(found.scale_error) < 0.03
+
+
+def test_a_loop_to_another_place_or_at_another_scale_is_false():
+    S = ring().loop.S_cam_map
+    elsewhere = judged_on_ring(loop_keyframe=20, S_cam_map=ring().map.T_cam_map(20))
+    assert elsewhere.false is True and elsewhere.position_error_m > 1
+    small = S.copy()
+    small[:3] *= 0.84
+    assert judged_on_ring(S_cam_map=small).scale_error == pytest.approx(1 / 0.84 - 1, abs=0.04)
+    assert judged_on_ring(S_cam_map=small).false is True
+
+
+def test_the_two_sides_of_a_loop_share_no_keyframe():
+    r = ring()
+    relation = loop_relation(r.map, r.loop.keyframe, r.loop.loop_keyframe, r.loop.S_cam_map)
+    assert relation.new.frames[0] == r.loop.keyframe and relation.old.frames[0] == r.loop.loop_keyframe
+    assert not set(relation.new.frames) & set(relation.old.frames)
+    assert 5 <= len(relation.old.frames) <= 40 and relation.depth > 0
+
+
+class Tampered(LoopDetector):
+    """Finds the true loop, and asserts it aside by a share of the map's unit."""
+
+    def __init__(self, found, share):
+        self.config = LoopClosingConfig(adjustment_iterations=1)
+        self._found, self._share = found, share
+
+    def detect(self, keyframe, rng):
+        S = self._found.loop.S_cam_map @ np.linalg.inv(shifted(np.eye(4), self._share))
+        return replace(self._found.loop, S_cam_map=S), self._found.loop_points
+
+
+@pytest.mark.parametrize(("share", "false"), [(0.0, False), (0.8, True)])
+def test_a_loop_that_a_tampered_detector_finds_is_judged_as_asserted_not_as_corrected(share, false):
+    r = ring()
+    system = MonocularSlam(CAMERA, 0)
+    system._maps[0] = r.map
+    system._enter(0)
+    last = Frame(r.map.features(r.loop.keyframe))
+    system.tracker.start(last, r.loop.keyframe)
+    task = KeyframeTask(last, system.mapper, Tampered(r, share), np.random.default_rng(0))
+    system._backend._close_loop(task, r.loop.keyframe)
+    (event,) = [e for e in system.events if e.kind == "loop_closed"]
+    found = audit_asserted(event.relation, *truth_of(r), RelationBounds())
+    assert found.false is false
+
+
+# -- relocalization ------------------------------------------------------------------------------------------
+
+
+def test_a_true_relocalization_is_right_and_a_displaced_one_false(sequence, monkeypatch):
+    (found,) = declared(sequence).relocalizations
+    assert found.false is False and found.frames_false == 0 and found.frames_judged > 20
+    assert found.largest_error_m < 0.5 * found.position_bound_m
+    real = Relocalizer.relocalize
+
+    def displaced(self, frame, rng):
+        outcome = real(self, frame, rng)
+        if outcome.success:
+            frame.T_cam_map = shifted(frame.T_cam_map)
+        return outcome
+
+    monkeypatch.setattr(Relocalizer, "relocalize", displaced)
+    audit = declared(sequence)
+    assert audit.relocalizations[0].false is True
+    assert audit.false_counts["false_relocalizations"] >= 1
+
+
+# -- fusions and joins ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("dual", "kind"), [(RECOVERY_ALONE, "fusions"), (PLACE_ALONE, "joins")])
+def test_a_true_fusion_is_right_and_a_displaced_one_false(sequence, monkeypatch, dual, kind):
+    (found,) = getattr(declared(sequence, "dual", dual), kind)
+    assert found.audit.false is False
+    assert found.audit.position_error_m < 0.5 * found.audit.position_bound_m
+    real = DualSlam._fuse
+
+    def displaced(self, frame, old, new, alignments, by):
+        moved = [replace(a, S_old_new=shifted(a.S_old_new)) for a in alignments]
+        return real(self, frame, old, new, moved, by)
+
+    monkeypatch.setattr(DualSlam, "_fuse", displaced)
+    audit = declared(sequence, "dual", dual)
+    assert getattr(audit, kind)[0].audit.false is True
+    assert audit.false_counts[f"false_{kind}"] == 1
+
+
+def test_what_is_asserted_stays_in_memory(sequence):
+    record = execute(sequence, "base", 0, build=system_factory())
+    (found,) = [e for e in record.events if e.kind == "relocalized"]
+    assert found.relation is not None and "relation" not in found.record() and "relation" not in repr(found)
+    assert list(found.record()) == [
+        "event", "frame", "stamp_s", "map_id", "keyframe", "inliers", "frames_lost", "lost_s"
+    ]  # fmt: skip
