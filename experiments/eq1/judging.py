@@ -30,8 +30,8 @@ def judge_free(arm: FreeArm, reference: Reference) -> dict[str, Any]:
         "dual_share_tracked": float(posed_frames(arm.dual).mean()),
         **_accuracy(arm.base, "base", exposure),
         **_accuracy(arm.dual, "dual", exposure),
-        **_declared(arm.base, "base", ("loops", "relocalizations")),
-        **_declared(arm.dual, "dual", ("loops", "relocalizations", "fusions", "joins")),
+        **declared_columns(arm.base, "base", ("loops", "relocalizations")),
+        **declared_columns(arm.dual, "dual", ("loops", "relocalizations", "fusions", "joins")),
         **{dual_column(n): False for n in range(1, threads + 1)},
         "dual_failure": False,
     }
@@ -70,6 +70,19 @@ def judge_crossing(branch: BranchRun, reference: Reference) -> dict[str, Any]:
     }
 
 
+def declared_columns(record: RunRecord, name: str, kinds: tuple[str, ...]) -> dict[str, int]:
+    """The columns of a run's false declarations.
+
+    Args:
+        record: of base or dual.
+        name: of the system in the columns.
+        kinds: of declarations that have a column: loops, relocalizations, fusions, joins.
+    """
+    audit = auditdeclared_columns(record)
+    false = {f"{name}_false_{kind}": audit.false_counts[f"false_{kind}"] for kind in kinds}
+    return {**false, f"{name}_unjudged": audit.unjudged}
+
+
 def _whole(columns: dict[str, Any], threads: int) -> dict[str, Any]:
     """D_n for every n, and the failure of the system that stops at the first successful thread."""
     failed = [columns[thread_column("free", j, "failed")] for j in range(1, threads + 1)]
@@ -94,13 +107,6 @@ def _loss(record: RunRecord, exposure: Exposure, first: BreakageOutcome | None) 
     end = exposure.last_frame if first is None else first.breakage.frame
     audit = audit_loss_in(record, exposure.onset_frame, end)
     return None if isinstance(audit, Undefined) else audit
-
-
-def _declared(record: RunRecord, name: str, kinds: tuple[str, ...]) -> dict[str, int]:
-    """Number of false declarations by kind, and of all that could not be judged."""
-    audit = audit_declared(record)
-    false = {f"{name}_false_{kind}": audit.false_counts[f"false_{kind}"] for kind in kinds}
-    return {**false, f"{name}_unjudged": audit.unjudged}
 
 
 def _accuracy(record: RunRecord, name: str, exposure: Exposure) -> dict[str, Any]:

@@ -194,15 +194,10 @@ def _followed(
 
 
 def _withdrawn(event: Relocalized, record: RunRecord) -> bool:
-    """True if the next thing said of this relocalization is that it is withdrawn."""
-    later = (
-        e for e in record.events if e.map_id == event.map_id and e.frame >= event.frame and e is not event
-    )
-    return next((e for e in later if _bears_on(e)), event).kind == "relocalization_withdrawn"
-
-
-def _bears_on(event: Event) -> bool:
-    return isinstance(event, Relocalized) or event.kind.startswith("relocalization_")
+    """True if the next that is said of relocalizations in this map is that this one is taken back."""
+    later = record.events[record.events.index(event) + 1 :]
+    said = (e.kind for e in later if e.map_id == event.map_id and e.kind.startswith("reloc"))
+    return next(said, "") == "relocalization_withdrawn"
 
 
 def _row(event: Event, fields: tuple[str, ...], start_s: float) -> dict:

@@ -62,6 +62,7 @@ def test_a_breakage_that_both_threads_cross(broken):
     assert broken["base_share_tracked"] < broken["dual_share_tracked"]
     assert broken["dual_path_share"] > 0.9
     assert broken["dual_end_error_m"] < 0.2
+    assert (broken["dual_false_fusions"], broken["dual_false_loops"], broken["dual_unjudged"]) == (0, 0, 0)
     assert broken["reinit_frame"] > 91 and 6 < broken["free_frames_to_cross"] < 20
 
 

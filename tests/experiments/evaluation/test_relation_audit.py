@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from slam_fakes import circle, fake_factory, make_sequence
 
+from experiments.eq1.judging import declared_columns
 from experiments.evaluation.declared_audit import audit_declared
 from experiments.evaluation.relation_audit import RelationBounds, audit_asserted
 from experiments.evaluation.summary import summarise
@@ -177,6 +178,17 @@ def test_planted_false_loops_joins_and_fusions_are_counted_each_by_its_kind():
     assert (audit["false_loops"], audit["false_joins"], audit["false_fusions"]) == (3, 2, 1)
     assert audit["loops"][1]["position_error_m"] == pytest.approx(0.7)
     assert audit["loops"][1]["time_s"] == pytest.approx(140 / 30)
+
+
+def test_false_declarations_are_counted_in_the_record_of_a_unit():
+    silent = ev.LoopClosed(**{**vars(loop(0.0)), "relation": None})
+    record = run_with(loop(0.7), loop(0.7), silent, fusion("place", 0.7))
+    assert declared_columns(record, "dual", ("loops", "joins", "fusions")) == {
+        "dual_false_loops": 2,
+        "dual_false_joins": 1,
+        "dual_false_fusions": 0,
+        "dual_unjudged": 1,
+    }
 
 
 def test_a_system_that_does_not_say_what_it_asserts_is_not_judged():
