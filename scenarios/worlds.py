@@ -1,8 +1,8 @@
 """The worlds of a spec, one model per kind."""
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from scenarios.kinds import Kinds
 from scenarios.strict import Strict
@@ -33,7 +33,41 @@ class Outdoors(WorldBase):
     )
 
 
-class RoomWorld(Lamps):
+class Aliasing(Strict):
+    """Things and whole places that occur again elsewhere in the world, and look the same there."""
+
+    things: float = Field(
+        0.4, ge=0, le=1, description="share of the surfaces that show what a few others show too"
+    )
+    scaled: float = Field(
+        0.3,
+        ge=0,
+        le=1,
+        description="share of those that show it larger or smaller, or on a thing of another kind",
+    )
+    places: float = Field(
+        0.8,
+        ge=0,
+        le=1,
+        description="share of one half of the world that is found in the other too; 0: the halves differ",
+    )
+
+
+class Aliased(WorldBase):
+    """A world that can repeat itself."""
+
+    aliased: Aliasing | None = Field(None, description="what occurs again; none: every surface is unique")
+
+    _unwritten: ClassVar[dict[str, Any]] = {"aliased": None}
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_off(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out younger fields that are off: what is identified by its content stays the same."""
+        data = handler(self)
+        return {k: v for k, v in data.items() if k not in self._unwritten or v != self._unwritten[k]}
+
+
+class RoomWorld(Lamps, Aliased):
     """A furnished rectangular room, origin at the centre of its floor, z up."""
 
     kind: Literal["room"] = "room"
@@ -42,17 +76,20 @@ class RoomWorld(Lamps):
     height_m: float = Field(3.2, ge=2.2, le=20)
 
 
-class CorridorWorld(Lamps):
+class CorridorWorld(Lamps, Aliased):
     """A corridor with right-angled turns; its floor is at z = 0 and it starts at the origin along +x."""
 
     kind: Literal["corridor"] = "corridor"
     length_m: float = Field(60.0, ge=8, le=2000)
     width_m: float = Field(2.4, ge=1.4, le=20)
     height_m: float = Field(2.8, ge=2.2, le=20)
-    turns: int = Field(2, ge=0, le=50)
+    turns: int = Field(2, ge=0, le=50, description="right-angled, of an open corridor")
+    loop: bool = Field(False, description="four legs round a block, again and again")
+
+    _unwritten: ClassVar[dict[str, Any]] = {"aliased": None, "loop": False}
 
 
-class CityWorld(Outdoors):
+class CityWorld(Outdoors, Aliased):
     """Streets between houses; the route keeps to the right-hand lane. The first street leads along +x."""
 
     kind: Literal["city"] = "city"
@@ -67,21 +104,21 @@ class CityWorld(Outdoors):
         return self
 
 
-class MotorwayWorld(Outdoors):
+class MotorwayWorld(Outdoors, Aliased):
     """A motorway with gentle bends, few things beside it; the route keeps to a right-hand lane."""
 
     kind: Literal["motorway"] = "motorway"
     length_m: float = Field(800.0, ge=200, le=2000)
 
 
-class FieldWorld(Outdoors):
+class FieldWorld(Outdoors, Aliased):
     """Hilly pasture with trees, hedges, bales and barns; the route is a level ring about the origin."""
 
     kind: Literal["field"] = "field"
     size_m: float = Field(80.0, ge=40, le=300, description="side of the square that the ring keeps to")
 
 
-class WarehouseWorld(Lamps):
+class WarehouseWorld(Lamps, Aliased):
     """Tall racks in rows; the route goes up and down the aisles and back, round and round."""
 
     kind: Literal["warehouse"] = "warehouse"
@@ -90,7 +127,7 @@ class WarehouseWorld(Lamps):
     height_m: float = Field(7.0, ge=4, le=15)
 
 
-class BuildingWorld(Lamps):
+class BuildingWorld(Lamps, Aliased):
     """Floors with a ring of corridors, side corridors and open rooms; stairs at both ends of the ring."""
 
     kind: Literal["building"] = "building"

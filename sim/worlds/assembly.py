@@ -7,11 +7,13 @@ import cv2
 import numpy as np
 
 from scenarios.seeds import rng_for
+from scenarios.worlds import Aliasing
 from sim.worlds.base import Surface, WorldModel
 from sim.worlds.geometry.meshes import Piece
 from sim.worlds.geometry.panels import Panel
 from sim.worlds.materials.finishes import FINISHES, PIECE_FINISHES, draw, paint
 from sim.worlds.materials.textures import multiply
+from sim.worlds.recurrence import Recurrence
 
 # The level to which every texture fades. One for all: without contrast, surfaces meet without an edge.
 MEAN_LEVEL = 118.0
@@ -19,6 +21,8 @@ MEAN_LEVEL = 118.0
 _WALL_SCALE, _SLAB_SCALE = 256.0, 160.0
 # Texture pixels of a whole world: a larger world has coarser textures.
 _PANEL_BUDGET_PX, _PIECE_BUDGET_PX = 80e6, 36e6
+# Panels of these finishes may show one another's pictures, of any size.
+_INTERCHANGEABLE = tuple(name for name, finish in FINISHES.items() if not finish.luminous)
 
 
 class Lighting(Protocol):
@@ -30,7 +34,11 @@ class Lighting(Protocol):
 
 
 def assemble_panels(
-    panels: Sequence[Panel], light: Lighting, seed: int, detail: np.ndarray | float = 1.0
+    panels: Sequence[Panel],
+    light: Lighting,
+    seed: int,
+    detail: np.ndarray | float = 1.0,
+    aliasing: Aliasing | None = None,
 ) -> WorldModel:
     """Paint and light every panel.
 
@@ -39,6 +47,7 @@ def assemble_panels(
         light: its lamps and edges.
         seed: root seed; panel k has its own stream, so that adding a panel at the end changes no other.
         detail: (len(panels),) or one for all: pixels per metre relative to the usual, at most 1.
+        aliasing: what occurs again; None: every texture is unique.
     """
     sizes_m = [(panel.width_m, panel.height_m) for panel in panels]
     scales = detail * np.array([_SLAB_SCALE if abs(p.normal[2]) > 0.5 else _WALL_SCALE for p in panels])
@@ -46,28 +55,37 @@ def assemble_panels(
     gains = [np.ones((2, 2)) if FINISHES[p.finish].luminous else light.gain(p) for p in panels]
     areas = [width_m * height_m for width_m, height_m in sizes_m]
     exposure = sum(areas) / sum(a * g.mean() for a, g in zip(areas, gains, strict=True))
+    again = Recurrence(aliasing, seed, paint, _INTERCHANGEABLE) if aliasing else None
     surfaces = []
     for index, (panel, size_m, scale, gain) in enumerate(zip(panels, sizes_m, scales, gains, strict=True)):
-        texture = paint(panel.finish, size_m, scale, rng_for(seed, "world", "texture", index))
+        if again:
+            texture = again.texture(panel.label, panel.twin, panel.finish, size_m, scale)
+        else:
+            texture = paint(panel.finish, size_m, scale, rng_for(seed, "world", "texture", index))
         if not FINISHES[panel.finish].luminous:
             multiply(texture, exposure * gain)
         surfaces.append(panel.surface(texture))
     return _world(surfaces)
 
 
-def assemble_pieces(pieces: Sequence[Piece], seed: int) -> WorldModel:
+def assemble_pieces(pieces: Sequence[Piece], seed: int, aliasing: Aliasing | None = None) -> WorldModel:
     """Paint and light every piece.
 
     Args:
         pieces: every piece of the world.
         seed: root seed; a piece's stream is named by its label.
+        aliasing: what occurs again; None: every texture is unique.
     """
+    again = Recurrence(aliasing, seed, _drawn) if aliasing else None
     scales = np.array([PIECE_FINISHES[p.finish].scale * p.detail for p in pieces])
     scales = _within_budget(scales, [piece.size_m for piece in pieces], _PIECE_BUDGET_PX)
     surfaces = []
     drawings: dict[str, np.ndarray] = {}
     for piece, scale in zip(pieces, scales, strict=True):
-        texture = _texture(piece, scale, seed, drawings)
+        if again and piece.part_of is None:
+            texture = again.texture(piece.label, piece.twin, piece.finish, piece.size_m, scale)
+        else:
+            texture = _texture(piece, scale, seed, drawings)
         if not PIECE_FINISHES[piece.finish].luminous:
             multiply(texture, piece.gain)
         surfaces.append(Surface(piece.vertices, piece.triangles, piece.uv, texture, piece.label))
@@ -84,6 +102,11 @@ def _within_budget(
 
 def _world(surfaces: list[Surface]) -> WorldModel:
     return WorldModel(surfaces, MEAN_LEVEL, np.ones(len(surfaces)))
+
+
+def _drawn(finish: str, size_m: tuple[float, float], scale: float, rng: np.random.Generator) -> np.ndarray:
+    """A new texture of a mesh, its finish given by name."""
+    return draw(PIECE_FINISHES[finish], size_m, scale, rng)
 
 
 def _texture(piece: Piece, scale: float, seed: int, drawings: dict[str, np.ndarray]) -> np.ndarray:

@@ -124,6 +124,7 @@ class Piece:
         gain: (rows, columns) factors of light and shade, stretched over the sheet.
         detail: pixels per metre relative to the finish's own.
         part_of: the drawing that its texture is cut from; None for one of its own.
+        twin: label of the piece that it repeats in another place; empty if it repeats none.
     """
 
     vertices: np.ndarray
@@ -135,6 +136,7 @@ class Piece:
     gain: np.ndarray = field(default_factory=lambda: np.ones((2, 2), np.float32))
     detail: float = 1.0
     part_of: Sheet | None = None
+    twin: str = ""
 
     @classmethod
     def of(

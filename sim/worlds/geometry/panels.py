@@ -21,6 +21,7 @@ class Panel:
         width_m, height_m: extents along ``right`` and ``down``.
         finish: name of the finish that paints it.
         label: readable name.
+        twin: label of the panel that it repeats in another place; empty if it repeats none.
     """
 
     corner: np.ndarray
@@ -30,6 +31,7 @@ class Panel:
     height_m: float
     finish: str
     label: str
+    twin: str = ""
 
     @property
     def normal(self) -> np.ndarray:

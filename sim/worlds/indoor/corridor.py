@@ -1,7 +1,7 @@
 """A corridor with right-angled turns, its walls lined with doors, pilasters, cabinets and ducts."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,12 +12,15 @@ from sim.worlds.assembly import assemble_panels
 from sim.worlds.base import Route, WorldModel
 from sim.worlds.geometry.panels import Box, Fitting, Panel, slab, wall
 from sim.worlds.geometry.route import rounded
+from sim.worlds.geometry.twins import turned_panel, turned_plan
 from sim.worlds.indoor.light import Light, lamp_boxes
 from sim.worlds.materials.finishes import FLOOR_FINISHES, WALL_FINISHES
+from sim.worlds.recurrence import is_there
 
 _PANEL_M, _SLAB_M = 1.8, 2.6
 _BEHIND_M, _BEYOND_M = 1.5, 3.0  # least length of corridor behind the start and beyond the end of the route
 _LAMP_SPACING_M = 3.2
+_LONG_SHARE = (0.5, 0.6)  # of half a loop, for its longer legs
 _SIDE_TOWARDS = {(1, 0): "east", (-1, 0): "west", (0, 1): "north", (0, -1): "south"}
 
 
@@ -63,42 +66,92 @@ class _Leg:
         return _SIDE_TOWARDS[x, y]
 
 
+@dataclass(frozen=True)
+class _Built:
+    """A leg's surfaces.
+
+    Attributes:
+        shell: walls, floor and ceiling, also of the turn after it.
+        boxes: everything that stands or hangs in it.
+        lamps: under its ceiling.
+        spots: (L, 2) plan positions of the lamps.
+        walls: (2, 2, 2) plan segments of its walls.
+    """
+
+    shell: list[Panel]
+    boxes: list[Box]
+    lamps: list[Box]
+    spots: np.ndarray
+    walls: np.ndarray
+
+    def panels(self) -> list[Panel]:
+        return [*self.shell, *(face for piece in self.boxes + self.lamps for face in piece.panels())]
+
+    def outlines(self) -> np.ndarray:
+        """(S, 2, 2) plan segments of walls and of things on the floor."""
+        return np.concatenate([self.walls, *(piece.outline() for piece in self.boxes if piece.low[2] == 0)])
+
+
 def layout(spec: CorridorWorld, seed: int) -> Route:
-    """The open centre line from the origin, its corners rounded within the corridor's width.
+    """The centre line from the origin, its corners rounded within the corridor's width.
 
     Raises:
-        InputError: too many turns for the length.
+        InputError: too many turns for the length, or too short for a loop.
     """
-    centre = rounded(_nodes(spec, seed), radius_m=spec.width_m / 2, closed=False)
-    return Route(centre, spec.width_m / 2 - _longest_reach(spec) - 0.05, False)
+    centre = rounded(_nodes(spec, seed), radius_m=spec.width_m / 2, closed=spec.loop)
+    return Route(centre, spec.width_m / 2 - _longest_reach(spec) - 0.05, spec.loop)
 
 
 def build_world(spec: CorridorWorld, seed: int) -> WorldModel:
     """The corridor with its textures.
 
     Raises:
-        InputError: too many turns for the length.
+        InputError: too many turns for the length, or too short for a loop.
     """
     rng = rng_for(seed, "world", "corridor")
-    legs = list(_legs(spec, _nodes(spec, seed)))
+    nodes = _nodes(spec, seed)
+    legs = list(_legs(spec, nodes))
+    twins = spec.aliased if spec.aliased and spec.aliased.places else None
     floor = str(rng.choice(FLOOR_FINISHES))
     panels: list[Panel] = []
     footprints, lamps = [], []
-    for leg in legs:
-        spots = _lamps(leg)
-        boxes = _fittings(spec, leg, rng) + _duct(spec, leg, rng)
-        boxes += lamp_boxes(spots, spec.height_m, (leg.way[0], leg.way[1]))
+    middle = nodes.mean(axis=0)
+    for leg in legs[:2] if spec.loop and twins else legs:
+        if twins and not spec.loop:
+            # Every other leg has the same things in the same order.
+            rng = rng_for(seed, "world", "corridor", "leg", leg.index % 2)
+            own = _build(spec, replace(leg, index=leg.index % 2), floor, rng)
+            own_panels = [_repeated(panel, leg.index) for panel in own.panels()]
+        else:
+            own = _build(spec, leg, floor, rng)
+            own_panels = own.panels()
         # Leg by leg: neighbours in the list are neighbours in space, so a renderer can cull them.
-        panels += _shell(spec, leg, floor, rng)
-        for piece in boxes:
-            panels += piece.panels()
-        footprints += [*(segment[None] for segment in leg.walls.values())]
-        footprints += [piece.outline() for piece in boxes if piece.low[2] == 0]
-        lamps.append(spots)
-    panels += _end_walls(spec, legs, rng)
-    return assemble_panels(
-        panels, Light(np.concatenate(lamps), np.concatenate(footprints), spec.height_m), seed
-    )
+        panels += own_panels
+        footprints.append(own.outlines())
+        lamps.append(own.spots)
+        if twins and spec.loop:
+            there = replace(own, boxes=[piece for piece in own.boxes if is_there(twins, seed, piece.label)])
+            panels += [turned_panel(panel, middle) for panel in there.panels()]
+            footprints.append(turned_plan(there.outlines(), middle))
+            lamps.append(turned_plan(there.spots, middle))
+    if not spec.loop:
+        panels += _end_walls(spec, legs, rng)
+    light = Light(np.concatenate(lamps), np.concatenate(footprints), spec.height_m)
+    return assemble_panels(panels, light, seed, aliasing=spec.aliased)
+
+
+def _build(spec: CorridorWorld, leg: _Leg, floor: str, rng: np.random.Generator) -> _Built:
+    """The surfaces of a leg."""
+    spots = _lamps(leg)
+    boxes = _fittings(spec, leg, rng) + _duct(spec, leg, rng)
+    lights = lamp_boxes(spots, spec.height_m, (leg.way[0], leg.way[1]))
+    shell = _shell(spec, leg, floor, rng)
+    return _Built(shell, boxes, lights, spots, np.array(list(leg.walls.values())))
+
+
+def _repeated(panel: Panel, leg: int) -> Panel:
+    """A panel of a leg that was built with the labels of the first leg that it repeats."""
+    return panel if leg < 2 else replace(panel, label=f"{panel.label} again {leg}", twin=panel.label)
 
 
 def _longest_reach(spec: CorridorWorld) -> float:
@@ -107,7 +160,12 @@ def _longest_reach(spec: CorridorWorld) -> float:
 
 
 def _nodes(spec: CorridorWorld, seed: int) -> np.ndarray:
-    """(turns + 2, 2) corners of the centre line; turns alternate, so that no leg meets another."""
+    """(turns + 2, 2) corners of the centre line; turns alternate, so that no leg meets another.
+
+    Of a loop, (4, 2), anticlockwise.
+    """
+    if spec.loop:
+        return _block(spec, seed)
     legs = spec.turns + 1
     mean = spec.length_m / legs
     if spec.turns and mean < 2.5 * spec.width_m:
@@ -124,15 +182,34 @@ def _nodes(spec: CorridorWorld, seed: int) -> np.ndarray:
     return np.vstack([np.zeros(2), np.cumsum(lengths[:, None] * ways, axis=0)])
 
 
+def _block(spec: CorridorWorld, seed: int) -> np.ndarray:
+    """(4, 2) corners of a loop round a block."""
+    share = rng_for(seed, "world", "corridor", "plan").uniform(*_LONG_SHARE)
+    long, short = share * spec.length_m / 2, (1 - share) * spec.length_m / 2
+    if short < 2.5 * spec.width_m:
+        least = 5 * spec.width_m / (1 - _LONG_SHARE[1])
+        raise InputError(
+            "world: length_m",
+            f"{spec.length_m:g} m are too short for a loop of a corridor {spec.width_m:g} m wide",
+            f"use at least {np.ceil(least):.0f} m or a narrower corridor",
+        )
+    return np.array([[0.0, 0.0], [long, 0.0], [long, short], [0.0, short]])
+
+
 def _legs(spec: CorridorWorld, nodes: np.ndarray) -> Iterator[_Leg]:
-    """The straight parts of the corridor, which reaches beyond both ends of its route."""
+    """The straight parts of the corridor; an open one reaches beyond both ends of its route."""
+    if spec.loop:
+        nodes = np.vstack([nodes, nodes[:1]])
     ways = np.diff(nodes, axis=0)
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    nodes = nodes.copy()
-    nodes[0] -= max(_BEHIND_M, spec.width_m / 2) * ways[0]
-    nodes[-1] += max(_BEYOND_M, spec.width_m / 2) * ways[-1]
     left = np.column_stack([-ways[:, 1], ways[:, 0]])
-    mitre = np.vstack([left[:1], left[:-1] + left[1:], left[-1:]]) * spec.width_m / 2
+    if spec.loop:
+        mitre = (np.vstack([left[-1:], left]) + np.vstack([left, left[:1]])) * spec.width_m / 2
+    else:
+        nodes = nodes.copy()
+        nodes[0] -= max(_BEHIND_M, spec.width_m / 2) * ways[0]
+        nodes[-1] += max(_BEYOND_M, spec.width_m / 2) * ways[-1]
+        mitre = np.vstack([left[:1], left[:-1] + left[1:], left[-1:]]) * spec.width_m / 2
     for k, way in enumerate(ways):
         ends = slice(k, k + 2)
         yield _Leg(k, way, {"left": (nodes + mitre)[ends], "right": (nodes - mitre)[ends]})

@@ -9,7 +9,9 @@ from sim.worlds.base import Route, WorldModel
 from sim.worlds.geometry.meshes import Mesh, Piece
 from sim.worlds.geometry.panels import Panel, slab, wall
 from sim.worlds.geometry.route import rounded
+from sim.worlds.geometry.twins import turned_piece
 from sim.worlds.materials.store_finishes import RACK_CELLS
+from sim.worlds.recurrence import is_alike
 
 _AISLE_M, _RACK_M, _BAY_M, _CROSS_M = 3.0, 1.1, 2.7, 5.0
 _CLEARANCE_M, _CORNER_M = 0.8, 1.1
@@ -17,6 +19,7 @@ _RETURN_M = 3.7  # the way back, beyond the racks' ends
 _TURN_M = 1.4  # the turns from aisle to aisle, beyond the racks' ends
 _SHEET_M = (3.2, 4.0)
 _LEVEL_M = 1.7
+_MIDDLE = np.zeros(2)
 
 
 def layout(spec: WarehouseWorld, seed: int) -> Route:
@@ -35,7 +38,8 @@ def layout(spec: WarehouseWorld, seed: int) -> Route:
 def build_world(spec: WarehouseWorld, seed: int) -> WorldModel:
     """The warehouse with its textures."""
     rng = rng_for(seed, "world", "warehouse")
-    pieces: list[Piece] = []
+    twins = spec.aliased if spec.aliased and spec.aliased.places else None
+    racks: dict[tuple[int, float, int], Piece] = {}
     bays = max(3, round(spec.length_m / _BAY_M))
     edges = np.linspace(-spec.length_m / 2, spec.length_m / 2, bays + 1)
     for row, middle in enumerate(_aisle_middles(spec).tolist()):
@@ -43,9 +47,15 @@ def build_world(spec: WarehouseWorld, seed: int) -> WorldModel:
             front = middle + side * _AISLE_M / 2
             for bay, (low, high) in enumerate(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)):
                 label = f"rack {row},{side:+.0f},{bay}"
-                pieces.append(_bay((low, high), front, side, spec.height_m, label, rng))
-    pieces += [_piece(panel, spec.height_m) for panel in _shell(spec)]
-    return assemble_pieces(pieces, seed)
+                opposite = racks.get((spec.aisles - 1 - row, -side, bays - 1 - bay))
+                if twins and opposite and is_alike(twins, seed, label):
+                    racks[row, side, bay] = turned_piece(opposite, _MIDDLE)
+                else:
+                    racks[row, side, bay] = _bay((low, high), front, side, spec.height_m, label, rng)
+    shell = [_piece(panel, spec.height_m) for panel in _shell(spec, half=bool(twins))]
+    if twins:
+        shell += [turned_piece(piece, _MIDDLE) for piece in shell]
+    return assemble_pieces([*racks.values(), *shell], seed, spec.aliased)
 
 
 def _aisle_middles(spec: WarehouseWorld) -> np.ndarray:
@@ -54,15 +64,17 @@ def _aisle_middles(spec: WarehouseWorld) -> np.ndarray:
     return (np.arange(spec.aisles) - (spec.aisles - 1) / 2) * pitch
 
 
-def _shell(spec: WarehouseWorld) -> list[Panel]:
-    """Floor, walls and roof."""
-    half = np.array([spec.length_m / 2 + _CROSS_M, spec.aisles * (_AISLE_M / 2 + _RACK_M) + 0.3])
-    corners = half * [[-1, -1], [-1, 1], [1, 1], [1, -1]]
+def _shell(spec: WarehouseWorld, half: bool) -> list[Panel]:
+    """Floor, walls and roof, or such a half of them that half a turn gives the rest."""
+    reach = np.array([spec.length_m / 2 + _CROSS_M, spec.aisles * (_AISLE_M / 2 + _RACK_M) + 0.3])
+    corners = reach * [[-1, -1], [-1, 1], [1, 1], [1, -1]]
     top = spec.height_m + 1.0
-    panels = slab(-half, half, 0.0, True, "store floor", "floor", (4.2, 4.2))
-    panels += slab(-half, half, top, False, "store roof", "roof", (5.0, 5.0))
+    north = reach * [1, 0] if half else reach
+    panels = slab(-reach, north, 0.0, True, "store floor", "floor", (4.2, 4.2))
+    panels += slab(-reach, north, top, False, "store roof", "roof", (5.0, 5.0))
     for side, (start, end) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True)):
-        panels += wall(start, end, (0.0, top), "cladding", f"wall {side}", 4.0)
+        if side < 2 or not half:
+            panels += wall(start, end, (0.0, top), "cladding", f"wall {side}", 4.0)
     return panels
 
 
