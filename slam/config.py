@@ -8,6 +8,7 @@ from slam.initialization.initializer import InitializationConfig
 from slam.loop_closing.detection import LoopClosingConfig
 from slam.mapping.local_mapping import LocalMappingConfig
 from slam.tracking.probation import ProbationConfig
+from slam.tracking.reach import ReachConfig
 from slam.tracking.relocalization import RelocalizationConfig
 from slam.tracking.tracker import TrackingConfig
 
@@ -23,6 +24,7 @@ class SlamConfig:
         mapping: new points, their culling, local bundle adjustment.
         loops: detection and correction of loops.
         relocalization: poses of frames after tracking was lost.
+        reach: how far the camera can have come since it was lost.
         probation: confirmation of these poses by the frames that follow.
         initial_features: features of a frame before initialization over those of a tracked one, as far as the
             image has room for them; many are needed to see parallax after small steps.
@@ -36,6 +38,7 @@ class SlamConfig:
     mapping: LocalMappingConfig = field(default_factory=LocalMappingConfig)
     loops: LoopClosingConfig = field(default_factory=LoopClosingConfig)
     relocalization: RelocalizationConfig = field(default_factory=RelocalizationConfig)
+    reach: ReachConfig = field(default_factory=ReachConfig)
     probation: ProbationConfig = field(default_factory=ProbationConfig)
     min_map_keyframes: int = 5
 

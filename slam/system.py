@@ -36,6 +36,7 @@ from slam.runtime.backend import (
     Searched,
 )
 from slam.tracking.probation import Probation, Verdict
+from slam.tracking.reach import Reach
 from slam.tracking.tracker import Tracker, TrackingOutcome
 
 _PX_PER_FEATURE = 45.0  # an image has room for at most one feature in this many pixels
@@ -81,6 +82,7 @@ class MonocularSlam:
         self._known_places: dict[int, Places] = {}
         self._broken_at: dict[int, FrameFeatures] = {}
         self._probation: Probation | None = None
+        self._reaches: dict[int, Reach | None] = {}
         self._backend = Backend(self._apply, mode)
         self._mapping_cpu_ms = self._loop_cpu_ms = 0.0
         self._poses = FramePoses()
@@ -262,13 +264,20 @@ class MonocularSlam:
         """Search a map for the frame; if it is found there, it is on probation."""
         rng = rng_for(self.seed, "relocalization", frame.features.index)
         with self.timer("relocalize"), self._backend.lock:
-            found = self._places(map_id).relocalizer.relocalize(frame, rng)
+            found = self._places(map_id).relocalizer.relocalize(frame, rng, self._reach_of(map_id))
             if found.success:
                 tracker = Tracker(self._maps[map_id], self.config.tracking, self.timer)
                 probation = Probation(map_id, frame, found.keyframe, tracker, self.config.probation)
                 self._probation = probation
         reason = "on_probation" if found.success else found.reason
         return TrackingOutcome(False, found.inliers, found.matches, reason)
+
+    def _reach_of(self, map_id: int) -> Reach | None:
+        """Where the camera can be in a map in which tracking was lost; None if unknown."""
+        if map_id not in self._reaches:
+            path = self._poses.trajectory(map_id, self._maps[map_id])
+            self._reaches[map_id] = Reach.of(path, self.config.reach)
+        return self._reaches[map_id]
 
     def _on_probation(self, probation: Probation, map_ids: Sequence[int], frame: Frame) -> TrackingOutcome:
         """Track the frame where an earlier one was relocalized; success if that is now confirmed."""
@@ -310,7 +319,7 @@ class MonocularSlam:
             inliers=outcome.inliers,
             frames_lost=frame.features.index - broken.index,
             lost_s=frame.features.stamp_s - broken.stamp_s,
-            relation=relocalization_relation(self.current_map, frame),
+            relation=relocalization_relation(self.current_map, probation.frames),
         )
         return outcome
 
@@ -319,8 +328,12 @@ class MonocularSlam:
         self._emit(frame, ev.Breakage, reason=outcome.reason, inliers=outcome.inliers)
         if self._drop_if_young(frame):
             return
-        self._broken_at[self._map_id] = frame.features
+        self._note_break(self._map_id, frame.features)
         self.state = TrackingState.LOST
+
+    def _note_break(self, map_id: int, at: FrameFeatures) -> None:
+        self._broken_at[map_id] = at
+        self._reaches.pop(map_id, None)
 
     def _drop_if_young(self, frame: Frame) -> bool:
         if len(self.current_map.keyframes()) > self.config.min_map_keyframes:
@@ -340,6 +353,7 @@ class MonocularSlam:
         del self._maps[map_id]
         self._known_places.pop(map_id, None)
         self._broken_at.pop(map_id, None)
+        self._reaches.pop(map_id, None)
 
     def _places(self, map_id: int) -> Places:
         """Place recognition in a map, with loop detection and relocalization."""

@@ -78,7 +78,7 @@ def declared_columns(record: RunRecord, name: str, kinds: tuple[str, ...]) -> di
         name: of the system in the columns.
         kinds: of declarations that have a column: loops, relocalizations, fusions, joins.
     """
-    audit = auditdeclared_columns(record)
+    audit = audit_declared(record)
     false = {f"{name}_false_{kind}": audit.false_counts[f"false_{kind}"] for kind in kinds}
     return {**false, f"{name}_unjudged": audit.unjudged}
 

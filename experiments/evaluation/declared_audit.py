@@ -36,15 +36,14 @@ class DeclaredFinding:
 class RelocalizationFinding:
     """A relocalization with the live poses that followed it.
 
-    The frames are those from the relocalization on for ``follow_s``, until the next loss or a correction
-    that moves the map.
+    The frames are those of its probation and those that follow for ``follow_s``, until the next loss or a
+    correction that moves the map.
 
     Attributes:
         event: the declaration.
         frames_judged, frames_false: number of frames, and of those out of bounds.
         position_error_m, position_bound_m, rotation_error_deg: of the relocalized frame itself.
         largest_error_m: of all judged frames.
-        withdrawn: the system has taken the relocalization back.
         false: the relocalized frame, or most of the judged frames, are out of bounds; None if undetermined.
         reason: reason why it could not be judged; empty otherwise.
     """
@@ -56,7 +55,6 @@ class RelocalizationFinding:
     position_bound_m: float | None
     rotation_error_deg: float | None
     largest_error_m: float | None
-    withdrawn: bool
     false: bool | None
     reason: str
 
@@ -78,13 +76,12 @@ class DeclaredAudit:
 
     @property
     def false_counts(self) -> dict[str, int]:
-        """Number of false declarations by kind; a withdrawn relocalization does not count."""
-        standing = [f for f in self.relocalizations if not f.withdrawn]
+        """Number of false declarations by kind."""
         return {
             "false_loops": sum(f.audit.false is True for f in self.loops),
             "false_fusions": sum(f.audit.false is True for f in self.fusions),
             "false_joins": sum(f.audit.false is True for f in self.joins),
-            "false_relocalizations": sum(f.false is True for f in standing),
+            "false_relocalizations": sum(f.false is True for f in self.relocalizations),
         }
 
     @property
@@ -139,15 +136,11 @@ def _audit(relation: Relation | None, record: RunRecord, bounds: RelationBounds)
 
 
 def _relocalization(event: Relocalized, record: RunRecord, bounds: RelationBounds) -> RelocalizationFinding:
-    withdrawn, stamps_s, truth = (
-        _withdrawn(event, record),
-        record.sequence.stamps_s,
-        record.sequence.T_world_cam,
-    )
+    stamps_s, truth = record.sequence.stamps_s, record.sequence.T_world_cam
     assert truth is not None
 
     def unjudged(reason: str) -> RelocalizationFinding:
-        return RelocalizationFinding(event, 0, 0, None, None, None, None, withdrawn, None, reason)
+        return RelocalizationFinding(event, 0, 0, None, None, None, None, None, reason)
 
     if event.relation is None:
         return unjudged(_UNSAID.reason)
@@ -167,7 +160,6 @@ def _relocalization(event: Relocalized, record: RunRecord, bounds: RelationBound
         float(errors.bound_m[0]),
         float(errors.rotation_deg[0]),
         float(errors.position_m.max()),
-        withdrawn,
         bool(errors.false[0] or 2 * errors.false.sum() > len(errors.frames)),
         "",
     )
@@ -176,8 +168,8 @@ def _relocalization(event: Relocalized, record: RunRecord, bounds: RelationBound
 def _followed(
     event: Relocalized, relation: Relation, record: RunRecord, bounds: RelationBounds
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The relocalized frame and those after it that still claim to be in the same map: (n,) and (n, 4, 4)."""
-    frames, poses = [event.frame], [relation.new.T_map_cam[0]]
+    """The relocalized frames, and those after them in the same map: (n,) and (n, 4, 4)."""
+    frames, poses = list(relation.new.frames), list(relation.new.T_map_cam)
     moved = {
         e.frame
         for e in record.events
@@ -191,13 +183,6 @@ def _followed(
         frames.append(result.frame)
         poses.append(result.T_map_cam)
     return np.array(frames), np.array(poses)
-
-
-def _withdrawn(event: Relocalized, record: RunRecord) -> bool:
-    """True if the next that is said of relocalizations in this map is that this one is taken back."""
-    later = record.events[record.events.index(event) + 1 :]
-    said = (e.kind for e in later if e.map_id == event.map_id and e.kind.startswith("reloc"))
-    return next(said, "") == "relocalization_withdrawn"
 
 
 def _row(event: Event, fields: tuple[str, ...], start_s: float) -> dict:

@@ -138,7 +138,8 @@ class LoopRefused(Event):
         matches: points matched between them.
         reason: what spoke against it: in their surroundings ``expected_points_missing``, ``contradicted``,
             ``too_narrow`` or ``neighbours_disagree``; in the corrected copy of the map
-            ``matches_do_not_fit`` or ``map_does_not_fit``; or ``map_has_changed`` meanwhile.
+            ``map_is_stretched``, ``map_does_not_fit`` or ``matches_do_not_fit``; or ``map_has_changed``
+            meanwhile.
     """
 
     kind: ClassVar[str] = "loop_refused"

@@ -32,7 +32,7 @@ class Relation(Unchanging):
     Attributes:
         old: keyframes around the recognised one.
         new: keyframes around the recognising one, moved by the asserted similarity; of a relocalization the
-            frame itself.
+            frames that were on probation.
         depth: median depth of the points that the recognised keyframe sees, map units; 0 without any.
     """
 

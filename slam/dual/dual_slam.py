@@ -209,7 +209,7 @@ class DualSlam(RestartingSlam):
                 self._place_merger.reset_keyframes()
         else:  # the result counts as saved when the younger of the two was
             saved.insert(min(map(self._saved.index, both)), old.map_id)
-            self._broken_at[old.map_id] = max((self._broken_at[k] for k in both), key=lambda f: f.index)
+            self._note_break(old.map_id, max((self._broken_at[k] for k in both), key=lambda f: f.index))
         self._saved = saved
         self._forget(new.map_id)
         if self._place_merger is not None:

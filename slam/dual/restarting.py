@@ -57,7 +57,7 @@ class RestartingSlam(MonocularSlam):
         m = self.current_map
         self._emit(frame, ev.MapSaved, keyframes=len(m.keyframes()), points=len(m.points()))
         self._saved.insert(0, self._map_id)
-        self._broken_at[self._map_id] = frame.features
+        self._note_break(self._map_id, frame.features)
         self._reset_to_new_map()
 
     def _start_reinitialization(self, frame: Frame) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.loop_closing.essential_graph import optimize_essential_graph
+from slam.loop_closing.map_alignment import Alignment
 from slam.map import _map_kernels as kernels
 from slam.map.map import Map
 from slam.matching.guided import fuse_into_keyframe
@@ -27,6 +28,7 @@ class Loop:
             lengths of the keyframe's surroundings.
         rows: (n,) keypoints of the keyframe, from 0, that match points of the loop's side.
         points: (n,) int32 those points.
+        alignment: of the two keyframes alone, from which the search for the points began.
     """
 
     keyframe: int
@@ -34,6 +36,7 @@ class Loop:
     S_cam_map: np.ndarray
     rows: np.ndarray
     points: np.ndarray
+    alignment: Alignment
 
 
 def correct_loop(map_: Map, loop: Loop, loop_points: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from slam.loop_closing._alignment_kernels import match_across
 from slam.loop_closing.correction import Loop
 from slam.loop_closing.judgement import JudgementConfig
-from slam.loop_closing.map_alignment import Alignment, AlignmentConfig, align
+from slam.loop_closing.map_alignment import Alignment, AlignmentConfig, agree, align
 from slam.loop_closing.place_check import PlaceCheckConfig, doubt
 from slam.map.map import Map
 from slam.optimization.sim3 import sim3_decompose, sim3_inverse
@@ -80,6 +80,7 @@ class LoopDetector:
         self._database = database
         self._groups: list[_Candidates] = []
         self._last_loop = 0
+        self._misfits: list[tuple[int, Alignment]] = []
 
     def detect(
         self, keyframe: int, rng: np.random.Generator
@@ -105,9 +106,19 @@ class LoopDetector:
                 return found, refused
         return None, refused
 
-    def closed(self, keyframe: int) -> None:
-        """Take over that a loop was closed at a keyframe."""
-        self._last_loop, self._groups = keyframe, []
+    def closed(self, loop: Loop) -> None:
+        """Take over that a loop was closed."""
+        self._last_loop, self._groups, self._misfits = loop.keyframe, [], []
+
+    def refused(self, loop: Loop, reason: str) -> Refusal:
+        """Take over that the corrected map has spoken against a loop; its like is not tried again at once."""
+        self._misfits.append((loop.keyframe, loop.alignment))
+        return Refusal(loop.keyframe, loop.loop_keyframe, len(loop.points), reason)
+
+    def _is_misfit(self, keyframe: int, alignment: Alignment) -> bool:
+        """Return True if a similarity is that of a loop that the corrected map has spoken against lately."""
+        self._misfits = [m for m in self._misfits if keyframe - m[0] < self.config.min_gap]
+        return any(agree(self.map, old, alignment, self.config.place.agreement) for _, old in self._misfits)
 
     def _consistent(self, keyframe: int) -> list[int]:
         """Candidates whose surroundings were candidates at the previous keyframes too."""
@@ -136,10 +147,12 @@ class LoopDetector:
         rows, points = self._extended(keyframe, alignment, S_cam_map, around)
         if len(points) < self.config.min_matches:
             return None
+        if self._is_misfit(keyframe, alignment):
+            return None
         reason = doubt(m, m, alignment, rng, self.config.place)
         if reason:
             return Refusal(keyframe, candidate, len(points), reason)
-        return Loop(keyframe, candidate, S_cam_map, rows, points), around
+        return Loop(keyframe, candidate, S_cam_map, rows, points, alignment), around
 
     def _surroundings(self, candidate: int) -> np.ndarray:
         """(q,) int32 points that the candidate and its neighbours see."""

@@ -1,4 +1,4 @@
-"""Judgement of a corrected and adjusted copy of a map: do its own observations still fit?"""
+"""Judgement of a corrected copy of a map: do its own observations still fit?"""
 
 from dataclasses import dataclass
 
@@ -17,15 +17,17 @@ class JudgementConfig:
     """What a correction must not do.
 
     Attributes:
-        max_lost: largest share of the observations that fitted before the correction and no longer do after
-            global adjustment.
-        max_rise: largest factor on the mean squared error of the observations that still fit.
+        max_stretched: largest share of the map's observations that fitted and no longer do once the essential
+            graph has distributed the correction: drift is spread over many keyframes, and hardly shows.
+        max_lost: the same after global adjustment.
+        max_rise: largest factor on the mean squared error of the observations that still fit after it.
         min_ties: least share of the loop's matches that fit after it.
     """
 
+    max_stretched: float = 0.08
     max_lost: float = 0.03
-    max_rise: float = 1.3
-    min_ties: float = 0.6
+    max_rise: float = 1.5
+    min_ties: float = 0.4
 
 
 @dataclass(frozen=True)
@@ -42,48 +44,51 @@ class Judgement:
     rise: float
     ties: float
 
-    def fault(self, config: JudgementConfig) -> str:
-        """What speaks against the correction; empty if nothing does."""
-        if self.ties < config.min_ties:
-            return "matches_do_not_fit"
+    def fault(self, config: JudgementConfig, adjusted: bool) -> str:
+        """What speaks against the correction, before or after global adjustment; empty if nothing does."""
+        if not adjusted:
+            return "map_is_stretched" if self.lost > config.max_stretched else ""
         if self.lost > config.max_lost or self.rise > config.max_rise:
             return "map_does_not_fit"
-        return ""
+        return "matches_do_not_fit" if self.ties < config.min_ties else ""
 
 
-def judge(before: Map, corrected: Map, adjustment: GlobalAdjustment, loop: Loop) -> Judgement:
-    """Compare a map with its corrected copy after global adjustment.
+def judge(before: Map, corrected: Map, loop: Loop, adjustment: GlobalAdjustment | None = None) -> Judgement:
+    """Compare a map with its corrected copy.
 
     Args:
         before: the map without the correction.
-        corrected: its corrected copy, not yet adjusted; its keypoints have the same rows.
-        adjustment: of the copy.
+        corrected: its corrected copy, not adjusted; its keypoints have the same rows.
         loop: the loop that was corrected.
+        adjustment: global adjustment of the copy, if it is to be judged.
     """
     a = corrected.arrays
     n = int(before.arrays.kf_start[before.n_keyframes])
     own = np.flatnonzero(before.arrays.kp_point[:n] >= 0)
     own = own[(a.kp_point[own] >= 0) & ~before.arrays.kf_bad[before.arrays.kp_keyframe[own]]]
     T, xyz = a.kf_T_cam_map[: corrected.n_keyframes].copy(), a.pt_xyz[: corrected.n_points].copy()
-    T[adjustment.keyframes], xyz[adjustment.points] = adjustment.T_cam_map, adjustment.xyz
+    if adjustment is not None:
+        T[adjustment.keyframes], xyz[adjustment.points] = adjustment.T_cam_map, adjustment.xyz
     chi2_before = _chi2(before, before.arrays.kf_T_cam_map, before.arrays.pt_xyz, own)
     chi2_after = _chi2(corrected, T, xyz, own)
     fitted = chi2_before <= CHI2_2DOF
     fits = fitted & (chi2_after <= CHI2_2DOF)
-    points = loop.points.copy()
+    ties = _ties(before, corrected, loop, T, xyz)
+    if not fits.any():
+        return Judgement(1.0, np.inf, ties)
+    rise = chi2_after[fits].mean() / max(chi2_before[fits].mean(), 1e-9)
+    return Judgement(float(1 - fits.sum() / fitted.sum()), float(rise), ties)
+
+
+def _ties(before: Map, corrected: Map, loop: Loop, T_cam_map: np.ndarray, xyz: np.ndarray) -> float:
+    """Share of the loop's matches that are observations of the corrected copy, and fit; 0 without any."""
+    if not len(loop.points):
+        return 0.0
+    a, points = corrected.arrays, loop.points.copy()
     kernels.resolve_points(a, points)
     rows = before.keypoints(loop.keyframe).start + loop.rows
-    tied = (a.kp_point[rows] >= 0) & (a.kp_point[rows] == points)
-    ties = np.zeros(len(rows), bool)
-    ties[tied] = _chi2(corrected, T, xyz, rows[tied]) <= CHI2_2DOF
-    tie_share = float(ties.mean()) if len(ties) else 0.0
-    if not fits.any():
-        return Judgement(1.0, np.inf, tie_share)
-    return Judgement(
-        float(1 - fits.sum() / fitted.sum()),
-        float(chi2_after[fits].mean() / max(chi2_before[fits].mean(), 1e-9)),
-        tie_share,
-    )
+    tied = rows[(points >= 0) & (a.kp_point[rows] == points)]
+    return float((_chi2(corrected, T_cam_map, xyz, tied) <= CHI2_2DOF).sum() / len(rows))
 
 
 def _chi2(m: Map, T_cam_map: np.ndarray, xyz: np.ndarray, rows: np.ndarray) -> np.ndarray:

@@ -1,13 +1,15 @@
 """Evidence for and against a similarity between two places, from the keyframes on either side."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from slam.loop_closing.map_alignment import Agreement, Alignment, AlignmentConfig, agree, align
 from slam.map.map import Map
+from slam.map.trajectory import keyframe_trajectory
 from slam.optimization.sim3 import sim3_inverse
 from slam.places.evidence import Support, support
+from slam.tracking.reach import Reach, ReachConfig
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,7 @@ class PlaceCheckConfig:
             their own by the thresholds of ``alignment``.
         min_agreeing: share of the pairs that must give the same similarity.
         agreement: how near the similarities must be.
+        reach: between two maps, how far the camera can have come in the time between them.
     """
 
     views: int = 5
@@ -46,6 +49,7 @@ class PlaceCheckConfig:
             min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20
         )
     )
+    reach: ReachConfig = field(default_factory=ReachConfig)
 
 
 def doubt(old: Map, new: Map, found: Alignment, rng: np.random.Generator, config: PlaceCheckConfig) -> str:
@@ -58,9 +62,11 @@ def doubt(old: Map, new: Map, found: Alignment, rng: np.random.Generator, config
         config: thresholds.
 
     Returns:
-        ``expected_points_missing``, ``contradicted``, ``too_narrow`` or ``neighbours_disagree``; empty if
-        nothing does.
+        ``out_of_reach``, ``expected_points_missing``, ``contradicted``, ``too_narrow`` or
+        ``neighbours_disagree``; empty if nothing does.
     """
+    if old is not new and not _within_reach(old, new, found.S_old_new, config.reach):
+        return "out_of_reach"
     old_side = _side(old, found.old_keyframe, config.around)
     new_side = _side(new, found.new_keyframe, config.around)
     if old is new:
@@ -74,6 +80,20 @@ def doubt(old: Map, new: Map, found: Alignment, rng: np.random.Generator, config
     if not _neighbours_agree(old, new, found, old_side, new_side, rng, config):
         return "neighbours_disagree"
     return ""
+
+
+def _within_reach(old: Map, new: Map, S_old_new: np.ndarray, config: ReachConfig) -> bool:
+    """Return True if the camera can have come from one map to the other in the time between them."""
+    before, after = keyframe_trajectory(old), keyframe_trajectory(new)
+    after = replace(after, T_map_cam=S_old_new @ after.T_map_cam)
+    gap_s = np.abs(before.stamps_s[:, None] - after.stamps_s[None])
+    i, j = np.unravel_index(np.argmin(gap_s), gap_s.shape)
+    reaches = [Reach.of(path, config) for path in (before, after)]
+    speeds = [reach.speed for reach in reaches if reach is not None]
+    if not speeds:
+        return True
+    start = Reach(before.T_map_cam[i, :3, 3], float(before.stamps_s[i]), max(speeds), config)
+    return start.allows(after.T_map_cam[j, :3, 3], float(after.stamps_s[j]))
 
 
 def _side(map_: Map, keyframe: int, around: int) -> list[int]:

@@ -54,11 +54,14 @@ def fusion_relation(
     return Relation(_placed(old, old_side), _placed(new, new_side, S_old_new), _depth(old, old_keyframe))
 
 
-def relocalization_relation(map_: Map, frame: Frame) -> Relation:
-    """Relation asserted by a relocalized frame: its pose in the surroundings of its reference keyframe."""
-    keyframe, features = frame.reference_keyframe, frame.features
-    T_map_cam = np.linalg.inv(frame.T_cam_map)[None]
-    own = PlacedFrames(np.array([features.index]), np.array([features.stamp_s]), T_map_cam)
+def relocalization_relation(map_: Map, frames: Sequence[Frame]) -> Relation:
+    """Relation asserted by relocalized frames: their poses in the surroundings of the first's reference."""
+    keyframe = frames[0].reference_keyframe
+    own = PlacedFrames(
+        np.array([f.features.index for f in frames], int),
+        np.array([f.features.stamp_s for f in frames], float),
+        np.array([np.linalg.inv(f.T_cam_map) for f in frames]),
+    )
     return Relation(_placed(map_, _side(map_, keyframe)), own, _depth(map_, keyframe))
 
 

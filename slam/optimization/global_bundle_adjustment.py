@@ -44,8 +44,9 @@ def global_bundle_adjust(
 ) -> GlobalBundleResult:
     """Minimise the Huber loss over all points and all poses but the first.
 
-    Scale is not observable; the distance of two cameras fixes it. Observations behind their camera are not
-    used. The solver has one thread, so that the same input gives the same bits.
+    Scale is not observable; the distance of two cameras fixes it. Observations behind their camera, and of
+    points that have no two others, are not used. The solver has one thread, so that the same input gives
+    the same bits.
 
     Args:
         T_cam_map: (C, 4, 4) rigid poses, C >= 2.
@@ -75,6 +76,7 @@ def global_bundle_adjust(
     intrinsics = np.array([fx, fy, cx, cy], np.float64)
     start, _ = kernels.errors(T_cam_map, points, camera, point, xy, weights, intrinsics)
     seen = np.isfinite(start)
+    seen &= (np.bincount(point[seen], minlength=len(points)) > 1)[point]
     T, moved = (ceres.solve_apart if apart else ceres.solve)(
         np.asarray(T_cam_map, np.float64), np.asarray(points, np.float64), camera[seen], point[seen],
         (xy / sigma[octave][:, None])[seen], np.asarray(octave)[seen], sigma, intrinsics, iterations,

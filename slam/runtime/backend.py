@@ -192,26 +192,25 @@ class Backend:
             before = self._copy_of(map_)
             corrected = before.copy()
             factor = correct_loop(corrected, loop, around)
-        with timer("adjust"):
-            adjustment = adjust_globally(
-                corrected, config.adjustment_iterations, apart=self._news is not None
-            )
-        if adjustment is None:
-            raise RuntimeError("a map with a loop has nothing to adjust")
-        reason = judge(before, corrected, adjustment, loop).fault(config.judgement)
+            reason = judge(before, corrected, loop).fault(config.judgement, adjusted=False)
+        adjustment = None
+        if not reason:
+            with timer("adjust"):
+                apart = self._news is not None
+                adjustment = adjust_globally(corrected, config.adjustment_iterations, apart)
+            reason = judge(before, corrected, loop, adjustment).fault(config.judgement, adjusted=True)
         with self._gate:
             if map_.arrays.kf_bad[[loop.keyframe, loop.loop_keyframe]].any():
                 reason = "map_has_changed"
-            if reason:
-                refusal = Refusal(loop.keyframe, loop.loop_keyframe, len(loop.points), reason)
-                self._hand_over(Refused(task, refusal))
+            if reason or adjustment is None:
+                self._hand_over(Refused(task, task.detector.refused(loop, reason)))
                 self._hand_over(Searched(sum(timer.cpu_ms.values())))
                 return
             if map_.n_keyframes > before.n_keyframes:
                 with timer("correct"):
                     corrected = self._copy_of(map_)
                     factor = correct_loop(corrected, loop, around)
-            task.detector.closed(keyframe)
+            task.detector.closed(loop)
             cpu_ms = timer.cpu_ms["detect"] + timer.cpu_ms["correct"]
             self._hand_over(Corrected(task, loop, corrected, factor, cpu_ms), wait=True)
             self._hand_over(Adjusted(task, loop, adjustment, timer.cpu_ms["adjust"]), wait=True)

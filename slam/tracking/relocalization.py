@@ -3,16 +3,18 @@
 Source: Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, section V-C.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from slam.core.frame import Frame
+from slam.map import _map_kernels as kernels
 from slam.map.map import Map
 from slam.matching import guided
 from slam.places.recognition import BowVector, KeyframeDatabase, match_by_bow
 from slam.tracking.pnp import ransac_pnp
+from slam.tracking.reach import Reach
 from slam.tracking.tracker import optimize_frame
 
 
@@ -29,6 +31,10 @@ class RelocalizationConfig:
         radii_px: windows of the two guided searches, for points of level 0 seen off their mean direction.
         min_inliers: map matches that survive pose optimisation, for the place to be accepted.
         local_map_keyframes: most keyframes of the local map searched.
+        min_margin: inliers of the best place over those of the best other place that is possible too; of two
+            places that look alike neither is taken.
+        apart: distance from which two poses are two places, in median depths.
+        apart_deg: angle likewise.
     """
 
     candidates: int = 5
@@ -40,6 +46,9 @@ class RelocalizationConfig:
     radii_px: tuple[float, ...] = (10.0, 3.0)
     min_inliers: int = 50
     local_map_keyframes: int = 20
+    min_margin: float = 1.3
+    apart: float = 0.2
+    apart_deg: float = 10.0
 
 
 @dataclass(frozen=True)
@@ -61,7 +70,24 @@ class RelocalizationOutcome:
     reason: str = ""
 
 
-_FAILURES = ("no_candidates", "too_few_bow_matches", "no_pose", "too_few_pose_inliers", "too_few_inliers")
+_FAILURES = (
+    "no_candidates",
+    "too_few_bow_matches",
+    "no_pose",
+    "too_few_pose_inliers",
+    "too_few_inliers",
+    "out_of_reach",
+    "ambiguous",
+)
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A place where a frame fits: its outcome, pose and matches there."""
+
+    outcome: RelocalizationOutcome
+    T_cam_map: np.ndarray
+    point: np.ndarray
 
 
 class Relocalizer:
@@ -72,24 +98,56 @@ class Relocalizer:
         self.config = config
         self._database = database
 
-    def relocalize(self, frame: Frame, rng: np.random.Generator) -> RelocalizationOutcome:
-        """Try the most similar keyframes in turn.
+    def relocalize(
+        self, frame: Frame, rng: np.random.Generator, reach: Reach | None = None
+    ) -> RelocalizationOutcome:
+        """Try the most similar keyframes; of several places, take the one that fits clearly best.
 
         Args:
             frame: features only; pose, matches and reference keyframe are set on success and left unknown
                 on failure.
             rng: stream of the RANSAC.
+            reach: where the camera can be; None for anywhere.
         """
         bow = self._database.vocabulary.transform(frame.features.descriptors)
         farthest = RelocalizationOutcome(False, -1, 0, 0, "no_candidates")
+        places: list[_Place] = []
         for keyframe in self._database.relocalization_candidates(bow)[: self.config.candidates]:
             outcome = self._try(frame, bow, keyframe, rng)
+            if (
+                outcome.success
+                and reach is not None
+                and not reach.allows(_centre(frame), frame.features.stamp_s)
+            ):
+                outcome = replace(outcome, success=False, reason="out_of_reach")
+            if outcome.success:
+                places.append(_Place(outcome, frame.T_cam_map.copy(), frame.point.copy()))
+            farthest = max(farthest, outcome, key=_progress)
+        if places:
+            outcome = self._clearly_best(frame, places)
             if outcome.success:
                 return outcome
-            farthest = max(farthest, outcome, key=_progress)
+            farthest = outcome
         frame.point[:] = -1
         frame.T_cam_map = np.full((4, 4), np.nan)
         return farthest
+
+    def _clearly_best(self, frame: Frame, places: list[_Place]) -> RelocalizationOutcome:
+        """Place the frame where it fits best, if it fits clearly less anywhere else."""
+        best = max(places, key=lambda place: place.outcome.inliers)
+        depth = kernels.median_depth(self.map.arrays, best.outcome.keyframe)
+        others = [p.outcome.inliers for p in places if self._are_apart(best, p, depth)]
+        if others and best.outcome.inliers < self.config.min_margin * max(others):
+            return replace(best.outcome, success=False, reason="ambiguous")
+        frame.T_cam_map, frame.point[:] = best.T_cam_map, best.point
+        self._set_reference(frame)
+        return best.outcome
+
+    def _are_apart(self, one: _Place, other: _Place, depth: float) -> bool:
+        T = one.T_cam_map @ np.linalg.inv(other.T_cam_map)
+        angle_deg = np.rad2deg(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1)))
+        far = np.linalg.norm(T[:3, 3]) > self.config.apart * depth
+        return bool(far or angle_deg > self.config.apart_deg)
 
     # -- steps -------------------------------------------------------------------------------------------
 
@@ -120,7 +178,6 @@ class Relocalizer:
             matches, inliers = self._search(frame, radius_px)
         if inliers < self.config.min_inliers:
             return RelocalizationOutcome(False, keyframe, inliers, matches, "too_few_inliers")
-        self._set_reference(frame)
         return RelocalizationOutcome(True, keyframe, inliers, matches)
 
     def _match(self, frame: Frame, bow: BowVector, keyframe: int) -> tuple[np.ndarray, np.ndarray]:
@@ -158,5 +215,9 @@ class Relocalizer:
         frame.T_cam_reference = frame.T_cam_map @ np.linalg.inv(m.T_cam_map(frame.reference_keyframe))
 
 
+def _centre(frame: Frame) -> np.ndarray:
+    return np.linalg.inv(frame.T_cam_map)[:3, 3]
+
+
 def _progress(outcome: RelocalizationOutcome) -> tuple[int, int]:
-    return _FAILURES.index(outcome.reason), outcome.inliers
+    return _FAILURES.index(outcome.reason) if outcome.reason else len(_FAILURES), outcome.inliers

@@ -75,6 +75,7 @@ def _ring(keyframes, overlap, points=3000, drift=(0.0, 0.0, 0.002, 0.01, 0.0, 0.
         S_k,
         again,
         np.array([early[int(i)] for i in all_ids[k][again]], np.int32),
+        alignment=None,
     )
     return Ring(built, T_cam_world, xyz, all_ids, loop, np.array(sorted(early.values()), np.int32))
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from slam.core.seeds import rng_for
 from slam.dual.fusion.fuse import FusionConfig, confirms
-from slam.loop_closing.map_alignment import Alignment, align
+from slam.loop_closing.map_alignment import Alignment, agree, align
 from slam.loop_closing.place_check import doubt
 from slam.map.map import Map
 from slam.optimization.sim3 import sim3_inverse
@@ -95,7 +95,11 @@ class PlaceMerger:
             known.append(alignment)
             if len(agreeing) + 1 < self._config.confirmations:
                 continue
-            reason = doubt(old, current, alignment, rng, self._config.place)
+            others = sum(not agree(old, a, alignment, self._config) for a in known)
+            if 2 * others > len(agreeing) + 1:
+                reason = "ambiguous"
+            else:
+                reason = doubt(old, current, alignment, rng, self._config.place)
             if not reason:
                 return (*agreeing, alignment)
             self.refused.append((alignment, reason))

@@ -45,7 +45,7 @@ def run(d, keyframes):
     for k in keyframes:
         found[k], _ = d.detect(k, np.random.default_rng(0))
         if found[k]:
-            d.closed(k)
+            d.closed(found[k][0])
     return found
 
 

@@ -129,13 +129,13 @@ def drifted(scale):
         S[:3, :3] *= scale
         S[:3, 3] = -S[:3, :3] @ centre
         nothing = np.empty(0, np.int32)
-        return (Loop(keyframe, 0, S, nothing.astype(int), nothing), nothing), []
+        return (Loop(keyframe, 0, S, nothing.astype(int), nothing, None), nothing), []
 
     return detect
 
 
 def accepting_all():
-    judgement = JudgementConfig(max_lost=1.0, max_rise=np.inf, min_ties=0.0)
+    judgement = JudgementConfig(max_stretched=1.0, max_lost=1.0, max_rise=np.inf, min_ties=0.0)
     config = default_config(CAMERA)
     return replace(config, loops=replace(config.loops, judgement=judgement))
 
@@ -173,7 +173,7 @@ def test_a_loop_that_the_corrected_map_contradicts_is_refused(sequence, monkeypa
     refused = [e for e in system.events if e.kind == "loop_refused"]
     assert set(kinds(system)) == {"initialized", "loop_refused"}
     assert refused[0].loop_keyframe == system.current_map.frame_index(0)
-    assert {e.reason for e in refused} <= {"matches_do_not_fit", "map_does_not_fit"}
+    assert {e.reason for e in refused} <= {"map_is_stretched", "map_does_not_fit", "matches_do_not_fit"}
     if mode is ExecutionMode.LOCKSTEP:  # nothing of it is left
         for mine, theirs in zip(system.trajectories(), plain.trajectories(), strict=True):
             assert mine.T_map_cam.tobytes() == theirs.T_map_cam.tobytes()
