@@ -7,7 +7,8 @@ import pytest
 from slam_scenes import feed, kinds
 
 from experiments.evaluation import metrics
-from experiments.runs.execution import slam_camera
+from experiments.evaluation.declared_audit import audit_declared
+from experiments.runs.execution import record_of, slam_camera
 from scenarios.loading import load_scenario
 from sim.sequence_rendering import render_sequence
 from slam.factory import build_system
@@ -76,4 +77,8 @@ def test_after_a_covered_lens_it_relocalizes_within_a_second():
     assert 0 < back.stamp_s - uncovered_s <= 1.0
     assert all(r.T_map_cam is not None for r in results[back.frame :])
     assert ate_m(system, sequence) < 0.05
+    found = audit_declared(record_of(system, sequence, "base", 0, results, wall_s=0.0))
+    assert not any(found.false_counts.values()) and found.unjudged == 0
+    assert all(f.audit.position_error_m < 0.7 * f.audit.position_bound_m for f in found.loops)
+    assert found.relocalizations[0].largest_error_m < 0.7 * found.relocalizations[0].position_bound_m
     assert np.isfinite(system.trajectories()[0].T_map_cam).all()
