@@ -130,10 +130,8 @@ def audit_text(summary: dict) -> str:
 
 def _declared(one: str, many: str, rows: list[dict]) -> str:
     """How many of the declared loops, fusions, joins or relocalizations are false, and when."""
-    false = [number(row["time_s"], 2, " s") for row in rows if row["false"] and not row.get("withdrawn")]
+    false = [number(row["time_s"], 2, " s") for row in rows if row["false"]]
     found = f"{_count(len(false), f'false {one}', f'false {many}')} of {len(rows)}"
-    withdrawn = sum(row.get("withdrawn", False) for row in rows)
-    found += f", {withdrawn} withdrawn" if withdrawn else ""
     return f"{found} (at {', '.join(false)})" if false else found
 
 

@@ -188,20 +188,21 @@ class Backend:
             return
         loop, around = found
         config = task.detector.config
-        with timer("correct"):
+        with self._gate:
             before = self._copy_of(map_)
-            corrected = before.copy()
-            factor = correct_loop(corrected, loop, around)
-            reason = judge(before, corrected, loop).fault(config.judgement, adjusted=False)
-        adjustment = None
+        reason, adjustment = _changed(before, loop), None
+        if not reason:
+            with timer("correct"):
+                corrected = before.copy()
+                factor = correct_loop(corrected, loop, around)
+                reason = judge(before, corrected, loop).fault(config.judgement, adjusted=False)
         if not reason:
             with timer("adjust"):
                 apart = self._news is not None
                 adjustment = adjust_globally(corrected, config.adjustment_iterations, apart)
             reason = judge(before, corrected, loop, adjustment).fault(config.judgement, adjusted=True)
         with self._gate:
-            if map_.arrays.kf_bad[[loop.keyframe, loop.loop_keyframe]].any():
-                reason = "map_has_changed"
+            reason = reason or _changed(map_, loop)
             if reason or adjustment is None:
                 self._hand_over(Refused(task, task.detector.refused(loop, reason)))
                 self._hand_over(Searched(sum(timer.cpu_ms.values())))
@@ -228,3 +229,8 @@ class Backend:
         self._news.set()
         if wait:
             pending.applied.wait()
+
+
+def _changed(map_: Map, loop: Loop) -> str:
+    """Reason to refuse a loop one of whose keyframes was culled meanwhile; empty if both stand."""
+    return "map_has_changed" if map_.arrays.kf_bad[[loop.keyframe, loop.loop_keyframe]].any() else ""

@@ -169,6 +169,7 @@ class FakeSystem:
                     **common,
                     map_id=0,
                     keyframe=30,
+                    first_frame=f,
                     inliers=60,
                     frames_lost=lost,
                     lost_s=lost / CAMERA.fps,

@@ -88,7 +88,9 @@ def test_a_map_is_not_bridged_by_the_recovery_of_a_later_breakage():
 
 
 def found(frame: int, map_id: int = 0) -> ev.Relocalized:
-    return ev.Relocalized(**at(frame), map_id=map_id, keyframe=10, inliers=60, frames_lost=40, lost_s=1.3)
+    return ev.Relocalized(
+        **at(frame), map_id=map_id, keyframe=10, first_frame=frame, inliers=60, frames_lost=40, lost_s=1.3
+    )
 
 
 def test_a_relocalization_heals_the_breakage_of_its_map_and_is_no_recovery():

@@ -16,10 +16,11 @@ from slam.dual.config import DualConfig
 from slam.dual.dual_slam import DualSlam
 from slam.dual.recovery.registry import ThreadSpec
 from slam.loop_closing.detection import LoopClosingConfig, LoopDetector
+from slam.loop_closing.judgement import JudgementConfig
 from slam.map.relation import loop_relation
 from slam.runtime.backend import KeyframeTask
 from slam.system import MonocularSlam
-from slam.tracking.relocalization import Relocalizer
+from slam.tracking.probation import Probation
 from slam.warmup import CAMERA, toy_frames
 
 RECOVERY_ALONE = DualConfig(threads=(ThreadSpec("orb"),), relocalization=False, place_merging=None)
@@ -100,12 +101,16 @@ class Tampered(LoopDetector):
     """Finds the true loop, and asserts it aside by a share of the map's unit."""
 
     def __init__(self, found, share):
-        self.config = LoopClosingConfig(adjustment_iterations=1)
+        accepting_all = JudgementConfig(max_stretched=1.0, max_lost=1.0, max_rise=np.inf, min_ties=0.0)
+        self.config = LoopClosingConfig(adjustment_iterations=1, judgement=accepting_all)
         self._found, self._share = found, share
 
     def detect(self, keyframe, rng):
         S = self._found.loop.S_cam_map @ np.linalg.inv(shifted(np.eye(4), self._share))
-        return replace(self._found.loop, S_cam_map=S), self._found.loop_points
+        return (replace(self._found.loop, S_cam_map=S), self._found.loop_points), []
+
+    def closed(self, loop):
+        pass
 
 
 @pytest.mark.parametrize(("share", "false"), [(0.0, False), (0.8, True)])
@@ -130,15 +135,15 @@ def test_a_true_relocalization_is_right_and_a_displaced_one_false(sequence, monk
     (found,) = declared(sequence).relocalizations
     assert found.false is False and found.frames_false == 0 and found.frames_judged > 20
     assert found.largest_error_m < 0.5 * found.position_bound_m
-    real = Relocalizer.relocalize
+    real = Probation.offer
 
-    def displaced(self, frame, rng):
-        outcome = real(self, frame, rng)
-        if outcome.success:
-            frame.T_cam_map = shifted(frame.T_cam_map)
+    def displaced(self, frame):
+        outcome = real(self, frame)
+        for tracked in self.frames if outcome.success else ():
+            tracked.T_cam_map = shifted(tracked.T_cam_map)
         return outcome
 
-    monkeypatch.setattr(Relocalizer, "relocalize", displaced)
+    monkeypatch.setattr(Probation, "offer", displaced)
     audit = declared(sequence)
     assert audit.relocalizations[0].false is True
     assert audit.false_counts["false_relocalizations"] >= 1
@@ -169,5 +174,5 @@ def test_what_is_asserted_stays_in_memory(sequence):
     (found,) = [e for e in record.events if e.kind == "relocalized"]
     assert found.relation is not None and "relation" not in found.record() and "relation" not in repr(found)
     assert list(found.record()) == [
-        "event", "frame", "stamp_s", "map_id", "keyframe", "inliers", "frames_lost", "lost_s"
+        "event", "frame", "stamp_s", "map_id", "keyframe", "first_frame", "inliers", "frames_lost", "lost_s"
     ]  # fmt: skip

@@ -225,14 +225,3 @@ def test_judging_ends_with_the_next_loss_and_where_a_correction_moves_the_map():
                  for r in record.results)  # fmt: skip
     found = audit_declared(type(record)(**{**vars(record), "results": lost})).relocalizations[0]
     assert found.frames_judged == 4
-
-
-def test_a_withdrawn_relocalization_does_not_count_as_false():
-    class Withdrawn(ev.Event):
-        kind = "relocalization_withdrawn"
-
-    taken_back = Withdrawn(frame=205, stamp_s=205 / 30, map_id=0)
-    record = run_with(taken_back, breaks_at=160, relocalizes_after=40, new_map_scale=1.5)
-    audit = audit_declared(record)
-    assert audit.relocalizations[0].false is True and audit.relocalizations[0].withdrawn
-    assert audit.false_counts["false_relocalizations"] == 0
