@@ -108,7 +108,16 @@ class MotorwayWorld(Outdoors, Aliased):
     """A motorway with gentle bends, few things beside it; the route keeps to a right-hand lane."""
 
     kind: Literal["motorway"] = "motorway"
-    length_m: float = Field(800.0, ge=200, le=2000)
+    length_m: float = Field(800.0, ge=200, le=2000, description="of the route, once round for a ring")
+    loop: bool = Field(False, description="the road is a ring, driven again and again")
+
+    _unwritten: ClassVar[dict[str, Any]] = {"aliased": None, "loop": False}
+
+    @model_validator(mode="after")
+    def _a_ring_is_wide(self) -> "MotorwayWorld":
+        if self.loop and self.length_m < 480:
+            raise ValueError(f"a ring of {self.length_m:g} m is too narrow, use length_m of at least 480")
+        return self
 
 
 class FieldWorld(Outdoors, Aliased):

@@ -1,6 +1,7 @@
 """Assembly of worlds: one unique, lit texture per panel or piece."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import cv2
@@ -85,7 +86,8 @@ def assemble_pieces(pieces: Sequence[Piece], seed: int, aliasing: Aliasing | Non
         if again and piece.part_of is None:
             texture = again.texture(piece.label, piece.twin, piece.finish, piece.size_m, scale)
         else:
-            texture = _texture(piece, scale, seed, drawings)
+            named = replace(piece, label=again.source(piece.label, piece.twin)) if again else piece
+            texture = _texture(named, scale, seed, drawings)
         if not PIECE_FINISHES[piece.finish].luminous:
             multiply(texture, piece.gain)
         surfaces.append(Surface(piece.vertices, piece.triangles, piece.uv, texture, piece.label))

@@ -29,8 +29,12 @@ class Recurrence:
 
     def __init__(self, aliasing: Aliasing, seed: int, draw: Draw, kinds: tuple[str, ...] = ()) -> None:
         self._aliasing, self._seed, self._draw, self._kinds = aliasing, seed, draw, kinds
-        self._drawn: dict[tuple[str, str, tuple[int, int]], np.ndarray] = {}
+        self._drawn: dict[tuple[str, str], np.ndarray] = {}
         self._pictures: dict[tuple[str, int], tuple[np.ndarray, float]] = {}
+
+    def source(self, label: str, twin: str) -> str:
+        """Label whose texture a surface shows: its twin's, or its own if the places differ in it."""
+        return twin if twin and is_alike(self._aliasing, self._seed, label) else label
 
     def texture(
         self, label: str, twin: str, finish: str, size_m: tuple[float, float], scale: float
@@ -45,11 +49,14 @@ class Recurrence:
         Returns:
             (h, w) uint8.
         """
-        source = twin if twin and is_alike(self._aliasing, self._seed, label) else label
-        key = (source, finish, pixels(size_m, scale))
-        if key not in self._drawn:
-            self._drawn[key] = self._new(source, finish, size_m, scale)
-        return self._drawn[key].copy()
+        source = self.source(label, twin)
+        size = pixels(size_m, scale)
+        if (source, finish) not in self._drawn:
+            self._drawn[source, finish] = self._new(source, finish, size_m, scale)
+        drawn = self._drawn[source, finish]
+        if drawn.shape == size[::-1]:
+            return drawn.copy()
+        return cv2.resize(drawn, size, interpolation=_interpolation(drawn, size))
 
     def _new(self, source: str, finish: str, size_m: tuple[float, float], scale: float) -> np.ndarray:
         rng = rng_for(self._seed, "world", "aliased", "thing", source)
@@ -70,7 +77,8 @@ class Recurrence:
             self._pictures[finish, number] = self._draw(finish, of_m, scale, stream), scale
         picture, picture_scale = self._pictures[finish, number]
         if finish not in self._kinds:
-            return cv2.resize(picture, pixels(size_m, scale), interpolation=cv2.INTER_AREA)
+            size = pixels(size_m, scale)
+            return cv2.resize(picture, size, interpolation=_interpolation(picture, size))
         needed = _needed(picture, picture_scale, size_m)
         if needed > _MAGNIFIED:
             return self._draw(own_finish, size_m, scale, rng)
@@ -104,17 +112,16 @@ def shown(
         size_m, scale: size of the surface, and pixels per metre of its texture.
         magnified: size at which it is shown, relative to that at which it was drawn; enough to fill it.
     """
-    wide, high = pixels(size_m, scale)
     rows, columns = (
         min(have, max(8, round(side * picture_scale / magnified)))
         for side, have in zip(size_m[::-1], picture.shape, strict=True)
     )
-    smaller = rows > high
-    return cv2.resize(
-        picture[:rows, :columns],
-        (wide, high),
-        interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR,
-    )
+    part, size = picture[:rows, :columns], pixels(size_m, scale)
+    return cv2.resize(part, size, interpolation=_interpolation(part, size))
+
+
+def _interpolation(image: np.ndarray, size: tuple[int, int]) -> int:
+    return cv2.INTER_AREA if image.shape[0] > size[1] else cv2.INTER_LINEAR
 
 
 def _needed(picture: np.ndarray, picture_scale: float, size_m: tuple[float, float]) -> float:

@@ -14,6 +14,7 @@ from sim.worlds.geometry.meshes import Piece
 from sim.worlds.geometry.outdoor import Daylight, Sky
 from sim.worlds.geometry.plants import bush, conifer, hedge, ragged_woods, tree
 from sim.worlds.geometry.route import arc_length, rounded
+from sim.worlds.geometry.twins import with_twins
 
 _CLEARANCE_M = 1.5
 _RING_SHARE = 0.33  # of the size, from the middle to the route
@@ -41,7 +42,9 @@ def build_world(spec: FieldWorld, seed: int) -> WorldModel:
     rng = rng_for(seed, "world", "field")
     half = np.full(2, spec.size_m / 2 + _WOODS_BEYOND_M)
     line = _fine(layout(spec, seed).centre_m)
-    relief = Relief(line, half, min(_HIGHEST_HILL_M, _HILLS_SHARE * spec.size_m), rng)
+    twins = spec.aliased if spec.aliased and spec.aliased.places else None
+    hills_m = min(_HIGHEST_HILL_M, _HILLS_SHARE * spec.size_m)
+    relief = Relief(line, half, hills_m, rng, turned=twins is not None)
     light = Daylight(-half, half, rng, spec)
     light.lay_ground(relief.height)
     farm = _Farm(spec, line, relief, light, rng)
@@ -54,10 +57,23 @@ def build_world(spec: FieldWorld, seed: int) -> WorldModel:
         + farm.fences()
     )
     tiles = min(_MOST_TILES, int(np.ceil(2 * half[0] / _TILE_M)))
+    tiles += tiles % 2 if twins else 0
     sky = Sky(np.zeros(2), _SKY_M, "pasture", spec)
-    pieces = Tiling(half, tiles, "pasture", _CLOSE_M, _CLOSE_DETAIL).pieces(relief, light) + things
-    pieces += _surrounding_woods(half, relief, rng) + sky.pieces() + [sky.ridge(rng)]
-    return assemble_pieces(pieces, seed)
+    ground = Tiling(half, tiles, "pasture", _CLOSE_M, _CLOSE_DETAIL).pieces(relief, light)
+    woods = _surrounding_woods(half, relief, rng)
+    if twins:
+        around = [piece for piece in ground + woods if _in_the_south(piece)]
+        there = [piece for piece in things if _in_the_south(piece)]
+        pieces = with_twins(around, there, np.zeros(2), twins, seed)
+    else:
+        pieces = ground + things + woods
+    return assemble_pieces([*pieces, *sky.pieces(), sky.ridge(rng)], seed, spec.aliased)
+
+
+def _in_the_south(piece: Piece) -> bool:
+    """Return True for one of two pieces that half a turn about the origin exchanges."""
+    x, y, _ = piece.vertices.mean(axis=0)
+    return bool(y < -1e-6 or (y < 1e-6 and x < 0))
 
 
 class _Farm:

@@ -13,6 +13,7 @@ from sim.worlds.geometry.meshes import Mesh, Piece
 from sim.worlds.geometry.outdoor import Daylight, Sky
 from sim.worlds.geometry.plants import bush, conifer, ragged_woods, tree
 from sim.worlds.geometry.street_furniture import sign_post
+from sim.worlds.geometry.twins import with_twins
 
 _STEP_M = 20.0
 _BEHIND_M, _BEYOND_M = 60.0, 500.0
@@ -34,9 +35,12 @@ Section = tuple[np.ndarray, np.ndarray]
 
 def layout(spec: MotorwayWorld, seed: int) -> Route:
     """The right-hand lane from the origin."""
-    inside = [k for k, s in enumerate(_stations(spec)) if -1e-6 <= s <= spec.length_m + _STEP_M / 2]
     line, left = _line(spec, seed)
-    lane = (line + _LANE_M * left)[inside[0] : inside[-1] + 1]
+    lane = line + _LANE_M * left
+    if spec.loop:
+        return Route(lane - lane[0], _CLEARANCE_M, True)
+    inside = [k for k, s in enumerate(_stations(spec)) if -1e-6 <= s <= spec.length_m + _STEP_M / 2]
+    lane = lane[inside[0] : inside[-1] + 1]
     return Route(lane - lane[0], _CLEARANCE_M, False)
 
 
@@ -44,10 +48,13 @@ def build_world(spec: MotorwayWorld, seed: int) -> WorldModel:
     """The motorway with its textures."""
     rng = rng_for(seed, "world", "motorway")
     line, left = _line(spec, seed)
-    start = int(np.argmin(np.abs(_stations(spec))))
+    start = 0 if spec.loop else int(np.argmin(np.abs(_stations(spec))))
     line = line - (line + _LANE_M * left)[start]
+    twins = spec.aliased if spec.loop and spec.aliased and spec.aliased.places else None
     light = Daylight(line.min(axis=0) - 70, line.max(axis=0) + 70, rng, spec)
     sections = [(line[k : k + 2], left[k : k + 2]) for k in range(len(line) - 1)]
+    # Of a ring whose halves are twins, only the first is built.
+    sections = sections[: len(sections) // 2] if twins else sections
     beside = [
         _built(section, k, light, rng) + _grown(section, k, light, rng) for k, section in enumerate(sections)
     ]
@@ -66,12 +73,18 @@ def build_world(spec: MotorwayWorld, seed: int) -> WorldModel:
             pieces.append(
                 noise_wall(_along(section, _WALL_M), f"wall {k}", _upright(section, _WALL_M, light))
             )
-        pieces += beside[k]
-    pieces += _woods(line, left, rng)
+        pieces += [] if twins else beside[k]
+    woods = _woods(line[: len(sections) + 1], left[: len(sections) + 1], rng, spec.loop)
+    if twins:
+        things = [piece for some in beside for piece in some]
+        pieces = with_twins(pieces + woods, things, line[:-1].mean(axis=0), twins, seed)
+    else:
+        pieces += woods
     middle, reach = line.mean(axis=0), float(np.linalg.norm(np.ptp(line, axis=0)))
     sky = Sky(middle, reach + _SKY_BEYOND_M, "verge", spec)
     # Rails, posts and far markings are thinner than a pixel and would flicker with one sample.
-    return replace(assemble_pieces([*pieces, *sky.pieces(), sky.ridge(rng)], seed), samples=4)
+    everything = [*pieces, *sky.pieces(), sky.ridge(rng)]
+    return replace(assemble_pieces(everything, seed, spec.aliased), samples=4)
 
 
 def _stations(spec: MotorwayWorld) -> np.ndarray:
@@ -79,7 +92,16 @@ def _stations(spec: MotorwayWorld) -> np.ndarray:
 
 
 def _line(spec: MotorwayWorld, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """(M, 2) reference line, straight at first, then in gentle bends, and (M, 2) its unit vectors left."""
+    """(M, 2) reference line, straight at first, then in gentle bends, and (M, 2) its unit vectors left.
+
+    That of a ring is a circle, whose first point is repeated at its end.
+    """
+    if spec.loop:
+        turn = np.linspace(0, 2 * np.pi, 2 * round(spec.length_m / _STEP_M / 2) + 1)
+        # The lane has the length asked for.
+        radius = spec.length_m / (2 * np.pi) + _LANE_M
+        left = np.column_stack([-np.sin(turn), np.cos(turn)])
+        return radius * -left, left
     rng = rng_for(seed, "world", "motorway", "plan")
     stations = _stations(spec)
     swing = rng.uniform(0.08, 0.16) * rng.choice([-1, 1])
@@ -172,8 +194,8 @@ def _grown(section: Section, k: int, light: Daylight, rng: np.random.Generator) 
     return pieces
 
 
-def _woods(line: np.ndarray, left: np.ndarray, rng: np.random.Generator) -> list[Piece]:
-    """Woods with gaps along both sides, at varying distance, and across both ends."""
+def _woods(line: np.ndarray, left: np.ndarray, rng: np.random.Generator, ring: bool) -> list[Piece]:
+    """Woods with gaps along both sides, at varying distance, and across both ends of a road that has ends."""
     pieces = []
     for side, at in enumerate(_WOODS_M):
         edge = line + (at + rng.uniform(-_WOODS_SWAY_M, _WOODS_SWAY_M, (len(line), 1))) * left
@@ -183,7 +205,7 @@ def _woods(line: np.ndarray, left: np.ndarray, rng: np.random.Generator) -> list
             closed = (bool(grown[k]), bool(grown[k + 2]))
             label = f"woods {side},{k}"
             pieces.append(ragged_woods(edge[k : k + 2], rng.uniform(9, 15), label, rng, closed))
-    for end, towards, name in ((0, 1.0, "start"), (-1, -1.0, "end")):
+    for end, towards, name in () if ring else ((0, 1.0, "start"), (-1, -1.0, "end")):
         edge = np.array([line[end] + towards * 60.0 * left[end], line[end] - towards * 60.0 * left[end]])
         for k in range(4):
             part = edge[0] + np.array([[k / 4], [(k + 1) / 4]]) * (edge[1] - edge[0])

@@ -25,16 +25,25 @@ class Relief:
         half: (2,) the ground reaches from -half to half.
         hills_m: height of the highest hill.
         rng: stream of its shape.
+        turned: half a turn about the origin changes nothing.
     """
 
-    def __init__(self, line: np.ndarray, half: np.ndarray, hills_m: float, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        line: np.ndarray,
+        half: np.ndarray,
+        hills_m: float,
+        rng: np.random.Generator,
+        turned: bool = False,
+    ) -> None:
         self._low = -np.asarray(half, float)
         columns, rows = (np.ceil(2 * half / _CELL_M) + 2).astype(int)
         x, y = np.meshgrid(np.arange(columns), np.arange(rows))
         plan = self._low + _CELL_M * np.stack([x, y], axis=-1)
         self._line = line
         away = _distance(plan.shape[:2], (line - self._low) / _CELL_M) * _CELL_M
-        hills, bumps = _waves(plan, _HILLS_M, rng), _waves(plan, _BUMPS_M, rng)
+        waves = _turned_waves if turned else _waves
+        hills, bumps = waves(plan, _HILLS_M, rng), waves(plan, _BUMPS_M, rng)
         rise = np.clip((away - _LEVEL_M) / _RISE_M, 0, 1)
         near = np.clip((away - 0.5 * _LEVEL_M) / _LEVEL_M, 0, 1)
         self._heights = (hills_m * rise**2 * (3 - 2 * rise) * hills + _BUMP_HEIGHT_M * near * bumps).astype(
@@ -132,6 +141,12 @@ def _distance(shape: tuple[int, int], line: np.ndarray) -> np.ndarray:
     cv2.polylines(free, [np.rint(line).astype(np.int32)], False, 0, 1)
     # Not cv2.distanceTransform, whose last bits depend on the number of threads.
     return np.asarray(distance_transform_edt(free))
+
+
+def _turned_waves(plan: np.ndarray, lengths_m: tuple[float, float], rng: np.random.Generator) -> np.ndarray:
+    """Waves as below that are the same at opposite points."""
+    both = _waves(np.stack([plan, -plan]), lengths_m, rng)
+    return both.mean(axis=0)
 
 
 def _waves(plan: np.ndarray, lengths_m: tuple[float, float], rng: np.random.Generator) -> np.ndarray:

@@ -11,6 +11,7 @@ from sim.worlds.base import Route, WorldModel
 from sim.worlds.geometry.atlas import gathered
 from sim.worlds.geometry.panels import Panel
 from sim.worlds.geometry.route import arc_length
+from sim.worlds.geometry.twins import turned_panel
 from sim.worlds.indoor.building_light import Lamplight, stair_light
 from sim.worlds.indoor.building_plan import Plan, clearance_m, route_nodes, walked_floors
 from sim.worlds.indoor.interior import storey_panels
@@ -39,30 +40,72 @@ def build_world(spec: BuildingWorld, seed: int) -> WorldModel:
     """The building with its textures; the floors differ in plan, finishes and furniture."""
     plan, eyes = Plan.of(spec), _eyes(spec)
     stairwells = stair_light(plan)
+    twins = spec.aliased if spec.aliased and spec.aliased.places else None
     panels: list[Panel] = []
     lights: dict[str, tuple[Lighting, float]] = {}
+    ground: list[tuple[list[Panel], Lighting]] = []
     for level in range(spec.floors):
         base = level * spec.storey_m
         rng = rng_for(seed, "world", "building", "storey", level)
-        storey = plan_storey(plan, level in walked_floors(spec), rng)
-        for own, light in storey_panels(storey, plan.clear_m, plan.reach_m(), rng):
+        if twins and ground and level in walked_floors(spec):
+            groups = _storey_again(ground, plan, level, spec.loop)
+        else:
+            storey = plan_storey(plan, level in walked_floors(spec), rng)
+            groups = storey_panels(storey, plan.clear_m, plan.reach_m(), rng)
+            ground = ground or groups
+        for own, light in groups:
             raised = [_raised(panel, base, f"floor {level} {panel.label}") for panel in own]
             lights |= {panel.label: (light, base) for panel in raised}
             panels += raised
-    for stairs in plan.stairs:
-        panels += stair_panels(stairs, plan.clear_m, rng_for(seed, "world", "building", stairs.name))
+    if twins:
+        west = stair_panels(
+            plan.stairs[0], plan.clear_m, rng_for(seed, "world", "building", "stairs"), alike=True
+        )
+        panels += [*west, *(turned_panel(panel, plan.ring / 2) for panel in west)]
+    else:
+        for stairs in plan.stairs:
+            panels += stair_panels(stairs, plan.clear_m, rng_for(seed, "world", "building", stairs.name))
     distance_m = np.array(
         [_distance(panel, _eyes_with_sight_of(panel, lights, eyes, spec)) for panel in panels]
     )
     seen = np.flatnonzero(np.isfinite(distance_m))
     detail = np.minimum(_FINEST, _FINEST_AT_M / np.maximum(distance_m[seen], 1e-6))
     flat = assemble_panels(
-        [_grown(panels[k]) for k in seen], _BuildingLight(lights, stairwells), seed, detail
+        [_grown(panels[k]) for k in seen], _BuildingLight(lights, stairwells), seed, detail, spec.aliased
     )
     pieces = [piece for stairs in plan.stairs for piece in stair_pieces(stairs)]
-    shaped = assemble_pieces([replace(piece, gain=stairwells.piece_gain(piece)) for piece in pieces], seed)
+    lit = [replace(piece, gain=stairwells.piece_gain(piece)) for piece in pieces]
+    shaped = assemble_pieces(lit, seed, spec.aliased)
     surfaces = gathered([*flat.surfaces, *shaped.surfaces], (*_CELL_M, spec.storey_m), _SMALL_PX)
     return WorldModel(surfaces, flat.mean_level, np.ones(len(surfaces)))
+
+
+def _storey_again(
+    ground: list[tuple[list[Panel], Lighting]], plan: Plan, level: int, loop: bool
+) -> list[tuple[list[Panel], Lighting]]:
+    """The ground floor as another floor, turned so that the route passes the same things there."""
+    centre = plan.ring / 2
+    if not loop and level % 2 == 0:
+        return [([replace(p, twin=f"floor 0 {p.label}") for p in own], light) for own, light in ground]
+    return [
+        (
+            [replace(turned_panel(p, centre), label=p.label, twin=f"floor 0 {p.label}") for p in own],
+            _TurnedLight(light, centre),
+        )
+        for own, light in ground
+    ]
+
+
+@dataclass(frozen=True)
+class _TurnedLight:
+    """A light after half a turn about ``centre`` (2,)."""
+
+    light: Lighting
+    centre: np.ndarray
+
+    def gain(self, panel: Panel) -> np.ndarray:
+        """As of ``Light``."""
+        return self.light.gain(turned_panel(panel, self.centre))
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ import numpy as np
 
 from sim.worlds.geometry.meshes import Mesh, Piece
 from sim.worlds.geometry.panels import Box, Panel, slab, wall
+from sim.worlds.geometry.twins import raised_panel
 from sim.worlds.indoor.building_plan import SLAB_M, Stairwell
 from sim.worlds.materials.stair_finishes import STEP_M
 
@@ -16,18 +17,25 @@ _WALL_FINISHES = ("bare plaster", "bare brick", "bare concrete")
 _PICTURES = ("poster", "picture", "notice board", "poster", "picture")
 
 
-def stair_panels(well: Stairwell, clear_m: float, rng: np.random.Generator) -> list[Panel]:
+def stair_panels(
+    well: Stairwell, clear_m: float, rng: np.random.Generator, alike: bool = False
+) -> list[Panel]:
     """The flat parts: walls, floors, landings, ceiling, windows and pictures.
 
     Args:
         well: the stairwell.
         clear_m: from a floor to its ceiling.
         rng: the random stream.
+        alike: the same things hang on every storey.
     """
     panels = _shell(well, clear_m, rng)
+    first = _half_landing(well, 0) + _hangings(well, 0, rng) if alike else []
     for level in range(well.floors):
         panels += _floor_strip(well, level, clear_m)
-        if level < well.floors - 1:
+        if alike and level < well.floors - 1:
+            again = [raised_panel(panel, level * well.storey_m, f"again {level}") for panel in first]
+            panels += again if level else first
+        elif level < well.floors - 1:
             panels += _half_landing(well, level)
             panels += _hangings(well, level, rng)
     return panels

@@ -9,6 +9,7 @@ from sim.worlds.base import Route, WorldModel
 from sim.worlds.geometry.meshes import Piece
 from sim.worlds.geometry.outdoor import Daylight, Sky
 from sim.worlds.geometry.route import rounded
+from sim.worlds.geometry.twins import with_twins
 from sim.worlds.town.houses import houses_along, houses_at_end
 from sim.worlds.town.pavements import carriageways, pavements
 from sim.worlds.town.roadside import roadside
@@ -39,22 +40,27 @@ def build_world(spec: CityWorld, seed: int) -> WorldModel:
     boxes = [street.box(20.0) for street in plan.streets]
     low, high = np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0)
     light = Daylight(low, high, rng, spec)
+    twins = spec.aliased if plan.turned else None
+    streets = plan.first_half() if twins else plan.streets
     houses = []
-    for street in plan.streets:
+    for street in streets:
         houses += houses_along(plan, street, rng) + houses_at_end(street, rng)
     for house in houses:
         light.shade_polygon(house.footprint(), house.height_m)
-    things = [(street, roadside(plan, street, light, rng)) for street in plan.streets]
+    things = [(street, roadside(plan, street, light, rng)) for street in streets]
     pieces: list[Piece] = []
     for street, standing in things:
         # Street by street: neighbours in the list are neighbours in space, so a renderer can cull them.
         pieces += carriageways(plan, street, light) + pavements(plan, street, light)
-        pieces += standing
+        pieces += [] if twins else standing
     for house in houses:
         pieces += house.pieces(light)
+    if twins:
+        movable = [piece for _, standing in things for piece in standing]
+        pieces = with_twins(pieces, movable, plan.corners.mean(axis=0), twins, seed)
     reach = float(np.linalg.norm(high - low)) / 2
     pieces += Sky((low + high) / 2, reach + _SKY_BEYOND_M, "meadow", spec).pieces()
-    return assemble_pieces(pieces, seed)
+    return assemble_pieces(pieces, seed, spec.aliased)
 
 
 def _lane(plan: Plan) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 from scenarios.errors import InputError
 from scenarios.seeds import rng_for
 from scenarios.worlds import CityWorld
+from sim.worlds.geometry.twins import turned_plan
 
 CARRIAGEWAY_M, FRONT_M = 5.0, 8.0  # from the middle of a street to its kerbs and to its houses
 LANE_M = 1.5  # from the middle of a street to the middle of a lane
@@ -65,11 +66,24 @@ class Plan:
         streets: every street.
         corners: (M, 2) float64 corners of the route along the middle of the streets.
         closed: the route is a loop.
+        turned: half a turn about the middle of its block changes nothing; the streets are then four main
+            ones and pairs of a side street and its twin.
     """
 
     streets: tuple[Street, ...]
     corners: np.ndarray
     closed: bool
+    turned: bool = False
+
+    def first_half(self) -> tuple[Street, ...]:
+        """Streets of a turned plan that, with their twins, are all of them."""
+        return (*self.streets[:2], *self.streets[4::2])
+
+    def _owns(self, street: int, other: int) -> bool:
+        """The earlier street owns a crossing; of a turned block, every side owns that with the next."""
+        if self.turned and street < 4 and other < 4:
+            return other == (street + 1) % 4
+        return street < other
 
     def free(
         self, street: Street, left_m: float, own_m: float, other_m: float = 0.0
@@ -95,7 +109,7 @@ class Plan:
             )
             if not reach[0] - 1e-6 <= left_m <= reach[1] + 1e-6:
                 continue
-            half = own_m if rank < index else (other_m or own_m)
+            half = own_m if self._owns(rank, index) else (other_m or own_m)
             middle = float((other.start - street.start) @ street.way)
             parts = _without(parts, middle - half, middle + half)
         return parts
@@ -127,9 +141,11 @@ def plan_streets(spec: CityWorld, seed: int) -> Plan:
     for start, end in pairwise(ends):
         way = (end - start) / np.linalg.norm(end - start)
         streets.append(Street(start - OVERSHOOT_M * way, end + OVERSHOOT_M * way, False, True))
-    for street in tuple(streets):
-        _add_side_streets(streets, street, rng)
-    return Plan(tuple(streets), corners, spec.loop)
+    turned = spec.loop and spec.aliased is not None and spec.aliased.places > 0
+    centre = corners.mean(axis=0) if turned else None
+    for street in tuple(streets[:2] if turned else streets):
+        _add_side_streets(streets, street, rng, centre)
+    return Plan(tuple(streets), corners, spec.loop, turned)
 
 
 def _block(spec: CityWorld, rng: np.random.Generator) -> np.ndarray:
@@ -154,15 +170,31 @@ def _zigzag(spec: CityWorld, rng: np.random.Generator) -> np.ndarray:
     return np.vstack([np.zeros(2), np.cumsum(lengths[:, None] * ways, axis=0)])
 
 
-def _add_side_streets(streets: list[Street], parent: Street, rng: np.random.Generator) -> None:
-    """Add side streets to one or both sides at irregular intervals where there is room."""
+def _add_side_streets(
+    streets: list[Street], parent: Street, rng: np.random.Generator, centre: np.ndarray | None
+) -> None:
+    """Add side streets to one or both sides at irregular intervals where there is room.
+
+    Args:
+        streets: extended; each side street is followed by its twin.
+        parent: the main street.
+        rng: the random stream.
+        centre: (2,) of the half turn that gives the twins; None for no twins.
+    """
     at = OVERSHOOT_M + rng.uniform(30, 60)
     while at < parent.length_m - 20:
         for side in rng.permutation([1.0, -1.0])[: int(rng.integers(1, 3))]:
             start = parent.point(at, 0.0)
             side_street = Street(start, start + side * rng.uniform(*_SIDE_DEPTH_M) * parent.left, True, False)
-            if _has_room(side_street, parent, streets):
+            if not _has_room(side_street, parent, streets):
+                continue
+            if centre is None:
                 streets.append(side_street)
+                continue
+            ends = turned_plan(np.array([side_street.start, side_street.end]), centre)
+            twin = Street(ends[0], ends[1], True, False)
+            if _has_room(twin, streets[streets.index(parent) + 2], [*streets, side_street]):
+                streets += [side_street, twin]
         at += rng.uniform(*_SIDE_SPACING_M)
 
 
