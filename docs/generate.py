@@ -29,7 +29,7 @@ from scenarios.imu import Imu
 from scenarios.motions import KINDS as MOTIONS
 from scenarios.motions import Trajectory
 from scenarios.segments import SEGMENT_KINDS
-from scenarios.worlds import WORLD_KINDS
+from scenarios.worlds import WORLD_KINDS, Aliasing
 from sim.degradations.recorded_kinds import recorded_sequence_kinds
 from sim.degradations.registry import DEGRADATIONS
 
@@ -98,6 +98,11 @@ def worlds() -> str:
         f"### {describe_kind(kind).capitalize()}\n\n`kind: {kind}`: {_about(model)}\n\n{_fields(model)}\n"
         for kind, model in WORLD_KINDS.items()
     )
+
+
+def aliasing() -> str:
+    """The fields of the option by which a world repeats itself."""
+    return _fields(Aliasing, ())
 
 
 def motions() -> str:

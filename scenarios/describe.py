@@ -98,5 +98,12 @@ def label_and_unit(name: str) -> tuple[str, str]:
 
 
 def _with_fields(kind: str, fields: dict[str, Any]) -> str:
-    given = (describe_field(name, value) for name, value in fields.items() if value is not None)
+    given = (_described(name, value) for name, value in fields.items() if value is not None)
     return ", ".join([describe_kind(kind), *given])
+
+
+def _described(name: str, value: Any) -> str:
+    """A field, or a group of fields: ``aliased: things 0.4, places 0.8``."""
+    if not isinstance(value, dict):
+        return describe_field(name, value)
+    return f"{describe_kind(name)}: " + ", ".join(describe_field(key, one) for key, one in value.items())

@@ -19,6 +19,7 @@ FAMILY = "small"
 # The motorway and the building take several times as long to build and to render as the rest.
 _WEIGHTS = {"building": 0.4, "motorway": 0.25}
 _MIN_SEGMENT_S = 0.1
+_ALIASED_SHARE = 0.25
 _AXIS = {"choice": ["yaw", "pitch", "roll"]}
 _RAMP_SHARE = {"choice": [0.0, 0.2, 0.5]}
 
@@ -61,6 +62,10 @@ def random_scenario(seed: int) -> Scenario:
     scenario = family.member(member).sample(seed)
     segments = random_segments(seed, scenario.duration_s)
     data = scenario.model_dump() | {"name": f"random-{member}", "segments": segments}
+    rng = rng_for(seed, "random", "aliased")
+    if rng.random() < _ALIASED_SHARE:
+        things, scaled, places = rng.random(3).tolist()
+        data["world"]["aliased"] = {"things": things, "scaled": scaled, "places": places}
     return Scenario.model_validate(data)
 
 

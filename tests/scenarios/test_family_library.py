@@ -8,11 +8,12 @@ from scenarios.describe_family import describe_parameters
 from scenarios.families import LIBRARY_DIR, family_names, library_names, load_family
 from scenarios.loading import dump_yaml, load_scenario
 from scenarios.spec import Scenario
+from scenarios.worlds import WORLD_KINDS
 from sim.worlds import layout
 
 WANTED = {
     "clean", "kitti-like", "tum-mono-like", "low-texture", "blur", "fast-rotation", "mixed", "slow-start",
-    "loop",
+    "loop", "aliased",
 }  # fmt: skip
 
 
@@ -104,6 +105,14 @@ def test_clean_time_lies_before_between_and_after_the_segments(family):
         assert len({s.kind for s in segments}) == len(segments)
         kinds.add(tuple(s.kind for s in segments))
     assert len(kinds) == (15 if family == "mixed" else 1)
+
+
+def test_aliased_families_have_every_world_and_none_to_two_segments():
+    family = load_family("aliased")
+    drawn = [family.member(member).sample(seed) for member in family.members for seed in range(6)]
+    assert {s.world.kind for s in drawn} == set(WORLD_KINDS)
+    assert {len(s.segments) for s in drawn} == {0, 1, 2}
+    assert {s.world.aliased.places == 0 for s in drawn} == {True, False}
 
 
 def test_the_drives_are_those_of_kitti():

@@ -26,6 +26,12 @@ def test_every_world_and_every_kind_of_degradation_comes_up():
     assert {g.kind for s in DRAWN for g in s.segments} == set(DEGRADATIONS)
 
 
+def test_some_worlds_repeat_themselves():
+    aliased = [s for s in DRAWN if s.world.aliased]
+    assert 8 < len(aliased) < 35
+    assert len({s.world.kind for s in aliased}) >= 4
+
+
 def test_segments_overlap_follow_each_other_and_start_with_the_first_frame():
     counts = [len(s.segments) for s in DRAWN]
     assert min(counts) <= 4 and max(counts) >= 25

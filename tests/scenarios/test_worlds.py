@@ -32,6 +32,10 @@ def test_the_clean_city_is_driven_with_the_camera_of_kitti():
     ("line", "expected"),
     [
         ("world: {kind: city, length_m: 200, loop: true}", ["world", "leaves no block", "280"]),
+        ("world: {kind: motorway, length_m: 300, loop: true}", ["world", "too narrow", "480"]),
+        ("world: {kind: city, aliased: {places: 1.2}}", ["world.aliased.places", "1.2", "1"]),
+        ("world: {kind: field, aliased: {things: -0.1}}", ["world.aliased.things", "-0.1", "0"]),
+        ("world: {kind: room, aliased: {likeness: 1}}", ["world.aliased.likeness"]),
         ("world: {kind: room}\ntrajectory: {kind: walk, gust_mps: 2}", ["trajectory", "gust_mps", "drone"]),
         ("world: {kind: room}\ntrajectory: {kind: bus}", ["trajectory.kind", "bus", "car"]),
     ],
