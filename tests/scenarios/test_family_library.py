@@ -109,7 +109,7 @@ def test_clean_time_lies_before_between_and_after_the_segments(family):
 
 def test_aliased_families_have_every_world_and_none_to_two_segments():
     family = load_family("aliased")
-    drawn = [family.member(member).sample(seed) for member in family.members for seed in range(6)]
+    drawn = [family.member(member).sample(seed) for member in family.members for seed in range(14)]
     assert {s.world.kind for s in drawn} == set(WORLD_KINDS)
     assert {len(s.segments) for s in drawn} == {0, 1, 2}
     assert {s.world.aliased.places == 0 for s in drawn} == {True, False}
