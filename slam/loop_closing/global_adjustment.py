@@ -37,7 +37,7 @@ class GlobalAdjustment:
     of_points: np.ndarray
 
 
-def adjust_globally(map_: Map, iterations: int = 10, apart: bool = False) -> GlobalAdjustment | None:
+def adjust_globally(map_: Map, iterations: int = 10, apart: bool = False) -> GlobalAdjustment:
     """Run bundle adjustment of all keyframes and points; the map itself is left unchanged.
 
     Args:
@@ -45,16 +45,14 @@ def adjust_globally(map_: Map, iterations: int = 10, apart: bool = False) -> Glo
         iterations: most steps.
         apart: work in a separate process, so that other threads can run.
 
-    Returns:
-        The adjustment; None if there is nothing to adjust.
+    Raises:
+        ValueError: there are fewer than two keyframes, or no points.
     """
     a, view = map_.arrays, map_.view
     free = ~a.kf_bad[: map_.n_keyframes]
     cameras, points, obs_camera, obs_point, obs_keypoint = local_problem(
         a, map_.n_keyframes, map_.n_points, free, 0
     )
-    if len(cameras) < 2 or not len(points):
-        return None
     result = global_bundle_adjust(
         a.kf_T_cam_map[cameras], a.pt_xyz[points], obs_camera, obs_point, a.kp_xy[obs_keypoint],
         a.kp_octave[obs_keypoint], 1.0 / np.sqrt(view.inv_sigma2),

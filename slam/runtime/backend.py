@@ -17,7 +17,7 @@ import numpy as np
 from slam.core.frame import Frame
 from slam.core.timing import StageTimer
 from slam.loop_closing.correction import Loop, correct_loop
-from slam.loop_closing.detection import LoopDetector, Refusal
+from slam.loop_closing.detection import LoopClosingConfig, LoopDetector, Refusal
 from slam.loop_closing.global_adjustment import GlobalAdjustment, adjust_globally
 from slam.loop_closing.judgement import judge
 from slam.map.map import Map
@@ -187,26 +187,16 @@ class Backend:
             self._hand_over(Searched(timer.cpu_ms["detect"]))
             return
         loop, around = found
-        config = task.detector.config
         with self._gate:
             before = self._copy_of(map_)
-        reason, adjustment = _changed(before, loop), None
-        if not reason:
-            with timer("correct"):
-                corrected = before.copy()
-                factor = correct_loop(corrected, loop, around)
-                reason = judge(before, corrected, loop).fault(config.judgement, adjusted=False)
-        if not reason:
-            with timer("adjust"):
-                apart = self._news is not None
-                adjustment = adjust_globally(corrected, config.adjustment_iterations, apart)
-            reason = judge(before, corrected, loop, adjustment).fault(config.judgement, adjusted=True)
+        outcome = self._correct(before, loop, around, task.detector.config, timer)
         with self._gate:
-            reason = reason or _changed(map_, loop)
-            if reason or adjustment is None:
+            if isinstance(outcome, str) or _changed(map_, loop):
+                reason = outcome if isinstance(outcome, str) else _changed(map_, loop)
                 self._hand_over(Refused(task, task.detector.refused(loop, reason)))
                 self._hand_over(Searched(sum(timer.cpu_ms.values())))
                 return
+            corrected, factor, adjustment = outcome
             if map_.n_keyframes > before.n_keyframes:
                 with timer("correct"):
                     corrected = self._copy_of(map_)
@@ -215,6 +205,24 @@ class Backend:
             cpu_ms = timer.cpu_ms["detect"] + timer.cpu_ms["correct"]
             self._hand_over(Corrected(task, loop, corrected, factor, cpu_ms), wait=True)
             self._hand_over(Adjusted(task, loop, adjustment, timer.cpu_ms["adjust"]), wait=True)
+
+    def _correct(
+        self, before: Map, loop: Loop, around: np.ndarray, config: LoopClosingConfig, timer: StageTimer
+    ) -> tuple[Map, np.ndarray, GlobalAdjustment] | str:
+        """Correct, adjust and judge a copy of the map: copy, scale changes, adjustment; or a reason."""
+        if _changed(before, loop):
+            return _changed(before, loop)
+        with timer("correct"):
+            corrected = before.copy()
+            factor = correct_loop(corrected, loop, around)
+            reason = judge(before, corrected, loop).fault(config.judgement, adjusted=False)
+        if reason:
+            return reason
+        with timer("adjust"):
+            apart = self._news is not None
+            adjustment = adjust_globally(corrected, config.adjustment_iterations, apart)
+        reason = judge(before, corrected, loop, adjustment).fault(config.judgement, adjusted=True)
+        return reason or (corrected, factor, adjustment)
 
     def _copy_of(self, map_: Map) -> Map:
         with self.lock:

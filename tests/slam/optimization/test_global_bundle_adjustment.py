@@ -56,6 +56,15 @@ def test_unseen_points_are_unchanged_and_repetitions_equal():
     assert one.points.tobytes() == two.points.tobytes()
 
 
+def test_a_point_that_one_camera_alone_has_in_front_of_it_is_left_where_it_is():
+    _, start = scene(n_fixed=1)
+    start.points[3] += [0.0, 0.0, -50.0]  # behind all cameras but, turned round, the last
+    start.T[-1] = np.diag([-1.0, 1.0, -1.0, 1.0]) @ start.T[-1]
+    assert (np.bincount(start.camera[start.point == 3]) > 0).sum() > 2
+    result = adjusted(start)
+    np.testing.assert_array_equal(result.points[3], start.points[3])
+
+
 def test_misuse_is_refused():
     _, start = scene()
     start.T = start.T[:1]
