@@ -1,4 +1,4 @@
-"""Accuracy of a trajectory against the truth: ATE, RPE, coverage."""
+"""Accuracy of a trajectory against the truth: ATE, RPE, scale along the path, coverage."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -66,6 +66,23 @@ class Rpe:
     delta: float
     unit: str
     pairs: int
+
+
+@dataclass(frozen=True)
+class ScaleAlong:
+    """Scale of the estimate along the true path: true over estimated length, stretch by stretch.
+
+    Attributes:
+        relative: (n,) float64 ratio of each of ``n`` stretches of equal true length, over their median; NaN
+            for one without a step. All 1 without scale drift.
+        first_over_last: ratio over the first quarter of the true path over that of the last quarter; above 1
+            where estimated steps grow along the path.
+        steps: number of steps compared.
+    """
+
+    relative: np.ndarray
+    first_over_last: float
+    steps: int
 
 
 @dataclass(frozen=True)
@@ -166,6 +183,36 @@ def rpe(
         unit,
         len(starts),
     )
+
+
+def scale_along(pairs: PosePairs, stretches: int = 10) -> ScaleAlong | Undefined:
+    """Scale along the path, from the steps between consecutive posed frames; a gap is no step.
+
+    It needs no alignment. Lengths of steps grow with the noise of the positions: it says something where the
+    camera moves much further per frame than that, as on a drive.
+
+    Args:
+        pairs: estimate and truth.
+        stretches: number of stretches, >= 1.
+
+    Returns:
+        The scale; Undefined if the first or last quarter of the path holds no step, or no estimated motion.
+    """
+    step = np.flatnonzero(np.diff(pairs.frames) == 1)
+    true = np.linalg.norm(np.diff(pairs.T_world_cam[:, :3, 3], axis=0), axis=1)[step]
+    estimated = np.linalg.norm(np.diff(pairs.T_map_cam[:, :3, 3], axis=0), axis=1)[step]
+    if not true.sum() > 0:
+        return Undefined("no step of the true path is posed at both ends")
+    middle = (np.cumsum(true) - true / 2) / true.sum()  # of each step, as a share of the path
+
+    def ratio(of: np.ndarray) -> float:
+        return float(true[of].sum() / estimated[of].sum()) if estimated[of].sum() > 0 else float("nan")
+
+    ratios = np.array([ratio(np.floor(middle * stretches) == k) for k in range(stretches)])
+    first_over_last = ratio(middle < 1 / 4) / ratio(middle >= 3 / 4)
+    if not np.isfinite(first_over_last):
+        return Undefined("no estimated motion in the first or the last quarter of the path")
+    return ScaleAlong(ratios / np.nanmedian(ratios), first_over_last, len(step))
 
 
 def path_length_m(T_world_cam: np.ndarray) -> float:

@@ -28,6 +28,8 @@ def summarise(record: RunRecord) -> dict:
     favours a system that gets lost early, so read it together with ``share_tracked`` and ``path_share``.
     ``tracked`` counts the frames that had a pose live, ``posed`` those that have one in the end: a recovery
     adds poses, and the system may take some back.
+    ``scale_along`` is true over estimated path length per tenth of the path, ``scale_first_over_last`` that of
+    the first quarter over that of the last: 1 without scale drift.
     ``cpu_ms_*`` is the CPU time of the tracking stages per frame, ``mapping_cpu_ms_*`` that of local mapping
     per keyframe, ``loop_cpu_ms_*`` that of loop closing. ``dropped_frames`` were too late to be fed; they are
     not among the ``frames``.
@@ -163,7 +165,8 @@ def _counts(record: RunRecord, outcomes: list[BreakageOutcome]) -> dict:
 
 def _accuracy(record: RunRecord) -> dict:
     names = ("ate_m", "ate_median_m", "ate_max_m", "ate_share_of_path", "scale_m_per_map_unit")
-    empty = dict.fromkeys((*names, "ate_poses", "path_m", "path_share", "true_path_m", "rpe"))
+    scale_names = ("scale_along", "scale_first_over_last")
+    empty = dict.fromkeys((*names, *scale_names, "ate_poses", "path_m", "path_share", "true_path_m", "rpe"))
     truth = record.sequence.T_world_cam
     if truth is None:
         return {**empty, "ate_reason": "no ground truth"}
@@ -186,8 +189,17 @@ def _accuracy(record: RunRecord) -> dict:
         "ate_share_of_path": ate.rmse_m / covered.path_m if covered.path_m > 0 else None,
         "scale_m_per_map_unit": ate.alignment.scale,
         "ate_reason": "",
+        **_scale(pairs),
         "rpe": {"reason": rpe.reason} if isinstance(rpe, Undefined) else asdict(rpe),
     }
+
+
+def _scale(pairs: metrics.PosePairs) -> dict:
+    scale = metrics.scale_along(pairs)
+    if isinstance(scale, Undefined):
+        return {}
+    along = [float(r) if np.isfinite(r) else None for r in scale.relative]
+    return {"scale_along": along, "scale_first_over_last": scale.first_over_last}
 
 
 def time_figures(results: Many[TrackingResult]) -> dict[str, float | None]:

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from slam_fakes import circle
 
 from experiments.evaluation.alignment import Similarity, Undefined
-from experiments.evaluation.metrics import PosePairs, associate, ate, coverage, path_length_m, rpe
+from experiments.evaluation.metrics import PosePairs, associate, ate, coverage, path_length_m, rpe, scale_along
 from slam.core.results import MapTrajectory
 
 S = Similarity(0.3, Rotation.from_euler("xyz", [0.4, 1.0, -2.0]).as_matrix(), np.array([3.0, -1, 7]))
@@ -157,3 +157,30 @@ def test_rpe_agrees_with_evo(delta, unit):
         )
         theirs.process_data((reference, estimate))
         assert value == pytest.approx(theirs.get_statistic(evo_metrics.StatisticsType.rmse), rel=1e-9)
+
+
+def test_scale_along_follows_steps_that_grow_and_skips_gaps():
+    n = 401
+    truth = np.tile(np.eye(4), (n, 1, 1))
+    truth[:, 2, 3] = np.arange(n)
+    estimate = truth.copy()
+    growing = np.linspace(1.0, 1.04, n - 1)  # estimated length of each step of one metre
+    estimate[1:, 2, 3] = 0.3 * np.cumsum(growing)
+    whole = PosePairs(np.arange(n), estimate, truth)
+    found = scale_along(whole)
+    assert found.first_over_last == pytest.approx(1.03, abs=1e-3)
+    assert found.relative == pytest.approx(np.median(growing) / growing[20::40], abs=1e-3)
+    # A pose that is missing takes its two steps away, nothing else; one far off in a gap is no step.
+    with_gap = whole.where(np.arange(n) % 50 != 25)
+    assert scale_along(with_gap).steps == n - 1 - 2 * 8
+    assert scale_along(with_gap).first_over_last == pytest.approx(1.03, abs=1e-3)
+
+
+def test_scale_along_of_a_perfect_estimate_is_one_and_of_no_motion_undefined():
+    truth = circle(80)
+    perfect = scale_along(PosePairs(np.arange(80), S.poses(truth), truth))
+    assert perfect.first_over_last == pytest.approx(1.0, abs=1e-9)
+    assert perfect.relative == pytest.approx(np.ones(10), abs=1e-9)
+    still = np.tile(np.eye(4), (5, 1, 1))
+    assert isinstance(scale_along(PosePairs(np.arange(5), still, still)), Undefined)
+    assert isinstance(scale_along(PosePairs(np.arange(80), np.tile(np.eye(4), (80, 1, 1)), truth)), Undefined)
