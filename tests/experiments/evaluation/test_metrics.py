@@ -6,7 +6,15 @@ from scipy.spatial.transform import Rotation
 from slam_fakes import circle
 
 from experiments.evaluation.alignment import Similarity, Undefined
-from experiments.evaluation.metrics import PosePairs, associate, ate, coverage, path_length_m, rpe, scale_along
+from experiments.evaluation.metrics import (
+    PosePairs,
+    associate,
+    ate,
+    coverage,
+    path_length_m,
+    rpe,
+    scale_along,
+)
 from slam.core.results import MapTrajectory
 
 S = Similarity(0.3, Rotation.from_euler("xyz", [0.4, 1.0, -2.0]).as_matrix(), np.array([3.0, -1, 7]))
