@@ -7,6 +7,7 @@ from slam.features.orb import OrbConfig
 from slam.initialization.initializer import InitializationConfig
 from slam.loop_closing.detection import LoopClosingConfig
 from slam.mapping.local_mapping import LocalMappingConfig
+from slam.mapping.self_calibration import SelfCalibrationConfig
 from slam.tracking.probation import ProbationConfig
 from slam.tracking.reach import ReachConfig
 from slam.tracking.relocalization import RelocalizationConfig
@@ -28,6 +29,7 @@ class SlamConfig:
         probation: confirmation of these poses by the frames that follow.
         initial_features: features of a frame before initialization over those of a tracked one, as far as the
             image has room for them; many are needed to see parallax after small steps.
+        self_calibration: residual distortion of the lens.
         min_map_keyframes: a map that breaks with no more keyframes is dropped instead of kept.
     """
 
@@ -38,6 +40,7 @@ class SlamConfig:
     mapping: LocalMappingConfig = field(default_factory=LocalMappingConfig)
     loops: LoopClosingConfig = field(default_factory=LoopClosingConfig)
     relocalization: RelocalizationConfig = field(default_factory=RelocalizationConfig)
+    self_calibration: SelfCalibrationConfig = field(default_factory=SelfCalibrationConfig)
     reach: ReachConfig = field(default_factory=ReachConfig)
     probation: ProbationConfig = field(default_factory=ProbationConfig)
     min_map_keyframes: int = 5

@@ -25,6 +25,7 @@ from slam.map.relation import loop_relation, relocalization_relation
 from slam.map.trajectory import FramePoses, keyframe_trajectory
 from slam.map_places import Places
 from slam.mapping.local_mapping import LocalMapper
+from slam.mapping.self_calibration import SelfCalibration
 from slam.runtime.backend import (
     Backend,
     Change,
@@ -37,7 +38,7 @@ from slam.runtime.backend import (
 )
 from slam.tracking.probation import Probation, Verdict
 from slam.tracking.reach import Reach
-from slam.tracking.tracker import Tracker, TrackingOutcome
+from slam.tracking.tracker import Tracker, TrackingOutcome, optimize_frame
 
 _PX_PER_FEATURE = 45.0  # an image has room for at most one feature in this many pixels
 
@@ -78,6 +79,7 @@ class MonocularSlam:
         self._initializer = Initializer(camera, self.view, self.config.initialization)
         self._tracker: Tracker | None = None
         self._mapper: LocalMapper | None = None
+        self._self_calibration = SelfCalibration(self.config.self_calibration)
         self._maps: dict[int, Map] = {}
         self._known_places: dict[int, Places] = {}
         self._broken_at: dict[int, FrameFeatures] = {}
@@ -177,11 +179,47 @@ class MonocularSlam:
 
     def _map(self, frame: Frame) -> None:
         """Run local mapping on a new keyframe, then loop closing."""
+        self._refine_camera(frame)
         self.tracker.keyframe_requested(frame)
         loops = self._places(self._map_id).loops
         rng = rng_for(self.seed, "loop", frame.features.index)
         with self.timer.apart():
             self._backend.submit(KeyframeTask(frame, self.mapper, loops, rng))
+
+    def _refine_camera(self, frame: Frame) -> None:
+        """Estimate the lens from the first map when due; on a change, go on with the refined camera."""
+        m = self.current_map
+        if not self._may_refine_camera() or not self._self_calibration.is_due(m):
+            return
+        self._backend.drain()
+        timer = StageTimer()
+        with timer("calibrate"), self._backend.lock:
+            found = self._self_calibration.calibrate(m, self.camera.residual)
+            if found is not None:
+                self.camera = replace(self.camera, residual=found.residual)
+                frame.features = frame.features.seen_by(self.camera)
+                frame.T_cam_map = frame.T_cam_reference @ m.T_cam_map(frame.reference_keyframe)
+                optimize_frame(frame, m)
+                self._camera_refined()
+        self._mapping_cpu_ms += timer.cpu_ms["calibrate"]
+        if found is not None:
+            self._emit(
+                frame,
+                ev.CameraRefined,
+                k1=found.residual[0],
+                k2=found.residual[1],
+                shift_px=found.shift_px,
+                significance=found.significance,
+                keyframes=len(m.keyframes()),
+                cpu_ms=timer.cpu_ms["calibrate"],
+            )
+
+    def _may_refine_camera(self) -> bool:
+        """Return True while all poses are in one map."""
+        return self._map_id == 0 and len(self._maps) == 1
+
+    def _camera_refined(self) -> None:
+        """Do nothing; a hook for derived systems that keep features."""
 
     def _apply(self, change: Change) -> None:
         """Apply a change made by mapping or loop closing."""

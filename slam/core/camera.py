@@ -10,12 +10,18 @@ import numpy as np
 # OpenCV's default of five iterations leaves pixels of error at the corners of a wide-angle lens.
 _UNDISTORT_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
 _MOST_UNDISTORT_ERROR_PX = 0.5
+Residual = tuple[float, float]
+_RESIDUAL_ITERATIONS = 8
 _COEFFICIENTS = {"radtan": 5, "equidistant": 4}
 
 
 @dataclass(frozen=True)
 class PinholeCamera:
     """Intrinsics in pixels; integer pixel coordinates are pixel centres, as in OpenCV.
+
+    ``residual`` is what the distortion leaves: coefficients (k1, k2) by which an ideal point at radius r, in
+    units of the focal length, lies 1 + k1 r² + k2 r⁴ times as far from the centre in the undistorted image.
+    It is not calibrated but estimated, see :mod:`slam.optimization.lens`.
 
     ``distortion`` follows OpenCV: (k1, k2, p1, p2, k3) for the model ``radtan``, (k1, k2, k3, k4) for the
     model ``equidistant`` (OpenCV's fisheye).
@@ -34,6 +40,7 @@ class PinholeCamera:
     fps: float
     distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
     model: Literal["radtan", "equidistant"] = "radtan"
+    residual: Residual = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         """Check every field."""
@@ -62,6 +69,11 @@ class PinholeCamera:
         """(3, 3) float64 camera matrix."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], float)
 
+    @property
+    def intrinsics(self) -> np.ndarray:
+        """(4,) float64 fx, fy, cx, cy."""
+        return np.array([self.fx, self.fy, self.cx, self.cy], float)
+
     def undistort_points(self, xy: np.ndarray) -> np.ndarray:
         """Undistort image points.
 
@@ -71,8 +83,14 @@ class PinholeCamera:
         Returns:
             (N, 2) float32 pixels of the ideal camera ``K``; ``xy`` itself if there is no distortion.
         """
-        if self._is_pinhole or not len(xy):
+        if not len(xy):
             return xy
+        points = xy if self._is_pinhole else self._undistorted(xy)
+        if any(self.residual):
+            points = undistort_residual(points, self.residual, self.intrinsics).astype(np.float32)
+        return points
+
+    def _undistorted(self, xy: np.ndarray) -> np.ndarray:
         K = self.K
         undistort = cv2.fisheye.undistortPoints if self.model == "equidistant" else cv2.undistortPoints
         points = undistort(
@@ -108,7 +126,7 @@ class PinholeCamera:
 
     def _check_invertible(self) -> None:
         outline = self._outline()
-        ideal = self.undistort_points(outline)
+        ideal = self._undistorted(outline)
         rays = np.column_stack([(ideal - [self.cx, self.cy]) / [self.fx, self.fy], np.ones(len(ideal))])
         if np.isfinite(rays).all():
             project = cv2.fisheye.projectPoints if self.model == "equidistant" else cv2.projectPoints
@@ -116,3 +134,32 @@ class PinholeCamera:
             if np.abs(again[:, 0] - outline).max() < _MOST_UNDISTORT_ERROR_PX:
                 return
         raise ValueError(f"camera distortion cannot be taken out over the whole image: {self.distortion}")
+
+
+def distort_residual(xy: np.ndarray, residual: Residual, intrinsics: np.ndarray) -> np.ndarray:
+    """Move ideal pixels to where a camera with a residual distortion sees them.
+
+    Args:
+        xy: (N, 2) px.
+        residual: see :class:`PinholeCamera`.
+        intrinsics: (4,) fx, fy, cx, cy.
+
+    Returns:
+        (N, 2) float64 px.
+    """
+    rays = (xy - intrinsics[2:]) / intrinsics[:2]
+    r2 = (rays**2).sum(axis=1, keepdims=True)
+    return rays * (1.0 + r2 * (residual[0] + r2 * residual[1])) * intrinsics[:2] + intrinsics[2:]
+
+
+def undistort_residual(xy: np.ndarray, residual: Residual, intrinsics: np.ndarray) -> np.ndarray:
+    """Invert :func:`distort_residual` by fixed-point iteration, to a thousandth of a pixel.
+
+    It converges where the distortion is small, as a residual one is.
+    """
+    seen = (xy - intrinsics[2:]) / intrinsics[:2]
+    rays = seen
+    for _ in range(_RESIDUAL_ITERATIONS):
+        r2 = (rays**2).sum(axis=1, keepdims=True)
+        rays = seen / (1.0 + r2 * (residual[0] + r2 * residual[1]))
+    return rays * intrinsics[:2] + intrinsics[2:]

@@ -160,6 +160,27 @@ class MapAdjusted(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
+class CameraRefined(Event):
+    """The lens was found to distort more than its calibration says, and the map was adjusted to it.
+
+    Attributes:
+        k1, k2: residual distortion from now on, see ``PinholeCamera``.
+        shift_px: root mean square shift of the map's keypoints by this change.
+        significance: of the change, chi-square with 2 degrees of freedom.
+        keyframes: keyframes of the map.
+        cpu_ms: CPU milliseconds of the estimate.
+    """
+
+    kind: ClassVar[str] = "camera_refined"
+    k1: float
+    k2: float
+    shift_px: float
+    significance: float
+    keyframes: int
+    cpu_ms: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class MapDropped(Event):
     """A map too small to be kept was dropped."""
 

@@ -1,6 +1,6 @@
 """A frame: its features, pose and matches with the map."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -64,6 +64,10 @@ class FrameFeatures(Unchanging):
         """Size of the arrays in bytes."""
         arrays = (self.xy_image, self.xy, self.octave, self.angle_deg, self.descriptors, self.cell_start)
         return sum(a.nbytes for a in arrays)
+
+    def seen_by(self, camera: PinholeCamera) -> "FrameFeatures":
+        """Return the same features undistorted with another camera; cells and order stay as they are."""
+        return replace(self, xy=camera.undistort_points(self.xy_image).astype(np.float64))
 
     def emptied(self) -> "FrameFeatures":
         """Index and time stamp of the frame, without its features."""

@@ -1,0 +1,208 @@
+"""Kernels of bundle adjustment with two coefficients of radial distortion that all cameras share.
+
+Names as in the bundle adjustment kernels; ``k`` (2,) the coefficients. ``D`` (2, 2), ``B_c`` (F, 6, 2),
+``B_p`` (P, 3, 2) are the blocks of the coefficients with themselves, the cameras and the points.
+"""
+
+import numpy as np
+from numba import njit
+
+from slam.optimization._ba_kernels import MIN_DEPTH
+from slam.optimization._cholesky import factor, solve
+from slam.optimization._schur import back_substitute, eliminate_points, skyline
+from slam.optimization._se3 import retract
+
+_BEHIND_CHI2 = 1e4
+
+
+@njit(cache=True, nogil=True)
+def cost(T, points, start, camera, pixels, weights, intrinsics, k, huber2):
+    """Sum of the (Huber) squared errors over the points with two observations or more."""
+    total = 0.0
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    for p in range(points.shape[0]):
+        if start[p + 1] - start[p] < 2:
+            continue
+        px, py, pz = points[p, 0], points[p, 1], points[p, 2]
+        for i in range(start[p], start[p + 1]):
+            pose = T[camera[i]]
+            z = pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * pz + pose[2, 3]
+            chi2 = _BEHIND_CHI2
+            if z > MIN_DEPTH:
+                x = (pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * pz + pose[0, 3]) / z
+                y = (pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * pz + pose[1, 3]) / z
+                r2 = x * x + y * y
+                stretch = 1.0 + r2 * (k[0] + r2 * k[1])
+                eu = fx * x * stretch + cx - pixels[i, 0]
+                ev = fy * y * stretch + cy - pixels[i, 1]
+                chi2 = weights[i] * (eu * eu + ev * ev)
+            total += 2.0 * np.sqrt(huber2 * chi2) - huber2 if chi2 > huber2 else chi2
+    return total
+
+
+@njit(cache=True, nogil=True)
+def linearise(
+    T, points, start, camera, pixels, weights, intrinsics, k, huber2, slot,
+    U, V, W, gradient_c, gradient_p, D, gradient_k, B_c, B_p,
+):  # fmt: skip
+    """Compute the Gauss-Newton model of half the cost, in blocks."""
+    U[:], V[:], W[:], D[:], B_c[:], B_p[:] = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    gradient_c[:], gradient_p[:], gradient_k[:] = 0.0, 0.0, 0.0
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    J = np.zeros((2, 6))  # of the pixel, by the camera's twist
+    A = np.zeros((2, 3))  # by the point
+    L = np.zeros((2, 2))  # by the coefficients
+    C = np.zeros((2, 6))
+    e = np.zeros(2)
+    for p in range(points.shape[0]):
+        if start[p + 1] - start[p] < 2:
+            continue
+        px, py, pz = points[p, 0], points[p, 1], points[p, 2]
+        for i in range(start[p], start[p + 1]):
+            f = slot[camera[i]]
+            pose = T[camera[i]]
+            z = pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * pz + pose[2, 3]
+            if not z > MIN_DEPTH:
+                continue
+            inv_z = 1.0 / z
+            x = (pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * pz + pose[0, 3]) * inv_z
+            y = (pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * pz + pose[1, 3]) * inv_z
+            r2 = x * x + y * y
+            stretch, slope = 1.0 + r2 * (k[0] + r2 * k[1]), 2.0 * (k[0] + 2.0 * r2 * k[1])
+            e[0], e[1] = fx * x * stretch + cx - pixels[i, 0], fy * y * stretch + cy - pixels[i, 1]
+            weight = weights[i]
+            chi2 = weight * (e[0] * e[0] + e[1] * e[1])
+            if chi2 > huber2:
+                weight *= np.sqrt(huber2 / chi2)
+            # Ideal image coordinates by the twist, then distorted pixels by the ideal coordinates.
+            C[0, 0], C[0, 2] = inv_z, -x * inv_z
+            C[0, 3], C[0, 4], C[0, 5] = -x * y, 1.0 + x * x, -y
+            C[1, 1], C[1, 2] = inv_z, -y * inv_z
+            C[1, 3], C[1, 4], C[1, 5] = -(1.0 + y * y), x * y, x
+            uu, uv = fx * (stretch + x * x * slope), fx * x * y * slope
+            vu, vv = fy * x * y * slope, fy * (stretch + y * y * slope)
+            for c in range(6):
+                J[0, c], J[1, c] = uu * C[0, c] + uv * C[1, c], vu * C[0, c] + vv * C[1, c]
+            for c in range(3):
+                ax, ay = inv_z * (pose[0, c] - x * pose[2, c]), inv_z * (pose[1, c] - y * pose[2, c])
+                A[0, c], A[1, c] = uu * ax + uv * ay, vu * ax + vv * ay
+            L[0, 0], L[0, 1] = fx * x * r2, fx * x * r2 * r2
+            L[1, 0], L[1, 1] = fy * y * r2, fy * y * r2 * r2
+            for d in range(2):
+                for r in range(3):
+                    gradient_p[p, r] += weight * A[d, r] * e[d]
+                    for c in range(r + 1):
+                        V[p, r, c] += weight * A[d, r] * A[d, c]
+                    for c in range(2):
+                        B_p[p, r, c] += weight * A[d, r] * L[d, c]
+                for r in range(2):
+                    gradient_k[r] += weight * L[d, r] * e[d]
+                    for c in range(2):
+                        D[r, c] += weight * L[d, r] * L[d, c]
+                if f < 0:
+                    continue
+                for r in range(6):
+                    gradient_c[f, r] += weight * J[d, r] * e[d]
+                    for c in range(r + 1):
+                        U[f, r, c] += weight * J[d, r] * J[d, c]
+                    for c in range(3):
+                        W[i, r, c] += weight * J[d, r] * A[d, c]
+                    for c in range(2):
+                        B_c[f, r, c] += weight * J[d, r] * L[d, c]
+
+
+@njit(cache=True, nogil=True)
+def eliminate_lens(
+    S, first, W, V_inv, held, start, camera, slot, D, B_c, B_p, gradient_k, gradient_p, reduced
+):
+    """Eliminate points and cameras from the rows of the coefficients.
+
+    Args:
+        S: Cholesky factor of the reduced camera system; ``reduced`` (6 F,) its right-hand side, which becomes
+            its solution.
+
+    Returns:
+        information (2, 2), right-hand side (2,), and (6 F, 2) steps of the cameras per unit of each.
+    """
+    n = len(reduced)
+    information, right = D.copy(), -gradient_k
+    B = np.zeros((n, 2))
+    for f in range(n // 6):
+        B[6 * f : 6 * f + 6] = B_c[f]
+    for p in range(start.shape[0] - 1):
+        if held[p]:
+            continue
+        Y = V_inv[p] @ B_p[p]
+        information -= B_p[p].T @ Y
+        right += Y.T @ gradient_p[p]
+        for i in range(start[p], start[p + 1]):
+            f = slot[camera[i]]
+            if f >= 0:
+                B[6 * f : 6 * f + 6] -= W[i] @ Y
+    steps = np.empty((n, 2))
+    for c in range(2):
+        column = B[:, c].copy()
+        solve(S, first, column)
+        steps[:, c] = column
+    solve(S, first, reduced)
+    information -= B.T.copy() @ steps
+    right -= B.T.copy() @ reduced
+    return information, right, steps
+
+
+@njit(cache=True, nogil=True)
+def adjust(T, points, start, camera, pixels, weights, intrinsics, k, slot, n_free, iterations, huber2):
+    """Minimise the cost over ``T``, ``points`` and ``k`` by Levenberg-Marquardt, in place.
+
+    Returns:
+        (2, 2) information on ``k`` once poses and points are eliminated, and the final cost.
+    """
+    n_points, m = points.shape[0], camera.shape[0]
+    U, V = np.empty((n_free, 6, 6)), np.empty((n_points, 3, 3))
+    W, V_inv = np.empty((m, 6, 3)), np.zeros((n_points, 3, 3))
+    gradient_c, gradient_p, gradient_k = np.empty((n_free, 6)), np.empty((n_points, 3)), np.empty(2)
+    D, B_c, B_p = np.empty((2, 2)), np.empty((n_free, 6, 2)), np.empty((n_points, 3, 2))
+    S, step_c = np.empty((6 * n_free, 6 * n_free)), np.empty(6 * n_free)
+    step_p, held = np.empty((n_points, 3)), np.zeros(n_points, np.bool_)
+    first = skyline(start, camera, slot, n_free)
+    trial_T, trial_points = T.copy(), points.copy()
+    information = np.zeros((2, 2))
+    best = cost(T, points, start, camera, pixels, weights, intrinsics, k, huber2)
+    damping = 1e-6
+    for _ in range(iterations):
+        linearise(
+            T, points, start, camera, pixels, weights, intrinsics, k, huber2, slot,
+            U, V, W, gradient_c, gradient_p, D, gradient_k, B_c, B_p,
+        )  # fmt: skip
+        eliminate_points(
+            U, V, W, gradient_c, gradient_p, start, camera, slot, damping, first, V_inv, held, S, step_c
+        )
+        if not factor(S, first):
+            damping *= 10.0
+            continue
+        information, right, steps = eliminate_lens(
+            S, first, W, V_inv, held, start, camera, slot, D, B_c, B_p, gradient_k, gradient_p, step_c
+        )
+        if not np.linalg.det(information) > 1e-12 * information[0, 0] * information[1, 1]:
+            break
+        step_k = np.linalg.solve(information, right)
+        step_c -= steps @ step_k
+        for p in range(n_points):
+            gradient_p[p] += B_p[p] @ step_k
+        back_substitute(W, gradient_p, start, camera, slot, V_inv, held, step_c, step_p)
+        for c in range(T.shape[0]):
+            if slot[c] >= 0:
+                retract(T[c], step_c[6 * slot[c] : 6 * slot[c] + 6], trial_T[c])
+        trial_points[:] = points + step_p
+        trial = cost(trial_T, trial_points, start, camera, pixels, weights, intrinsics, k + step_k, huber2)
+        if trial <= best:
+            T[:], points[:] = trial_T, trial_points
+            k += step_k
+            converged = best - trial <= 1e-5 * best
+            best = trial
+            damping = max(damping / 10.0, 1e-9)
+            if converged:
+                break
+        else:
+            damping *= 100.0
+    return information, best

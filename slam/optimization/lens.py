@@ -1,0 +1,84 @@
+"""Self-calibration: the radial distortion that a calibration has left, from a map's own observations.
+
+A camera's images are undistorted with the calibration that came with them. What it leaves shows in a map: the
+same points move from the middle of the image, where they are first seen, to its edge.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.optimization import _ba_kernels, _lens_kernels
+from slam.optimization._se3 import orthonormalise
+from slam.optimization.pose import CHI2_2DOF
+
+
+@dataclass(frozen=True)
+class LensEstimate:
+    """Estimate of the residual distortion, with the map adjusted to it.
+
+    Attributes:
+        residual: (k1, k2): a point at radius r, in units of the focal length, is seen 1 + k1 r² + k2 r⁴ times
+            as far from the centre.
+        T_cam_map: (C, 4, 4) poses; fixed ones are the input's.
+        points: (P, 3).
+        significance: squared change of the coefficients from the given ones, in units of its covariance;
+            the observations of one point count as one. Chi-square with 2 degrees of freedom by chance.
+    """
+
+    residual: tuple[float, float]
+    T_cam_map: np.ndarray
+    points: np.ndarray
+    significance: float
+
+
+def estimate_lens(
+    T_cam_map: np.ndarray,
+    fixed: np.ndarray,
+    points: np.ndarray,
+    obs_cam: np.ndarray,
+    obs_point: np.ndarray,
+    pixels: np.ndarray,
+    inv_sigma2: np.ndarray,
+    intrinsics: np.ndarray,
+    residual: tuple[float, float] = (0.0, 0.0),
+    iterations: int = 12,
+) -> LensEstimate:
+    """Bundle-adjust poses, points and the two coefficients of the residual distortion.
+
+    Args:
+        T_cam_map: (C, 4, 4) poses.
+        fixed: (C,) bool, cameras that fix the gauge; at least one.
+        points: (P, 3) frame map.
+        obs_cam: (M,) camera of each observation.
+        obs_point: (M,) point of each observation.
+        pixels: (M, 2) keypoints, px, residual distortion included.
+        inv_sigma2: (M,) information of each keypoint, 1/px².
+        intrinsics: (4,) fx, fy, cx, cy, px.
+        residual: the coefficients so far.
+        iterations: most steps tried.
+
+    Source: Triggs et al., "Bundle Adjustment: A Modern Synthesis", 1999 (self-calibration as further
+        parameters of the adjustment).
+    """
+    K = np.asarray(intrinsics, np.float64)
+    start, order = _ba_kernels.sort_by_point(len(points), np.ascontiguousarray(obs_point, np.int32))
+    camera = np.ascontiguousarray(obs_cam, np.int32)[order]
+    T, xyz, k = T_cam_map.astype(np.float64), points.astype(np.float64), np.array(residual, np.float64)
+    slot = np.where(fixed, -1, np.cumsum(~fixed) - 1)
+    weights = np.ascontiguousarray(inv_sigma2[order], np.float64)
+    seen = np.ascontiguousarray(pixels[order], np.float64)
+    free = int((slot >= 0).sum())
+    information, cost = _lens_kernels.adjust(
+        T, xyz, start, camera, seen, weights, K, k, slot, free, iterations, CHI2_2DOF
+    )
+    for c in np.flatnonzero(slot >= 0):
+        orthonormalise(T[c])
+    change = k - np.array(residual)
+    tracks = int((np.diff(start) >= 2).sum())
+    freedom = 2 * len(camera) - 6 * free - 3 * tracks
+    estimate = float(k[0]), float(k[1])
+    significance = 0.0
+    if freedom > 0 and cost > 0 and np.isfinite(k).all():
+        significance = float(change @ information @ change) * freedom / cost * tracks / len(camera)
+    return LensEstimate(estimate, T, xyz, significance)
