@@ -216,7 +216,7 @@ class MonocularSlam:
 
     def _may_refine_camera(self) -> bool:
         """Return True while all poses are in one map."""
-        return self._map_id == 0 and len(self._maps) == 1
+        return len(self._maps) == 1
 
     def _camera_refined(self) -> None:
         """Do nothing; a hook for derived systems that keep features."""

@@ -119,6 +119,7 @@ _OTHERS: dict[str, Color] = {
     "map_cut": palette.LOST,
     "map_dropped": palette.REFUSED,
     "loop_closed": palette.NOTE,
+    "camera_refined": palette.NOTE,
 }
 
 

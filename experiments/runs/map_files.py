@@ -1,5 +1,6 @@
 """The maps of a run as COLMAP models with point clouds."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from experiments.runs.execution import SlamSystem, slam_camera
@@ -26,7 +27,7 @@ def write_maps(folder: Path, system: SlamSystem, sequence: Sequence) -> None:
     for map_id in map_ids:
         model = colmap_model(
             system.map(map_id),
-            slam_camera(sequence.camera),
+            replace(slam_camera(sequence.camera), residual=system.camera.residual),
             image_name=name,
             image=sequence.frames.__getitem__,
         )

@@ -63,6 +63,7 @@ class RecoveryAttempts:
         emit: emits an event: the frame, the kind, the map, the kind's own fields.
 
     Attributes:
+        camera: the system's, for recoveries to come.
         under_way: the recovery with threads whose results are still to be handled, if any.
     """
 
@@ -75,7 +76,7 @@ class RecoveryAttempts:
         emit: Callable[..., None],
     ) -> None:
         self.under_way: Attempt | None = None
-        self._camera = camera
+        self.camera = camera
         self._seed = seed
         self._mode = mode
         self._emit = emit
@@ -115,7 +116,7 @@ class RecoveryAttempts:
             own, start, step = _ready_to_extend(new)
             rng = rng_for(self._seed, "recovery", number, seed, new.since)
             old = self._for_thread(old_maps)
-            tasks.append(RecoveryTask(own, start, backward, old, step, rng, self._camera, images))
+            tasks.append(RecoveryTask(own, start, backward, old, step, rng, self.camera, images))
         self._emit_start(frame, 1, self.under_way)
         self._scheduler.start([thread for thread, _ in self._threads], tasks, frame.features.stamp_s)
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
+from slam.core.camera import PinholeCamera
 from slam.core.frame import FrameFeatures
 
 # Of 100: at this quality SIFT finds the same features as in the image, at a fifth of its size.
@@ -47,6 +48,10 @@ class FeatureBuffer:
         limit = self.cap_s if self.frozen else self.span_s
         while features.stamp_s - self._frames[0].stamp_s > limit:
             self._images.pop(self._frames.popleft().index, None)
+
+    def undistort_with(self, camera: PinholeCamera) -> None:
+        """Undistort the buffered frames' keypoints anew, after the camera was refined."""
+        self._frames = deque(features.seen_by(camera) for features in self._frames)
 
     def backward_from(self, index: int) -> Iterator[FrameFeatures]:
         """Frames before frame ``index``, newest first."""

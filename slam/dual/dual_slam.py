@@ -67,6 +67,15 @@ class DualSlam(RestartingSlam):
         """The frames over which a recovery goes backward."""
         return self._buffer
 
+    # -- camera ------------------------------------------------------------------------------------------
+
+    def _may_refine_camera(self) -> bool:
+        return super()._may_refine_camera() and not self._saved and self._attempts.under_way is None
+
+    def _camera_refined(self) -> None:
+        self._buffer.undistort_with(self.camera)
+        self._attempts.camera = self.camera
+
     # -- breakage ----------------------------------------------------------------------------------------
 
     def _save_or_drop_map(self, frame: Frame) -> None:

@@ -67,15 +67,20 @@ def _camera(camera: PinholeCamera) -> pycolmap.Camera:
     focal = [camera.fx, camera.fy, camera.cx + _HALF_PX, camera.cy + _HALF_PX]
     if camera.model == "equidistant":
         model, params = "OPENCV_FISHEYE", [*focal, *camera.distortion]
-    elif not any(camera.distortion):
+    elif not any(camera.distortion) and not any(camera.residual):
         model, params = "PINHOLE", focal
     elif camera.distortion[4] == 0:
-        model, params = "OPENCV", [*focal, *camera.distortion[:4]]
+        model, params = "OPENCV", [*focal, *_radial(camera), *camera.distortion[2:4]]
     else:
-        model, params = "FULL_OPENCV", [*focal, *camera.distortion, 0.0, 0.0, 0.0]
+        model, params = "FULL_OPENCV", [*focal, *_radial(camera), *camera.distortion[2:], 0.0, 0.0, 0.0]
     return pycolmap.Camera(
         camera_id=1, model=model, width=camera.width_px, height=camera.height_px, params=params
     )
+
+
+def _radial(camera: PinholeCamera) -> list[float]:
+    """First coefficients of the lens, residual distortion included: exact if there is no other."""
+    return [own + left for own, left in zip(camera.distortion, camera.residual, strict=False)]
 
 
 def _point(map_: Map, point: int, rows: np.ndarray, shades: np.ndarray) -> pycolmap.Point3D:

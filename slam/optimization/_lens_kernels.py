@@ -151,11 +151,53 @@ def eliminate_lens(
 
 
 @njit(cache=True, nogil=True)
+def spread_of_scores(
+    T, points, start, camera, pixels, weights, intrinsics, k, huber2, slot, V_inv, held, steps
+):
+    """(2, 2) sum over the points of the outer product of each one's pull on the coefficients.
+
+    ``steps`` (6 F, 2) as returned by :func:`eliminate_lens`.
+    """
+    most = 0
+    for p in range(len(points)):
+        most = max(most, start[p + 1] - start[p])
+    U, V, W = np.empty((most, 6, 6)), np.empty((1, 3, 3)), np.empty((most, 6, 3))
+    gradient_c, gradient_p, gradient_k = np.empty((most, 6)), np.empty((1, 3)), np.empty(2)
+    D, B_c, B_p = np.empty((2, 2)), np.empty((most, 6, 2)), np.empty((1, 3, 2))
+    spread, own = np.zeros((2, 2)), np.zeros(2, np.int64)
+    views, own_T = np.arange(most).astype(camera.dtype), np.empty((most, 4, 4))
+    own_slot = np.empty(most, np.int64)
+    for p in range(len(points)):
+        if held[p]:
+            continue
+        a, n = start[p], start[p + 1] - start[p]
+        own[1] = n
+        for i in range(n):
+            own_T[i] = T[camera[a + i]]
+            own_slot[i] = i if slot[camera[a + i]] >= 0 else -1
+        linearise(
+            own_T[:n], points[p : p + 1], own, views[:n], pixels[a : a + n], weights[a : a + n], intrinsics,
+            k, huber2, own_slot[:n], U[:n], V, W[:n], gradient_c[:n], gradient_p, D, gradient_k, B_c[:n], B_p,
+        )  # fmt: skip
+        pull, coupling = gradient_k.copy(), B_p[0].copy()
+        for i in range(n):
+            f = slot[camera[a + i]]
+            if f >= 0:
+                step = steps[6 * f : 6 * f + 6]
+                coupling -= W[i].T.copy() @ step
+                pull -= step.T.copy() @ gradient_c[i]
+        pull -= (V_inv[p] @ coupling).T.copy() @ gradient_p[0]
+        spread += np.outer(pull, pull)
+    return spread
+
+
+@njit(cache=True, nogil=True)
 def adjust(T, points, start, camera, pixels, weights, intrinsics, k, slot, n_free, iterations, huber2):
     """Minimise the cost over ``T``, ``points`` and ``k`` by Levenberg-Marquardt, in place.
 
     Returns:
-        (2, 2) information on ``k`` once poses and points are eliminated, and the final cost.
+        information (2, 2) on ``k`` once poses and points are eliminated, and the spread (2, 2) of the points'
+        pulls on it; both 0 where there is no solution.
     """
     n_points, m = points.shape[0], camera.shape[0]
     U, V = np.empty((n_free, 6, 6)), np.empty((n_points, 3, 3))
@@ -166,7 +208,6 @@ def adjust(T, points, start, camera, pixels, weights, intrinsics, k, slot, n_fre
     step_p, held = np.empty((n_points, 3)), np.zeros(n_points, np.bool_)
     first = skyline(start, camera, slot, n_free)
     trial_T, trial_points = T.copy(), points.copy()
-    information = np.zeros((2, 2))
     best = cost(T, points, start, camera, pixels, weights, intrinsics, k, huber2)
     damping = 1e-6
     for _ in range(iterations):
@@ -205,4 +246,18 @@ def adjust(T, points, start, camera, pixels, weights, intrinsics, k, slot, n_fre
                 break
         else:
             damping *= 100.0
-    return information, best
+    linearise(
+        T, points, start, camera, pixels, weights, intrinsics, k, huber2, slot,
+        U, V, W, gradient_c, gradient_p, D, gradient_k, B_c, B_p,
+    )  # fmt: skip
+    eliminate_points(
+        U, V, W, gradient_c, gradient_p, start, camera, slot, 1e-9, first, V_inv, held, S, step_c
+    )
+    if not factor(S, first):
+        return np.zeros((2, 2)), np.zeros((2, 2))
+    information, _, steps = eliminate_lens(
+        S, first, W, V_inv, held, start, camera, slot, D, B_c, B_p, gradient_k, gradient_p, step_c
+    )
+    return information, spread_of_scores(
+        T, points, start, camera, pixels, weights, intrinsics, k, huber2, slot, V_inv, held, steps
+    )

@@ -22,8 +22,9 @@ class LensEstimate:
             as far from the centre.
         T_cam_map: (C, 4, 4) poses; fixed ones are the input's.
         points: (P, 3).
-        significance: squared change of the coefficients from the given ones, in units of its covariance;
-            the observations of one point count as one. Chi-square with 2 degrees of freedom by chance.
+        significance: squared change of the coefficients, in units of its covariance over the points: errors
+            of one point's observations may depend on each other in any way. Chi-square with 2 degrees of
+            freedom by chance.
     """
 
     residual: tuple[float, float]
@@ -59,7 +60,7 @@ def estimate_lens(
         iterations: most steps tried.
 
     Source: Triggs et al., "Bundle Adjustment: A Modern Synthesis", 1999 (self-calibration as further
-        parameters of the adjustment).
+        parameters of the adjustment); Liang and Zeger, 1986 (covariance of dependent observations).
     """
     K = np.asarray(intrinsics, np.float64)
     start, order = _ba_kernels.sort_by_point(len(points), np.ascontiguousarray(obs_point, np.int32))
@@ -69,16 +70,14 @@ def estimate_lens(
     weights = np.ascontiguousarray(inv_sigma2[order], np.float64)
     seen = np.ascontiguousarray(pixels[order], np.float64)
     free = int((slot >= 0).sum())
-    information, cost = _lens_kernels.adjust(
+    information, spread = _lens_kernels.adjust(
         T, xyz, start, camera, seen, weights, K, k, slot, free, iterations, CHI2_2DOF
     )
     for c in np.flatnonzero(slot >= 0):
         orthonormalise(T[c])
     change = k - np.array(residual)
-    tracks = int((np.diff(start) >= 2).sum())
-    freedom = 2 * len(camera) - 6 * free - 3 * tracks
-    estimate = float(k[0]), float(k[1])
     significance = 0.0
-    if freedom > 0 and cost > 0 and np.isfinite(k).all():
-        significance = float(change @ information @ change) * freedom / cost * tracks / len(camera)
-    return LensEstimate(estimate, T, xyz, significance)
+    if np.isfinite(k).all() and np.linalg.det(spread) > 0:
+        pull = information @ change
+        significance = float(pull @ np.linalg.solve(spread, pull))
+    return LensEstimate((float(k[0]), float(k[1])), T, xyz, significance)

@@ -1,0 +1,43 @@
+"""Self-calibration: a planted residual distortion is found, and none where there is none."""
+
+import numpy as np
+import pytest
+
+from slam.core.camera import distort_residual
+from slam.optimization.lens import LensEstimate, estimate_lens
+
+K = np.array([700.0, 700.0, 600.0, 180.0])
+PLANTED = (0.02, -0.006)
+
+
+def drive(seed: int, residual: tuple[float, float], noise_px: float, frames: int = 15) -> LensEstimate:
+    """Estimate from a forward drive along a street of points, started beside the truth."""
+    rng = np.random.default_rng(seed)
+    points = np.column_stack([rng.uniform(-12, 12, 900), rng.uniform(-4, 1.6, 900), rng.uniform(4, 60, 900)])
+    T = np.tile(np.eye(4), (frames, 1, 1))
+    T[:, 2, 3], T[:, 0, 3] = -0.8 * np.arange(frames), 0.1 * rng.normal(size=frames)
+    in_cam = np.einsum("cij,pj->cpi", T[:, :3, :3], points) + T[:, None, :3, 3]
+    ideal = in_cam[..., :2] / in_cam[..., 2:] * K[:2] + K[2:]
+    seen = (in_cam[..., 2] > 3) & (ideal > 0).all(axis=2) & (ideal < [1200, 360]).all(axis=2)
+    camera, point = np.nonzero(seen & (seen.sum(axis=0) >= 3))
+    _, point_row = np.unique(point, return_inverse=True)
+    pixels = distort_residual(ideal[camera, point], residual, K) + noise_px * rng.normal(
+        size=(len(camera), 2)
+    )
+    start = points[np.unique(point)] * (1 + 0.01 * rng.normal(size=(len(np.unique(point)), 1)))
+    fixed = np.arange(frames) == 0
+    return estimate_lens(T, fixed, start, camera, point_row, pixels, np.ones(len(camera)), K)
+
+
+def test_a_planted_distortion_is_found_exactly_without_noise():
+    found = drive(0, PLANTED, 0.0)
+    assert found.residual == pytest.approx(PLANTED, abs=1e-4)
+    assert found.T_cam_map[-1, 2, 3] / found.T_cam_map[7, 2, 3] == pytest.approx(2.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_distortion_is_significant_where_there_is_one_and_only_there(seed: int):
+    found, none = drive(seed, PLANTED, 0.2, 30), drive(seed, (0.0, 0.0), 0.2, 30)
+    assert found.residual == pytest.approx(PLANTED, abs=0.008)
+    assert found.significance > 30
+    assert none.significance < 13.8
