@@ -1,0 +1,55 @@
+"""A system fed with images of a lens that distorts more than its calibration says."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from slam.config import default_config
+from slam.core.camera import undistort_residual
+from slam.dual.dual_slam import DualSlam
+from slam.factory import build_system
+from slam.mapping.self_calibration import SelfCalibrationConfig
+from slam.warmup import CAMERA, toy_frames
+
+PLANTED = (0.06, 0.0)
+CONFIG = replace(default_config(CAMERA), self_calibration=SelfCalibrationConfig(at_keyframes=(12,)))
+
+
+def through_lens(residual: tuple[float, float], count: int = 75) -> Iterator[tuple[np.ndarray, float]]:
+    """Toy frames as a lens with a residual distortion shows them."""
+    rows, cols = np.mgrid[: CAMERA.height_px, : CAMERA.width_px]
+    seen = np.stack([cols.ravel(), rows.ravel()], axis=1).astype(float)
+    ideal = undistort_residual(seen, residual, CAMERA.intrinsics).astype(np.float32)
+    x, y = ideal.reshape(*rows.shape, 2).transpose(2, 0, 1)
+    for image, stamp_s, _ in toy_frames(count, step_m=0.05):
+        yield cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT), stamp_s
+
+
+@pytest.mark.parametrize("kind", ["base", "dual"])
+def test_a_refined_lens_is_taken_out_of_map_and_buffer(kind: str):
+    # This scene hardly determines the lens: any estimate is applied here.
+    always = SelfCalibrationConfig(at_keyframes=(12,), min_significance=0.0, min_shift_px=0.0)
+    system = build_system(kind, CAMERA, config=replace(CONFIG, self_calibration=always))
+    for image, stamp_s in through_lens(PLANTED):
+        assert system.process(image, stamp_s).frame == 0 or not system.maps() or system.state == "tracking"
+    assert [e.kind for e in system.events] == ["initialized", "camera_refined"]
+    assert any(system.camera.residual)
+    m = system.current_map
+    for k in m.keyframes()[[0, -1]]:
+        expected = system.camera.undistort_points(m.features(int(k)).xy_image)
+        assert m.arrays.kp_xy[m.keypoints(int(k))] == pytest.approx(expected, abs=0.01)
+    if isinstance(system, DualSlam):
+        for features in system.buffer.backward_from(10**6):
+            assert np.array_equal(features.xy, system.camera.undistort_points(features.xy_image))
+
+
+def test_a_calibrated_lens_is_left_alone():
+    system = build_system("base", CAMERA, config=CONFIG)
+    for image, stamp_s, _ in toy_frames(75, step_m=0.05):
+        system.process(image, stamp_s)
+    assert len(system.current_map.keyframes()) >= 12
+    assert [e.kind for e in system.events] == ["initialized"]
+    assert system.camera == CAMERA
