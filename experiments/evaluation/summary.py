@@ -28,8 +28,8 @@ def summarise(record: RunRecord) -> dict:
     favours a system that gets lost early, so read it together with ``share_tracked`` and ``path_share``.
     ``tracked`` counts the frames that had a pose live, ``posed`` those that have one in the end: a recovery
     adds poses, and the system may take some back.
-    ``scale_along`` is true over estimated path length per tenth of the path, ``scale_first_over_last`` that of
-    the first quarter over that of the last: 1 without scale drift.
+    ``scale_along`` is true over estimated path length per tenth of the path, ``scale_first_over_last`` that
+    of the first quarter over that of the last: 1 without scale drift.
     ``cpu_ms_*`` is the CPU time of the tracking stages per frame, ``mapping_cpu_ms_*`` that of local mapping
     per keyframe, ``loop_cpu_ms_*`` that of loop closing. ``dropped_frames`` were too late to be fed; they are
     not among the ``frames``.
