@@ -84,6 +84,7 @@ class MonocularSlam:
         self._known_places: dict[int, Places] = {}
         self._broken_at: dict[int, FrameFeatures] = {}
         self._probation: Probation | None = None
+        self._withdrawals = 0  # of relocalizations, since tracking was lost
         self._reaches: dict[int, Reach | None] = {}
         self._backend = Backend(self._apply, mode)
         self._mapping_cpu_ms = self._loop_cpu_ms = 0.0
@@ -305,8 +306,8 @@ class MonocularSlam:
             found = self._places(map_id).relocalizer.relocalize(frame, rng, self._reach_of(map_id))
             if found.success:
                 tracker = Tracker(self._maps[map_id], self.config.tracking, self.timer)
-                probation = Probation(map_id, frame, found.keyframe, tracker, self.config.probation)
-                self._probation = probation
+                config = self.config.probation.after(self._withdrawals)
+                self._probation = Probation(map_id, frame, found.keyframe, tracker, config)
         reason = "on_probation" if found.success else found.reason
         return TrackingOutcome(False, found.inliers, found.matches, reason)
 
@@ -331,6 +332,7 @@ class MonocularSlam:
         keyframe = self._maps[probation.map_id].frame_index(probation.keyframe)
         first = probation.first.features.index
         if probation.verdict is Verdict.WITHDRAWN:
+            self._withdrawals += 1
             self._emit_at(
                 frame,
                 ev.RelocalizationWithdrawn,
@@ -371,6 +373,7 @@ class MonocularSlam:
 
     def _note_break(self, map_id: int, at: FrameFeatures) -> None:
         self._broken_at[map_id] = at
+        self._withdrawals = 0
         self._reaches.pop(map_id, None)
 
     def _drop_if_young(self, frame: Frame) -> bool:

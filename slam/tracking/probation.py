@@ -1,6 +1,6 @@
 """Probation of a relocalization: the frames that follow confirm it or not, before it counts."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from slam.core.frame import Frame
@@ -22,6 +22,10 @@ class ProbationConfig:
         max_contradicted: largest share of the expected points in parts of the image where they are missing.
         min_cells: fewest cells of the image, of 8 columns, in which found points speak for the place.
         min_sound: share of the frames, the relocalized one included, for which these three must hold.
+        share_step, most_share: each earlier withdrawal since the loss raises ``min_share`` by the first, up to
+            the second: where one place was mistaken for another, the next may be too.
+        contradicted_step, least_contradicted: it multiplies ``max_contradicted`` likewise. It also asks for
+            as many frames, and as much time, again.
     """
 
     frames: int = 3
@@ -32,6 +36,27 @@ class ProbationConfig:
     max_contradicted: float = 0.2
     min_cells: int = 8
     min_sound: float = 0.75
+    share_step: float = 0.1
+    most_share: float = 0.75
+    contradicted_step: float = 0.7
+    least_contradicted: float = 0.06
+
+    def after(self, withdrawals: int) -> "ProbationConfig":
+        """Return the settings after a number of withdrawals since the loss."""
+        n = 1 + withdrawals
+        return replace(
+            self,
+            frames=self.frames * n,
+            span_s=self.span_s * n,
+            max_s=self.max_s * n,
+            min_share=min(
+                self.min_share + self.share_step * withdrawals, max(self.min_share, self.most_share)
+            ),
+            max_contradicted=max(
+                self.max_contradicted * self.contradicted_step**withdrawals,
+                min(self.max_contradicted, self.least_contradicted),
+            ),
+        )
 
 
 class Verdict(StrEnum):
