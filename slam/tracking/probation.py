@@ -22,8 +22,8 @@ class ProbationConfig:
         max_contradicted: largest share of the expected points in parts of the image where they are missing.
         min_cells: fewest cells of the image, of 8 columns, in which found points speak for the place.
         min_sound: share of the frames, the relocalized one included, for which these three must hold.
-        share_step, most_share: each earlier withdrawal since the loss raises ``min_share`` by the first, up to
-            the second: where one place was mistaken for another, the next may be too.
+        share_step, most_share: each earlier withdrawal since the loss raises ``min_share`` by the first, up
+            to the second: where one place was mistaken for another, the next may be too.
         contradicted_step, least_contradicted: it multiplies ``max_contradicted`` likewise. It also asks for
             as many frames, and as much time, again.
     """
