@@ -119,6 +119,8 @@ _OTHERS: dict[str, Color] = {
     "map_cut": palette.LOST,
     "map_dropped": palette.REFUSED,
     "loop_closed": palette.NOTE,
+    "loop_refused": palette.REFUSED,
+    "relocalization_withdrawn": palette.REFUSED,
     "camera_refined": palette.NOTE,
 }
 

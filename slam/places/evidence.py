@@ -24,12 +24,14 @@ class Support:
             which it was found so far.
         found: number of those that it shows.
         cells: cells of the image, of 8 columns, in which the found points speak for the place.
+        supported: share of ``expected`` in these cells.
         contradicted: share of ``expected`` in cells in which far fewer points are found than elsewhere.
     """
 
     expected: float
     found: int
     cells: int
+    supported: float
     contradicted: float
 
     @property
@@ -67,12 +69,14 @@ def support(
     found = np.bincount(cell, weights=keypoint >= 0)
     total = float(expected.sum())
     if total <= 0:
-        return Support(0.0, 0, 0, 0.0)
+        return Support(0.0, 0, 0, 0.0, 0.0)
     rate = float(np.clip(found.sum() / total, 2 * _CHANCE, 0.95))
     hits = np.minimum(found, expected)
     for_place = hits * np.log(rate / _CHANCE) + (expected - hits) * np.log((1 - rate) / (1 - _CHANCE))
-    against = float(expected[for_place < -_TELLING].sum())
-    return Support(total, int(found.sum()), int((for_place > _TELLING).sum()), against / total)
+    speaks = for_place > _TELLING
+    supported = float(expected[speaks].sum()) / total
+    contradicted = float(expected[for_place < -_TELLING].sum()) / total
+    return Support(total, int(found.sum()), int(speaks.sum()), supported, contradicted)
 
 
 def _cell(view: ViewGeometry, pixels: np.ndarray) -> np.ndarray:

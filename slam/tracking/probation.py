@@ -9,6 +9,8 @@ from slam.matching.guided import collect_local_map
 from slam.places.evidence import Support, support
 from slam.tracking.tracker import Tracker, TrackingOutcome
 
+_MOST_FRAMES = 4  # factor on the frames of a probation, however many were withdrawn before
+
 
 @dataclass(frozen=True)
 class ProbationConfig:
@@ -17,6 +19,8 @@ class ProbationConfig:
     Attributes:
         frames, span_s: number of frames after the relocalized one that must be tracked, and their time.
         max_s: time in which this must happen; else the relocalization is withdrawn.
+        around: keyframes whose points are expected, those that share most with the frame: others may see
+            points that something hides here.
         radius_px: half side of the window in which an expected point is searched, level 0.
         min_share: least share of the expected points that are found.
         max_contradicted: largest share of the expected points in parts of the image where they are missing.
@@ -25,25 +29,26 @@ class ProbationConfig:
         share_step, most_share: each earlier withdrawal since the loss raises ``min_share`` by the first, up
             to the second: where one place was mistaken for another, the next may be too.
         contradicted_step, least_contradicted: it multiplies ``max_contradicted`` likewise. It also asks for
-            as many frames, and as much time, again.
+            as many frames, and as much time, again, up to four times.
     """
 
     frames: int = 3
     span_s: float = 0.1
     max_s: float = 0.5
+    around: int = 10
     radius_px: float = 4.0
-    min_share: float = 0.35
+    min_share: float = 0.5
     max_contradicted: float = 0.2
     min_cells: int = 8
     min_sound: float = 0.75
     share_step: float = 0.1
-    most_share: float = 0.75
+    most_share: float = 0.8
     contradicted_step: float = 0.7
     least_contradicted: float = 0.06
 
     def after(self, withdrawals: int) -> "ProbationConfig":
         """Return the settings after a number of withdrawals since the loss."""
-        n = 1 + withdrawals
+        n = min(1 + withdrawals, _MOST_FRAMES)
         return replace(
             self,
             frames=self.frames * n,
@@ -134,9 +139,7 @@ class Probation:
 
     def _support(self, frame: Frame) -> Support:
         m: Map = self.tracker.map
-        _, points = collect_local_map(
-            m.arrays, m.n_keyframes, m.n_points, frame.point, self.tracker.config.local_map_keyframes
-        )
+        _, points = collect_local_map(m.arrays, m.n_keyframes, m.n_points, frame.point, self._config.around)
         return support(m, points, frame.T_cam_map, frame.features, self._config.radius_px)
 
     def _fault(self, found: Support) -> str:

@@ -1,6 +1,7 @@
 """Relocalization: a single frame is placed in a map of the same place, and in no other."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -19,11 +20,13 @@ from slam_scenes import (
 )
 
 from slam.core.events import Breakage, RelocalizationWithdrawn, Relocalized, TrackingState
+from slam.core.results import MapTrajectory
 from slam.factory import build_system
 from slam.map.map import Map
 from slam.places.recognition import KeyframeDatabase
 from slam.places.training import train_vocabulary
 from slam.tracking.probation import ProbationConfig
+from slam.tracking.reach import Reach, ReachConfig
 from slam.tracking.relocalization import RelocalizationConfig, Relocalizer
 from slam.warmup import CAMERA
 
@@ -267,3 +270,48 @@ def test_dual_slam_relocalizes_in_its_saved_map_while_it_initializes(there_and_b
     assert kinds(system) == ["initialized", "breakage", "map_saved", "reinit_start", "relocalized"]
     assert (found.map_id, system.maps(), system.current_map_id) == (0, [0], 0)
     assert all(r.map_id == 0 and r.state is TrackingState.TRACKING for r in results[found.frame :])
+
+
+@pytest.mark.parametrize(("factor", "reason"), [(0.1, "out_of_reach"), (2.0, "")])
+def test_a_place_that_the_camera_cannot_have_reached_is_refused(known, factor, reason):
+    path = MapTrajectory(0, np.arange(20), np.arange(20) / 30, np.linalg.inv([walk(i) for i in range(20)]))
+    reach = Reach.of(path, ReachConfig(factor=factor))
+    assert reach.speed == pytest.approx(0.06 * 30, rel=0.3)
+    sighting = known[0].see(49, walk(49), np.random.default_rng(7), noise_px=0.5, bits=6)
+    outcome = relocalizer(known).relocalize(sighting.again(), rng(), reach)
+    assert (outcome.success, outcome.reason) == (not reason, reason)
+
+
+def test_of_two_places_that_look_alike_neither_is_taken(known):
+    """The same things again, 40 m away: both fit as well."""
+    world, r = known[0], np.random.default_rng(1)
+    again = [rigid((-40, 0, 0))] * 10
+    seen = [world.see(i, walk(i), r, noise_px=0.5, bits=6) for i in range(0, 80, 8)]
+    twin = PointWorld(points=5000)
+    twin.xyz = twin.xyz + np.array([40.0, 0.0, 0.0])
+    seen += [
+        twin.see(100 + i, walk(i) @ T, r, noise_px=0.5, bits=6)
+        for i, T in zip(range(0, 80, 8), again, strict=True)
+    ]
+    both = PointWorld(points=5000)
+    both.xyz = np.concatenate([world.xyz, twin.xyz])
+    for sighting in seen[10:]:
+        sighting.ids[sighting.ids >= 0] += 5000
+    built, _ = both.map_of(seen, r)
+    frame = look(known, walk(37)).again()
+    database = KeyframeDatabase(built, known[3])
+    outcome = Relocalizer(built, database, RelocalizationConfig()).relocalize(frame, rng())
+    assert (outcome.success, outcome.reason) == (False, "ambiguous")
+    bold = Relocalizer(built, database, RelocalizationConfig(min_margin=1.0))
+    assert bold.relocalize(frame, rng()).success
+
+
+def test_each_withdrawal_asks_for_more():
+    config = ProbationConfig()
+    bars = [config.after(n) for n in range(8)]
+    assert bars[0] == config
+    for one, two in pairwise(bars):
+        assert two.frames >= one.frames and two.min_share >= one.min_share
+        assert two.max_contradicted <= one.max_contradicted and two.max_s >= two.span_s
+    assert bars[-1].min_share == config.most_share
+    assert bars[-1].frames == 4 * config.frames

@@ -1,0 +1,71 @@
+"""What a view should show at a place, and what it shows, in worlds of known points."""
+
+import numpy as np
+import pytest
+from slam_scenes import PointWorld, rigid, walk
+
+from slam.optimization.sim3 import sim3_matrix
+from slam.places.evidence import support
+
+
+@pytest.fixture(scope="module")
+def known():
+    world, rng = PointWorld(points=6000), np.random.default_rng(1)
+    seen = [world.see(i, walk(i), rng, noise_px=0.5, bits=6) for i in range(0, 40, 5)]
+    built, _ = world.map_of(seen, rng)
+    points = built.points().astype(np.int32)
+    built.arrays.pt_visible[points], built.arrays.pt_found[points] = 10, 7  # the share that is detected
+    return world, built, points
+
+
+def sighting(world, T_cam_world, hidden=None):
+    """A view in which the points of a part of the world are other ones, with other descriptors."""
+    rng = np.random.default_rng(5)
+    if hidden is None:
+        return world.see(500, T_cam_world, rng, noise_px=0.5, bits=6).frame.features
+    other = PointWorld(seed=0, points=6000)
+    rows = hidden(other.xyz)
+    other.descriptor[rows] = rng.integers(0, 2**64, (int(rows.sum()), 4), dtype=np.uint64)
+    return other.see(500, T_cam_world, rng, noise_px=0.5, bits=6).frame.features
+
+
+def test_the_right_place_is_supported_all_over_the_view(known):
+    world, built, points = known
+    T = rigid((0.05, -0.05, 0.1), (0, 3, 0)) @ walk(18)
+    found = support(built, points, T, sighting(world, T), 4.0)
+    assert found.expected > 100 and 0.8 < found.share < 1.2
+    assert found.cells > 20 and found.supported > 0.9 and found.contradicted < 0.03
+
+
+def test_another_place_and_another_world_are_not_supported(known):
+    world, built, points = known
+    away = support(built, points, walk(18), sighting(world, rigid((1.0, 0, 0)) @ walk(18)), 4.0)
+    other = support(built, points, walk(18), sighting(PointWorld(seed=9, points=6000), walk(18)), 4.0)
+    assert max(away.share, other.share) < 0.25 and max(away.cells, other.cells) < 3
+
+
+def test_a_part_of_the_view_that_shows_something_else_contradicts(known):
+    world, built, points = known
+    changed = sighting(world, walk(18), hidden=lambda xyz: xyz[:, 1] < -0.5)
+    found = support(built, points, walk(18), changed, 4.0)
+    assert 0.2 < found.contradicted < 0.6
+    assert found.supported < 0.8 and found.supported + found.contradicted <= 1 + 1e-9
+
+
+def test_a_similarity_gives_what_the_scaled_map_gives(known):
+    world, built, points = known
+    features = sighting(world, walk(18))
+    same = support(built, points, walk(18), features, 4.0)
+    larger = built.copy()
+    larger.transform(2.0, np.eye(3), np.zeros(3))
+    S = walk(18) @ sim3_matrix(0.5, np.eye(3), np.zeros(3))
+    scaled = support(larger, points, S, features, 4.0)
+    assert (scaled.found, scaled.cells) == (same.found, same.cells)
+    assert scaled.expected == pytest.approx(same.expected)
+
+
+def test_a_view_that_should_show_nothing_says_nothing(known):
+    world, built, points = known
+    behind = rigid((0, 0, 0), (0, 180, 0)) @ walk(18)
+    nothing = support(built, points, behind, sighting(world, walk(18)), 4.0)
+    assert (nothing.expected, nothing.found, nothing.share, nothing.cells) == (0, 0, 0, 0)
