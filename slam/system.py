@@ -84,7 +84,7 @@ class MonocularSlam:
         self._known_places: dict[int, Places] = {}
         self._broken_at: dict[int, FrameFeatures] = {}
         self._probation: Probation | None = None
-        self._withdrawals = 0  # of relocalizations, since tracking was lost
+        self._doubted: tuple[tuple[float, str], ...] = ()  # frames of withdrawn probations since the loss
         self._reaches: dict[int, Reach | None] = {}
         self._backend = Backend(self._apply, mode)
         self._mapping_cpu_ms = self._loop_cpu_ms = 0.0
@@ -306,8 +306,9 @@ class MonocularSlam:
             found = self._places(map_id).relocalizer.relocalize(frame, rng, self._reach_of(map_id))
             if found.success:
                 tracker = Tracker(self._maps[map_id], self.config.tracking, self.timer)
-                config = self.config.probation.after(self._withdrawals)
-                self._probation = Probation(map_id, frame, found.keyframe, tracker, config)
+                self._probation = Probation(
+                    map_id, frame, found.keyframe, tracker, self.config.probation, self._doubted
+                )
         reason = "on_probation" if found.success else found.reason
         return TrackingOutcome(False, found.inliers, found.matches, reason)
 
@@ -326,24 +327,30 @@ class MonocularSlam:
         else:
             outcome = TrackingOutcome(False, 0, 0, "map_in_use")
             probation.withdraw(outcome.reason)
-        if probation.verdict is Verdict.PENDING:
-            return outcome
-        self._probation = None
-        keyframe = self._maps[probation.map_id].frame_index(probation.keyframe)
-        first = probation.first.features.index
         if probation.verdict is Verdict.WITHDRAWN:
-            self._withdrawals += 1
-            self._emit_at(
-                frame,
-                ev.RelocalizationWithdrawn,
-                probation.map_id,
-                keyframe=keyframe,
-                first_frame=first,
-                frames=len(probation.frames),
-                reason=probation.reason,
-            )
+            self._withdraw(probation, frame)
             frame.point[:] = -1
-            return outcome
+        elif probation.verdict is Verdict.CONFIRMED:
+            self._resume(probation, frame, outcome)
+        return outcome
+
+    def _withdraw(self, probation: Probation, frame: Frame) -> None:
+        """End a probation that was not confirmed; its frames count against the next one."""
+        self._probation = None
+        self._doubted += tuple(probation.faults)
+        self._emit_at(
+            frame,
+            ev.RelocalizationWithdrawn,
+            probation.map_id,
+            keyframe=probation.tracker.map.frame_index(probation.keyframe),
+            first_frame=probation.first.features.index,
+            frames=len(probation.frames),
+            reason=probation.reason,
+        )
+
+    def _resume(self, probation: Probation, frame: Frame, outcome: TrackingOutcome) -> None:
+        """Go on where a relocalization was confirmed."""
+        self._probation = None
         if probation.map_id != self._map_id:
             self._enter(probation.map_id)
         self._tracker = probation.tracker
@@ -354,14 +361,13 @@ class MonocularSlam:
         self._emit(
             frame,
             ev.Relocalized,
-            keyframe=keyframe,
-            first_frame=first,
+            keyframe=self.current_map.frame_index(probation.keyframe),
+            first_frame=probation.first.features.index,
             inliers=outcome.inliers,
             frames_lost=frame.features.index - broken.index,
             lost_s=frame.features.stamp_s - broken.stamp_s,
             relation=relocalization_relation(self.current_map, probation.frames),
         )
-        return outcome
 
     def _break(self, frame: Frame, outcome: TrackingOutcome) -> None:
         """Handle lost tracking: replace a map with too few keyframes, else start relocalization."""
@@ -373,7 +379,7 @@ class MonocularSlam:
 
     def _note_break(self, map_id: int, at: FrameFeatures) -> None:
         self._broken_at[map_id] = at
-        self._withdrawals = 0
+        self._doubted = ()
         self._reaches.pop(map_id, None)
 
     def _drop_if_young(self, frame: Frame) -> bool:

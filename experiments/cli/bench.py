@@ -1,6 +1,7 @@
 """``dslab bench``."""
 
 from contextlib import nullcontext
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -23,9 +24,12 @@ from experiments.cli.console import (
     share,
     single_threaded_opencv,
 )
-from experiments.cli.run import SystemChoice
+from experiments.cli.run import SystemChoice, chosen_systems
+from scenarios.errors import InputError
 
 _HELP = """Measure the speed of the tracker (`slam`), the simulator (`sim`) or whole units (`experiment`).
+
+Or count what systems declare falsely over many sequences (`declarations`).
 
 `dslab bench` and `dslab bench SOURCE` are short for `dslab bench slam`. For example:
 
@@ -38,6 +42,8 @@ _HELP = """Measure the speed of the tracker (`slam`), the simulator (`sim`) or w
 `dslab bench sim`
 
 `dslab bench experiment`
+
+`dslab bench declarations aliased/room --seeds 1-5 --out out/aliased.parquet`
 """
 _RUNS, _RUNS_WITH_PEER = 1, 5
 
@@ -260,3 +266,49 @@ def experiment_command(
         f"{workers} workers compared with one: {number(figures['speed_up'], 2)} times the units per hour "
         f"({number(figures['speed_up_cores_free'], 2)} with a free core each, by CPU time)"
     )
+
+
+@app.command("declarations")
+def declarations_command(
+    scenarios: Annotated[list[str], typer.Argument(metavar="SCENARIO...", help="Names or files.")],
+    out_file: Annotated[Path, typer.Option("--out", help="Parquet file of the rows; resumed if it exists.")],
+    seeds: Annotated[str, typer.Option(help="Seeds of each scenario, such as 7 or 1-10.")] = "1-5",
+    system: Annotated[str, typer.Option(help="Systems, separated by commas.")] = "base,dual",
+    workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
+    as_json: JsonOption = False,
+) -> None:
+    """Count false loops, relocalizations, joins and fusions over sequences with ground truth.
+
+    Each is judged by the truth at the moment it is declared. Stopped and started again, it goes on where it
+    was. For example:
+
+    `dslab bench declarations aliased/room aliased/city --seeds 1-10 --workers 2 --out out/aliased.parquet`
+    """
+    from experiments.benchmarks.declarations import COUNTS, measure_declarations
+
+    systems = chosen_systems(system)
+    single_threaded_opencv()
+    with progress_bars() as show:
+        rows = measure_declarations(scenarios, _seeds(seeds), systems, out_file, workers, show)
+    figures = ("runs", *(f"{part}{name}" for name in COUNTS for part in ("", "false_")), "unjudged")
+    rows["runs"] = 1
+    sums = rows.groupby(["scenario", "system"])[list(figures)].sum()
+    if as_json:
+        print_json_line(sums.reset_index().to_dict("records"))
+        return
+    table = Table(title="declared, of which false")
+    for column in ("scenario", "system", "runs", *COUNTS, "not judged", "median ATE m"):
+        table.add_column(column, justify="left" if column in ("scenario", "system") else "right")
+    for _, row in sums.reset_index().iterrows():
+        own = rows[(rows.scenario == row.scenario) & (rows.system == row.system)]
+        counts = (f"{row[name]} / {row[f'false_{name}']}" for name in COUNTS)
+        ate = number(own.ate_m.median(), 3)
+        table.add_row(row.scenario, row.system, str(row.runs), *counts, str(row.unjudged), ate)
+    print_table(table)
+
+
+def _seeds(text: str) -> list[int]:
+    first, _, last = text.partition("-")
+    if not first.isdecimal() or ("-" in text and not last.isdecimal()) or int(last or first) < int(first):
+        raise InputError(f"--seeds {text}", "is no seed or range of seeds", "write it as 7 or 1-10")
+    return list(range(int(first), int(last or first) + 1))

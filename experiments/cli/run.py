@@ -107,14 +107,14 @@ def run_command(
     `dslab run clean-room --mode threaded --real-time --map --out out/room`
     """
     from experiments.cli.run_tables import print_runs
-    from experiments.result_folder import PICTURE_FILE, run_systems
+    from experiments.result_folder import PICTURE_FILE, runchosen_systems
     from experiments.runs.slam_settings import SlamSettings, factory_of, read_slam_settings
     from experiments.runs.sources import open_sequence
     from scenarios.errors import InputError
     from sim.io.folders import check_free, new_directory
     from slam.warmup import warm_up
 
-    systems = _systems(system)
+    systems = chosen_systems(system)
     settings = read_slam_settings(config) if config is not None else SlamSettings({})
     if config is not None and mode is ModeChoice.LOCKSTEP and settings.mode is not None:
         mode = ModeChoice(settings.mode)
@@ -133,7 +133,9 @@ def run_command(
         slam_seed = seed if seed is not None else int(sequence.meta.get("seed", 0))
         build = factory_of(settings)
         with new_directory(out_dir) as folder:
-            summaries = run_systems(sequence, systems, slam_seed, folder, rerun, show, build, real_time, maps)
+            summaries = runchosen_systems(
+                sequence, systems, slam_seed, folder, rerun, show, build, real_time, maps
+            )
     if as_json:
         for summary in summaries.values():
             print_json_line(summary)
@@ -146,7 +148,7 @@ def run_command(
         out.print(f"{kind:10s} {out_dir / kind if len(summaries) > 1 else out_dir}", soft_wrap=True)
 
 
-def _systems(names: str) -> "list[SystemKind]":
+def chosen_systems(names: str) -> "list[SystemKind]":
     """The systems that an option names.
 
     Raises:

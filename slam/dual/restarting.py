@@ -74,9 +74,9 @@ class RestartingSlam(MonocularSlam):
         outcome = self._relocalize_in(self._relocalization_maps(), frame)
         if outcome.success:
             self._resume_saved_map(self._map_id)
-        if outcome.success or self._probation is not None:
+        if outcome.success or (self._probation is not None and not self._doubted):
             return outcome, False
-        return super()._initialize(frame)
+        return super()._initialize(frame)  # beside a probation, if an earlier one was withdrawn
 
     def _relocalization_maps(self) -> Sequence[int]:
         """Saved maps in which relocalization is tried."""
@@ -89,6 +89,9 @@ class RestartingSlam(MonocularSlam):
 
     def _start_map(self, initial: InitialMap) -> None:
         super()._start_map(initial)
+        if self._probation is not None:
+            self._probation.withdraw("new_map")
+            self._withdraw(self._probation, initial.second)
         if self._reinit_start >= 0:
             taken = initial.second.features.index - self._reinit_start
             self._emit(initial.second, ev.ReinitDone, frames_taken=taken)

@@ -1,6 +1,7 @@
 """Probation of a relocalization: the frames that follow confirm it or not, before it counts."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 
 from slam.core.frame import Frame
@@ -8,8 +9,6 @@ from slam.map.map import Map
 from slam.matching.guided import collect_local_map
 from slam.places.evidence import Support, support
 from slam.tracking.tracker import Tracker, TrackingOutcome
-
-_MOST_FRAMES = 4  # factor on the frames of a probation, however many were withdrawn before
 
 
 @dataclass(frozen=True)
@@ -26,10 +25,8 @@ class ProbationConfig:
         max_contradicted: largest share of the expected points in parts of the image where they are missing.
         min_cells: fewest cells of the image, of 8 columns, in which found points speak for the place.
         min_sound: share of the frames, the relocalized one included, for which these three must hold.
-        share_step, most_share: each earlier withdrawal since the loss raises ``min_share`` by the first, up
-            to the second: where one place was mistaken for another, the next may be too.
-        contradicted_step, least_contradicted: it multiplies ``max_contradicted`` likewise. It also asks for
-            as many frames, and as much time, again, up to four times.
+        memory_s: time for which frames on an earlier probation count too: where one place was mistaken for
+            another, it may be again.
     """
 
     frames: int = 3
@@ -41,27 +38,7 @@ class ProbationConfig:
     max_contradicted: float = 0.2
     min_cells: int = 8
     min_sound: float = 0.75
-    share_step: float = 0.1
-    most_share: float = 0.8
-    contradicted_step: float = 0.7
-    least_contradicted: float = 0.06
-
-    def after(self, withdrawals: int) -> "ProbationConfig":
-        """Return the settings after a number of withdrawals since the loss."""
-        n = min(1 + withdrawals, _MOST_FRAMES)
-        return replace(
-            self,
-            frames=self.frames * n,
-            span_s=self.span_s * n,
-            max_s=self.max_s * n,
-            min_share=min(
-                self.min_share + self.share_step * withdrawals, max(self.min_share, self.most_share)
-            ),
-            max_contradicted=max(
-                self.max_contradicted * self.contradicted_step**withdrawals,
-                min(self.max_contradicted, self.least_contradicted),
-            ),
-        )
+    memory_s: float = 8.0
 
 
 class Verdict(StrEnum):
@@ -81,15 +58,23 @@ class Probation:
         keyframe: the recognised keyframe.
         tracker: of the same map, not yet started.
         config: settings.
+        earlier: times of frames on earlier probations since the loss, and their faults, empty for none.
 
     Attributes:
         frames: the relocalized frame and those tracked since.
+        faults: time and fault of each, empty for none.
         verdict: whether it has ended, and how.
         reason: reason of a withdrawal; empty otherwise.
     """
 
     def __init__(
-        self, map_id: int, frame: Frame, keyframe: int, tracker: Tracker, config: ProbationConfig
+        self,
+        map_id: int,
+        frame: Frame,
+        keyframe: int,
+        tracker: Tracker,
+        config: ProbationConfig,
+        earlier: Sequence[tuple[float, str]] = (),
     ) -> None:
         self.map_id = map_id
         self.keyframe = keyframe
@@ -98,9 +83,10 @@ class Probation:
         self.verdict = Verdict.PENDING
         self.reason = ""
         self._config = config
+        self._earlier = earlier
         tracker.observing = False
         tracker.resume(frame)
-        self._supports = [self._support(frame)]
+        self.faults = [self._judged(frame)]
 
     @property
     def first(self) -> Frame:
@@ -114,7 +100,7 @@ class Probation:
             self.withdraw(outcome.reason)
             return outcome
         self.frames.append(frame)
-        self._supports.append(self._support(frame))
+        self.faults.append(self._judged(frame))
         self._decide()
         confirmed = self.verdict is Verdict.CONFIRMED
         return TrackingOutcome(
@@ -126,16 +112,23 @@ class Probation:
         self.verdict, self.reason = Verdict.WITHDRAWN, reason
 
     def _decide(self) -> None:
-        span_s = self.frames[-1].features.stamp_s - self.first.features.stamp_s
-        long_enough = len(self.frames) > self._config.frames and span_s >= self._config.span_s - 1e-6
-        if not long_enough:
+        now_s = self.frames[-1].features.stamp_s
+        span_s = now_s - self.first.features.stamp_s
+        if len(self.frames) <= self._config.frames or span_s < self._config.span_s - 1e-6:
             return
-        faults = [self._fault(s) for s in self._supports]
-        if faults.count("") >= self._config.min_sound * len(faults) and not faults[-1]:
+        own = [fault for _, fault in self.faults]
+        before = [fault for at_s, fault in self._earlier if at_s >= now_s - self._config.memory_s]
+        if not own[-1] and self._are_sound(own) and self._are_sound(before + own):
             self.verdict = Verdict.CONFIRMED
             self.tracker.observing = True
-        elif span_s >= self._config.max_s - 1e-6:
-            self.withdraw(faults[-1] or next(fault for fault in faults if fault))
+        elif span_s >= self._config.max_s - 1e-6 and not self._are_sound(own):
+            self.withdraw(own[-1] or next(fault for fault in own if fault))
+
+    def _are_sound(self, faults: Sequence[str]) -> bool:
+        return sum(not fault for fault in faults) >= self._config.min_sound * len(faults)
+
+    def _judged(self, frame: Frame) -> tuple[float, str]:
+        return frame.features.stamp_s, self._fault(self._support(frame))
 
     def _support(self, frame: Frame) -> Support:
         m: Map = self.tracker.map

@@ -1,7 +1,6 @@
 """Relocalization: a single frame is placed in a map of the same place, and in no other."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -306,12 +305,14 @@ def test_of_two_places_that_look_alike_neither_is_taken(known):
     assert bold.relocalize(frame, rng()).success
 
 
-def test_each_withdrawal_asks_for_more():
-    config = ProbationConfig()
-    bars = [config.after(n) for n in range(8)]
-    assert bars[0] == config
-    for one, two in pairwise(bars):
-        assert two.frames >= one.frames and two.min_share >= one.min_share
-        assert two.max_contradicted <= one.max_contradicted and two.max_s >= two.span_s
-    assert bars[-1].min_share == config.most_share
-    assert bars[-1].frames == 4 * config.frames
+def test_a_place_after_a_mistaken_one_needs_more_frames(recovered, there_and_back):
+    """Frames on an earlier, withdrawn probation count for some time."""
+    images, stamps_s, _ = there_and_back
+    first = {}
+    for faults in (0, 6):
+        system = recovered[2].restore()
+        system._doubted = tuple((stamps_s[87] - 0.05 * n, "contradicted") for n in range(faults))
+        feed(system, images[88:], stamps_s[88:], check=False)
+        (found,) = [e for e in system.events if isinstance(e, Relocalized)]
+        first[faults] = found.frame - found.first_frame
+    assert first[0] == 3 and first[6] == 17  # 18 of 24 frames are three quarters

@@ -1,0 +1,126 @@
+"""What systems declare over many sequences, judged by the truth: loops, relocalizations, joins, fusions."""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from experiments.evaluation.declared_audit import audit_declared
+from experiments.evaluation.summary import summarise
+from experiments.runs.execution import RunRecord, SystemKind, execute
+from experiments.runs.provenance import code_hash, commit
+from experiments.runs.sources import open_sequence
+from scenarios.errors import InputError
+from slam.core.events import Fusion, LoopRefused, RelocalizationWithdrawn, Relocalized
+
+KEY = ("scenario", "seed", "system")
+COUNTS = ("loops", "relocalizations", "joins", "fusions")
+
+
+def measure_declarations(
+    scenarios: Sequence[str],
+    seeds: Sequence[int],
+    systems: Sequence[SystemKind],
+    table: Path,
+    workers: int = 1,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> pd.DataFrame:
+    """Run systems over sequences of scenarios; one row per run, kept in a Parquet file.
+
+    Rows that the file has already, from the same code, are not run again, so that a long measurement can be
+    stopped and resumed. A seed is that of the sequence and of the system.
+
+    Args:
+        scenarios: names or files.
+        seeds: of each scenario.
+        systems: run over the same frames.
+        table: the file; made if there is none, written anew after every sequence.
+        workers: number of processes.
+        progress: called with (step, sequences done, sequences in all).
+
+    Raises:
+        InputError: the file is no such table, or is of other code.
+    """
+    code = code_hash()
+    rows = _known(table, code)
+    done = {tuple(row[name] for name in KEY) for row in rows}
+    jobs = [
+        (scenario, seed, missing)
+        for seed in seeds
+        for scenario in scenarios
+        if (missing := [s for s in systems if (scenario, seed, s) not in done])
+    ]
+    total = len(seeds) * len(scenarios)
+    # "spawn": a fork would share the OpenGL context.
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        running = [pool.submit(run_sequence, *job, code) for job in jobs]
+        try:
+            for number, future in enumerate(as_completed(running), start=1):
+                rows += future.result()
+                _write(table, rows)
+                if progress is not None:
+                    progress("sequences", total - len(jobs) + number, total)
+        finally:
+            pool.shutdown(cancel_futures=True)
+    frame = pd.DataFrame(rows)
+    wanted = frame.scenario.isin(scenarios) & frame.seed.isin(seeds) & frame.system.isin(systems)
+    return frame[wanted].sort_values(list(KEY)).reset_index(drop=True)
+
+
+def run_sequence(scenario: str, seed: int, systems: Sequence[SystemKind], code: str) -> list[dict[str, Any]]:
+    """One row per system over one sequence."""
+    sequence = open_sequence(scenario, seed)
+    if sequence.T_world_cam is None:
+        raise InputError(scenario, "has no ground truth", "name a sequence or scenario with ground truth")
+    records = {system: execute(sequence, system, seed) for system in systems}
+    about = {"scenario": scenario, "seed": seed}
+    return [
+        {**about, "system": s, **declaration_row(r), "code": code, "commit": commit()}
+        for s, r in records.items()
+    ]
+
+
+def declaration_row(record: RunRecord) -> dict[str, Any]:
+    """Figures of a run; all that it declared, how much of it is false or cannot be judged."""
+    summary, audit = summarise(record), audit_declared(record)
+    lost_s = [e.lost_s for e in record.events if isinstance(e, Relocalized)]
+    refused = [e for e in record.events if isinstance(e, Fusion) and not e.accepted]
+    counted = ("frames", "tracked", "posed", "breakages", "ate_m", "true_path_m", "scale_first_over_last")
+    return {
+        **{name: summary[name] for name in counted},
+        **{name: len(getattr(audit, name)) for name in COUNTS},
+        **audit.false_counts,
+        "unjudged": audit.unjudged,
+        "loops_refused": sum(isinstance(e, LoopRefused) for e in record.events),
+        "relocalizations_withdrawn": sum(isinstance(e, RelocalizationWithdrawn) for e in record.events),
+        "fusions_refused": len(refused),
+        "lost_s_median": float(np.median(lost_s)) if lost_s else None,
+    }
+
+
+def _known(table: Path, code: str) -> list[dict[str, Any]]:
+    if not table.exists():
+        return []
+    try:
+        rows = pd.read_parquet(table).to_dict("records")
+        others = {row["code"] for row in rows} - {code}
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(str(table), f"is no table of declarations: {error}", "name another file") from None
+    if others:
+        raise InputError(str(table), "has rows of other code", "name another file, or remove this one")
+    return [{str(name): value for name, value in row.items()} for row in rows]
+
+
+def _write(table: Path, rows: list[dict[str, Any]]) -> None:
+    table.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = table.with_name(f".{table.name}.{os.getpid()}")
+    try:
+        pd.DataFrame(rows).sort_values(list(KEY)).to_parquet(unfinished, index=False)
+        unfinished.replace(table)
+    finally:
+        unfinished.unlink(missing_ok=True)
