@@ -107,7 +107,7 @@ def run_command(
     `dslab run clean-room --mode threaded --real-time --map --out out/room`
     """
     from experiments.cli.run_tables import print_runs
-    from experiments.result_folder import PICTURE_FILE, runchosen_systems
+    from experiments.result_folder import PICTURE_FILE, run_systems
     from experiments.runs.slam_settings import SlamSettings, factory_of, read_slam_settings
     from experiments.runs.sources import open_sequence
     from scenarios.errors import InputError
@@ -133,9 +133,7 @@ def run_command(
         slam_seed = seed if seed is not None else int(sequence.meta.get("seed", 0))
         build = factory_of(settings)
         with new_directory(out_dir) as folder:
-            summaries = runchosen_systems(
-                sequence, systems, slam_seed, folder, rerun, show, build, real_time, maps
-            )
+            summaries = run_systems(sequence, systems, slam_seed, folder, rerun, show, build, real_time, maps)
     if as_json:
         for summary in summaries.values():
             print_json_line(summary)

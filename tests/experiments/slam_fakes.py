@@ -1,7 +1,7 @@
 """A synthetic sequence, and a system that replays its truth with noise, breakages and recoveries."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -9,11 +9,19 @@ from scipy.spatial.transform import Rotation
 from sim.sensors.camera import Intrinsics
 from sim.sequence import SegmentTruth, Sequence
 from slam.core import events as ev
+from slam.core.camera import PinholeCamera
 from slam.core.events import TrackingState
 from slam.core.relation import PlacedFrames, Relation
 from slam.core.results import MapTrajectory, TrackingResult
 
 CAMERA = Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5, 30.0)
+
+
+def simulated_camera(camera: PinholeCamera) -> Intrinsics:
+    """The simulator's camera of an estimator's; it has no residual distortion."""
+    fields = asdict(camera)
+    del fields["residual"]
+    return Intrinsics(**fields)
 
 
 def circle(frames: int, radius_m: float = 3.0, turn: float = 0.8) -> np.ndarray:

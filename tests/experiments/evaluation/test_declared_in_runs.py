@@ -1,15 +1,15 @@
 """The real systems say what they assert; what a tampered part makes them assert falsely is found."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from loop_scenes import ring
+from slam_fakes import simulated_camera
 
 from experiments.evaluation.declared_audit import audit_declared
 from experiments.evaluation.relation_audit import RelationBounds, audit_asserted
 from experiments.runs.execution import execute, system_factory
-from sim.sensors.camera import Intrinsics
 from sim.sequence import Sequence
 from slam.core.frame import Frame
 from slam.dual.config import DualConfig
@@ -32,7 +32,7 @@ def sequence():
     images, stamps_s, poses = zip(*toy_frames(120, range(80, 86)), strict=True)
     return Sequence(
         name="toy",
-        camera=Intrinsics(**asdict(CAMERA)),
+        camera=simulated_camera(CAMERA),
         stamps_s=np.array(stamps_s),
         frames=images,
         T_world_cam=np.array(poses),

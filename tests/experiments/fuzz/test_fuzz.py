@@ -4,10 +4,10 @@ import json
 import os
 import sys
 from contextlib import nullcontext
-from dataclasses import asdict
 
 import numpy as np
 import pytest
+from slam_fakes import simulated_camera
 
 from experiments import cli
 from experiments.campaign.worker_pool import Ended, WorkerPool
@@ -22,7 +22,6 @@ from experiments.fuzz.fuzzing import (
 )
 from scenarios.loading import load_scenario
 from scenarios.random_scenarios import random_scenario
-from sim.sensors.camera import Intrinsics
 from sim.sequence import Sequence
 from slam.factory import build_system
 from slam.warmup import CAMERA, toy_frames
@@ -34,9 +33,8 @@ UNIT = FuzzUnit(4, ("base", "dual"))
 def sequence():
     """A second of a synthetic sequence."""
     images, stamps_s, T_world_cam = zip(*toy_frames(30, step_m=0.05), strict=True)
-    fields = asdict(CAMERA)
     return Sequence(
-        "toy", Intrinsics(**fields), np.array(stamps_s), np.array(images), np.array(T_world_cam),
+        "toy", simulated_camera(CAMERA), np.array(stamps_s), np.array(images), np.array(T_world_cam),
         depths=None, segments=(), meta={},
     )  # fmt: skip
 

@@ -1,13 +1,11 @@
 """The real SLAM systems through a whole run: breakage in blank frames, recovery, summary."""
 
-from dataclasses import asdict
-
 import numpy as np
 import pytest
+from slam_fakes import simulated_camera
 
 from experiments.result_folder import run_sequence
 from experiments.runs.execution import system_factory
-from sim.sensors.camera import Intrinsics
 from sim.sequence import SegmentTruth, Sequence
 from slam.dual.config import DualConfig
 from slam.dual.recovery.registry import ThreadSpec
@@ -25,7 +23,7 @@ def sequence():
     segment = SegmentTruth("low_texture", {"contrast": 0.0}, stamps_s[80], stamps_s[86], 80, 85)
     return Sequence(
         name="toy",
-        camera=Intrinsics(**asdict(CAMERA)),
+        camera=simulated_camera(CAMERA),
         stamps_s=stamps_s,
         frames=images,
         T_world_cam=np.array(poses),

@@ -1,13 +1,13 @@
 """The real SLAM in threaded mode, and its map in the form of other tools."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pycolmap
 import pytest
-from slam_fakes import fake_factory, make_sequence
+from slam_fakes import fake_factory, make_sequence, simulated_camera
 
 from experiments.result_folder import run_sequence
 from experiments.runs import execution, sources
@@ -15,7 +15,6 @@ from experiments.runs.execution import system_factory
 from experiments.runs.map_files import write_maps
 from experiments.runs.sources import open_sequence
 from sim.io.forms import Form, write_sequence
-from sim.sensors.camera import Intrinsics
 from sim.sequence import Sequence
 from slam.warmup import CAMERA, toy_frames
 
@@ -25,7 +24,7 @@ def sequence():
     images, stamps_s, poses = zip(*toy_frames(70, step_m=0.05), strict=True)
     return Sequence(
         name="toy",
-        camera=Intrinsics(**asdict(CAMERA)),
+        camera=simulated_camera(CAMERA),
         stamps_s=np.array(stamps_s),
         frames=images,
         T_world_cam=np.array(poses),
@@ -73,6 +72,8 @@ def test_the_written_map_is_read_back_with_its_images(sequence, summary):
 
 class _Two:
     """The same map under two numbers."""
+
+    camera = CAMERA
 
     def __init__(self, map_):
         self._map = map_
