@@ -58,7 +58,12 @@ def ate_m(system, sequence):
 def test_a_loop_around_a_block_is_closed_and_corrects_most_of_the_drift():
     sequence = rendered("loop/city", 3, duration_s=53.0)
     closed, open_ = run_with_and_without_loop_closing(sequence)
-    assert kinds(closed)[:3] == ["initialized", "loop_closed", "map_adjusted"]
+    # Refused from afar, where the view is a third as large, and closed half a second later.
+    assert [k for k in kinds(closed) if k != "loop_refused"][:3] == [
+        "initialized",
+        "loop_closed",
+        "map_adjusted",
+    ]
     assert kinds(open_) == ["initialized"]
     assert ate_m(closed, sequence) <= ate_m(open_, sequence) / 3
 
