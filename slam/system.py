@@ -307,7 +307,13 @@ class MonocularSlam:
             if found.success:
                 tracker = Tracker(self._maps[map_id], self.config.tracking, self.timer)
                 self._probation = Probation(
-                    map_id, frame, found.keyframe, tracker, self.config.probation, self._doubted
+                    map_id,
+                    frame,
+                    found.keyframe,
+                    tracker,
+                    self.config.probation,
+                    self._broken_at[map_id].stamp_s,
+                    self._doubted,
                 )
         reason = "on_probation" if found.success else found.reason
         return TrackingOutcome(False, found.inliers, found.matches, reason)

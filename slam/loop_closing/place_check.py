@@ -8,7 +8,7 @@ from slam.loop_closing.map_alignment import Agreement, Alignment, AlignmentConfi
 from slam.map.map import Map
 from slam.map.trajectory import keyframe_trajectory
 from slam.optimization.sim3 import sim3_inverse
-from slam.places.evidence import Support, support
+from slam.places.evidence import EvidenceBar, support
 from slam.tracking.reach import Reach, ReachConfig
 
 
@@ -22,10 +22,8 @@ class PlaceCheckConfig:
         around: covisible keyframes whose points are looked for.
         radius_px: half side of the search window, level 0.
         min_expected: a view that should see fewer points of the other side says nothing.
-        min_share: least share of the expected points that a view finds.
-        max_contradicted: largest share of the expected points in parts of the image where they are missing.
-        min_cells: fewest cells of the image, of 8 columns, in which found points speak for the place.
-        min_sound: share of the views of either side for which these three must hold.
+        bar: what a view must show.
+        min_sound: share of the views of either side that must show it.
         pairs: further pairs, of one of the two keyframes and a neighbour of the other, that are aligned on
             their own by the thresholds of ``alignment``.
         min_agreeing: share of the pairs that must give the same similarity.
@@ -37,9 +35,9 @@ class PlaceCheckConfig:
     around: int = 10
     radius_px: float = 10.0
     min_expected: float = 20.0
-    min_share: float = 0.35
-    max_contradicted: float = 0.2
-    min_cells: int = 8
+    bar: EvidenceBar = field(
+        default_factory=lambda: EvidenceBar(min_share=0.35, max_contradicted=0.2, min_cells=8)
+    )
     min_sound: float = 0.6
     pairs: int = 4
     min_agreeing: float = 0.5
@@ -116,20 +114,12 @@ def _one_way(
     for k in here_side[: config.views]:
         seen = support(there, points, here.T_cam_map(k) @ S_here_there, here.features(k), config.radius_px)
         if seen.expected >= config.min_expected:
-            faults.append(_fault(seen, config))
+            faults.append(config.bar.fault(seen))
     if not faults:
         return "expected_points_missing"
     if faults.count("") >= config.min_sound * len(faults):
         return ""
     return max((f for f in faults if f), key=faults.count)
-
-
-def _fault(seen: Support, config: PlaceCheckConfig) -> str:
-    if seen.share < config.min_share:
-        return "expected_points_missing"
-    if seen.contradicted > config.max_contradicted:
-        return "contradicted"
-    return "too_narrow" if seen.cells < config.min_cells else ""
 
 
 def _neighbours_agree(

@@ -40,6 +40,36 @@ class Support:
         return self.found / self.expected if self.expected > 0 else 0.0
 
 
+@dataclass(frozen=True)
+class EvidenceBar:
+    """What one view must show to speak for its supposed place.
+
+    Attributes:
+        min_share: least share of the expected points that are found.
+        max_contradicted: largest share of the expected points in parts of the image where they are missing.
+        min_cells: fewest cells of the image, of 8 columns, in which found points speak for the place.
+    """
+
+    min_share: float
+    max_contradicted: float
+    min_cells: int
+
+    def fault(self, seen: Support) -> str:
+        """What speaks against the place.
+
+        Args:
+            seen: what the view shows.
+
+        Returns:
+            ``expected_points_missing``, ``contradicted`` or ``too_narrow``; empty if nothing does.
+        """
+        if seen.share < self.min_share:
+            return "expected_points_missing"
+        if seen.contradicted > self.max_contradicted:
+            return "contradicted"
+        return "too_narrow" if seen.cells < self.min_cells else ""
+
+
 def support(
     map_: Map,
     points: np.ndarray,

@@ -1,13 +1,13 @@
 """Probation of a relocalization: the frames that follow confirm it or not, before it counts."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from slam.core.frame import Frame
 from slam.map.map import Map
 from slam.matching.guided import collect_local_map
-from slam.places.evidence import Support, support
+from slam.places.evidence import EvidenceBar, support
 from slam.tracking.tracker import Tracker, TrackingOutcome
 
 
@@ -16,27 +16,28 @@ class ProbationConfig:
     """What confirms a relocalization.
 
     Attributes:
-        frames, span_s: number of frames after the relocalized one that must be tracked, and their time.
+        frames, span_s: number of frames after the relocalized one that must be tracked, and their least time.
+        span_share: the same time as a share of that since the loss: the longer a camera was lost, the more
+            places there are where it can be.
         max_s: time in which this must happen; else the relocalization is withdrawn.
         around: keyframes whose points are expected, those that share most with the frame: others may see
             points that something hides here.
         radius_px: half side of the window in which an expected point is searched, level 0.
-        min_share: least share of the expected points that are found.
-        max_contradicted: largest share of the expected points in parts of the image where they are missing.
-        min_cells: fewest cells of the image, of 8 columns, in which found points speak for the place.
-        min_sound: share of the frames, the relocalized one included, for which these three must hold.
+        bar: what each frame must show.
+        min_sound: share of the frames, the relocalized one included, that must show it.
         memory_s: time for which frames on an earlier probation count too: where one place was mistaken for
             another, it may be again.
     """
 
     frames: int = 3
     span_s: float = 0.1
+    span_share: float = 0.1
     max_s: float = 0.5
     around: int = 10
     radius_px: float = 4.0
-    min_share: float = 0.5
-    max_contradicted: float = 0.2
-    min_cells: int = 8
+    bar: EvidenceBar = field(
+        default_factory=lambda: EvidenceBar(min_share=0.5, max_contradicted=0.2, min_cells=8)
+    )
     min_sound: float = 0.75
     memory_s: float = 8.0
 
@@ -58,6 +59,7 @@ class Probation:
         keyframe: the recognised keyframe.
         tracker: of the same map, not yet started.
         config: settings.
+        lost_at_s: time of the loss.
         earlier: times of frames on earlier probations since the loss, and their faults, empty for none.
 
     Attributes:
@@ -74,6 +76,7 @@ class Probation:
         keyframe: int,
         tracker: Tracker,
         config: ProbationConfig,
+        lost_at_s: float,
         earlier: Sequence[tuple[float, str]] = (),
     ) -> None:
         self.map_id = map_id
@@ -84,6 +87,8 @@ class Probation:
         self.reason = ""
         self._config = config
         self._earlier = earlier
+        asked_s = config.span_share * (frame.features.stamp_s - lost_at_s)
+        self._span_s = min(max(config.span_s, asked_s), config.max_s)
         tracker.observing = False
         tracker.resume(frame)
         self.faults = [self._judged(frame)]
@@ -114,7 +119,7 @@ class Probation:
     def _decide(self) -> None:
         now_s = self.frames[-1].features.stamp_s
         span_s = now_s - self.first.features.stamp_s
-        if len(self.frames) <= self._config.frames or span_s < self._config.span_s - 1e-6:
+        if len(self.frames) <= self._config.frames or span_s < self._span_s - 1e-6:
             return
         own = [fault for _, fault in self.faults]
         before = [fault for at_s, fault in self._earlier if at_s >= now_s - self._config.memory_s]
@@ -128,19 +133,7 @@ class Probation:
         return sum(not fault for fault in faults) >= self._config.min_sound * len(faults)
 
     def _judged(self, frame: Frame) -> tuple[float, str]:
-        return frame.features.stamp_s, self._fault(self._support(frame))
-
-    def _support(self, frame: Frame) -> Support:
         m: Map = self.tracker.map
         _, points = collect_local_map(m.arrays, m.n_keyframes, m.n_points, frame.point, self._config.around)
-        return support(m, points, frame.T_cam_map, frame.features, self._config.radius_px)
-
-    def _fault(self, found: Support) -> str:
-        """What speaks against the place in one view; empty if nothing does."""
-        if found.share < self._config.min_share:
-            return "expected_points_missing"
-        if found.contradicted > self._config.max_contradicted:
-            return "contradicted"
-        if found.cells < self._config.min_cells:
-            return "too_narrow"
-        return ""
+        seen = support(m, points, frame.T_cam_map, frame.features, self._config.radius_px)
+        return frame.features.stamp_s, self._config.bar.fault(seen)

@@ -1,7 +1,7 @@
 """Tracking: estimate the pose of every frame from its matches with the map."""
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -11,7 +11,27 @@ from slam.map._map_kernels import count_observed, resolve_points
 from slam.map.map import Map
 from slam.matching import guided
 from slam.optimization.pose import optimize_pose
+from slam.places.evidence import EvidenceBar, support
 from slam.places.recognition import match_by_bow, shipped_vocabulary
+
+
+@dataclass(frozen=True)
+class CrossingConfig:
+    """What the first frame behind a gap must show of the map; a recovery puts all later poses on it.
+
+    Attributes:
+        bar: what it must show.
+        around: keyframes most covisible with the last reference keyframe, whose points are expected.
+        radius_px: half side of the window in which an expected point is searched, level 0.
+        min_expected: with fewer expected points the view says nothing.
+    """
+
+    bar: EvidenceBar = field(
+        default_factory=lambda: EvidenceBar(min_share=0.25, max_contradicted=0.3, min_cells=8)
+    )
+    around: int = 10
+    radius_px: float = 10.0
+    min_expected: float = 20.0
 
 
 @dataclass(frozen=True)
@@ -30,6 +50,7 @@ class TrackingConfig:
         local_map_keyframes: most keyframes of the local map.
         keyframe_share: a keyframe is made when inliers fall below this share of the reference's points.
         keyframe_interval_s: least time between keyframes.
+        crossing: what a frame behind a gap must show.
     """
 
     search_radius_px: float = 15.0
@@ -45,6 +66,7 @@ class TrackingConfig:
     local_map_keyframes: int = 80
     keyframe_share: float = 0.9
     keyframe_interval_s: float = 0.1
+    crossing: CrossingConfig = field(default_factory=CrossingConfig)
 
 
 @dataclass(frozen=True)
@@ -144,6 +166,9 @@ class Tracker:
             return TrackingOutcome(False, inliers, matches, "too_few_local_map_inliers")
         if inliers < self.config.min_share * matches:
             return TrackingOutcome(False, inliers, matches, "too_many_outliers")
+        fault = self._fault_of_crossing(frame, last)
+        if fault:
+            return TrackingOutcome(False, inliers, matches, fault)
         self._accept(frame, last)
         return TrackingOutcome(True, inliers, matches)
 
@@ -272,6 +297,21 @@ class Tracker:
         inliers = optimize_frame(frame, self.map)
         frame.reference_keyframe = int(keyframes[0])
         return inliers, matches
+
+    def _fault_of_crossing(self, frame: Frame, last: Frame) -> str:
+        """What the view says against its pose after a gap; empty for nothing, or without a gap.
+
+        A distant wall that both views show fits any displacement, and what looks alike fits a wrong one.
+        """
+        if not self._passed_over:
+            return ""
+        m, config = self.map, self.config.crossing
+        k = m.live(last.reference_keyframe)
+        around = [k, *map(int, m.neighbours(k, config.around))]
+        points = np.unique(np.concatenate([m.observed_points(other) for other in around]))
+        points = points[points >= 0].astype(np.int32)
+        seen = support(m, points, frame.T_cam_map, frame.features, config.radius_px)
+        return config.bar.fault(seen) if seen.expected >= config.min_expected else ""
 
     def _accept(self, frame: Frame, last: Frame) -> None:
         if self.observing:

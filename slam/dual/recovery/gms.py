@@ -92,6 +92,9 @@ class GmsTracker(Tracker):
         # After a gap only these matches support the pose, and all later poses depend on it.
         if inliers < (self.config.cautious_inliers if self._passed_over else config.min_inliers):
             return TrackingOutcome(False, inliers, matches, "too_few_local_map_inliers")
+        fault = self._fault_of_crossing(frame, last)
+        if fault:
+            return TrackingOutcome(False, inliers, matches, fault)
         self._accept(frame, last)
         return TrackingOutcome(True, inliers, matches)
 

@@ -167,6 +167,9 @@ class SiftTracker(Tracker):
         too_few = self._passed_over and sift_inliers + points < self.config.cautious_inliers
         if too_few or sift_inliers < (config.min_sift_inliers_alone if alone else config.min_sift_inliers):
             return TrackingOutcome(False, points, matches, "too_few_inliers")
+        fault = self._fault_of_crossing(frame, reference.frame)
+        if fault:
+            return TrackingOutcome(False, points, matches, fault)
         if alone:
             frame.point[:] = -1
         self._set_reference(frame, reference.frame)

@@ -12,7 +12,7 @@ from slam.dual.recovery.interface import RecoveryConfig, RecoveryTask
 from slam.dual.recovery.orb import OrbRecovery, OrbRecoveryConfig
 from slam.map.invariants import check_map
 from slam.optimization.sim3 import sim3_decompose
-from slam.tracking.tracker import TrackingConfig
+from slam.tracking.tracker import CrossingConfig, TrackingConfig
 
 OLD = range(0, 35, 5)  # frames that are the old map's keyframes
 BLIND = range(31, 38)  # frames that show nothing
@@ -203,6 +203,24 @@ def test_frames_with_many_outliers_are_passed_over(start_map, sightings, saved):
         task(start_map, sightings, [saved], backward)
     )
     assert set(poor) <= {f.features.index for f in anything.frames}
+
+
+def test_another_place_behind_the_gap_is_not_taken_for_this_one(start_map, sightings, saved):
+    """A part of the view still fits, as a distant house does, and supports the pose with inliers enough."""
+    rng = np.random.default_rng(37)
+    backward = list(buffered(sightings))
+    for n, features in enumerate(backward):
+        if features.index < BLIND[0]:
+            elsewhere = features.xy[:, 0] > 0.3 * CAMERA.width_px
+            random = rng.integers(0, 256, features.descriptors.shape, np.uint8)
+            other = np.where(elsewhere[:, None], random, features.descriptors)
+            backward[n] = replace(features, descriptors=other)
+    job = task(start_map, sightings, [saved], backward)
+    doubted = recover(job)
+    assert not doubted.success and min(f.features.index for f in doubted.frames) > BLIND[-1]
+    blind = replace(CrossingConfig(), min_expected=np.inf)
+    believed = recover(task(start_map, sightings, [saved], backward), tracking=TrackingConfig(crossing=blind))
+    assert min(f.features.index for f in believed.frames) < BLIND[0]
 
 
 def test_the_motion_model_bridges_many_blank_frames(start_map, sightings, saved):

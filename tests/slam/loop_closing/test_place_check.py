@@ -70,7 +70,10 @@ def test_surroundings_that_differ_in_part_are_doubted():
 
 @pytest.mark.parametrize(
     ("config", "reason"),
-    [({"min_cells": 1000}, "too_narrow"), ({"min_agreeing": 1.1}, "neighbours_disagree")],
+    [
+        ({"bar": replace(ANYWHERE.bar, min_cells=1000)}, "too_narrow"),
+        ({"min_agreeing": 1.1}, "neighbours_disagree"),
+    ],
 )
 def test_the_reason_names_the_bar(config, reason):
     old, new = maps()
