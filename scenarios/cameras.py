@@ -1,8 +1,8 @@
 """The cameras of a spec."""
 
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from scenarios.lenses import lens_fault
 from scenarios.strict import Strict, with_defaults_of
@@ -100,6 +100,17 @@ class Distortion(Strict):
         return self
 
 
+class CalibrationError(Strict):
+    """Radial distortion that the frames have and the camera's calibration does not know of.
+
+    An ideal point at radius r, in units of the focal length, lies 1 + k1 r² + k2 r⁴ times as far from the
+    principal point.
+    """
+
+    k1: float = Field(0.0, ge=-0.2, le=0.2)
+    k2: float = Field(0.0, ge=-0.2, le=0.2)
+
+
 class Camera(Strict):
     """A camera. Integer pixel coordinates are pixel centres, as in OpenCV.
 
@@ -121,6 +132,38 @@ class Camera(Strict):
     noise_sigma: float = Field(
         1.5, ge=0, le=30, description="standard deviation of the pixel noise, grey levels"
     )
+    shot_noise: float = Field(
+        0.0,
+        ge=0,
+        le=30,
+        description="noise of the light itself at full level, grey levels; as its root below",
+    )
+    softness_px: float = Field(
+        0.0, ge=0, le=5, description="standard deviation of the blur by lens and demosaicing; 0: none"
+    )
+    contrast: float = Field(
+        1.0,
+        ge=0.2,
+        le=5,
+        description="of the tone curve, exponent about its middle; above 1 lights are clipped",
+    )
+    residual: CalibrationError | None = Field(
+        None,
+        description="what the calibration leaves of a rectified lens, unknown to the SLAM; none: nothing",
+    )
+
+    _unwritten: ClassVar[dict[str, Any]] = {
+        "shot_noise": 0.0,
+        "softness_px": 0.0,
+        "contrast": 1.0,
+        "residual": None,
+    }
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_off(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out younger fields that are off: what is identified by its content stays the same."""
+        data = handler(self)
+        return {k: v for k, v in data.items() if k not in self._unwritten or v != self._unwritten[k]}
 
     @model_validator(mode="before")
     @classmethod
@@ -139,8 +182,12 @@ class Camera(Strict):
             if not 0.1 <= focal / self.width_px <= 20:
                 low, high = 0.1 * self.width_px, 20 * self.width_px
                 raise ValueError(f"{name} = {focal:g} is absurd for this image, use {low:g} to {high:g}")
+        if self.residual is not None and self.distortion.model != "none":
+            raise ValueError(
+                "residual is for rectified cameras, leave it out or set distortion to model: none"
+            )
         if fault := self._lens_fault():
-            raise ValueError(f"distortion: {fault[0]}, {fault[1]}")
+            raise ValueError(f"{'residual' if self.residual else 'distortion'}: {fault[0]}, {fault[1]}")
         if self.exposure_s * self.fps > 1:
             raise ValueError(
                 f"exposure_s = {self.exposure_s:g} is longer than a frame, use at most {1 / self.fps:.4g}"
@@ -149,12 +196,15 @@ class Camera(Strict):
 
     def _lens_fault(self) -> tuple[str, str] | None:
         """Problem and remedy of a lens that has no ray for some pixel; None for a sound one."""
-        if self.distortion.model == "none":
+        model, coefficients = self.distortion.model, self.distortion.coefficients
+        if self.residual is not None:
+            model, coefficients = "radtan", (self.residual.k1, self.residual.k2, 0.0, 0.0, 0.0)
+        if model == "none":
             return None
         return lens_fault(
             (self.width_px, self.height_px),
             (self.fx_px, self.fy_px),
             (self.cx_px, self.cy_px),
-            self.distortion.model,
-            self.distortion.coefficients,
+            model,
+            coefficients,
         )

@@ -86,6 +86,14 @@ def describe_camera(scenario: Scenario) -> str:
     ]
     if camera.distortion.model != "none":
         parts.append(f"{camera.distortion.model} distortion")
+    if camera.shot_noise:
+        parts.append(f"shot noise {camera.shot_noise:.3g} grey levels")
+    if camera.softness_px:
+        parts.append(f"softness {camera.softness_px:.3g} px")
+    if camera.contrast != 1:
+        parts.append(f"contrast {camera.contrast:.3g}")
+    if camera.residual:
+        parts.append(f"calibration error {camera.residual.k1:.3g}, {camera.residual.k2:.3g}")
     return f"{camera.preset}: {', '.join(parts)}" if camera.preset else ", ".join(parts)
 
 

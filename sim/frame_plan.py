@@ -25,7 +25,7 @@ from sim.room import check_memory
 from sim.sensors.camera import Intrinsics
 from sim.sensors.distortion import Lens
 from sim.sensors.exposure import expose
-from sim.sensors.noise import SensorNoise
+from sim.sensors.sensor import Sensor
 from sim.worlds.base import Route, WorldModel
 
 Progress = Callable[[str, int, int], None]
@@ -101,6 +101,13 @@ def camera_intrinsics(camera: Camera) -> Intrinsics:
     )
 
 
+def taking_intrinsics(camera: Camera) -> Intrinsics:
+    """The intrinsics with which frames are taken: with what a calibration, as in their files, leaves."""
+    known = camera_intrinsics(camera)
+    left = camera.residual
+    return known if left is None else replace(known, distortion=(left.k1, left.k2, 0.0, 0.0, 0.0))
+
+
 def plan_frames(
     scenario: Scenario, seed: int, backend: RenderBackend, progress: Progress
 ) -> tuple[FramePlan, WorldModel]:
@@ -172,7 +179,7 @@ class CleanFrames(Protocol):
 @contextmanager
 def rendered_clean_frames(world: WorldModel, camera: Camera, backend: RenderBackend) -> Iterator[CleanFrames]:
     """Yield CleanFrames that are rendered on demand, through the world's haze."""
-    ideal = ideal_camera(camera_intrinsics(camera))
+    ideal = ideal_camera(taking_intrinsics(camera))
     renderer = backend.renderer(world, ideal)
     haze = world.haze
     scattering = Scattering(ideal, haze.airlight_level) if haze else None
@@ -217,11 +224,11 @@ def expose_frames(
     Returns:
         (N,) float64 median length of each frame's motion blur, pixels.
     """
-    own = camera_intrinsics(camera)
+    own = taking_intrinsics(camera)
     lens = None if own.is_pinhole else Lens(own)
     ideal = lens.ideal if lens else own
     count, size = len(plan.stamps_s), (camera.height_px, camera.width_px)
-    noise = SensorNoise(size, camera.noise_sigma, plan.seed)
+    sensor = Sensor(camera, plan.seed)
     T_world_mid, T_mid_open, T_mid_close = _shutter_poses(plan)
     blur_px = np.zeros(count)
     with ExitStack() as files:
@@ -238,14 +245,14 @@ def expose_frames(
             image = chain.apply(image, index, (Stage.READOUT,), depth_m, plan.motion)
             if lens:
                 image, depth_m = lens.distort(image), lens.distort_depth(depth_m)
-            grays.append(sense(image, index, frame, chain, noise))
+            grays.append(sense(image, index, frame, chain, sensor))
             if depths:
                 depths.append(depth_m)
             progress("exposing", index + 1, count)
     return blur_px
 
 
-def sense(image: np.ndarray, index: int, frame: int, chain: ImageChain, noise: SensorNoise) -> np.ndarray:
+def sense(image: np.ndarray, index: int, frame: int, chain: ImageChain, sensor: Sensor) -> np.ndarray:
     """The frame as it is stored, from the light that reaches the lens.
 
     Args:
@@ -253,10 +260,10 @@ def sense(image: np.ndarray, index: int, frame: int, chain: ImageChain, noise: S
         index: of the frame in the sequence.
         frame: its number before any was dropped.
         chain: the image-space segments.
-        noise: of the sensor.
+        sensor: softness, tone curve and noise.
     """
-    image = chain.apply(image, index, (Stage.LENS, Stage.SENSOR))
-    return chain.apply(noise.apply(image, frame), index, (Stage.ENCODER,))
+    image = chain.apply(sensor.soften(image), index, (Stage.LENS, Stage.SENSOR))
+    return chain.apply(sensor.develop(image, frame), index, (Stage.ENCODER,))
 
 
 def _shutter_poses(plan: FramePlan) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -10,12 +10,12 @@ from sim.degradations.base import FramePlan
 from sim.degradations.chain import ImageChain
 from sim.frame_plan import (
     RenderBackend,
-    camera_intrinsics,
     expose_frames,
     ideal_camera,
     mujoco_backend,
     plan_frames,
     rendered_clean_frames,
+    taking_intrinsics,
 )
 from sim.io.raw import RawFrames
 from sim.room import check_memory, check_room
@@ -54,7 +54,7 @@ class Preview:
         kept = np.zeros(len(self.plan.stamps_s), bool)
         kept[list(indices)] = True
         part, camera, seed = self.plan.only(kept), self.scenario.camera, self.scenario.seed
-        own = camera_intrinsics(camera)
+        own = taking_intrinsics(camera)
         check_memory(self.scenario.name, len(indices), 2 * len(indices) * own.width_px * own.height_px)
         chain = ImageChain(
             self.scenario.segments,

@@ -31,13 +31,14 @@ from sim.frame_plan import (
     render_backend,
     rendered_clean_frames,
     sense,
+    taking_intrinsics,
 )
 from sim.io.folders import check_free
 from sim.io.raw import RawFrames, RawWriter, stored_array, stored_columns
 from sim.io.tum import write_tum
 from sim.provenance import entry_key, provenance
 from sim.room import Need, check_room, images_need
-from sim.sensors.noise import SensorNoise
+from sim.sensors.sensor import Sensor
 from sim.sequence import SegmentTruth, Sequence
 
 __all__ = [
@@ -52,6 +53,7 @@ __all__ = [
 
 ContentT = TypeVar("ContentT")
 
+_NO_SENSOR = {"noise_sigma": 0.0, "shot_noise": 0.0, "softness_px": 0.0, "contrast": 1.0}
 _VIEW_SHARE = "view_share.npy"
 
 
@@ -141,7 +143,7 @@ def _render_into(
     progress: Progress,
 ) -> FramePlan:
     """Write the frames and the truth of a sequence into a folder of the cache; return its plan."""
-    camera, own = scenario.camera, camera_intrinsics(scenario.camera)
+    camera, own = scenario.camera, taking_intrinsics(scenario.camera)
     exposed = world = None
     if _ends_behind_the_lens(scenario) and not depth:
         exposed = _exposed_frames_of(scenario, seed, backend, store, progress)
@@ -179,10 +181,10 @@ def _sense_frames(
 ) -> None:
     """Degrade exposed frames behind the lens and write them."""
     size = (camera.height_px, camera.width_px)
-    noise = SensorNoise(size, camera.noise_sigma, plan.seed)
+    sensor = Sensor(camera, plan.seed)
     with RawWriter(folder / "gray.npy", (len(plan.frame), *size), np.uint8) as grays:
         for index, frame in enumerate(plan.frame.tolist()):
-            grays.append(sense(exposed[frame], index, frame, chain, noise))
+            grays.append(sense(exposed[frame], index, frame, chain, sensor))
             progress("degrading", index + 1, len(plan.frame))
 
 
@@ -211,7 +213,7 @@ def _exposed_frames_of(
             "name": "exposed_frames",
             "description": "",
             "segments": tuple(in_order_of_action(kept)),
-            "camera": scenario.camera.model_copy(update={"noise_sigma": 0.0}),
+            "camera": scenario.camera.model_copy(update=_NO_SENSOR),
         }
     )
     key = entry_key(bare, seed, backend, exposed_frames=True)

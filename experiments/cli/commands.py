@@ -8,6 +8,7 @@ import typer
 from experiments.cli import bench, cache, config, demo, doctor, experiment, run, view, vocabulary, warmup
 from experiments.cli.degrade import degrade_command
 from experiments.cli.export import export_command
+from experiments.cli.footage import footage_command
 from experiments.cli.paper import paper_command
 from experiments.cli.render import render_command
 from experiments.cli.scenarios import app as scenarios_app
@@ -31,6 +32,7 @@ app.add_typer(cache.app, name="cache")
 app.command("degrade")(degrade_command)
 app.command("export")(export_command)
 app.command("run")(run.run_command)
+app.command("footage")(footage_command)
 app.command("view")(view.view_command)
 app.add_typer(experiment.app, name="experiment")
 app.command("paper")(paper_command)

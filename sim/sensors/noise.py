@@ -18,19 +18,28 @@ class SensorNoise:
         shape: (H, W) of the frames.
         sigma: standard deviation, grey levels, at most 30.
         seed: root seed; the streams are ``("noise", ...)``.
+        shot: further standard deviation at level 255, at most 30; that of a level grows with its root.
     """
 
-    def __init__(self, shape: tuple[int, int], sigma: float, seed: int) -> None:
-        self._shape, self._sigma, self._seed = shape, sigma, seed
+    def __init__(self, shape: tuple[int, int], sigma: float, seed: int, shot: float = 0.0) -> None:
+        self._shape, self._sigma, self._seed, self._shot = shape, sigma, seed, shot
         size = max(_BANK_SIZE, 2 * shape[0] * shape[1])
         normals = rng_for(seed, "noise", "bank").standard_normal(size, np.float32)
+        if shot:
+            variance = sigma**2 + shot**2 * np.arange(256) / 255
+            self._normals, self._sigma_of = normals, np.sqrt(variance).astype(np.float32)
+            return
         self._bank = np.clip(np.rint(sigma * normals), -127, 127).astype(np.int8)
 
     def apply(self, image: np.ndarray, frame: int) -> np.ndarray:
         """The (H, W) uint8 image with the noise of one frame index."""
-        if self._sigma == 0:
+        if self._sigma == 0 and not self._shot:
             return image.copy()
         pixels = self._shape[0] * self._shape[1]
-        start = int(rng_for(self._seed, "noise", frame).integers(len(self._bank) - pixels))
+        bank = self._normals if self._shot else self._bank
+        start = int(rng_for(self._seed, "noise", frame).integers(len(bank) - pixels))
+        if self._shot:
+            normals = bank[start : start + pixels].reshape(self._shape)
+            return cv2.add(image, normals * cv2.LUT(image, self._sigma_of), dtype=cv2.CV_8U)
         piece = self._bank[start : start + pixels].reshape(self._shape)
         return cv2.add(image, piece, dtype=cv2.CV_8U)

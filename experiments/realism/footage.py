@@ -1,0 +1,127 @@
+"""One sequence through the base, and what that met on its way."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from experiments.evaluation import metrics
+from experiments.evaluation.alignment import Undefined
+from experiments.realism.images import frame_statistics
+from experiments.realism.measures import MEASURES
+from experiments.realism.tracked import map_statistics
+from experiments.runs.execution import RunRecord, SlamSystem, execute
+from sim.sequence import Sequence
+from slam.core.events import TrackingState
+from slam.core.results import TrackingResult
+
+_LOOKED_AT_EVERY = 10  # frames, for the statistics of images
+_HEAVY_SIGMA = 2.45  # beyond it a residual is not expected in 20 of 100
+
+
+@dataclass(frozen=True)
+class Footage:
+    """What one sequence is like.
+
+    Attributes:
+        name: of the sequence.
+        values: (n,) float64 samples of each measure, by its name.
+        figures: single figures; None where there is no truth, or nothing was tracked.
+        scale_along: relative scale of each tenth of the path; empty without truth.
+    """
+
+    name: str
+    values: dict[str, np.ndarray]
+    figures: dict[str, float | int | None]
+    scale_along: tuple[float, ...] = ()
+
+
+@dataclass
+class _Looking:
+    """Observer that measures every tenth frame."""
+
+    found: dict[str, list[np.ndarray]] = field(default_factory=dict)
+
+    def frame(self, image: np.ndarray, result: TrackingResult, system: SlamSystem) -> None:
+        if result.frame % _LOOKED_AT_EVERY == 0:
+            for name, values in frame_statistics(image).items():
+                self.found.setdefault(name, []).append(values)
+
+
+def measure_footage(
+    sequence: Sequence, seed: int = 0, progress: Callable[[int, int], None] | None = None
+) -> Footage:
+    """Run the base in lockstep and collect every measure, of the map with most frames.
+
+    Args:
+        sequence: with or without ground truth.
+        seed: root seed of the system.
+        progress: called with (frames done, frames in all).
+
+    Raises:
+        InputError: a frame cannot be read, or the camera is not one that the system takes.
+    """
+    looking, of_map = _Looking(), {}
+
+    def at_end(system: SlamSystem, fed: Sequence) -> None:
+        paths = system.trajectories()
+        if paths:
+            of_map.update(map_statistics(system.map(paths[0].map_id)))
+
+    record = execute(sequence, "base", seed, observer=looking, progress=progress, at_end=at_end)
+    tracked = [r for r in record.results if r.state is TrackingState.TRACKING and r.matches]
+    values = {name: np.concatenate(parts) for name, parts in looking.found.items()} | of_map
+    values["outliers"] = np.array([1 - r.inliers / r.matches for r in tracked])
+    values["inliers"] = np.array([float(r.inliers) for r in tracked])
+    scale = _scale_along(record)
+    return Footage(
+        sequence.name,
+        {m.name: values.get(m.name, np.empty(0)) for m in MEASURES},
+        _figures(record, values, scale),
+        () if scale is None else tuple(float(s) for s in scale.relative),
+    )
+
+
+def _figures(
+    record: RunRecord, values: dict[str, np.ndarray], scale: metrics.ScaleAlong | None
+) -> dict[str, float | int | None]:
+    sequence, count = record.sequence, len(record.results)
+    duration_s = float(sequence.stamps_s[-1] - sequence.stamps_s[0]) if count > 1 else 0.0
+    keyframes = sum(len(path.frames) for path in record.keyframes)
+    truth = sequence.T_world_cam
+    path_m = None if truth is None else metrics.path_length_m(truth)
+    pairs = _pairs(record)
+    ate = None if pairs is None else metrics.ate(pairs)
+    residual = values.get("residual", np.empty(0))
+    return {
+        "frames": count,
+        "tracked_share": sum(r.state is TrackingState.TRACKING for r in record.results) / max(count, 1),
+        "maps": len(record.trajectories),
+        "keyframes": keyframes,
+        "keyframes_per_s": keyframes / duration_s if duration_s else None,
+        "keyframes_per_m": keyframes / path_m if path_m else None,
+        "path_m": path_m,
+        "residual_over_1_sigma": _share(residual > 1),
+        "residual_over_2_45_sigma": _share(residual > _HEAVY_SIGMA),
+        "scale_first_over_last": None if scale is None else scale.first_over_last,
+        "ate_m": None if ate is None or isinstance(ate, Undefined) else ate.rmse_m,
+    }
+
+
+def _share(holds: np.ndarray) -> float | None:
+    return float(holds.mean()) if len(holds) else None
+
+
+def _pairs(record: RunRecord) -> metrics.PosePairs | None:
+    """Poses of the map with most frames beside the truth; None without either."""
+    truth = record.sequence.T_world_cam
+    if truth is None or not record.trajectories:
+        return None
+    pairs = metrics.associate(record.trajectories[0], record.sequence.stamps_s, truth)
+    return pairs if len(pairs) > 2 else None
+
+
+def _scale_along(record: RunRecord) -> metrics.ScaleAlong | None:
+    pairs = _pairs(record)
+    found = None if pairs is None else metrics.scale_along(pairs)
+    return None if found is None or isinstance(found, Undefined) else found
