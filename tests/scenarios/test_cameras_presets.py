@@ -85,3 +85,17 @@ def test_faults_in_a_file_are_one_line(tmp_path):
     assert "cx_px" in fault(tmp_path, "{preset: kitti, width_px: 320}")
     assert "camera.distortion" in fault(tmp_path, "{distortion: {k1: 0.1}}")
     assert "camera.distortion.k9" in fault(tmp_path, "{distortion: {k9: 0.1}}")
+
+
+def test_younger_options_that_are_off_are_not_written():
+    assert not {"shot_noise", "softness_px", "contrast", "residual"} & set(Camera().model_dump())
+    assert Camera(softness_px=0.5).model_dump()["softness_px"] == 0.5
+
+
+def test_a_calibration_error_needs_a_rectified_camera_and_a_lens_that_can_be_inverted():
+    with pytest.raises(ValidationError, match="rectified"):
+        Camera(preset="euroc", residual={"k1": 0.01})
+    with pytest.raises(ValidationError, match="less than or equal"):
+        Camera(residual={"k1": 3})
+    with pytest.raises(ValidationError, match="residual: the lens"):
+        Camera(fx_px=100, fy_px=100, residual={"k1": -0.2})
