@@ -16,7 +16,6 @@ from slam.core.events import TrackingState
 from slam.core.results import TrackingResult
 
 _LOOKED_AT_EVERY = 10  # frames, for the statistics of images
-_HEAVY_SIGMA = 2.45  # beyond it a residual is not expected in 20 of 100
 
 
 @dataclass(frozen=True)
@@ -102,7 +101,7 @@ def _figures(
         "keyframes_per_m": keyframes / path_m if path_m else None,
         "path_m": path_m,
         "residual_over_1_sigma": _share(residual > 1),
-        "residual_over_2_45_sigma": _share(residual > _HEAVY_SIGMA),
+        "residual_over_2_sigma": _share(residual > 2),
         "scale_first_over_last": None if scale is None else scale.first_over_last,
         "ate_m": None if ate is None or isinstance(ate, Undefined) else ate.rmse_m,
     }

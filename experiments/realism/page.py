@@ -26,7 +26,7 @@ FIGURES = {
     "keyframes_per_s": "keyframes per second",
     "keyframes_per_m": "keyframes per metre",
     "residual_over_1_sigma": "residuals over 1 sigma, share",
-    "residual_over_2_45_sigma": "residuals over 2.45 sigma, share",
+    "residual_over_2_sigma": "residuals over 2 sigma, share",
     "scale_first_over_last": "scale, first over last quarter",
     "ate_m": "ATE, m",
 }

@@ -141,3 +141,10 @@ def test_families_are_described_in_words():
     assert words["segments.contrast"] == "0.05 to 0.5 (log)"
     assert words["world.turns"] == "1, 2 or 3"
     assert describe_parameters(load_family("stressed")) == {}
+
+
+def test_the_drives_of_real_are_long_and_their_calibration_is_off():
+    for member in ("drive", "city"):
+        for seed in range(6):
+            scenario = load_scenario(f"real/{member}", seed)
+            assert scenario.frame_count >= 800 and scenario.camera.residual.k1 > 0.01
