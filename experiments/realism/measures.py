@@ -15,8 +15,9 @@ class Measure:
         meaning: what it says, in a sentence.
         low, high: ends of the plotted axis; values beyond are counted in the outermost bins.
         bins: number of bins between them.
-        log: bins of equal ratio instead of equal width.
+        log: bins of about equal ratio instead of equal width.
         group: ``images``, ``matches`` or ``map``.
+        whole: values are whole numbers; then every bin holds at least one.
     """
 
     name: str
@@ -27,16 +28,20 @@ class Measure:
     bins: int
     log: bool = False
     group: str = "matches"
+    whole: bool = False
 
     def edges(self) -> np.ndarray:
-        """(bins + 1,) float64 edges."""
+        """(n + 1,) float64 edges; n is ``bins``, or fewer for whole numbers."""
+        if self.log and self.whole:
+            return np.unique(np.rint(np.geomspace(self.low, self.high, self.bins + 1))) - 0.5
         if self.log:
             return np.geomspace(self.low, self.high, self.bins + 1)
         return np.linspace(self.low, self.high, self.bins + 1)
 
     def histogram(self, values: np.ndarray) -> np.ndarray:
-        """(bins,) float64 share of the values in each bin; zeros without values."""
-        counts = np.histogram(np.clip(values, self.low, self.high), self.edges())[0]
+        """(n,) float64 share of the values in each bin; zeros without values."""
+        edges = self.edges()
+        counts = np.histogram(np.clip(values, edges[0], edges[-1]), edges)[0]
         return counts / max(len(values), 1)
 
 
@@ -60,7 +65,7 @@ MEASURES: tuple[Measure, ...] = (
     ),
     Measure(
         "corner_strength", "strength of corners (FAST), grey levels", "Contrast of corners over 7 levels.",
-        7, 150, 40, True, "images",
+        7, 150, 24, True, "images", True,
     ),
     Measure(
         "empty_tiles", "tiles without a corner over 20 levels, share", "Tiles of an eighth of the width: "
@@ -85,7 +90,7 @@ MEASURES: tuple[Measure, ...] = (
     ),
     Measure(
         "track_length", "keyframes that observe a point", "Of all points of the finished map.", 1, 60, 24,
-        True, "map",
+        True, "map", True,
     ),
     Measure(
         "found", "times found over times expected", "Of all points: whether they are seen again where they "

@@ -11,6 +11,7 @@ from small_world import CAMERA, CORRIDOR
 
 from experiments.realism.comparison import distance
 from experiments.realism.images import frame_statistics
+from experiments.realism.measures import MEASURES
 from experiments.realism.tracked import map_statistics
 
 
@@ -40,6 +41,14 @@ def test_shares_of_clipped_pixels():
     levels[:16], levels[-8:] = 0, 255
     found = frame_statistics(levels)
     assert found["clipped_dark"][0] == 0.25 and found["clipped_bright"][0] == 0.125
+
+
+def test_histograms_hold_every_value_and_leave_no_whole_number_out():
+    for measure in MEASURES:
+        edges = measure.edges()
+        assert measure.histogram(np.linspace(edges[0] - 9, edges[-1] + 9, 500)).sum() == pytest.approx(1)
+        if measure.whole:
+            assert (np.diff(edges) >= 1).all() and (measure.histogram(np.arange(1, 200)) > 0).all()
 
 
 def test_distance_of_distributions_has_known_ends():
