@@ -23,6 +23,7 @@ from slam.loop_closing.global_adjustment import apply_adjustment
 from slam.map.map import Map
 from slam.map.relation import loop_relation, relocalization_relation
 from slam.map.trajectory import FramePoses, keyframe_trajectory
+from slam.map.withdrawal import cull_since
 from slam.map_places import Places
 from slam.mapping.local_mapping import LocalMapper
 from slam.mapping.self_calibration import SelfCalibration
@@ -175,6 +176,9 @@ class MonocularSlam:
         """Track the frame; the outcome, and True if it is to become a keyframe."""
         with self._backend.lock:
             outcome = self.tracker.track(frame)
+            doubt = self.tracker.doubt
+            if outcome.success and doubt.reason:
+                outcome = TrackingOutcome(False, outcome.inliers, outcome.matches, doubt.reason)
             wanted = outcome.success and self.tracker.wants_keyframe(frame, outcome.inliers)
         return outcome, wanted and self._backend.idle
 
@@ -378,10 +382,30 @@ class MonocularSlam:
     def _break(self, frame: Frame, outcome: TrackingOutcome) -> None:
         """Handle lost tracking: replace a map with too few keyframes, else start relocalization."""
         self._emit(frame, ev.Breakage, reason=outcome.reason, inliers=outcome.inliers)
+        self._withdraw_doubted(frame)
         if self._drop_if_young(frame):
             return
         self._note_break(self._map_id, frame.features)
         self.state = TrackingState.LOST
+
+    def _withdraw_doubted(self, frame: Frame) -> None:
+        """Take back what was said and learned since the map is doubted, if it is."""
+        doubt, m = self.tracker.doubt, self.current_map
+        if not doubt.reason:
+            return
+        poses = self._poses.take_back(self._map_id, doubt.first_frame)
+        culled = cull_since(m, doubt.first_frame)
+        if culled:  # what stays has been adjusted to what goes
+            self.mapper.adjust(m.live(culled[-1]))
+        self._emit(
+            frame,
+            ev.PosesWithdrawn,
+            first_frame=min(poses, default=doubt.first_frame),
+            last_frame=max(poses, default=doubt.first_frame),
+            frames=len(poses),
+            keyframes=len(culled),
+            reason=doubt.reason,
+        )
 
     def _note_break(self, map_id: int, at: FrameFeatures) -> None:
         self._broken_at[map_id] = at

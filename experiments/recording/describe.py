@@ -7,6 +7,7 @@ from slam.core.events import Event
 _TEXTS = {
     "initialized": "map {map_id} initialized with {points} points ({model})",
     "breakage": "breakage: map {map_id} lost, {reason}",
+    "poses_withdrawn": "{frames} poses in map {map_id} withdrawn, from frame {first_frame} on: {reason}",
     "relocalized": "relocalized in map {map_id}, {lost_s:.2f} s after the breakage",
     "relocalization_withdrawn": "relocalization in map {map_id} withdrawn after {frames} frames: {reason}",
     "loop_refused": "loop in map {map_id} refused, {matches} matches: {reason}",
@@ -28,6 +29,7 @@ _TEXTS = {
 
 _COLORS = {
     "breakage": palette.LOST,
+    "poses_withdrawn": palette.REFUSED,
     "map_dropped": palette.REFUSED,
     "relocalized": palette.FUSED,
     "recovery_start": palette.RECOVERY,

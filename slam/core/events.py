@@ -74,6 +74,27 @@ class Breakage(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
+class PosesWithdrawn(Event):
+    """Poses that were given are taken back, with the keyframes made meanwhile.
+
+    Follows the breakage in which the map is doubted. A recovery may give these frames other poses.
+
+    Attributes:
+        first_frame, last_frame: the first and last frame whose pose no longer counts.
+        frames: number of these frames.
+        keyframes: number of keyframes removed from the map.
+        reason: what was doubted, that of the breakage.
+    """
+
+    kind: ClassVar[str] = "poses_withdrawn"
+    first_frame: int
+    last_frame: int
+    frames: int
+    keyframes: int
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class Relocalized(RelatingEvent):
     """Tracking resumed in a lost map: a relocalized frame was confirmed by those that followed.
 

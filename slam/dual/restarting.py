@@ -44,6 +44,7 @@ class RestartingSlam(MonocularSlam):
 
     def _break(self, frame: Frame, outcome: TrackingOutcome) -> None:
         self._emit(frame, ev.Breakage, reason=outcome.reason, inliers=outcome.inliers)
+        self._withdraw_doubted(frame)
         self._save_or_drop_map(frame)
         self._start_reinitialization(frame)
 

@@ -35,6 +35,14 @@ class FramePoses:
         """Remove the frames of a map."""
         self._poses.pop(map_id, None)
 
+    def take_back(self, map_id: int, first_frame: int) -> tuple[int, ...]:
+        """Remove the poses of a map's frames from ``first_frame`` on; indices of these frames, in order."""
+        poses = self._poses.get(map_id, {})
+        taken = tuple(sorted(index for index in poses if index >= first_frame))
+        for index in taken:
+            del poses[index]
+        return taken
+
     def count(self, map_id: int) -> int:
         """Number of tracked frames of a map."""
         return len(self._poses.get(map_id, {}))

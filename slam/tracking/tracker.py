@@ -13,6 +13,7 @@ from slam.matching import guided
 from slam.optimization.pose import optimize_pose
 from slam.places.evidence import EvidenceBar, support
 from slam.places.recognition import match_by_bow, shipped_vocabulary
+from slam.tracking.doubt import Doubt, DoubtConfig
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,7 @@ class TrackingConfig:
         keyframe_share: a keyframe is made when inliers fall below this share of the reference's points.
         keyframe_interval_s: least time between keyframes.
         crossing: what a frame behind a gap must show.
+        doubt: bounds of a motion that is believed.
     """
 
     search_radius_px: float = 15.0
@@ -67,6 +69,7 @@ class TrackingConfig:
     keyframe_share: float = 0.9
     keyframe_interval_s: float = 0.1
     crossing: CrossingConfig = field(default_factory=CrossingConfig)
+    doubt: DoubtConfig = field(default_factory=DoubtConfig)
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,7 @@ class Tracker:
         observing: count in the map how often its points are seen; else tracking leaves the map unchanged.
         last: the last tracked frame.
         velocity: T_cam_last of the last step, None where unknown.
+        doubt: of the motion since the start.
     """
 
     def __init__(self, map_: Map, config: TrackingConfig, timer: StageTimer) -> None:
@@ -96,6 +100,8 @@ class Tracker:
         self.last: Frame | None = None
         self.velocity: np.ndarray | None = None
         self._local_points = np.empty(0, np.int32)
+        self.doubt = Doubt(config.doubt)
+        self._in_motion = False  # the velocity is that of a tracked step
         self._last_keyframe_stamp_s = -np.inf
         self._passed_over = 0
         self._cautious_until_s = -np.inf
@@ -112,7 +118,7 @@ class Tracker:
 
     def resume(self, frame: Frame) -> None:
         """Continue from a relocalized frame, with zero velocity."""
-        self.last, self.velocity = frame, np.eye(4)
+        self.last, self.velocity, self._in_motion = frame, np.eye(4), False
         self._passed_over = 0
         self._last_keyframe_stamp_s = frame.features.stamp_s
         self._cautious_until_s = frame.features.stamp_s + self.config.cautious_s
@@ -318,9 +324,18 @@ class Tracker:
             self.map.arrays.pt_found[frame.point[frame.point >= 0]] += 1
         frame.T_cam_reference = frame.T_cam_map @ np.linalg.inv(self.map.T_cam_map(frame.reference_keyframe))
         if not self._passed_over:
+            self._note_motion(frame, last)
             self.velocity = frame.T_cam_map @ np.linalg.inv(last.T_cam_map)
+            self._in_motion = True
         self._passed_over = 0
         self.last = frame
+
+    def _note_motion(self, frame: Frame, last: Frame) -> None:
+        if self.velocity is None or not self._in_motion:
+            return
+        points = self.map.arrays.pt_xyz[frame.point[frame.point >= 0]]
+        f, predicted = frame.features, self.velocity @ last.T_cam_map
+        self.doubt.note(f.index, f.stamp_s, points, frame.T_cam_map, last.T_cam_map, predicted)
 
 
 def optimize_frame(frame: Frame, map_: Map) -> int:

@@ -1,0 +1,197 @@
+"""Self-doubt: a camera that wanders where the image shows nothing of it is not believed; others are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from slam_scenes import check_maps, errors_m, feed, kinds, pose_error, rigid, rms, toy
+
+from slam.config import SlamConfig
+from slam.core.events import Breakage, PosesWithdrawn, Relocalized, TrackingState
+from slam.factory import build_system
+from slam.tracking import tracker
+from slam.tracking.doubt import Doubt, DoubtConfig, hidden_motion
+from slam.tracking.tracker import TrackingConfig
+from slam.warmup import CAMERA
+
+FPS = 15.0
+STEP_M, DEPTH_M, PLANTED_AT = 0.06, 5.0, 70
+
+
+def rng():
+    return np.random.default_rng(0)
+
+
+def orbit(degrees):
+    """A motion of the camera round the point that it looks at."""
+    centre = rigid((0, 0, DEPTH_M))
+    return centre @ rigid(rotvec_deg=(0, degrees, 0)) @ np.linalg.inv(centre)
+
+
+# -- hidden motion -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def wall():
+    return rng().uniform((-1, -1, DEPTH_M), (1, 1, DEPTH_M), (200, 3))
+
+
+def test_a_turn_that_takes_back_a_translation_hides_it(wall):
+    alone, hidden = hidden_motion(wall, orbit(4.0), np.eye(4))
+    assert alone == pytest.approx(np.deg2rad(4), rel=0.1)
+    assert hidden == pytest.approx(alone, rel=0.25)
+
+
+@pytest.mark.parametrize("T", [rigid((0.3, 0, 0)), rigid((0, 0, -0.3)), rigid(rotvec_deg=(0, 5, 2))])
+def test_a_plain_translation_or_turn_hides_nothing(wall, T):
+    assert hidden_motion(wall, T, np.eye(4))[1] < 0.005
+
+
+# -- motions -------------------------------------------------------------------------------------------------
+
+
+def doubted(wall, at, seconds=8.0, **config):
+    """Doubt of a camera that goes along a wall at 0.9 m/s, moved by ``at(i)`` in frame ``i``."""
+    doubt, poses = Doubt(DoubtConfig(**config)), []
+    for i in range(round(seconds * FPS)):
+        poses.append(at(i) @ rigid((-STEP_M * i, 0, 0)))
+        if i >= 2:
+            seen = wall + np.array([STEP_M * i, 0, 0])
+            predicted = poses[-2] @ np.linalg.inv(poses[-3]) @ poses[-2]
+            doubt.note(i, i / FPS, seen, poses[-1], poses[-2], predicted)
+        if doubt.reason:
+            break
+    return doubt
+
+
+def wander(begin, degrees=1.5):
+    r = rng()
+    return lambda i: orbit(r.normal(0, degrees)) if i >= begin else np.eye(4)
+
+
+def test_a_camera_that_wanders_is_doubted_from_the_onset(wall):
+    doubt = doubted(wall, wander(PLANTED_AT))
+    assert doubt.reason == "motion_beyond_prediction"
+    assert PLANTED_AT <= doubt.first_frame <= PLANTED_AT + 3
+
+
+def test_nothing_is_doubted_if_that_is_switched_off(wall):
+    assert doubted(wall, wander(PLANTED_AT), min_share=0.0).reason == ""
+
+
+def shaken(r):
+    return rigid(rotvec_deg=r.normal(0, 3, 3))
+
+
+def pushed(r):
+    return rigid(r.normal(0, 0.1, 3))
+
+
+@pytest.mark.parametrize("motion", [shaken, pushed])
+def test_a_camera_that_is_really_shaken_is_believed(wall, motion):
+    r = rng()
+    assert doubted(wall, lambda i: motion(r) if i >= PLANTED_AT else np.eye(4)).reason == ""
+
+
+def test_a_steady_orbit_is_believed(wall):
+    assert doubted(wall, lambda i: orbit(max(0.0, 2.0 * (i - PLANTED_AT)))).reason == ""
+
+
+def test_a_few_bad_frames_are_forgiven(wall):
+    r = rng()
+    brief = range(PLANTED_AT, PLANTED_AT + 3)
+    assert doubted(wall, lambda i: orbit(r.normal(0, 2)) if i in brief else np.eye(4)).reason == ""
+
+
+# -- in a system ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def sequence():
+    return toy(150)
+
+
+@pytest.fixture
+def wandering(monkeypatch):
+    """From the planted frame on, tracking finds poses moved round the scene."""
+    found, r = tracker.optimize_frame, rng()
+
+    def wrong(frame, map_):
+        inliers = found(frame, map_)
+        if PLANTED_AT <= frame.features.index < PLANTED_AT + 30:
+            frame.T_cam_map = orbit_in_map(map_, frame, r.normal(0, 3.0)) @ frame.T_cam_map
+        return inliers
+
+    monkeypatch.setattr(tracker, "optimize_frame", wrong)
+
+
+def orbit_in_map(map_, frame, degrees):
+    points = map_.arrays.pt_xyz[frame.point[frame.point >= 0]]
+    depth = np.median((points @ frame.T_cam_map[:3, :3].T + frame.T_cam_map[:3, 3])[:, 2])
+    T = orbit(degrees)
+    T[:3, 3] *= depth / DEPTH_M
+    return T
+
+
+def run(kind, sequence, min_share=0.4):
+    tracking = TrackingConfig(doubt=replace(DoubtConfig(), min_share=min_share))
+    system = build_system(kind, CAMERA, 0, SlamConfig(tracking=tracking))
+    images, stamps_s, _ = sequence
+    return system, feed(system, images, stamps_s)
+
+
+def test_a_wandering_system_takes_its_poses_back(sequence, wandering):
+    system, results = run("base", sequence)
+    breakage = next(e for e in system.events if isinstance(e, Breakage))
+    assert breakage.reason == "motion_beyond_prediction" and breakage.frame > PLANTED_AT
+    withdrawn = system.events[system.events.index(breakage) + 1]
+    assert isinstance(withdrawn, PosesWithdrawn) and withdrawn.reason == breakage.reason
+    assert PLANTED_AT - 2 <= withdrawn.first_frame <= PLANTED_AT + 8
+    assert withdrawn.last_frame == breakage.frame - 1
+    assert withdrawn.frames == withdrawn.last_frame - withdrawn.first_frame + 1
+    (path,) = system.trajectories()
+    taken = range(withdrawn.first_frame, breakage.frame + 1)
+    assert not np.isin(path.frames, taken).any()
+    assert all(results[f].state is TrackingState.TRACKING for f in taken[:-1]), "what was said stays said"
+    (keyframes,) = system.keyframe_trajectories()
+    assert withdrawn.keyframes > 0 and not np.isin(keyframes.frames, taken).any()
+    assert any(isinstance(e, Relocalized) for e in system.events)
+    errors, _ = errors_m(path, sequence[2])
+    assert rms(errors[path.frames < breakage.frame]) < 0.03
+
+
+def test_without_doubt_the_wandering_is_not_noticed(sequence, wandering):
+    system, _ = run("base", sequence, min_share=0.0)
+    assert "poses_withdrawn" not in kinds(system)
+
+
+def test_dual_slam_recovers_from_a_doubted_map(sequence, wandering):
+    system, _ = run("dual", sequence)
+    assert {"poses_withdrawn", "map_saved"} <= set(kinds(system))
+
+
+def test_a_clean_sequence_is_never_doubted(sequence):
+    system, _ = run("base", sequence)
+    assert kinds(system) == ["initialized"]
+
+
+# -- withdrawal ----------------------------------------------------------------------------------------------
+
+
+def test_keyframes_since_a_frame_leave_the_map_and_the_others_stay_where_they_were(sequence):
+    system = build_system("base", CAMERA, 0)
+    images, stamps_s, _ = sequence
+    fed = 110
+    for image, stamp_s in zip(images[:fed], stamps_s, strict=False):
+        system.process(image, float(stamp_s))
+    before = {int(f): T for p in system.trajectories() for f, T in zip(p.frames, p.T_map_cam, strict=True)}
+    system.tracker.doubt.reason, system.tracker.doubt.first_frame = "planted", 90
+    result = system.process(images[fed], float(stamps_s[fed]))
+    assert result.reason == "planted" and result.T_map_cam is None
+    check_maps(system)
+    (path,) = system.trajectories()
+    assert path.frames.max() == 89
+    (keyframes,) = system.keyframe_trajectories()
+    assert keyframes.frames.max() < 90
+    moved = [pose_error(before[int(f)], T) for f, T in zip(path.frames, path.T_map_cam, strict=True)]
+    assert np.max(moved, axis=0)[0] < 0.05
