@@ -2,11 +2,15 @@
 
 from collections import deque
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
 
+from slam.core.frame import Frame
+
 _MIN_POINTS = 10
+_OF_SCALE = ("depth", "speed", "born_s")
 
 
 @dataclass(frozen=True)
@@ -21,6 +25,8 @@ class DoubtConfig:
             unsteady.
         least: the same as an angle, rad; a smaller one is never unsteady.
         min_share: share of unsteady frames in the window from which the map is doubted; 0 never doubts.
+        nearer, slower: the map is doubted too if, on points made since, median depth and speed in map units
+            have fallen by more than these factors; 0 never doubts.
     """
 
     window_s: float = 1.0
@@ -29,10 +35,12 @@ class DoubtConfig:
     unsteady: float = 0.5
     least: float = 0.02
     min_share: float = 0.4
+    nearer: float = 2.0
+    slower: float = 8.0
 
 
 class Motion(NamedTuple):
-    """Motion of the camera between two frames, as angles under which it moves the points, rad.
+    """Motion of the camera between two frames; angles are those under which it moves the points, rad.
 
     Attributes:
         frame: index of the later frame.
@@ -40,12 +48,18 @@ class Motion(NamedTuple):
         step: by the change of position alone, since the last frame.
         hidden: likewise against the predicted pose, less what the points move in the image: the change of
             position that a turn makes invisible.
+        depth: median depth of the points, map units.
+        speed: map units per second.
+        born_s: median time at which the points were made.
     """
 
     frame: int
     stamp_s: float
     step: float
     hidden: float
+    depth: float
+    speed: float
+    born_s: float
 
 
 def hidden_motion(points: np.ndarray, T_cam_map: np.ndarray, T_other_map: np.ndarray) -> tuple[float, float]:
@@ -65,6 +79,10 @@ def hidden_motion(points: np.ndarray, T_cam_map: np.ndarray, T_other_map: np.nda
     return alone, max(0.0, alone - float(np.median(_angles(now, before))))
 
 
+def _centre(T_cam_map: np.ndarray) -> np.ndarray:
+    return -T_cam_map[:3, :3].T @ T_cam_map[:3, 3]
+
+
 def _angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(N,) angles between vectors, to second order, rad."""
     a = a / np.linalg.norm(a, axis=1, keepdims=True)
@@ -79,6 +97,10 @@ class Doubt:
     The estimate then wanders between them from frame to frame, by as much as the camera really moves, while
     the image shows next to nothing of it. No camera moves so, and the map grows along these poses.
 
+    Or it takes all motion for a turn. New points are then triangulated over next to no baseline, ever nearer:
+    the map shrinks, and speed and depth with it. A camera that really stops before something near makes no
+    new points there, as it has no parallax.
+
     Attributes:
         reason: why the map is doubted; empty while it is not.
         first_frame: first frame of the doubt, -1 while there is none.
@@ -91,29 +113,26 @@ class Doubt:
         self._motions: deque[Motion] = deque()
 
     def note(
-        self,
-        frame: int,
-        stamp_s: float,
-        points: np.ndarray,
-        T_cam_map: np.ndarray,
-        T_last_map: np.ndarray,
-        T_predicted_map: np.ndarray,
+        self, frame: Frame, last: Frame, T_predicted_map: np.ndarray, points: np.ndarray, born_s: float
     ) -> None:
         """Take note of a tracked frame.
 
         Args:
-            frame: its index.
-            stamp_s: its time.
+            frame: the frame, with its pose.
+            last: the frame before.
+            T_predicted_map: (4, 4) pose of the frame as expected before.
             points: (N, 3) its points, frame map.
-            T_cam_map: (4, 4) its pose.
-            T_last_map: (4, 4) pose of the frame before.
-            T_predicted_map: (4, 4) its pose as expected before.
+            born_s: median time at which they were made.
         """
-        if self.config.min_share <= 0 or len(points) < _MIN_POINTS:
+        if len(points) < _MIN_POINTS:
             return
-        step, _ = hidden_motion(points, T_cam_map, T_last_map)
-        _, hidden = hidden_motion(points, T_cam_map, T_predicted_map)
-        self._motions.append(Motion(frame, stamp_s, step, hidden))
+        T, T_last, stamp_s = frame.T_cam_map, last.T_cam_map, frame.features.stamp_s
+        step, _ = hidden_motion(points, T, T_last)
+        _, hidden = hidden_motion(points, T, T_predicted_map)
+        depth = float(np.median(points @ T[2, :3] + T[2, 3]))
+        path = float(np.linalg.norm(_centre(T) - _centre(T_last)))
+        speed = path / abs(stamp_s - last.features.stamp_s)
+        self._motions.append(Motion(frame.features.index, stamp_s, step, hidden, depth, speed, born_s))
         self._forget(stamp_s)
         self._judge(stamp_s)
 
@@ -124,12 +143,27 @@ class Doubt:
 
     def _judge(self, stamp_s: float) -> None:
         begin_s = stamp_s - self.config.window_s
-        before = [m.step for m in self._motions if m.stamp_s <= begin_s]
+        before = [m for m in self._motions if m.stamp_s <= begin_s]
         recent = [m for m in self._motions if m.stamp_s > begin_s]
         if min(len(before), len(recent)) < self.config.min_frames:
             return
-        bound = max(self.config.unsteady * float(np.median(before)), self.config.least)
+        self._judge_steadiness(before, recent)
+        if not self.reason:
+            self._judge_scale(before, recent)
+
+    def _judge_steadiness(self, before: list[Motion], recent: list[Motion]) -> None:
+        bound = max(self.config.unsteady * float(np.median([m.step for m in before])), self.config.least)
         unsteady = [m for m in recent if m.hidden > bound]
-        if len(unsteady) >= self.config.min_share * len(recent):
-            self.reason = "motion_beyond_prediction"
-            self.first_frame = unsteady[0].frame
+        if 0 < self.config.min_share * len(recent) <= len(unsteady):
+            self._declare("motion_beyond_prediction", unsteady[0].frame)
+
+    def _judge_scale(self, before: list[Motion], recent: list[Motion]) -> None:
+        depth, speed, born_s = (np.median([getattr(m, name) for m in recent]) for name in _OF_SCALE)
+        usual_depth, usual_speed, _ = (np.median([getattr(m, name) for m in before]) for name in _OF_SCALE)
+        is_near = 0 < self.config.nearer * depth < usual_depth
+        if is_near and 0 < self.config.slower * speed < usual_speed and born_s > before[-1].stamp_s:
+            slow = takewhile(lambda m: m.speed < 0.5 * usual_speed, reversed(self._motions))
+            self._declare("scale_of_new_points", min((m.frame for m in slow), default=recent[0].frame))
+
+    def _declare(self, reason: str, first_frame: int) -> None:
+        self.reason, self.first_frame = reason, first_frame

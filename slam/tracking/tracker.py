@@ -333,9 +333,10 @@ class Tracker:
     def _note_motion(self, frame: Frame, last: Frame) -> None:
         if self.velocity is None or not self._in_motion:
             return
-        points = self.map.arrays.pt_xyz[frame.point[frame.point >= 0]]
-        f, predicted = frame.features, self.velocity @ last.T_cam_map
-        self.doubt.note(f.index, f.stamp_s, points, frame.T_cam_map, last.T_cam_map, predicted)
+        m, points = self.map, frame.point[frame.point >= 0]
+        made = m.features(int(np.median(m.arrays.pt_first_keyframe[points])))
+        predicted = self.velocity @ last.T_cam_map
+        self.doubt.note(frame, last, predicted, m.arrays.pt_xyz[points], made.stamp_s)
 
 
 def optimize_frame(frame: Frame, map_: Map) -> int:

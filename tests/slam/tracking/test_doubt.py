@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_scenes import check_maps, errors_m, feed, kinds, pose_error, rigid, rms, toy
+from slam_scenes import VIEW, check_maps, errors_m, feed, kinds, pose_error, rigid, rms, toy
 
 from slam.config import SlamConfig
 from slam.core.events import Breakage, PosesWithdrawn, Relocalized, TrackingState
+from slam.core.frame import Features, Frame, FrameFeatures
 from slam.factory import build_system
 from slam.tracking import tracker
 from slam.tracking.doubt import Doubt, DoubtConfig, hidden_motion
@@ -16,6 +17,7 @@ from slam.warmup import CAMERA
 
 FPS = 15.0
 STEP_M, DEPTH_M, PLANTED_AT = 0.06, 5.0, 70
+EMPTY = (((2,), np.float32), ((), np.int32), ((), np.float32), ((), np.float32), ((4,), np.uint64))
 
 
 def rng():
@@ -50,15 +52,32 @@ def test_a_plain_translation_or_turn_hides_nothing(wall, T):
 # -- motions -------------------------------------------------------------------------------------------------
 
 
-def doubted(wall, at, seconds=8.0, **config):
-    """Doubt of a camera that goes along a wall at 0.9 m/s, moved by ``at(i)`` in frame ``i``."""
-    doubt, poses = Doubt(DoubtConfig(**config)), []
+def posed(i, T_cam_map):
+    features = Features(*(np.zeros((0, *n), t) for n, t in EMPTY))
+    frame = Frame(FrameFeatures.build(i, i / FPS, features, CAMERA, VIEW))
+    frame.T_cam_map = T_cam_map
+    return frame
+
+
+def doubted(wall, at, seconds=8.0, begin_turn=None, new_points=True, **config):
+    """Doubt of a camera that goes along a wall at 0.9 m/s, moved by ``at(i)`` in frame ``i``.
+
+    From ``begin_turn`` on it is said to turn on the spot, 3 degrees a frame, before points ever nearer.
+    """
+    doubt, frames, x, yaw, depth = Doubt(DoubtConfig(**config)), [], 0.0, 0.0, 1.0
     for i in range(round(seconds * FPS)):
-        poses.append(at(i) @ rigid((-STEP_M * i, 0, 0)))
+        if begin_turn is not None and i >= begin_turn:
+            yaw, depth, x = yaw + 3.0, 0.95 * depth, x + 0.02 * STEP_M
+        else:
+            x += STEP_M
+        T = rigid(rotvec_deg=(0, yaw, 0)) @ rigid((-x, 0, 0))
+        frames.append(posed(i, at(i) @ T))
         if i >= 2:
-            seen = wall + np.array([STEP_M * i, 0, 0])
-            predicted = poses[-2] @ np.linalg.inv(poses[-3]) @ poses[-2]
-            doubt.note(i, i / FPS, seen, poses[-1], poses[-2], predicted)
+            seen = (wall * depth - T[:3, 3]) @ T[:3, :3] if yaw else wall + np.array([x, 0, 0])
+            before, last = frames[-3].T_cam_map, frames[-2].T_cam_map
+            predicted = last @ np.linalg.inv(before) @ last
+            born = i - 2 if new_points else min(i, begin_turn or i) - 5
+            doubt.note(frames[-1], frames[-2], predicted, seen, born / FPS)
         if doubt.reason:
             break
     return doubt
@@ -85,6 +104,24 @@ def shaken(r):
 
 def pushed(r):
     return rigid(r.normal(0, 0.1, 3))
+
+
+def still(_):
+    return np.eye(4)
+
+
+def test_a_map_that_shrinks_is_doubted_from_the_onset(wall):
+    doubt = doubted(wall, still, begin_turn=PLANTED_AT)
+    assert doubt.reason == "scale_of_new_points"
+    assert doubt.first_frame == PLANTED_AT
+
+
+def test_a_camera_that_stops_and_turns_to_something_near_is_believed(wall):
+    assert doubted(wall, still, begin_turn=PLANTED_AT, new_points=False).reason == ""
+
+
+def test_scale_is_not_doubted_if_that_is_switched_off(wall):
+    assert doubted(wall, still, begin_turn=PLANTED_AT, nearer=0.0).reason == ""
 
 
 @pytest.mark.parametrize("motion", [shaken, pushed])
