@@ -37,6 +37,7 @@ from slam.runtime.backend import (
     Refused,
     Searched,
 )
+from slam.tracking.doubt import Doubt
 from slam.tracking.probation import Probation, Verdict
 from slam.tracking.reach import Reach
 from slam.tracking.tracker import Tracker, TrackingOutcome, optimize_frame
@@ -85,6 +86,7 @@ class MonocularSlam:
         self._known_places: dict[int, Places] = {}
         self._broken_at: dict[int, FrameFeatures] = {}
         self._probation: Probation | None = None
+        self._doubts: dict[int, Doubt] = {}  # those for which maps were lost
         self._doubted: tuple[tuple[float, str], ...] = ()  # frames of withdrawn probations since the loss
         self._reaches: dict[int, Reach | None] = {}
         self._backend = Backend(self._apply, mode)
@@ -318,6 +320,7 @@ class MonocularSlam:
                     self.config.probation,
                     self._broken_at[map_id].stamp_s,
                     self._doubted,
+                    self._doubts.get(map_id),
                 )
         reason = "on_probation" if found.success else found.reason
         return TrackingOutcome(False, found.inliers, found.matches, reason)
@@ -391,8 +394,10 @@ class MonocularSlam:
     def _withdraw_doubted(self, frame: Frame) -> None:
         """Take back what was said and learned since the map is doubted, if it is."""
         doubt, m = self.tracker.doubt, self.current_map
+        self._doubts.pop(self._map_id, None)
         if not doubt.reason:
             return
+        self._doubts[self._map_id] = doubt
         poses = self._poses.take_back(self._map_id, doubt.first_frame)
         culled = cull_since(m, doubt.first_frame)
         if culled:  # what stays has been adjusted to what goes
@@ -430,6 +435,7 @@ class MonocularSlam:
         del self._maps[map_id]
         self._known_places.pop(map_id, None)
         self._broken_at.pop(map_id, None)
+        self._doubts.pop(map_id, None)
         self._reaches.pop(map_id, None)
 
     def _places(self, map_id: int) -> Places:

@@ -3,7 +3,7 @@
 from collections import deque
 from dataclasses import dataclass
 from itertools import takewhile
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -111,6 +111,12 @@ class Doubt:
         self.reason = ""
         self.first_frame = -1
         self._motions: deque[Motion] = deque()
+
+    def successor(self) -> Self:
+        """Doubt of a tracker that goes on in the same map; it knows the motion that is still believed."""
+        new = type(self)(self.config)
+        new._motions.extend(m for m in self._motions if m.frame < self.first_frame)
+        return new
 
     def note(
         self, frame: Frame, last: Frame, T_predicted_map: np.ndarray, points: np.ndarray, born_s: float

@@ -1,13 +1,14 @@
 """Probation of a relocalization: the frames that follow confirm it or not, before it counts."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from slam.core.frame import Frame
 from slam.map.map import Map
 from slam.matching.guided import collect_local_map
 from slam.places.evidence import EvidenceBar, support
+from slam.tracking.doubt import Doubt
 from slam.tracking.tracker import Tracker, TrackingOutcome
 
 
@@ -61,6 +62,8 @@ class Probation:
         config: settings.
         lost_at_s: time of the loss.
         earlier: times of frames on earlier probations since the loss, and their faults, empty for none.
+        doubt: for which the map was lost, if it was; what made the poses wander then may still be in view, so
+            that the frames must be as many as it takes to doubt them.
 
     Attributes:
         frames: the relocalized frame and those tracked since.
@@ -78,6 +81,7 @@ class Probation:
         config: ProbationConfig,
         lost_at_s: float,
         earlier: Sequence[tuple[float, str]] = (),
+        doubt: Doubt | None = None,
     ) -> None:
         self.map_id = map_id
         self.keyframe = keyframe
@@ -86,6 +90,9 @@ class Probation:
         self.verdict = Verdict.PENDING
         self.reason = ""
         self._config = config
+        if doubt is not None:
+            tracker.doubt = doubt.successor()
+            self._config = replace(config, frames=max(config.frames, doubt.config.min_frames + 1))
         self._earlier = earlier
         asked_s = config.span_share * (frame.features.stamp_s - lost_at_s)
         self._span_s = min(max(config.span_s, asked_s), config.max_s)
@@ -101,9 +108,10 @@ class Probation:
     def offer(self, frame: Frame) -> TrackingOutcome:
         """Track the next frame and decide, if possible."""
         outcome = self.tracker.track(frame)
-        if not outcome.success:
-            self.withdraw(outcome.reason)
-            return outcome
+        reason = self.tracker.doubt.reason or outcome.reason
+        if reason:
+            self.withdraw(reason)
+            return TrackingOutcome(False, outcome.inliers, outcome.matches, reason)
         self.frames.append(frame)
         self.faults.append(self._judged(frame))
         self._decide()

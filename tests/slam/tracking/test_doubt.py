@@ -197,6 +197,12 @@ def test_a_wandering_system_takes_its_poses_back(sequence, wandering):
     assert rms(errors[path.frames < breakage.frame]) < 0.03
 
 
+def test_a_place_where_the_camera_still_wanders_is_not_recognised(sequence, wandering):
+    system, _ = run("base", sequence)
+    relocalized = next(e for e in system.events if isinstance(e, Relocalized))
+    assert relocalized.first_frame >= PLANTED_AT + 28, "the wandering ends 30 frames after its begin"
+
+
 def test_without_doubt_the_wandering_is_not_noticed(sequence, wandering):
     system, _ = run("base", sequence, min_share=0.0)
     assert "poses_withdrawn" not in kinds(system)
