@@ -2,7 +2,6 @@
 
 from collections import deque
 from dataclasses import dataclass
-from itertools import takewhile
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -10,7 +9,6 @@ import numpy as np
 from slam.core.frame import Frame
 
 _MIN_POINTS = 10
-_OF_SCALE = ("depth", "speed", "born_s")
 
 
 @dataclass(frozen=True)
@@ -60,6 +58,9 @@ class Motion(NamedTuple):
     depth: float
     speed: float
     born_s: float
+
+
+_FRAME, _STAMP_S, _HIDDEN, _SPEED = (Motion._fields.index(n) for n in ("frame", "stamp_s", "hidden", "speed"))
 
 
 def hidden_motion(points: np.ndarray, T_cam_map: np.ndarray, T_other_map: np.ndarray) -> tuple[float, float]:
@@ -148,28 +149,28 @@ class Doubt:
             self._motions.popleft()
 
     def _judge(self, stamp_s: float) -> None:
-        begin_s = stamp_s - self.config.window_s
-        before = [m for m in self._motions if m.stamp_s <= begin_s]
-        recent = [m for m in self._motions if m.stamp_s > begin_s]
-        if min(len(before), len(recent)) < self.config.min_frames:
+        motions = np.array(self._motions)
+        recent = motions[:, _STAMP_S] > stamp_s - self.config.window_s
+        if min(recent.sum(), (~recent).sum()) < self.config.min_frames:
             return
-        self._judge_steadiness(before, recent)
+        usual = np.median(motions[~recent], axis=0)
+        self._judge_steadiness(motions[recent], Motion(*usual))
         if not self.reason:
-            self._judge_scale(before, recent)
+            self._judge_scale(motions, recent, Motion(*usual))
 
-    def _judge_steadiness(self, before: list[Motion], recent: list[Motion]) -> None:
-        bound = max(self.config.unsteady * float(np.median([m.step for m in before])), self.config.least)
-        unsteady = [m for m in recent if m.hidden > bound]
+    def _judge_steadiness(self, recent: np.ndarray, usual: Motion) -> None:
+        bound = max(self.config.unsteady * usual.step, self.config.least)
+        unsteady = np.flatnonzero(recent[:, _HIDDEN] > bound)
         if 0 < self.config.min_share * len(recent) <= len(unsteady):
-            self._declare("motion_beyond_prediction", unsteady[0].frame)
+            self._declare("motion_beyond_prediction", recent[unsteady[0], _FRAME])
 
-    def _judge_scale(self, before: list[Motion], recent: list[Motion]) -> None:
-        depth, speed, born_s = (np.median([getattr(m, name) for m in recent]) for name in _OF_SCALE)
-        usual_depth, usual_speed, _ = (np.median([getattr(m, name) for m in before]) for name in _OF_SCALE)
-        is_near = 0 < self.config.nearer * depth < usual_depth
-        if is_near and 0 < self.config.slower * speed < usual_speed and born_s > before[-1].stamp_s:
-            slow = takewhile(lambda m: m.speed < 0.5 * usual_speed, reversed(self._motions))
-            self._declare("scale_of_new_points", min((m.frame for m in slow), default=recent[0].frame))
+    def _judge_scale(self, motions: np.ndarray, recent: np.ndarray, usual: Motion) -> None:
+        now = Motion(*np.median(motions[recent], axis=0))
+        is_near = 0 < self.config.nearer * now.depth < usual.depth
+        is_slow = 0 < self.config.slower * now.speed < usual.speed
+        if is_near and is_slow and now.born_s > motions[~recent][-1, _STAMP_S]:
+            usually = np.flatnonzero(motions[:, _SPEED] >= 0.5 * usual.speed)
+            self._declare("scale_of_new_points", motions[min(usually[-1] + 1, len(motions) - 1), _FRAME])
 
-    def _declare(self, reason: str, first_frame: int) -> None:
-        self.reason, self.first_frame = reason, first_frame
+    def _declare(self, reason: str, first_frame: float) -> None:
+        self.reason, self.first_frame = reason, int(first_frame)

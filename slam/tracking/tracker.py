@@ -331,9 +331,9 @@ class Tracker:
         self.last = frame
 
     def _note_motion(self, frame: Frame, last: Frame) -> None:
-        if self.velocity is None or not self._in_motion:
-            return
         m, points = self.map, frame.point[frame.point >= 0]
+        if self.velocity is None or not self._in_motion or not len(points):
+            return
         made = m.features(int(np.median(m.arrays.pt_first_keyframe[points])))
         predicted = self.velocity @ last.T_cam_map
         self.doubt.note(frame, last, predicted, m.arrays.pt_xyz[points], made.stamp_s)
