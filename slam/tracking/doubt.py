@@ -7,6 +7,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from slam.core.frame import Frame
+from slam.tracking._doubt_kernels import median_angles
 
 _MIN_POINTS = 10
 
@@ -72,23 +73,16 @@ def hidden_motion(points: np.ndarray, T_cam_map: np.ndarray, T_other_map: np.nda
         T_cam_map: (4, 4) pose after the change.
         T_other_map: (4, 4) pose before.
     """
-    now = points @ T_cam_map[:3, :3].T + T_cam_map[:3, 3]
-    before = points @ T_other_map[:3, :3].T + T_other_map[:3, 3]
-    R = T_cam_map[:3, :3] @ T_other_map[:3, :3].T
-    turned = before @ R.T
-    alone = float(np.median(_angles(now, turned)))
-    return alone, max(0.0, alone - float(np.median(_angles(now, before))))
+    alone, seen = median_angles(
+        np.ascontiguousarray(points, np.float64),
+        np.ascontiguousarray(T_cam_map, np.float64),
+        np.ascontiguousarray(T_other_map, np.float64),
+    )
+    return float(alone), max(0.0, float(alone - seen))
 
 
 def _centre(T_cam_map: np.ndarray) -> np.ndarray:
     return -T_cam_map[:3, :3].T @ T_cam_map[:3, 3]
-
-
-def _angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(N,) angles between vectors, to second order, rad."""
-    a = a / np.linalg.norm(a, axis=1, keepdims=True)
-    b = b / np.linalg.norm(b, axis=1, keepdims=True)
-    return np.linalg.norm(a - b, axis=1)
 
 
 class Doubt:
