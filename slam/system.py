@@ -19,7 +19,7 @@ from slam.core.snapshot import Snapshot
 from slam.core.timing import StageTimer
 from slam.features.orb import OrbExtractor
 from slam.initialization.initializer import Initializer, InitialMap, frames_between
-from slam.loop_closing.global_adjustment import apply_adjustment
+from slam.map.adjustment import apply_adjustment
 from slam.map.map import Map
 from slam.map.relation import loop_relation, relocalization_relation
 from slam.map.trajectory import FramePoses, keyframe_trajectory
@@ -29,6 +29,7 @@ from slam.mapping.local_mapping import LocalMapper
 from slam.mapping.self_calibration import SelfCalibration
 from slam.runtime.backend import (
     Backend,
+    Calibrated,
     Change,
     Corrected,
     ExecutionMode,
@@ -40,7 +41,7 @@ from slam.runtime.backend import (
 from slam.tracking.doubt import Doubt
 from slam.tracking.probation import Probation, Verdict
 from slam.tracking.reach import Reach
-from slam.tracking.tracker import Tracker, TrackingOutcome, optimize_frame
+from slam.tracking.tracker import Tracker, TrackingOutcome
 
 _PX_PER_FEATURE = 45.0  # an image has room for at most one feature in this many pixels
 
@@ -89,11 +90,12 @@ class MonocularSlam:
         self._doubts: dict[int, Doubt] = {}  # those for which maps were lost
         self._doubted: tuple[tuple[float, str], ...] = ()  # frames of withdrawn probations since the loss
         self._reaches: dict[int, Reach | None] = {}
-        self._backend = Backend(self._apply, mode)
+        self._backend = Backend(self._apply, mode, self._self_calibration)
         self._mapping_cpu_ms = self._loop_cpu_ms = 0.0
         self._poses = FramePoses()
         self._map_id = self._newest_map_id = 0
         self._frames = 0
+        self._newest: Frame | None = None
         self._last_stamp_s = -np.inf
 
     # -- the method --------------------------------------------------------------------------------------
@@ -114,8 +116,8 @@ class MonocularSlam:
         """
         self.timer.begin()
         self._check_input(image, stamp_s)
-        frame = self._extract_features(image, stamp_s)
         self._backend.collect()
+        frame = self._newest = self._extract_features(image, stamp_s)
         is_keyframe = False
         if self.state is TrackingState.NOT_INITIALIZED:
             outcome, is_keyframe = self._initialize(frame)
@@ -186,40 +188,13 @@ class MonocularSlam:
 
     def _map(self, frame: Frame) -> None:
         """Run local mapping on a new keyframe, then loop closing."""
-        self._refine_camera(frame)
         self.tracker.keyframe_requested(frame)
         loops = self._places(self._map_id).loops
         rng = rng_for(self.seed, "loop", frame.features.index)
+        due = self._may_refine_camera() and self._self_calibration.is_due(self.current_map)
+        residual = self.camera.residual if due else None
         with self.timer.apart():
-            self._backend.submit(KeyframeTask(frame, self.mapper, loops, rng))
-
-    def _refine_camera(self, frame: Frame) -> None:
-        """Estimate the lens from the first map when due; on a change, go on with the refined camera."""
-        m = self.current_map
-        if not self._may_refine_camera() or not self._self_calibration.is_due(m):
-            return
-        self._backend.drain()
-        timer = StageTimer()
-        with timer("calibrate"), self._backend.lock:
-            found = self._self_calibration.calibrate(m, self.camera.residual)
-            if found is not None:
-                self.camera = replace(self.camera, residual=found.residual)
-                frame.features = frame.features.seen_by(self.camera)
-                frame.T_cam_map = frame.T_cam_reference @ m.T_cam_map(frame.reference_keyframe)
-                optimize_frame(frame, m)
-                self._camera_refined()
-        self._mapping_cpu_ms += timer.cpu_ms["calibrate"]
-        if found is not None:
-            self._emit(
-                frame,
-                ev.CameraRefined,
-                k1=found.residual[0],
-                k2=found.residual[1],
-                shift_px=found.shift_px,
-                significance=found.significance,
-                keyframes=len(m.keyframes()),
-                cpu_ms=timer.cpu_ms["calibrate"],
-            )
+            self._backend.submit(KeyframeTask(frame, self.mapper, loops, rng, residual))
 
     def _may_refine_camera(self) -> bool:
         """Return True while all poses are in one map."""
@@ -240,6 +215,8 @@ class MonocularSlam:
             self._apply_correction(change)
         elif isinstance(change, Refused):
             self._report_refusal(change)
+        elif isinstance(change, Calibrated):
+            self._apply_refinement(change)
         else:
             self._loop_cpu_ms += change.cpu_ms
             m = change.task.mapper.map
@@ -272,6 +249,36 @@ class MonocularSlam:
             cpu_ms=change.cpu_ms,
             relation=relation,
         )
+
+    def _apply_refinement(self, change: Calibrated) -> None:
+        """Go on with the refined camera, if the lens was found to differ from it and poses are in one map."""
+        self._mapping_cpu_ms += change.cpu_ms
+        found, m = change.refinement, change.task.mapper.map
+        if found is None or self.state is not TrackingState.TRACKING or not self._may_refine_camera():
+            return
+        self.camera = replace(self.camera, residual=found.residual)
+        found.apply(m)
+        for frame in self._frames_in_work():
+            frame.features = frame.features.seen_by(self.camera)
+            if frame.reference_keyframe >= 0:
+                frame.T_cam_map = frame.T_cam_reference @ m.T_cam_map(frame.reference_keyframe)
+        self._camera_refined()
+        self._emit_at(
+            change.task.frame,
+            ev.CameraRefined,
+            m.map_id,
+            k1=found.residual[0],
+            k2=found.residual[1],
+            shift_px=found.shift_px,
+            significance=found.significance,
+            keyframes=len(found.adjustment.keyframes),
+            cpu_ms=change.cpu_ms,
+        )
+
+    def _frames_in_work(self) -> list[Frame]:
+        """Frames whose features are still to be used."""
+        frames = [self._newest, self.tracker.last, self._backend.newest and self._backend.newest.frame]
+        return list({id(frame): frame for frame in frames if frame is not None}.values())
 
     def _report_refusal(self, change: Refused) -> None:
         m, refusal = change.task.mapper.map, change.refusal

@@ -38,6 +38,11 @@ class ViewGeometry(NamedTuple):
     scale: np.ndarray
     inv_sigma2: np.ndarray
 
+    @property
+    def intrinsics(self) -> np.ndarray:
+        """(4,) fx, fy, cx, cy, px."""
+        return np.array([self.fx, self.fy, self.cx, self.cy])
+
 
 def view_geometry(camera: PinholeCamera, n_levels: int, scale_factor: float) -> ViewGeometry:
     """View geometry of a camera with a feature pyramid."""

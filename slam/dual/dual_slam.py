@@ -130,7 +130,6 @@ class DualSlam(RestartingSlam):
     # -- after every frame -------------------------------------------------------------------------------
 
     def _after_frame(self, frame: Frame, outcome: TrackingOutcome, image: np.ndarray) -> None:
-        super()._after_frame(frame, outcome, image)
         self._buffer.append(frame.features, image)
         self._take_recovered(frame, self._attempts.ended(frame))
         if self._waiting and not self._attempts.under_way:
@@ -163,11 +162,11 @@ class DualSlam(RestartingSlam):
             Exception: the exception of a recovery or of mapping on its thread.
         """
         try:
-            if self._last_frame is not None:
-                self._take_recovered(self._last_frame, self._attempts.rest(self._last_frame))
+            if self._newest is not None:
+                self._take_recovered(self._newest, self._attempts.rest(self._newest))
                 while self._waiting:
-                    self._recover(self._last_frame, self._waiting.popleft())
-                    self._take_recovered(self._last_frame, self._attempts.rest(self._last_frame))
+                    self._recover(self._newest, self._waiting.popleft())
+                    self._take_recovered(self._newest, self._attempts.rest(self._newest))
         finally:
             self._attempts.close()
             super().finish()

@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from copy import deepcopy
 
-import numpy as np
-
 from slam.config import SlamConfig
 from slam.core import events as ev
 from slam.core.camera import PinholeCamera
@@ -38,7 +36,6 @@ class RestartingSlam(MonocularSlam):
         self._saved: list[int] = []  # newest first
         self._initialization_paused = False
         self._reinit_start = -1
-        self._last_frame: Frame | None = None
 
     # -- breakage ----------------------------------------------------------------------------------------
 
@@ -97,9 +94,6 @@ class RestartingSlam(MonocularSlam):
             taken = initial.second.features.index - self._reinit_start
             self._emit(initial.second, ev.ReinitDone, frames_taken=taken)
 
-    def _after_frame(self, frame: Frame, outcome: TrackingOutcome, image: np.ndarray) -> None:
-        self._last_frame = frame
-
     # -- laboratory --------------------------------------------------------------------------------------
 
     def as_base(self) -> MonocularSlam:
@@ -128,13 +122,13 @@ class RestartingSlam(MonocularSlam):
         Raises:
             RuntimeError: no map is being tracked.
         """
-        if self.state is not TrackingState.TRACKING or self._last_frame is None:
+        if self.state is not TrackingState.TRACKING or self._newest is None:
             raise RuntimeError("there is no healthy map to cut")
         self._backend.drain()
-        self._emit(self._last_frame, ev.MapCut)
+        self._emit(self._newest, ev.MapCut)
         self._initialization_paused = True
-        self._save_or_drop_map(self._last_frame)
-        self._start_reinitialization(self._last_frame)
+        self._save_or_drop_map(self._newest)
+        self._start_reinitialization(self._newest)
 
     def restart(self) -> None:
         """Start a new map from the next frame on, after :meth:`cut`.
@@ -142,8 +136,8 @@ class RestartingSlam(MonocularSlam):
         Raises:
             RuntimeError: there was no cut before.
         """
-        if not self._initialization_paused or self._last_frame is None:
+        if not self._initialization_paused or self._newest is None:
             raise RuntimeError("restart without a cut")
         self._initialization_paused = False
-        self._reinit_start = self._last_frame.features.index
-        self._emit(self._last_frame, ev.ReinitStart)
+        self._reinit_start = self._newest.features.index
+        self._emit(self._newest, ev.ReinitStart)

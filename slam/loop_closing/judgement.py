@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.loop_closing.correction import Loop
-from slam.loop_closing.global_adjustment import GlobalAdjustment
 from slam.map import _map_kernels as kernels
+from slam.map.adjustment import MapAdjustment
 from slam.map.map import Map
 from slam.optimization import _ba_kernels as ba
 from slam.optimization.pose import CHI2_2DOF
@@ -53,7 +53,7 @@ class Judgement:
         return "matches_do_not_fit" if self.ties < config.min_ties else ""
 
 
-def judge(before: Map, corrected: Map, loop: Loop, adjustment: GlobalAdjustment | None = None) -> Judgement:
+def judge(before: Map, corrected: Map, loop: Loop, adjustment: MapAdjustment | None = None) -> Judgement:
     """Compare a map with its corrected copy.
 
     Args:
@@ -96,6 +96,6 @@ def _chi2(m: Map, T_cam_map: np.ndarray, xyz: np.ndarray, rows: np.ndarray) -> n
     a, view = m.arrays, m.view
     chi2, _ = ba.errors(
         T_cam_map, xyz, a.kp_keyframe[rows], a.kp_point[rows], a.kp_xy[rows],
-        view.inv_sigma2[a.kp_octave[rows]], np.array([view.fx, view.fy, view.cx, view.cy]),
+        view.inv_sigma2[a.kp_octave[rows]], view.intrinsics,
     )  # fmt: skip
     return chi2

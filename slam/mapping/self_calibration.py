@@ -1,11 +1,12 @@
-"""Self-calibration: residual lens distortion, estimated from the map and taken out of it."""
+"""Self-calibration: residual lens distortion, estimated from a map and taken out of it."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from slam.core.camera import Residual, distort_residual, undistort_residual
-from slam.map import _map_kernels as kernels
+from slam.core.geometry import ViewGeometry
+from slam.map.adjustment import MapAdjustment, apply_adjustment
 from slam.map.map import Map
 from slam.mapping._local_problem import local_problem
 from slam.optimization.lens import LensEstimate, estimate_lens
@@ -32,21 +33,34 @@ class SelfCalibrationConfig:
 
 @dataclass(frozen=True)
 class Refinement:
-    """A change of the lens that was applied to the map.
+    """A change of the lens, and a map adjusted to it.
 
     Attributes:
-        residual: the new coefficients.
+        before, residual: the coefficients before and after.
+        adjustment: of the map.
         significance: of the change.
         shift_px: root mean square shift of the map's observations.
     """
 
+    before: Residual
     residual: Residual
+    adjustment: MapAdjustment
     significance: float
     shift_px: float
 
+    def apply(self, map_: Map) -> None:
+        """Take the change out of a map's keypoints, and adjust it.
+
+        Args:
+            map_: the one that was adjusted, which may have grown since.
+        """
+        a, end = map_.arrays, map_.arrays.kf_start[map_.n_keyframes]
+        a.kp_xy[:end] = _retaken(a.kp_xy[:end], self.before, self.residual, map_.view)
+        apply_adjustment(map_, self.adjustment)
+
 
 class SelfCalibration:
-    """Decides when the lens is estimated, and whether the estimate is applied.
+    """Decides when the lens is estimated, and whether an estimate is applied.
 
     Args:
         config: settings.
@@ -64,39 +78,37 @@ class SelfCalibration:
             self._pending.pop(0)
         return due
 
-    def calibrate(self, map_: Map, residual: Residual) -> Refinement | None:
-        """Estimate the lens and take its change out of the map, or leave the map as it is.
+    def refine(self, map_: Map, residual: Residual) -> Refinement | None:
+        """Estimate the lens from a map, which is left as it is.
 
         Args:
-            map_: adjusted as a whole, its keypoints moved.
+            map_: must not be changed meanwhile.
             residual: the coefficients so far.
 
         Returns:
-            The change if it was applied, else None.
+            The change if it is to be applied, else None.
         """
         a, view = map_.arrays, map_.view
         free = ~a.kf_bad[: map_.n_keyframes]
         cameras, points, obs_camera, obs_point, obs_keypoint = local_problem(
             a, map_.n_keyframes, map_.n_points, free, 0
         )
-        intrinsics = np.array([view.fx, view.fy, view.cx, view.cy])
-        end = a.kf_start[map_.n_keyframes]
-        seen = distort_residual(a.kp_xy[:end], residual, intrinsics)
+        intrinsics = view.intrinsics
+        xy = a.kp_xy[obs_keypoint]
         found = estimate_lens(
             a.kf_T_cam_map[cameras], np.arange(len(cameras)) == 0, a.pt_xyz[points], obs_camera, obs_point,
-            seen[obs_keypoint], view.inv_sigma2[a.kp_octave[obs_keypoint]], intrinsics, residual,
+            distort_residual(xy, residual, intrinsics), view.inv_sigma2[a.kp_octave[obs_keypoint]],
+            intrinsics, residual,
         )  # fmt: skip
         if found.significance < self.config.min_significance or not self._is_residual(found, map_):
             return None
-        xy = undistort_residual(seen, found.residual, intrinsics)
-        shift = (xy - a.kp_xy[:end])[obs_keypoint]
+        shift = _retaken(xy, residual, found.residual, view) - xy
         shift_px = float(np.sqrt((shift**2).sum(axis=1).mean()))
         if shift_px < self.config.min_shift_px:
             return None
-        a.kp_xy[:end] = xy
-        a.kf_T_cam_map[cameras], a.pt_xyz[points] = found.T_cam_map, found.points
-        kernels.refresh_geometries(a, points, view.scale)
-        return Refinement(found.residual, found.significance, shift_px)
+        none = np.empty((0, 2), np.int64), np.empty(0, np.int32)
+        adjustment = MapAdjustment(cameras, found.T_cam_map, points, found.points, *none)
+        return Refinement(residual, found.residual, adjustment, found.significance, shift_px)
 
     def _is_residual(self, found: LensEstimate, map_: Map) -> bool:
         """Return True if the distortion is small all over the image, corners included."""
@@ -108,3 +120,8 @@ class SelfCalibration:
         r2 = np.linspace(0.0, corner, 20) ** 2
         shares = np.abs(r2 * (found.residual[0] + r2 * found.residual[1]))
         return bool(np.all(shares <= self.config.max_share))
+
+
+def _retaken(xy: np.ndarray, before: Residual, after: Residual, view: ViewGeometry) -> np.ndarray:
+    """(N, 2) pixels undistorted with one residual, as another one undistorts them."""
+    return undistort_residual(distort_residual(xy, before, view.intrinsics), after, view.intrinsics)

@@ -1,4 +1,4 @@
-"""Backend: local mapping and loop closing of each new keyframe, in lockstep or in threads.
+"""Backend: local mapping, loop closing and self-calibration, in lockstep or in threads.
 
 In lockstep mode each keyframe is processed before the next frame. In threaded mode mapping and loop closing
 have a thread each; they change the map step by step under a lock. Changes to anything else (poses of frames,
@@ -14,14 +14,17 @@ from enum import StrEnum
 
 import numpy as np
 
+from slam.core.camera import Residual
 from slam.core.frame import Frame
 from slam.core.timing import StageTimer
 from slam.loop_closing.correction import Loop, correct_loop
 from slam.loop_closing.detection import LoopClosingConfig, LoopDetector, Refusal
-from slam.loop_closing.global_adjustment import GlobalAdjustment, adjust_globally
+from slam.loop_closing.global_adjustment import adjust_globally
 from slam.loop_closing.judgement import judge
+from slam.map.adjustment import MapAdjustment
 from slam.map.map import Map
 from slam.mapping.local_mapping import LocalMapper
+from slam.mapping.self_calibration import Refinement, SelfCalibration
 from slam.runtime.worker import Worker
 
 
@@ -40,12 +43,14 @@ class KeyframeTask:
         frame: as tracked; mapping works on a copy of it.
         mapper, detector: of its map.
         rng: stream of loop detection.
+        residual: the coefficients so far, if the lens is to be estimated from the map; else None.
     """
 
     frame: Frame
     mapper: LocalMapper
     detector: LoopDetector
     rng: np.random.Generator
+    residual: Residual | None = None
 
 
 @dataclass(frozen=True)
@@ -74,7 +79,7 @@ class Adjusted:
 
     task: KeyframeTask
     loop: Loop
-    adjustment: GlobalAdjustment
+    adjustment: MapAdjustment
     cpu_ms: float
 
 
@@ -93,7 +98,16 @@ class Searched:
     cpu_ms: float
 
 
-Change = Mapped | Corrected | Adjusted | Refused | Searched
+@dataclass(frozen=True)
+class Calibrated:
+    """The lens was estimated; ``refinement`` is None if it stays as it is."""
+
+    task: KeyframeTask
+    refinement: Refinement | None
+    cpu_ms: float
+
+
+Change = Mapped | Corrected | Adjusted | Refused | Searched | Calibrated
 
 
 @dataclass
@@ -108,16 +122,25 @@ class Backend:
     Args:
         apply: called with every change, always on the thread that calls this object.
         mode: see the module.
+        calibration: estimates the lens.
 
     Attributes:
         lock: to be held while reading the map when mapping may run.
+        newest: the keyframe submitted last, if any.
     """
 
-    def __init__(self, apply: Callable[[Change], None], mode: ExecutionMode) -> None:
+    def __init__(
+        self,
+        apply: Callable[[Change], None],
+        mode: ExecutionMode,
+        calibration: SelfCalibration | None = None,
+    ) -> None:
         threaded = mode is ExecutionMode.THREADED
         self.mode = mode
         self.lock: AbstractContextManager = threading.RLock() if threaded else nullcontext()
+        self.newest: KeyframeTask | None = None
         self._apply = apply
+        self._calibration = calibration
         # Held while keyframes and points may be added or removed.
         self._gate: AbstractContextManager = threading.Lock() if threaded else nullcontext()
         self._pending: deque[_Pending] = deque()
@@ -135,6 +158,7 @@ class Backend:
         Raises:
             Exception: the exception of an earlier task on its thread.
         """
+        self.newest = task
         self._on(0, lambda: self._map(task))
 
     def collect(self) -> None:
@@ -175,7 +199,12 @@ class Backend:
         with timer("mapping"), self._gate:
             keyframe = task.mapper.insert(task.frame.copy())
         self._hand_over(Mapped(task.frame, keyframe, timer.cpu_ms["mapping"]))
-        self._on(1, lambda: self._close_loop(task, keyframe))
+        self._on(1, lambda: self._work_on_whole_map(task, keyframe))
+
+    def _work_on_whole_map(self, task: KeyframeTask, keyframe: int) -> None:
+        self._close_loop(task, keyframe)
+        if task.residual is not None and self._calibration is not None:
+            self._calibrate(task, task.residual, self._calibration)
 
     def _close_loop(self, task: KeyframeTask, keyframe: int) -> None:
         map_, timer = task.mapper.map, StageTimer()
@@ -206,9 +235,19 @@ class Backend:
             self._hand_over(Corrected(task, loop, corrected, factor, cpu_ms), wait=True)
             self._hand_over(Adjusted(task, loop, adjustment, timer.cpu_ms["adjust"]), wait=True)
 
+    def _calibrate(self, task: KeyframeTask, residual: Residual, calibration: SelfCalibration) -> None:
+        """Estimate the lens from a copy of the map."""
+        timer = StageTimer()
+        with timer("calibrate"):
+            with self._gate:
+                copied = self._copy_of(task.mapper.map)
+            refinement = calibration.refine(copied, residual)
+        with self._gate:
+            self._hand_over(Calibrated(task, refinement, timer.cpu_ms["calibrate"]), wait=True)
+
     def _correct(
         self, before: Map, loop: Loop, around: np.ndarray, config: LoopClosingConfig, timer: StageTimer
-    ) -> tuple[Map, np.ndarray, GlobalAdjustment] | str:
+    ) -> tuple[Map, np.ndarray, MapAdjustment] | str:
         """Correct, adjust and judge a copy of the map: copy, scale changes, adjustment; or a reason."""
         if _changed(before, loop):
             return _changed(before, loop)

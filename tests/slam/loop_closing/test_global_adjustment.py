@@ -6,7 +6,8 @@ from loop_scenes import ring
 from slam_scenes import make_frame
 
 from slam.loop_closing.correction import correct_loop
-from slam.loop_closing.global_adjustment import adjust_globally, apply_adjustment
+from slam.loop_closing.global_adjustment import adjust_globally
+from slam.map.adjustment import apply_adjustment
 from slam.map.compaction import drop_culled_keypoints
 from slam.map.invariants import check_map
 

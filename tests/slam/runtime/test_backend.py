@@ -12,8 +12,8 @@ from slam.config import default_config
 from slam.core.events import TrackingState
 from slam.factory import build_system
 from slam.loop_closing.correction import Loop
-from slam.loop_closing.global_adjustment import GlobalAdjustment
 from slam.loop_closing.judgement import JudgementConfig
+from slam.map.adjustment import MapAdjustment
 from slam.map.invariants import check_map
 from slam.runtime.backend import ExecutionMode
 from slam.warmup import CAMERA
@@ -182,7 +182,7 @@ def test_a_loop_that_the_corrected_map_contradicts_is_refused(sequence, monkeypa
 def _unchanged(map_):
     rows, points = map_.keyframes(), map_.points()
     nothing = np.empty(0, np.int32)
-    return GlobalAdjustment(
+    return MapAdjustment(
         rows,
         map_.arrays.kf_T_cam_map[rows],
         points,
