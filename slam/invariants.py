@@ -72,8 +72,8 @@ def check_events(events: Sequence[Event]) -> None:
         named = f"{event.kind} at frame {event.frame}"
         require(event.frame >= 0 and np.isfinite(event.stamp_s), f"{named} is at no frame")
         require(stamps.setdefault(event.frame, event.stamp_s) == event.stamp_s, f"{named} has another time")
-        if not isinstance(event, ev.LoopClosed | ev.MapAdjusted):
-            # Events of loop closing have the frame of the keyframe that started it.
+        if not isinstance(event, ev.LoopClosed | ev.LoopRefused | ev.MapAdjusted | ev.CameraRefined):
+            # Events of work on the whole map have the frame of the keyframe that started it.
             require(event.frame >= latest, f"{named} comes after one of frame {latest}")
             latest = event.frame
         if isinstance(event, ev.Initialized):

@@ -298,6 +298,13 @@ def test_events_are_in_order_of_time(run_events):
         check_events([*run_events, replace(run_events[-1], stamp_s=0.0)])
     with pytest.raises(InvariantError, match="comes after one of frame"):
         check_events([run_events[0], replace(breakage, frame=60, stamp_s=2.0), breakage])
+    at = {"frame": 60, "stamp_s": 2.0, "map_id": 0}
+    refused = ev.LoopRefused(**at, keyframe=60, loop_keyframe=3, matches=40, reason="contradicted")
+    refined = ev.CameraRefined(
+        **at, k1=0.01, k2=0.0, shift_px=1.0, significance=20.0, keyframes=21, cpu_ms=1.0
+    )
+    later = replace(breakage, frame=63, stamp_s=2.1)
+    check_events([run_events[0], later, refused, refined])  # the end of what a keyframe has started
     with pytest.raises(InvariantError, match="is at no frame"):
         check_events([replace(run_events[0], frame=-1)])
 
