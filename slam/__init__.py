@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from slam.dual.recovery.registry import ThreadSpec, register_recovery_thread
     from slam.factory import SYSTEMS, build_system
     from slam.runtime.backend import ExecutionMode
-    from slam.system import MonocularSlam
+    from slam.system import MonocularSlam, MonocularSystem
     from slam.warmup import warm_up
 
 _HOMES = {
@@ -45,6 +45,7 @@ _HOMES = {
     "RecoveryTask": "slam.dual.recovery.interface",
     "RecoveryThread": "slam.dual.recovery.interface",
     "SlamConfig": "slam.config",
+    "MonocularSystem": "slam.system",
     "ThreadSpec": "slam.dual.recovery.registry",
     "TrackingResult": "slam.core.results",
     "TrackingState": "slam.core.events",
@@ -62,6 +63,7 @@ __all__ = [
     "ExecutionMode",
     "MapTrajectory",
     "MonocularSlam",
+    "MonocularSystem",
     "OrbRecovery",
     "OrbRecoveryConfig",
     "PinholeCamera",

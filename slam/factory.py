@@ -7,7 +7,7 @@ from slam.core.camera import PinholeCamera
 from slam.dual.config import DualConfig
 from slam.dual.dual_slam import DualSlam
 from slam.runtime.backend import ExecutionMode
-from slam.system import MonocularSlam
+from slam.system import MonocularSlam, MonocularSystem
 
 SYSTEMS = ("base", "dual", "dual+")
 
@@ -19,7 +19,7 @@ def build_system(
     config: SlamConfig | None = None,
     mode: ExecutionMode = ExecutionMode.LOCKSTEP,
     dual: DualConfig | None = None,
-) -> MonocularSlam:
+) -> MonocularSystem:
     """Build a system by name.
 
     Args:

@@ -12,12 +12,12 @@ from slam.core.results import TrackingResult
 from slam.dual.dual_slam import DualSlam
 from slam.map.invariants import InvariantError, check_map, require, require_rigid
 from slam.map.map import Map
-from slam.system import MonocularSlam
+from slam.system import MonocularSystem
 
 __all__ = ["InvariantError", "check_events", "check_map", "check_result", "check_system"]
 
 
-def check_system(system: MonocularSlam) -> None:
+def check_system(system: MonocularSystem) -> None:
     """Check the invariants of a whole system: maps, frame poses, tracker and mapper, buffer, events.
 
     The system is not changed. A threaded system must be idle.
@@ -115,14 +115,14 @@ def _check_one_tree(m: Map) -> None:
     require(len(roots) == 1, f"the spanning tree has {len(roots)} roots")
 
 
-def _check_frame_numbers(system: MonocularSlam, m: Map) -> None:
+def _check_frame_numbers(system: MonocularSystem, m: Map) -> None:
     numbers = [m.frame_index(k) for k in range(m.n_keyframes)]
     require(all(0 <= n < system.frames for n in numbers), "a keyframe of a future frame")
 
 
-def _check_poses(system: MonocularSlam, map_id: int, m: Map) -> None:
+def _check_poses(system: MonocularSystem, map_id: int, m: Map) -> None:
     """Check that every frame pose refers to an existing keyframe and that times increase."""
-    poses = system._poses._poses.get(map_id, {})
+    poses = system.engine.store.poses._poses.get(map_id, {})
     require(poses, "no frame has a pose")
     require(all(0 <= n < system.frames for n in poses), "a pose of a future frame")
     keyframes = np.array([pose.keyframe for pose in poses.values()])
@@ -137,7 +137,7 @@ def _check_poses(system: MonocularSlam, map_id: int, m: Map) -> None:
 # -- the system ------------------------------------------------------------------------------------------
 
 
-def _check_current_map(system: MonocularSlam) -> None:
+def _check_current_map(system: MonocularSystem) -> None:
     """Check that tracker and mapper work in the current map, if it is initialized."""
     current = system.current_map_id
     if system.state is TrackingState.NOT_INITIALIZED:
@@ -163,19 +163,19 @@ def _check_last(last: Frame | None, m: Map) -> None:
     require_rigid(last.T_cam_reference[None], "the last frame's pose")
 
 
-def _check_map_ids(system: MonocularSlam) -> None:
+def _check_map_ids(system: MonocularSystem) -> None:
     """Check that poses and places belong to existing maps."""
     for map_id in system.maps():
         require(system.map(map_id).map_id == map_id, f"map {map_id} has another number")
-    require(set(system._poses._poses) <= set(system.maps()), "poses of a map that does not exist")
-    for map_id, places in system._known_places.items():
+    require(set(system.engine.store.poses._poses) <= set(system.maps()), "poses of a map that does not exist")
+    for map_id, places in system.engine.store._places.items():
         require(map_id in system.maps(), f"places of map {map_id}, which does not exist")
         right = places.loops.map is places.relocalizer.map is system.map(map_id)
         require(right, f"places of map {map_id} are those of another one")
 
 
 def _check_dual(system: DualSlam) -> None:
-    saved, frames = system._saved, list(system._buffer._frames)
+    saved, frames = system.engine.store.saved, list(system.buffer._frames)
     require(len(set(saved)) == len(saved), "a map is saved twice")
     require(set(saved) <= set(system.maps()), "a saved map does not exist")
     if system.state is TrackingState.TRACKING:
@@ -185,10 +185,10 @@ def _check_dual(system: DualSlam) -> None:
     if system.frames:
         require(frames and frames[-1].index == system.frames - 1, "the buffer lacks the newest frame")
         span_s = frames[-1].stamp_s - frames[0].stamp_s
-        require(span_s <= system._buffer.cap_s, "the buffer has outgrown its cap")
+        require(span_s <= system.buffer.cap_s, "the buffer has outgrown its cap")
 
 
-def _check_counts(system: MonocularSlam) -> None:
+def _check_counts(system: MonocularSystem) -> None:
     """Check that every map was initialized, and only a drop or a fusion removes one."""
     events = system.events
     require(all(event.frame < system.frames for event in events), "an event of a future frame")

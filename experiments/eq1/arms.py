@@ -19,10 +19,10 @@ from slam.core.events import Breakage, RecoveryStart
 from slam.core.results import TrackingResult
 from slam.core.snapshot import Snapshot
 from slam.dual.config import DualConfig
+from slam.dual.dual_slam import DualSlam
 from slam.dual.recovery.registry import ThreadSpec
-from slam.dual.restarting import RestartingSlam
 from slam.factory import build_system
-from slam.system import MonocularSlam
+from slam.system import MonocularSystem
 
 _SAVE_EVERY_S = 1.0
 _ROUNDING_S = 1e-6
@@ -103,7 +103,7 @@ class BranchRun:
 
     def __init__(
         self,
-        system: MonocularSlam,
+        system: MonocularSystem,
         sequence: Sequence,
         clock: CpuClock,
         results: tuple[TrackingResult, ...] = (),
@@ -188,7 +188,7 @@ class SavedBranch:
     def resume_as_base(self) -> BranchRun:
         """Start a run of the base system that continues from this state."""
         branch = self.resume()
-        if isinstance(branch.system, RestartingSlam):
+        if isinstance(branch.system, DualSlam):
             branch.system = branch.system.as_base()
         return branch
 
@@ -255,7 +255,7 @@ def run_crossing(lead_in: SavedBranch, exposure: Exposure) -> BranchRun:
     """
     branch = lead_in.resume()
     system = branch.system
-    assert isinstance(system, RestartingSlam)
+    assert isinstance(system, DualSlam)
     system.cut()
     branch.feed(exposure.end_frame + 1)
     system.restart()

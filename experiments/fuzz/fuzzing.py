@@ -35,7 +35,7 @@ from sim.unfinished import scratch_folder
 from slam.core.events import Event
 from slam.core.results import TrackingResult
 from slam.invariants import InvariantError, check_result, check_system
-from slam.system import MonocularSlam
+from slam.system import MonocularSystem
 
 UNITS_FILE = "units.jsonl"
 TIMES_FILE = "times.jsonl"
@@ -202,7 +202,7 @@ class _Checks:
         self._each_frame = each_frame
         self._events = 0
 
-    def frame(self, image: np.ndarray, result: TrackingResult, system: MonocularSlam) -> None:
+    def frame(self, image: np.ndarray, result: TrackingResult, system: MonocularSystem) -> None:
         check_result(result)
         if self._each_frame and len(system.events) > self._events:
             self._events = len(system.events)

@@ -31,6 +31,7 @@ class FeatureBuffer:
         self._with_images = images
         self._frames: deque[FrameFeatures] = deque()
         self._images: dict[int, bytes] = {}
+        self._camera: PinholeCamera | None = None
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -50,8 +51,10 @@ class FeatureBuffer:
             self._images.pop(self._frames.popleft().index, None)
 
     def undistort_with(self, camera: PinholeCamera) -> None:
-        """Undistort the buffered frames' keypoints anew, after the camera was refined."""
-        self._frames = deque(features.seen_by(camera) for features in self._frames)
+        """Undistort the buffered frames' keypoints anew if this is another camera than the last time."""
+        if self._camera is not None and camera != self._camera:
+            self._frames = deque(features.seen_by(camera) for features in self._frames)
+        self._camera = camera
 
     def backward_from(self, index: int) -> Iterator[FrameFeatures]:
         """Frames before frame ``index``, newest first."""

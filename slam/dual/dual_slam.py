@@ -4,8 +4,9 @@ Source: paper, Sec. II and III, Fig. 3.
 """
 
 from collections import deque
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from collections.abc import Iterable
+from copy import deepcopy
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -14,24 +15,37 @@ from slam.core import events as ev
 from slam.core.camera import PinholeCamera
 from slam.core.events import TrackingState
 from slam.core.frame import Frame
-from slam.dual.attempts import Attempt, NewMap, RecoveryAttempts
+from slam.core.results import TrackingResult
 from slam.dual.buffer import FeatureBuffer
 from slam.dual.config import DualConfig
-from slam.dual.fusion.fuse import Fused, fuse, seam_frame
-from slam.dual.fusion.merge_recovered import merge_recovered
-from slam.dual.fusion.place_merging import PlaceMerger, inverted
-from slam.dual.fusion.rebase import rebase_frames, rebase_tracking
+from slam.dual.fusion.map_merger import MapMerger
 from slam.dual.recovery.interface import RecoveryResult
-from slam.dual.restarting import RestartingSlam
+from slam.dual.recovery_jobs import NewMap, RecoveryJob, RecoveryJobs
 from slam.initialization.initializer import InitialMap
-from slam.loop_closing.map_alignment import Alignment
 from slam.map.map import Map
-from slam.map.relation import fusion_relation
-from slam.runtime.backend import Adjusted, Change, Corrected, ExecutionMode, Mapped
+from slam.runtime.backend import ExecutionMode
+from slam.system import MonocularSlam, MonocularSystem
 from slam.tracking.tracker import TrackingOutcome
 
 
-class DualSlam(RestartingSlam):
+@dataclass
+class Restart:
+    """The way from a breakage to the recovery of the map that follows.
+
+    Attributes:
+        since: index of the frame of the breakage.
+        recoverable: the buffer reaches a saved map, so that a recovery is due once the new map is fit.
+        held: no map is sought until :meth:`DualSlam.restart`.
+        new: the new map, once it is initialized.
+    """
+
+    since: int
+    recoverable: bool
+    held: bool = False
+    new: NewMap | None = None
+
+
+class DualSlam(MonocularSystem):
     """SLAM with backward recovery and map fusion after a breakage.
 
     One recovery runs at a time. Meanwhile its maps are neither dropped nor fused: a new map that breaks is
@@ -47,34 +61,60 @@ class DualSlam(RestartingSlam):
         dual: DualConfig | None = None,
         mode: ExecutionMode = ExecutionMode.LOCKSTEP,
     ) -> None:
+        super().__init__(camera, seed, config, mode)
         self.dual = dual or DualConfig()
-        relocalization_maps = self.dual.relocalization_maps if self.dual.relocalization else 0
-        super().__init__(camera, seed, config, mode, relocalization_maps)
-        self._attempts = RecoveryAttempts(self.dual, camera, seed, mode, self._emit_at)
-        self._buffer = FeatureBuffer(self.dual.buffer_s, self.dual.buffer_cap_s, self._attempts.needs_images)
-        self._place_merger = PlaceMerger(self.dual.place_merging, seed) if self.dual.place_merging else None
-        self._new: NewMap | None = None
-        self._recovery_due = False
-        self._waiting: deque[NewMap] = deque()
+        self.jobs = RecoveryJobs(self.dual, seed, mode, self.engine.emit_at)
+        self.buffer = FeatureBuffer(self.dual.buffer_s, self.dual.buffer_cap_s, self.jobs.needs_images)
+        self.merger = MapMerger(self.engine, self.dual.place_merging)
+        self._restart: Restart | None = None  # since the last breakage, until its recovery is begun
+        self._waiting: deque[NewMap] = deque()  # new maps whose recovery is due
 
     @property
     def settings(self) -> dict:
         """All settings, those of Dual-SLAM under ``dual``."""
         return {**super().settings, "dual": asdict(self.dual)}
 
-    @property
-    def buffer(self) -> FeatureBuffer:
-        """The frames over which a recovery goes backward."""
-        return self._buffer
+    # -- Algorithm 1 -------------------------------------------------------------------------------------
 
-    # -- camera ------------------------------------------------------------------------------------------
+    def process(self, image: np.ndarray, stamp_s: float) -> TrackingResult:
+        """Process one frame; see :meth:`MonocularSystem.process`."""
+        engine, is_keyframe = self.engine, False
+        frame = engine.receive(image, stamp_s)
+        if engine.state is TrackingState.TRACKING:
+            outcome, is_keyframe = engine.track(frame)
+            if not outcome.success:
+                engine.declare_breakage(frame, outcome)
+                self._save_or_drop_map(frame)
+                self._start_anew(frame)
+        elif self._restart is not None and self._restart.held:
+            outcome = TrackingOutcome(False, 0, 0, "held")
+        else:
+            outcome = self._find_back(frame)
+            if not (outcome.success or engine.search.undecided):
+                outcome, is_keyframe = self._initialize(frame)
+        engine.record(frame, outcome)
+        self._fill_buffer(frame, image)
+        self._fuse_recovered(frame, self.jobs.ended(frame))
+        self._recover(frame, outcome)
+        self._merge_by_place(frame, outcome)
+        return engine.result(frame, outcome, is_keyframe)
 
-    def _may_refine_camera(self) -> bool:
-        return super()._may_refine_camera() and not self._saved and self._attempts.under_way is None
+    def finish(self) -> None:
+        """Complete running and waiting recoveries, then end the input.
 
-    def _camera_refined(self) -> None:
-        self._buffer.undistort_with(self.camera)
-        self._attempts.camera = self.camera
+        Raises:
+            Exception: the exception of a recovery or of mapping on its thread.
+        """
+        newest = self.engine.newest
+        try:
+            if newest is not None:
+                self._fuse_recovered(newest, self.jobs.rest(newest))
+                while self._waiting:
+                    self._start_recovery(newest, self._waiting.popleft())
+                    self._fuse_recovered(newest, self.jobs.rest(newest))
+        finally:
+            self.jobs.close()
+            super().finish()
 
     # -- breakage ----------------------------------------------------------------------------------------
 
@@ -83,194 +123,172 @@ class DualSlam(RestartingSlam):
 
         The frames of a dropped map are still in the buffer: the next map's recovery goes back over them too.
         """
-        attempt = self._attempts.under_way
-        if self._recovery_due and not self._fit_for_recovery():
-            self._drop(frame, "broke_before_recovery")
-        elif self._recovery_due:
-            self._waiting.append(self._take_new_map())
+        engine, restart, running = self.engine, self._restart, self.jobs.running
+        if restart is not None and restart.recoverable and restart.new is not None:
+            if self._fit_for_recovery():
+                self._waiting.append(restart.new)
+                self._save(frame)
+            else:
+                engine.drop_map(frame, "broke_before_recovery")
+        elif running is not None and running.new_id == engine.store.current_id:
             self._save(frame)
-        elif attempt is not None and attempt.new_id == self._map_id:
-            self._save(frame)
+        elif engine.is_young:
+            engine.drop_map(frame, "too_few_keyframes")
         else:
-            super()._save_or_drop_map(frame)
+            self._save(frame)
 
-    def _take_new_map(self) -> NewMap:
-        """Return the new map whose recovery is due, and clear the due flag."""
-        new, self._new = self._new, None
-        if new is None:
-            raise RuntimeError("there is no new map to extend")
-        self._recovery_due = False
-        return new
+    def _save(self, frame: Frame) -> None:
+        """Keep the current map, to be fused later."""
+        engine, m = self.engine, self.engine.store.current
+        engine.emit(frame, ev.MapSaved, keyframes=len(m.keyframes()), points=len(m.points()))
+        engine.store.save_current()
+        engine.lose(frame)
+        engine.seek_new_map()
+
+    def _start_anew(self, frame: Frame, held: bool = False) -> None:
+        """Seek a new map from the next frames on."""
+        recoverable = self.jobs.possible and bool(self._reachable())
+        self._restart = Restart(frame.features.index, recoverable, held)
+        self.buffer.frozen = recoverable
+        if not held:
+            self.engine.emit(frame, ev.ReinitStart)
+
+    def _find_back(self, frame: Frame) -> TrackingOutcome:
+        """Relocalize the frame in saved maps; success if tracking goes on there."""
+        engine, saved = self.engine, self.engine.store.saved
+        sought = [] if self.jobs.running or not self.dual.relocalization else saved
+        outcome = engine.relocalize(frame, sought[: self.dual.relocalization_maps])
+        if outcome.success:
+            saved.remove(engine.store.current_id)
+            self.merger.skip_present_keyframes()
+            self._restart, self.buffer.frozen = None, False
+        return outcome
+
+    def _initialize(self, frame: Frame) -> tuple[TrackingOutcome, bool]:
+        """Try to initialize a new map; the outcome, and True if it succeeded."""
+        outcome, initial = self.engine.initialize(frame)
+        if initial is not None:
+            self._note_new_map(initial)
+        return outcome, initial is not None
+
+    def _note_new_map(self, initial: InitialMap) -> None:
+        self.engine.search.withdraw(initial.second, "new_map")
+        self.merger.skip_present_keyframes()
+        if self._restart is not None:
+            since = self._restart.since
+            self._restart.new = NewMap(initial.map, initial.first, initial.second, since)
+            taken = initial.second.features.index - since
+            self.engine.emit(initial.second, ev.ReinitDone, frames_taken=taken)
+
+    # -- recovery ----------------------------------------------------------------------------------------
+
+    def _fill_buffer(self, frame: Frame, image: np.ndarray) -> None:
+        self.buffer.undistort_with(self.engine.camera)
+        self.buffer.append(frame.features, image)
 
     def _fit_for_recovery(self) -> bool:
         return len(self.current_map.keyframes()) >= self.dual.start_keyframes
 
-    def _start_reinitialization(self, frame: Frame) -> None:
-        if self._place_merger is not None:
-            self._place_merger.reset_keyframes()
-        self._recovery_due = self._attempts.possible and bool(self._reachable())
-        self._buffer.frozen = self._recovery_due
-        super()._start_reinitialization(frame)
-
     def _reachable(self) -> list[int]:
         """Saved maps that the buffer reaches, newest first."""
-        return [k for k in self._saved if self._buffer.reaches(_newest_frame(self._maps[k]))]
+        store = self.engine.store
+        return [k for k in store.saved if self.buffer.reaches(_newest_frame(store[k]))]
 
-    def _relocalization_maps(self) -> Sequence[int]:
-        return () if self._attempts.under_way else super()._relocalization_maps()
+    @property
+    def _recovery_due(self) -> bool:
+        """True if the map sought or tracked is to be recovered from once it is fit."""
+        return self._restart is not None and self._restart.recoverable
 
-    def _resume_saved_map(self, map_id: int) -> None:
-        super()._resume_saved_map(map_id)
-        self._recovery_due = self._buffer.frozen = False
-
-    def _start_map(self, initial: InitialMap) -> None:
-        super()._start_map(initial)
-        self._new = NewMap(initial.map, initial.first, initial.second, self._reinit_start)
-
-    # -- after every frame -------------------------------------------------------------------------------
-
-    def _after_frame(self, frame: Frame, outcome: TrackingOutcome, image: np.ndarray) -> None:
-        self._buffer.append(frame.features, image)
-        self._take_recovered(frame, self._attempts.ended(frame))
-        if self._waiting and not self._attempts.under_way:
-            self._recover(frame, self._waiting.popleft())
-        if not outcome.success or self.state is not TrackingState.TRACKING or self._attempts.under_way:
+    def _recover(self, frame: Frame, outcome: TrackingOutcome) -> None:
+        """Start the recovery that is due, unless another one runs."""
+        if self._waiting and not self.jobs.running:
+            self._start_recovery(frame, self._waiting.popleft())
+        tracking = outcome.success and self.state is TrackingState.TRACKING
+        if not tracking or self.jobs.running or not self._recovery_due:
             return
-        if not self._recovery_due:
-            self._merge_by_place(frame)
-        elif self._fit_for_recovery():
-            self._recover(frame, self._take_new_map())
+        if self._fit_for_recovery() and self._restart is not None and self._restart.new is not None:
+            new, self._restart = self._restart.new, None
+            self._start_recovery(frame, new)
 
-    def _recover(self, frame: Frame, new: NewMap) -> None:
+    def _start_recovery(self, frame: Frame, new: NewMap) -> None:
         """Start the recovery threads."""
-        self._backend.drain()
-        self._buffer.frozen = self._recovery_due or bool(self._waiting)
-        older = [k for k in self._saved if k < new.map.map_id]
-        reachable = [self._maps[k] for k in self._reachable() if k in older]
+        engine, store = self.engine, self.engine.store
+        engine.backend.drain()
+        self.buffer.frozen = self._recovery_due or bool(self._waiting)
+        older = [k for k in store.saved if k < new.map.map_id]
+        reachable = [store[k] for k in self._reachable() if k in older]
         if reachable:
             # Recovery runs beside tracking: even in lockstep it does not count as tracking's time.
-            with self.timer.apart():
-                self._attempts.begin(frame, new, reachable, self._buffer)
-            self._take_recovered(frame, self._attempts.ended(frame))
+            with engine.timer.apart():
+                self.jobs.start(frame, new, reachable, self.buffer, engine.camera)
+            self._fuse_recovered(frame, self.jobs.ended(frame))
         else:
-            self._attempts.give_up(frame, new.map, older[0])
-
-    def finish(self) -> None:
-        """Complete running and waiting recoveries, then finish as the base does.
-
-        Raises:
-            Exception: the exception of a recovery or of mapping on its thread.
-        """
-        try:
-            if self._newest is not None:
-                self._take_recovered(self._newest, self._attempts.rest(self._newest))
-                while self._waiting:
-                    self._recover(self._newest, self._waiting.popleft())
-                    self._take_recovered(self._newest, self._attempts.rest(self._newest))
-        finally:
-            self._attempts.close()
-            super().finish()
+            self.jobs.give_up(frame, new.map, older[0])
 
     # -- fusion ------------------------------------------------------------------------------------------
 
-    def _take_recovered(self, frame: Frame, succeeded: Iterable[tuple[Attempt, RecoveryResult]]) -> None:
+    def _fuse_recovered(self, frame: Frame, succeeded: Iterable[tuple[RecoveryJob, RecoveryResult]]) -> None:
         """Fuse the maps that recovery threads have aligned; only a recovery's first success counts."""
-        for attempt, result in succeeded:
-            if result.alignment is not None and attempt.new_id in self._maps:
-                self._fuse_recovered(frame, attempt, result, result.alignment)
+        for job, result in succeeded:
+            if result.alignment is not None and job.new_id in self.engine.store:
+                alignments = (*result.confirming, result.alignment)
+                self.merger.merge_recovered(
+                    frame, job.new_id, job.keyframes, job.points, result.map, result.frames, alignments
+                )
 
-    def _fuse_recovered(
-        self, frame: Frame, attempt: Attempt, result: RecoveryResult, alignment: Alignment
-    ) -> None:
-        """Merge the recovered part into the new map, then fuse it with the old one."""
-        self._backend.drain()
-        old, new = self._maps[alignment.old_map_id], self._maps[attempt.new_id]
-        merged = merge_recovered(new, result.map, attempt.keyframes, attempt.points)
-        if merged is None:
-            self._refuse(frame, old.map_id, new.map_id, "recovery", alignment, "new_map_has_changed")
-            return
-        alignments = [merged.moved(a, new) for a in (*result.confirming, alignment)]
-        seam = seam_frame(old, alignments)
-        fused = self._fuse(frame, old, new, alignments, "recovery")
-        rebase_frames(result.frames, merged.keyframes, fused, alignment.scale)
-        for tracked in result.frames:
-            if tracked.features.index > seam:
-                self._poses.add(old.map_id, tracked)
+    def _merge_by_place(self, frame: Frame, outcome: TrackingOutcome) -> None:
+        """Fuse with a saved map whose place is recognised, if no recovery runs or is due."""
+        tracking = outcome.success and self.state is TrackingState.TRACKING
+        if tracking and not self.jobs.running and not self._recovery_due:
+            self.merger.merge_by_place(frame)
 
-    def _fuse(self, frame: Frame, old: Map, new: Map, alignments: Sequence[Alignment], by: str) -> Fused:
-        """Fuse the new map into the old one; tracker, poses and saved maps follow."""
-        accepted, renewed = alignments[-1], by == "recovery"
-        relation = fusion_relation(
-            old, new, accepted.old_keyframe, accepted.new_keyframe, accepted.S_old_new,
-            seam_frame(old, alignments) if renewed else None,
-        )  # fmt: skip
-        fused = fuse(old, new, alignments, self.config.mapping, renewed)
-        self._poses.join(old.map_id, new.map_id, fused.keyframes, accepted.scale)
-        self._poses.rescale(old.map_id, fused.factor)
-        both = (old.map_id, new.map_id)
-        saved = [k for k in self._saved if k not in both]
-        if self._map_id in both:
-            if self._map_id == new.map_id:
-                self._map_id = old.map_id
-                rebase_tracking(self.tracker, self.mapper, old, fused, accepted.scale)
-            if self._place_merger is not None:
-                self._place_merger.reset_keyframes()
-        else:  # the result counts as saved when the younger of the two was
-            saved.insert(min(map(self._saved.index, both)), old.map_id)
-            self._note_break(old.map_id, max((self._broken_at[k] for k in both), key=lambda f: f.index))
-        self._saved = saved
-        self._forget(new.map_id)
-        if self._place_merger is not None:
-            self._place_merger.reset_alignments()
-        self._emit_at(
-            frame, ev.Fusion, old.map_id, old_map_id=old.map_id, new_map_id=new.map_id, by=by,
-            accepted=True, scale=accepted.scale, inliers=accepted.inliers, reason="", relation=relation,
-        )  # fmt: skip
-        return fused
+    # -- laboratory --------------------------------------------------------------------------------------
 
-    def _refuse(
-        self, frame: Frame, old_id: int, new_id: int, by: str, alignment: Alignment, reason: str
-    ) -> None:
-        self._emit_at(
-            frame, ev.Fusion, new_id, old_map_id=old_id, new_map_id=new_id, by=by,
-            accepted=False, scale=alignment.scale, inliers=alignment.inliers, reason=reason,
-        )  # fmt: skip
+    def as_base(self) -> MonocularSlam:
+        """Copy this system as the base system, which is identical until the first breakage.
 
-    # -- merging by place recognition --------------------------------------------------------------------
+        Raises:
+            RuntimeError: there was a breakage or a cut, or the system is threaded.
+        """
+        engine = self.engine
+        if engine.backend.mode is not ExecutionMode.LOCKSTEP:
+            raise RuntimeError("a copy needs lockstep mode")
+        if any(isinstance(event, ev.Breakage | ev.MapCut) for event in engine.events):
+            raise RuntimeError("base and Dual-SLAM differ from the first breakage on")
+        base = MonocularSlam(engine.camera, engine.seed, engine.config, engine.backend.mode)
+        base.engine = deepcopy(engine)
+        return base
 
-    def _apply(self, change: Change) -> None:
-        super()._apply(change)
-        if self._place_merger is None:
-            return
-        if isinstance(change, Mapped) and self._saved:
-            self._place_merger.note(change.keyframe)
-        elif isinstance(change, Corrected | Adjusted):
-            self._place_merger.reset_alignments()
+    def cut(self) -> None:
+        """Save the healthy map as at a breakage, then only buffer frames until :meth:`restart`.
 
-    def _merge_by_place(self, frame: Frame) -> None:
-        """Fuse with a saved map that the newest keyframes recognise, if any."""
-        if self._place_merger is None or not self._saved:
-            return
-        current = self.current_map
-        alignments = self._place_merger.search(
-            current,
-            [self._maps[k] for k in self._saved],
-            lambda map_id: self._places(map_id).database,
-            self._backend.lock,
-        )
-        for alignment, reason in self._place_merger.refused:
-            self._refuse(frame, alignment.old_map_id, current.map_id, "place", alignment, reason)
-        if not alignments:
-            return
-        happened = len(self.events)
-        self._backend.drain()
-        if len(self.events) != happened or current.arrays.kf_bad[alignments[-1].new_keyframe]:
-            return  # the map has just changed: the alignments are no longer valid
-        saved = self._maps[alignments[-1].old_map_id]
-        if saved.map_id < current.map_id:
-            self._fuse(frame, saved, current, alignments, "place")
-        else:
-            self._fuse(frame, current, saved, [inverted(a, current.map_id) for a in alignments], "place")
+        As at a breakage, a map with too few keyframes is dropped instead. The two methods make the crossing
+        arm of a test of Eq. 1: recovery has to cross all frames in between, even those that tracking would
+        have survived.
+
+        Raises:
+            RuntimeError: no map is being tracked.
+        """
+        newest = self.engine.newest
+        if self.state is not TrackingState.TRACKING or newest is None:
+            raise RuntimeError("there is no healthy map to cut")
+        self.engine.backend.drain()
+        self.engine.emit(newest, ev.MapCut)
+        self._save_or_drop_map(newest)
+        self._start_anew(newest, held=True)
+
+    def restart(self) -> None:
+        """Start a new map from the next frame on, after :meth:`cut`.
+
+        Raises:
+            RuntimeError: there was no cut before.
+        """
+        newest = self.engine.newest
+        if self._restart is None or not self._restart.held or newest is None:
+            raise RuntimeError("restart without a cut")
+        self._restart.held = False
+        self._restart.since = newest.features.index
+        self.engine.emit(newest, ev.ReinitStart)
 
 
 def _newest_frame(map_: Map) -> int:

@@ -5,7 +5,7 @@ import json
 import os
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -365,3 +365,10 @@ def digest_of_run(kind, count, *spans):
     system = build_system(kind, warmup.CAMERA, 0, dual=dual)
     feed(system, blanked(images, *(range(*span) for span in spans)), stamps_s, check=False)
     return " ".join([fingerprint(system), *kinds(system)])
+
+
+def reconfigure(system, **changes):
+    """Change settings of a system that has begun."""
+    engine = system.engine
+    engine.config = replace(engine.config, **changes)
+    engine.search._config = engine.store._config = engine.config

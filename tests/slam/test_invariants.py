@@ -44,7 +44,7 @@ def test_a_system_is_valid_at_any_time_and_the_check_changes_nothing(recovered, 
 
 
 def poses(system):
-    return system._poses._poses[system.current_map_id]
+    return system.engine.store.poses._poses[system.current_map_id]
 
 
 def map_broken(system):
@@ -81,11 +81,11 @@ def poses_out_of_order(system):
 
 
 def sought_under_a_taken_number(system):
-    system.state = TrackingState.NOT_INITIALIZED
+    system.engine.state = TrackingState.NOT_INITIALIZED
 
 
 def current_map_gone(system):
-    system._map_id = 7
+    system.engine.store.current_id = 7
 
 
 def tracker_elsewhere(system):
@@ -121,45 +121,45 @@ def map_misnumbered(system):
 
 
 def poses_of_no_map(system):
-    system._poses._poses[9] = dict(poses(system))
+    system.engine.store.poses._poses[9] = dict(poses(system))
 
 
 def places_of_no_map(system):
-    system._known_places[9] = system._places(system.current_map_id)
+    system.engine.store._places[9] = system.engine.store.places(system.current_map_id)
 
 
 def places_of_another_map(system):
-    system._places(system.current_map_id).relocalizer.map = system.current_map.copy()
+    system.engine.store.places(system.current_map_id).relocalizer.map = system.current_map.copy()
 
 
 def saved_twice(system):
-    system._saved = [system.current_map_id] * 2
+    system.engine.store.saved = [system.current_map_id] * 2
 
 
 def saved_map_gone(system):
-    system._saved = [9]
+    system.engine.store.saved = [9]
 
 
 def current_map_saved(system):
-    system._saved = [system.current_map_id]
+    system.engine.store.saved = [system.current_map_id]
 
 
 def buffer_out_of_order(system):
-    frames = system._buffer._frames
+    frames = system.buffer._frames
     frames[0], frames[1] = frames[1], frames[0]
 
 
 def buffer_against_time(system):
-    frames = system._buffer._frames
+    frames = system.buffer._frames
     frames[0] = replace(frames[0], stamp_s=frames[1].stamp_s)
 
 
 def buffer_behind(system):
-    system._buffer._frames.pop()
+    system.buffer._frames.pop()
 
 
 def buffer_too_long(system):
-    frames = system._buffer._frames
+    frames = system.buffer._frames
     frames[0] = replace(frames[0], stamp_s=-1000.0)
 
 
@@ -169,8 +169,8 @@ def event_of_a_future_frame(system):
 
 def map_without_beginning(system):
     m = system.current_map.copy(9)
-    system._maps[9] = m
-    system._poses._poses[9] = dict(poses(system))
+    system.engine.store._maps[9] = m
+    system.engine.store.poses._poses[9] = dict(poses(system))
 
 
 BROKEN = {

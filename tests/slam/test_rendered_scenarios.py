@@ -44,7 +44,7 @@ def run_with_and_without_loop_closing(sequence):
         system.process(image, float(stamp_s))
     system.finish()
     branch = before.restore()
-    detector = branch._places(branch.current_map_id).loops
+    detector = branch.engine.store.places(branch.current_map_id).loops
     detector.config = replace(detector.config, min_gap=10**9)
     feed(branch, images(sequence, before.frames), sequence.stamps_s[before.frames :], check=False)
     return system, branch

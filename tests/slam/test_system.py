@@ -15,6 +15,7 @@ from slam_scenes import (
     fingerprint,
     kinds,
     on_one_core,
+    reconfigure,
     rms,
     toy,
 )
@@ -257,7 +258,7 @@ def test_an_older_map_is_kept_and_the_system_is_lost(sequence, run, snapshots):
 def test_the_fewest_keyframes_of_a_kept_map_are_a_setting(sequence, snapshots, least, kept):
     images, stamps_s, _ = sequence
     system = snapshots[38].restore()
-    system.config = replace(system.config, min_map_keyframes=least)
+    reconfigure(system, min_map_keyframes=least)
     feed(system, blanked(images[38:40], range(2)), stamps_s[38:40], check=False)
     assert ("map_dropped" in kinds(system)) is not kept
     assert system.maps() == ([0] if kept else [])

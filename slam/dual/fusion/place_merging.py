@@ -14,7 +14,7 @@ from slam.optimization.sim3 import sim3_inverse
 from slam.places.recognition import KeyframeDatabase
 
 _CANDIDATES = 2  # most similar keyframes of a saved map that are compared with a new keyframe
-_WAITING = 3  # newest keyframes kept for a delayed search
+_WAITING = 3  # newest keyframes that are searched when the search was delayed
 
 
 class PlaceMerger:
@@ -31,13 +31,13 @@ class PlaceMerger:
     def __init__(self, config: FusionConfig, seed: int) -> None:
         self._config = config
         self._seed = seed
-        self._waiting: list[int] = []
+        self._searched = (-1, 0)  # a map, and its keyframes that need not be searched any more
         self._found: dict[tuple[int, int], list[Alignment]] = {}
         self.refused: list[tuple[Alignment, str]] = []
 
-    def note(self, keyframe: int) -> None:
-        """Add a new keyframe of the current map to the next search."""
-        self._waiting = [*self._waiting[1 - _WAITING :], keyframe]
+    def skip(self, current: Map) -> None:
+        """Search no keyframe that the current map has now."""
+        self._searched = (current.map_id, current.n_keyframes)
 
     def search(
         self,
@@ -46,7 +46,7 @@ class PlaceMerger:
         database_of: Callable[[int], KeyframeDatabase],
         lock: AbstractContextManager,
     ) -> tuple[Alignment, ...]:
-        """Search the saved maps for the noted keyframes.
+        """Search the saved maps for the current map's newest keyframes.
 
         Args:
             current: the map of the keyframes.
@@ -57,9 +57,11 @@ class PlaceMerger:
         Returns:
             Alignments with one saved map that agree, as from :meth:`offer`.
         """
-        keyframes, self._waiting = self._waiting, []
+        map_id, searched = self._searched
+        first = max(searched if map_id == current.map_id else 0, current.n_keyframes - _WAITING)
         self.refused = []
-        for keyframe in keyframes:
+        for keyframe in range(first, current.n_keyframes):
+            self._searched = (current.map_id, keyframe + 1)
             for old in saved:
                 rng = rng_for(self._seed, "joining", current.frame_index(keyframe), old.map_id)
                 with lock:
@@ -104,10 +106,6 @@ class PlaceMerger:
                 return (*agreeing, alignment)
             self.refused.append((alignment, reason))
         return ()
-
-    def reset_keyframes(self) -> None:
-        """Clear the noted keyframes: the current map has changed."""
-        self._waiting.clear()
 
     def reset_alignments(self) -> None:
         """Discard the alignments found so far: a map has changed."""

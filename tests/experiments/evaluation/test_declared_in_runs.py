@@ -13,7 +13,7 @@ from experiments.runs.execution import execute, system_factory
 from sim.sequence import Sequence
 from slam.core.frame import Frame
 from slam.dual.config import DualConfig
-from slam.dual.dual_slam import DualSlam
+from slam.dual.fusion.map_merger import MapMerger
 from slam.dual.recovery.registry import ThreadSpec
 from slam.loop_closing.detection import LoopClosingConfig, LoopDetector
 from slam.loop_closing.judgement import JudgementConfig
@@ -117,12 +117,12 @@ class Tampered(LoopDetector):
 def test_a_loop_that_a_tampered_detector_finds_is_judged_as_asserted_not_as_corrected(share, false):
     r = ring()
     system = MonocularSlam(CAMERA, 0)
-    system._maps[0] = r.map
-    system._enter(0)
+    system.engine.store.add(r.map)
+    system.engine.enter(0)
     last = Frame(r.map.features(r.loop.keyframe))
     system.tracker.start(last, r.loop.keyframe)
     task = KeyframeTask(last, system.mapper, Tampered(r, share), np.random.default_rng(0))
-    system._backend._close_loop(task, r.loop.keyframe)
+    system.engine.backend._close_loop(task, r.loop.keyframe)
     (event,) = [e for e in system.events if e.kind == "loop_closed"]
     found = audit_asserted(event.relation, *truth_of(r), RelationBounds())
     assert found.false is false
@@ -157,13 +157,13 @@ def test_a_true_fusion_is_right_and_a_displaced_one_false(sequence, monkeypatch,
     (found,) = getattr(declared(sequence, "dual", dual), kind)
     assert found.audit.false is False
     assert found.audit.position_error_m < 0.5 * found.audit.position_bound_m
-    real = DualSlam._fuse
+    real = MapMerger._fuse
 
     def displaced(self, frame, old, new, alignments, by):
         moved = [replace(a, S_old_new=shifted(a.S_old_new)) for a in alignments]
         return real(self, frame, old, new, moved, by)
 
-    monkeypatch.setattr(DualSlam, "_fuse", displaced)
+    monkeypatch.setattr(MapMerger, "_fuse", displaced)
     audit = declared(sequence, "dual", dual)
     assert getattr(audit, kind)[0].audit.false is True
     assert audit.false_counts[f"false_{kind}"] == 1

@@ -4,16 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dual_scenes import CONFIG, RECOVERED, RECOVERY_ONLY, STEP_M, dual, of, scale_between
+from dual_scenes import RECOVERED, RECOVERY_ONLY, STEP_M, dual, of, scale_between
 from slam_scenes import blanked, errors_m, feed, kinds, rms, toy
 
 from slam.core.events import TrackingState
-from slam.dual.dual_slam import DualSlam
 from slam.dual.fusion.fuse import FusionConfig
+from slam.dual.fusion.map_merger import MapMerger
 from slam.dual.recovery.interface import RecoveryConfig
 from slam.dual.recovery.registry import ThreadSpec
 from slam.map.invariants import check_map
-from slam.warmup import CAMERA
 
 # Recovery fails at the first unusable frame: only place recognition is left.
 BY_PLACE = replace(
@@ -81,24 +80,19 @@ def test_place_merging_can_be_switched_off(fused_by_place):
     assert kinds(system) == kinds(fused_by_place[0])[:-1]
 
 
-class BackToTheFirst(DualSlam):
-    """A system that, once two maps are saved, relocalizes in the first of them."""
-
-    def _relocalization_maps(self):
-        return self._saved[1:]
-
-
 def test_the_older_map_absorbs_the_newer_when_the_older_is_tracked():
     """Relocalized in the first map while the second is saved, the camera reaches the second's scene."""
     images, _, T_world_cam = toy(130, 0, STEP_M)
     _, stamps_s, _ = toy(150, 0, STEP_M)
     order = [*range(100), *range(45, 95)]
-    system = BackToTheFirst(CAMERA, 0, CONFIG, replace(BY_PLACE, place_merging=None))
+    system = dual(replace(BY_PLACE, place_merging=None, relocalization=True))
+    relocalize = system.engine.relocalize
+    # Once two maps are saved, only the first is searched.
+    system.engine.relocalize = lambda frame, map_ids: relocalize(frame, map_ids[1:])
     shown = blanked([images[i] for i in order], range(50, 56), range(97, 100))
-    merger = dual(BY_PLACE)._place_merger
     for i, (image, stamp_s) in enumerate(zip(shown, stamps_s, strict=True)):
         if i == 100:  # before, the two maps would have been fused
-            system._place_merger = merger
+            system.merger = MapMerger(system.engine, BY_PLACE.place_merging)
         system.process(image, float(stamp_s))
     system.finish()
     check_map(system.current_map)
@@ -106,7 +100,7 @@ def test_the_older_map_absorbs_the_newer_when_the_older_is_tracked():
     assert back.map_id == 0
     (fusion,) = of(system, "fusion")
     assert (fusion.by, fusion.map_id, fusion.old_map_id, fusion.new_map_id) == ("place", 0, 0, 1)
-    assert system.maps() == [0] and system.current_map_id == 0 and system._saved == []
+    assert system.maps() == [0] and system.current_map_id == 0 and system.engine.store.saved == []
     assert system.state is TrackingState.TRACKING
     (path,) = system.trajectories()
     assert len(path.frames) > 130

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from slam_scenes import CAMERA, FPS, PointWorld, make_frame, pose_error, rigid, tracked_in, walk
 
-from slam.dual.attempts import placed_keyframes
 from slam.dual.fusion.fuse import FusionConfig
 from slam.dual.recovery.interface import RecoveryConfig, RecoveryTask
 from slam.dual.recovery.orb import OrbRecovery, OrbRecoveryConfig
+from slam.dual.recovery_jobs import placed_keyframes
 from slam.map.invariants import check_map
 from slam.optimization.sim3 import sim3_decompose
 from slam.tracking.tracker import CrossingConfig, TrackingConfig

@@ -126,13 +126,18 @@ def test_settings_include_those_of_recovery(recovered):
     )
 
 
-class Rescaled(DualSlam):
+def rescaled():
     """A system whose second map has 0.4 of the scale."""
+    system = DualSlam(CAMERA, 0, CONFIG, RECOVERY_ONLY)
+    start = system.engine._start_map
 
-    def _start_map(self, initial):
-        if self.current_map_id == 1:
+    def start_rescaled(initial):
+        if initial.map.map_id == 1:
             initial.map.transform(0.4, np.eye(3), np.zeros(3))
-        super()._start_map(initial)
+        start(initial)
+
+    system.engine._start_map = start_rescaled
+    return system
 
 
 def test_maps_of_different_scale_are_fused_to_one_scale():
@@ -142,7 +147,7 @@ def test_maps_of_different_scale_are_fused_to_one_scale():
     """
     images, stamps_s, T_world_cam = toy(130, 0, STEP_M)
     images = blanked(images, range(50, 56), range(58, 60))
-    system = Rescaled(CAMERA, 0, CONFIG, RECOVERY_ONLY)
+    system = rescaled()
     results, fused, step = [], -1, np.nan
     for image, stamp_s in zip(images, stamps_s, strict=True):
         results.append(system.process(image, stamp_s))

@@ -57,7 +57,7 @@ def feed_in_time(system, first, last, until=None):
     for i in range(first, last):
         results.append(system.process(images[i], float(stamps_s[i])))
         give_up_s = time.monotonic() + PATIENCE_S
-        while not system._backend.idle and time.monotonic() < give_up_s:
+        while not system.engine.backend.idle and time.monotonic() < give_up_s:
             time.sleep(0.002)
         if until is not None and until():
             break

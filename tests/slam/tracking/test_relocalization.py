@@ -12,6 +12,7 @@ from slam_scenes import (
     feed,
     kinds,
     pose_error,
+    reconfigure,
     rigid,
     rms,
     toy,
@@ -218,7 +219,7 @@ def test_the_frames_that_follow_must_have_more_inliers_for_some_time(
     images, stamps_s, _ = there_and_back
     system = recovered[2].restore()
     tracking = replace(system.config.tracking, cautious_inliers=10_000, cautious_s=cautious_s)
-    system.config = replace(system.config, tracking=tracking)
+    reconfigure(system, tracking=tracking)
     feed(system, images[88:98], stamps_s[88:98], check=False)
     assert (kinds(system)[-1] == "relocalized") is confirmed
     if not confirmed:
@@ -242,7 +243,7 @@ def test_a_place_that_the_views_contradict_is_withdrawn_and_leaves_nothing(
     images, stamps_s, _ = there_and_back
     system = recovered[2].restore()
     strict = ProbationConfig(bar=replace(ProbationConfig().bar, **config))
-    system.config = replace(system.config, probation=strict)
+    reconfigure(system, probation=strict)
     before, path = system.current_map.copy(), system.trajectories()[0]
     results = feed(system, images[88:], stamps_s[88:], check=False)
     withdrawn = [e for e in system.events if isinstance(e, RelocalizationWithdrawn)]
@@ -261,7 +262,7 @@ def test_the_longer_the_camera_was_lost_the_longer_is_the_probation(
 ):
     images, stamps_s, _ = there_and_back
     system = recovered[2].restore()
-    system.config = replace(system.config, probation=ProbationConfig(span_share=span_share))
+    reconfigure(system, probation=ProbationConfig(span_share=span_share))
     feed(system, images[88:], stamps_s[88:], check=False)
     found = next(e for e in system.events if isinstance(e, Relocalized))
     asked_s = min(max(0.1, span_share * (stamps_s[found.first_frame] - found.stamp_s + found.lost_s)), 0.5)
@@ -326,7 +327,7 @@ def test_a_place_after_a_mistaken_one_needs_more_frames(recovered, there_and_bac
     first = {}
     for faults in (0, 6):
         system = recovered[2].restore()
-        system._doubted = tuple((stamps_s[87] - 0.05 * n, "contradicted") for n in range(faults))
+        system.engine.search._faults = tuple((stamps_s[87] - 0.05 * n, "contradicted") for n in range(faults))
         feed(system, images[88:], stamps_s[88:], check=False)
         (found,) = [e for e in system.events if isinstance(e, Relocalized)]
         first[faults] = found.frame - found.first_frame

@@ -1,4 +1,4 @@
-"""Recovery attempts: build the threads' tasks, run the threads, emit their events."""
+"""Recovery jobs: build the threads' tasks, run the threads, emit their events."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ from slam.runtime.backend import ExecutionMode
 
 @dataclass(frozen=True)
 class NewMap:
-    """A map initialized after a breakage.
+    """Map initialized after a breakage.
 
     Attributes:
         map: the new map.
@@ -37,8 +37,8 @@ class NewMap:
 
 
 @dataclass(frozen=True)
-class Attempt:
-    """A running recovery.
+class RecoveryJob:
+    """Recovery of one breakage, by one thread after another.
 
     Attributes:
         new_id: the map that is extended backward.
@@ -54,29 +54,20 @@ class Attempt:
     buffered_frames: int
 
 
-class RecoveryAttempts:
+class RecoveryJobs:
     """Runs recoveries, one at a time, and emits their events.
 
     Args:
         config: settings.
-        camera, seed, mode: the system's.
+        seed, mode: the system's.
         emit: emits an event: the frame, the kind, the map, the kind's own fields.
 
     Attributes:
-        camera: the system's, for recoveries to come.
-        under_way: the recovery with threads whose results are still to be handled, if any.
+        running: the recovery with threads whose results are still to be handled, if any.
     """
 
-    def __init__(
-        self,
-        config: DualConfig,
-        camera: PinholeCamera,
-        seed: int,
-        mode: ExecutionMode,
-        emit: Callable[..., None],
-    ) -> None:
-        self.under_way: Attempt | None = None
-        self.camera = camera
+    def __init__(self, config: DualConfig, seed: int, mode: ExecutionMode, emit: Callable[..., None]) -> None:
+        self.running: RecoveryJob | None = None
         self._seed = seed
         self._mode = mode
         self._emit = emit
@@ -93,7 +84,14 @@ class RecoveryAttempts:
         """True if any thread works on images."""
         return any(thread.needs_images for thread, _ in self._threads)
 
-    def begin(self, frame: Frame, new: NewMap, old_maps: Sequence[Map], buffer: FeatureBuffer) -> None:
+    def start(
+        self,
+        frame: Frame,
+        new: NewMap,
+        old_maps: Sequence[Map],
+        buffer: FeatureBuffer,
+        camera: PinholeCamera,
+    ) -> None:
         """Start the threads.
 
         Args:
@@ -101,9 +99,10 @@ class RecoveryAttempts:
             new: the map to be extended; each thread gets a copy of it.
             old_maps: the saved maps that the buffer reaches, newest first; they must not change meanwhile.
             buffer: the frames over which the threads go backward.
+            camera: of these frames.
         """
         backward = tuple(buffer.backward_from(new.first.features.index))
-        self.under_way = Attempt(
+        self.running = RecoveryJob(
             new.map.map_id,
             tuple(m.map_id for m in old_maps),
             new.map.n_keyframes,
@@ -116,19 +115,19 @@ class RecoveryAttempts:
             own, start, step = _ready_to_extend(new)
             rng = rng_for(self._seed, "recovery", number, seed, new.since)
             old = self._for_thread(old_maps)
-            tasks.append(RecoveryTask(own, start, backward, old, step, rng, self.camera, images))
-        self._emit_start(frame, 1, self.under_way)
+            tasks.append(RecoveryTask(own, start, backward, old, step, rng, camera, images))
+        self._emit_start(frame, 1, self.running)
         self._scheduler.start([thread for thread, _ in self._threads], tasks, frame.features.stamp_s)
 
     def give_up(self, frame: Frame, new_map: Map, old_id: int) -> None:
         """Report every thread as failed: the buffer no longer reaches any saved map."""
-        attempt = Attempt(new_map.map_id, (old_id,), 0, 0, 0)
+        job = RecoveryJob(new_map.map_id, (old_id,), 0, 0, 0)
         for number, (thread, _) in enumerate(self._threads, start=1):
-            self._emit_start(frame, number, attempt)
+            self._emit_start(frame, number, job)
             result = RecoveryResult(new_map, stage="overlap", reason="buffer_exceeded")
-            self._emit_end(frame, attempt, ThreadOutcome(number, thread.name, result, 0.0, 0.0, False))
+            self._emit_end(frame, job, ThreadOutcome(number, thread.name, result, 0.0, 0.0, False))
 
-    def ended(self, frame: Frame) -> Iterator[tuple[Attempt, RecoveryResult]]:
+    def ended(self, frame: Frame) -> Iterator[tuple[RecoveryJob, RecoveryResult]]:
         """Report the finished threads; yield each success before the next is reported.
 
         Raises:
@@ -136,7 +135,7 @@ class RecoveryAttempts:
         """
         return self._conclude(frame, self._scheduler.ended(frame.features.stamp_s))
 
-    def rest(self, frame: Frame) -> Iterator[tuple[Attempt, RecoveryResult]]:
+    def rest(self, frame: Frame) -> Iterator[tuple[RecoveryJob, RecoveryResult]]:
         """Wait for all threads, then do as :meth:`ended`."""
         return self._conclude(frame, self._scheduler.rest())
 
@@ -150,39 +149,39 @@ class RecoveryAttempts:
 
     def _conclude(
         self, frame: Frame, outcomes: Iterable[ThreadOutcome]
-    ) -> Iterator[tuple[Attempt, RecoveryResult]]:
+    ) -> Iterator[tuple[RecoveryJob, RecoveryResult]]:
         for outcome in outcomes:
-            attempt = self.under_way
-            if attempt is None:
+            job = self.running
+            if job is None:
                 raise RuntimeError("no recovery is under way")
-            self._emit_end(frame, attempt, outcome)
+            self._emit_end(frame, job, outcome)
             if outcome.result.success:
-                yield attempt, outcome.result
+                yield job, outcome.result
             if outcome.is_last:
-                self.under_way = None
+                self.running = None
             else:
-                self._emit_start(frame, outcome.number + 1, attempt)
+                self._emit_start(frame, outcome.number + 1, job)
 
-    def _emit_start(self, frame: Frame, number: int, attempt: Attempt) -> None:
+    def _emit_start(self, frame: Frame, number: int, job: RecoveryJob) -> None:
         self._emit(
             frame,
             ev.RecoveryStart,
-            attempt.new_id,
+            job.new_id,
             thread=number,
             method=self._threads[number - 1][0].name,
-            old_map_id=attempt.old_ids[0],
-            buffered_frames=attempt.buffered_frames,
+            old_map_id=job.old_ids[0],
+            buffered_frames=job.buffered_frames,
         )
 
-    def _emit_end(self, frame: Frame, attempt: Attempt, outcome: ThreadOutcome) -> None:
+    def _emit_end(self, frame: Frame, job: RecoveryJob, outcome: ThreadOutcome) -> None:
         result, found = outcome.result, outcome.result.alignment
         self._emit(
             frame,
             ev.RecoveryEnd,
-            attempt.new_id,
+            job.new_id,
             thread=outcome.number,
             method=outcome.name,
-            old_map_id=found.old_map_id if found else attempt.old_ids[0],
+            old_map_id=found.old_map_id if found else job.old_ids[0],
             success=result.success,
             stage=result.stage,
             reason=result.reason,
@@ -190,7 +189,7 @@ class RecoveryAttempts:
             frames_passed_over=result.frames_passed_over,
             inliers=result.inliers,
             cpu_ms=outcome.cpu_ms,
-            placed=placed_keyframes(result.map, attempt.keyframes, found) if found else (),
+            placed=placed_keyframes(result.map, job.keyframes, found) if found else (),
         )
 
 

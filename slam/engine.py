@@ -1,0 +1,411 @@
+"""The steps that systems are made of: frames in, one map at a time."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from numbers import Real
+
+import numpy as np
+
+from slam.config import SlamConfig
+from slam.core import events as ev
+from slam.core.camera import PinholeCamera
+from slam.core.events import TrackingState
+from slam.core.frame import Frame, FrameFeatures
+from slam.core.geometry import view_geometry
+from slam.core.results import TrackingResult
+from slam.core.seeds import rng_for
+from slam.core.timing import StageTimer
+from slam.features.orb import OrbExtractor
+from slam.initialization.initializer import Initializer, InitialMap, frames_between
+from slam.map.adjustment import apply_adjustment
+from slam.map.relation import loop_relation, relocalization_relation
+from slam.map.withdrawal import cull_since
+from slam.map_store import Loss, MapStore
+from slam.mapping.local_mapping import LocalMapper
+from slam.mapping.self_calibration import SelfCalibration
+from slam.place_search import PlaceSearch
+from slam.runtime.backend import (
+    Backend,
+    Calibrated,
+    Change,
+    Corrected,
+    ExecutionMode,
+    KeyframeTask,
+    Mapped,
+    Refused,
+    Searched,
+)
+from slam.tracking.probation import Probation
+from slam.tracking.tracker import Tracker, TrackingOutcome
+
+_PX_PER_FEATURE = 45.0  # an image has room for at most one feature in this many pixels
+_SEEKING = TrackingState.NOT_INITIALIZED
+
+
+class SlamEngine:
+    """Features, initialization, tracking, mapping, loop closing, relocalization, each as one step.
+
+    It decides nothing about what follows a loss of tracking: the systems do.
+
+    Args:
+        camera: intrinsics of the images to come.
+        seed: root of every random stream.
+        config: settings.
+        mode: lockstep or threaded.
+
+    Attributes:
+        events: all events so far.
+        state: of tracking.
+        store: the maps.
+        search: for the place of a lost camera.
+        backend: mapping and loop closing.
+        timer: of the tracking thread.
+        frames: number of frames processed so far.
+        newest: the newest frame.
+        corrections: number of times that mapped keyframes were moved by loop closing.
+    """
+
+    def __init__(self, camera: PinholeCamera, seed: int, config: SlamConfig, mode: ExecutionMode) -> None:
+        self.camera = camera
+        self.seed = seed
+        self.config = config
+        self.events: list[ev.Event] = []
+        self.view = view_geometry(camera, config.orb.n_levels, config.orb.scale_factor)
+        self.state = _SEEKING
+        self.timer = StageTimer()
+        self.store = MapStore(config)
+        self.frames = self.corrections = 0
+        self.newest: Frame | None = None
+        self._self_calibration = SelfCalibration(config.self_calibration)
+        self.backend = Backend(self._apply, mode, self._self_calibration)
+        self.search = PlaceSearch(self.store, seed, config, self.timer, self.backend.lock, self.emit_at)
+        width, height, orb = camera.width_px, camera.height_px, config.orb
+        self._extractor = OrbExtractor(width, height, orb)
+        wanted = min(config.initial_features * orb.n_features, width * height / _PX_PER_FEATURE)
+        more = replace(orb, n_features=max(orb.n_features, round(wanted)))
+        self._initial_extractor = OrbExtractor(width, height, more)
+        self._initializer = Initializer(camera, self.view, config.initialization)
+        self._tracker: Tracker | None = None
+        self._mapper: LocalMapper | None = None
+        self._mapping_cpu_ms = self._loop_cpu_ms = 0.0
+        self._last_stamp_s = -np.inf
+
+    @property
+    def tracker(self) -> Tracker:
+        """The tracker of the current map."""
+        if self._tracker is None:
+            raise RuntimeError("there is no map yet")
+        return self._tracker
+
+    @property
+    def mapper(self) -> LocalMapper:
+        """The mapper of the current map."""
+        if self._mapper is None:
+            raise RuntimeError("there is no map yet")
+        return self._mapper
+
+    # -- a frame -----------------------------------------------------------------------------------------
+
+    def receive(self, image: np.ndarray, stamp_s: float) -> Frame:
+        """Begin a frame: apply what mapping has handed over since the last one, find features.
+
+        Raises:
+            ValueError: wrong size or type of image, time not increasing.
+        """
+        self.timer.begin()
+        self._check_input(image, stamp_s)
+        self.backend.collect()
+        with self.timer("extract"):
+            extractor = self._initial_extractor if self.state is _SEEKING else self._extractor
+            features = extractor.extract(image)
+            built = FrameFeatures.build(self.frames, stamp_s, features, self.camera, self.view)
+        self.frames += 1
+        self.newest = Frame(built)
+        return self.newest
+
+    def initialize(self, frame: Frame) -> tuple[TrackingOutcome, InitialMap | None]:
+        """Try to initialize a map."""
+        rng = rng_for(self.seed, "initialization", frame.features.index)
+        with self.timer("initialize"):
+            initial, reason, matches = self._initializer.offer(
+                frame, self.store.current_id, rng, self.config.mapping
+            )
+            if initial is not None:
+                self._start_map(initial)
+        if initial is None:
+            return TrackingOutcome(False, 0, matches, reason), None
+        frame.point = initial.second.point
+        frame.T_cam_map = initial.second.T_cam_map
+        frame.reference_keyframe, frame.T_cam_reference = 1, np.eye(4)
+        return TrackingOutcome(True, initial.points, matches), initial
+
+    def track(self, frame: Frame) -> tuple[TrackingOutcome, bool]:
+        """Track the frame in the current map; the outcome, and True if it has become a keyframe."""
+        with self.backend.lock:
+            outcome = self.tracker.track(frame)
+            doubt = self.tracker.doubt
+            if outcome.success and doubt.reason:
+                outcome = TrackingOutcome(False, outcome.inliers, outcome.matches, doubt.reason)
+            wanted = outcome.success and self.tracker.wants_keyframe(frame, outcome.inliers)
+        is_keyframe = wanted and self.backend.idle
+        if is_keyframe:
+            self._map(frame)
+        return outcome, is_keyframe
+
+    def relocalize(self, frame: Frame, map_ids: Sequence[int]) -> TrackingOutcome:
+        """Search maps, in their order, for a frame; success once it is confirmed: tracking goes on there."""
+        outcome, confirmed = self.search.offer(frame, map_ids)
+        if confirmed is not None:
+            self._resume(confirmed, frame, outcome)
+        return outcome
+
+    def declare_breakage(self, frame: Frame, outcome: TrackingOutcome) -> None:
+        """Declare the current map broken, and take back what was said and learned since it is doubted."""
+        self.backend.drain()
+        self.emit(frame, ev.Breakage, reason=outcome.reason, inliers=outcome.inliers)
+        self._withdraw_doubted(frame)
+
+    def lose(self, frame: Frame) -> None:
+        """Put down that tracking is lost in the current map, to be found again there."""
+        doubt = self.tracker.doubt
+        self.store.note_loss(self.store.current_id, Loss(frame.features, doubt if doubt.reason else None))
+        self.search.start()
+
+    @property
+    def is_young(self) -> bool:
+        """True if the current map has too few keyframes to be kept."""
+        return len(self.store.current.keyframes()) <= self.config.min_map_keyframes
+
+    def drop_map(self, frame: Frame, reason: str) -> None:
+        """Drop the current map; a new one is sought."""
+        self.emit(frame, ev.MapDropped, reason=reason, keyframes=len(self.store.current.keyframes()))
+        self.store.poses.drop(self.store.current_id)
+        self.store.forget(self.store.current_id)
+        self.seek_new_map()
+
+    def seek_new_map(self) -> None:
+        """Seek a new map from the next frame on."""
+        self.store.next_map()
+        self._initializer.reset()
+        self.state = _SEEKING
+
+    def record(self, frame: Frame, outcome: TrackingOutcome) -> None:
+        """Keep the pose of a tracked frame."""
+        if outcome.success:
+            self.store.poses.add(self.store.current_id, frame)
+
+    def result(self, frame: Frame, outcome: TrackingOutcome, is_keyframe: bool) -> TrackingResult:
+        """End a frame: its result, with the times of its steps."""
+        mapping_cpu_ms, loop_cpu_ms = self._mapping_cpu_ms, self._loop_cpu_ms
+        self._mapping_cpu_ms = self._loop_cpu_ms = 0.0
+        T_map_cam = np.linalg.inv(frame.T_cam_map) if outcome.success else None
+        inlier_mask = (frame.point >= 0) & outcome.success
+        ms, cpu_ms = self.timer.read()
+        return TrackingResult(
+            frame=frame.features.index,
+            stamp_s=frame.features.stamp_s,
+            state=self.state,
+            T_map_cam=T_map_cam,
+            map_id=self.store.current_id,
+            inliers=outcome.inliers,
+            matches=outcome.matches,
+            reason=outcome.reason,
+            is_keyframe=is_keyframe,
+            keypoints_px=frame.features.xy_image,
+            inlier_mask=inlier_mask,
+            cpu_ms=cpu_ms,
+            ms=ms,
+            mapping_cpu_ms=mapping_cpu_ms,
+            loop_cpu_ms=loop_cpu_ms,
+        )
+
+    # -- events ------------------------------------------------------------------------------------------
+
+    def emit(self, frame: Frame, kind: type[ev.Event], **fields) -> None:
+        """Add an event of the current map."""
+        self.emit_at(frame, kind, self.store.current_id, **fields)
+
+    def emit_at(self, frame: Frame, kind: type[ev.Event], map_id: int, **fields) -> None:
+        """Add an event of a map."""
+        features = frame.features
+        self.events.append(kind(frame=features.index, stamp_s=features.stamp_s, map_id=map_id, **fields))
+
+    # -- maps --------------------------------------------------------------------------------------------
+
+    def enter(self, map_id: int) -> None:
+        """Make a map the current one, for tracking and mapping."""
+        self.store.current_id = map_id
+        m = self.store.current
+        self._mapper = LocalMapper(m, self.config.mapping, self.backend.lock)
+        self._tracker = Tracker(m, self.config.tracking, self.timer)
+
+    def _start_map(self, initial: InitialMap) -> None:
+        store = self.store
+        store.add(initial.map)
+        self.enter(initial.map.map_id)
+        self.tracker.start(initial.second, 1)
+        store.poses.add(store.current_id, initial.first)
+        for frame in frames_between(initial, self.config.tracking):
+            store.poses.add(store.current_id, frame)
+        self.state = TrackingState.TRACKING
+        self.emit(initial.second, ev.Initialized, points=initial.points, model=initial.model)
+
+    def _map(self, frame: Frame) -> None:
+        """Run local mapping on a new keyframe, then loop closing and, when it is due, self-calibration."""
+        self.tracker.keyframe_requested(frame)
+        m = self.store.current
+        rng = rng_for(self.seed, "loop", frame.features.index)
+        due = self._may_refine_camera() and self._self_calibration.is_due(m)
+        residual = self.camera.residual if due else None
+        loops = self.store.places(m.map_id).loops
+        with self.timer.apart():
+            self.backend.submit(KeyframeTask(frame, self.mapper, loops, rng, residual))
+
+    def _resume(self, probation: Probation, frame: Frame, outcome: TrackingOutcome) -> None:
+        """Go on where a relocalization was confirmed."""
+        store = self.store
+        if probation.map_id != store.current_id:
+            self.enter(probation.map_id)
+        self._tracker = probation.tracker
+        for tracked in probation.frames:
+            store.poses.add(probation.map_id, tracked)
+        self._initializer.reset()
+        self.state = TrackingState.TRACKING
+        lost = store.loss(probation.map_id).at
+        self.emit(
+            frame,
+            ev.Relocalized,
+            keyframe=store.current.frame_index(probation.keyframe),
+            first_frame=probation.first.features.index,
+            inliers=outcome.inliers,
+            frames_lost=frame.features.index - lost.index,
+            lost_s=frame.features.stamp_s - lost.stamp_s,
+            relation=relocalization_relation(store.current, probation.frames),
+        )
+
+    def _withdraw_doubted(self, frame: Frame) -> None:
+        """Take back what was said and learned since the map is doubted, if it is."""
+        doubt, m = self.tracker.doubt, self.store.current
+        if not doubt.reason:
+            return
+        poses = self.store.poses.take_back(m.map_id, doubt.first_frame)
+        culled = cull_since(m, doubt.first_frame)
+        if culled:  # what stays has been adjusted to what goes
+            self.mapper.adjust(m.live(culled[-1]))
+        self.emit(
+            frame,
+            ev.PosesWithdrawn,
+            first_frame=min(poses, default=doubt.first_frame),
+            last_frame=max(poses, default=doubt.first_frame),
+            frames=len(poses),
+            keyframes=len(culled),
+            reason=doubt.reason,
+        )
+
+    # -- what mapping and loop closing hand over ---------------------------------------------------------
+
+    def _apply(self, change: Change) -> None:
+        """Apply a change made by mapping or loop closing."""
+        if isinstance(change, Mapped):
+            self._mapping_cpu_ms += change.cpu_ms
+            if self.tracker.last is change.frame:
+                self.tracker.keyframe_made(change.frame, change.keyframe)
+        elif isinstance(change, Searched):
+            self._loop_cpu_ms += change.cpu_ms
+        elif isinstance(change, Corrected):
+            self._apply_correction(change)
+        elif isinstance(change, Refused):
+            self._report_refusal(change)
+        elif isinstance(change, Calibrated):
+            self._apply_refinement(change)
+        else:
+            self._loop_cpu_ms += change.cpu_ms
+            self.corrections += 1
+            m = change.task.mapper.map
+            apply_adjustment(m, change.adjustment)
+            self.emit_at(
+                change.task.frame,
+                ev.MapAdjusted,
+                m.map_id,
+                keyframes=len(change.adjustment.keyframes),
+                points=len(change.adjustment.points),
+                cpu_ms=change.cpu_ms,
+            )
+
+    def _apply_correction(self, change: Corrected) -> None:
+        """Apply a loop closure to the map, its frames and the tracker."""
+        m, loop, frame = change.task.mapper.map, change.loop, change.task.frame
+        self._loop_cpu_ms += change.cpu_ms
+        relation = loop_relation(m, loop.keyframe, loop.loop_keyframe, loop.S_cam_map)
+        m.adopt(change.corrected_map)
+        self.corrections += 1
+        self.store.poses.rescale(m.map_id, change.factor)
+        self.tracker.corrected(change.factor)
+        self.emit_at(
+            frame,
+            ev.LoopClosed,
+            m.map_id,
+            keyframe=m.frame_index(loop.keyframe),
+            loop_keyframe=m.frame_index(loop.loop_keyframe),
+            scale=float(change.factor[loop.keyframe]),
+            matches=len(loop.points),
+            cpu_ms=change.cpu_ms,
+            relation=relation,
+        )
+
+    def _apply_refinement(self, change: Calibrated) -> None:
+        """Go on with the refined camera, if there is one and the map has not broken meanwhile."""
+        self._mapping_cpu_ms += change.cpu_ms
+        found, m = change.refinement, change.task.mapper.map
+        if found is None or self.state is not TrackingState.TRACKING or not self._may_refine_camera():
+            return
+        self.camera = replace(self.camera, residual=found.residual)
+        found.apply(m)
+        for frame in self._frames_in_work():
+            frame.features = frame.features.seen_by(self.camera)
+            if frame.reference_keyframe >= 0:
+                frame.T_cam_map = frame.T_cam_reference @ m.T_cam_map(frame.reference_keyframe)
+        self.emit_at(
+            change.task.frame,
+            ev.CameraRefined,
+            m.map_id,
+            k1=found.residual[0],
+            k2=found.residual[1],
+            shift_px=found.shift_px,
+            significance=found.significance,
+            keyframes=len(found.adjustment.keyframes),
+            cpu_ms=change.cpu_ms,
+        )
+
+    def _frames_in_work(self) -> list[Frame]:
+        """Frames whose features are still to be used."""
+        frames = [self.newest, self.tracker.last, self.backend.newest and self.backend.newest.frame]
+        return list({id(frame): frame for frame in frames if frame is not None}.values())
+
+    def _may_refine_camera(self) -> bool:
+        """Return True while there is one map, in which tracking was never lost."""
+        return self.store.is_one_unbroken
+
+    def _report_refusal(self, change: Refused) -> None:
+        m, refusal = change.task.mapper.map, change.refusal
+        self.emit_at(
+            change.task.frame,
+            ev.LoopRefused,
+            m.map_id,
+            keyframe=m.frame_index(refusal.keyframe),
+            loop_keyframe=m.frame_index(refusal.loop_keyframe),
+            matches=refusal.matches,
+            reason=refusal.reason,
+        )
+
+    def _check_input(self, image: np.ndarray, stamp_s: float) -> None:
+        shape = (self.camera.height_px, self.camera.width_px)
+        if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.shape != shape:
+            got = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+            raise ValueError(f"frame {self.frames}: expected a uint8 image of shape {shape}, got {got}")
+        is_time = isinstance(stamp_s, Real) and np.isfinite(stamp_s)
+        if not is_time or not stamp_s > self._last_stamp_s:
+            raise ValueError(
+                f"frame {self.frames}: time {stamp_s} s is not after the last one, {self._last_stamp_s} s"
+            )
+        self._last_stamp_s = stamp_s
