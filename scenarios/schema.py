@@ -3,6 +3,7 @@
 from typing import Any
 
 from scenarios.families import MEMBERS
+from scenarios.segments import SEGMENT_KINDS
 from scenarios.spec import Scenario
 
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
@@ -14,6 +15,9 @@ _NUMBERS = ("number", "integer")
 def json_schema() -> dict[str, Any]:
     """The JSON Schema of a scenario file, be it of one scenario or of a family."""
     schema = Scenario.model_json_schema()
+    for model in SEGMENT_KINDS.values():
+        # Without it, a segment lasts to the end of the sequence.
+        schema["$defs"][model.__name__]["required"].remove("duration_s")
     for model in [schema, *schema["$defs"].values()]:
         _let_vary(model)
     schema["$defs"]["Distribution"] = _distribution(True, {})

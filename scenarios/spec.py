@@ -1,7 +1,8 @@
 """The scenario: what happens, as typed and validated data. Nothing is executed here."""
 
 import math
-from typing import Literal
+from collections.abc import Sequence
+from typing import Any, Literal
 
 from pydantic import Field, ValidationError, ValidationInfo, field_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
@@ -54,6 +55,15 @@ class Scenario(Strict):
         """Frames of the sequence; the first has stamp 0."""
         return max(1, round(self.duration_s * self.camera.fps))
 
+    @field_validator("segments", mode="before")
+    @classmethod
+    def _last_to_the_end(cls, segments: Any, info: ValidationInfo) -> Any:
+        """Give every segment without a duration the one that ends with the sequence."""
+        end_s = info.data.get("duration_s")
+        if end_s is None or not isinstance(segments, Sequence):
+            return segments
+        return [_lasting(segment, end_s) for segment in segments]
+
     @field_validator("segments")
     @classmethod
     def _segments_fit(cls, segments: tuple[Segment, ...], info: ValidationInfo) -> tuple[Segment, ...]:
@@ -76,6 +86,16 @@ class Scenario(Strict):
                 cls.__name__, [_value_error(index, text) for index, text in faults.items()]
             )
         return segments
+
+
+def _lasting(segment: Any, end_s: float) -> Any:
+    if not isinstance(segment, dict) or "duration_s" in segment:
+        return segment
+    start_s = segment.get("start_s")
+    if not isinstance(start_s, int | float):
+        return segment
+    # One that starts too late is given any duration: it is then found to end too late.
+    return {**segment, "duration_s": end_s - start_s if start_s < end_s else 1.0}
 
 
 def _value_error(index: int, text: str) -> InitErrorDetails:

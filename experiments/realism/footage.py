@@ -8,14 +8,18 @@ import numpy as np
 from experiments.evaluation import metrics
 from experiments.evaluation.alignment import Undefined
 from experiments.realism.images import frame_statistics
+from experiments.realism.live import live_residuals
 from experiments.realism.measures import MEASURES
 from experiments.realism.tracked import map_statistics
 from experiments.runs.execution import RunRecord, SlamSystem, execute
 from sim.sequence import Sequence
-from slam.core.events import TrackingState
+from slam.core.events import Breakage, CameraRefined, TrackingState
 from slam.core.results import TrackingResult
+from slam.system import MonocularSlam
 
 _LOOKED_AT_EVERY = 10  # frames, for the statistics of images
+_MATCHED_EVERY = 5  # frames, for the residuals of all matches
+_REMOVED_FROM = 2.45  # sigma: from here the tracker removes a match
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,7 @@ class Footage:
 
 @dataclass
 class _Looking:
-    """Observer that measures every tenth frame."""
+    """Observer that measures frames at intervals: every so many images, and matches between keyframes."""
 
     found: dict[str, list[np.ndarray]] = field(default_factory=dict)
 
@@ -45,6 +49,9 @@ class _Looking:
         if result.frame % _LOOKED_AT_EVERY == 0:
             for name, values in frame_statistics(image).items():
                 self.found.setdefault(name, []).append(values)
+        tracked = result.state is TrackingState.TRACKING and not result.is_keyframe
+        if tracked and result.frame % _MATCHED_EVERY == 0 and isinstance(system, MonocularSlam):
+            self.found.setdefault("live_residual", []).append(live_residuals(system))
 
 
 def measure_footage(
@@ -92,16 +99,21 @@ def _figures(
     pairs = _pairs(record)
     ate = None if pairs is None else metrics.ate(pairs)
     residual = values.get("residual", np.empty(0))
+    live = values.get("live_residual", np.empty(0))
     return {
         "frames": count,
         "tracked_share": sum(r.state is TrackingState.TRACKING for r in record.results) / max(count, 1),
         "maps": len(record.trajectories),
+        "breakages": sum(isinstance(e, Breakage) for e in record.events),
+        "camera_refined": sum(isinstance(e, CameraRefined) for e in record.events),
         "keyframes": keyframes,
         "keyframes_per_s": keyframes / duration_s if duration_s else None,
         "keyframes_per_m": keyframes / path_m if path_m else None,
         "path_m": path_m,
         "residual_over_1_sigma": _share(residual > 1),
         "residual_over_2_sigma": _share(residual > 2),
+        "live_residual_over_2.45_sigma": _share(live > _REMOVED_FROM),
+        "live_residual_over_5_sigma": _share(live > 5),
         "scale_first_over_last": None if scale is None else scale.first_over_last,
         "ate_m": None if ate is None or isinstance(ate, Undefined) else ate.rmse_m,
     }

@@ -89,6 +89,10 @@ MEASURES: tuple[Measure, ...] = (
         "map; it ends at 2.45, from where an observation is removed.", 0, 3, 45,
     ),
     Measure(
+        "live_residual", "distance of a match from its point, in sigma of its octave", "Of all matches in "
+        "windows of three times the tracker's, at the pose that was found, none removed.", 0, 8, 48,
+    ),
+    Measure(
         "track_length", "keyframes that observe a point", "Of all points of the finished map.", 1, 60, 24,
         True, "map", True,
     ),

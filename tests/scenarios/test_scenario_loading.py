@@ -136,3 +136,11 @@ def test_binary_content_is_refused(tmp_path):
     path.write_bytes(np.arange(128, 256, dtype=np.uint8).tobytes())
     with pytest.raises(InputError, match="UTF-8"):
         load_scenario(path)
+
+
+def test_a_segment_without_duration_lasts_to_the_end_of_the_sequence(tmp_path):
+    text = VALID.replace("start_s: 8, duration_s: 1, ", "start_s: 8, ")
+    assert load_scenario(write(tmp_path, text)).segments[1].end_s == 20
+    assert load_scenario(write(tmp_path, text.replace("20", "12"))).segments[1].duration_s == 4
+    assert "ends after the sequence" in fault(tmp_path, text.replace("start_s: 8", "start_s: 21"))
+    assert "'soon' is not valid" in fault(tmp_path, text.replace("start_s: 8", "start_s: soon"))
