@@ -2,10 +2,10 @@
 
 from typing import Any, ClassVar, Literal
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from scenarios.lenses import lens_fault
-from scenarios.strict import Strict, with_defaults_of
+from scenarios.strict import Grown, Strict, with_defaults_of
 
 PRESETS: dict[str, dict[str, Any]] = {
     # Sequences 00 to 02, rectified. Source: calib.txt of the KITTI odometry benchmark.
@@ -111,7 +111,7 @@ class CalibrationError(Strict):
     k2: float = Field(0.0, ge=-0.2, le=0.2)
 
 
-class Camera(Strict):
+class Camera(Grown):
     """A camera. Integer pixel coordinates are pixel centres, as in OpenCV.
 
     A frame's stamp is the centre of its exposure, and its true pose is the pose at that moment.
@@ -158,12 +158,6 @@ class Camera(Strict):
         "contrast": 1.0,
         "residual": None,
     }
-
-    @model_serializer(mode="wrap")
-    def _without_what_is_off(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out younger fields that are off: what is identified by its content stays the same."""
-        data = handler(self)
-        return {k: v for k, v in data.items() if k not in self._unwritten or v != self._unwritten[k]}
 
     @model_validator(mode="before")
     @classmethod

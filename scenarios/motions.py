@@ -1,12 +1,12 @@
 """The motions of a spec."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
 from pydantic_core import PydanticCustomError
 
-from scenarios.strict import Strict, with_defaults_of
+from scenarios.strict import Grown, with_defaults_of
 
 KINDS: dict[str, dict[str, float]] = {
     "walk": {},
@@ -38,13 +38,13 @@ KINDS: dict[str, dict[str, float]] = {
 
 _OF_KIND: dict[str, tuple[str, ...]] = {
     "walk": (),
-    "handheld": ("shake_deg", "step_hz"),
+    "handheld": ("shake_deg", "step_hz", "look_deg"),
     "car": ("shake_deg", "max_accel_mps2"),
     "drone": ("max_accel_mps2", "gust_mps"),
 }
 
 
-_OWN_FIELDS = ("shake_deg", "step_hz", "max_accel_mps2", "gust_mps")
+_OWN_FIELDS = ("shake_deg", "step_hz", "max_accel_mps2", "gust_mps", "look_deg")
 
 
 def add_motion_kind(kind: str, defaults: Mapping[str, float], fields: tuple[str, ...] = ()) -> None:
@@ -53,7 +53,7 @@ def add_motion_kind(kind: str, defaults: Mapping[str, float], fields: tuple[str,
     Args:
         kind: its name.
         defaults: fields of the trajectory that the kind sets.
-        fields: those of shake_deg, step_hz, max_accel_mps2 and gust_mps that the kind has.
+        fields: those of shake_deg, step_hz, max_accel_mps2, gust_mps and look_deg that the kind has.
 
     Raises:
         ValueError: the kind is taken, or a field is unknown.
@@ -88,7 +88,7 @@ class _MotionKinds(WithJsonSchema):
 MotionKind = Annotated[str, AfterValidator(_known_kind), _MotionKinds()]
 
 
-class Trajectory(Strict):
+class Trajectory(Grown):
     """A smooth path along the world's route.
 
     ``gaze`` is where the camera looks relative to the direction of travel: 0 ahead, 90 to the left wall.
@@ -108,6 +108,14 @@ class Trajectory(Strict):
     step_hz: float = Field(0.0, ge=0, le=4, description="steps per second of the person who holds the camera")
     max_accel_mps2: float = Field(0.0, ge=0, le=30, description="along the path and across it")
     gust_mps: float = Field(0.0, ge=0, le=15, description="standard deviation of the wind about a drone")
+    look_deg: float = Field(
+        0.0,
+        ge=0,
+        le=45,
+        description="amplitude of looking about; up, down and askew three quarters of it",
+    )
+
+    _unwritten: ClassVar[dict[str, Any]] = {"look_deg": 0.0}
 
     @model_validator(mode="before")
     @classmethod

@@ -2,10 +2,10 @@
 
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from scenarios.kinds import Kinds
-from scenarios.strict import Strict
+from scenarios.strict import Grown, Strict
 
 
 class WorldBase(Strict):
@@ -53,18 +53,18 @@ class Aliasing(Strict):
     )
 
 
-class Aliased(WorldBase):
+class Aliased(WorldBase, Grown):
     """A world that can repeat itself."""
 
     aliased: Aliasing | None = Field(None, description="what occurs again; none: every surface is unique")
 
     _unwritten: ClassVar[dict[str, Any]] = {"aliased": None}
 
-    @model_serializer(mode="wrap")
-    def _without_what_is_off(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out younger fields that are off: what is identified by its content stays the same."""
-        data = handler(self)
-        return {k: v for k, v in data.items() if k not in self._unwritten or v != self._unwritten[k]}
+
+Surfaces = Annotated[
+    Literal["worn", "clean"],
+    Field(description="worn: texture everywhere; clean: smooth ones beside prints, fine tiles and stripes"),
+]
 
 
 class RoomWorld(Lamps, Aliased):
@@ -74,6 +74,9 @@ class RoomWorld(Lamps, Aliased):
     length_m: float = Field(14.0, ge=4, le=100)
     width_m: float = Field(10.0, ge=4, le=100)
     height_m: float = Field(3.2, ge=2.2, le=20)
+    surfaces: Surfaces = "worn"
+
+    _unwritten: ClassVar[dict[str, Any]] = {"aliased": None, "surfaces": "worn"}
 
 
 class CorridorWorld(Lamps, Aliased):
@@ -85,8 +88,9 @@ class CorridorWorld(Lamps, Aliased):
     height_m: float = Field(2.8, ge=2.2, le=20)
     turns: int = Field(2, ge=0, le=50, description="right-angled, of an open corridor")
     loop: bool = Field(False, description="four legs round a block, again and again")
+    surfaces: Surfaces = "worn"
 
-    _unwritten: ClassVar[dict[str, Any]] = {"aliased": None, "loop": False}
+    _unwritten: ClassVar[dict[str, Any]] = {"aliased": None, "loop": False, "surfaces": "worn"}
 
 
 class CityWorld(Outdoors, Aliased):

@@ -27,6 +27,8 @@ _SWAY_DEG = (1.5, 1.2, 0.8)  # yaw, pitch, roll
 _LOOK_AHEAD_S = 0.5  # standard deviation of the time over which the gaze smooths the direction of travel
 _TREMBLE_HZ = (3.0, 8.0)
 _TREMBLE_SHARE = 0.4
+_LOOK_HZ = (0.1, 0.35)
+_LOOK_SHARES = np.array([1.0, 0.75, 0.75])  # of yaw, pitch, roll
 _STAIR_PACE = 0.6  # share of the pace lost per sine of the slope: two thirds remain on a stair of 33 degrees
 _STAIR_GAZE = 0.35  # share of the slope by which the gaze follows it up or down
 
@@ -52,7 +54,7 @@ def plan_handheld(route: Route, trajectory: Trajectory, duration_s: float, seed:
     """Plan a walk with a hand-held camera; arguments as for ``plan_walk``.
 
     The body rises with each step and leans towards the standing leg; the hands nod and roll with it by
-    ``shake_deg`` and tremble.
+    ``shake_deg`` and tremble, and the camera looks about by ``look_deg``.
     """
     knots_s = knot_times(duration_s, _STEP_KNOT_S)
     position, turns = _walked(route, trajectory, duration_s, seed, knots_s)
@@ -69,6 +71,10 @@ def plan_handheld(route: Route, trajectory: Trajectory, duration_s: float, seed:
     turns[:, 2] += shake * np.sin(steps / 2 + rng.uniform(0, 2 * np.pi))
     tremble = np.column_stack([sway(knots_s, rng, _TREMBLE_HZ) for _ in range(3)])
     turns += _TREMBLE_SHARE * shake * tremble
+    if trajectory.look_deg:
+        rng = rng_for(seed, "motion", "look")
+        about = np.column_stack([sway(knots_s, rng, _LOOK_HZ) for _ in range(3)])
+        turns += math.radians(trajectory.look_deg) * _LOOK_SHARES * about
     return within_limits(knots_s, position, turns, trajectory, duration_s)
 
 

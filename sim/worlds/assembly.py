@@ -12,7 +12,7 @@ from scenarios.worlds import Aliasing
 from sim.worlds.base import Surface, WorldModel
 from sim.worlds.geometry.meshes import Piece
 from sim.worlds.geometry.panels import Panel
-from sim.worlds.materials.finishes import FINISHES, PIECE_FINISHES, draw, paint
+from sim.worlds.materials.finishes import CLEAN_INSTEAD, FINISHES, PIECE_FINISHES, draw, paint
 from sim.worlds.materials.textures import multiply
 from sim.worlds.recurrence import Recurrence
 
@@ -23,7 +23,9 @@ _WALL_SCALE, _SLAB_SCALE = 256.0, 160.0
 # Texture pixels of a whole world: a larger world has coarser textures.
 _PANEL_BUDGET_PX, _PIECE_BUDGET_PX = 80e6, 36e6
 # Panels of these finishes may show one another's pictures, of any size.
-_INTERCHANGEABLE = tuple(name for name, finish in FINISHES.items() if not finish.luminous)
+_INTERCHANGEABLE = tuple(
+    name for name, finish in FINISHES.items() if not finish.luminous and name not in CLEAN_INSTEAD.values()
+)
 
 
 class Lighting(Protocol):
@@ -40,6 +42,7 @@ def assemble_panels(
     seed: int,
     detail: np.ndarray | float = 1.0,
     aliasing: Aliasing | None = None,
+    clean: bool = False,
 ) -> WorldModel:
     """Paint and light every panel.
 
@@ -49,7 +52,10 @@ def assemble_panels(
         seed: root seed; panel k has its own stream, so that adding a panel at the end changes no other.
         detail: (len(panels),) or one for all: pixels per metre relative to the usual, at most 1.
         aliasing: what occurs again; None: every texture is unique.
+        clean: surfaces without wear take the place of worn ones.
     """
+    if clean:
+        panels = [replace(p, finish=CLEAN_INSTEAD.get(p.finish, p.finish)) for p in panels]
     sizes_m = [(panel.width_m, panel.height_m) for panel in panels]
     scales = detail * np.array([_SLAB_SCALE if abs(p.normal[2]) > 0.5 else _WALL_SCALE for p in panels])
     scales = _within_budget(scales, sizes_m, _PANEL_BUDGET_PX)

@@ -137,7 +137,7 @@ def build_world(spec: CorridorWorld, seed: int) -> WorldModel:
     if not spec.loop:
         panels += _end_walls(spec, legs, rng)
     light = Light(np.concatenate(lamps), np.concatenate(footprints), spec.height_m)
-    return assemble_panels(panels, light, seed, aliasing=spec.aliased)
+    return assemble_panels(panels, light, seed, aliasing=spec.aliased, clean=spec.surfaces == "clean")
 
 
 def _build(spec: CorridorWorld, leg: _Leg, floor: str, rng: np.random.Generator) -> _Built:

@@ -62,7 +62,7 @@ def build_world(spec: RoomWorld, seed: int) -> WorldModel:
         panels += piece.panels()
     footprints += [piece.outline() for piece in furniture if piece.low[2] == 0]
     light = Light(lamps, np.concatenate(footprints), spec.height_m)
-    return assemble_panels(panels, light, seed, aliasing=spec.aliased)
+    return assemble_panels(panels, light, seed, aliasing=spec.aliased, clean=spec.surfaces == "clean")
 
 
 def _half(spec: RoomWorld) -> np.ndarray:

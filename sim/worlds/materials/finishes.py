@@ -9,6 +9,7 @@ import numpy as np
 from sim.worlds.geometry.car_shapes import SHAPES
 from sim.worlds.materials import building_finishes as building
 from sim.worlds.materials import car_finish, motifs
+from sim.worlds.materials import clean_finishes as clean
 from sim.worlds.materials import country_finishes as country
 from sim.worlds.materials import facade_finishes as facade
 from sim.worlds.materials import furniture_finishes as furniture
@@ -60,7 +61,28 @@ FINISHES = {
     "picture": Finish(motifs.picture, 122, 48),
     "notice board": Finish(motifs.notice_board, 128, 52),
     "window": Finish(motifs.window, 172, 54, luminous=True),
+    "painted": Finish(clean.painted, 142, 24),
+    "small tiles": Finish(clean.small_tiles, 136, 26),
+    "striped carpet": Finish(clean.striped_carpet, 84, 26),
+    "smooth ceiling": Finish(clean.smooth_ceiling, 160, 8),
+    "plain front": Finish(clean.plain_front, 78, 24),
+    "table top": Finish(clean.table_top, 140, 40),
 }
+CLEAN_INSTEAD = {
+    "plaster": "painted",
+    "concrete": "painted",
+    "boards": "painted",
+    "brick": "small tiles",
+    "tiles": "small tiles",
+    "parquet": "striped carpet",
+    "stone": "striped carpet",
+    "ceiling": "smooth ceiling",
+    "cabinet": "plain front",
+    "machine": "plain front",
+    "door": "plain front",
+    "crate": "table top",
+}
+"""Finishes of clean surfaces, by those of worn ones that they take the place of."""
 WALL_FINISHES = ("brick", "plaster", "concrete", "tiles", "boards")
 FLOOR_FINISHES = ("parquet", "stone")
 

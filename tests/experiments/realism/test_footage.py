@@ -1,16 +1,19 @@
 """``dslab footage``: statistics with known answers, the page, one line per fault."""
 
 import json
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 from html_page import Page
+from slam_scenes import CAMERA as SLAM_CAMERA
 from slam_scenes import random_map, scene
 from small_world import CAMERA, CORRIDOR
 
 from experiments.realism.comparison import distance
 from experiments.realism.images import frame_statistics
+from experiments.realism.live import live_residuals
 from experiments.realism.measures import MEASURES
 from experiments.realism.tracked import map_statistics
 
@@ -73,6 +76,26 @@ def test_every_observation_counts_and_the_descriptors_own_is_no_comparison():
     found = map_statistics(m)
     assert found["track_length"].sum() == observations
     assert len(found["descriptor_distance"]) < observations and found["descriptor_distance"].min() > 0
+
+
+def test_live_residuals_keep_what_the_tracker_removes_and_change_nothing():
+    m, frame = scene(np.random.default_rng(0))
+    f, T = frame.features, np.eye(4)
+    m.arrays.kp_point[: len(frame.point)] = frame.point
+    frame.T_cam_map = T
+    system = SimpleNamespace(
+        current_map=m, tracker=SimpleNamespace(last=frame, config=SimpleNamespace(local_map_keyframes=5))
+    )
+    exact = live_residuals(system)
+    assert len(exact) > 300 and np.quantile(exact, 0.9) < 1e-6
+    # Points beside their keypoints by four sigma, which are matched all the same.
+    row = np.flatnonzero(f.octave == 2)[:20]
+    shift = 4 * m.view.scale[2] / SLAM_CAMERA.fx
+    m.arrays.pt_xyz[frame.point[row], 0] += shift * m.arrays.pt_xyz[frame.point[row], 2]
+    before = m.arrays.pt_visible.copy()
+    moved = live_residuals(system)
+    assert ((moved > 3.9) & (moved < 4.1)).sum() > 10
+    np.testing.assert_array_equal(m.arrays.pt_visible, before)
 
 
 @pytest.fixture

@@ -159,3 +159,19 @@ def test_a_kind_sets_defaults_that_given_fields_replace(kind):
     assert Trajectory(kind=kind, max_speed_mps=3.0).max_speed_mps == 3.0
     assert Trajectory(**own.model_dump()) == own
     assert PAD_S >= 1.0
+
+
+def test_a_hand_held_camera_looks_about_while_it_goes_the_same_way():
+    straight = Route(np.array([[0.0, 0], [100, 0]]), 0.5, False)
+    still, about = (
+        plan_motion(straight, Trajectory(kind="handheld", shake_deg=0, max_speed_mps=0.3, look_deg=a), 60, 0)
+        for a in (0.0, 10.0)
+    )
+    stamps_s = np.arange(0, 60, 0.1)
+    one, two = still.T_world_cam(stamps_s), about.T_world_cam(stamps_s)
+    np.testing.assert_allclose(one[:, :3, 3], two[:, :3, 3], atol=1e-9)
+    angle_deg = np.degrees(np.arccos(np.clip(np.einsum("nk,nk->n", one[:, :3, 2], two[:, :3, 2]), -1, 1)))
+    assert 6 < angle_deg.max() < 14 and np.median(angle_deg) > 2
+    assert "look_deg" not in Trajectory(kind="handheld").model_dump()
+    with pytest.raises(ValueError, match="look_deg"):
+        Trajectory(kind="car", look_deg=3)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from scenarios.seeds import rng_for
-from sim.worlds.materials.finishes import FINISHES, FLOOR_FINISHES, WALL_FINISHES, paint
+from sim.worlds.materials.finishes import CLEAN_INSTEAD, FINISHES, FLOOR_FINISHES, WALL_FINISHES, paint
 from sim.worlds.materials.textures import (
     BLACK_LEVEL,
     WHITE_LEVEL,
@@ -118,3 +118,32 @@ def test_large_surfaces_have_corners_everywhere(name):
     keypoints = cv2.ORB_create(5000, edgeThreshold=4).detect(texture)
     cells = {(int(k.pt[0] // 40), int(k.pt[1] // 40)) for k in keypoints}
     assert len(cells) > 0.9 * (texture.shape[0] // 40) * (texture.shape[1] // 40)
+
+
+def corners(name, stream=5):
+    """A texture, ORB's corners in it, and the bits between each and the most similar one elsewhere."""
+    texture = cv2.GaussianBlur(paint(name, (2.0, 2.4), 128.0, rng_for(stream, name)), (0, 0), 1.0)
+    orb = cv2.ORB_create(800, edgeThreshold=16, fastThreshold=15)
+    found, descriptors = orb.detectAndCompute(texture, None)
+    xy = np.array([k.pt for k in found]).reshape(-1, 2)
+    if not len(xy):
+        return texture, xy, np.empty(0)
+    bits = np.unpackbits(descriptors, axis=1).astype(int)
+    apart = (bits[:, None] != bits[None]).sum(-1)
+    apart[np.linalg.norm(xy[:, None] - xy[None], axis=-1) < 20] = 999
+    return texture, xy, apart.min(axis=1)
+
+
+@pytest.mark.parametrize("worn", ["plaster", "concrete", "boards", "cabinet"])
+def test_clean_surfaces_leave_parts_of_them_without_corners(worn):
+    def share(name):
+        texture, xy, _ = corners(name)
+        return len({(int(x // 40), int(y // 40)) for x, y in xy}) / (texture.size / 40**2)
+
+    assert share(CLEAN_INSTEAD[worn]) < 0.6 * share(worn)
+
+
+@pytest.mark.parametrize("worn", ["parquet", "tiles"])
+def test_fine_clean_surfaces_look_alike_in_many_places(worn):
+    alike = [np.mean(corners(name)[2] < 40) for name in (worn, CLEAN_INSTEAD[worn])]
+    assert alike[0] < 0.15 and alike[1] > 0.4

@@ -208,3 +208,16 @@ def test_a_large_world_stays_within_the_texture_budget(monkeypatch):
     monkeypatch.setattr(assembly, "_PANEL_BUDGET_PX", 1e6)
     world = build_world(SMALL["room"], 0)
     assert sum(s.texture.size for s in world.surfaces) < 1.3e6
+
+
+@pytest.mark.parametrize("kind", INDOORS)
+def test_clean_surfaces_change_textures_and_no_shape(kind):
+    clean = SMALL[kind].model_copy(update={"surfaces": "clean"})
+    with cheap_textures():
+        other = build_world(clean, 4)
+    worn = cheap_world(kind, 4)
+    assert "surfaces" not in SMALL[kind].model_dump() and clean.model_dump()["surfaces"] == "clean"
+    for a, b in zip(worn.surfaces, other.surfaces, strict=True):
+        np.testing.assert_array_equal(a.vertices, b.vertices)
+    alike = [np.array_equal(a.texture, b.texture) for a, b in zip(worn.surfaces, other.surfaces, strict=True)]
+    assert 0 < np.mean(alike) < 0.6  # bookshelves and lamps stay
