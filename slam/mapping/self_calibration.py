@@ -23,12 +23,16 @@ class SelfCalibrationConfig:
         min_shift_px: least root mean square shift of the keypoints by a change that is applied.
         max_share: largest shift of a point at the image's corner over its distance from the centre; a larger
             one is no residual of a calibration, and is not applied.
+        usual_shift_px: root mean square shift of the keypoints by which calibrations are usually off. On a
+            straight way a change of the lens looks much like a drift of scale: without this, the estimate
+            may be several times too large there.
     """
 
     at_keyframes: tuple[int, ...] = (20, 40, 80, 160)
     min_significance: float = 13.8
     min_shift_px: float = 0.2
     max_share: float = 0.05
+    usual_shift_px: float = 2.0
 
 
 @dataclass(frozen=True)
@@ -98,7 +102,7 @@ class SelfCalibration:
         found = estimate_lens(
             a.kf_T_cam_map[cameras], np.arange(len(cameras)) == 0, a.pt_xyz[points], obs_camera, obs_point,
             distort_residual(xy, residual, intrinsics), view.inv_sigma2[a.kp_octave[obs_keypoint]],
-            intrinsics, residual,
+            intrinsics, residual, usual_shift_px=self.config.usual_shift_px,
         )  # fmt: skip
         if found.significance < self.config.min_significance or not self._is_residual(found, map_):
             return None

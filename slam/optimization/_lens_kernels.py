@@ -192,12 +192,15 @@ def spread_of_scores(
 
 
 @njit(cache=True, nogil=True)
-def adjust(T, points, start, camera, pixels, weights, intrinsics, k, slot, n_free, iterations, huber2):
+def adjust(T, points, start, camera, pixels, weights, intrinsics, k, slot, n_free, iterations, huber2, prior):
     """Minimise the cost over ``T``, ``points`` and ``k`` by Levenberg-Marquardt, in place.
 
+    Args:
+        prior: (2, 2) information on ``k`` about 0 beside that of the observations.
+
     Returns:
-        information (2, 2) on ``k`` once poses and points are eliminated, and the spread (2, 2) of the points'
-        pulls on it; both 0 where there is no solution.
+        information (2, 2) of the observations on ``k`` once poses and points are eliminated, and the spread
+        (2, 2) of the points' pulls on it; both 0 where there is no solution.
     """
     n_points, m = points.shape[0], camera.shape[0]
     U, V = np.empty((n_free, 6, 6)), np.empty((n_points, 3, 3))
@@ -208,13 +211,15 @@ def adjust(T, points, start, camera, pixels, weights, intrinsics, k, slot, n_fre
     step_p, held = np.empty((n_points, 3)), np.zeros(n_points, np.bool_)
     first = skyline(start, camera, slot, n_free)
     trial_T, trial_points = T.copy(), points.copy()
-    best = cost(T, points, start, camera, pixels, weights, intrinsics, k, huber2)
+    best = cost(T, points, start, camera, pixels, weights, intrinsics, k, huber2) + k @ prior @ k
     damping = 1e-6
     for _ in range(iterations):
         linearise(
             T, points, start, camera, pixels, weights, intrinsics, k, huber2, slot,
             U, V, W, gradient_c, gradient_p, D, gradient_k, B_c, B_p,
         )  # fmt: skip
+        D += prior
+        gradient_k += prior @ k
         eliminate_points(
             U, V, W, gradient_c, gradient_p, start, camera, slot, damping, first, V_inv, held, S, step_c
         )
@@ -235,10 +240,12 @@ def adjust(T, points, start, camera, pixels, weights, intrinsics, k, slot, n_fre
             if slot[c] >= 0:
                 retract(T[c], step_c[6 * slot[c] : 6 * slot[c] + 6], trial_T[c])
         trial_points[:] = points + step_p
-        trial = cost(trial_T, trial_points, start, camera, pixels, weights, intrinsics, k + step_k, huber2)
+        trial_k = k + step_k
+        trial = cost(trial_T, trial_points, start, camera, pixels, weights, intrinsics, trial_k, huber2)
+        trial += trial_k @ prior @ trial_k
         if trial <= best:
             T[:], points[:] = trial_T, trial_points
-            k += step_k
+            k[:] = trial_k
             converged = best - trial <= 1e-5 * best
             best = trial
             damping = max(damping / 10.0, 1e-9)

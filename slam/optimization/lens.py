@@ -44,6 +44,7 @@ def estimate_lens(
     intrinsics: np.ndarray,
     residual: tuple[float, float] = (0.0, 0.0),
     iterations: int = 12,
+    usual_shift_px: float = np.inf,
 ) -> LensEstimate:
     """Bundle-adjust poses, points and the two coefficients of the residual distortion.
 
@@ -58,9 +59,12 @@ def estimate_lens(
         intrinsics: (4,) fx, fy, cx, cy, px.
         residual: the coefficients so far.
         iterations: most steps tried.
+        usual_shift_px: root mean square shift of the keypoints by which calibrations are usually off; the
+            estimate keeps to it where the observations say little. It does not enter the significance.
 
     Source: Triggs et al., "Bundle Adjustment: A Modern Synthesis", 1999 (self-calibration as further
-        parameters of the adjustment); Liang and Zeger, 1986 (covariance of dependent observations).
+        parameters of the adjustment, and their prior); Liang and Zeger, 1986 (covariance of dependent
+        observations).
     """
     K = np.asarray(intrinsics, np.float64)
     start, order = _ba_kernels.sort_by_point(len(points), np.ascontiguousarray(obs_point, np.int32))
@@ -70,14 +74,24 @@ def estimate_lens(
     weights = np.ascontiguousarray(inv_sigma2[order], np.float64)
     seen = np.ascontiguousarray(pixels[order], np.float64)
     free = int((slot >= 0).sum())
+    prior = _shift_of(seen, K) / usual_shift_px**2
     information, spread = _lens_kernels.adjust(
-        T, xyz, start, camera, seen, weights, K, k, slot, free, iterations, CHI2_2DOF
+        T, xyz, start, camera, seen, weights, K, k, slot, free, iterations, CHI2_2DOF, prior
     )
     for c in np.flatnonzero(slot >= 0):
         orthonormalise(T[c])
     change = k - np.array(residual)
     significance = 0.0
     if np.isfinite(k).all() and np.linalg.det(spread) > 0:
-        pull = information @ change
+        # What the observations alone ask for: at the estimate they pull against the prior.
+        pull = information @ change + prior @ k
         significance = float(pull @ np.linalg.solve(spread, pull))
     return LensEstimate((float(k[0]), float(k[1])), T, xyz, significance)
+
+
+def _shift_of(pixels: np.ndarray, K: np.ndarray) -> np.ndarray:
+    """(2, 2) form that gives the mean square shift of keypoints (M, 2) by two coefficients, px²."""
+    rays = (pixels - K[2:]) / K[:2]
+    r2 = (rays**2).sum(axis=1)
+    per_unit = np.sqrt(((K[:2] * rays) ** 2).sum(axis=1))[:, None] * np.column_stack([r2, r2**2])
+    return per_unit.T @ per_unit / max(len(pixels), 1)

@@ -10,10 +10,19 @@ K = np.array([700.0, 700.0, 600.0, 180.0])
 PLANTED = (0.02, -0.006)
 
 
-def drive(seed: int, residual: tuple[float, float], noise_px: float, frames: int = 15) -> LensEstimate:
+def drive(
+    seed: int,
+    residual: tuple[float, float],
+    noise_px: float,
+    frames: int = 15,
+    usual_shift_px: float = np.inf,
+    far: float = 0.0,
+) -> LensEstimate:
     """Estimate from a forward drive along a street of points, started beside the truth."""
     rng = np.random.default_rng(seed)
-    points = np.column_stack([rng.uniform(-12, 12, 900), rng.uniform(-4, 1.6, 900), rng.uniform(4, 60, 900)])
+    points = np.column_stack(
+        [rng.uniform(-12, 12, 900), rng.uniform(-4, 1.6, 900), rng.uniform(4 + far, 60 + far, 900)]
+    )
     T = np.tile(np.eye(4), (frames, 1, 1))
     T[:, 2, 3], T[:, 0, 3] = -0.8 * np.arange(frames), 0.1 * rng.normal(size=frames)
     in_cam = np.einsum("cij,pj->cpi", T[:, :3, :3], points) + T[:, None, :3, 3]
@@ -26,7 +35,10 @@ def drive(seed: int, residual: tuple[float, float], noise_px: float, frames: int
     )
     start = points[np.unique(point)] * (1 + 0.01 * rng.normal(size=(len(np.unique(point)), 1)))
     fixed = np.arange(frames) == 0
-    return estimate_lens(T, fixed, start, camera, point_row, pixels, np.ones(len(camera)), K)
+    weights = np.ones(len(camera))
+    return estimate_lens(
+        T, fixed, start, camera, point_row, pixels, weights, K, usual_shift_px=usual_shift_px
+    )
 
 
 def test_a_planted_distortion_is_found_exactly_without_noise():
@@ -41,3 +53,15 @@ def test_a_distortion_is_significant_where_there_is_one_and_only_there(seed: int
     assert found.residual == pytest.approx(PLANTED, abs=0.008)
     assert found.significance > 30
     assert none.significance < 13.8
+
+
+def test_the_usual_shift_bounds_an_estimate_that_says_little_and_leaves_a_sure_one():
+    errors = np.array(
+        [
+            [drive(seed, PLANTED, 1.0, 6, usual, 20.0).residual[0] - PLANTED[0] for usual in (np.inf, 2.0)]
+            for seed in range(6)
+        ]
+    )
+    free, held = np.sqrt((errors**2).mean(axis=0))
+    assert held < 0.75 * free
+    assert drive(0, PLANTED, 0.0, 30, 2.0).residual == pytest.approx(PLANTED, abs=0.003)
