@@ -18,9 +18,11 @@ class SelfCalibrationConfig:
 
     Attributes:
         at_keyframes: numbers of keyframes of the first map at which the lens is estimated; none: never.
-        min_significance: least significance of a change that is applied: chi-square with 2 degrees of
-            freedom, 13.8 by chance once in a thousand.
-        min_shift_px: least root mean square shift of the keypoints by a change that is applied.
+        min_significance: least significance of the first change that is applied: chi-square with 2 degrees
+            of freedom, 13.8 by chance once in a thousand. Those after it need none: the lens is known to
+            be off, and the newest estimate is the best.
+        min_shift_px: least root mean square shift of the keypoints by the first change.
+        min_further_shift_px: the same of the changes after it.
         max_share: largest shift of a point at the image's corner over its distance from the centre; a larger
             one is no residual of a calibration, and is not applied.
         usual_shift_px: root mean square shift of the keypoints by which calibrations are usually off. On a
@@ -28,9 +30,10 @@ class SelfCalibrationConfig:
             may be several times too large there.
     """
 
-    at_keyframes: tuple[int, ...] = (20, 40, 80, 160)
+    at_keyframes: tuple[int, ...] = (20, 30, 40, 60, 80, 120, 160, 240, 320)
     min_significance: float = 13.8
     min_shift_px: float = 0.2
+    min_further_shift_px: float = 0.05
     max_share: float = 0.05
     usual_shift_px: float = 2.0
 
@@ -104,15 +107,20 @@ class SelfCalibration:
             distort_residual(xy, residual, intrinsics), view.inv_sigma2[a.kp_octave[obs_keypoint]],
             intrinsics, residual, usual_shift_px=self.config.usual_shift_px,
         )  # fmt: skip
-        if found.significance < self.config.min_significance or not self._is_residual(found, map_):
+        if not self._is_residual(found, map_):
             return None
         shift = _retaken(xy, residual, found.residual, view) - xy
         shift_px = float(np.sqrt((shift**2).sum(axis=1).mean()))
-        if shift_px < self.config.min_shift_px:
+        if not self._is_worth_it(found, shift_px, first=not any(residual)):
             return None
         none = np.empty((0, 2), np.int64), np.empty(0, np.int32)
         adjustment = MapAdjustment(cameras, found.T_cam_map, points, found.points, *none)
         return Refinement(residual, found.residual, adjustment, found.significance, shift_px)
+
+    def _is_worth_it(self, found: LensEstimate, shift_px: float, first: bool) -> bool:
+        if not first:
+            return shift_px >= self.config.min_further_shift_px
+        return found.significance >= self.config.min_significance and shift_px >= self.config.min_shift_px
 
     def _is_residual(self, found: LensEstimate, map_: Map) -> bool:
         """Return True if the distortion is small all over the image, corners included."""
