@@ -121,7 +121,8 @@ class RelocalizationWithdrawn(Event):
         keyframe: frame index of the keyframe that seemed to be recognised.
         first_frame: the frame that seemed to be relocalized.
         frames: number of frames tracked from there, itself included; none of their poses counts.
-        reason: what spoke against the place.
+        reason: what spoke against the place; ``too_little_expected`` if no frame showed a part of the map
+            large enough to tell.
     """
 
     kind: ClassVar[str] = "relocalization_withdrawn"

@@ -25,7 +25,9 @@ class ProbationConfig:
             points that something hides here.
         radius_px: half side of the window in which an expected point is searched, level 0.
         bar: what each frame must show.
-        min_sound: share of the frames, the relocalized one included, that must show it.
+        min_expected: fewest expected points with which a frame says anything; those of a camera that leaves
+            what it knows say nothing.
+        min_sound: share of the frames that say something, one at least, that must speak for the place.
         memory_s: time for which frames on an earlier probation count too: where one place was mistaken for
             another, it may be again.
     """
@@ -39,6 +41,7 @@ class ProbationConfig:
     bar: EvidenceBar = field(
         default_factory=lambda: EvidenceBar(min_share=0.5, max_contradicted=0.2, min_cells=8)
     )
+    min_expected: float = 40.0
     min_sound: float = 0.75
     memory_s: float = 8.0
 
@@ -67,7 +70,7 @@ class Probation:
 
     Attributes:
         frames: the relocalized frame and those tracked since.
-        faults: time and fault of each, empty for none.
+        faults: time and fault of each that says something, empty for none.
         verdict: whether it has ended, and how.
         reason: reason of a withdrawal; empty otherwise.
     """
@@ -98,7 +101,8 @@ class Probation:
         self._span_s = min(max(config.span_s, asked_s), config.max_s)
         tracker.observing = False
         tracker.resume(frame)
-        self.faults = [self._judged(frame)]
+        self.faults: list[tuple[float, str]] = []
+        self._judge(frame)
 
     @property
     def first(self) -> Frame:
@@ -113,7 +117,7 @@ class Probation:
             self.withdraw(reason)
             return TrackingOutcome(False, outcome.inliers, outcome.matches, reason)
         self.frames.append(frame)
-        self.faults.append(self._judged(frame))
+        self._judge(frame)
         self._decide()
         confirmed = self.verdict is Verdict.CONFIRMED
         return TrackingOutcome(
@@ -131,17 +135,18 @@ class Probation:
             return
         own = [fault for _, fault in self.faults]
         before = [fault for at_s, fault in self._earlier if at_s >= now_s - self._config.memory_s]
-        if not own[-1] and self._are_sound(own) and self._are_sound(before + own):
+        if own and not own[-1] and self._are_sound(own) and self._are_sound(before + own):
             self.verdict = Verdict.CONFIRMED
             self.tracker.observing = True
-        elif span_s >= self._config.max_s - 1e-6 and not self._are_sound(own):
-            self.withdraw(own[-1] or next(fault for fault in own if fault))
+        elif span_s >= self._config.max_s - 1e-6 and not (own and self._are_sound(own)):
+            self.withdraw(next((fault for fault in reversed(own) if fault), "too_little_expected"))
 
     def _are_sound(self, faults: Sequence[str]) -> bool:
         return sum(not fault for fault in faults) >= self._config.min_sound * len(faults)
 
-    def _judged(self, frame: Frame) -> tuple[float, str]:
+    def _judge(self, frame: Frame) -> None:
         m: Map = self.tracker.map
         _, points = collect_local_map(m.arrays, m.n_keyframes, m.n_points, frame.point, self._config.around)
         seen = support(m, points, frame.T_cam_map, frame.features, self._config.radius_px)
-        return frame.features.stamp_s, self._config.bar.fault(seen)
+        if seen.expected >= self._config.min_expected:
+            self.faults.append((frame.features.stamp_s, self._config.bar.fault(seen)))

@@ -173,7 +173,10 @@ def test_a_loop_that_the_corrected_map_contradicts_is_refused(sequence, monkeypa
     refused = [e for e in system.events if e.kind == "loop_refused"]
     assert set(kinds(system)) == {"initialized", "loop_refused"}
     assert refused[0].loop_keyframe == system.current_map.frame_index(0)
-    assert {e.reason for e in refused} <= {"map_is_stretched", "map_does_not_fit", "matches_do_not_fit"}
+    reasons = {"map_is_stretched", "map_does_not_fit", "matches_do_not_fit"}
+    # Beside tracking, one of the two keyframes may be culled while the loop is judged.
+    assert {e.reason for e in refused} <= reasons | ({"map_has_changed"} if mode is THREADED else set())
+    assert reasons & {e.reason for e in refused}
     if mode is ExecutionMode.LOCKSTEP:  # nothing of it is left
         for mine, theirs in zip(system.trajectories(), plain.trajectories(), strict=True):
             assert mine.T_map_cam.tobytes() == theirs.T_map_cam.tobytes()

@@ -1,6 +1,7 @@
 """Relocalization: a single frame is placed in a map of the same place, and in no other."""
 
 from dataclasses import replace
+from itertools import chain, repeat
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from slam.core.events import Breakage, RelocalizationWithdrawn, Relocalized, Tra
 from slam.core.results import MapTrajectory
 from slam.factory import build_system
 from slam.map.map import Map
+from slam.places.evidence import Support
 from slam.places.recognition import KeyframeDatabase
 from slam.places.training import train_vocabulary
 from slam.tracking.probation import ProbationConfig
@@ -254,6 +256,29 @@ def test_a_place_that_the_views_contradict_is_withdrawn_and_leaves_nothing(
     assert system.trajectories()[0].frames.tolist() == path.frames.tolist()
     for old, new in zip(before.arrays, system.current_map.arrays, strict=True):
         assert np.array_equal(old, new)
+
+
+@pytest.mark.parametrize(
+    ("expected", "reason"),
+    [([58, 29, 10, 0], ""), ([58, 29, 10, 45], "too_narrow"), ([10, 5, 0, 0], "too_little_expected")],
+)
+def test_frames_that_show_little_of_what_is_known_say_nothing(
+    recovered, there_and_back, monkeypatch, expected, reason
+):
+    """The camera leaves what is known as soon as it has recognised it."""
+    images, stamps_s, _ = there_and_back
+    system = recovered[2].restore()
+    shown = chain(expected, repeat(expected[-1]))
+
+    def leaving(*_):
+        n = next(shown)
+        cells = 8 if n == expected[0] else 2
+        return Support(float(n), round(0.6 * n), cells, 0.5, 0.0)
+
+    monkeypatch.setattr("slam.tracking.probation.support", leaving)
+    feed(system, images[88:], stamps_s[88:], check=False)
+    assert kinds(system)[2] == ("relocalization_withdrawn" if reason else "relocalized")
+    assert not reason or system.events[2].reason == reason
 
 
 @pytest.mark.parametrize(("span_share", "frames"), [(0.0, 4), (0.5, None), (1.0, None)])
