@@ -26,7 +26,6 @@ from experiments.runs.memory import peak_rss_mb, reset_peak
 from experiments.runs.provenance import code_hash, commit
 from sim.sequence import Sequence
 from slam.core.results import MapTrajectory
-from slam.features.sift import features_kept
 
 
 def run_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict[str, Any]:
@@ -98,11 +97,10 @@ def _judged(unit: UnitSpec, sequence: Sequence, clock: CpuClock) -> dict[str, An
         return row | {"outcome": Outcome.VOID.value, "void_reason": fault}
     lead_in = branch.save()
     reference = Reference(sequence, exposure, _current_path(branch), unit.kind, len(unit.threads))
-    with features_kept():
-        if "free" in unit.arms:
-            row |= judge_free(run_free(lead_in, unit), reference)
-        if "crossing" in unit.arms:
-            row |= judge_crossing(run_crossing(lead_in, exposure), reference)
+    if "free" in unit.arms:
+        row |= judge_free(run_free(lead_in, unit), reference)
+    if "crossing" in unit.arms:
+        row |= judge_crossing(run_crossing(lead_in, exposure), reference)
     if "pairs" in unit.arms:
         row |= judge_pairs(sequence, exposure.onset_frame, unit.nuisance_seed)
     return row | {"outcome": Outcome.COMPLETED.value}

@@ -1,12 +1,7 @@
 """SIFT features of a frame, some with known 3D positions."""
 
-import hashlib
-from collections.abc import Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
@@ -14,11 +9,9 @@ from scipy.spatial import cKDTree
 from slam.core.camera import PinholeCamera
 from slam.core.frame import Frame
 from slam.core.geometry import ViewGeometry
+from slam.features._sift_matching import nearest
+from slam.features.sift_detector import SIGMA0_PX, SiftDetector
 from slam.optimization._triangulation import triangulate
-
-# Standard deviation of SIFT's finest level, px; OpenCV's keypoint size is twice the standard deviation.
-_FINEST_SIGMA_PX = 1.6
-_kept: ContextVar[dict | None] = ContextVar("kept", default=None)
 
 
 @dataclass
@@ -81,54 +74,18 @@ class SiftFrame:
         return (self.xyz_cam[rows] - T_cam_map[:3, 3]) @ T_cam_map[:3, :3]
 
 
-def detect(
-    image: np.ndarray, frame: Frame, camera: PinholeCamera, n_features: int, contrast: float
-) -> SiftFrame:
+def detect(image: np.ndarray, frame: Frame, camera: PinholeCamera, detector: SiftDetector) -> SiftFrame:
     """Detect the SIFT features of an image.
 
     Args:
         image: (H, W) uint8.
         frame: the frame of the image.
         camera: the camera of the image.
-        n_features: most features kept, strongest first.
-        contrast: least contrast of a feature, as a share of the grey range.
-
-    Source: Lowe, "Distinctive image features from scale-invariant keypoints", 2004.
+        detector: with its settings.
     """
-    kept = _kept.get()
-    if kept is None:
-        return SiftFrame(frame, *_features(image, camera, n_features, contrast))
-    key = (hashlib.sha256(image.data).digest(), image.shape, camera, n_features, contrast)
-    if key not in kept:
-        kept[key] = _features(image, camera, n_features, contrast)
-    return SiftFrame(frame, *kept[key])
-
-
-@contextmanager
-def features_kept() -> Iterator[None]:
-    """Cache the features of each image within the context, for branches over the same frames.
-
-    The cache needs about 150 kB per image.
-    """
-    token = _kept.set({})
-    try:
-        yield
-    finally:
-        _kept.reset(token)
-
-
-def _features(
-    image: np.ndarray, camera: PinholeCamera, n_features: int, contrast: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Keypoints, information and descriptors; these arrays are never changed."""
-    keypoints, descriptors = cv2.SIFT_create(
-        nfeatures=n_features, contrastThreshold=contrast
-    ).detectAndCompute(image, None)
-    if descriptors is None:
-        return np.empty((0, 2)), np.empty(0), np.empty((0, 128), np.uint8)
-    xy = camera.undistort_points(np.array([k.pt for k in keypoints], np.float32)).astype(np.float64)
-    sigma = np.array([k.size for k in keypoints]) / (2 * _FINEST_SIGMA_PX)
-    return xy, 1.0 / np.maximum(sigma, 1.0) ** 2, descriptors.astype(np.uint8)
+    found = detector.detect(image)
+    xy = camera.undistort_points(found.xy.astype(np.float32)).astype(np.float64)
+    return SiftFrame(frame, xy, (SIGMA0_PX / found.sigma_px) ** 2, found.descriptors)
 
 
 def match(a: SiftFrame, b: SiftFrame, ratio: float) -> np.ndarray:
@@ -140,32 +97,10 @@ def match(a: SiftFrame, b: SiftFrame, ratio: float) -> np.ndarray:
     """
     if not len(a.xy) or not len(b.xy):
         return np.empty((0, 2), np.int64)
-    nearest, best2, second2, nearest_back = _nearest(a.descriptors, b.descriptors)
+    found, best2, second2, back = nearest(a.descriptors, b.descriptors)
     rows = np.arange(len(a.xy))
-    keep = (nearest_back[nearest] == rows) & (best2 < ratio**2 * second2)
-    return np.column_stack([rows[keep], nearest[keep]])
-
-
-@njit(cache=True, nogil=True)
-def _nearest(a, b):
-    """Nearest rows of a and b (n, 128) uint8 to each other, with squared distances."""
-    n, m = len(a), len(b)
-    far = np.int32(2**31 - 1)
-    nearest, nearest_back = np.zeros(n, np.int64), np.zeros(m, np.int64)
-    best2, second2, back2 = np.full(n, far), np.full(n, far), np.full(m, far)
-    for i in range(n):
-        for j in range(m):
-            distance2 = np.int32(0)
-            for k in range(128):
-                d = np.int32(a[i, k]) - np.int32(b[j, k])
-                distance2 += d * d
-            if distance2 < best2[i]:
-                second2[i], best2[i], nearest[i] = best2[i], distance2, j
-            elif distance2 < second2[i]:
-                second2[i] = distance2
-            if distance2 < back2[j]:
-                back2[j], nearest_back[j] = distance2, i
-    return nearest, best2, second2, nearest_back
+    keep = (back[found] == rows) & (best2 < ratio**2 * second2)
+    return np.column_stack([rows[keep], found[keep]])
 
 
 def take_depth_from_points(

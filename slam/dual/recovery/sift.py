@@ -21,6 +21,7 @@ from slam.features.sift import (
     take_depth_from_points,
     triangulate_pairs,
 )
+from slam.features.sift_detector import SiftDetector
 from slam.map._map_kernels import count_observed, resolve_points
 from slam.matching import guided
 from slam.optimization.pose import CHI2_2DOF, optimize_pose
@@ -33,8 +34,10 @@ class SiftRecoveryConfig(RecoveryConfig):
     """Settings of the SIFT thread.
 
     Attributes:
-        n_features: most SIFT features per frame.
-        contrast: contrast threshold of SIFT, half of the usual value: this thread serves weak texture.
+        n_features: most SIFT keypoints per frame, strongest first.
+        contrast: least contrast of a keypoint, in the sense of OpenCV, whose usual value is .04.
+        octaves: most octaves in which keypoints are sought.
+        most_pixels: a larger image is reduced to this number of pixels for it.
         ratio: best over second best descriptor distance of a SIFT match.
         ransac_iterations, ransac_error_px: of the pose RANSAC.
         min_sift_inliers, min_points: fewest SIFT features and map points that are inliers of a pose.
@@ -47,8 +50,10 @@ class SiftRecoveryConfig(RecoveryConfig):
         paired_keyframes: number of them matched for new points even without covisibility.
     """
 
-    n_features: int = 1000
+    n_features: int = 600
     contrast: float = 0.005
+    octaves: int = 4
+    most_pixels: int = 76_800
     ratio: float = 0.8
     ransac_iterations: int = 300
     ransac_error_px: float = 3.0
@@ -67,8 +72,8 @@ class SiftRecovery:
 
     name = "sift"
     needs_images = True
-    # Measured: CPU on one core, 640x480, 1,000 features.
-    cost = RecoveryCost(frame_ms=150.0, keyframe_ms=20.0, alignment_ms=4.0)
+    # Measured: CPU on one core, 640x480, 1,000 ORB features.
+    cost = RecoveryCost(frame_ms=12.0, keyframe_ms=50.0, alignment_ms=4.0)
 
     def __init__(self, config: RecoveryConfig | None = None) -> None:
         self.config = SiftRecoveryConfig.extending(config)
@@ -99,6 +104,7 @@ class SiftTracker(Tracker):
         super().__init__(task.new_map, config.tracking, StageTimer())
         self._sift_config = config
         self._task = task
+        self._detector = SiftDetector(config.n_features, config.contrast, config.octaves, config.most_pixels)
         self._placed: list[Frame] = []
         self._tracks = 0
         self.last_sift = self._keyframe_sift = self._detect(task.first)
@@ -141,9 +147,8 @@ class SiftTracker(Tracker):
     # -- steps -------------------------------------------------------------------------------------------
 
     def _detect(self, frame: Frame) -> SiftFrame:
-        c = self._sift_config
         image = self._task.image_of(frame.features.index)
-        return detect(image, frame, self._task.camera, c.n_features, c.contrast)
+        return detect(image, frame, self._task.camera, self._detector)
 
     def _place(self, sift: SiftFrame, reference: SiftFrame) -> TrackingOutcome:
         config, frame, m = self._sift_config, sift.frame, self.map

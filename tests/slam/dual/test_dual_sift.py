@@ -15,6 +15,7 @@ from slam.dual.recovery.registry import ThreadSpec, build_thread
 from slam.dual.recovery.sift import SiftRecoveryConfig, SiftTracker
 from slam.features import sift
 from slam.features.sift import SiftFrame
+from slam.features.sift_detector import SiftDetector
 from slam.map.invariants import check_map
 
 # -- a scene in which the motion model fails -----------------------------------------------------------------
@@ -136,7 +137,8 @@ def test_ambiguous_features_are_not_matched():
 
 def test_a_blank_image_has_no_features():
     frame = make_frame(0, np.random.default_rng(0), n=5)
-    nothing = sift.detect(np.full((480, 640), 90, np.uint8), frame, CAMERA, 100, 0.04)
+    detector = SiftDetector(100, 0.04, 4, 640 * 480)
+    nothing = sift.detect(np.full((480, 640), 90, np.uint8), frame, CAMERA, detector)
     assert nothing.xy.shape == (0, 2) and nothing.descriptors.shape == (0, 128)
     assert nothing.depth == 0.0
     a, _, _ = random_views(np.random.default_rng(3))
@@ -147,8 +149,9 @@ def test_features_are_undistorted_and_limited_in_number():
     bent = replace(CAMERA, distortion=(-0.2, 0.05, 0.0, 0.0, 0.0))
     image = cv2.resize(toy(20, 0, STEP_M)[0][0], (640, 480))
     frame = make_frame(0, np.random.default_rng(0), n=5)
-    plain, undone = (sift.detect(image, frame, camera, 200, 0.04) for camera in (CAMERA, bent))
-    assert 150 <= len(plain.xy) <= 210 and (plain.inv_sigma2 <= 1).all()
+    detector = SiftDetector(200, 0.005, 4, 640 * 480)
+    plain, undone = (sift.detect(image, frame, camera, detector) for camera in (CAMERA, bent))
+    assert 200 <= len(plain.xy) <= 260 and (plain.inv_sigma2 <= 1).all()
     np.testing.assert_allclose(undone.xy, bent.undistort_points(plain.xy.astype(np.float32)), atol=1e-3)
 
 
@@ -182,27 +185,3 @@ def test_triangulation_of_pairs_rejects_what_is_inconsistent():
     assert disagrees.tolist() == [False] * 4 + [True, False]
     assert np.isfinite(found[:, 0]).tolist() == [True, True, True, False, False, True]
     np.testing.assert_allclose(found[[0, 1, 2, 5]], xyz[[0, 1, 2, 5]], atol=1e-6)
-
-
-def test_cached_features_are_detected_once_per_image_and_equal(monkeypatch):
-    images, frame = toy(2, 0, STEP_M)[0], Frame(make_frame(0, np.random.default_rng(0)).features)
-
-    def found(image, count=200):
-        return sift.detect(image, frame, CAMERA, count, 0.04)
-
-    plain = [found(image) for image in images]
-    calls = []
-    real = sift.cv2.SIFT_create
-    monkeypatch.setattr(sift.cv2, "SIFT_create", lambda **k: calls.append(k) or real(**k))
-    with sift.features_kept():
-        kept = [found(image) for image in (*images, *images)]
-        found(images[0], 100)
-    assert len(calls) == 3
-    for one, other in zip([*plain, *plain], kept, strict=True):
-        np.testing.assert_array_equal(one.xy, other.xy)
-        np.testing.assert_array_equal(one.descriptors, other.descriptors)
-    kept[0].seen_at[:] = 0
-    kept[0].xyz_cam[:] = 1
-    assert not kept[2].known.any() and (kept[2].seen_at == plain[0].seen_at).all()
-    found(images[0])
-    assert len(calls) == 4, "no cache outside the context"
