@@ -163,6 +163,7 @@ class SlamEngine:
         """Declare the current map broken, and take back what was said and learned since it is doubted."""
         self.backend.drain()
         self.emit(frame, ev.Breakage, reason=outcome.reason, inliers=outcome.inliers)
+        self.tracker.doubt.lose()
         self._withdraw_doubted(frame)
 
     def lose(self, frame: Frame) -> None:

@@ -77,13 +77,14 @@ class Breakage(Event):
 class PosesWithdrawn(Event):
     """Poses that were given are taken back, with the keyframes made meanwhile.
 
-    Follows the breakage in which the map is doubted. A recovery may give these frames other poses.
+    Follows a breakage in which the map, or only its last frames, are doubted. A recovery may give these
+    frames other poses.
 
     Attributes:
         first_frame, last_frame: the first and last frame whose pose no longer counts.
         frames: number of these frames.
         keyframes: number of keyframes removed from the map.
-        reason: what was doubted, that of the breakage.
+        reason: what was doubted; that of the breakage, unless it followed unsteady frames.
     """
 
     kind: ClassVar[str] = "poses_withdrawn"
@@ -121,8 +122,8 @@ class RelocalizationWithdrawn(Event):
         keyframe: frame index of the keyframe that seemed to be recognised.
         first_frame: the frame that seemed to be relocalized.
         frames: number of frames tracked from there, itself included; none of their poses counts.
-        reason: what spoke against the place; ``too_little_expected`` if no frame showed a part of the map
-            large enough to tell.
+        reason: what spoke against the place; ``too_little_evidence`` if no frame showed enough of the
+            map, or had a pose certain enough, to tell.
     """
 
     kind: ClassVar[str] = "relocalization_withdrawn"

@@ -65,6 +65,38 @@ def optimize_pose(
     )
 
 
+def direction_deviation(
+    T_cam_map: np.ndarray, points: np.ndarray, inv_sigma2: np.ndarray, fx: float, fy: float
+) -> float:
+    """Standard deviation of a camera's direction, as its points determine it, rad.
+
+    The points are taken for exact, the position as unknown too: a few points in one corner of the image, or a
+    wall right ahead, leave a turn and a change of position hard to tell apart.
+
+    Args:
+        T_cam_map: (4, 4) pose.
+        points: (N, 3) its map points, frame map.
+        inv_sigma2: (N,) information of their keypoints, 1/px².
+        fx, fy: focal lengths, px.
+
+    Returns:
+        Root of the sum of the variances about the three axes; infinity where the points leave one open.
+    """
+    n, H = len(points), np.zeros((6, 6))
+    T_cam_map, points, inv_sigma2 = (
+        np.ascontiguousarray(each, np.float64) for each in (T_cam_map, points, inv_sigma2)
+    )
+    used, nowhere = np.ones(n, np.bool_), np.zeros((n, 2))  # where the keypoints are does not matter
+    linearise(
+        T_cam_map, points, nowhere, inv_sigma2, used, 0.0, float(fx), float(fy), 0.0, 0.0, H, np.zeros(6)
+    )
+    H += np.tril(H, -1).T
+    spread, axes = np.linalg.eigh(H)
+    if not spread[0] > 1e-9 * spread[-1]:
+        return np.inf
+    return float(np.sqrt((axes[3:] ** 2 / spread).sum()))
+
+
 @njit(cache=True, nogil=True)
 def _optimize_pose(T_start, points, pixels, inv_sigma2, fx, fy, cx, cy):
     n = points.shape[0]

@@ -2,6 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -96,6 +97,8 @@ class Doubt:
     the map shrinks, and speed and depth with it. A camera that really stops before something near makes no
     new points there, as it has no parallax.
 
+    Few unsteady frames are forgiven, but not the last ones before a loss.
+
     Attributes:
         reason: why the map is doubted; empty while it is not.
         first_frame: first frame of the doubt, -1 while there is none.
@@ -106,6 +109,13 @@ class Doubt:
         self.reason = ""
         self.first_frame = -1
         self._motions: deque[Motion] = deque()
+        self._steady = np.inf
+
+    def lose(self) -> None:
+        """Tracking is lost: the last frames before that are doubted as far back as they were unsteady."""
+        unsteady = list(takewhile(lambda m: m.hidden > self._steady, reversed(self._motions)))
+        if unsteady and not self.reason and self.config.min_share > 0:
+            self._declare("motion_beyond_prediction", unsteady[-1].frame)
 
     def successor(self) -> Self:
         """Doubt of a tracker that goes on in the same map; it knows the motion that is still believed."""
@@ -148,13 +158,13 @@ class Doubt:
         if min(recent.sum(), (~recent).sum()) < self.config.min_frames:
             return
         usual = np.median(motions[~recent], axis=0)
-        self._judge_steadiness(motions[recent], Motion(*usual))
+        self._steady = max(self.config.unsteady * Motion(*usual).step, self.config.least)
+        self._judge_steadiness(motions[recent])
         if not self.reason:
             self._judge_scale(motions, recent, Motion(*usual))
 
-    def _judge_steadiness(self, recent: np.ndarray, usual: Motion) -> None:
-        bound = max(self.config.unsteady * usual.step, self.config.least)
-        unsteady = np.flatnonzero(recent[:, _HIDDEN] > bound)
+    def _judge_steadiness(self, recent: np.ndarray) -> None:
+        unsteady = np.flatnonzero(recent[:, _HIDDEN] > self._steady)
         if 0 < self.config.min_share * len(recent) <= len(unsteady):
             self._declare("motion_beyond_prediction", recent[unsteady[0], _FRAME])
 

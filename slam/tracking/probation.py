@@ -4,9 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
+import numpy as np
+
 from slam.core.frame import Frame
 from slam.map.map import Map
 from slam.matching.guided import collect_local_map
+from slam.optimization.pose import direction_deviation
 from slam.places.evidence import EvidenceBar, support
 from slam.tracking.doubt import Doubt
 from slam.tracking.tracker import Tracker, TrackingOutcome
@@ -25,8 +28,10 @@ class ProbationConfig:
             points that something hides here.
         radius_px: half side of the window in which an expected point is searched, level 0.
         bar: what each frame must show.
-        min_expected: fewest expected points with which a frame says anything; those of a camera that leaves
-            what it knows say nothing.
+        min_expected: fewest expected points with which a frame may speak against the place; those of a camera
+            that leaves what it knows say nothing.
+        max_deviation_deg: largest standard deviation of the camera's direction, as its points determine it,
+            with which a frame says anything.
         min_sound: share of the frames that say something, one at least, that must speak for the place.
         memory_s: time for which frames on an earlier probation count too: where one place was mistaken for
             another, it may be again.
@@ -42,6 +47,7 @@ class ProbationConfig:
         default_factory=lambda: EvidenceBar(min_share=0.5, max_contradicted=0.2, min_cells=8)
     )
     min_expected: float = 40.0
+    max_deviation_deg: float = 0.55
     min_sound: float = 0.75
     memory_s: float = 8.0
 
@@ -139,7 +145,7 @@ class Probation:
             self.verdict = Verdict.CONFIRMED
             self.tracker.observing = True
         elif span_s >= self._config.max_s - 1e-6 and not (own and self._are_sound(own)):
-            self.withdraw(next((fault for fault in reversed(own) if fault), "too_little_expected"))
+            self.withdraw(next((fault for fault in reversed(own) if fault), "too_little_evidence"))
 
     def _are_sound(self, faults: Sequence[str]) -> bool:
         return sum(not fault for fault in faults) >= self._config.min_sound * len(faults)
@@ -148,5 +154,15 @@ class Probation:
         m: Map = self.tracker.map
         _, points = collect_local_map(m.arrays, m.n_keyframes, m.n_points, frame.point, self._config.around)
         seen = support(m, points, frame.T_cam_map, frame.features, self._config.radius_px)
-        if seen.expected >= self._config.min_expected:
-            self.faults.append((frame.features.stamp_s, self._config.bar.fault(seen)))
+        fault = self._config.bar.fault(seen)
+        is_telling = not fault or seen.expected >= self._config.min_expected
+        if is_telling and self._deviation_deg(frame) <= self._config.max_deviation_deg:
+            self.faults.append((frame.features.stamp_s, fault))
+
+    def _deviation_deg(self, frame: Frame) -> float:
+        m, matched = self.tracker.map, frame.point >= 0
+        points, octaves = m.arrays.pt_xyz[frame.point[matched]], frame.features.octave[matched]
+        deviation = direction_deviation(
+            frame.T_cam_map, points, m.view.inv_sigma2[octaves], m.view.fx, m.view.fy
+        )
+        return float(np.rad2deg(deviation))

@@ -6,7 +6,7 @@ from scipy.optimize import least_squares
 from slam.optimization import pose as pose_module
 from slam.optimization._cholesky import factor, solve
 from slam.optimization._se3 import orthonormalise, retract, so3_exp
-from slam.optimization.pose import CHI2_2DOF, linearise, optimize_pose, refine_pose
+from slam.optimization.pose import CHI2_2DOF, direction_deviation, linearise, optimize_pose, refine_pose
 
 FX, FY, CX, CY = 500.0, 510.0, 320.0, 240.0
 INTRINSICS = (FX, FY, CX, CY)
@@ -255,3 +255,27 @@ def test_pose_stays_a_rotation_over_a_long_run():
         pose, velocity = new, new @ np.linalg.inv(pose)
     np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-14)
     np.testing.assert_allclose(pose, truth, atol=0.1)
+
+
+@pytest.mark.parametrize(("strip", "least_deg", "most_deg"), [(8.0, 0.1, 0.3), (0.4, 0.3, 3.0)])
+def test_the_deviation_of_the_direction_is_that_of_repeated_estimates(strip, least_deg, most_deg):
+    """From keypoints with noise; points in a narrow strip leave the direction uncertain."""
+    rng = np.random.default_rng(3)
+    truth = rigid([0.2, -0.1, 0.3], [0.1, -0.05, 0.02])
+    points = rng.uniform([0, -2, 5], [strip, 2, 7], (80, 3))
+    sigma2 = 1.2 ** (2.0 * rng.integers(0, 8, 80))
+    turns = []
+    for _ in range(200):
+        pixels = project(truth, points) + rng.normal(size=(80, 2)) * np.sqrt(sigma2)[:, None]
+        T, active = truth.copy(), np.ones(80, np.bool_)
+        refine_pose(T, points, pixels, 1 / sigma2, active, 0.0, *INTRINSICS)
+        turns.append(np.arccos(np.clip((np.trace(T[:3, :3] @ truth[:3, :3].T) - 1) / 2, -1, 1)))
+    deviation = direction_deviation(truth, points, 1 / sigma2, FX, FY)
+    assert deviation == pytest.approx(np.sqrt(np.mean(np.square(turns))), rel=0.15)
+    assert least_deg < np.rad2deg(deviation) < most_deg
+
+
+def test_two_points_leave_the_direction_open():
+    points = np.array([[0.0, 0, 5], [1.0, 0, 5]])
+    assert direction_deviation(np.eye(4), points, np.ones(2), FX, FY) == np.inf
+    assert direction_deviation(np.eye(4), points[:0], np.ones(0), FX, FY) == np.inf

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_scenes import VIEW, check_maps, errors_m, feed, kinds, pose_error, rigid, rms, toy
+from slam_scenes import VIEW, blanked, check_maps, errors_m, feed, kinds, pose_error, rigid, rms, toy
 
 from slam.config import SlamConfig
 from slam.core.events import Breakage, PosesWithdrawn, Relocalized, TrackingState
@@ -140,6 +140,20 @@ def test_a_few_bad_frames_are_forgiven(wall):
     assert doubted(wall, lambda i: orbit(r.normal(0, 2)) if i in brief else np.eye(4)).reason == ""
 
 
+@pytest.mark.parametrize(("bad", "share", "since"), [(3, 0.4, 0), (0, 0.4, None), (3, 0.0, None)])
+def test_the_last_frames_before_a_loss_are_not_forgiven(wall, bad, share, since):
+    onset = PLANTED_AT - bad
+
+    def turning(i):
+        return orbit(4.0 * (i - onset + 1) ** 2) if i >= onset else np.eye(4)
+
+    doubt = doubted(wall, turning, seconds=PLANTED_AT / FPS, min_share=share)
+    assert doubt.reason == ""
+    doubt.lose()
+    assert doubt.first_frame == (-1 if since is None else onset + since)
+    assert doubt.reason == ("" if since is None else "motion_beyond_prediction")
+
+
 # -- in a system ---------------------------------------------------------------------------------------------
 
 
@@ -195,6 +209,17 @@ def test_a_wandering_system_takes_its_poses_back(sequence, wandering):
     assert any(isinstance(e, Relocalized) for e in system.events)
     errors, _ = errors_m(path, sequence[2])
     assert rms(errors[path.frames < breakage.frame]) < 0.03
+
+
+def test_what_was_learned_just_before_a_loss_is_taken_back_if_it_was_unsteady(sequence, wandering):
+    images, stamps_s, _ = sequence
+    lost = range(PLANTED_AT + 4, PLANTED_AT + 9)
+    system, _ = run("base", (blanked(images, lost), stamps_s, None))
+    breakage, withdrawn = system.events[1:3]
+    assert isinstance(breakage, Breakage) and breakage.frame == lost[0]
+    assert breakage.reason == "too_few_matches_with_last_frame"
+    assert isinstance(withdrawn, PosesWithdrawn) and withdrawn.reason == "motion_beyond_prediction"
+    assert PLANTED_AT <= withdrawn.first_frame <= withdrawn.last_frame == lost[0] - 1
 
 
 def test_a_place_where_the_camera_still_wanders_is_not_recognised(sequence, wandering):

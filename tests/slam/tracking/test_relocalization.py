@@ -260,7 +260,7 @@ def test_a_place_that_the_views_contradict_is_withdrawn_and_leaves_nothing(
 
 @pytest.mark.parametrize(
     ("expected", "reason"),
-    [([58, 29, 10, 0], ""), ([58, 29, 10, 45], "too_narrow"), ([10, 5, 0, 0], "too_little_expected")],
+    [([58, 29, 10, 0], ""), ([58, 29, 10, 45], "too_narrow"), ([0, 10, 5, 0], "too_little_evidence")],
 )
 def test_frames_that_show_little_of_what_is_known_say_nothing(
     recovered, there_and_back, monkeypatch, expected, reason
@@ -272,13 +272,29 @@ def test_frames_that_show_little_of_what_is_known_say_nothing(
 
     def leaving(*_):
         n = next(shown)
-        cells = 8 if n == expected[0] else 2
+        cells = 8 if n == 58 else 2
         return Support(float(n), round(0.6 * n), cells, 0.5, 0.0)
 
     monkeypatch.setattr("slam.tracking.probation.support", leaving)
     feed(system, images[88:], stamps_s[88:], check=False)
     assert kinds(system)[2] == ("relocalization_withdrawn" if reason else "relocalized")
     assert not reason or system.events[2].reason == reason
+
+
+@pytest.mark.parametrize(("uncertain", "frames"), [(0, 4), (6, 7), (99, None)])
+def test_a_frame_that_does_not_determine_its_pose_says_nothing(
+    recovered, there_and_back, monkeypatch, uncertain, frames
+):
+    images, stamps_s, _ = there_and_back
+    system = recovered[2].restore()
+    deviations = chain(repeat(np.deg2rad(1.0), uncertain), repeat(np.deg2rad(0.1)))
+    monkeypatch.setattr("slam.tracking.probation.direction_deviation", lambda *_: next(deviations))
+    feed(system, images[88:], stamps_s[88:], check=False)
+    last = system.events[2]
+    if frames is None:
+        assert isinstance(last, RelocalizationWithdrawn) and last.reason == "too_little_evidence"
+    else:
+        assert isinstance(last, Relocalized) and last.frame - last.first_frame + 1 == frames
 
 
 @pytest.mark.parametrize(("span_share", "frames"), [(0.0, 4), (0.5, None), (1.0, None)])
