@@ -1,6 +1,6 @@
 """The steps that systems are made of: frames in, one map at a time."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from numbers import Real
 
@@ -152,10 +152,21 @@ class SlamEngine:
             self._map(frame)
         return outcome, is_keyframe
 
-    def relocalize(self, frame: Frame, map_ids: Sequence[int]) -> TrackingOutcome:
-        """Search maps, in their order, for a frame; success once it is confirmed: tracking goes on there."""
+    def relocalize(
+        self, frame: Frame, map_ids: Sequence[int], leave: Callable[[Frame], None] | None = None
+    ) -> TrackingOutcome:
+        """Search maps, in their order, for a frame; success once it is confirmed: tracking goes on there.
+
+        Args:
+            frame: without a pose, and no other frame of the tracker.
+            map_ids: of the maps.
+            leave: leaves the map that is tracked meanwhile, if one is.
+        """
         outcome, confirmed = self.search.offer(frame, map_ids)
         if confirmed is not None:
+            if leave is not None:
+                self.backend.drain()
+                leave(frame)
             self._resume(confirmed, frame, outcome)
         return outcome
 

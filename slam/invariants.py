@@ -65,6 +65,7 @@ def check_events(events: Sequence[Event]) -> None:
     """
     stamps: dict[int, float] = {}
     maps: set[int] = set()
+    known: set[int] = set()  # also those that were dropped or fused: a recovery may end after its maps
     running: set[tuple[int, int]] = set()
     reinitializing = False
     latest = 0
@@ -79,15 +80,17 @@ def check_events(events: Sequence[Event]) -> None:
         if isinstance(event, ev.Initialized):
             require(event.map_id not in maps, f"{named}: map {event.map_id} exists already")
             maps.add(event.map_id)
+            known.add(event.map_id)
         elif isinstance(event, ev.ReinitStart):
             reinitializing = True
         elif isinstance(event, ev.ReinitDone):
             require(reinitializing and event.map_id in maps, f"{named}: no reinitialization was started")
             reinitializing = False
-        else:
+        elif not isinstance(event, ev.RecoveryStart | ev.RecoveryEnd):
             require(event.map_id in maps, f"{named}: map {event.map_id} does not exist")
         if isinstance(event, ev.RecoveryStart | ev.RecoveryEnd):
-            require(event.old_map_id in maps, f"{named}: old map {event.old_map_id} does not exist")
+            require(event.map_id in known, f"{named}: map {event.map_id} did not exist")
+            require(event.old_map_id in known, f"{named}: old map {event.old_map_id} does not exist")
             thread = (event.map_id, event.thread)
             started = isinstance(event, ev.RecoveryStart)
             require(
@@ -95,7 +98,8 @@ def check_events(events: Sequence[Event]) -> None:
             )
             running ^= {thread}
         elif isinstance(event, ev.Fusion):
-            require(event.old_map_id in maps, f"{named}: old map {event.old_map_id} does not exist")
+            existing = maps if event.accepted else known
+            require(event.old_map_id in existing, f"{named}: old map {event.old_map_id} does not exist")
             require(not event.accepted or event.scale > 0, f"{named}: scale {event.scale:g}")
             taken_in = event.record().get("new_map_id", event.map_id)
             if event.accepted and taken_in != event.old_map_id:

@@ -10,7 +10,7 @@ from experiments.eq1.arms import Exposure
 from experiments.eq1.records import thread_column
 from experiments.evaluation.audit import FusionAudit, audit_relation
 from sim.sequence import Sequence as ImageSequence
-from slam.core.events import Event, Fusion, MapDropped, RecoveryEnd, ReinitDone
+from slam.core.events import Event, Fusion, MapDropped, RecoveryEnd, RecoveryStart, ReinitDone
 from slam.core.results import MapTrajectory
 
 Arm = Literal["free", "cross"]
@@ -67,7 +67,7 @@ def judge_recovery(
         reference: truth and lead-in.
     """
     reinit = next((e.frame for e in events if isinstance(e, ReinitDone) and e.frame > since), None)
-    attempt = next((e.map_id for e in events if isinstance(e, RecoveryEnd)), None)
+    attempt = next((e.map_id for e in events if isinstance(e, RecoveryStart)), None)
     if attempt is None:
         reason = _why_no_recovery(events, reinit)
         none = {"failed": True, "declared": False, "stage": "no_reinit", "reason": reason}
@@ -97,7 +97,7 @@ def _audit(end: RecoveryEnd, reference: Reference) -> FusionAudit | None:
 def _ends(events: Sequence[Event], attempt: int) -> list[RecoveryEnd]:
     ends: dict[int, RecoveryEnd] = {}
     for event in events:
-        if isinstance(event, RecoveryEnd) and event.map_id == attempt:
+        if isinstance(event, RecoveryEnd) and event.map_id == attempt and event.stage != "cancelled":
             ends.setdefault(event.thread, event)
     return list(ends.values())
 

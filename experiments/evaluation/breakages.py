@@ -169,7 +169,11 @@ def _outcome(
         segments=segments_of_frame(breakage.frame, breakage.stamp_s, segments, stamps_s),
         until_frame=until,
         reinit_frame=reinit[0] if reinit else None,
-        recoveries=tuple(e for e in after if isinstance(e, RecoveryEnd) and e.old_map_id == breakage.map_id),
+        recoveries=tuple(
+            e
+            for e in after
+            if isinstance(e, RecoveryEnd) and e.old_map_id == breakage.map_id and e.stage != "cancelled"
+        ),
         fusion=_last(e for e in fusions if e.by == "recovery"),
         bridged=across[0] if across else None,
         joined=_last(e for e in fusions if e.by == "place" and e.accepted),

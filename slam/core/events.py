@@ -265,6 +265,9 @@ class PlacedKeyframe(Unchanging):
 class RecoveryEnd(Event):
     """A recovery thread ended; ``stage`` is the failed stage: propagation, overlap or sim3, or empty.
 
+    It is ``cancelled`` if the thread was ended because nothing depended on it any more: for the reason
+    ``not_needed`` another thread had succeeded, for ``maps_are_joined`` a place was recognised meanwhile.
+
     Attributes:
         placed: on success, the keyframes that the new map had when the recovery started, as refined by it
             and moved by the estimated similarity.

@@ -15,18 +15,26 @@ class DualConfig:
         buffer_cap_s: the most that it grows to before recovery starts. Beyond it the oldest frames leave;
             once the last saved map's newest keyframe has left, recovery has nothing to reach and says so.
         start_keyframes: keyframes of the new map when recovery starts: enough for a sound first geometry.
-        threads: the recovery threads, in the order in which they are tried; n of Eq. 1 is their number.
+        threads: the recovery threads; n of Eq. 1 is their number. The first in this order that succeeds
+            counts.
+        workers: recovery threads that run at the same time, of one breakage or of several.
         exhaustive: every thread is run to its end, also after one has succeeded; the first success counts.
-        relocalization: until a new map is initialized, frames are relocalized in the saved maps too.
+        relocalization: until a new map has its start keyframes, frames are sought in the saved maps too.
         relocalization_maps: number of these saved maps, the last saved first.
-        place_merging: acceptance of a saved map recognised after its recovery has failed; None for never.
+        place_merging: acceptance of a saved map that keyframes of the current one recognise; None for never.
     """
 
     buffer_s: float = 10.0
     buffer_cap_s: float = 60.0
     start_keyframes: int = 5
     threads: tuple[ThreadSpec, ...] = (ThreadSpec("orb"), ThreadSpec("sift"))
+    workers: int = 2
     exhaustive: bool = False
     relocalization: bool = True
     relocalization_maps: int = 2
     place_merging: FusionConfig | None = field(default_factory=FusionConfig)
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        if self.workers < 1:
+            raise ValueError(f"workers must be 1 or more, is {self.workers}")

@@ -3,10 +3,10 @@
 Source: paper, Sec. II and III, Fig. 3.
 """
 
-from collections import deque
 from collections.abc import Iterable
 from copy import deepcopy
 from dataclasses import asdict, dataclass
+from functools import partial
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from slam.core.results import TrackingResult
 from slam.dual.buffer import FeatureBuffer
 from slam.dual.config import DualConfig
 from slam.dual.fusion.map_merger import MapMerger
+from slam.dual.fusion.merge_recovered import Recovered
 from slam.dual.recovery.interface import RecoveryResult
 from slam.dual.recovery_jobs import NewMap, RecoveryJob, RecoveryJobs
 from slam.initialization.initializer import InitialMap
@@ -48,9 +49,10 @@ class Restart:
 class DualSlam(MonocularSystem):
     """SLAM with backward recovery and map fusion after a breakage.
 
-    One recovery runs at a time. Meanwhile its maps are neither dropped nor fused: a new map that breaks is
-    saved, and still fused if the recovery succeeds. A map that breaks while its recovery waits for another
-    one's end is saved, and its recovery stays in the queue.
+    There are several ways home, and the first one counts: the recoveries, of which several may run at a time;
+    the places of a new map's keyframes in saved maps; and, while the new map is too small to be recovered
+    from, the places of its frames. A new map that breaks while its recovery runs is saved, and still fused if
+    that succeeds.
     """
 
     def __init__(
@@ -67,7 +69,6 @@ class DualSlam(MonocularSystem):
         self.buffer = FeatureBuffer(self.dual.buffer_s, self.dual.buffer_cap_s, self.jobs.needs_images)
         self.merger = MapMerger(self.engine, self.dual.place_merging)
         self._restart: Restart | None = None  # since the last breakage, until its recovery is begun
-        self._waiting: deque[NewMap] = deque()  # new maps whose recovery is due
 
     @property
     def settings(self) -> dict:
@@ -86,10 +87,12 @@ class DualSlam(MonocularSystem):
                 engine.declare_breakage(frame, outcome)
                 self._save_or_drop_map(frame)
                 self._start_anew(frame)
+            elif self._is_new_and_small:
+                frame, outcome = self._find_back(frame, outcome)
         elif self._restart is not None and self._restart.held:
             outcome = TrackingOutcome(False, 0, 0, "held")
         else:
-            outcome = self._find_back(frame)
+            frame, outcome = self._find_back(frame)
             if not (outcome.success or engine.search.undecided):
                 outcome, is_keyframe = self._initialize(frame)
         engine.record(frame, outcome)
@@ -109,9 +112,6 @@ class DualSlam(MonocularSystem):
         try:
             if newest is not None:
                 self._fuse_recovered(newest, self.jobs.rest(newest))
-                while self._waiting:
-                    self._start_recovery(newest, self._waiting.popleft())
-                    self._fuse_recovered(newest, self.jobs.rest(newest))
         finally:
             self.jobs.close()
             super().finish()
@@ -123,14 +123,14 @@ class DualSlam(MonocularSystem):
 
         The frames of a dropped map are still in the buffer: the next map's recovery goes back over them too.
         """
-        engine, restart, running = self.engine, self._restart, self.jobs.running
+        engine, restart = self.engine, self._restart
         if restart is not None and restart.recoverable and restart.new is not None:
             if self._fit_for_recovery():
-                self._waiting.append(restart.new)
+                self._start_recovery(frame, restart.new)
                 self._save(frame)
             else:
                 engine.drop_map(frame, "broke_before_recovery")
-        elif running is not None and running.new_id == engine.store.current_id:
+        elif any(job.new_id == engine.store.current_id for job in self.jobs.running):
             self._save(frame)
         elif engine.is_young:
             engine.drop_map(frame, "too_few_keyframes")
@@ -153,16 +153,42 @@ class DualSlam(MonocularSystem):
         if not held:
             self.engine.emit(frame, ev.ReinitStart)
 
-    def _find_back(self, frame: Frame) -> TrackingOutcome:
-        """Relocalize the frame in saved maps; success if tracking goes on there."""
-        engine, saved = self.engine, self.engine.store.saved
-        sought = [] if self.jobs.running or not self.dual.relocalization else saved
-        outcome = engine.relocalize(frame, sought[: self.dual.relocalization_maps])
-        if outcome.success:
-            saved.remove(engine.store.current_id)
-            self.merger.skip_present_keyframes()
-            self._restart, self.buffer.frozen = None, False
-        return outcome
+    @property
+    def _sought(self) -> list[int]:
+        """Saved maps in which frames are sought."""
+        return self.engine.store.saved[: self.dual.relocalization_maps] if self.dual.relocalization else []
+
+    @property
+    def _is_new_and_small(self) -> bool:
+        """True if a new map is tracked from which no recovery can start yet."""
+        return self._restart is not None and self._restart.new is not None and not self._fit_for_recovery()
+
+    def _find_back(
+        self, frame: Frame, outcome: TrackingOutcome | None = None
+    ) -> tuple[Frame, TrackingOutcome]:
+        """Relocalize a frame in saved maps; if it is found there, tracking goes on there.
+
+        Args:
+            frame: the newest frame.
+            outcome: of tracking it in a small new map, which is dropped if the frame is found; None if no map
+                is tracked.
+
+        Returns:
+            The frame, with its pose if it was found, and the outcome.
+        """
+        engine, again = self.engine, Frame(frame.features)  # its own: the frame is used otherwise meanwhile
+        leave = partial(engine.drop_map, reason="returned_to_saved_map") if outcome is not None else None
+        found = engine.relocalize(again, self._sought, leave)
+        if not found.success:
+            return frame, outcome or found
+        self._note_return()
+        return again, found
+
+    def _note_return(self) -> None:
+        """A saved map is tracked again."""
+        self.engine.store.saved.remove(self.engine.store.current_id)
+        self.merger.skip_present_keyframes()
+        self._restart, self.buffer.frozen = None, False
 
     def _initialize(self, frame: Frame) -> tuple[TrackingOutcome, bool]:
         """Try to initialize a new map; the outcome, and True if it succeeded."""
@@ -172,7 +198,6 @@ class DualSlam(MonocularSystem):
         return outcome, initial is not None
 
     def _note_new_map(self, initial: InitialMap) -> None:
-        self.engine.search.withdraw(initial.second, "new_map")
         self.merger.skip_present_keyframes()
         if self._restart is not None:
             since = self._restart.since
@@ -194,53 +219,57 @@ class DualSlam(MonocularSystem):
         store = self.engine.store
         return [k for k in store.saved if self.buffer.reaches(_newest_frame(store[k]))]
 
-    @property
-    def _recovery_due(self) -> bool:
-        """True if the map sought or tracked is to be recovered from once it is fit."""
-        return self._restart is not None and self._restart.recoverable
-
     def _recover(self, frame: Frame, outcome: TrackingOutcome) -> None:
-        """Start the recovery that is due, unless another one runs."""
-        if self._waiting and not self.jobs.running:
-            self._start_recovery(frame, self._waiting.popleft())
+        """Start the recovery that is due."""
         tracking = outcome.success and self.state is TrackingState.TRACKING
-        if not tracking or self.jobs.running or not self._recovery_due:
-            return
-        if self._fit_for_recovery() and self._restart is not None and self._restart.new is not None:
-            new, self._restart = self._restart.new, None
-            self._start_recovery(frame, new)
+        restart = self._restart
+        if tracking and restart is not None and restart.recoverable and restart.new is not None:
+            if self._fit_for_recovery():
+                self._start_recovery(frame, restart.new)
 
     def _start_recovery(self, frame: Frame, new: NewMap) -> None:
         """Start the recovery threads."""
         engine, store = self.engine, self.engine.store
         engine.backend.drain()
-        self.buffer.frozen = self._recovery_due or bool(self._waiting)
+        self._restart, self.buffer.frozen = None, False
         older = [k for k in store.saved if k < new.map.map_id]
         reachable = [store[k] for k in self._reachable() if k in older]
         if reachable:
             # Recovery runs beside tracking: even in lockstep it does not count as tracking's time.
             with engine.timer.apart():
                 self.jobs.start(frame, new, reachable, self.buffer, engine.camera)
-            self._fuse_recovered(frame, self.jobs.ended(frame))
-        else:
-            self.jobs.give_up(frame, new.map, older[0])
+        elif older:
+            self.jobs.give_up(frame, new.map, store[older[0]])
 
     # -- fusion ------------------------------------------------------------------------------------------
 
     def _fuse_recovered(self, frame: Frame, succeeded: Iterable[tuple[RecoveryJob, RecoveryResult]]) -> None:
         """Fuse the maps that recovery threads have aligned; only a recovery's first success counts."""
         for job, result in succeeded:
-            if result.alignment is not None and job.new_id in self.engine.store:
+            if result.alignment is not None:
                 alignments = (*result.confirming, result.alignment)
-                self.merger.merge_recovered(
-                    frame, job.new_id, job.keyframes, job.points, result.map, result.frames, alignments
-                )
+                found = Recovered(
+                    job.new_id, result.map, job.keyframes, job.points,
+                    result.frames, job.old_maps, alignments, job.since,
+                )  # fmt: skip
+                self.merger.merge_recovered(frame, found)
+                self._forget_joined(frame)
 
     def _merge_by_place(self, frame: Frame, outcome: TrackingOutcome) -> None:
-        """Fuse with a saved map whose place is recognised, if no recovery runs or is due."""
-        tracking = outcome.success and self.state is TrackingState.TRACKING
-        if tracking and not self.jobs.running and not self._recovery_due:
-            self.merger.merge_by_place(frame)
+        """Fuse with a saved map whose place is recognised."""
+        if outcome.success and self.state is TrackingState.TRACKING and self.merger.merge_by_place(frame):
+            self._forget_joined(frame)
+
+    def _forget_joined(self, frame: Frame) -> None:
+        """End recoveries of maps that have been joined, also the one that is due."""
+        store, restart = self.engine.store, self._restart
+
+        def is_joined(job: RecoveryJob) -> bool:
+            return job.new_id not in store
+
+        self.jobs.cancel(frame, is_joined, "maps_are_joined")
+        if restart is not None and restart.new is not None and restart.new.map.map_id not in store:
+            self._restart, self.buffer.frozen = None, False
 
     # -- laboratory --------------------------------------------------------------------------------------
 

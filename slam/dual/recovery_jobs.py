@@ -1,7 +1,8 @@
 """Recovery jobs: build the threads' tasks, run the threads, emit their events."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from math import inf
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from slam.dual.buffer import FeatureBuffer
 from slam.dual.config import DualConfig
 from slam.dual.recovery.interface import RecoveryResult, RecoveryTask
 from slam.dual.recovery.registry import build_thread
-from slam.dual.recovery.scheduler import RecoveryScheduler, ThreadOutcome
+from slam.dual.recovery.scheduler import RecoveryRun, build_scheduler
 from slam.loop_closing.map_alignment import Alignment
 from slam.map.map import Map
 from slam.runtime.backend import ExecutionMode
@@ -36,26 +37,35 @@ class NewMap:
     since: int
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class RecoveryJob:
-    """Recovery of one breakage, by one thread after another.
+    """Recovery of one breakage, by one or more threads.
 
     Attributes:
         new_id: the map that is extended backward.
-        old_ids: the saved maps that it may reach, newest first.
+        old_maps: copies of the saved maps that it may reach, newest first.
         keyframes, points: rows of the new map when it was copied.
+        since: index of the frame of the breakage.
         buffered_frames: number of buffered frames before the new map.
+        runs: of the threads that are still to be reported, in their order.
     """
 
     new_id: int
-    old_ids: tuple[int, ...]
+    old_maps: tuple[Map, ...]
     keyframes: int
     points: int
+    since: int
     buffered_frames: int
+    runs: list[RecoveryRun] = field(default_factory=list)
+
+    @property
+    def old_ids(self) -> tuple[int, ...]:
+        """Ids of the saved maps, newest first."""
+        return tuple(m.map_id for m in self.old_maps)
 
 
 class RecoveryJobs:
-    """Runs recoveries, one at a time, and emits their events.
+    """Runs recoveries side by side and emits their events.
 
     Args:
         config: settings.
@@ -63,16 +73,16 @@ class RecoveryJobs:
         emit: emits an event: the frame, the kind, the map, the kind's own fields.
 
     Attributes:
-        running: the recovery with threads whose results are still to be handled, if any.
+        running: the recoveries with threads that are still to be reported, the oldest first.
     """
 
     def __init__(self, config: DualConfig, seed: int, mode: ExecutionMode, emit: Callable[..., None]) -> None:
-        self.running: RecoveryJob | None = None
+        self.running: list[RecoveryJob] = []
         self._seed = seed
-        self._mode = mode
+        self._exhaustive = config.exhaustive
         self._emit = emit
         self._threads = [(build_thread(spec), spec.seed) for spec in config.threads]
-        self._scheduler = RecoveryScheduler(mode, config.exhaustive)
+        self._scheduler = build_scheduler(mode, config.workers)
 
     @property
     def possible(self) -> bool:
@@ -97,90 +107,105 @@ class RecoveryJobs:
         Args:
             frame: the newest frame.
             new: the map to be extended; each thread gets a copy of it.
-            old_maps: the saved maps that the buffer reaches, newest first; they must not change meanwhile.
+            old_maps: the saved maps that the buffer reaches, newest first; copied, as they may change.
             buffer: the frames over which the threads go backward.
             camera: of these frames.
         """
-        backward = tuple(buffer.backward_from(new.first.features.index))
-        self.running = RecoveryJob(
-            new.map.map_id,
-            tuple(m.map_id for m in old_maps),
-            new.map.n_keyframes,
-            new.map.n_points,
-            len(backward),
-        )
-        images = buffer.images()
-        tasks = []
-        for number, (_, seed) in enumerate(self._threads, start=1):
+        backward, images = tuple(buffer.backward_from(new.first.features.index)), buffer.images()
+        old = tuple(m.copy() for m in old_maps)
+        sizes = (new.map.n_keyframes, new.map.n_points)
+        job = RecoveryJob(new.map.map_id, old, *sizes, new.since, len(backward))
+        for number, (thread, seed) in enumerate(self._threads, start=1):
             own, start, step = _ready_to_extend(new)
             rng = rng_for(self._seed, "recovery", number, seed, new.since)
-            old = self._for_thread(old_maps)
-            tasks.append(RecoveryTask(own, start, backward, old, step, rng, camera, images))
-        self._emit_start(frame, 1, self.running)
-        self._scheduler.start([thread for thread, _ in self._threads], tasks, frame.features.stamp_s)
+            task = RecoveryTask(own, start, backward, old, step, rng, camera, images)
+            job.runs.append(RecoveryRun(number, thread, task, frame.features.stamp_s))
+            self._scheduler.submit(job.runs[-1])
+        self.running.append(job)
+        self._start_runs(frame, frame.features.stamp_s)
 
-    def give_up(self, frame: Frame, new_map: Map, old_id: int) -> None:
+    def give_up(self, frame: Frame, new_map: Map, old_map: Map) -> None:
         """Report every thread as failed: the buffer no longer reaches any saved map."""
-        job = RecoveryJob(new_map.map_id, (old_id,), 0, 0, 0)
+        job = RecoveryJob(new_map.map_id, (old_map,), 0, 0, frame.features.index, 0)
         for number, (thread, _) in enumerate(self._threads, start=1):
-            self._emit_start(frame, number, job)
+            self._emit_start(frame, job, number, thread.name)
             result = RecoveryResult(new_map, stage="overlap", reason="buffer_exceeded")
-            self._emit_end(frame, job, ThreadOutcome(number, thread.name, result, 0.0, 0.0, False))
+            self._emit_end(frame, job, number, thread.name, result, 0.0)
 
     def ended(self, frame: Frame) -> Iterator[tuple[RecoveryJob, RecoveryResult]]:
-        """Report the finished threads; yield each success before the next is reported.
+        """Report the threads that have ended, those of a recovery in their order; yield each success at once.
 
         Raises:
             Exception: the exception of a thread.
         """
-        return self._conclude(frame, self._scheduler.ended(frame.features.stamp_s))
+        return self._conclude(frame, frame.features.stamp_s)
 
     def rest(self, frame: Frame) -> Iterator[tuple[RecoveryJob, RecoveryResult]]:
-        """Wait for all threads, then do as :meth:`ended`."""
-        return self._conclude(frame, self._scheduler.rest())
+        """Wait for all threads, doing as :meth:`ended`."""
+        while self.running:
+            self._scheduler.wait()
+            yield from self._conclude(frame, inf)
+
+    def cancel(self, frame: Frame, is_pointless: Callable[[RecoveryJob], bool], reason: str) -> None:
+        """End recoveries on which nothing depends any more, unless every thread is to be run to its end."""
+        if not self._exhaustive:
+            for job in self.running:
+                if is_pointless(job):
+                    self._cancel_runs(frame, job, reason)
+            self.running = [job for job in self.running if job.runs]
 
     def close(self) -> None:
-        """Stop the worker thread, if there is one."""
+        """Stop the worker threads, if there are any."""
         self._scheduler.close()
 
-    def _for_thread(self, old_maps: Sequence[Map]) -> list[Map]:
-        """Saved maps that a thread can read beside tracking: copies in threaded mode."""
-        return [m.copy() if self._mode is ExecutionMode.THREADED else m for m in old_maps]
+    def _conclude(self, frame: Frame, now_s: float) -> Iterator[tuple[RecoveryJob, RecoveryResult]]:
+        while (found := self._next_ended(frame, now_s)) is not None:
+            job, run = found
+            del job.runs[0]
+            result = run.execute()
+            self._emit_end(frame, job, run.number, run.thread.name, result, run.cpu_ms)
+            if result.success:
+                if not self._exhaustive:
+                    self._cancel_runs(frame, job, "not_needed")
+                yield job, result
+            self.running = [job for job in self.running if job.runs]
 
-    def _conclude(
-        self, frame: Frame, outcomes: Iterable[ThreadOutcome]
-    ) -> Iterator[tuple[RecoveryJob, RecoveryResult]]:
-        for outcome in outcomes:
-            job = self.running
-            if job is None:
-                raise RuntimeError("no recovery is under way")
-            self._emit_end(frame, job, outcome)
-            if outcome.result.success:
-                yield job, outcome.result
-            if outcome.is_last:
-                self.running = None
-            else:
-                self._emit_start(frame, outcome.number + 1, job)
+    def _next_ended(self, frame: Frame, now_s: float) -> tuple[RecoveryJob, RecoveryRun] | None:
+        self._start_runs(frame, now_s)
+        for job in self.running:
+            if self._scheduler.has_ended(job.runs[0], now_s):
+                return job, job.runs[0]
+        return None
 
-    def _emit_start(self, frame: Frame, number: int, job: RecoveryJob) -> None:
+    def _start_runs(self, frame: Frame, now_s: float) -> None:
+        for run in self._scheduler.start(now_s):
+            job = next(job for job in self.running if run in job.runs)
+            self._emit_start(frame, job, run.number, run.thread.name)
+
+    def _cancel_runs(self, frame: Frame, job: RecoveryJob, reason: str) -> None:
+        for run in job.runs:
+            self._scheduler.cancel(run, frame.features.stamp_s)
+            if run.started_s is not None:
+                result = RecoveryResult(run.task.new_map, stage="cancelled", reason=reason)
+                self._emit_end(frame, job, run.number, run.thread.name, result, run.cpu_ms)
+        job.runs = []
+
+    def _emit_start(self, frame: Frame, job: RecoveryJob, number: int, method: str) -> None:
         self._emit(
-            frame,
-            ev.RecoveryStart,
-            job.new_id,
-            thread=number,
-            method=self._threads[number - 1][0].name,
-            old_map_id=job.old_ids[0],
-            buffered_frames=job.buffered_frames,
-        )
+            frame, ev.RecoveryStart, job.new_id,
+            thread=number, method=method, old_map_id=job.old_ids[0], buffered_frames=job.buffered_frames,
+        )  # fmt: skip
 
-    def _emit_end(self, frame: Frame, job: RecoveryJob, outcome: ThreadOutcome) -> None:
-        result, found = outcome.result, outcome.result.alignment
+    def _emit_end(
+        self, frame: Frame, job: RecoveryJob, number: int, method: str, result: RecoveryResult, cpu_ms: float
+    ) -> None:
+        found = result.alignment
         self._emit(
             frame,
             ev.RecoveryEnd,
             job.new_id,
-            thread=outcome.number,
-            method=outcome.name,
+            thread=number,
+            method=method,
             old_map_id=found.old_map_id if found else job.old_ids[0],
             success=result.success,
             stage=result.stage,
@@ -188,7 +213,7 @@ class RecoveryJobs:
             frames_covered=result.frames_covered,
             frames_passed_over=result.frames_passed_over,
             inliers=result.inliers,
-            cpu_ms=outcome.cpu_ms,
+            cpu_ms=cpu_ms,
             placed=placed_keyframes(result.map, job.keyframes, found) if found else (),
         )
 

@@ -59,7 +59,7 @@ def fuse(
     new: Map,
     alignments: Sequence[Alignment],
     mapping: LocalMappingConfig,
-    renewed: bool = True,
+    renewed_until: int = -1,
 ) -> Fused:
     """Fuse the new map into the old one, whose frame is kept.
 
@@ -71,12 +71,11 @@ def fuse(
         new: moved into the old map's frame in place, then copied.
         alignments: those that agree; the accepted one last.
         mapping: settings of the seam's fusion and bundle adjustment.
-        renewed: cull old keyframes younger than the seam: a recovery has covered their frames again, and the
-            breakage may have corrupted them.
+        renewed_until: cull the old keyframes younger than the seam, up to this frame: a recovery has covered
+            them again, and the breakage may have corrupted them. -1: cull none.
     """
     accepted = alignments[-1]
-    if renewed:
-        _cull_younger(old, seam_frame(old, alignments))
+    _cull_between(old, seam_frame(old, alignments), renewed_until)
     new.transform(*sim3_decompose(accepted.S_old_new))
     keyframes, points = old.absorb(new)
     for k in range(keyframes, old.n_keyframes):
@@ -97,9 +96,9 @@ def seam_frame(old: Map, alignments: Sequence[Alignment]) -> int:
     return max(old.frame_index(a.old_keyframe) for a in alignments)
 
 
-def _cull_younger(old: Map, frame: int) -> None:
+def _cull_between(old: Map, seam: int, last: int) -> None:
     for k in old.keyframes():
-        if old.frame_index(int(k)) > frame and old.parent(int(k)) >= 0:
+        if seam < old.frame_index(int(k)) <= last and old.parent(int(k)) >= 0:
             old.cull_keyframe(int(k))
 
 

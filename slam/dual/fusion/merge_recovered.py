@@ -3,16 +3,42 @@
 While the copy grew backward, tracking went on and the new map grew forward.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from slam.core.frame import Frame
 from slam.loop_closing.map_alignment import Alignment
 from slam.map import _map_kernels as kernels
 from slam.map.map import Map
 from slam.optimization.sim3 import horn_sim3, sim3_decompose, sim3_inverse, sim3_matrix
 
 _MIN_SHARED = 20
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """Success of a recovery, on copies of the maps as they were when it started.
+
+    Attributes:
+        new_id: id of the new map.
+        extended: its copy, as extended backward.
+        keyframes, points: rows of the new map when it was copied.
+        frames: placed backward in the copy.
+        old_maps: copies of the saved maps.
+        alignments: with an old map, those that agree; the accepted one last.
+        since: index of the frame of the breakage.
+    """
+
+    new_id: int
+    extended: Map
+    keyframes: int
+    points: int
+    frames: Sequence[Frame]
+    old_maps: Sequence[Map]
+    alignments: Sequence[Alignment]
+    since: int
 
 
 @dataclass(frozen=True)
@@ -42,6 +68,57 @@ class MergedRecovery:
             old_points=alignment.old_points[known],
             new_points=new_points[known],
         )
+
+
+@dataclass(frozen=True)
+class Whereabouts:
+    """Where the rows of a map are now.
+
+    Attributes:
+        map_id: the map itself, or the one that has absorbed it.
+        keyframes, points: offsets of its rows there.
+    """
+
+    map_id: int
+    keyframes: int = 0
+    points: int = 0
+
+
+def in_present_map(alignment: Alignment, old: Map, then: Map, at: Whereabouts) -> Alignment | None:
+    """Convert an alignment with a copy of an old map to the map that holds its rows now.
+
+    Args:
+        alignment: with the copy.
+        old: the map, which may have changed since.
+        then: the copy, as it was when the recovery started.
+        at: position of the copy's rows in the map.
+
+    Returns:
+        The alignment; None if its keyframe is no longer there, or too few points to tell how the map has
+        moved.
+    """
+    old_keyframe = alignment.old_keyframe + at.keyframes
+    if old.arrays.kf_bad[old_keyframe]:
+        return None
+    old_points = alignment.old_points + np.int32(at.points)
+    kernels.resolve_points(old.arrays, old_points)
+    known = old_points >= 0
+    S_old_new = alignment.S_old_new
+    own = slice(at.points, at.points + then.n_points)
+    if not np.array_equal(old.arrays.pt_xyz[own], then.arrays.pt_xyz[: then.n_points]):
+        S = _similarity(old, then, then.n_points, at.points)
+        if S is None:
+            return None
+        S_old_new = S @ S_old_new
+    return replace(
+        alignment,
+        old_map_id=old.map_id,
+        old_keyframe=old_keyframe,
+        S_old_new=S_old_new,
+        scale=sim3_decompose(S_old_new)[0],
+        old_points=old_points[known],
+        new_points=alignment.new_points[known],
+    )
 
 
 def merge_recovered(grown: Map, copy: Map, keyframes: int, points: int) -> MergedRecovery | None:
@@ -77,14 +154,15 @@ def merge_recovered(grown: Map, copy: Map, keyframes: int, points: int) -> Merge
     return MergedRecovery(K, P, S)
 
 
-def _similarity(grown: Map, copy: Map, points: int) -> np.ndarray | None:
+def _similarity(grown: Map, copy: Map, points: int, offset: int = 0) -> np.ndarray | None:
     """(4, 4) similarity from the copy's frame to the map's, by common points; None if underdetermined."""
     a, b = grown.arrays, copy.arrays
-    both = np.flatnonzero(~a.pt_bad[:points] & ~b.pt_bad[:points])
+    both = np.flatnonzero(~a.pt_bad[offset : offset + points] & ~b.pt_bad[:points])
     if len(both) < _MIN_SHARED:
         return None
-    near = both[_near(a.pt_xyz[both]) & _near(b.pt_xyz[both])]
-    xyz_a, xyz_b = a.pt_xyz[near], b.pt_xyz[near]
+    xyz_a, xyz_b = a.pt_xyz[both + offset], b.pt_xyz[both]
+    near = _near(xyz_a) & _near(xyz_b)
+    xyz_a, xyz_b = xyz_a[near], xyz_b[near]
     try:
         for _ in range(2):  # drop the worst points twice: they are still being refined
             s, R, t = horn_sim3(xyz_a, xyz_b)

@@ -18,6 +18,13 @@ from slam.mapping.local_mapping import LocalMappingConfig
 from slam.tracking.tracker import TrackingConfig
 
 
+@dataclass
+class Cancellation:
+    """Request to a recovery thread to end: nothing depends on its result any more."""
+
+    requested: bool = False
+
+
 @dataclass(frozen=True)
 class RecoveryTask:
     """Input of a recovery thread.
@@ -32,6 +39,7 @@ class RecoveryTask:
         camera: the camera of the images.
         image_of: the (H, W) uint8 image of a frame by its index; the first frame's and the buffered ones'
             are available to a thread that declares ``needs_images``.
+        cancellation: asked for between frames by a thread that can be ended early.
     """
 
     new_map: Map
@@ -42,6 +50,7 @@ class RecoveryTask:
     rng: np.random.Generator
     camera: PinholeCamera
     image_of: Callable[[int], np.ndarray]
+    cancellation: Cancellation = field(default_factory=Cancellation)
 
 
 @dataclass
@@ -50,7 +59,8 @@ class RecoveryResult:
 
     Attributes:
         success: an alignment was found and confirmed.
-        stage: the stage that failed: ``propagation``, ``overlap`` or ``sim3``; empty on success.
+        stage: the stage that failed: ``propagation``, ``overlap`` or ``sim3``; ``cancelled`` if it was ended;
+            empty on success.
         reason: reason of the failure.
         frames_covered: number of buffered frames processed.
         frames_passed_over: those of them that got no pose.

@@ -25,6 +25,9 @@ def propagate(
     overlap = Overlap(task, config.fusion)
     unusable_since_s = None
     for features in task.backward:
+        if task.cancellation.requested:
+            result.stage = "cancelled"
+            return result
         frame = Frame(features)
         result.frames_covered += 1
         outcome = tracker.track(frame)

@@ -1,12 +1,13 @@
-"""Scheduler of the recovery threads of one breakage, which run one after another beside tracking.
+"""Scheduler of recovery threads, which run side by side beside tracking, as far as there are workers.
 
-In lockstep mode they run at once, and each counts as ended when its cost model says that it would have ended:
-results do not depend on the load of the machine. In threaded mode they run in a worker thread.
+In lockstep mode workers are reckoned: a run counts as ended when its cost model says that it would have
+ended, so that results do not depend on the load of the machine, and it is computed once its end matters. In
+threaded mode workers are threads.
 """
 
-from collections import deque
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import inf
+from typing import Protocol
 
 from slam.core.timing import StageTimer
 from slam.dual.recovery.interface import RecoveryResult, RecoveryTask, RecoveryThread
@@ -14,90 +15,171 @@ from slam.runtime.backend import ExecutionMode
 from slam.runtime.worker import Worker
 
 
-@dataclass(frozen=True)
-class ThreadOutcome:
-    """Outcome of a finished recovery thread.
+@dataclass(eq=False)
+class RecoveryRun:
+    """One run of a recovery thread.
 
     Attributes:
-        number: position of the thread, from 1.
-        name: kind of the thread.
-        result: its result.
-        cpu_ms: CPU milliseconds of the run.
-        ends_s: the time at which it counts as ended, in lockstep.
-        is_last: no thread comes after it.
+        number: position of the thread in its list, from 1; where workers are few, lower numbers go first.
+        thread: the thread.
+        task: its input, which nothing else changes.
+        submitted_s: time from which it may run.
+        started_s: time at which it was given a worker; None while it waits for one.
+        result: what the thread returned; None before.
+        cpu_ms: CPU milliseconds that took.
     """
 
     number: int
-    name: str
-    result: RecoveryResult
-    cpu_ms: float
-    ends_s: float
-    is_last: bool
+    thread: RecoveryThread
+    task: RecoveryTask
+    submitted_s: float
+    started_s: float | None = None
+    result: RecoveryResult | None = field(default=None, repr=False)
+    cpu_ms: float = 0.0
 
-
-class RecoveryScheduler:
-    """Runs the recovery threads in order.
-
-    Args:
-        mode: see the module.
-        exhaustive: run every thread, even after one has succeeded.
-    """
-
-    def __init__(self, mode: ExecutionMode, exhaustive: bool) -> None:
-        self._exhaustive = exhaustive
-        self._outcomes: deque[ThreadOutcome] = deque()
-        self._worker = Worker("recovery") if mode is ExecutionMode.THREADED else None
-
-    def start(self, threads: Sequence[RecoveryThread], tasks: Sequence[RecoveryTask], stamp_s: float) -> None:
-        """Start the threads.
-
-        Args:
-            threads: in the order in which they run.
-            tasks: one for each; they share nothing that a thread changes.
-            stamp_s: the current time.
-        """
-        job = self._run(threads, tasks, stamp_s)
-        if self._worker is None:
-            self._outcomes.extend(job)
-        else:
-            self._worker.submit(lambda: self._outcomes.extend(job))
-
-    def ended(self, stamp_s: float) -> Iterator[ThreadOutcome]:
-        """Yield each finished thread once.
-
-        Raises:
-            Exception: the exception of a thread.
-        """
-        if self._worker is not None:
-            self._worker.check()
-        while self._outcomes and (self._worker is not None or self._outcomes[0].ends_s <= stamp_s):
-            yield self._outcomes.popleft()
-
-    def rest(self) -> Iterator[ThreadOutcome]:
-        """Wait for all threads, then yield those not yielded yet.
-
-        Raises:
-            Exception: the exception of a thread.
-        """
-        if self._worker is not None:
-            self._worker.drain()
-        while self._outcomes:
-            yield self._outcomes.popleft()
-
-    def close(self) -> None:
-        """Stop the worker thread, if there is one."""
-        if self._worker is not None:
-            self._worker.close()
-
-    def _run(
-        self, threads: Sequence[RecoveryThread], tasks: Sequence[RecoveryTask], stamp_s: float
-    ) -> Iterator[ThreadOutcome]:
-        for number, (thread, task) in enumerate(zip(threads, tasks, strict=True), start=1):
+    def execute(self) -> RecoveryResult:
+        """The result; the thread is run if it was not."""
+        if self.result is None:
             timer = StageTimer()
             with timer("recovery"):
-                result = thread.run(task)
-            stamp_s += thread.cost.seconds(result)
-            is_last = number == len(threads) or (result.success and not self._exhaustive)
-            yield ThreadOutcome(number, thread.name, result, timer.cpu_ms["recovery"], stamp_s, is_last)
-            if is_last:
-                return
+                result = self.thread.run(self.task)
+            self.cpu_ms = timer.cpu_ms["recovery"]
+            self.result = result  # last: whoever sees it sees the rest
+        return self.result
+
+    @property
+    def ends_s(self) -> float:
+        """Time at which it ends by its cost model; infinity while it waits for a worker."""
+        return inf if self.started_s is None else self.started_s + self.thread.cost.seconds(self.execute())
+
+
+class RecoveryScheduler(Protocol):
+    """Gives runs to workers, the lowest thread number first, then the oldest."""
+
+    def submit(self, run: RecoveryRun) -> None:
+        """Put a run into the queue."""
+        ...
+
+    def start(self, now_s: float) -> list[RecoveryRun]:
+        """Give the waiting runs to workers that are free; those that were given one."""
+        ...
+
+    def has_ended(self, run: RecoveryRun, now_s: float) -> bool:
+        """True if a run has ended by now.
+
+        Raises:
+            Exception: the exception of a run.
+        """
+        ...
+
+    def cancel(self, run: RecoveryRun, now_s: float) -> None:
+        """Give up a run that has not ended; its worker is free from now on, or soon."""
+        ...
+
+    def wait(self) -> None:
+        """Wait until every run that was given a worker has ended.
+
+        Raises:
+            Exception: the exception of a run.
+        """
+        ...
+
+    def close(self) -> None:
+        """Stop the workers; runs that wait are dropped."""
+        ...
+
+
+def build_scheduler(mode: ExecutionMode, workers: int) -> RecoveryScheduler:
+    """Build the scheduler of a mode, for so many runs at a time."""
+    return (ThreadedScheduler if mode is ExecutionMode.THREADED else ReckonedScheduler)(workers)
+
+
+class _Queue:
+    """Runs that wait, in the order in which they get workers."""
+
+    def __init__(self) -> None:
+        self._waiting: list[RecoveryRun] = []
+
+    def submit(self, run: RecoveryRun) -> None:
+        self._waiting.append(run)
+        self._waiting.sort(key=lambda r: r.number)  # stable: the oldest first
+
+    def _drop(self, run: RecoveryRun) -> None:
+        self._waiting = [r for r in self._waiting if r is not run]
+
+
+class ReckonedScheduler(_Queue):
+    """Scheduler of lockstep mode."""
+
+    def __init__(self, workers: int) -> None:
+        super().__init__()
+        self._free_since_s = [-inf] * workers
+        self._running: list[RecoveryRun] = []
+
+    def start(self, now_s: float) -> list[RecoveryRun]:
+        started = []
+        while self._waiting and self._free_worker(now_s):
+            run = self._waiting.pop(0)
+            run.started_s = max(run.submitted_s, self._free_since_s.pop())
+            self._running.append(run)
+            started.append(run)
+        return started
+
+    def has_ended(self, run: RecoveryRun, now_s: float) -> bool:
+        return run.started_s is not None and run.ends_s <= now_s
+
+    def cancel(self, run: RecoveryRun, now_s: float) -> None:
+        self._drop(run)
+        if run in self._running:
+            self._running.remove(run)
+            self._free_since_s.append(now_s)
+
+    def wait(self) -> None:
+        """Nothing to wait for: a run is computed when its end is asked for."""
+
+    def close(self) -> None:
+        """Nothing to stop."""
+
+    def _free_worker(self, now_s: float) -> bool:
+        """True if a worker is free by now; if all have runs, their ends must be known for that."""
+        if not self._free_since_s:
+            first = min(self._running, key=lambda r: r.ends_s)
+            if first.ends_s <= now_s:
+                self._running.remove(first)
+                self._free_since_s.append(first.ends_s)
+        return bool(self._free_since_s)
+
+
+class ThreadedScheduler(_Queue):
+    """Scheduler of threaded mode."""
+
+    def __init__(self, workers: int) -> None:
+        super().__init__()
+        self._workers = [Worker(f"recovery {n}") for n in range(1, workers + 1)]
+
+    def start(self, now_s: float) -> list[RecoveryRun]:
+        started = []
+        for worker in self._workers:
+            if self._waiting and not worker.pending:
+                run = self._waiting.pop(0)
+                run.started_s = now_s
+                worker.submit(run.execute)
+                started.append(run)
+        return started
+
+    def has_ended(self, run: RecoveryRun, now_s: float) -> bool:
+        for worker in self._workers:
+            worker.check()
+        return run.result is not None
+
+    def cancel(self, run: RecoveryRun, now_s: float) -> None:
+        self._drop(run)
+        run.task.cancellation.requested = True
+
+    def wait(self) -> None:
+        for worker in self._workers:
+            worker.drain()
+
+    def close(self) -> None:
+        for worker in self._workers:
+            worker.close()

@@ -226,6 +226,6 @@ def test_both_modes_give_the_same_failure_for_every_n(monkeypatch, blank):
     for n, kinds in ((1, "orb"), (2, "orb,gms")):
         config = dual_config(unit(kinds), exhaustive=False)
         shipped = execute(sequence, "dual", 2, build=system_factory(dual=config))
-        ends = [e for e in shipped.events if isinstance(e, RecoveryEnd)]
+        ends = [e for e in shipped.events if isinstance(e, RecoveryEnd) and e.stage != "cancelled"]
         assert record[f"d{n}"] is not any(e.success for e in ends)
         assert len(ends) == (1 if ends[0].success else n)

@@ -159,9 +159,9 @@ def test_a_true_fusion_is_right_and_a_displaced_one_false(sequence, monkeypatch,
     assert found.audit.position_error_m < 0.5 * found.audit.position_bound_m
     real = MapMerger._fuse
 
-    def displaced(self, frame, old, new, alignments, by):
+    def displaced(self, frame, old, new, alignments, *rest):
         moved = [replace(a, S_old_new=shifted(a.S_old_new)) for a in alignments]
-        return real(self, frame, old, new, moved, by)
+        return real(self, frame, old, new, moved, *rest)
 
     monkeypatch.setattr(MapMerger, "_fuse", displaced)
     audit = declared(sequence, "dual", dual)

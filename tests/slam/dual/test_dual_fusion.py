@@ -225,7 +225,7 @@ def fused(maps):
         "old_points": old.n_points,
     }
     alignment = aligned(maps, 25, 25)[0]
-    fused = fuse(old, new, [alignment], LocalMappingConfig())
+    fused = fuse(old, new, [alignment], LocalMappingConfig(), renewed_until=1000)
     keyframes, points = fused.keyframes, fused.points
     return old, keyframes, points, alignment, before
 

@@ -214,10 +214,11 @@ def test_a_third_map_that_breaks_while_it_waits_is_dropped_if_young():
 
 
 @pytest.mark.slow
-def test_a_map_that_breaks_while_its_recovery_waits_is_saved_and_recovered_later():
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_map_that_breaks_before_its_recovery_has_ended_is_saved_and_recovered_later(workers):
     """Its frames and its link to earlier maps are kept."""
     thread = Lasting(60)
-    system = with_own_threads([thread], start_keyframes=3)
+    system = with_own_threads([thread], start_keyframes=3, workers=workers)
     first = after_start(system, 6, 12)
 
     def blank(i):
@@ -233,7 +234,8 @@ def test_a_map_that_breaks_while_its_recovery_waits_is_saved_and_recovered_later
     fused = of(system, "fusion")
     assert [(e.old_map_id, e.new_map_id) for e in fused] == [(0, 1), (0, 2), (0, 3)]
     assert of(system, "breakage")[2].frame < fused[0].frame
-    assert of(system, "recovery_start")[1].frame == fused[0].frame
+    second = of(system, "recovery_start")[1].frame
+    assert second == fused[0].frame if workers == 1 else second < fused[0].frame - 20
     assert system.maps() == [0] and not system.buffer.frozen
     assert rms(errors_m(system.trajectories()[0], T_world_cam)[0]) < 0.06
     assert len(system.trajectories()[0].frames) >= 190 - 18 - 6
@@ -303,7 +305,8 @@ def outcome(event):
 
 def test_exhaustive_runs_all_threads_otherwise_the_first_success_stops(both_ways):
     product, laboratory = both_ways
-    assert [(e.thread, e.success) for e in of(product, "recovery_end")] == [(1, False), (2, True)]
+    ends = [(e.thread, e.success, e.stage) for e in of(product, "recovery_end")]
+    assert ends == [(1, False, "propagation"), (2, True, ""), (3, False, "cancelled")]
     ends = [(e.thread, e.success) for e in of(laboratory, "recovery_end")]
     assert ends == [(1, False), (2, True), (3, True)]
     for system in both_ways:
@@ -316,7 +319,8 @@ def test_exhaustive_runs_all_threads_otherwise_the_first_success_stops(both_ways
 
 def test_up_to_the_first_success_both_are_identical(both_ways):
     product, laboratory = both_ways
-    for one, other in zip(of(product, "recovery_end"), of(laboratory, "recovery_end"), strict=False):
+    ends = zip(of(product, "recovery_end"), of(laboratory, "recovery_end"), strict=True)
+    for one, other in list(ends)[:2]:
         assert outcome(one) == outcome(other)
     paths = [system.trajectories() for system in both_ways]
     assert len(paths[0]) == len(paths[1]) == 1

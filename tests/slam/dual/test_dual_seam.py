@@ -130,7 +130,7 @@ def test_an_inverted_alignment_fuses_the_other_way(maps, sightings):
     back = [inverted(a, new.map_id) for a in found]
     assert back[0].old_map_id == new.map_id and back[0].inliers == found[0].inliers
     # Here the second map is kept, in its own frame and scale.
-    fused = fuse(new, old, back, LocalMappingConfig(), renewed=False)
+    fused = fuse(new, old, back, LocalMappingConfig())
     check_map(new)
     S_world_map = sim3_inverse(sim3_matrix(SCALE, MOVED[:3, :3], MOVED[:3, 3]))
     for k, i in enumerate(OLD):

@@ -3,15 +3,13 @@
 import threading
 import time
 
-import numpy as np
 import pytest
 from dual_scenes import RECOVERED, STEP_M, of, scale_between, with_own_threads
 from slam_scenes import blanked, errors_m, kinds, rms, toy
 
 from slam.core.events import TrackingState
-from slam.dual.recovery.interface import RecoveryConfig, RecoveryResult
+from slam.dual.recovery.interface import RecoveryConfig
 from slam.dual.recovery.orb import OrbRecovery
-from slam.dual.recovery.scheduler import RecoveryScheduler
 from slam.map.invariants import check_map
 from slam.runtime.backend import ExecutionMode
 
@@ -69,7 +67,7 @@ def test_a_slow_recovery_delays_no_frame_and_finish_waits_for_it():
     thread = Waiting()
     system = threaded([thread])
     results = feed_in_time(system, 0, 120)
-    assert thread.started.is_set() and thread.on == "recovery"
+    assert thread.started.is_set() and thread.on == "recovery 1"
     start = of(system, "recovery_start")[0].frame
     assert len(results) - start > 20
     assert all(r.state is TrackingState.TRACKING and r.map_id == 1 for r in results[start:])
@@ -117,29 +115,3 @@ def test_an_exception_in_a_recovery_reaches_the_caller():
     with pytest.raises(ZeroDivisionError, match="in the recovery thread"):
         system.finish()
     assert set(threading.enumerate()) <= before
-
-
-def test_outcomes_are_yielded_when_threads_finish():
-    """The first one's failure is reported while the second thread runs."""
-
-    class Ending:
-        def __init__(self, name, success, gate=None):
-            self.name, self.success, self.gate = name, success, gate
-            self.cost = OrbRecovery.cost
-
-        def run(self, task):
-            assert self.gate is None or self.gate.wait(PATIENCE_S)
-            return RecoveryResult(task, success=self.success)
-
-    gate = threading.Event()
-    recoveries = RecoveryScheduler(ExecutionMode.THREADED, exhaustive=False)
-    threads = [Ending("one", False), Ending("two", True, gate), Ending("three", True)]
-    recoveries.start(threads, [None] * 3, 0.0)
-    heard, give_up_s = [], time.monotonic() + PATIENCE_S
-    while not heard and time.monotonic() < give_up_s:
-        heard += list(recoveries.ended(0.0))
-    assert [(o.number, o.is_last) for o in heard] == [(1, False)]
-    gate.set()
-    assert [(o.name, o.is_last) for o in recoveries.rest()] == [("two", True)]
-    assert list(recoveries.ended(np.inf)) == []
-    recoveries.close()

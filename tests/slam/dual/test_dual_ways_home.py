@@ -1,0 +1,99 @@
+"""Several ways back to a saved map at once: the first one counts, and the others end."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from dual_scenes import RECOVERY_ONLY, STEP_M, dual, of, with_own_threads
+from slam_scenes import blanked, check_maps, errors_m, feed, kinds, rms, toy
+from test_dual_lifecycle import Lasting
+
+from slam.core.events import TrackingState
+from slam.dual.config import DualConfig
+from slam.dual.fusion.fuse import FusionConfig
+
+BLANK = range(50, 56)
+
+
+def there_and_back(turn):
+    """The camera goes on to frame ``turn`` of a toy sequence and back to frame 20."""
+    images, _, T_world_cam = toy(130, 0, STEP_M)
+    order = [*range(turn), *range(turn - 1, 19, -1)]
+    return [images[i] for i in order], np.arange(len(order)) / 30.0, T_world_cam[order]
+
+
+def beside_a_new_scene():
+    """Two scenes side by side: first one is lit, on the way back the other, then both."""
+    (here, _, T_world_cam), (there, _, _) = toy(70, 0, STEP_M), toy(70, 7, STEP_M)
+    order, images = [*range(56), *range(60, 19, -1)], []
+    half = here[0].shape[1] // 3
+    for n, i in enumerate(order):
+        image = np.full_like(here[i], 120)
+        if n < 56 or n >= 68:
+            image[:, half:] = here[i][:, half:]
+        if n >= 56:
+            image[:, :half] = there[i][:, :half]
+        images.append(image)
+    return blanked(images, BLANK), np.arange(len(order)) / 30.0, T_world_cam[order]
+
+
+@pytest.mark.parametrize("relocalization", [True, False])
+def test_a_small_new_map_is_dropped_where_a_saved_one_is_found_again(relocalization):
+    images, stamps_s, truth = beside_a_new_scene()
+    system = dual(replace(RECOVERY_ONLY, relocalization=relocalization, start_keyframes=50))
+    results = feed(system, images, stamps_s)
+    if not relocalization:
+        assert "map_dropped" not in kinds(system) and sorted(system.maps()) == [0, 1]
+        return
+    (dropped,) = of(system, "map_dropped")
+    (back,) = of(system, "relocalized")
+    assert (dropped.reason, dropped.map_id, dropped.frame) == ("returned_to_saved_map", 1, back.frame)
+    assert (back.map_id, system.maps(), system.current_map_id) == (0, [0], 0)
+    assert all(r.state is TrackingState.TRACKING for r in results[back.frame - 5 :])
+    assert all(r.map_id == 0 for r in results[back.frame :])
+    assert system.engine.store.saved == [] and not system.buffer.frozen
+    (path,) = system.trajectories()
+    assert path.frames[-1] == len(images) - 1 and rms(errors_m(path, truth)[0]) < 0.05
+
+
+@pytest.mark.parametrize("exhaustive", [False, True])
+def test_a_recovery_ends_when_its_maps_are_joined_by_place(exhaustive):
+    """Unless all threads are to be run to their end."""
+    images, stamps_s, _ = toy(130, 0, STEP_M)
+    system = with_own_threads(
+        [Lasting(70)], start_keyframes=3, place_merging=FusionConfig(), exhaustive=exhaustive
+    )
+    feed(system, blanked(images, BLANK), stamps_s)
+    (joined,), (end,) = of(system, "fusion"), of(system, "recovery_end")
+    assert joined.by == "place" and system.maps() == [0]
+    if exhaustive:
+        assert end.success and end.frame > joined.frame
+    else:
+        assert (end.stage, end.reason, end.frame) == ("cancelled", "maps_are_joined", joined.frame)
+
+
+def test_a_recovery_is_fused_into_a_map_that_has_been_tracked_on_since():
+    """The camera is back in the old map while the recovery runs, and the new map is left behind."""
+    images, stamps_s, truth = there_and_back(100)
+    system = with_own_threads([Lasting(75)])
+    shown = blanked(images, BLANK, range(100, 140))
+    for image, stamp_s in zip(shown[:100], stamps_s[:100], strict=True):
+        system.process(image, float(stamp_s))
+    system.dual = replace(system.dual, relocalization=True)
+    relocalize = system.engine.relocalize
+    system.engine.relocalize = lambda frame, ids, leave=None: relocalize(frame, [0], leave)
+    feed(system, shown[100:], stamps_s[100:])
+    (start,), (back,), (fused,) = (of(system, k) for k in ("recovery_start", "relocalized", "fusion"))
+    assert back.map_id == 0 and start.frame < back.frame < fused.frame
+    assert (fused.old_map_id, fused.new_map_id, fused.by) == (0, 1, "recovery")
+    assert system.maps() == [0] and system.state is TrackingState.TRACKING
+    keyframes = system.keyframe_trajectories()[0].frames
+    assert (keyframes > back.frame).any(), "what was made since the return stays"
+    (path,) = system.trajectories()
+    assert rms(errors_m(path, truth)[0]) < 0.06
+    check_maps(system)
+
+
+def test_settings_are_checked():
+    with pytest.raises(ValueError, match="workers must be 1 or more"):
+        DualConfig(workers=0)
