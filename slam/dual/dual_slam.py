@@ -221,11 +221,11 @@ class DualSlam(MonocularSystem):
 
     def _recover(self, frame: Frame, outcome: TrackingOutcome) -> None:
         """Start the recovery that is due."""
-        tracking = outcome.success and self.state is TrackingState.TRACKING
-        restart = self._restart
-        if tracking and restart is not None and restart.recoverable and restart.new is not None:
-            if self._fit_for_recovery():
-                self._start_recovery(frame, restart.new)
+        if not (outcome.success and self.state is TrackingState.TRACKING):
+            return
+        new = self._restart.new if self._restart is not None and self._restart.recoverable else None
+        if new is not None and self._fit_for_recovery():
+            self._start_recovery(frame, new)
 
     def _start_recovery(self, frame: Frame, new: NewMap) -> None:
         """Start the recovery threads."""
