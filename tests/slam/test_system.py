@@ -215,7 +215,7 @@ def test_another_process_on_one_core_gives_the_same_run():
     other = on_one_core("slam_scenes", f"digest_of_run(*{run!r})")
     here = [digest_of_run(*run) for _ in range(2)]
     assert here == [other] * 2
-    assert here[0].endswith("fusion")
+    assert here[0].endswith("recovery_end fusion")
 
 
 # -- breakage ------------------------------------------------------------------------------------------------
