@@ -1,6 +1,7 @@
 """The steps that systems are made of: frames in, one map at a time."""
 
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from numbers import Real
 
@@ -32,6 +33,7 @@ from slam.runtime.backend import (
     ExecutionMode,
     KeyframeTask,
     Mapped,
+    Prepared,
     Refused,
     Searched,
 )
@@ -107,20 +109,20 @@ class SlamEngine:
     # -- a frame -----------------------------------------------------------------------------------------
 
     def receive(self, image: np.ndarray, stamp_s: float) -> Frame:
-        """Begin a frame: apply what mapping has handed over since the last one, find features.
+        """Begin a frame: find features, apply what mapping has handed over since the last one.
 
         Raises:
             ValueError: wrong size or type of image, time not increasing.
         """
         self.timer.begin()
         self._check_input(image, stamp_s)
-        self.backend.collect()
         with self.timer("extract"):
             extractor = self._initial_extractor if self.state is _SEEKING else self._extractor
             features = extractor.extract(image)
             built = FrameFeatures.build(self.frames, stamp_s, features, self.camera, self.view)
         self.frames += 1
         self.newest = Frame(built)
+        self.backend.collect()
         return self.newest
 
     def initialize(self, frame: Frame) -> tuple[TrackingOutcome, InitialMap | None]:
@@ -163,11 +165,16 @@ class SlamEngine:
             leave: leaves the map that is tracked meanwhile, if one is.
         """
         outcome, confirmed = self.search.offer(frame, map_ids)
-        if confirmed is not None:
-            if leave is not None:
-                self.backend.drain()
-                leave(frame)
-            self._resume(confirmed, frame, outcome)
+        if confirmed is None:
+            return outcome
+        if leave is not None:
+            tracked = self.store.current_id
+            self.backend.drain()
+            if self.store.current_id != tracked or confirmed.map_id not in self.store:  # fused meanwhile
+                self.search.reject(confirmed, frame, "maps_are_joined")
+                return TrackingOutcome(False, outcome.inliers, outcome.matches, "maps_are_joined")
+            leave(frame)
+        self._resume(confirmed, frame, outcome)
         return outcome
 
     def declare_breakage(self, frame: Frame, outcome: TrackingOutcome) -> None:
@@ -330,6 +337,9 @@ class SlamEngine:
             self._report_refusal(change)
         elif isinstance(change, Calibrated):
             self._apply_refinement(change)
+        elif isinstance(change, Prepared):
+            with self.timer(change.stage) if change.stage else nullcontext():
+                change.take_over()
         else:
             self._loop_cpu_ms += change.cpu_ms
             self.corrections += 1

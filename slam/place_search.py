@@ -71,11 +71,10 @@ class PlaceSearch:
                     break
         return outcome, None
 
-    def withdraw(self, frame: Frame, reason: str) -> None:
-        """End the probation under way, if any, for another reason than its frames."""
-        if self.probation is not None:
-            self.probation.withdraw(reason)
-            self._end(self.probation, frame)
+    def reject(self, probation: Probation, frame: Frame, reason: str) -> None:
+        """End a confirmed probation after all, for another reason than its frames."""
+        probation.withdraw(reason)
+        self._end(probation, frame)
 
     def _begin_probation(self, frame: Frame, map_id: int) -> TrackingOutcome:
         """Search a map for the frame; if it is found there, it is on probation."""

@@ -3,7 +3,7 @@
 Source: paper, Sec. II and III, Fig. 3.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from copy import deepcopy
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -21,10 +21,10 @@ from slam.dual.config import DualConfig
 from slam.dual.fusion.map_merger import MapMerger
 from slam.dual.fusion.merge_recovered import Recovered
 from slam.dual.recovery.interface import RecoveryResult
-from slam.dual.recovery_jobs import NewMap, RecoveryJob, RecoveryJobs
+from slam.dual.recovery_jobs import Copies, NewMap, RecoveryJob, RecoveryJobs
 from slam.initialization.initializer import InitialMap
 from slam.map.map import Map
-from slam.runtime.backend import ExecutionMode
+from slam.runtime.backend import ExecutionMode, TakeOver
 from slam.system import MonocularSlam, MonocularSystem
 from slam.tracking.tracker import TrackingOutcome
 
@@ -38,12 +38,14 @@ class Restart:
         recoverable: the buffer reaches a saved map, so that a recovery is due once the new map is fit.
         held: no map is sought until :meth:`DualSlam.restart`.
         new: the new map, once it is initialized.
+        starting: its recovery is about to start.
     """
 
     since: int
     recoverable: bool
     held: bool = False
     new: NewMap | None = None
+    starting: bool = False
 
 
 class DualSlam(MonocularSystem):
@@ -67,7 +69,7 @@ class DualSlam(MonocularSystem):
         self.dual = dual or DualConfig()
         self.jobs = RecoveryJobs(self.dual, seed, mode, self.engine.emit_at)
         self.buffer = FeatureBuffer(self.dual.buffer_s, self.dual.buffer_cap_s, self.jobs.needs_images)
-        self.merger = MapMerger(self.engine, self.dual.place_merging)
+        self.merger = MapMerger(self.engine, self.dual.place_merging, self._forget_joined)
         self._restart: Restart | None = None  # since the last breakage, until its recovery is begun
 
     @property
@@ -97,9 +99,9 @@ class DualSlam(MonocularSystem):
                 outcome, is_keyframe = self._initialize(frame)
         engine.record(frame, outcome)
         self._fill_buffer(frame, image)
-        self._fuse_recovered(frame, self.jobs.ended(frame))
-        self._recover(frame, outcome)
-        self._merge_by_place(frame, outcome)
+        self._fuse_recovered(self.jobs.ended(frame))
+        self._recover(outcome)
+        self._merge_by_place(outcome)
         return engine.result(frame, outcome, is_keyframe)
 
     def finish(self) -> None:
@@ -111,7 +113,9 @@ class DualSlam(MonocularSystem):
         newest = self.engine.newest
         try:
             if newest is not None:
-                self._fuse_recovered(newest, self.jobs.rest(newest))
+                for found in self.jobs.rest(newest):
+                    self._fuse_recovered([found])
+                    self.engine.backend.drain()
         finally:
             self.jobs.close()
             super().finish()
@@ -126,7 +130,8 @@ class DualSlam(MonocularSystem):
         engine, restart = self.engine, self._restart
         if restart is not None and restart.recoverable and restart.new is not None:
             if self._fit_for_recovery():
-                self._start_recovery(frame, restart.new)
+                with engine.timer.apart():
+                    self._prepare_recovery(restart, restart.new, self._reachable(restart.new))()
                 self._save(frame)
             else:
                 engine.drop_map(frame, "broke_before_recovery")
@@ -214,36 +219,46 @@ class DualSlam(MonocularSystem):
     def _fit_for_recovery(self) -> bool:
         return len(self.current_map.keyframes()) >= self.dual.start_keyframes
 
-    def _reachable(self) -> list[int]:
-        """Saved maps that the buffer reaches, newest first."""
+    def _reachable(self, new: NewMap | None = None) -> list[int]:
+        """Saved maps that the buffer reaches, newest first; those older than a new map, if one is given."""
         store = self.engine.store
-        return [k for k in store.saved if self.buffer.reaches(_newest_frame(store[k]))]
+        older = [k for k in store.saved if new is None or k < new.map.map_id]
+        return [k for k in older if self.buffer.reaches(_newest_frame(store[k]))]
 
-    def _recover(self, frame: Frame, outcome: TrackingOutcome) -> None:
-        """Start the recovery that is due."""
-        if not (outcome.success and self.state is TrackingState.TRACKING):
+    def _recover(self, outcome: TrackingOutcome) -> None:
+        """Start the recovery that is due, as soon as mapping and loop closing have done what they are at."""
+        due = self._restart
+        if due is None or due.new is None or due.starting or not due.recoverable:
             return
-        new = self._restart.new if self._restart is not None and self._restart.recoverable else None
-        if new is not None and self._fit_for_recovery():
-            self._start_recovery(frame, new)
+        if outcome.success and self.state is TrackingState.TRACKING and self._fit_for_recovery():
+            due.starting = True
+            # Recovery runs beside tracking: even in lockstep it does not count as tracking's time.
+            with self.engine.timer.apart():
+                self.engine.backend.beside(
+                    partial(self._prepare_recovery, due, due.new, self._reachable(due.new))
+                )
 
-    def _start_recovery(self, frame: Frame, new: NewMap) -> None:
-        """Start the recovery threads."""
-        engine, store = self.engine, self.engine.store
-        engine.backend.drain()
+    def _prepare_recovery(self, due: Restart, new: NewMap, reachable: Sequence[int]) -> TakeOver:
+        """Copy the maps for the recovery threads, to be started between two frames."""
+        store = self.engine.store
+        copies = self.jobs.copies(new, [store[k] for k in reachable if k in store])
+        return partial(self._start_recovery, due, new, copies)
+
+    def _start_recovery(self, due: Restart, new: NewMap, copies: Copies) -> None:
+        """Start the recovery threads, unless the maps were joined since they were due."""
+        engine, store, newest = self.engine, self.engine.store, self.engine.newest
+        if self._restart is not due or newest is None:
+            return
         self._restart, self.buffer.frozen = None, False
         older = [k for k in store.saved if k < new.map.map_id]
-        reachable = [store[k] for k in self._reachable() if k in older]
-        if reachable:
-            # Recovery runs beside tracking: even in lockstep it does not count as tracking's time.
-            with engine.timer.apart():
-                self.jobs.start(frame, new, reachable, self.buffer, engine.camera)
+        if copies.old:
+            self.jobs.start(newest, new, copies, self.buffer, engine.camera)
         elif older:
-            self.jobs.give_up(frame, new.map, store[older[0]])
+            self.jobs.give_up(newest, new.map, store[older[0]])
 
     # -- fusion ------------------------------------------------------------------------------------------
 
-    def _fuse_recovered(self, frame: Frame, succeeded: Iterable[tuple[RecoveryJob, RecoveryResult]]) -> None:
+    def _fuse_recovered(self, succeeded: Iterable[tuple[RecoveryJob, RecoveryResult]]) -> None:
         """Fuse the maps that recovery threads have aligned; only a recovery's first success counts."""
         for job, result in succeeded:
             if result.alignment is not None:
@@ -252,22 +267,22 @@ class DualSlam(MonocularSystem):
                     job.new_id, result.map, job.keyframes, job.points,
                     result.frames, job.old_maps, alignments, job.since,
                 )  # fmt: skip
-                self.merger.merge_recovered(frame, found)
-                self._forget_joined(frame)
+                self.merger.merge_recovered(found)
 
-    def _merge_by_place(self, frame: Frame, outcome: TrackingOutcome) -> None:
+    def _merge_by_place(self, outcome: TrackingOutcome) -> None:
         """Fuse with a saved map whose place is recognised."""
-        if outcome.success and self.state is TrackingState.TRACKING and self.merger.merge_by_place(frame):
-            self._forget_joined(frame)
+        if outcome.success and self.state is TrackingState.TRACKING:
+            self.merger.merge_by_place()
 
-    def _forget_joined(self, frame: Frame) -> None:
+    def _forget_joined(self) -> None:
         """End recoveries of maps that have been joined, also the one that is due."""
-        store, restart = self.engine.store, self._restart
+        store, restart, frame = self.engine.store, self._restart, self.engine.newest
 
         def is_joined(job: RecoveryJob) -> bool:
             return job.new_id not in store
 
-        self.jobs.cancel(frame, is_joined, "maps_are_joined")
+        if frame is not None:
+            self.jobs.cancel(frame, is_joined, "maps_are_joined")
         if restart is not None and restart.new is not None and restart.new.map.map_id not in store:
             self._restart, self.buffer.frozen = None, False
 

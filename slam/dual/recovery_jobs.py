@@ -37,6 +37,22 @@ class NewMap:
     since: int
 
 
+@dataclass(frozen=True)
+class Copies:
+    """Copies of maps for a recovery.
+
+    Attributes:
+        old: of the saved maps that it may reach, newest first.
+        starts: per thread a copy of the new map, its first frame in it, T_cam_last (4, 4) one frame backward.
+        keyframes, points: rows of the new map.
+    """
+
+    old: tuple[Map, ...]
+    starts: tuple[tuple[Map, Frame, np.ndarray], ...]
+    keyframes: int
+    points: int
+
+
 @dataclass(eq=False)
 class RecoveryJob:
     """Recovery of one breakage, by one or more threads.
@@ -94,31 +110,35 @@ class RecoveryJobs:
         """True if any thread works on images."""
         return any(thread.needs_images for thread, _ in self._threads)
 
+    def copies(self, new: NewMap, old_maps: Sequence[Map]) -> Copies:
+        """Copy the maps for the threads, as they will change.
+
+        Args:
+            new: the map to be extended.
+            old_maps: the saved maps that the buffer reaches, newest first.
+        """
+        starts = tuple(_ready_to_extend(new) for _ in self._threads)
+        return Copies(tuple(m.copy() for m in old_maps), starts, new.map.n_keyframes, new.map.n_points)
+
     def start(
-        self,
-        frame: Frame,
-        new: NewMap,
-        old_maps: Sequence[Map],
-        buffer: FeatureBuffer,
-        camera: PinholeCamera,
+        self, frame: Frame, new: NewMap, copies: Copies, buffer: FeatureBuffer, camera: PinholeCamera
     ) -> None:
         """Start the threads.
 
         Args:
             frame: the newest frame.
-            new: the map to be extended; each thread gets a copy of it.
-            old_maps: the saved maps that the buffer reaches, newest first; copied, as they may change.
+            new: the map to be extended.
+            copies: of it and of the saved maps, not to be used afterwards.
             buffer: the frames over which the threads go backward.
             camera: of these frames.
         """
         backward, images = tuple(buffer.backward_from(new.first.features.index)), buffer.images()
-        old = tuple(m.copy() for m in old_maps)
-        sizes = (new.map.n_keyframes, new.map.n_points)
-        job = RecoveryJob(new.map.map_id, old, *sizes, new.since, len(backward))
-        for number, (thread, seed) in enumerate(self._threads, start=1):
-            own, start, step = _ready_to_extend(new)
+        sizes = (copies.keyframes, copies.points)
+        job = RecoveryJob(new.map.map_id, copies.old, *sizes, new.since, len(backward))
+        threads = zip(self._threads, copies.starts, strict=True)
+        for number, ((thread, seed), (own, start, step)) in enumerate(threads, start=1):
             rng = rng_for(self._seed, "recovery", number, seed, new.since)
-            task = RecoveryTask(own, start, backward, old, step, rng, camera, images)
+            task = RecoveryTask(own, start, backward, copies.old, step, rng, camera, images)
             job.runs.append(RecoveryRun(number, thread, task, frame.features.stamp_s))
             self._scheduler.submit(job.runs[-1])
         self.running.append(job)

@@ -127,6 +127,7 @@ class KeyframeDatabase:
         self.vocabulary = vocabulary or shipped_vocabulary()
         self._bows: list[BowVector] = []
         self._filed: list[bool] = []
+        self._foreseen: dict[int, BowVector] = {}
         n = self.vocabulary.n_words
         self._file = InvertedFile(
             np.zeros(n, np.int64), np.zeros(n, np.int32), np.zeros(n, np.int32),
@@ -142,10 +143,16 @@ class KeyframeDatabase:
         """Bag of words of a keyframe in the database."""
         return self._bows[keyframe]
 
+    def foresee(self, bows: dict[int, BowVector]) -> None:
+        """Take over bags of words, by row, that were computed for keyframes not yet in the database."""
+        self._foreseen |= bows
+
     def add(self) -> None:
         """Add the next keyframe of the map."""
         keyframe = len(self._bows)
-        bow = self.vocabulary.transform(self.map.features(keyframe).descriptors)
+        bow = self._foreseen.pop(keyframe, None)
+        if bow is None:
+            bow = self.vocabulary.transform(self.map.features(keyframe).descriptors)
         self._reserve(kernels.room_needed(self._file, bow.words))
         self._end = kernels.file_words(self._file, self._end, keyframe, bow.words, bow.weights)
         self._bows.append(bow)

@@ -2,7 +2,8 @@
 
 In lockstep mode each keyframe is processed before the next frame. In threaded mode mapping and loop closing
 have a thread each; they change the map step by step under a lock. Changes to anything else (poses of frames,
-the tracker, events) are handed to the tracking thread, which applies them between two frames.
+the tracker, events) are handed to the tracking thread, which applies them between two frames. So is what is
+made on a copy of a map: a corrected loop, a fusion.
 """
 
 import threading
@@ -35,7 +36,7 @@ class ExecutionMode(StrEnum):
     THREADED = "threaded"
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class KeyframeTask:
     """A frame that is to become a keyframe.
 
@@ -44,6 +45,7 @@ class KeyframeTask:
         mapper, detector: of its map.
         rng: stream of loop detection.
         residual: the coefficients so far, if the lens is to be estimated from the map; else None.
+        keyframe: its row in the map, -1 while it waits for mapping.
     """
 
     frame: Frame
@@ -51,6 +53,13 @@ class KeyframeTask:
     detector: LoopDetector
     rng: np.random.Generator
     residual: Residual | None = None
+    keyframe: int = -1
+
+    def rebase(self, detector: LoopDetector, keyframes: int) -> None:
+        """Go on in a map that has absorbed its own, where the rows of keyframes begin at ``keyframes``."""
+        self.detector = detector
+        if self.keyframe >= 0:
+            self.keyframe += keyframes
 
 
 @dataclass(frozen=True)
@@ -107,7 +116,24 @@ class Calibrated:
     cpu_ms: float
 
 
-Change = Mapped | Corrected | Adjusted | Refused | Searched | Calibrated
+TakeOver = Callable[[], None]
+"""Takes over what was made on copies of maps."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What was made on copies of maps, which have not changed since.
+
+    Attributes:
+        take_over: makes it valid.
+        stage: name under which its time is measured; empty for none.
+    """
+
+    take_over: TakeOver
+    stage: str
+
+
+Change = Mapped | Corrected | Adjusted | Refused | Searched | Calibrated | Prepared
 
 
 @dataclass
@@ -127,6 +153,7 @@ class Backend:
     Attributes:
         lock: to be held while reading the map when mapping may run.
         newest: the keyframe submitted last, if any.
+        in_work: the keyframes that mapping or loop closing have not done with, the oldest first.
     """
 
     def __init__(
@@ -139,6 +166,7 @@ class Backend:
         self.mode = mode
         self.lock: AbstractContextManager = threading.RLock() if threaded else nullcontext()
         self.newest: KeyframeTask | None = None
+        self.in_work: list[KeyframeTask] = []
         self._apply = apply
         self._calibration = calibration
         # Held while keyframes and points may be added or removed.
@@ -159,14 +187,34 @@ class Backend:
             Exception: the exception of an earlier task on its thread.
         """
         self.newest = task
+        self.in_work.append(task)
         self._on(0, lambda: self._map(task))
+
+    def beside(self, prepare: Callable[[], TakeOver | None], stage: str = "") -> None:
+        """Change maps on copies of them, which are taken over between two frames; in lockstep at once.
+
+        No keyframe or point is added or removed from the beginning of the preparation to the end of the
+        take-over: tracking goes on, and keyframes that it asks for meanwhile wait.
+
+        Args:
+            prepare: called after what has been submitted before; it changes no map, and returns how its
+                result is taken over, or None if there is nothing to take over. It may read and copy maps
+                without the lock.
+            stage: name under which the time of the take-over is measured; empty for none.
+
+        Raises:
+            Exception: the exception of an earlier task on its thread.
+        """
+        self._on(1, lambda: self._prepare(prepare, stage))
 
     def collect(self) -> None:
         """Apply the changes handed over by the threads since the last call; none in lockstep."""
         while self._pending:
             pending = self._pending.popleft()
-            self._apply(pending.change)
-            pending.applied.set()
+            try:
+                self._apply(pending.change)
+            finally:  # whoever waits for it must not wait for ever
+                pending.applied.set()
 
     def drain(self) -> None:
         """Wait until every keyframe has been processed, and apply the changes."""
@@ -196,15 +244,23 @@ class Backend:
 
     def _map(self, task: KeyframeTask) -> None:
         timer = StageTimer()
-        with timer("mapping"), self._gate:
-            keyframe = task.mapper.insert(task.frame.copy())
-        self._hand_over(Mapped(task.frame, keyframe, timer.cpu_ms["mapping"]))
-        self._on(1, lambda: self._work_on_whole_map(task, keyframe))
+        with self._gate:
+            with timer("mapping"):
+                task.keyframe = task.mapper.insert(task.frame.copy())
+            self._hand_over(Mapped(task.frame, task.keyframe, timer.cpu_ms["mapping"]))
+        self._on(1, lambda: self._work_on_whole_map(task))
 
-    def _work_on_whole_map(self, task: KeyframeTask, keyframe: int) -> None:
-        self._close_loop(task, keyframe)
+    def _work_on_whole_map(self, task: KeyframeTask) -> None:
+        self._close_loop(task, task.keyframe)
         if task.residual is not None and self._calibration is not None:
             self._calibrate(task, task.residual, self._calibration)
+        self.in_work.remove(task)
+
+    def _prepare(self, prepare: Callable[[], TakeOver | None], stage: str) -> None:
+        with self._gate:
+            take_over = prepare()
+            if take_over is not None:
+                self._hand_over(Prepared(take_over, stage), wait=True)
 
     def _close_loop(self, task: KeyframeTask, keyframe: int) -> None:
         map_, timer = task.mapper.map, StageTimer()

@@ -1,19 +1,29 @@
-"""Map merger: fuses maps that a recovery has aligned, or a place."""
+"""Map merger: fuses maps that a recovery has aligned, or a place.
 
-from collections.abc import Sequence
-from contextlib import AbstractContextManager
+As a loop is corrected, so are maps fused: on copies, beside tracking, after the keyframes and loops that come
+before (``Backend.beside``). The copies take the place of the maps between two frames. No keyframe or point is
+added meanwhile, so that nothing of the maps is lost; what tracking has done is carried over: the poses of its
+frames, and those that wait to become keyframes.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
 
 from slam.core import events as ev
-from slam.core.frame import Frame
-from slam.dual.fusion.fuse import Fused, FusionConfig, fuse, seam_frame
+from slam.dual.fusion.fuse import FusionConfig, seam_frame
 from slam.dual.fusion.merge_recovered import Recovered, Whereabouts, in_present_map, merge_recovered
 from slam.dual.fusion.place_merging import PlaceMerger, inverted
+from slam.dual.fusion.prepared import PreparedFusion
 from slam.dual.fusion.rebase import rebase_frames, rebase_tracking
 from slam.engine import SlamEngine
 from slam.loop_closing.map_alignment import Alignment
 from slam.map.map import Map
-from slam.map.relation import fusion_relation
+from slam.map.relation import Relation
 from slam.map_store import Loss
+from slam.runtime.backend import TakeOver
+
+STAGE = "fusion"
+"""Stage of a frame in which the tracking thread takes over a fusion."""
 
 
 class MapMerger:
@@ -22,45 +32,69 @@ class MapMerger:
     Args:
         engine: of the maps.
         by_place: acceptance of a saved map that is recognised by its places; None for never.
+        fused: called after every fusion, on the tracking thread.
     """
 
-    def __init__(self, engine: SlamEngine, by_place: FusionConfig | None) -> None:
+    def __init__(self, engine: SlamEngine, by_place: FusionConfig | None, fused: Callable[[], None]) -> None:
         self._engine = engine
         self._places = PlaceMerger(by_place, engine.seed) if by_place else None
+        self._fused = fused
         self._corrections = 0
+        self._searching = False
         self._absorbed: dict[int, Whereabouts] = {}
 
-    def merge_recovered(self, frame: Frame, found: Recovered) -> None:
-        """Merge a recovery's extended copy into the new map, then fuse that with the old one.
+    # -- on the tracking thread --------------------------------------------------------------------------
+
+    def merge_recovered(self, found: Recovered) -> None:
+        """Merge a recovery's extended copy into the new map, and fuse that with the old one.
 
         Both maps may have changed since the recovery started. If they can no longer be fused, event
         ``fusion`` says why; if the new map is no longer there, nothing happens.
 
         Args:
-            frame: the newest frame.
             found: by the recovery; its extended map is not to be used afterwards.
         """
+        self._engine.backend.beside(partial(self._prepare_recovered, found), STAGE)
+
+    def merge_by_place(self) -> None:
+        """Search the saved maps for the current map's newest keyframes; fuse with one that they recognise."""
+        store, places = self._engine.store, self._places
+        if places is None or self._searching or not store.saved or not places.is_due(store.current):
+            return
+        self._searching = True
+        self._engine.backend.beside(partial(self._prepare_by_place, places), STAGE)
+
+    def skip_present_keyframes(self) -> None:
+        """Search no place of a keyframe that the current map has now."""
+        if self._places is not None and self._engine.store.current_id in self._engine.store:
+            self._places.skip(self._engine.store.current)
+
+    # -- beside tracking, where no keyframe or point is added meanwhile ----------------------------------
+
+    def _prepare_recovered(self, found: Recovered) -> TakeOver | None:
         engine, accepted = self._engine, found.alignments[-1]
         if found.new_id not in engine.store:
-            return
-        engine.backend.drain()
-        new, old_id = engine.store[found.new_id], self._whereabouts(accepted.old_map_id).map_id
+            return None
+        new, old_id = engine.store[found.new_id].copy(), self._whereabouts(accepted.old_map_id).map_id
         alignments = [self._in_present_map(found, a) for a in found.alignments]
+        refuse = partial(self._refuse, old_id, new.map_id, "recovery", accepted)
         if alignments[-1] is None:
-            self._refuse(frame, old_id, new.map_id, "recovery", accepted, "old_map_has_changed")
-            return
-        old = engine.store[old_id]
+            return partial(refuse, "old_map_has_changed")
         merged = merge_recovered(new, found.extended, found.keyframes, found.points)
         if merged is None:
-            self._refuse(frame, old_id, new.map_id, "recovery", accepted, "new_map_has_changed")
-            return
+            return partial(refuse, "new_map_has_changed")
         moved = [merged.moved(a, new) for a in alignments if a is not None]
-        seam = seam_frame(old, moved)
-        fused = self._fuse(frame, old, new, moved, "recovery", found.since)
-        rebase_frames(found.frames, merged.keyframes, fused, moved[-1].scale)
-        for tracked in found.frames:
-            if tracked.features.index > seam:
-                engine.store.poses.add(old.map_id, tracked)
+        seam = seam_frame(engine.store[old_id], moved)
+        prepared = self._prepare(engine.store[old_id], new, moved, found.since)
+        rebase_frames(found.frames, merged.keyframes, prepared.fused, moved[-1].scale)
+
+        def take_over() -> None:
+            self._take_over(prepared, "recovery")
+            for tracked in found.frames:
+                if tracked.features.index > seam:
+                    engine.store.poses.add(old_id, tracked)
+
+        return take_over
 
     def _whereabouts(self, map_id: int) -> Whereabouts:
         """Where the rows of a map are, also if others have absorbed it."""
@@ -78,67 +112,56 @@ class MapMerger:
             return None
         return in_present_map(alignment, self._engine.store[at.map_id], then, at)
 
-    def skip_present_keyframes(self) -> None:
-        """Search no place of a keyframe that the current map has now."""
-        if self._places is not None and self._engine.store.current_id in self._engine.store:
-            self._places.skip(self._engine.store.current)
-
-    def merge_by_place(self, frame: Frame) -> bool:
-        """Fuse the current map with a saved one that its newest keyframes recognise; True if there is one."""
+    def _prepare_by_place(self, places: PlaceMerger) -> TakeOver | None:
         engine, store = self._engine, self._engine.store
-        if self._places is None or not store.saved:
-            return False
         if self._corrections != engine.corrections:
             self._corrections = engine.corrections
-            self._places.reset_alignments()
-        current, lock = store.current, engine.backend.lock
-        alignments = self._recognise(self._places, frame, current, lock)
-        if not alignments:
-            return False
-        happened = len(engine.events)
-        engine.backend.drain()
-        if len(engine.events) != happened or current.arrays.kf_bad[alignments[-1].new_keyframe]:
-            return False  # the map has just changed: the alignments are no longer valid
-        saved = store[alignments[-1].old_map_id]
+            places.reset_alignments()
+        current, saved = store.current, [store[k] for k in store.saved]
+        alignments = places.search(current, saved, lambda k: store.places(k).database, engine.backend.lock)
+        self._searching, refused = False, tuple(places.refused)
+        if not (alignments or refused):
+            return None
+        prepared = self._prepare_joined(current, alignments) if alignments else None
+
+        def take_over() -> None:
+            for alignment, reason in refused:
+                self._refuse(alignment.old_map_id, current.map_id, "place", alignment, reason)
+            if prepared is not None:
+                self._take_over(prepared, "place")
+
+        return take_over
+
+    def _prepare_joined(self, current: Map, alignments: Sequence[Alignment]) -> PreparedFusion:
+        """Fuse the current map with a saved one; the older of the two keeps its frame."""
+        saved = self._engine.store[alignments[-1].old_map_id]
         if saved.map_id < current.map_id:
-            self._fuse(frame, saved, current, alignments, "place")
-        else:
-            self._fuse(frame, current, saved, [inverted(a, current.map_id) for a in alignments], "place")
-        return True
+            return self._prepare(saved, current.copy(), alignments)
+        return self._prepare(current, saved.copy(), [inverted(a, current.map_id) for a in alignments])
 
-    def _recognise(
-        self, places: PlaceMerger, frame: Frame, current: Map, lock: AbstractContextManager
-    ) -> Sequence[Alignment]:
-        store = self._engine.store
-        saved = [store[k] for k in store.saved]
-        alignments = places.search(current, saved, lambda k: store.places(k).database, lock)
-        for alignment, reason in places.refused:
-            self._refuse(frame, alignment.old_map_id, current.map_id, "place", alignment, reason)
-        return alignments
+    def _prepare(
+        self, old: Map, new: Map, alignments: Sequence[Alignment], renewed_until: int | None = None
+    ) -> PreparedFusion:
+        """Fuse copies; ``renewed_until``: last frame of the old map that a recovery has covered again."""
+        by_recovery, mapping = renewed_until is not None, self._engine.config.mapping
+        last = -1 if renewed_until is None else renewed_until
+        return PreparedFusion.of(old, new, alignments, mapping, by_recovery, last)
 
-    def _fuse(
-        self,
-        frame: Frame,
-        old: Map,
-        new: Map,
-        alignments: Sequence[Alignment],
-        by: str,
-        renewed_until: int = -1,
-    ) -> Fused:
-        """Fuse the new map into the old one; all that refers to them follows."""
-        engine, store, accepted = self._engine, self._engine.store, alignments[-1]
-        relation = fusion_relation(
-            old, new, accepted.old_keyframe, accepted.new_keyframe, accepted.S_old_new,
-            seam_frame(old, alignments) if by == "recovery" else None,
-        )  # fmt: skip
-        fused = fuse(old, new, alignments, engine.config.mapping, renewed_until)
-        store.poses.join(old.map_id, new.map_id, fused.keyframes, accepted.scale)
+    # -- on the tracking thread, between two frames ------------------------------------------------------
+
+    def _take_over(self, prepared: PreparedFusion, by: str) -> None:
+        """Put the fused map in the place of the two; all that refers to them follows."""
+        store, old, new_id = self._engine.store, self._engine.store[prepared.old_id], prepared.new_id
+        fused, accepted = prepared.fused, prepared.accepted
+        old.adopt(prepared.map)
+        store.poses.join(old.map_id, new_id, fused.keyframes, accepted.scale)
         store.poses.rescale(old.map_id, fused.factor)
-        both = (old.map_id, new.map_id)
+        store.places(old.map_id).database.foresee(prepared.bows)
+        both = (old.map_id, new_id)
         if store.current_id in both:
-            if store.current_id == new.map_id:
+            if store.current_id == new_id:
                 store.current_id = old.map_id
-                rebase_tracking(engine.tracker, engine.mapper, old, fused, accepted.scale)
+                self._rebase(old, prepared)
             store.saved = [k for k in store.saved if k not in both]
             self.skip_present_keyframes()
         else:  # the result counts as saved when the younger of the two was
@@ -147,20 +170,40 @@ class MapMerger:
             store.saved = [k for i, k in enumerate(store.saved) if k not in both or i == place]
             last = max((store.loss(k).at for k in both), key=lambda at: at.index)
             store.note_loss(old.map_id, Loss(last, store.loss(old.map_id).doubt))
-        store.forget(new.map_id)
-        self._absorbed[new.map_id] = Whereabouts(old.map_id, fused.keyframes, fused.points)
+        store.forget(new_id)
+        self._absorbed[new_id] = Whereabouts(old.map_id, fused.keyframes, fused.points)
         if self._places is not None:
             self._places.reset_alignments()
-        engine.emit_at(
-            frame, ev.Fusion, old.map_id, old_map_id=old.map_id, new_map_id=new.map_id, by=by,
-            accepted=True, scale=accepted.scale, inliers=accepted.inliers, reason="", relation=relation,
-        )  # fmt: skip
-        return fused
+        self._emit(old.map_id, old.map_id, new_id, by, accepted, "", prepared.relation)
+        self._fused()
 
-    def _refuse(
-        self, frame: Frame, old_id: int, new_id: int, by: str, alignment: Alignment, reason: str
+    def _rebase(self, old: Map, prepared: PreparedFusion) -> None:
+        """Move tracking and mapping to the old map, with the keyframes in work."""
+        engine, fused = self._engine, prepared.fused
+        tasks = [task for task in engine.backend.in_work if task.mapper is engine.mapper]
+        waiting = [task.frame for task in tasks if task.keyframe < 0]
+        rebase_tracking(engine.tracker, engine.mapper, old, fused, prepared.accepted.scale, waiting)
+        for task in tasks:
+            task.rebase(engine.store.places(old.map_id).loops, fused.keyframes)
+
+    def _refuse(self, old_id: int, new_id: int, by: str, alignment: Alignment, reason: str) -> None:
+        self._emit(new_id, old_id, new_id, by, alignment, reason)
+
+    def _emit(
+        self,
+        map_id: int,
+        old_id: int,
+        new_id: int,
+        by: str,
+        alignment: Alignment,
+        reason: str,
+        relation: Relation | None = None,
     ) -> None:
+        newest = self._engine.newest
+        if newest is None:
+            raise RuntimeError("there is no frame yet")
         self._engine.emit_at(
-            frame, ev.Fusion, new_id, old_map_id=old_id, new_map_id=new_id, by=by,
-            accepted=False, scale=alignment.scale, inliers=alignment.inliers, reason=reason,
+            newest, ev.Fusion, map_id, old_map_id=old_id, new_map_id=new_id, by=by,
+            accepted=not reason, scale=alignment.scale, inliers=alignment.inliers, reason=reason,
+            relation=relation,
         )  # fmt: skip

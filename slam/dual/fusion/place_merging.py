@@ -11,7 +11,7 @@ from slam.loop_closing.map_alignment import Alignment, agree, align
 from slam.loop_closing.place_check import doubt
 from slam.map.map import Map
 from slam.optimization.sim3 import sim3_inverse
-from slam.places.recognition import KeyframeDatabase
+from slam.places.recognition import KeyframeDatabase, shipped_vocabulary
 
 _CANDIDATES = 2  # most similar keyframes of a saved map that are compared with a new keyframe
 _WAITING = 3  # newest keyframes that are searched when the search was delayed
@@ -39,6 +39,10 @@ class PlaceMerger:
         """Search no keyframe that the current map has now."""
         self._searched = (current.map_id, current.n_keyframes)
 
+    def is_due(self, current: Map) -> bool:
+        """Return True if the current map has keyframes that have not been searched."""
+        return self._next_of(current) < current.n_keyframes
+
     def search(
         self,
         current: Map,
@@ -49,47 +53,45 @@ class PlaceMerger:
         """Search the saved maps for the current map's newest keyframes.
 
         Args:
-            current: the map of the keyframes.
+            current: the map of the keyframes, which gains and loses none meanwhile.
             saved: saved maps; none of them grows.
             database_of: keyframe database of a map, by its id.
-            lock: held while the current map is read.
+            lock: held while a database is used: tracking looks for lost frames in it.
 
         Returns:
-            Alignments with one saved map that agree, as from :meth:`offer`.
+            Alignments with one saved map at different keyframes that agree, the newest last; empty while
+            there are too few.
         """
-        map_id, searched = self._searched
-        first = max(searched if map_id == current.map_id else 0, current.n_keyframes - _WAITING)
         self.refused = []
-        for keyframe in range(first, current.n_keyframes):
+        for keyframe in range(self._next_of(current), current.n_keyframes):
             self._searched = (current.map_id, keyframe + 1)
+            if current.arrays.kf_bad[keyframe]:
+                continue
+            bow = shipped_vocabulary().transform(current.features(keyframe).descriptors)
             for old in saved:
                 rng = rng_for(self._seed, "joining", current.frame_index(keyframe), old.map_id)
                 with lock:
-                    if current.arrays.kf_bad[keyframe]:
-                        continue
-                    alignments = self.offer(current, keyframe, old, database_of(old.map_id), rng)
+                    candidates = database_of(old.map_id).relocalization_candidates(bow)
+                alignments = self._compare(current, keyframe, old, candidates[:_CANDIDATES], rng)
                 if alignments:
                     return alignments
         return ()
 
-    def offer(
-        self, current: Map, keyframe: int, old: Map, database: KeyframeDatabase, rng: np.random.Generator
-    ) -> tuple[Alignment, ...]:
-        """Search a saved map for the place of a new keyframe.
+    def _next_of(self, current: Map) -> int:
+        """The first keyframe of the current map that is to be searched."""
+        map_id, searched = self._searched
+        return max(searched if map_id == current.map_id else 0, current.n_keyframes - _WAITING)
 
-        Args:
-            current: the map of the keyframe.
-            keyframe: its row.
-            old: a saved map.
-            database: keyframe database of the saved map.
-            rng: stream of the RANSAC.
+    def _compare(
+        self, current: Map, keyframe: int, old: Map, candidates: Sequence[int], rng: np.random.Generator
+    ) -> tuple[Alignment, ...]:
+        """Compare a new keyframe with keyframes of a saved map.
 
         Returns:
             Alignments at different keyframes that agree, the newest last; empty while there are too few.
         """
         known = self._found.setdefault((old.map_id, current.map_id), [])
-        bow = database.vocabulary.transform(current.features(keyframe).descriptors)
-        for candidate in database.relocalization_candidates(bow)[:_CANDIDATES]:
+        for candidate in candidates:
             alignment, _, _ = align(old, current, candidate, keyframe, rng, self._config)
             if alignment is None:
                 continue

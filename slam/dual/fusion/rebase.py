@@ -10,7 +10,14 @@ from slam.mapping.local_mapping import LocalMapper
 from slam.tracking.tracker import Tracker
 
 
-def rebase_tracking(tracker: Tracker, mapper: LocalMapper, old: Map, fused: Fused, scale: float) -> None:
+def rebase_tracking(
+    tracker: Tracker,
+    mapper: LocalMapper,
+    old: Map,
+    fused: Fused,
+    scale: float,
+    waiting: Sequence[Frame] = (),
+) -> None:
     """Move tracking and mapping to the map that has absorbed the tracked one.
 
     Args:
@@ -18,18 +25,20 @@ def rebase_tracking(tracker: Tracker, mapper: LocalMapper, old: Map, fused: Fuse
         old: the map that has absorbed it.
         fused: position of its rows.
         scale: factor from its lengths to the old map's.
+        waiting: tracked frames that are still to become keyframes.
     """
     last = tracker.last
     if last is None:
         raise RuntimeError("the tracker has not been started")
-    row = last.reference_keyframe + fused.keyframes
-    scale *= fused.factor[row]
-    _set_reference(last, row, scale)
-    last.point[last.point >= 0] += fused.points
-    resolve_points(old.arrays, last.point)
     if tracker.velocity is not None:
         tracker.velocity = tracker.velocity.copy()
-        tracker.velocity[:3, 3] *= scale
+        tracker.velocity[:3, 3] *= scale * fused.factor[last.reference_keyframe + fused.keyframes]
+    for frame in (last, *(frame for frame in waiting if frame is not last)):
+        row = frame.reference_keyframe + fused.keyframes
+        _set_reference(frame, row, scale * fused.factor[row])
+        frame.T_cam_map = frame.T_cam_reference @ old.T_cam_map(row)
+        frame.point[frame.point >= 0] += fused.points
+        resolve_points(old.arrays, frame.point)
     tracker.rebase(old, last)
     mapper.rebase(old)
 

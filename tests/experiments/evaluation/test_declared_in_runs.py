@@ -13,7 +13,7 @@ from experiments.runs.execution import execute, system_factory
 from sim.sequence import Sequence
 from slam.core.frame import Frame
 from slam.dual.config import DualConfig
-from slam.dual.fusion.map_merger import MapMerger
+from slam.dual.fusion.prepared import PreparedFusion
 from slam.dual.recovery.registry import ThreadSpec
 from slam.loop_closing.detection import LoopClosingConfig, LoopDetector
 from slam.loop_closing.judgement import JudgementConfig
@@ -157,13 +157,12 @@ def test_a_true_fusion_is_right_and_a_displaced_one_false(sequence, monkeypatch,
     (found,) = getattr(declared(sequence, "dual", dual), kind)
     assert found.audit.false is False
     assert found.audit.position_error_m < 0.5 * found.audit.position_bound_m
-    real = MapMerger._fuse
+    real = PreparedFusion.of
 
-    def displaced(self, frame, old, new, alignments, *rest):
-        moved = [replace(a, S_old_new=shifted(a.S_old_new)) for a in alignments]
-        return real(self, frame, old, new, moved, *rest)
+    def displaced(old, new, alignments, *rest):
+        return real(old, new, [replace(a, S_old_new=shifted(a.S_old_new)) for a in alignments], *rest)
 
-    monkeypatch.setattr(MapMerger, "_fuse", displaced)
+    monkeypatch.setattr(PreparedFusion, "of", displaced)
     audit = declared(sequence, "dual", dual)
     assert getattr(audit, kind)[0].audit.false is True
     assert audit.false_counts[f"false_{kind}"] == 1
