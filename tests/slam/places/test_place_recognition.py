@@ -231,3 +231,13 @@ def test_empty_inputs_have_no_matches(places):
     bow, none = bow_of(places, seen[0]), vocabulary.transform(b.descriptors)
     assert match_by_bow(a, bow, np.arange(len(a)), b, none, 50, 0.8).shape == (0, 2)
     assert match_by_bow(b, none, np.arange(0), a, bow, 50, 0.8).shape == (0, 2)
+
+
+def test_foreseen_bags_of_words_are_not_computed_again(places, monkeypatch):
+    built, vocabulary = places[0], places[4]
+    first, second = KeyframeDatabase(built, vocabulary), KeyframeDatabase(built, vocabulary)
+    first.update()
+    second.foresee({k: first.bow(k) for k in range(KEYFRAMES)})
+    monkeypatch.setattr(vocabulary, "transform", None)
+    second.update()
+    assert [second.bow(k) for k in range(KEYFRAMES)] == [first.bow(k) for k in range(KEYFRAMES)]
