@@ -1,15 +1,20 @@
 """Speed of a system on a sequence over repeated runs, alone or in turn with a peer."""
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from experiments.benchmarks.fusions import fusion_figures
 from experiments.evaluation.summary import is_tracked, stage_times, time_figures
 from experiments.runs import execution
 from experiments.runs.execution import Mode, RunRecord, SystemFactory, SystemKind, execute
 from experiments.runs.foreign_systems import ForeignRun, ForeignSystem
 from experiments.runs.pacing import RealTime
 from sim.sequence import Sequence
+
+if TYPE_CHECKING:
+    from slam.dual.config import DualConfig
 
 
 def bench(
@@ -22,6 +27,7 @@ def bench(
     mode: Mode = "lockstep",
     real_time: bool = False,
     peer: ForeignSystem | None = None,
+    dual: "DualConfig | None" = None,
 ) -> dict:
     """Run a system several times over the same frames; the times of all runs are pooled.
 
@@ -35,11 +41,12 @@ def bench(
         mode: schedule of the system's parts, unless ``build`` is given.
         real_time: feed the frames at the pace of their stamps.
         peer: a system to compare with, run after each of our runs.
+        dual: settings of Dual-SLAM, unless ``build`` is given; None for its defaults.
 
     Returns:
-        Times as in the summary of a run, with frames per second (median over runs), peak memory (largest) and
-        the size of the map (last run); with a peer, ``comparison`` as of
-        ``experiments.benchmarks.comparison.compare``.
+        Times as in the summary of a run, with frames per second (median over runs), peak memory (largest),
+        the size of the map (last run), ``fusions`` as of ``experiments.benchmarks.fusions.fusion_figures``;
+        with a peer, ``comparison`` as of ``experiments.benchmarks.comparison.compare``.
 
     Raises:
         InputError: a frame cannot be read, or the peer fails.
@@ -49,7 +56,7 @@ def bench(
         from slam.warmup import warm_up
 
         warm_up(show)
-        build = execution.system_factory(mode)
+        build = execution.system_factory(mode, dual)
     records: list[RunRecord] = []
     peer_runs: list[ForeignRun] = []
     for run in range(runs):
@@ -93,4 +100,5 @@ def _figures(sequence: Sequence, system_kind: SystemKind, mode: Mode, records: l
         "peak_rss_mb": max(r.peak_rss_mb for r in records),
         "keyframes": sum(len(k.frames) for k in last.keyframes),
         "map_points": sum(last.map_points.values()),
+        "fusions": fusion_figures(records),
     }

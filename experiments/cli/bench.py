@@ -2,7 +2,7 @@
 
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
@@ -26,6 +26,9 @@ from experiments.cli.console import (
 )
 from experiments.cli.run import SystemChoice, chosen_systems
 from scenarios.errors import InputError
+
+if TYPE_CHECKING:
+    from slam.dual.config import DualConfig
 
 _HELP = """Measure the speed of the tracker (`slam`), the simulator (`sim`) or whole units (`experiment`).
 
@@ -72,6 +75,12 @@ def slam_command(
     renderer: RendererOption = None,
     mode: ModeOption = ModeChoice.LOCKSTEP,
     real_time: RealTimeOption = False,
+    no_relocalization: Annotated[
+        bool,
+        typer.Option(
+            "--no-relocalization", help="Do not relocalize in saved maps until a new map is initialized."
+        ),
+    ] = False,
     peer: Annotated[
         str | None,
         typer.Option(
@@ -89,6 +98,8 @@ def slam_command(
     `dslab bench slam path/to/sequence --runs 3`
 
     `dslab bench slam clean-room --seed 1 --peer "path/to/orbslam3.py --features 1000"`
+
+    `dslab bench slam stressed --seed 3 --system dual --no-relocalization --mode threaded --real-time`
     """
     from experiments.benchmarks.tracker import bench
     from experiments.runs.files import plain
@@ -96,6 +107,8 @@ def slam_command(
     from experiments.runs.sources import open_sequence
 
     check_real_time(real_time, mode)
+    if no_relocalization and system is SystemChoice.BASE:
+        raise InputError("--no-relocalization", "base has no saved maps", "add --system dual or dual+")
     if peer is not None:
         check_command(peer)
     runs = runs or (_RUNS if peer is None else _RUNS_WITH_PEER)
@@ -114,6 +127,7 @@ def slam_command(
                 mode=mode.value,
                 real_time=real_time,
                 peer=opened,
+                dual=_without_relocalization() if no_relocalization else None,
             )
     if as_json:
         print_json_line(plain(figures))
@@ -127,10 +141,27 @@ def slam_command(
     )
     if real_time:
         out.print(f"frames dropped, run by run: {', '.join(map(str, figures['dropped_frames']))}")
+    if figures["fusions"]["beside_frames"]:
+        _print_fusions(figures["fusions"])
     if "comparison" in figures:
         print_table(_comparison_table(figures["comparison"], figures["runs"]))
         for reason in figures["comparison"]["ate_reasons"]:
             out.print(f"a run without ATE: {reason}")
+
+
+def _without_relocalization() -> "DualConfig":
+    from slam.dual.config import DualConfig
+
+    return DualConfig(relocalization=False)
+
+
+def _print_fusions(fusions: dict[str, Any]) -> None:
+    out.print(
+        f"{fusions['count']} fusions, the longest holds tracking up for "
+        f"{number(fusions['hold_up_ms_max'], 1)} ms; dropped beside recovery and fusion: "
+        f"{fusions['beside_dropped']} of {fusions['beside_frames'] + fusions['beside_dropped']} frames, "
+        f"else {fusions['other_dropped']} of {fusions['other_frames'] + fusions['other_dropped']}"
+    )
 
 
 def _stages_table(figures: dict[str, Any]) -> Table:
