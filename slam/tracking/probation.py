@@ -30,8 +30,8 @@ class ProbationConfig:
             there are where it can be, nearly alike among them.
         far_share, far_max_s: least time of the frames then, as a share of that since the loss, and its bound.
         far_bar: what each frame must show then, of points that keyframes have seen from near its view.
-        min_expected: fewest expected points with which a frame may speak against the place; those of a camera
-            that leaves what it knows say nothing.
+        min_expected: fewest expected points with which a frame may speak against the place, or, after
+            ``far_s``, for it; those of a camera that leaves what it knows say nothing.
         max_deviation_deg: largest standard deviation of the camera's direction, as its points determine it,
             with which a frame says anything.
         min_sound: share of the frames that say something, one at least, that must speak for the place.
@@ -48,8 +48,8 @@ class ProbationConfig:
         default_factory=lambda: EvidenceBar(min_share=0.5, max_contradicted=0.2, min_cells=8)
     )
     far_s: float = 2.0
-    far_share: float = 0.2
-    far_max_s: float = 2.0
+    far_share: float = 0.5
+    far_max_s: float = 3.0
     far_bar: EvidenceBar = field(
         default_factory=lambda: EvidenceBar(min_share=0.85, max_contradicted=0.2, min_cells=8)
     )
@@ -165,7 +165,7 @@ class Probation:
         radius_px, bar = self._config.radius_px, self._config.far_bar if self._far else self._config.bar
         seen = support(m, points, frame.T_cam_map, frame.features, radius_px, near=self._far)
         fault = bar.fault(seen)
-        is_telling = not fault or seen.expected >= self._config.min_expected
+        is_telling = seen.expected >= self._config.min_expected or not (fault or self._far)
         if is_telling and self._deviation_deg(frame) <= self._config.max_deviation_deg:
             self.faults.append((frame.features.stamp_s, fault))
 

@@ -18,7 +18,7 @@ class ReachConfig:
         fast_share: share of its motion in which the camera was slower than the speed that is used.
     """
 
-    factor: float = 1.25
+    factor: float = 1.0
     slack_s: float = 0.5
     fast_share: float = 0.95
 
