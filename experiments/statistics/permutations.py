@@ -46,10 +46,9 @@ def independence(outcomes: Outcomes, rng: np.random.Generator, permutations: int
     agreement = _agreement(outcomes)
     worlds = np.arange(len(agreement))
     observed = float(agreement[(worlds,) * (outcomes.threads + 1)].mean())
-    moved = np.empty(permutations)
-    for i in range(permutations):
-        others = [rng.permutation(worlds) for _ in range(outcomes.threads)]
-        moved[i] = agreement[(worlds, *others)].mean()
+    everyone = np.tile(worlds, (permutations, 1))
+    others = [rng.permuted(everyone, axis=1) for _ in range(outcomes.threads)]
+    moved = agreement[(worlds, *others)].mean(axis=1)
     return PermutationTest(observed, float(moved.mean()), _two_sided(observed, moved))
 
 
