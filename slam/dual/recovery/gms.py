@@ -46,7 +46,7 @@ class GmsRecovery:
 
     def run(self, task: RecoveryTask) -> RecoveryResult:
         """Place the buffered frames newest first, each by its matches with the last keyframe made."""
-        mapper = LocalMapper(task.new_map, self.config.mapping)
+        mapper = LocalMapper(task.new_map, self.config.mapping_in(task))
         return propagate(task, self.config, GmsTracker(task, self.config), mapper)
 
 
@@ -54,7 +54,7 @@ class GmsTracker(Tracker):
     """Places frames by GMS matches with the last keyframe."""
 
     def __init__(self, task: RecoveryTask, config: GmsRecoveryConfig) -> None:
-        super().__init__(task.new_map, config.tracking, StageTimer())
+        super().__init__(task.new_map, config.tracking_in(task), StageTimer())
         self._gms_config = config
         self._size_px = task.camera.width_px, task.camera.height_px
         self._rng = task.rng

@@ -83,7 +83,7 @@ class SiftRecovery:
         tracker = SiftTracker(task, self.config)
         mapper = SiftMapper(
             task.new_map,
-            self.config.mapping,
+            self.config.mapping_in(task),
             tracker.last_sift,
             lambda: tracker.last_sift,
             self.config.adjusted_keyframes,
@@ -101,7 +101,7 @@ class SiftTracker(Tracker):
     """
 
     def __init__(self, task: RecoveryTask, config: SiftRecoveryConfig) -> None:
-        super().__init__(task.new_map, config.tracking, StageTimer())
+        super().__init__(task.new_map, config.tracking_in(task), StageTimer())
         self._sift_config = config
         self._task = task
         self._detector = SiftDetector(config.n_features, config.contrast, config.octaves, config.most_pixels)

@@ -17,6 +17,7 @@ from slam.dual.config import DualConfig
 from slam.dual.recovery.orb import OrbRecoveryConfig
 from slam.dual.recovery.registry import ThreadSpec
 from slam.factory import build_system
+from slam.tracking.tracker import TrackingConfig
 
 CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
 KITTI = PinholeCamera(1241, 376, 718.0, 718.0, 607.0, 185.0, 10.0)
@@ -64,6 +65,16 @@ def test_the_block_of_a_summary_is_accepted_back(tmp_path, kind):
     assert factory_of(again)(kind, CAMERA, 0).settings == system.settings
 
 
+def test_a_thread_is_as_the_system_except_for_what_its_own_settings_say(tmp_path):
+    text = """
+        tracking: {min_inliers: 40}
+        dual: {threads: [orb, {kind: gms, config: {tracking: {gap_radius_px: 30}, min_inliers: 25}}]}
+    """
+    orb, gms = read(tmp_path, text).dual.threads
+    assert orb.config is None and gms.config.mapping is None and gms.config.min_inliers == 25
+    assert gms.config.tracking == TrackingConfig(min_inliers=40, gap_radius_px=30)
+
+
 @pytest.mark.parametrize(
     ("text", "where", "said"),
     [
@@ -73,6 +84,7 @@ def test_the_block_of_a_summary_is_accepted_back(tmp_path, kind):
         ("orb: {n_features: 0}\n", ":1: orb.n_features", "give more than 0"),
         ("dual: {threads: [orb, sfit]}\n", ":1: dual.threads[1].kind", "sift (did you mean that?)"),
         ("dual:\n  threads:\n  - kind: sift\n    config: {contrst: 1}\n", ":4: ", "contrast (did you mean"),
+        ("dual: {threads: [{kind: orb, config: {tracking: {gap: 1}}}]}\n", ":1: ", "gap_radius_px"),
         ("mode: fast\n", ":1: mode", "'lockstep' or 'threaded'"),
     ],
 )
