@@ -89,8 +89,7 @@ class GmsTracker(Tracker):
         inliers, matches = optimize_frame(frame, m), len(pairs)
         if inliers >= config.min_pose_inliers:
             inliers, matches = self._track_local_map(frame)
-        # After a gap only these matches support the pose, and all later poses depend on it.
-        if inliers < (self.config.cautious_inliers if self._passed_over else config.min_inliers):
+        if inliers < self._least_inliers(frame, config.min_inliers):
             return TrackingOutcome(False, inliers, matches, "too_few_local_map_inliers")
         fault = self._fault_of_crossing(frame, last)
         if fault:

@@ -73,6 +73,14 @@ def test_what_a_thread_leaves_open_is_as_in_the_system(kind):
     assert own.map.n_points == usual.map.n_points
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_first_pose_behind_a_gap_needs_as_many_inliers_in_every_kind(kind):
+    assert min(f.features.index for f in blind_scene().run(kind).frames) < BLIND[0]
+    never = RecoveryConfig(tracking=TrackingConfig(cautious_inliers=10**6))
+    result = blind_scene().run(kind, never)
+    assert not result.success and all(f.features.index > BLIND[-1] for f in result.frames)
+
+
 @pytest.mark.parametrize("limit_s", [-1.0, float("nan")])
 def test_an_invalid_limit_is_refused(limit_s):
     with pytest.raises(ValueError, match="max_unusable_s"):
