@@ -29,6 +29,8 @@ from slam.runtime.backend import ExecutionMode
 
 _SUMMARY_KEY = "config"
 _DUAL, _MODE = "dual", "mode"
+# Names of earlier versions, with what to use now.
+_RENAMED = {"max_frame_gap": "max_time_gap_s, in seconds: 5 frames at 30 Hz are 0.17"}
 _POSITIVE = frozenset({"n_features", "n_levels", "cell_px", "initial_features", "buffer_s", "buffer_cap_s"})
 _ABOVE_ONE = frozenset({"scale_factor"})
 # Far beyond every sensible setting, and within the integers and floats of the kernels.
@@ -151,7 +153,7 @@ def _overlaid(
     for key, value in written.items():
         if key not in known:
             allowed = [*known, *extra]
-            remedy = f"use {guess(str(key), allowed)}one of {', '.join(allowed)}"
+            remedy = f"use {_RENAMED.get(key) or guess(str(key), allowed) + 'one of ' + ', '.join(allowed)}"
             raise InputError(locate((*at, str(key))), "unknown key", remedy)
         own = getattr(default, key)
         if own is None and base is not None:

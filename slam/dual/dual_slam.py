@@ -147,7 +147,7 @@ class DualSlam(MonocularSystem):
 
     def _start_anew(self, frame: Frame, held: bool = False) -> None:
         """Seek a new map from the next frames on."""
-        recoverable = self.jobs.possible and bool(self._reachable())
+        recoverable = self.jobs.any_threads and bool(self._reachable())
         self._restart = Restart(frame.features.index, recoverable, held)
         self.buffer.frozen = recoverable
         if not held:

@@ -95,7 +95,7 @@ class RecoveryJobs:
         self._scheduler = build_scheduler(mode, config.workers)
 
     @property
-    def possible(self) -> bool:
+    def any_threads(self) -> bool:
         """True if there is at least one thread."""
         return bool(self._threads)
 

@@ -85,6 +85,7 @@ def test_a_thread_is_as_the_system_except_for_what_its_own_settings_say(tmp_path
         ("dual: {threads: [orb, sfit]}\n", ":1: dual.threads[1].kind", "sift (did you mean that?)"),
         ("dual:\n  threads:\n  - kind: sift\n    config: {contrst: 1}\n", ":4: ", "contrast (did you mean"),
         ("dual: {threads: [{kind: orb, config: {tracking: {gap: 1}}}]}\n", ":1: ", "gap_radius_px"),
+        ("dual: {place_merging: {max_frame_gap: 5}}\n", ":1: ", "use max_time_gap_s, in seconds"),
         ("mode: fast\n", ":1: mode", "'lockstep' or 'threaded'"),
     ],
 )
