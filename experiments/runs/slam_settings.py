@@ -30,7 +30,10 @@ from slam.runtime.backend import ExecutionMode
 _SUMMARY_KEY = "config"
 _DUAL, _MODE = "dual", "mode"
 # Names of earlier versions, with what to use now.
-_RENAMED = {"max_frame_gap": "max_time_gap_s, in seconds: 5 frames at 30 Hz are 0.17"}
+_RENAMED = {
+    "max_frame_gap": "max_time_gap_s, in seconds: 5 frames at 30 Hz are 0.17",
+    "threads": "recovery_threads: how many run at a time is workers",
+}
 _POSITIVE = frozenset({"n_features", "n_levels", "cell_px", "initial_features", "buffer_s", "buffer_cap_s"})
 _ABOVE_ONE = frozenset({"scale_factor"})
 # Far beyond every sensible setting, and within the integers and floats of the kernels.

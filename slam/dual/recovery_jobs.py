@@ -91,7 +91,7 @@ class RecoveryJobs:
         self._seed = seed
         self._exhaustive = config.exhaustive
         self._emit = emit
-        self._threads = [(build_thread(spec), spec.seed) for spec in config.threads]
+        self._threads = [(build_thread(spec), spec.seed) for spec in config.recovery_threads]
         self._scheduler = build_scheduler(mode, config.workers)
 
     @property
