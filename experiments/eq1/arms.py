@@ -214,7 +214,9 @@ def dual_config(unit: UnitSpec, exhaustive: bool = True) -> DualConfig:
     as recovery.
     """
     threads = tuple(ThreadSpec(thread.kind, thread.seed) for thread in unit.threads)
-    return DualConfig(threads=threads, exhaustive=exhaustive, relocalization=False, place_merging=None)
+    return DualConfig(
+        recovery_threads=threads, exhaustive=exhaustive, relocalization=False, place_merging=None
+    )
 
 
 def run_lead_in(unit: UnitSpec, sequence: Sequence, exposure: Exposure, clock: CpuClock) -> BranchRun:

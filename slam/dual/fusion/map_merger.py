@@ -56,11 +56,29 @@ class MapMerger:
             return
         moved = [merged.moved(a, new) for a in alignments if a is not None]
         seam = seam_frame(old, moved)
+        self._withdraw_passed_over(frame, old, seam, found)
         fused = self._fuse(frame, old, new, moved, "recovery", found.since)
         rebase_frames(found.frames, merged.keyframes, fused, moved[-1].scale)
         for tracked in found.frames:
             if tracked.features.index > seam:
                 engine.store.poses.add(old.map_id, tracked)
+
+    def _withdraw_passed_over(self, frame: Frame, old: Map, seam: int, found: Recovered) -> None:
+        """Take back the old map's poses between seam and breakage: the breakage may have corrupted them.
+
+        The frames that the recovery has placed get other poses; it has passed over the others.
+        """
+        engine = self._engine
+        taken = engine.store.poses.take_back(old.map_id, seam + 1, found.since)
+        placed = {tracked.features.index for tracked in found.frames}
+        gone = [index for index in taken if index not in placed]
+        if gone:
+            engine.emit_at(
+                frame, ev.PosesWithdrawn, old.map_id,
+                first_frame=gone[0], last_frame=gone[-1], frames=len(gone),
+                keyframes=sum(old.frame_index(int(k)) in gone for k in old.keyframes()),
+                reason="passed_over_by_recovery",
+            )  # fmt: skip
 
     def _whereabouts(self, map_id: int) -> Whereabouts:
         """Where the rows of a map are, also if others have absorbed it."""
