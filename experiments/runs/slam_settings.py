@@ -6,7 +6,7 @@ The descriptions are those of the ``Attributes:`` sections of the settings' clas
 import inspect
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from types import NoneType, UnionType
@@ -18,7 +18,7 @@ from pydantic import TypeAdapter, ValidationError
 from experiments.runs.execution import Mode, SystemFactory
 from scenarios.errors import InputError
 from scenarios.faults import guess
-from scenarios.yaml_file import Location, YamlFile, read_yaml
+from scenarios.yaml_file import Location, read_yaml
 from slam.config import SlamConfig, default_config
 from slam.core.camera import PinholeCamera
 from slam.dual.config import DualConfig
@@ -69,8 +69,21 @@ def read_slam_settings(path: Path) -> SlamSettings:
     data, at = file.data, ()
     if _SUMMARY_KEY in data and _SUMMARY_KEY not in {f.name for f in fields(SlamConfig)}:
         data, at = data[_SUMMARY_KEY], (_SUMMARY_KEY,)
-    locate = _Located(file)
-    if not isinstance(data, dict):
+    return parse_slam_settings(data, at, file.where)
+
+
+def parse_slam_settings(data: Any, at: Location, locate: Callable[[Location], str]) -> SlamSettings:
+    """Check settings as written.
+
+    Args:
+        data: mapping of fields, nested as in a settings file.
+        at: its location.
+        locate: names the place of a location, for faults.
+
+    Raises:
+        InputError: an unknown key, or a value of the wrong type or range.
+    """
+    if not isinstance(data, Mapping):
         raise InputError(locate(at), "is no mapping", "start from `dslab config show`")
     own = {key: value for key, value in data.items() if key not in (_DUAL, _MODE)}
     base = _overlaid(SlamConfig(), own, at, locate, extra=(_DUAL, _MODE))
@@ -119,16 +132,6 @@ def descriptions(of: type) -> dict[str, str]:
             described = " ".join(words.split())
             found |= {name.strip(): described for name in names.split(",")}
     return found
-
-
-class _Located:
-    """Names the place of a setting in its file."""
-
-    def __init__(self, file: YamlFile) -> None:
-        self._file = file
-
-    def __call__(self, at: Location) -> str:
-        return self._file.where(at)
 
 
 def _unlocated(at: Location) -> str:

@@ -121,7 +121,7 @@ def test_old_keyframes_younger_than_the_seam_are_culled(recovered):
 def test_settings_include_those_of_recovery(recovered):
     settings = json.loads(json.dumps(recovered[0].settings))
     assert settings["dual"]["buffer_s"] == 10.0
-    assert settings["dual"]["threads"][0]["kind"] == "orb"
+    assert settings["dual"]["recovery_threads"][0]["kind"] == "orb"
     assert (
         settings["tracking"]
         == json.loads(json.dumps(build_system("base", CAMERA, 0, CONFIG).settings))["tracking"]
