@@ -28,7 +28,7 @@ slam.register_recovery_thread("patient_orb", PatientOrb)
 if __name__ == "__main__":
     sequence = sim.render(scenarios.load("breakage", seed=1))
     for kinds in (("orb",), ("patient_orb",)):
-        dual = slam.DualConfig(threads=tuple(map(slam.ThreadSpec, kinds)), relocalization=False)
+        dual = slam.DualConfig(recovery_threads=tuple(map(slam.ThreadSpec, kinds)), relocalization=False)
         for event in experiments.run(sequence, "dual", dual=dual).events:
             if isinstance(event, slam.events.RecoveryEnd):
                 said = "maps related" if event.success else f"{event.stage}: {event.reason}"

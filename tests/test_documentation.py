@@ -57,7 +57,7 @@ def test_the_settings_nearest_to_the_paper_can_be_read(tmp_path):
     (tmp_path / "paper.yaml").write_text(text)
     dual = read_slam_settings(tmp_path / "paper.yaml").dual
     assert dual is not None and dual.place_merging is None
-    for thread in dual.threads:
+    for thread in dual.recovery_threads:
         assert thread.config is not None
         assert thread.config.max_unusable_s == 0 and thread.config.fusion.confirmations == 1
 

@@ -190,7 +190,7 @@ def _dual_config(
     if recovery is None:
         return config
     try:
-        return replace(config, threads=parse_threads(recovery))
+        return replace(config, recovery_threads=parse_threads(recovery))
     except ValueError as error:
         raise InputError(
             "--recovery", str(error), "give kinds with commas between, such as orb,sift"

@@ -11,17 +11,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from experiments.eq1.unit_settings import unit_settings
 from experiments.eq1.units import UnitSpec
 from experiments.evaluation.breakages import EXPOSURE_GRACE_S
 from experiments.runs.execution import RunRecord, record_of, slam_camera, without_features
+from experiments.runs.slam_settings import SlamSettings, factory_of
 from sim.sequence import SegmentTruth, Sequence
 from slam.core.events import Breakage, RecoveryStart
 from slam.core.results import TrackingResult
 from slam.core.snapshot import Snapshot
-from slam.dual.config import DualConfig
 from slam.dual.dual_slam import DualSlam
-from slam.dual.recovery.registry import ThreadSpec
-from slam.factory import build_system
 from slam.system import MonocularSystem
 
 _SAVE_EVERY_S = 1.0
@@ -207,20 +206,15 @@ class FreeArm:
     first_frame_of: dict[int, int]
 
 
-def dual_config(unit: UnitSpec, exhaustive: bool = True) -> DualConfig:
-    """Settings of Dual-SLAM in a unit, in which only recovery may repair a breakage.
-
-    Relocalization in saved maps and place-based merging are off: they would prevent recovery, or be counted
-    as recovery.
-    """
-    threads = tuple(ThreadSpec(thread.kind, thread.seed) for thread in unit.threads)
-    return DualConfig(threads=threads, exhaustive=exhaustive, relocalization=False, place_merging=None)
+def settings_of(unit: UnitSpec) -> SlamSettings:
+    """Settings of the systems of a unit."""
+    return unit_settings(unit.settings, unit.threads, lambda at: ".".join(map(str, at)))
 
 
 def run_lead_in(unit: UnitSpec, sequence: Sequence, exposure: Exposure, clock: CpuClock) -> BranchRun:
     """Run the lead-in, which all arms share: the frames before the onset."""
     camera = slam_camera(sequence.camera)
-    system = build_system(unit.system, camera, unit.nuisance_seed, dual=dual_config(unit))
+    system = factory_of(settings_of(unit))(unit.system, camera, unit.nuisance_seed)
     branch = BranchRun(system, sequence, clock)
     branch.feed(exposure.onset_frame)
     return branch

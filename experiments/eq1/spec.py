@@ -8,20 +8,21 @@ the same nuisance seed in every cell: two cells differ only in what their names 
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import yaml
 from pydantic import Field, ValidationError, model_validator
 
 from experiments.eq1.spec_parts import Base, Degradation, Stopping, Threads
 from experiments.eq1.unit_drawing import Cell, draw_scenario, written_base
+from experiments.eq1.unit_settings import unit_settings
 from experiments.eq1.units import ArmName, ThreadChoice, UnitSpec, content_hash
 from scenarios.distributions import NotationError
 from scenarios.errors import InputError, collect
 from scenarios.families import distributions_in, in_order_of_lines, load_family
 from scenarios.faults import all_faults, guess
 from scenarios.seeds import rng_for
-from scenarios.strict import Strict
+from scenarios.strict import Grown
 from scenarios.yaml_file import Location, YamlFile, read_yaml
 from slam.dual.recovery.registry import RECOVERY_KINDS
 
@@ -32,8 +33,10 @@ _NAME = r"^[a-z0-9][a-z0-9_-]*$"
 _SEED_END = 2**53  # exact in JSON and in every table
 
 
-class ExperimentSpec(Strict):
+class ExperimentSpec(Grown):
     """The spec of an experiment."""
+
+    _unwritten: ClassVar = {"settings": {}}
 
     spec_version: Literal[1] = SPEC_VERSION
     name: str = Field(pattern=_NAME, max_length=40)
@@ -43,6 +46,9 @@ class ExperimentSpec(Strict):
     degradations: tuple[Degradation, ...] = Field(min_length=1)
     systems: tuple[SystemName, ...] = Field(("dual",), min_length=1)
     threads: Threads = Field((ThreadChoice(kind="orb"), ThreadChoice(kind="sift")), min_length=1)
+    settings: dict[str, Any] = Field(
+        default_factory=dict, description="of the systems, as in a settings file of `dslab run`"
+    )
     arms: tuple[ArmName, ...] = Field(
         ("free", "crossing"),
         min_length=1,
@@ -67,7 +73,7 @@ class ExperimentSpec(Strict):
             if thread.kind not in RECOVERY_KINDS:
                 known = " or ".join(sorted(RECOVERY_KINDS))
                 raise ValueError(f"unknown recovery thread {thread.kind!r}, use {known}")
-        if len(set(self.threads)) < len(self.threads):
+        if any(thread in self.threads[:i] for i, thread in enumerate(self.threads)):
             raise ValueError("two threads are the same, give those of one kind different seeds")
         if self.stopping is not None:
             self._check_stopping(self.stopping)
@@ -151,6 +157,7 @@ class ExperimentSpec(Strict):
             onset_s=self.lead_in_s,
             exposed_s=self.exposed_s,
             threads=self.threads,
+            settings=self.settings,
             system=of_cell.system,
             arms=self.arms,
         )
@@ -203,6 +210,7 @@ def _load(path: Path) -> ExperimentSpec:
     except ValidationError as error:
         raise all_faults(error, file.where, root=ExperimentSpec) from None
     collect(_distribution_faults(file), None)
+    unit_settings(spec.settings, spec.threads, file.where)
     faults: list[InputError] = []
     for cell in spec.cell_names():
         try:

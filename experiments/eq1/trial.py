@@ -10,10 +10,10 @@ from experiments.eq1.arms import (
     BranchRun,
     CpuClock,
     Exposure,
-    dual_config,
     run_crossing,
     run_free,
     run_lead_in,
+    settings_of,
 )
 from experiments.eq1.conditioning import judge_pairs
 from experiments.eq1.judging import judge_crossing, judge_free
@@ -21,9 +21,10 @@ from experiments.eq1.lead_in import lead_in_fault
 from experiments.eq1.records import Outcome, empty_record, error_message
 from experiments.eq1.recovery_judging import Reference
 from experiments.eq1.units import UnitSpec
-from experiments.runs.execution import RunRecord, execute, system_factory
+from experiments.runs.execution import RunRecord, execute
 from experiments.runs.memory import peak_rss_mb, reset_peak
 from experiments.runs.provenance import code_hash, commit
+from experiments.runs.slam_settings import factory_of
 from sim.sequence import Sequence
 from slam.core.results import MapTrajectory
 
@@ -68,7 +69,7 @@ def record_runs(unit: UnitSpec, sequence: Sequence, path: Path) -> list[RunRecor
     from experiments.recording import Recording
 
     kinds = ("base", unit.system)
-    build = system_factory(dual=dual_config(unit))
+    build = factory_of(settings_of(unit))
     with Recording(path, sequence, kinds) as recorded:
         runs = [
             execute(sequence, kind, unit.nuisance_seed, recorded.watch(kind), build=build) for kind in kinds

@@ -2,25 +2,30 @@
 
 import hashlib
 import json
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
 from scenarios.spec import Scenario
-from scenarios.strict import Strict
+from scenarios.strict import Grown
 from slam.dual.recovery.registry import RECOVERY_KINDS
 
 ArmName = Literal["free", "crossing", "pairs"]
 
 
-class ThreadChoice(Strict):
+class ThreadChoice(Grown):
     """One of the n recovery threads."""
+
+    _unwritten: ClassVar = {"config": {}}
 
     kind: str = Field(description=f"one of {', '.join(sorted(RECOVERY_KINDS))}")
     seed: int = Field(0, ge=0, description="distinguishes threads of one kind")
+    config: dict[str, Any] = Field(
+        default_factory=dict, description="its own settings, as in a settings file of `dslab run`"
+    )
 
 
-class UnitSpec(Strict):
+class UnitSpec(Grown):
     """One unit of one cell.
 
     Attributes:
@@ -34,8 +39,11 @@ class UnitSpec(Strict):
         onset_s, exposed_s: the exposed segment; None for that of the scenario's first injected segment.
         threads: the recovery threads, in order; n of Eq. 1 is their number.
         system: the system run in the free arm besides the base, and in the crossing arm.
+        settings: of base and system, as in a settings file of ``dslab run``.
         arms: the arms to run; ``pairs`` measures pose error against baseline in the lead-in, without a SLAM.
     """
+
+    _unwritten: ClassVar = {"settings": {}}
 
     experiment: str
     cell: str
@@ -49,6 +57,7 @@ class UnitSpec(Strict):
     exposed_s: float | None = Field(None, gt=0)
     threads: tuple[ThreadChoice, ...] = Field(min_length=1)
     system: Literal["dual", "dual+"] = "dual"
+    settings: dict[str, Any] = Field(default_factory=dict)
     arms: tuple[ArmName, ...] = ("free", "crossing")
 
     @property

@@ -6,7 +6,7 @@ The descriptions are those of the ``Attributes:`` sections of the settings' clas
 import inspect
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from types import NoneType, UnionType
@@ -18,7 +18,7 @@ from pydantic import TypeAdapter, ValidationError
 from experiments.runs.execution import Mode, SystemFactory
 from scenarios.errors import InputError
 from scenarios.faults import guess
-from scenarios.yaml_file import Location, YamlFile, read_yaml
+from scenarios.yaml_file import Location, read_yaml
 from slam.config import SlamConfig, default_config
 from slam.core.camera import PinholeCamera
 from slam.dual.config import DualConfig
@@ -29,6 +29,11 @@ from slam.runtime.backend import ExecutionMode
 
 _SUMMARY_KEY = "config"
 _DUAL, _MODE = "dual", "mode"
+# Names of earlier versions, with what to use now.
+_RENAMED = {
+    "max_frame_gap": "max_time_gap_s, in seconds: 5 frames at 30 Hz are 0.17",
+    "threads": "recovery_threads: how many run at a time is workers",
+}
 _POSITIVE = frozenset({"n_features", "n_levels", "cell_px", "initial_features", "buffer_s", "buffer_cap_s"})
 _ABOVE_ONE = frozenset({"scale_factor"})
 # Far beyond every sensible setting, and within the integers and floats of the kernels.
@@ -64,18 +69,31 @@ def read_slam_settings(path: Path) -> SlamSettings:
     data, at = file.data, ()
     if _SUMMARY_KEY in data and _SUMMARY_KEY not in {f.name for f in fields(SlamConfig)}:
         data, at = data[_SUMMARY_KEY], (_SUMMARY_KEY,)
-    locate = _Located(file)
-    if not isinstance(data, dict):
+    return parse_slam_settings(data, at, file.where)
+
+
+def parse_slam_settings(data: Any, at: Location, locate: Callable[[Location], str]) -> SlamSettings:
+    """Check settings as written.
+
+    Args:
+        data: mapping of fields, nested as in a settings file.
+        at: its location.
+        locate: names the place of a location, for faults.
+
+    Raises:
+        InputError: an unknown key, or a value of the wrong type or range.
+    """
+    if not isinstance(data, Mapping):
         raise InputError(locate(at), "is no mapping", "start from `dslab config show`")
     own = {key: value for key, value in data.items() if key not in (_DUAL, _MODE)}
-    _overlaid(SlamConfig(), own, at, locate, extra=(_DUAL, _MODE))
+    base = _overlaid(SlamConfig(), own, at, locate, extra=(_DUAL, _MODE))
     dual = data.get(_DUAL)
     mode: Mode | None = None
     if _MODE in data:
         mode = _checked(data[_MODE], Mode, (*at, _MODE), locate)
     return SlamSettings(
         written=own,
-        dual=None if dual is None else _overlaid(DualConfig(), dual, (*at, _DUAL), locate),
+        dual=None if dual is None else _overlaid(DualConfig(), dual, (*at, _DUAL), locate, base=base),
         mode=mode,
     )
 
@@ -116,22 +134,23 @@ def descriptions(of: type) -> dict[str, str]:
     return found
 
 
-class _Located:
-    """Names the place of a setting in its file."""
-
-    def __init__(self, file: YamlFile) -> None:
-        self._file = file
-
-    def __call__(self, at: Location) -> str:
-        return self._file.where(at)
-
-
 def _unlocated(at: Location) -> str:
     return ".".join(map(str, at))
 
 
-def _overlaid(default: Any, written: Any, at: Location, locate: Any, extra: tuple[str, ...] = ()) -> Any:
-    """A settings object with what is written in the place of its defaults."""
+def _overlaid(
+    default: Any,
+    written: Any,
+    at: Location,
+    locate: Any,
+    extra: tuple[str, ...] = (),
+    base: SlamConfig | None = None,
+) -> Any:
+    """A settings object with what is written in the place of its defaults.
+
+    Where the default is None for the system's own, what is written is laid over the field of that name in
+    ``base``.
+    """
     if not isinstance(written, Mapping):
         raise InputError(locate(at), f"{written!r} is no mapping", "give fields with their values")
     hints = get_type_hints(type(default))
@@ -140,29 +159,32 @@ def _overlaid(default: Any, written: Any, at: Location, locate: Any, extra: tupl
     for key, value in written.items():
         if key not in known:
             allowed = [*known, *extra]
-            remedy = f"use {guess(str(key), allowed)}one of {', '.join(allowed)}"
+            remedy = f"use {_RENAMED.get(key) or guess(str(key), allowed) + 'one of ' + ', '.join(allowed)}"
             raise InputError(locate((*at, str(key))), "unknown key", remedy)
-        changes[key] = _value(getattr(default, key), value, hints[key], (*at, key), locate)
+        own = getattr(default, key)
+        if own is None and base is not None:
+            own = getattr(base, key, None)
+        changes[key] = _value(own, value, hints[key], (*at, key), locate, base)
     try:
         return replace(default, **changes)
     except ValueError as error:
         raise InputError(locate(at), str(error), "see `dslab config show`") from None
 
 
-def _value(default: Any, written: Any, hint: Any, at: Location, locate: Any) -> Any:
+def _value(default: Any, written: Any, hint: Any, at: Location, locate: Any, base: SlamConfig | None) -> Any:
     if hint == tuple[ThreadSpec, ...]:
         if not isinstance(written, list):
             raise InputError(locate(at), f"{written!r} is no list", "give kinds, such as [orb, sift]")
-        return tuple(_thread(item, (*at, i), locate) for i, item in enumerate(written))
+        return tuple(_thread(item, (*at, i), locate, base) for i, item in enumerate(written))
     nested = next((t for t in _options(hint) if is_dataclass(t)), None)
     if nested is None:
         return _checked(written, hint, at, locate)
     if written is None and NoneType in _options(hint):
         return None
-    return _overlaid(default if is_dataclass(default) else nested(), written, at, locate)
+    return _overlaid(default if is_dataclass(default) else nested(), written, at, locate, base=base)
 
 
-def _thread(written: Any, at: Location, locate: Any) -> ThreadSpec:
+def _thread(written: Any, at: Location, locate: Any, base: SlamConfig | None) -> ThreadSpec:
     """A recovery thread: its kind, or a mapping of kind, seed and config."""
     data = {"kind": written} if isinstance(written, str) else written
     if not isinstance(data, Mapping) or "kind" not in data:
@@ -177,7 +199,7 @@ def _thread(written: Any, at: Location, locate: Any) -> ThreadSpec:
     seed = _checked(data.get("seed", 0), int, (*at, "seed"), locate)
     config = data.get("config")
     if config is not None:
-        config = _overlaid(_thread_defaults(kind), config, (*at, "config"), locate)
+        config = _overlaid(_thread_defaults(kind), config, (*at, "config"), locate, base=base)
     return ThreadSpec(kind, seed, config)
 
 
@@ -239,8 +261,9 @@ def _schema_of(settings: Any) -> dict[str, Any]:
     for field in fields(settings):
         value = getattr(settings, field.name)
         hint = hints[field.name]
-        if is_dataclass(value):
-            node = _schema_of(value)
+        nested = next((t for t in _options(hint) if is_dataclass(t)), None)
+        if nested is not None:
+            node = _schema_of(value or nested())
             if NoneType in _options(hint):
                 node = {"anyOf": [node, {"type": "null"}]}
         elif hint == tuple[ThreadSpec, ...]:
@@ -249,7 +272,7 @@ def _schema_of(settings: Any) -> dict[str, Any]:
             node = TypeAdapter(hint).json_schema()
         if field.name in words:
             node["description"] = words[field.name]
-        if not is_dataclass(value) and field.default is not MISSING:
+        if nested is None and field.default is not MISSING:
             node["default"] = (
                 [t.kind if isinstance(t, ThreadSpec) else t for t in value]
                 if isinstance(value, tuple)

@@ -7,7 +7,7 @@ import pandas as pd
 from scipy import stats
 
 from experiments.eq1.records import Outcome, dual_column, thread_column
-from experiments.statistics.distinct_rows import product_over_distinct_rows
+from experiments.statistics.products import product_of_distinct
 
 
 @dataclass(frozen=True)
@@ -200,8 +200,8 @@ def _predicted(done: pd.DataFrame, columns: np.ndarray, keys: list[str]) -> floa
     """Eq. 1 of each group, weighted by its units."""
     total = 0.0
     for places in done.groupby(keys, sort=False).indices.values():
-        product = product_over_distinct_rows(columns[places])
-        if product is None:
+        product = float(product_of_distinct(columns[places].T.astype(float)))
+        if np.isnan(product):
             return None
         total += len(places) * product
     return total / len(done)

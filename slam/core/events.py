@@ -77,8 +77,9 @@ class Breakage(Event):
 class PosesWithdrawn(Event):
     """Poses that were given are taken back, with the keyframes made meanwhile.
 
-    Follows a breakage in which the map, or only its last frames, are doubted. A recovery may give these
-    frames other poses.
+    Follows a breakage in which the map, or only its last frames, are doubted; a recovery may give these
+    frames other poses. Or comes with a fusion: the recovery has passed over frames between the seam and the
+    breakage (``passed_over_by_recovery``).
 
     Attributes:
         first_frame, last_frame: the first and last frame whose pose no longer counts.
@@ -270,7 +271,7 @@ class RecoveryEnd(Event):
 
     Attributes:
         placed: on success, the keyframes that the new map had when the recovery started, as refined by it
-            and moved by the estimated similarity.
+            and moved by the estimated similarity; kept in memory only, not among the record's fields.
     """
 
     kind: ClassVar[str] = "recovery_end"
@@ -287,9 +288,10 @@ class RecoveryEnd(Event):
     placed: tuple[PlacedKeyframe, ...] = ()
 
     def record(self) -> dict:
-        """Record for events.jsonl, with lists only."""
-        placed = [{**vars(k), "T_old_cam": [list(row) for row in k.T_old_cam]} for k in self.placed]
-        return {**super().record(), "placed": placed}
+        """Flat record for events.jsonl, without the poses."""
+        record = super().record()
+        del record["placed"]
+        return record
 
 
 @dataclass(frozen=True, kw_only=True)

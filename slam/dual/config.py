@@ -15,8 +15,8 @@ class DualConfig:
         buffer_cap_s: the most that it grows to before recovery starts. Beyond it the oldest frames leave;
             once the last saved map's newest keyframe has left, recovery has nothing to reach and says so.
         start_keyframes: keyframes of the new map when recovery starts: enough for a sound first geometry.
-        threads: the recovery threads; n of Eq. 1 is their number. The first in this order that succeeds
-            counts.
+        recovery_threads: the recoveries of a breakage, each a thread; n of Eq. 1 is their number. The first
+            in this order that succeeds counts.
         workers: recovery threads that run at the same time, of one breakage or of several.
         exhaustive: every thread is run to its end, also after one has succeeded; the first success counts.
         relocalization: until a new map has its start keyframes, frames are sought in the saved maps too.
@@ -27,7 +27,7 @@ class DualConfig:
     buffer_s: float = 10.0
     buffer_cap_s: float = 60.0
     start_keyframes: int = 5
-    threads: tuple[ThreadSpec, ...] = (ThreadSpec("orb"), ThreadSpec("sift"))
+    recovery_threads: tuple[ThreadSpec, ...] = (ThreadSpec("orb"), ThreadSpec("sift"))
     workers: int = 2
     exhaustive: bool = False
     relocalization: bool = True

@@ -67,7 +67,7 @@ class DualSlam(MonocularSystem):
     ) -> None:
         super().__init__(camera, seed, config, mode)
         self.dual = dual or DualConfig()
-        self.jobs = RecoveryJobs(self.dual, seed, mode, self.engine.emit_at)
+        self.jobs = RecoveryJobs(self.dual, self.config, seed, mode, self.engine.emit_at)
         self.buffer = FeatureBuffer(self.dual.buffer_s, self.dual.buffer_cap_s, self.jobs.needs_images)
         self.merger = MapMerger(self.engine, self.dual.place_merging, self._forget_joined)
         self._restart: Restart | None = None  # since the last breakage, until its recovery is begun
@@ -152,7 +152,7 @@ class DualSlam(MonocularSystem):
 
     def _start_anew(self, frame: Frame, held: bool = False) -> None:
         """Seek a new map from the next frames on."""
-        recoverable = self.jobs.possible and bool(self._reachable())
+        recoverable = self.jobs.any_threads and bool(self._reachable())
         self._restart = Restart(frame.features.index, recoverable, held)
         self.buffer.frozen = recoverable
         if not held:

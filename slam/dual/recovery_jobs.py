@@ -6,6 +6,7 @@ from math import inf
 
 import numpy as np
 
+from slam.config import SlamConfig
 from slam.core import events as ev
 from slam.core.camera import PinholeCamera
 from slam.core.frame import Frame
@@ -85,6 +86,7 @@ class RecoveryJobs:
 
     Args:
         config: settings.
+        system: settings of the system.
         seed, mode: the system's.
         emit: emits an event: the frame, the kind, the map, the kind's own fields.
 
@@ -92,16 +94,24 @@ class RecoveryJobs:
         running: the recoveries with threads that are still to be reported, the oldest first.
     """
 
-    def __init__(self, config: DualConfig, seed: int, mode: ExecutionMode, emit: Callable[..., None]) -> None:
+    def __init__(
+        self,
+        config: DualConfig,
+        system: SlamConfig,
+        seed: int,
+        mode: ExecutionMode,
+        emit: Callable[..., None],
+    ) -> None:
         self.running: list[RecoveryJob] = []
+        self._system = system
         self._seed = seed
         self._exhaustive = config.exhaustive
         self._emit = emit
-        self._threads = [(build_thread(spec), spec.seed) for spec in config.threads]
+        self._threads = [(build_thread(spec), spec.seed) for spec in config.recovery_threads]
         self._scheduler = build_scheduler(mode, config.workers)
 
     @property
-    def possible(self) -> bool:
+    def any_threads(self) -> bool:
         """True if there is at least one thread."""
         return bool(self._threads)
 
@@ -138,7 +148,9 @@ class RecoveryJobs:
         threads = zip(self._threads, copies.starts, strict=True)
         for number, ((thread, seed), (own, start, step)) in enumerate(threads, start=1):
             rng = rng_for(self._seed, "recovery", number, seed, new.since)
-            task = RecoveryTask(own, start, backward, copies.old, step, rng, camera, images)
+            task = RecoveryTask(
+                own, start, backward, copies.old, step, rng, camera, images, system=self._system
+            )
             job.runs.append(RecoveryRun(number, thread, task, frame.features.stamp_s))
             self._scheduler.submit(job.runs[-1])
         self.running.append(job)

@@ -1,6 +1,7 @@
 """Frame poses relative to their keyframes, so that they follow the map."""
 
 from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 
@@ -35,10 +36,10 @@ class FramePoses:
         """Remove the frames of a map."""
         self._poses.pop(map_id, None)
 
-    def take_back(self, map_id: int, first_frame: int) -> tuple[int, ...]:
-        """Remove the poses of a map's frames from ``first_frame`` on; indices of these frames, in order."""
+    def take_back(self, map_id: int, first_frame: int, last_frame: float = inf) -> tuple[int, ...]:
+        """Remove the poses of a map's frames from the first to the last; their indices, in order."""
         poses = self._poses.get(map_id, {})
-        taken = tuple(sorted(index for index in poses if index >= first_frame))
+        taken = tuple(sorted(index for index in poses if first_frame <= index <= last_frame))
         for index in taken:
             del poses[index]
         return taken

@@ -8,10 +8,15 @@ from slam.matching.guided import in_view, nearest_in_window, predicted_octave, p
 _BORDER_PX = 20.0  # no features are extracted nearer to the border of an image
 _MIN_COSINE = 0.8  # between the direction of view and a point's mean one
 _SAME = 70  # largest distance of two descriptors of one point, bits
+# Change of view at which a point is found half as often as where it was seen, measured in ordinary tracking
+# of recorded footage: an angle, rad, and a factor of the distance, as its logarithm to base 2.
+_HALF_ANGLE = np.deg2rad(9.0)
+_HALF_ZOOM = 0.8
+_LEAST_CHANCE = 0.1  # to find a point that is there; below, it is as likely found where it is not
 
 
 @njit(cache=True, nogil=True)
-def look_for(m, view, S_cam_map, scale, candidates, xy, octave, descriptors, cell_start, first, radius):
+def look_for(m, view, S_cam_map, scale, candidates, xy, octave, descriptors, cell_start, first, radius, near):
     """Project points into a view by a supposed similarity, and look for them there.
 
     Args:
@@ -23,11 +28,12 @@ def look_for(m, view, S_cam_map, scale, candidates, xy, octave, descriptors, cel
         xy, octave, descriptors, cell_start: features of the view; its rows start at ``first``.
         first: see there.
         radius: half side of the search window on level 0, px.
+        near: whether a point is expected only as far as a keyframe has seen it from near this view.
 
     Returns:
         Of the n points that the view should show: rows (n,) int32, pixels (n, 2), depths (n,) in the view's
-        lengths, share of the frames in which each was found so far (n,), and the keypoint within the view
-        that shows it (n,) int32, -1 for none.
+        lengths, chance (n,) to find each, which is the share of the frames in which it was found so far, with
+        ``near`` less, and the keypoint within the view that shows it (n,) int32, -1 for none.
     """
     size = len(candidates)
     rows = np.empty(size, np.int32)
@@ -38,6 +44,9 @@ def look_for(m, view, S_cam_map, scale, candidates, xy, octave, descriptors, cel
     nothing_taken = np.zeros(cell_start[-1], np.bool_)
     R = S_cam_map[:3, :3] / scale
     t = S_cam_map[:3, 3]
+    centre = np.empty(3)
+    for r in range(3):
+        centre[r] = -(R[0, r] * t[0] + R[1, r] * t[1] + R[2, r] * t[2]) / scale
     n = 0
     for p in candidates:
         if m.pt_bad[p]:
@@ -61,6 +70,11 @@ def look_for(m, view, S_cam_map, scale, candidates, xy, octave, descriptors, cel
         far = scale * m.pt_max_distance[p]
         if distance > far or distance < far / view.scale[-1] or along < _MIN_COSINE * distance:
             continue
+        chance = (m.pt_found[p] + 1.0) / (m.pt_visible[p] + 2.0)
+        if near:
+            chance *= _familiarity(m, p, centre)
+            if chance < _LEAST_CHANCE:
+                continue
         level = predicted_octave(view, far, distance)
         i, d = nearest_in_window(
             view, xy, octave, descriptors, cell_start, first, nothing_taken, u, v,
@@ -68,7 +82,30 @@ def look_for(m, view, S_cam_map, scale, candidates, xy, octave, descriptors, cel
         )  # fmt: skip
         rows[n] = p
         pixels[n, 0], pixels[n, 1], depths[n] = u, v, z
-        likely[n] = (m.pt_found[p] + 1.0) / (m.pt_visible[p] + 2.0)
+        likely[n] = chance
         keypoint[n] = i if i >= 0 and d <= _SAME else -1
         n += 1
     return rows[:n].copy(), pixels[:n].copy(), depths[:n].copy(), likely[:n].copy(), keypoint[:n].copy()
+
+
+@njit(cache=True, nogil=True)
+def _familiarity(m, point, centre):
+    """Share of its usual chance to be found that a point has, seen from ``centre`` (3,)."""
+    least = np.inf
+    e = m.pt_head[point]
+    while e >= 0:
+        T = m.kf_T_cam_map[m.kp_keyframe[e]]
+        along, here, there = 0.0, 0.0, 0.0
+        for r in range(3):
+            c = 0.0
+            for s in range(3):
+                c -= T[s, r] * T[s, 3]
+            v, w = m.pt_xyz[point, r] - centre[r], m.pt_xyz[point, r] - c
+            along += v * w
+            here += v * v
+            there += w * w
+        angle = np.arccos(min(max(along / np.sqrt(here * there), -1.0), 1.0))
+        zoom = 0.5 * np.log2(here / there)
+        least = min(least, (angle / _HALF_ANGLE) ** 2 + (zoom / _HALF_ZOOM) ** 2)
+        e = m.kp_next[e]
+    return 1.0 / (1.0 + least**0.75)

@@ -76,6 +76,7 @@ def support(
     S_cam_map: np.ndarray,
     features: FrameFeatures,
     radius_px: float,
+    near: bool = False,
 ) -> Support:
     """Count what a view shows of the points of a map, given its supposed place.
 
@@ -88,11 +89,14 @@ def support(
         S_cam_map: (4, 4) supposed similarity from the map to the view's camera.
         features: of the view.
         radius_px: half side of the search window on level 0, px.
+        near: whether a point is expected only as far as a keyframe has seen it from near this view. What is
+            expected is then found at its place, wherever the camera stands; far from all keyframes it is
+            nothing.
     """
     scale, _, _ = sim3_decompose(S_cam_map)
     _, pixels, _, likely, keypoint = look_for(
         map_.arrays, map_.view, np.ascontiguousarray(S_cam_map), scale, np.asarray(points, np.int32),
-        features.xy, features.octave, features.descriptors, features.cell_start, 0, radius_px,
+        features.xy, features.octave, features.descriptors, features.cell_start, 0, radius_px, near,
     )  # fmt: skip
     cell = _cell(map_.view, pixels)
     expected = np.bincount(cell, weights=likely)

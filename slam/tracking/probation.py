@@ -21,15 +21,17 @@ class ProbationConfig:
 
     Attributes:
         frames, span_s: number of frames after the relocalized one that must be tracked, and their least time.
-        span_share: the same time as a share of that since the loss: the longer a camera was lost, the more
-            places there are where it can be.
-        max_s: time in which this must happen; else the relocalization is withdrawn.
+        patience_s: time beyond the asked one after which a relocalization is withdrawn.
         around: keyframes whose points are expected, those that share most with the frame: others may see
             points that something hides here.
         radius_px: half side of the window in which an expected point is searched, level 0.
         bar: what each frame must show.
-        min_expected: fewest expected points with which a frame may speak against the place; those of a camera
-            that leaves what it knows say nothing.
+        far_s: time since the loss beyond which more is asked: the longer a camera was lost, the more places
+            there are where it can be, nearly alike among them.
+        far_share, far_max_s: least time of the frames then, as a share of that since the loss, and its bound.
+        far_bar: what each frame must show then, of points that keyframes have seen from near its view.
+        min_expected: fewest expected points with which a frame may speak against the place, or, after
+            ``far_s``, for it; those of a camera that leaves what it knows say nothing.
         max_deviation_deg: largest standard deviation of the camera's direction, as its points determine it,
             with which a frame says anything.
         min_sound: share of the frames that say something, one at least, that must speak for the place.
@@ -39,12 +41,17 @@ class ProbationConfig:
 
     frames: int = 3
     span_s: float = 0.1
-    span_share: float = 0.1
-    max_s: float = 0.5
+    patience_s: float = 0.5
     around: int = 10
     radius_px: float = 4.0
     bar: EvidenceBar = field(
         default_factory=lambda: EvidenceBar(min_share=0.5, max_contradicted=0.2, min_cells=8)
+    )
+    far_s: float = 2.0
+    far_share: float = 0.5
+    far_max_s: float = 3.0
+    far_bar: EvidenceBar = field(
+        default_factory=lambda: EvidenceBar(min_share=0.85, max_contradicted=0.2, min_cells=8)
     )
     min_expected: float = 40.0
     max_deviation_deg: float = 0.55
@@ -103,8 +110,10 @@ class Probation:
             tracker.doubt = doubt.successor()
             self._config = replace(config, frames=max(config.frames, doubt.config.min_frames + 1))
         self._earlier = earlier
-        asked_s = config.span_share * (frame.features.stamp_s - lost_at_s)
-        self._span_s = min(max(config.span_s, asked_s), config.max_s)
+        lost_for_s = frame.features.stamp_s - lost_at_s
+        self._far = lost_for_s > config.far_s
+        asked_s = min(config.far_share * lost_for_s, config.far_max_s) if self._far else 0.0
+        self._span_s = max(config.span_s, asked_s)
         tracker.observing = False
         tracker.resume(frame)
         self.faults: list[tuple[float, str]] = []
@@ -144,7 +153,7 @@ class Probation:
         if own and not own[-1] and self._are_sound(own) and self._are_sound(before + own):
             self.verdict = Verdict.CONFIRMED
             self.tracker.observing = True
-        elif span_s >= self._config.max_s - 1e-6 and not (own and self._are_sound(own)):
+        elif span_s >= self._span_s + self._config.patience_s - 1e-6 and not (own and self._are_sound(own)):
             self.withdraw(next((fault for fault in reversed(own) if fault), "too_little_evidence"))
 
     def _are_sound(self, faults: Sequence[str]) -> bool:
@@ -153,9 +162,10 @@ class Probation:
     def _judge(self, frame: Frame) -> None:
         m: Map = self.tracker.map
         _, points = collect_local_map(m.arrays, m.n_keyframes, m.n_points, frame.point, self._config.around)
-        seen = support(m, points, frame.T_cam_map, frame.features, self._config.radius_px)
-        fault = self._config.bar.fault(seen)
-        is_telling = not fault or seen.expected >= self._config.min_expected
+        radius_px, bar = self._config.radius_px, self._config.far_bar if self._far else self._config.bar
+        seen = support(m, points, frame.T_cam_map, frame.features, radius_px, near=self._far)
+        fault = bar.fault(seen)
+        is_telling = seen.expected >= self._config.min_expected or not (fault or self._far)
         if is_telling and self._deviation_deg(frame) <= self._config.max_deviation_deg:
             self.faults.append((frame.features.stamp_s, fault))
 

@@ -1,6 +1,6 @@
 """How far a camera can have come since its last pose."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
@@ -16,11 +16,14 @@ class ReachConfig:
         factor: on the speed at which the camera moved in the map, of which it may be this much faster.
         slack_s: time before the last pose from which on it may have been wrong already.
         fast_share: share of its motion in which the camera was slower than the speed that is used.
+        memory_s: time for which a position that was out of reach rules out those that follow from it. A place
+            that looks like where the camera is goes with it, and comes within reach with time.
     """
 
-    factor: float = 1.5
+    factor: float = 1.25
     slack_s: float = 0.5
     fast_share: float = 0.95
+    memory_s: float = 2.0
 
 
 @dataclass(frozen=True)
@@ -32,12 +35,14 @@ class Reach:
         stamp_s: time of that position.
         speed: greatest usual speed, map units per second.
         config: bounds.
+        ruled_out: times and positions that were asked for and not allowed, of the last ``memory_s`` seconds.
     """
 
     centre: np.ndarray
     stamp_s: float
     speed: float
     config: ReachConfig
+    ruled_out: list[tuple[float, np.ndarray]] = field(default_factory=list)
 
     @classmethod
     def of(cls, path: MapTrajectory, config: ReachConfig) -> Self | None:
@@ -51,6 +56,18 @@ class Reach:
         )
 
     def allows(self, centre: np.ndarray, stamp_s: float) -> bool:
-        """Return True if the camera can be at ``centre`` (3,) at a time."""
-        time_s = abs(stamp_s - self.stamp_s) + self.config.slack_s
-        return bool(np.linalg.norm(centre - self.centre) <= self.config.factor * self.speed * time_s)
+        """Return True if the camera can be at ``centre`` (3,) at a time; if not, this is remembered."""
+        self.ruled_out[:] = [
+            (at_s, position)
+            for at_s, position in self.ruled_out
+            if abs(stamp_s - at_s) <= self.config.memory_s
+        ]
+        follows = any(self._is_near(centre, position, stamp_s - at_s) for at_s, position in self.ruled_out)
+        if follows or not self._is_near(centre, self.centre, stamp_s - self.stamp_s):
+            self.ruled_out.append((stamp_s, np.array(centre)))
+            return False
+        return True
+
+    def _is_near(self, centre: np.ndarray, other: np.ndarray, time_s: float) -> bool:
+        distance = self.config.factor * self.speed * (abs(time_s) + self.config.slack_s)
+        return bool(np.linalg.norm(centre - other) <= distance)

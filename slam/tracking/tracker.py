@@ -46,7 +46,9 @@ class TrackingConfig:
         reference_ratio: best over second best descriptor distance of a match with the reference keyframe.
         min_reference_matches: below, tracking by the reference keyframe fails too.
         min_inliers: map matches that survive pose optimisation, below which tracking is lost.
-        cautious_inliers, cautious_s: the same for this time after a relocalization.
+        cautious_inliers: the same where no frame just before supports the pose, on which all later ones
+            depend: behind passed-over frames, and after a relocalization.
+        cautious_s: for this time after a relocalization.
         min_share: share of inliers among the map matches, below which the frame is rejected; 0 for any.
         local_map_keyframes: most keyframes of the local map.
         keyframe_share: a keyframe is made when inliers fall below this share of the reference's points.
@@ -167,8 +169,7 @@ class Tracker:
             return TrackingOutcome(False, 0, int((frame.point >= 0).sum()), "too_few_matches_with_last_frame")
         with self.timer("local_map"):
             inliers, matches = self._track_local_map(frame)
-        cautious = frame.features.stamp_s < self._cautious_until_s
-        if inliers < (self.config.cautious_inliers if cautious else self.config.min_inliers):
+        if inliers < self._least_inliers(frame, self.config.min_inliers):
             return TrackingOutcome(False, inliers, matches, "too_few_local_map_inliers")
         if inliers < self.config.min_share * matches:
             return TrackingOutcome(False, inliers, matches, "too_many_outliers")
@@ -177,6 +178,11 @@ class Tracker:
             return TrackingOutcome(False, inliers, matches, fault)
         self._accept(frame, last)
         return TrackingOutcome(True, inliers, matches)
+
+    def _least_inliers(self, frame: Frame, usual: int) -> int:
+        """Inliers that a pose must have: ``usual``, or more where no frame just before supports it."""
+        alone = self._passed_over or frame.features.stamp_s < self._cautious_until_s
+        return max(usual, self.config.cautious_inliers) if alone else usual
 
     def pass_over(self, frame: Frame) -> None:
         """Skip an unusable frame: the last pose is carried on by the motion model.

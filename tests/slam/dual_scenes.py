@@ -26,7 +26,7 @@ CONFIG = replace(default_config(CAMERA), min_map_keyframes=3)
 
 
 # Most tests are about recovery: in a scene that is still in view, place recognition would act first.
-RECOVERY_ONLY = DualConfig(threads=(ThreadSpec("orb"),), relocalization=False, place_merging=None)
+RECOVERY_ONLY = DualConfig(recovery_threads=(ThreadSpec("orb"),), relocalization=False, place_merging=None)
 
 
 def dual(config=RECOVERY_ONLY, mode=ExecutionMode.LOCKSTEP):
@@ -77,7 +77,7 @@ def with_own_threads(threads, mode=ExecutionMode.LOCKSTEP, seeds=(), **config):
     own = {f"own {i}": lambda _, t=thread: t for i, thread in enumerate(threads)}
     with patch.dict(RECOVERY_KINDS, own):
         specs = tuple(map(ThreadSpec, own, seeds or [0] * len(threads)))
-        return dual(replace(RECOVERY_ONLY, threads=specs, **config), mode)
+        return dual(replace(RECOVERY_ONLY, recovery_threads=specs, **config), mode)
 
 
 class Slow(OrbRecovery):

@@ -361,7 +361,7 @@ def digest_of_run(kind, count, *spans):
         Its fingerprint and the kinds of its events, as one line.
     """
     images, stamps_s, _ = toy(count, step_m=0.05)
-    dual = DualConfig(threads=(ThreadSpec("orb"),), relocalization=False, place_merging=None)
+    dual = DualConfig(recovery_threads=(ThreadSpec("orb"),), relocalization=False, place_merging=None)
     system = build_system(kind, warmup.CAMERA, 0, dual=dual)
     feed(system, blanked(images, *(range(*span) for span in spans)), stamps_s, check=False)
     return " ".join([fingerprint(system), *kinds(system)])

@@ -23,12 +23,12 @@ class FusionConfig(Agreement, AlignmentConfig):
     """Acceptance thresholds of a fusion: of each alignment, of several together, and of the place.
 
     Attributes:
-        max_frame_gap: most frames between two keyframes that are compared.
+        max_time_gap_s: most time between two keyframes that are compared; 5 frames at 30 Hz.
         confirmations: number of alignments, at different keyframes of the old map, that must agree.
         place: what the keyframes on either side must show besides.
     """
 
-    max_frame_gap: int = 5
+    max_time_gap_s: float = 0.17
     confirmations: int = 2
     place: PlaceCheckConfig = field(default_factory=PlaceCheckConfig)
 

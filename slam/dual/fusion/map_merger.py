@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from slam.core import events as ev
+from slam.core.frame import Frame
 from slam.dual.fusion.fuse import FusionConfig, seam_frame
 from slam.dual.fusion.merge_recovered import Recovered, Whereabouts, in_present_map, merge_recovered
 from slam.dual.fusion.place_merging import PlaceMerger, inverted
@@ -89,6 +90,7 @@ class MapMerger:
         rebase_frames(found.frames, merged.keyframes, prepared.fused, moved[-1].scale)
 
         def take_over() -> None:
+            self._withdraw_passed_over(engine.store[old_id], seam, found)
             self._take_over(prepared, "recovery")
             for tracked in found.frames:
                 if tracked.features.index > seam:
@@ -177,6 +179,29 @@ class MapMerger:
         self._emit(old.map_id, old.map_id, new_id, by, accepted, "", prepared.relation)
         self._fused()
 
+    def _withdraw_passed_over(self, old: Map, seam: int, found: Recovered) -> None:
+        """Take back the old map's poses between seam and breakage: the breakage may have corrupted them.
+
+        The frames that the recovery has placed get other poses; it has passed over the others.
+        """
+        taken = self._engine.store.poses.take_back(old.map_id, seam + 1, found.since)
+        placed = {tracked.features.index for tracked in found.frames}
+        gone = [index for index in taken if index not in placed]
+        if gone:
+            self._engine.emit_at(
+                self._newest, ev.PosesWithdrawn, old.map_id,
+                first_frame=gone[0], last_frame=gone[-1], frames=len(gone),
+                keyframes=sum(old.frame_index(int(k)) in gone for k in old.keyframes()),
+                reason="passed_over_by_recovery",
+            )  # fmt: skip
+
+    @property
+    def _newest(self) -> Frame:
+        """The newest frame, at which events happen."""
+        if self._engine.newest is None:
+            raise RuntimeError("there is no frame yet")
+        return self._engine.newest
+
     def _rebase(self, old: Map, prepared: PreparedFusion) -> None:
         """Move tracking and mapping to the old map, with the keyframes in work."""
         engine, fused = self._engine, prepared.fused
@@ -199,11 +224,8 @@ class MapMerger:
         reason: str,
         relation: Relation | None = None,
     ) -> None:
-        newest = self._engine.newest
-        if newest is None:
-            raise RuntimeError("there is no frame yet")
         self._engine.emit_at(
-            newest, ev.Fusion, map_id, old_map_id=old_id, new_map_id=new_id, by=by,
+            self._newest, ev.Fusion, map_id, old_map_id=old_id, new_map_id=new_id, by=by,
             accepted=not reason, scale=alignment.scale, inliers=alignment.inliers, reason=reason,
             relation=relation,
         )  # fmt: skip

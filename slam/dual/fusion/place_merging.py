@@ -21,7 +21,7 @@ class PlaceMerger:
     """Recognises saved maps from keyframes of the current one, as in loop closing.
 
     Args:
-        config: acceptance thresholds; ``max_frame_gap`` is not used.
+        config: acceptance thresholds; ``max_time_gap_s`` is not used.
         seed: the system's.
 
     Attributes:

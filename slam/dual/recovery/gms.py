@@ -46,7 +46,7 @@ class GmsRecovery:
 
     def run(self, task: RecoveryTask) -> RecoveryResult:
         """Place the buffered frames newest first, each by its matches with the last keyframe made."""
-        mapper = LocalMapper(task.new_map, self.config.mapping)
+        mapper = LocalMapper(task.new_map, self.config.mapping_in(task))
         return propagate(task, self.config, GmsTracker(task, self.config), mapper)
 
 
@@ -54,7 +54,7 @@ class GmsTracker(Tracker):
     """Places frames by GMS matches with the last keyframe."""
 
     def __init__(self, task: RecoveryTask, config: GmsRecoveryConfig) -> None:
-        super().__init__(task.new_map, config.tracking, StageTimer())
+        super().__init__(task.new_map, config.tracking_in(task), StageTimer())
         self._gms_config = config
         self._size_px = task.camera.width_px, task.camera.height_px
         self._rng = task.rng
@@ -89,8 +89,7 @@ class GmsTracker(Tracker):
         inliers, matches = optimize_frame(frame, m), len(pairs)
         if inliers >= config.min_pose_inliers:
             inliers, matches = self._track_local_map(frame)
-        # After a gap only these matches support the pose, and all later poses depend on it.
-        if inliers < (self.config.cautious_inliers if self._passed_over else config.min_inliers):
+        if inliers < self._least_inliers(frame, config.min_inliers):
             return TrackingOutcome(False, inliers, matches, "too_few_local_map_inliers")
         fault = self._fault_of_crossing(frame, last)
         if fault:

@@ -9,6 +9,7 @@ from typing import Protocol, Self
 
 import numpy as np
 
+from slam.config import SlamConfig
 from slam.core.camera import PinholeCamera
 from slam.core.frame import Frame, FrameFeatures
 from slam.dual.fusion.fuse import FusionConfig
@@ -40,6 +41,7 @@ class RecoveryTask:
         image_of: the (H, W) uint8 image of a frame by its index; the first frame's and the buffered ones'
             are available to a thread that declares ``needs_images``.
         cancellation: asked for between frames by a thread that can be ended early.
+        system: settings of the system, for all that the thread's own leave open.
     """
 
     new_map: Map
@@ -51,6 +53,7 @@ class RecoveryTask:
     camera: PinholeCamera
     image_of: Callable[[int], np.ndarray]
     cancellation: Cancellation = field(default_factory=Cancellation)
+    system: SlamConfig = field(default_factory=SlamConfig)
 
 
 @dataclass
@@ -135,18 +138,27 @@ class RecoveryConfig:
     Attributes:
         max_unusable_s: longest run of frames without a pose before the thread fails; 0 for none, as in the
             paper, infinity for any number, as in its released code.
-        tracking, mapping, fusion: settings of the components that it reuses.
+        tracking, mapping: settings of tracking and local mapping; None for the system's own.
+        fusion: acceptance of the old map.
     """
 
     max_unusable_s: float = 2.0
-    tracking: TrackingConfig = field(default_factory=TrackingConfig)
-    mapping: LocalMappingConfig = field(default_factory=LocalMappingConfig)
+    tracking: TrackingConfig | None = None
+    mapping: LocalMappingConfig | None = None
     fusion: FusionConfig = field(default_factory=FusionConfig)
 
     def __post_init__(self) -> None:
         """Check the settings."""
         if not self.max_unusable_s >= 0:
             raise ValueError(f"max_unusable_s must be 0 or more, is {self.max_unusable_s}")
+
+    def tracking_in(self, task: RecoveryTask) -> TrackingConfig:
+        """Settings of tracking: the thread's, or else the system's."""
+        return self.tracking or task.system.tracking
+
+    def mapping_in(self, task: RecoveryTask) -> LocalMappingConfig:
+        """Settings of local mapping: the thread's, or else the system's."""
+        return self.mapping or task.system.mapping
 
     @classmethod
     def extending(cls, config: "RecoveryConfig | None") -> Self:

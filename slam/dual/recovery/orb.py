@@ -34,8 +34,8 @@ class OrbRecovery:
 
     def run(self, task: RecoveryTask) -> RecoveryResult:
         """Track the buffered frames newest first, with a motion model."""
-        tracking = replace(self.config.tracking, min_share=self.config.min_share)
+        tracking = replace(self.config.tracking_in(task), min_share=self.config.min_share)
         tracker = Tracker(task.new_map, tracking, StageTimer())
         tracker.start(task.first, task.first.reference_keyframe, task.step)
-        mapper = LocalMapper(task.new_map, self.config.mapping)
+        mapper = LocalMapper(task.new_map, self.config.mapping_in(task))
         return propagate(task, self.config, tracker, mapper)

@@ -1,5 +1,7 @@
 """Overlap of the extended map with old maps, tested at keyframes of similar time."""
 
+import numpy as np
+
 from slam.core.frame import Frame
 from slam.dual.fusion.fuse import FusionConfig, confirms
 from slam.dual.recovery.interface import RecoveryTask
@@ -22,6 +24,10 @@ class Overlap:
         self._keyframes = [
             {old.frame_index(int(k)): int(k) for k in old.keyframes()} for old in task.old_maps
         ]
+        self._stamps_s = [
+            np.array([old.features(k).stamp_s for k in keyframes.values()])
+            for old, keyframes in zip(task.old_maps, self._keyframes, strict=True)
+        ]
         self._found: list[Alignment] = []
         self._failures: list[str] = []
         self._doubt = ""
@@ -33,16 +39,20 @@ class Overlap:
         """The last alignment found."""
         return self._found[-1]
 
-    def possible(self, frame: Frame) -> bool:
+    def is_old_keyframe(self, frame: Frame) -> bool:
         """Return True if an old map has a keyframe of this same frame."""
         return any(frame.features.index in keyframes for keyframes in self._keyframes)
 
     def attempt(self, frame: Frame, keyframe: int) -> bool:
         """Align this keyframe with every old map close in time; True once enough alignments agree."""
-        index = frame.features.index
-        for old, keyframes in zip(self._task.old_maps, self._keyframes, strict=True):
-            near = [f for f in keyframes if abs(f - index) <= self._config.max_frame_gap]
-            if near and self._align(old, keyframes[min(near, key=lambda f: abs(f - index))], keyframe):
+        for old, keyframes, stamps_s in zip(
+            self._task.old_maps, self._keyframes, self._stamps_s, strict=True
+        ):
+            # Rounded to microseconds: of two keyframes as near as each other the first is taken.
+            apart_s = np.abs(stamps_s - frame.features.stamp_s).round(6)
+            nearest = int(apart_s.argmin())
+            near = apart_s[nearest] <= self._config.max_time_gap_s
+            if near and self._align(old, list(keyframes.values())[nearest], keyframe):
                 return True
         return False
 

@@ -43,7 +43,7 @@ def propagate(
         unusable_since_s = None
         result.inliers = outcome.inliers
         result.frames.append(frame)
-        if overlap.possible(frame) or tracker.wants_keyframe(frame, outcome.inliers):
+        if overlap.is_old_keyframe(frame) or tracker.wants_keyframe(frame, outcome.inliers):
             keyframe = mapper.insert(frame)
             result.keyframes_made += 1
             tracker.keyframe_made(frame, keyframe)

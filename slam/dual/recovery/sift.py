@@ -83,7 +83,7 @@ class SiftRecovery:
         tracker = SiftTracker(task, self.config)
         mapper = SiftMapper(
             task.new_map,
-            self.config.mapping,
+            self.config.mapping_in(task),
             tracker.last_sift,
             lambda: tracker.last_sift,
             self.config.adjusted_keyframes,
@@ -101,7 +101,7 @@ class SiftTracker(Tracker):
     """
 
     def __init__(self, task: RecoveryTask, config: SiftRecoveryConfig) -> None:
-        super().__init__(task.new_map, config.tracking, StageTimer())
+        super().__init__(task.new_map, config.tracking_in(task), StageTimer())
         self._sift_config = config
         self._task = task
         self._detector = SiftDetector(config.n_features, config.contrast, config.octaves, config.most_pixels)
@@ -168,8 +168,7 @@ class SiftTracker(Tracker):
         agree, points, matches = self._match_map(sift, reference.frame.point, xyz, placed[:, 1])
         sift_inliers = int(agree.sum())
         alone = points < config.min_points
-        # After a gap only these matches support the pose, and all later poses depend on it.
-        too_few = self._passed_over and sift_inliers + points < self.config.cautious_inliers
+        too_few = sift_inliers + points < self._least_inliers(frame, 0)
         if too_few or sift_inliers < (config.min_sift_inliers_alone if alone else config.min_sift_inliers):
             return TrackingOutcome(False, points, matches, "too_few_inliers")
         fault = self._fault_of_crossing(frame, reference.frame)

@@ -4,9 +4,12 @@ import jsonschema
 import pytest
 import yaml
 
+from experiments.eq1.arms import settings_of
 from experiments.eq1.spec import ExperimentSpec, load_spec, preset_names
 from experiments.eq1.spec_schema import json_schema
+from experiments.eq1.units import UnitSpec
 from scenarios.errors import InputError
+from slam.tracking.tracker import TrackingConfig
 
 VALIDATOR = jsonschema.Draft202012Validator(json_schema())
 SPEC = """\
@@ -57,6 +60,26 @@ def test_cells_are_every_combination_by_name(spec):
     expected = [f"{b}/{i}/{s}" for b in ("passage", "hall") for i in images for s in ("dual", "dual+")]
     assert spec.cell_names() == expected
     assert [spec.units_of(cell) for cell in expected] == [8] * 12
+
+
+def test_settings_reach_every_unit_and_its_threads(tmp_path):
+    given = "settings: {tracking: {min_inliers: 40}, dual: {workers: 1}}\nunits: 8"
+    text = SPEC.replace("units: 8", given).replace(
+        "seed: 1}", "seed: 1, config: {tracking: {cautious_s: 2}}}"
+    )
+    unit = load(tmp_path, text).unit("hall/motion_blur/1/dual", 0)
+    settings = settings_of(UnitSpec.model_validate(unit.model_dump(mode="json")))
+    assert settings.dual.workers == 1 and settings.dual.exhaustive and not settings.dual.relocalization
+    assert settings.written == {"tracking": {"min_inliers": 40}}
+    plain, own, _ = settings.dual.recovery_threads
+    assert plain.config is None
+    assert own.config.tracking == TrackingConfig(min_inliers=40, cautious_s=2)
+
+
+def test_specs_without_settings_are_identified_as_before(spec):
+    assert "settings" not in spec.model_dump(mode="json")
+    unit = spec.unit("hall/motion_blur/1/dual", 0).model_dump(mode="json")
+    assert "settings" not in unit and unit["threads"][1] == {"kind": "orb", "seed": 1}
 
 
 def test_a_unit_contains_everything_that_determines_it(spec):
@@ -159,6 +182,17 @@ def test_a_family_may_be_used_by_member_or_as_a_whole(tmp_path):
         ("begins_s: {uniform: [0, 1]}", "begins_s: 3", ":15: degradations[0].acts_s: 0.0 is not valid"),
         ("threads: [orb,", "threads: [gps,", "unknown recovery thread 'gps'; use gms or orb or sift"),
         ("{kind: orb, seed: 1}", "orb", "two threads are the same; give those of one kind different seeds"),
+        ("seed: 1}", "seed: 1, config: {min_shar: 0}}", ":22: threads[1].config.min_shar: unknown key"),
+        (
+            "units: 8",
+            "units: 8\nsettings: {orb: {n_feature: 1}}",
+            ":27: settings.orb.n_feature: unknown key; use n_features",
+        ),
+        (
+            "units: 8",
+            "units: 8\nsettings: {dual: {exhaustive: false}}",
+            ":27: settings.dual.exhaustive: is set by",
+        ),
         ("quantity: pr2", "quantity: pr4", "stopping.quantity pr4 is of no thread"),
         ("family: clean-room", "family: clean-rome", ":7: bases.hall: there is no family clean-rome"),
         ("systems: [dual, dual+]", "systems: [base]", ":21: systems[0]: 'base' is not valid"),

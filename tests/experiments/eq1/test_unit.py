@@ -8,12 +8,12 @@ import pytest
 from unit_scenes import END, FRAMES, ONSET, run, synthetic, unit
 
 from experiments.eq1 import trial
-from experiments.eq1.arms import CpuClock, Exposure, dual_config, run_crossing, run_free, run_lead_in
+from experiments.eq1.arms import CpuClock, Exposure, run_crossing, run_free, run_lead_in, settings_of
 from experiments.eq1.records import columns, decided, thread_column
-from experiments.runs.execution import execute, slam_camera, system_factory
+from experiments.runs.execution import execute
+from experiments.runs.slam_settings import factory_of
 from scenarios.errors import InputError
 from slam.core.events import RecoveryEnd
-from slam.factory import build_system
 from slam.features.sift_detector import SiftDetector
 
 BROKEN = synthetic(range(85, 91))
@@ -140,12 +140,7 @@ def test_an_unhealthy_lead_in_voids_the_unit(monkeypatch, blank, why):
 
 
 def test_a_map_too_young_to_be_kept_voids_the_unit(monkeypatch):
-    config = build_system("dual", slam_camera(BROKEN.camera)).config
-    many = replace(config, min_map_keyframes=50)
-    monkeypatch.setattr(
-        "experiments.eq1.arms.build_system", lambda *a, **k: build_system(*a, **k, config=many)
-    )
-    record = run(monkeypatch, BROKEN)
+    record = run(monkeypatch, BROKEN, unit(settings={"min_map_keyframes": 50}))
     assert record["outcome"] == "void" and "keyframes only" in record["void_reason"]
 
 
@@ -201,7 +196,7 @@ def test_branches_equal_runs_from_the_start(sequence):
     exposure, clock = Exposure.of(of, sequence), CpuClock()
     lead_in = run_lead_in(of, sequence, exposure, clock).save()
     free, crossing = run_free(lead_in, of), run_crossing(lead_in, exposure)
-    build = system_factory(dual=dual_config(of))
+    build = factory_of(settings_of(of))
     for kind, branched in (("base", free.base), ("dual", free.dual)):
         assert trace(branched) == trace(execute(sequence, kind, of.nuisance_seed, build=build))
     whole = run_lead_in(of, sequence, exposure, clock)
@@ -224,8 +219,9 @@ def test_both_modes_give_the_same_failure_for_every_n(monkeypatch, blank):
     sequence = synthetic(blank)
     record = run(monkeypatch, sequence, unit("orb,gms", arms=("free",)))
     for n, kinds in ((1, "orb"), (2, "orb,gms")):
-        config = dual_config(unit(kinds), exhaustive=False)
-        shipped = execute(sequence, "dual", 2, build=system_factory(dual=config))
+        of = settings_of(unit(kinds))
+        usual = replace(of, dual=replace(of.dual, exhaustive=False))
+        shipped = execute(sequence, "dual", 2, build=factory_of(usual))
         ends = [e for e in shipped.events if isinstance(e, RecoveryEnd) and e.stage != "cancelled"]
         assert record[f"d{n}"] is not any(e.success for e in ends)
         assert len(ends) == (1 if ends[0].success else n)

@@ -23,8 +23,8 @@ from slam.system import MonocularSlam
 from slam.tracking.probation import Probation
 from slam.warmup import CAMERA, toy_frames
 
-RECOVERY_ALONE = DualConfig(threads=(ThreadSpec("orb"),), relocalization=False, place_merging=None)
-PLACE_ALONE = DualConfig(threads=(), relocalization=False)
+RECOVERY_ALONE = DualConfig(recovery_threads=(ThreadSpec("orb"),), relocalization=False, place_merging=None)
+PLACE_ALONE = DualConfig(recovery_threads=(), relocalization=False)
 
 
 @pytest.fixture(scope="module")

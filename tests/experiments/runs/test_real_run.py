@@ -11,7 +11,7 @@ from slam.dual.config import DualConfig
 from slam.dual.recovery.registry import ThreadSpec
 from slam.warmup import CAMERA, toy_frames
 
-RECOVERY_ALONE = DualConfig(threads=(ThreadSpec("orb"),), relocalization=False, place_merging=None)
+RECOVERY_ALONE = DualConfig(recovery_threads=(ThreadSpec("orb"),), relocalization=False, place_merging=None)
 
 BLANK = range(80, 86)
 

@@ -17,6 +17,7 @@ from slam.dual.config import DualConfig
 from slam.dual.recovery.orb import OrbRecoveryConfig
 from slam.dual.recovery.registry import ThreadSpec
 from slam.factory import build_system
+from slam.tracking.tracker import TrackingConfig
 
 CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
 KITTI = PinholeCamera(1241, 376, 718.0, 718.0, 607.0, 185.0, 10.0)
@@ -56,12 +57,22 @@ def test_what_a_file_leaves_out_keeps_the_defaults_of_the_image_size(tmp_path):
 def test_the_block_of_a_summary_is_accepted_back(tmp_path, kind):
     threads = (ThreadSpec("orb", 0, OrbRecoveryConfig(max_unusable_s=math.inf)), ThreadSpec("sift", 1))
     config = replace(SlamConfig(), min_map_keyframes=7)
-    dual = DualConfig(threads=threads, place_merging=None)
+    dual = DualConfig(recovery_threads=threads, place_merging=None)
     system = build_system(kind, CAMERA, config=config, dual=dual)
     again = read(tmp_path, to_json({"sequence": "x", "config": system.settings}))
     assert again.config(CAMERA) == system.config and again.mode == "lockstep"
     assert again.dual == (None if kind == "base" else dual)
     assert factory_of(again)(kind, CAMERA, 0).settings == system.settings
+
+
+def test_a_thread_is_as_the_system_except_for_what_its_own_settings_say(tmp_path):
+    text = """
+        tracking: {min_inliers: 40}
+        dual: {recovery_threads: [orb, {kind: gms, config: {tracking: {gap_radius_px: 30}, min_inliers: 25}}]}
+    """
+    orb, gms = read(tmp_path, text).dual.recovery_threads
+    assert orb.config is None and gms.config.mapping is None and gms.config.min_inliers == 25
+    assert gms.config.tracking == TrackingConfig(min_inliers=40, gap_radius_px=30)
 
 
 @pytest.mark.parametrize(
@@ -71,8 +82,19 @@ def test_the_block_of_a_summary_is_accepted_back(tmp_path, kind):
         ("orb: 3\n", ":1: orb", "is no mapping"),
         ("tracking: {min_inliers: many}\n", ":1: tracking.min_inliers", "valid integer"),
         ("orb: {n_features: 0}\n", ":1: orb.n_features", "give more than 0"),
-        ("dual: {threads: [orb, sfit]}\n", ":1: dual.threads[1].kind", "sift (did you mean that?)"),
-        ("dual:\n  threads:\n  - kind: sift\n    config: {contrst: 1}\n", ":4: ", "contrast (did you mean"),
+        (
+            "dual: {recovery_threads: [orb, sfit]}\n",
+            ":1: dual.recovery_threads[1].kind",
+            "sift (did you mean that?)",
+        ),
+        (
+            "dual:\n  recovery_threads:\n  - kind: sift\n    config: {contrst: 1}\n",
+            ":4: ",
+            "contrast (did you mean",
+        ),
+        ("dual: {recovery_threads: [{kind: orb, config: {tracking: {gap: 1}}}]}\n", ":1: ", "gap_radius_px"),
+        ("dual: {place_merging: {max_frame_gap: 5}}\n", ":1: ", "use max_time_gap_s, in seconds"),
+        ("dual: {threads: [orb]}\n", ":1: dual.threads", "use recovery_threads"),
         ("mode: fast\n", ":1: mode", "'lockstep' or 'threaded'"),
     ],
 )

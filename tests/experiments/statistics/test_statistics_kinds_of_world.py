@@ -1,6 +1,5 @@
 """Analysis by kind of world, and shares with worlds as the sample."""
 
-from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -8,21 +7,9 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from experiments.statistics.distinct_rows import product_over_distinct_rows
 from experiments.statistics.kinds_of_world import kinds_of_world, share_by_world
 
 RECORDS = Path(__file__).resolve().parents[3] / "docs" / "eq1-quick" / "units.parquet"
-
-
-@pytest.mark.parametrize("columns", [1, 2, 3, 4])
-def test_the_product_over_distinct_rows_is_the_mean_over_all_choices(columns):
-    x = np.random.default_rng(columns).integers(0, 2, (6, columns))
-    choices = [np.prod([x[row, c] for c, row in enumerate(rows)]) for rows in permutations(range(6), columns)]
-    assert product_over_distinct_rows(x) == pytest.approx(np.mean(choices))
-
-
-def test_too_few_rows_have_no_product():
-    assert product_over_distinct_rows(np.ones((1, 2))) is None
 
 
 def test_the_first_run_is_explained_by_its_kinds_of_world():

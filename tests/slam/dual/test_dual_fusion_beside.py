@@ -54,10 +54,12 @@ class Threaded:
         return self.results[-count:]
 
     def feed_until(self, happened):
-        """Feed frames until something has happened."""
+        """Feed frames until something has happened, slowly once a recovery runs: it takes its time."""
         while not happened():
             self.feed(1)
-            time.sleep(0.05)
+            give_up_s = time.monotonic() + (0.5 if of(self.system, "recovery_start") else 0.0)
+            while not happened() and time.monotonic() < give_up_s:
+                time.sleep(0.005)
 
     def waiting(self):
         """Frames that wait to become keyframes."""

@@ -17,7 +17,7 @@ from slam.map.invariants import check_map
 # Recovery fails at the first unusable frame: only place recognition is left.
 BY_PLACE = replace(
     RECOVERY_ONLY,
-    threads=(ThreadSpec("orb", 0, RecoveryConfig(max_unusable_s=0.0)),),
+    recovery_threads=(ThreadSpec("orb", 0, RecoveryConfig(max_unusable_s=0.0)),),
     place_merging=FusionConfig(),
 )
 

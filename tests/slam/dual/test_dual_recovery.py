@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from slam_scenes import CAMERA, FPS, PointWorld, make_frame, pose_error, rigid, tracked_in, walk
 
+from slam.core.frame import Frame
 from slam.dual.fusion.fuse import FusionConfig
 from slam.dual.recovery.interface import RecoveryConfig, RecoveryTask
 from slam.dual.recovery.orb import OrbRecovery, OrbRecoveryConfig
+from slam.dual.recovery.overlap import Overlap
 from slam.dual.recovery_jobs import placed_keyframes
 from slam.map.invariants import check_map
 from slam.optimization.sim3 import sim3_decompose
@@ -120,7 +122,7 @@ def test_two_alignments_are_needed(success):
     result, _ = success
     assert OLD[result.alignment.old_keyframe] < OLD[-1]
     covered = FIRST - OLD[result.alignment.old_keyframe]
-    assert abs(result.frames_covered - covered) <= FusionConfig().max_frame_gap
+    assert abs(result.frames_covered - covered) <= FPS * FusionConfig().max_time_gap_s
 
 
 def test_the_similarity_places_the_new_cameras_near_the_truth(success, sightings):
@@ -313,8 +315,19 @@ def test_contradicting_alignments_are_refused(world, start_map, sightings):
     keyframes, _ = torn.absorb(late)
     torn.set_parent(keyframes, 1)
     untouched = torn.copy()
-    config = RecoveryConfig(fusion=replace(FusionConfig(), max_frame_gap=0))
+    config = RecoveryConfig(fusion=replace(FusionConfig(), max_time_gap_s=0.0))
     result = OrbRecovery(config).run(
         task(start_map, sightings, [torn], (f for f in buffered(sightings, oldest=20) if f.index != 25))
     )
     assert failed(result, torn, untouched) == ("sim3", "alignments_do_not_agree")
+
+
+@pytest.mark.parametrize(("frames_on", "apart_s", "compared"), [(3, 0.1, 1), (3, 0.3, 0), (10, 0.16, 1)])
+def test_keyframes_are_compared_by_time_whatever_the_frame_rate(
+    start_map, sightings, saved, frames_on, apart_s, compared
+):
+    stamp_s = saved.features(len(OLD) - 1).stamp_s + apart_s
+    features = replace(sightings[OLD[-1] + frames_on].frame.features, stamp_s=stamp_s)
+    overlap = Overlap(task(start_map, sightings, [saved], []), FusionConfig())
+    overlap.attempt(Frame(features), 0)
+    assert overlap.tried == compared

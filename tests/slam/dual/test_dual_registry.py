@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from recovery_scenes import BLIND, blind_scene, same_map
 
+from slam.config import SlamConfig
 from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult
 from slam.dual.recovery.registry import RECOVERY_KINDS, ThreadSpec, build_thread, parse_threads
 from slam.map.invariants import check_map
+from slam.mapping.local_mapping import LocalMappingConfig
+from slam.tracking.tracker import TrackingConfig
 
 KINDS = tuple(RECOVERY_KINDS)
 
@@ -49,6 +52,33 @@ def test_shared_settings_reach_every_kind(kind):
     assert thread.config.max_unusable_s == 0.7
     own = replace(thread.config, max_unusable_s=0.3)
     assert build_thread(ThreadSpec(kind, config=own)).config is own
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_a_thread_leaves_open_is_as_in_the_system(kind):
+    scene = blind_scene()
+    slow = replace(SlamConfig(), tracking=TrackingConfig(keyframe_interval_s=100.0))
+    empty = replace(SlamConfig(), mapping=LocalMappingConfig(min_parallax_deg=89.0))
+
+    def result(system, **own):
+        task = replace(scene.again(), system=system)
+        return build_thread(ThreadSpec(kind, config=RecoveryConfig(**own))).run(task)
+
+    usual = result(SlamConfig())
+    assert result(slow).keyframes_made < usual.keyframes_made
+    assert result(empty).map.n_points < usual.map.n_points
+    own = result(slow, tracking=TrackingConfig())
+    assert own.keyframes_made == usual.keyframes_made
+    own = result(empty, mapping=LocalMappingConfig())
+    assert own.map.n_points == usual.map.n_points
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_first_pose_behind_a_gap_needs_as_many_inliers_in_every_kind(kind):
+    assert min(f.features.index for f in blind_scene().run(kind).frames) < BLIND[0]
+    never = RecoveryConfig(tracking=TrackingConfig(cautious_inliers=10**6))
+    result = blind_scene().run(kind, never)
+    assert not result.success and all(f.features.index > BLIND[-1] for f in result.frames)
 
 
 @pytest.mark.parametrize("limit_s", [-1.0, float("nan")])

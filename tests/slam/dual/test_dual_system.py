@@ -79,6 +79,8 @@ def test_the_events_describe_the_recovery(recovered):
     for event in system.events:
         record = event.record()
         assert json.loads(json.dumps(record)) == record
+        assert not any(isinstance(value, list | tuple | dict) for value in record.values())
+    assert len(end.placed) >= system.dual.start_keyframes
 
 
 def test_recovery_starts_at_the_required_number_of_keyframes(recovered):
@@ -119,7 +121,7 @@ def test_old_keyframes_younger_than_the_seam_are_culled(recovered):
 def test_settings_include_those_of_recovery(recovered):
     settings = json.loads(json.dumps(recovered[0].settings))
     assert settings["dual"]["buffer_s"] == 10.0
-    assert settings["dual"]["threads"][0]["kind"] == "orb"
+    assert settings["dual"]["recovery_threads"][0]["kind"] == "orb"
     assert (
         settings["tracking"]
         == json.loads(json.dumps(build_system("base", CAMERA, 0, CONFIG).settings))["tracking"]
@@ -172,6 +174,26 @@ def test_maps_of_different_scale_are_fused_to_one_scale():
     at = dict(zip(path.frames.tolist(), path.T_map_cam, strict=True))
     for r in results[fused:]:
         assert np.linalg.norm(r.T_map_cam[:3, 3] - at[r.frame][:3, 3]) < 0.02
+
+
+class PassingOver(OrbRecovery):
+    """The ORB recovery thread, which gives no pose to the last frames before the breakage."""
+
+    def run(self, task):
+        return super().run(replace(task, backward=[f for f in task.backward if f.index not in range(40, 50)]))
+
+
+def test_poses_behind_the_seam_that_recovery_does_not_renew_are_withdrawn():
+    system = with_threads(130, [range(50, 56)], [PassingOver()])
+    assert kinds(system) == ["initialized", *RECOVERED[:-1], "poses_withdrawn", "fusion"]
+    (gone,) = of(system, "poses_withdrawn")
+    assert (gone.map_id, gone.reason, gone.last_frame) == (0, "passed_over_by_recovery", 49)
+    assert 40 <= gone.first_frame < 49 and gone.frames == 50 - gone.first_frame
+    (path,) = system.trajectories()
+    missing = [*range(gone.first_frame, 56)]
+    assert set(missing).isdisjoint(path.frames)
+    assert set(range(path.frames[0], 130)) - set(missing) <= set(path.frames)
+    assert gone.keyframes > 0 and set(missing).isdisjoint(system.keyframe_trajectories()[0].frames)
 
 
 # -- two breakages -------------------------------------------------------------------------------------------

@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from dual_scenes import RECOVERY_ONLY, STEP_M, dual, of, with_own_threads
-from slam_scenes import blanked, check_maps, errors_m, feed, kinds, rms, toy
+from slam_scenes import blanked, check_maps, errors_m, feed, kinds, reconfigure, rms, toy
 from test_dual_lifecycle import Lasting
 
 from slam.core.events import TrackingState
 from slam.dual.config import DualConfig
 from slam.dual.fusion.fuse import FusionConfig
+from slam.tracking.probation import ProbationConfig
 
 BLANK = range(50, 56)
 
@@ -80,6 +81,7 @@ def test_a_recovery_is_fused_into_a_map_that_has_been_tracked_on_since():
     for image, stamp_s in zip(shown[:100], stamps_s[:100], strict=True):
         system.process(image, float(stamp_s))
     system.dual = replace(system.dual, relocalization=True)
+    reconfigure(system, probation=ProbationConfig(far_s=10.0))
     relocalize = system.engine.relocalize
     system.engine.relocalize = lambda frame, ids, leave=None: relocalize(frame, [0], leave)
     feed(system, shown[100:], stamps_s[100:])

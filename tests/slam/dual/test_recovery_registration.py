@@ -19,7 +19,7 @@ def test_a_registered_thread_is_built_by_name(monkeypatch):
     slam.register_recovery_thread("strict_orb", StrictOrb)
     (spec,) = parse_threads("strict_orb")
     assert isinstance(build_thread(spec), StrictOrb)
-    slam.DualSlam(CAMERA, dual=slam.DualConfig(threads=(spec,)))
+    slam.DualSlam(CAMERA, dual=slam.DualConfig(recovery_threads=(spec,)))
 
 
 @pytest.mark.parametrize(

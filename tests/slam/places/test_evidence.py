@@ -5,6 +5,7 @@ import pytest
 from slam_scenes import PointWorld, rigid, walk
 
 from slam.optimization.sim3 import sim3_matrix
+from slam.places._evidence_kernels import look_for
 from slam.places.evidence import support
 
 
@@ -42,6 +43,29 @@ def test_another_place_and_another_world_are_not_supported(known):
     away = support(built, points, walk(18), sighting(world, rigid((1.0, 0, 0)) @ walk(18)), 4.0)
     other = support(built, points, walk(18), sighting(PointWorld(seed=9, points=6000), walk(18)), 4.0)
     assert max(away.share, other.share) < 0.25 and max(away.cells, other.cells) < 3
+
+
+@pytest.mark.parametrize("aside_m", [0.0, 0.6, 1.2])
+def test_a_point_is_expected_as_far_as_it_was_seen_from_near_here(known, aside_m):
+    """NumPy twin of the chance: half at 9 degrees from the nearest view, or at 1.74 times its distance."""
+    world, built, points = known
+    T, m = rigid((0, aside_m, 0)) @ walk(18), built.arrays
+    f = sighting(world, T)
+    rows, _, _, chance, _ = look_for(
+        m, built.view, T, 1.0, points, f.xy, f.octave, f.descriptors, f.cell_start, 0, 4.0, True
+    )
+    centre, centres = (
+        -T[:3, :3].T @ T[:3, 3],
+        -np.einsum("kji,kj->ki", m.kf_T_cam_map[:8, :3, :3], m.kf_T_cam_map[:8, :3, 3]),
+    )
+    for p, found in zip(rows, chance, strict=True):
+        seen_from = centres[[k for k in range(8) if p in built.observed_points(k)]]
+        here, there = m.pt_xyz[p] - centre, m.pt_xyz[p] - seen_from
+        near, far = np.linalg.norm(here), np.linalg.norm(there, axis=1)
+        turn_deg = np.rad2deg(np.arccos(np.clip(there @ here / (near * far), -1, 1)))
+        unfamiliar = (turn_deg / 9) ** 2 + (np.log2(near / far) / 0.8) ** 2
+        assert found == pytest.approx(8 / 12 / (1 + unfamiliar.min() ** 0.75)) and found >= 0.1
+    assert len(rows) > 50 and (aside_m > 0) == (chance.mean() < 0.6)
 
 
 def test_a_part_of_the_view_that_shows_something_else_contradicts(known):

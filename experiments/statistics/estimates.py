@@ -1,0 +1,144 @@
+"""What Eq. 1 predicts and what is measured, each with what it would be without any one world."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from experiments.statistics.outcomes import Floats, Outcomes, sequence_means, world_means
+from experiments.statistics.products import product_of_distinct, product_without_each
+
+
+@dataclass(frozen=True)
+class Figure:
+    """An estimate from W worlds, the sample.
+
+    Attributes:
+        value: the estimate.
+        without: (W,) the estimate without each world.
+    """
+
+    value: float
+    without: Floats
+
+    @property
+    def worlds(self) -> int:
+        """Number of worlds."""
+        return len(self.without)
+
+    @property
+    def pseudo_values(self) -> Floats:
+        """(W,) what each world adds: their mean estimates, their spread is the estimate's."""
+        return self.worlds * self.value - (self.worlds - 1) * self.without
+
+    def __add__(self, other: "Figure") -> "Figure":
+        """Sum over the same worlds."""
+        return Figure(self.value + other.value, self.without + other.without)
+
+    def __sub__(self, other: "Figure") -> "Figure":
+        """Difference over the same worlds."""
+        return self + other.times(-1.0)
+
+    def times(self, factor: float) -> "Figure":
+        """The figure times a constant."""
+        return Figure(factor * self.value, factor * self.without)
+
+    @classmethod
+    def mean(cls, by_world: Floats) -> "Figure":
+        """Mean of one value per world, (W,)."""
+        worlds, total = len(by_world), by_world.sum()
+        without = (total - by_world) / (worlds - 1) if worlds > 1 else np.full(worlds, np.nan)
+        return cls(float(total / worlds), without)
+
+
+def share(outcome: Floats) -> Figure:
+    """Share of units with an outcome, (W, S, K): equal weight per world, then sequence, then replicate."""
+    return Figure.mean(world_means(outcome))
+
+
+def measured_in_units(outcomes: Outcomes) -> Figure:
+    """Q: all factors at once in one unit, from the crossing arm."""
+    return share(np.prod(outcomes.columns, axis=0))
+
+
+def dual_failure(outcomes: Outcomes) -> Figure:
+    """D: the system of all threads fails, in the free arm."""
+    return share(outcomes.dual_failures[-1])
+
+
+def product_in_sequences(outcomes: Outcomes) -> Figure | None:
+    """pi_seq: product over distinct replicates of a sequence; None with fewer than n + 1 replicates."""
+    return _mean_product(product_of_distinct(outcomes.columns))
+
+
+def product_in_worlds(outcomes: Outcomes) -> Figure | None:
+    """pi_world: product over distinct sequences of a world; None with fewer than n + 1 sequences."""
+    return _mean_product(product_of_distinct(sequence_means(outcomes.columns))[:, None])
+
+
+def product_of_margins(outcomes: Outcomes) -> Figure:
+    """pi_marg: product over distinct worlds, the marginal reading of Eq. 1."""
+    means = world_means(outcomes.columns)
+    return Figure(float(product_of_distinct(means)), product_without_each(means))
+
+
+def _mean_product(by_sequence: Floats) -> Figure | None:
+    """Mean over worlds of the mean over sequences of (W, S) products, NaN where there are too few rows."""
+    usable = np.isfinite(by_sequence)
+    if not usable.any(axis=1).all():
+        return None
+    return Figure.mean(np.where(usable, by_sequence, 0.0).sum(axis=1) / usable.sum(axis=1))
+
+
+@dataclass(frozen=True)
+class Chain:
+    """D over pi_marg as a product of what each step costs; a step that the design cannot tell is None.
+
+    Attributes:
+        arms: (numerator, denominator) of D / Q: the free arm differs from the crossing arm.
+        run: of Q / pi_seq: chance that the threads share within one run.
+        path: of pi_seq / pi_world: what a path shares.
+        world: of pi_world / pi_marg: what a world shares.
+        sequence: of pi_seq / pi_marg, in place of the last two with one sequence per world.
+        whole: of D / pi_marg.
+
+    Source: Eckhardt & Lee 1985 and Littlewood & Miller 1989 for the last three steps.
+    """
+
+    arms: tuple[Figure, Figure]
+    run: tuple[Figure, Figure] | None
+    path: tuple[Figure, Figure] | None
+    world: tuple[Figure, Figure] | None
+    sequence: tuple[Figure, Figure] | None
+    whole: tuple[Figure, Figure]
+
+
+def chain(outcomes: Outcomes) -> Chain:
+    """The steps from what Eq. 1 predicts to what is measured."""
+    measured, units = dual_failure(outcomes), measured_in_units(outcomes)
+    in_sequences, in_worlds = product_in_sequences(outcomes), product_in_worlds(outcomes)
+    marginal = product_of_margins(outcomes)
+    between = in_sequences and in_worlds
+    return Chain(
+        (measured, units),
+        (units, in_sequences) if in_sequences else None,
+        (in_sequences, in_worlds) if in_sequences and in_worlds else None,
+        (in_worlds, marginal) if in_worlds else None,
+        (in_sequences, marginal) if in_sequences and not between else None,
+        (measured, marginal),
+    )
+
+
+def correlation_in_sequences(outcome: Floats) -> tuple[Figure, Figure] | None:
+    """ICC of an outcome (W, S, K), as numerator and denominator; None without repeats.
+
+    1 - ICC is the share of the outcome's variance that is chance, not the difficulty of the sequence.
+    """
+    twice = np.stack([outcome, outcome])
+    within = _mean_product(product_of_distinct(twice))
+    if within is None:
+        return None
+    means = world_means(outcome)
+    pair = np.stack([means, means])
+    between = Figure(float(product_of_distinct(pair)), product_without_each(pair))
+    p = Figure.mean(means)
+    return within - between, Figure(p.value * (1 - p.value), p.without * (1 - p.without))

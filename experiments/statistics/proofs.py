@@ -1,0 +1,213 @@
+"""Proofs of the statistics: simulated experiments with known answers, and how often each method is right."""
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from math import inf, sqrt
+from multiprocessing import get_context
+
+import numpy as np
+
+from experiments.statistics import estimates
+from experiments.statistics.formulas import RIVALS, compare_formulas
+from experiments.statistics.outcomes import Outcomes, world_means
+from experiments.statistics.permutations import independence, within_sequences
+from experiments.statistics.simulated import Truth, simulate
+from experiments.statistics.verdicts import LEVEL, Verdict, compare_forecast, compare_units, verdicts
+from experiments.statistics.world_intervals import Interval, Rare, few_events, ratio_interval, share_interval
+
+_CHUNK = 50  # experiments with one random stream
+_PERMUTATIONS = 599  # 2 (1 + 14) / 600 is .05
+
+Experiment = Callable[[np.random.Generator], float]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What is claimed of the mean of a figure over simulated experiments.
+
+    Attributes:
+        name: what the figure is.
+        low, high: bounds of its mean.
+        experiment: draws an experiment and returns its figure; NaN where it has none.
+    """
+
+    name: str
+    low: float
+    high: float
+    experiment: Experiment
+
+
+@dataclass(frozen=True)
+class Proof:
+    """A claim and what was found.
+
+    Attributes:
+        name, low, high: of the claim.
+        found: mean over the experiments.
+        error: its standard error.
+        experiments: those that have the figure.
+    """
+
+    name: str
+    low: float
+    high: float
+    found: float
+    error: float
+    experiments: int
+
+    def holds(self, errors: float = 0.0) -> bool:
+        """Return True if the mean is within its bounds, widened by some standard errors."""
+        return self.low - errors * self.error <= self.found <= self.high + errors * self.error
+
+
+def prove(experiments: int, seed: int = 0, workers: int = 1, only: str = "") -> Iterator[Proof]:
+    """Simulate every claim; the figures do not depend on the number of workers.
+
+    Args:
+        experiments: per claim.
+        seed: of the draws.
+        workers: processes.
+        only: text in the names of the claims; all by default.
+    """
+    chosen = [(i, claim) for i, claim in enumerate(claims()) if only in claim.name]
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        runs = {
+            i: [
+                pool.submit(_chunk, i, seed, start, min(_CHUNK, experiments - start))
+                for start in range(0, experiments, _CHUNK)
+            ]
+            for i, _ in chosen
+        }
+        for i, claim in chosen:
+            figures = np.concatenate([run.result() for run in runs[i]])
+            known = figures[np.isfinite(figures)]
+            error = float(known.std(ddof=1)) / sqrt(len(known)) if len(known) > 1 else inf
+            found = float(known.mean()) if len(known) else float("nan")
+            yield Proof(claim.name, claim.low, claim.high, found, error, len(known))
+
+
+def claims() -> list[Claim]:
+    """Every line that is to be proved."""
+    found = []
+    for threads in (1, 2):
+        for correlation in (0.0, 0.3, 0.9):
+            truth = Truth((0.5,) * (1 + threads), correlation)
+            what = f"n = {threads}, correlation {correlation:g} within worlds"
+            found.append(Claim(f"size of independence, {what}", 0, 0.06, partial(_independence, truth)))
+            found.append(Claim(f"size of forecast, {what}", 0, 0.06, partial(_forecast, truth)))
+    for correlation in (0.0, 0.3):
+        truth = Truth((0.5, 0.5), correlation)
+        found.append(
+            Claim(f"size within sequences, correlation {correlation:g}", 0, 0.06, partial(_within, truth))
+        )
+    for share, worlds in ((0.3, 100), (0.5, 30), (0.06, 100)):
+        for correlation in (0.0, 0.9):
+            name = f"coverage of a share of {share:g}, {worlds} worlds, correlation {correlation:g}"
+            found.append(
+                Claim(name, 0.93, 0.97, partial(_covers_share, Truth((share,), correlation), worlds))
+            )
+    for common in (0.0, 0.5):
+        for correlation in (0.0, 0.9):
+            truth = Truth((0.5, 0.4), correlation, common)
+            what = f"{common:g} of the worlds with one cause, correlation {correlation:g}"
+            found.append(
+                Claim(f"coverage of D over Eq. 1, {what}", 0.93, 0.97, partial(_covers_ratio, truth))
+            )
+    rare = Truth((0.15, 0.15), 0.3)
+    found.append(Claim("coverage of D over Eq. 1, rare failures", 0.90, 1, partial(_covers_ratio, rare)))
+    for threads in (1, 2):
+        ratio = 0.4**-threads
+        found.append(
+            Claim(
+                f"pi_seq over pi_marg where one draw decides all, n = {threads}",
+                0.93 * ratio,
+                1.07 * ratio,
+                partial(_planted_ratio, threads),
+            )
+        )
+    found.append(Claim("sequences that are decided give no verdict within", 1, 1, _deterministic))
+    found.append(Claim("a mixture of kinds is optimistic within its kinds", 0, 0.05, _mixture))
+    found.append(Claim("a mixture of kinds is optimistic if it is one cell", 0.95, 1, _mixed_cell))
+    found.append(Claim("some formula beats Eq. 1 where Eq. 1 is true", 0, 0.05, _formula_wins))
+    return found
+
+
+def _chunk(claim: int, seed: int, start: int, count: int) -> np.ndarray:
+    rng = np.random.default_rng([seed, claim, start])
+    experiment = claims()[claim].experiment
+    return np.array([experiment(rng) for _ in range(count)])
+
+
+def _independence(truth: Truth, rng: np.random.Generator) -> float:
+    p = independence(simulate(truth, rng, 60, 1, 3), rng, _PERMUTATIONS).p
+    return float(p is not None and p <= LEVEL)
+
+
+def _forecast(truth: Truth, rng: np.random.Generator) -> float:
+    return float(compare_forecast(simulate(truth, rng, 60, 1, 3)).p <= LEVEL)
+
+
+def _within(truth: Truth, rng: np.random.Generator) -> float:
+    p = within_sequences([simulate(truth, rng, 60, 1, 3)], rng, _PERMUTATIONS).p
+    return float("nan") if p is None else float(p <= LEVEL)
+
+
+def _covers_share(truth: Truth, worlds: int, rng: np.random.Generator) -> float:
+    found = share_interval(world_means(simulate(truth, rng, worlds, 1, 3).breakage))
+    return float(found.low <= truth.shares[0] <= found.high)
+
+
+def _covers_ratio(truth: Truth, rng: np.random.Generator) -> float:
+    found = _forecast_ratio(simulate(truth, rng, 100, 1, 3))
+    product = float(np.prod(truth.shares))
+    whole = truth.common * min(truth.shares) + (1 - truth.common) * product
+    return float("nan") if found is None else float(found.low <= whole / product <= found.high)
+
+
+def _forecast_ratio(outcomes: Outcomes) -> Interval | None:
+    """Interval of D over pi_marg."""
+    shares = tuple(map(float, world_means(outcomes.columns).mean(axis=1)))
+    rare = Rare(shares) if few_events(world_means(outcomes.dual_failures[-1]), shares) else None
+    return ratio_interval(estimates.dual_failure(outcomes), estimates.product_of_margins(outcomes), rare)
+
+
+def _planted_ratio(threads: int, rng: np.random.Generator) -> float:
+    outcomes = simulate(Truth((0.4,) * (1 + threads), 1.0, 1.0), rng, 400, 1, 1 + threads)
+    within = estimates.product_in_sequences(outcomes)
+    return float("nan") if within is None else within.value / estimates.product_of_margins(outcomes).value
+
+
+def _deterministic(rng: np.random.Generator) -> float:
+    return float(within_sequences([simulate(Truth((0.4, 0.4), 1.0, 1.0), rng, 60, 1, 3)], rng).p is None)
+
+
+def _kinds(rng: np.random.Generator) -> Sequence[Outcomes]:
+    return [simulate(Truth((p, p), 0.3), rng, 50, 1, 2) for p in (0.35, 0.65)]
+
+
+def _mixture(rng: np.random.Generator) -> float:
+    return float(_any_optimistic(_kinds(rng), rng))
+
+
+def _mixed_cell(rng: np.random.Generator) -> float:
+    easy, hard = (simulate(Truth((p, p), 0.3), rng, 100, 1, 2) for p in (0.15, 0.85))
+    mixed = Outcomes(
+        np.concatenate([easy.breakage, hard.breakage]),
+        np.concatenate([easy.thread_failures, hard.thread_failures], axis=1),
+        np.concatenate([easy.dual_failures, hard.dual_failures], axis=1),
+    )
+    return float(_any_optimistic([mixed], rng))
+
+
+def _any_optimistic(cells: Sequence[Outcomes], rng: np.random.Generator) -> bool:
+    units = [compare_units(cell, independence(cell, rng, _PERMUTATIONS)) for cell in cells]
+    found = verdicts(units, [compare_forecast(cell) for cell in cells])
+    return any(Verdict.OPTIMISTIC in each for each in found)
+
+
+def _formula_wins(rng: np.random.Generator) -> float:
+    cells = [simulate(Truth((a, b), 0.3), rng, 60, 1, 2) for a, b in ((0.3, 0.4), (0.5, 0.5), (0.6, 0.3))]
+    scores = compare_formulas(cells, [True] * len(cells))
+    return float(any(s.p is not None and s.p <= LEVEL for s in scores if s.name in RIVALS))

@@ -1,0 +1,123 @@
+"""Intervals with worlds as the sample."""
+
+from dataclasses import dataclass
+from math import inf, sqrt
+
+import numpy as np
+from scipy import stats
+
+from experiments.statistics.estimates import Figure
+from experiments.statistics.outcomes import Floats
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate with an interval of 95 %.
+
+    Attributes:
+        value: the estimate.
+        low, high: ends; -inf and inf where it is unbounded.
+    """
+
+    value: float
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        if not self.low <= self.value <= self.high:
+            raise ValueError(f"{self.value} is not in [{self.low}, {self.high}]")
+
+
+@dataclass(frozen=True)
+class Rare:
+    """What is known of the variance of a ratio whose numerator is rare.
+
+    Attributes:
+        shares: (n + 1,) p0 and pr of the threads, where the denominator is their product; empty otherwise.
+    """
+
+    shares: tuple[float, ...] = ()
+
+
+def share_interval(by_world: Floats, level: float = 0.95) -> Interval:
+    """Wilson's interval of a share, with as many trials as the spread of the worlds' means is worth.
+
+    Args:
+        by_world: (W,) mean of each world.
+        level: its coverage.
+    """
+    worlds, p = len(by_world), float(np.mean(by_world))
+    variance = float(np.var(by_world, ddof=1)) if worlds > 1 else 0.0
+    trials = p * (1 - p) * worlds / variance if variance > 0 else float(worlds)
+    if worlds < 2:
+        return Interval(p, 0.0, 1.0)
+    z2 = float(stats.t.ppf(0.5 + level / 2, worlds - 1)) ** 2
+    middle = (p + z2 / (2 * trials)) / (1 + z2 / trials)
+    half = sqrt(z2 * (p * (1 - p) / trials + z2 / (4 * trials**2))) / (1 + z2 / trials)
+    return Interval(p, max(0.0, min(middle - half, p)), min(1.0, max(middle + half, p)))
+
+
+def difference_interval(figure: Figure, level: float = 0.95) -> Interval:
+    """Interval of a difference or sum of figures over the same worlds, by its pseudo-values."""
+    half = _t(figure, level) * sqrt(float(np.var(figure.pseudo_values, ddof=1)) / figure.worlds)
+    return Interval(figure.value, figure.value - half, figure.value + half)
+
+
+def ratio_interval(
+    numerator: Figure, denominator: Figure, rare: Rare | None = None, level: float = 0.95
+) -> Interval | None:
+    """Ratios that the pseudo-values of both figures do not contradict.
+
+    Args:
+        numerator, denominator: over the same worlds.
+        rare: given where too few worlds have the numerator's event for their spread to be known: the variance
+            is then at least that of counts.
+        level: its coverage.
+
+    Returns:
+        The interval around the ratio; None if the denominator is 0.
+
+    Source: Fieller 1940, by pseudo-values.
+    """
+    if denominator.value <= 0:
+        return None
+    a, c = numerator.value, denominator.value
+    cov = np.cov(numerator.pseudo_values, denominator.pseudo_values)
+    factor = _t(numerator, level) ** 2 / numerator.worlds
+    # (a - rho c)^2 <= factor * variance(rho), as coefficients of rho^2, rho and 1.
+    spread = (c**2 - factor * cov[1, 1], -2 * (a * c - factor * cov[0, 1]), a**2 - factor * cov[0, 0])
+    bounds = [_around(a / c, *spread)]
+    if rare is not None:
+        product = float(np.prod(rare.shares)) if rare.shares else c
+        squared = product**2 * (1 + sum(1 / p - 1 for p in rare.shares))
+        bounds.append(_around(a / c, c**2 + factor * squared, -2 * a * c - factor * product, a**2))
+    return Interval(a / c, min(low for low, _ in bounds), max(high for _, high in bounds))
+
+
+def few_events(by_world: Floats, shares: tuple[float, ...] = ()) -> bool:
+    """Return True if too few worlds have an event for the spread of (W,) means to be known."""
+    worlds = len(by_world)
+    expected = [float(np.prod(shares)), float(np.prod([1 - p for p in shares]))] if shares else []
+    return int((by_world > 0).sum()) < 5 or any(worlds * p < 5 for p in expected)
+
+
+def _t(figure: Figure, level: float) -> float:
+    return float(stats.t.ppf(0.5 + level / 2, figure.worlds - 1))
+
+
+def _around(rho: float, square: float, linear: float, constant: float) -> tuple[float, float]:
+    """Ends of the piece around ``rho`` where a quadratic is not positive; ``rho`` itself if there is none."""
+    if square * rho**2 + linear * rho + constant > 1e-12 * (abs(constant) + abs(square) * rho**2):
+        return rho, rho
+    if abs(square) < 1e-300:
+        if linear == 0:
+            return -inf, inf
+        end = -constant / linear
+        return (-inf, max(end, rho)) if linear > 0 else (min(end, rho), inf)
+    root = linear**2 - 4 * square * constant
+    if root <= 0:
+        return (rho, rho) if square > 0 else (-inf, inf)
+    ends = sorted((-linear + sign * sqrt(root)) / (2 * square) for sign in (-1, 1))
+    if square > 0:
+        return min(ends[0], rho), max(ends[1], rho)
+    return (-inf, max(ends[0], rho)) if rho <= ends[0] else (min(ends[1], rho), inf)
