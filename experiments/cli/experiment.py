@@ -204,6 +204,53 @@ def power_command(
     )
 
 
+@app.command("prove")
+def prove_command(
+    experiments: Annotated[int, typer.Option(min=20, help="Simulated experiments per claim.")] = 2000,
+    only: Annotated[str, typer.Option(metavar="TEXT", help="Only claims with this in their name.")] = "",
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Root seed of the draws.")] = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Simulate experiments with known answers, and print how often the statistics give them.
+
+    The figures are the same for any number of workers. The exit code is 1 if a claim does not hold.
+    For example:
+
+    `dslab experiment prove --experiments 100`
+
+    `dslab experiment prove --only coverage --workers 2`
+    """
+    from dataclasses import asdict
+
+    from rich.table import Table
+
+    from experiments.statistics.proofs import claims, prove
+    from scenarios.errors import InputError
+
+    total = sum(only in claim.name for claim in claims())
+    if total == 0:
+        raise InputError("--only", f"no claim has {only!r} in its name", "leave it out to see all names")
+    proofs = []
+    with progress_bars() as show:
+        show("claims", 0, total)
+        for proof in prove(experiments, seed, workers, only):
+            proofs.append(proof)
+            show("claims", len(proofs), total)
+    if as_json:
+        for proof in proofs:
+            print_json_line({**asdict(proof), "holds": proof.holds()})
+    else:
+        table = Table("claim", "asked", "found", "error", "holds")
+        for proof in proofs:
+            asked = f"{number(proof.low)} to {number(proof.high)}"
+            figures = (asked, number(proof.found), number(proof.error))
+            table.add_row(proof.name, *figures, "yes" if proof.holds() else "no")
+        print_table(table)
+    if not all(proof.holds() for proof in proofs):
+        raise typer.Exit(1)
+
+
 @app.command("replay")
 def replay_command(
     folder: FolderArgument,

@@ -1,14 +1,13 @@
 """Proofs of the statistics: simulated experiments with known answers, and how often each method is right."""
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from math import inf, sqrt
-from multiprocessing import get_context
 
 import numpy as np
 
+from experiments.runs.processes import process_pool
 from experiments.statistics import estimates
 from experiments.statistics.formulas import RIVALS, compare_formulas
 from experiments.statistics.outcomes import Outcomes, world_means
@@ -72,7 +71,7 @@ def prove(experiments: int, seed: int = 0, workers: int = 1, only: str = "") -> 
         only: text in the names of the claims; all by default.
     """
     chosen = [(i, claim) for i, claim in enumerate(claims()) if only in claim.name]
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+    with process_pool(workers) as pool:
         runs = {
             i: [
                 pool.submit(_chunk, i, seed, start, min(_CHUNK, experiments - start))

@@ -24,6 +24,7 @@ ARGUMENTS = {
     "experiment report": "{in}/experiment/nothing",
     "experiment replay": "{in}/experiment/experiment none",
     "experiment power": "--p0 0.25 --pr 0.2 --n 2",
+    "experiment prove": "--only nothing",
     "experiment fuzz": "--out {in}/result",
     "bench slam": "{in}/nothing",
     "bench sim": "--renderer nothing",
