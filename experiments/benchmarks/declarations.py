@@ -1,15 +1,14 @@
 """What systems declare over many sequences, judged by the truth: loops, relocalizations, joins, fusions."""
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from experiments.benchmarks.kept_rows import Row, read_rows, write_rows
 from experiments.evaluation.declared_audit import audit_declared
 from experiments.evaluation.summary import summarise
 from experiments.runs.execution import RunRecord, SystemKind, execute
@@ -47,7 +46,7 @@ def measure_declarations(
         InputError: the file is no such table, or is of other code.
     """
     code = code_hash()
-    rows = _known(table, code)
+    rows = read_rows(table, "declarations", code)
     done = {tuple(row[name] for name in KEY) for row in rows}
     jobs = [
         (scenario, seed, missing)
@@ -62,7 +61,7 @@ def measure_declarations(
         try:
             for number, future in enumerate(as_completed(running), start=1):
                 rows += future.result()
-                _write(table, rows)
+                write_rows(table, rows, KEY)
                 if progress is not None:
                     progress("sequences", total - len(jobs) + number, total)
         finally:
@@ -72,7 +71,7 @@ def measure_declarations(
     return frame[wanted].sort_values(list(KEY)).reset_index(drop=True)
 
 
-def run_sequence(scenario: str, seed: int, systems: Sequence[SystemKind], code: str) -> list[dict[str, Any]]:
+def run_sequence(scenario: str, seed: int, systems: Sequence[SystemKind], code: str) -> list[Row]:
     """One row per system over one sequence."""
     sequence = open_sequence(scenario, seed)
     if sequence.T_world_cam is None:
@@ -85,7 +84,7 @@ def run_sequence(scenario: str, seed: int, systems: Sequence[SystemKind], code: 
     ]
 
 
-def declaration_row(record: RunRecord) -> dict[str, Any]:
+def declaration_row(record: RunRecord) -> Row:
     """Figures of a run; all that it declared, how much of it is false or cannot be judged."""
     summary, audit = summarise(record), audit_declared(record)
     lost_s = [e.lost_s for e in record.events if isinstance(e, Relocalized)]
@@ -101,26 +100,3 @@ def declaration_row(record: RunRecord) -> dict[str, Any]:
         "fusions_refused": len(refused),
         "lost_s_median": float(np.median(lost_s)) if lost_s else None,
     }
-
-
-def _known(table: Path, code: str) -> list[dict[str, Any]]:
-    if not table.exists():
-        return []
-    try:
-        rows = pd.read_parquet(table).to_dict("records")
-        others = {row["code"] for row in rows} - {code}
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(str(table), f"is no table of declarations: {error}", "name another file") from None
-    if others:
-        raise InputError(str(table), "has rows of other code", "name another file, or remove this one")
-    return [{str(name): value for name, value in row.items()} for row in rows]
-
-
-def _write(table: Path, rows: list[dict[str, Any]]) -> None:
-    table.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = table.with_name(f".{table.name}.{os.getpid()}")
-    try:
-        pd.DataFrame(rows).sort_values(list(KEY)).to_parquet(unfinished, index=False)
-        unfinished.replace(table)
-    finally:
-        unfinished.unlink(missing_ok=True)

@@ -1,6 +1,7 @@
 """``dslab bench``."""
 
 from contextlib import nullcontext
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 _HELP = """Measure the speed of the tracker (`slam`), the simulator (`sim`) or whole units (`experiment`).
 
-Or count what systems declare falsely over many sequences (`declarations`).
+Or count what systems declare falsely over many sequences (`declarations`), or compare accuracy (`accuracy`).
 
 `dslab bench` and `dslab bench SOURCE` are short for `dslab bench slam`. For example:
 
@@ -335,6 +336,64 @@ def declarations_command(
         counts = (f"{row[name]} / {row[f'false_{name}']}" for name in COUNTS)
         ate = number(own.ate_m.median(), 3)
         table.add_row(row.scenario, row.system, str(row.runs), *counts, str(row.unjudged), ate)
+    print_table(table)
+
+
+@app.command("accuracy")
+def accuracy_command(
+    sources: Annotated[list[str], typer.Argument(metavar="SOURCE...", help="Scenarios or folders.")],
+    out_file: Annotated[Path, typer.Option("--out", help="Parquet file of the rows; resumed if it exists.")],
+    seeds: Annotated[
+        str, typer.Option(help="Seeds of each source, such as 7 or 1-10; of a folder, places to start.")
+    ] = "1-5",
+    system: Annotated[SystemChoice, typer.Option(help="Our system.")] = SystemChoice.BASE,
+    peer: Annotated[
+        str | None,
+        typer.Option("--peer", metavar="COMMAND", help="Another system to run on the same frames."),
+    ] = None,
+    peer_runs: Annotated[int, typer.Option(min=1, help="Runs of the peer per sequence.")] = 3,
+    skip_frames: Annotated[
+        int, typer.Option(min=1, help="Frames that each further seed leaves out of a folder's beginning.")
+    ] = 20,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare accuracy and scale drift with a peer's over many sequences.
+
+    ATE is of the frames that both have placed. Stopped and started again, it goes on where it was. A peer in
+    real time needs a quiet machine. For example:
+
+    `dslab bench accuracy clean-room path/to/sequence --peer path/to/orbslam3.py --out out/accuracy.parquet`
+    """
+    from experiments.benchmarks.accuracy import measure_accuracy, sums
+    from experiments.runs.files import plain
+    from experiments.runs.foreign_systems import check_command
+
+    if peer is not None:
+        check_command(peer)
+    single_threaded_opencv()
+    with progress_bars() as show:
+        rows = measure_accuracy(
+            sources, _seeds(seeds), system.value, out_file, peer, peer_runs, skip_frames, show
+        )
+    found = sums(rows)
+    if as_json:
+        print_json_line(plain(found.to_dict("records")))
+        return
+    table = Table(title=f"{system.value} and peer, medians over sequences")
+    table.add_column("source")
+    columns = {
+        "sequences": "sequences", "ours_ate_m": "ATE m", "peer_ate_m": "peer's", "ratio": "ratio",
+        "worst_ratio": "worst", "ours_scale_off": "scale off", "peer_scale_off": "peer's",
+        "cpu_ratio": "tracking\nCPU ratio", "ours_posed": "posed", "peer_posed": "peer's",
+    }  # fmt: skip
+    for title in columns.values():
+        table.add_column(title, justify="right")
+    for _, row in found.iterrows():
+        table.add_row(
+            row.source,
+            str(row.sequences),
+            *(number(None if isnan(row[c]) else row[c]) for c in list(columns)[1:]),
+        )
     print_table(table)
 
 

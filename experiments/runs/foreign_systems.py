@@ -2,8 +2,9 @@
 
 The program is any command line that takes a TUM-form folder and a result folder and writes into the latter
 ``trajectory.txt`` (TUM form) and ``summary.json`` with at least ``cpu_ms_median`` (tracking, per frame),
-``tracked`` and ``frames``; ``first_tracked_frame`` is optional. Memory is not compared: the peak that a child
-process reports may be inherited from this process.
+``tracked`` and ``frames``; ``first_tracked_frame`` and ``cpu_s`` (of all its threads, with its start and the
+reading of images) are optional. Memory is not compared: the peak that a child process reports may be
+inherited from this process.
 """
 
 import shlex
@@ -38,12 +39,14 @@ class ForeignRun:
         tracked: number of frames with a pose.
         first_tracked_frame: None if not given.
         trajectory: its path; None if it tracked nothing.
+        cpu_s: CPU seconds of the whole process; None if not given.
     """
 
     cpu_ms_median: float
     tracked: int
     first_tracked_frame: int | None
     trajectory: MapTrajectory | None
+    cpu_s: float | None = None
 
 
 class ForeignSystem:
@@ -140,6 +143,7 @@ def read_foreign_run(out_dir: Path, sequence: Sequence) -> ForeignRun:
         tracked=tracked,
         first_tracked_frame=_count(path, summary, "first_tracked_frame", frames - 1) if has_first else None,
         trajectory=_read_trajectory(out_dir / "trajectory.txt", sequence, tracked),
+        cpu_s=None if summary.get("cpu_s") is None else _number(path, summary, "cpu_s"),
     )
 
 

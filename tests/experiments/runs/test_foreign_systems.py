@@ -2,12 +2,11 @@
 
 import json
 import re
-import shlex
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from peer_programs import PEER, command
 from slam_fakes import FakeSystem, fake_factory, make_sequence
 
 from experiments.benchmarks.tracker import bench
@@ -17,24 +16,6 @@ from scenarios.errors import InputError
 from sim.io.tum import write_tum
 
 FRAMES = 60
-# Logs its run, copies the truth from frame `first` on at half the scale with noise.
-PEER = """
-import json, pathlib, random, sys
-option, log, seq, out = sys.argv[1], *map(pathlib.Path, sys.argv[2:])
-with log.open("a") as file:
-    file.write("peer\\n")
-stamps, truth = ([line.split() for line in (seq / name).read_text().splitlines() if line[0] != "#"]
-                 for name in ("rgb.txt", "groundtruth.txt"))
-first = int(option.split("=")[1])
-noise = random.Random(0)
-table = [[float(x) for x in row] for row in truth[first:]]
-for row in table:
-    row[1:4] = [0.5 * x + noise.gauss(0, 0.02) for x in row[1:4]]
-lines = [" ".join(f"{x:.6f}" for x in row) for row in table]
-(out / "trajectory.txt").write_text("\\n".join(lines))
-summary = dict(cpu_ms_median=16.0, tracked=len(table), frames=len(stamps), first_tracked_frame=first)
-(out / "summary.json").write_text(json.dumps(summary))
-"""
 
 
 @pytest.fixture
@@ -49,12 +30,6 @@ def folder(sequence, tmp_path):
 
 
 WRITE = '(out / "trajectory.txt").write_text("\\n".join(lines))'
-
-
-def command(tmp_path, script, *options):
-    path = tmp_path / "peer program.py"
-    path.write_text(script)
-    return shlex.join([sys.executable, str(path), *map(str, options)])
 
 
 def compared(sequence, source, peer_command, runs=2, build=None):
@@ -184,7 +159,7 @@ def test_a_peer_s_faults_are_bad_input(sequence, folder, tmp_path, old, new, say
 def faked(monkeypatch, sequence):
     modes = []
 
-    def factory(mode="lockstep"):
+    def factory(mode="lockstep", dual=None):
         modes.append(mode)
         return fake_factory(sequence)
 
