@@ -1,5 +1,7 @@
 """Worker thread that runs jobs in order and passes exceptions on."""
 
+import os
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -13,9 +15,12 @@ class Worker:
 
     Args:
         name: name of the thread in debuggers.
+        niceness: added to that of the process, so that other threads come first where cores are few; on Linux
+            only, elsewhere without effect.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, niceness: int = 0) -> None:
+        self._niceness = niceness
         self._jobs: deque[Callable[[], None]] = deque()
         self._changed = threading.Condition()
         self._busy = False
@@ -60,6 +65,9 @@ class Worker:
             raise self._error
 
     def _run(self) -> None:
+        if self._niceness and sys.platform == "linux":  # where a thread has a niceness of its own
+            this = threading.get_native_id()
+            os.setpriority(os.PRIO_PROCESS, this, os.getpriority(os.PRIO_PROCESS, this) + self._niceness)
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._closing or self._jobs)

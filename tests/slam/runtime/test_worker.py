@@ -1,5 +1,7 @@
 """The background thread: order, waiting, and errors."""
 
+import os
+import sys
 import threading
 
 import pytest
@@ -75,3 +77,13 @@ def test_an_error_can_be_checked_without_waiting(worker):
     worker._thread.join(10)
     with pytest.raises(ZeroDivisionError, match="in a job"):
         worker.check()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="threads have no niceness of their own")
+def test_a_worker_of_less_urgency_gives_way_and_the_others_do_not():
+    found, worker = [], Worker("test", niceness=3)
+    worker.submit(lambda: found.append(os.getpriority(os.PRIO_PROCESS, threading.get_native_id())))
+    worker.drain()
+    worker.close()
+    own = os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+    assert found == [min(own + 3, 19)]
