@@ -9,7 +9,17 @@ from slam.dual.dual_slam import DualSlam
 from slam.runtime.backend import ExecutionMode
 from slam.system import MonocularSlam, MonocularSystem
 
-SYSTEMS = ("base", "dual", "dual+")
+SYSTEMS = ("base", "dual", "dual+", "paper", "paper+")
+PAPERS = ("paper", "paper+")
+
+
+def default_settings(kind: str, camera: PinholeCamera) -> tuple[SlamConfig, DualConfig]:
+    """Settings of the base and of Dual-SLAM that a system has by itself, for the size of its images."""
+    if kind in PAPERS:
+        from slam.dual.paper import PAPER, paper_config
+
+        return paper_config(camera, plus=kind == "paper+"), PAPER
+    return default_config(camera), DualConfig()
 
 
 def build_system(
@@ -23,19 +33,21 @@ def build_system(
     """Build a system by name.
 
     Args:
-        kind: ``base``, ``dual``, or ``dual+``, which is Dual-SLAM with initialisation by GMS.
+        kind: ``base``, ``dual``, ``dual+``, which is Dual-SLAM with initialisation by GMS, or ``paper`` and
+            ``paper+``: the same as the paper has them.
         camera: intrinsics of the images to come.
         seed: root of every random stream.
-        config: settings; None for the published ones for the image size.
+        config, dual: settings; None for those of the kind, as of :func:`default_settings`. ``dual`` is
+            ignored by ``base``.
         mode: how tracking, mapping and loop closing share time.
-        dual: settings of Dual-SLAM; ignored by ``base``.
 
     Raises:
         ValueError: on an unknown kind.
     """
     if kind not in SYSTEMS:
         raise ValueError(f"unknown system {kind!r}: one of {', '.join(SYSTEMS)}")
-    config = config or default_config(camera)
+    defaults = default_settings(kind, camera)
+    config, dual = config or defaults[0], dual or defaults[1]
     if kind == "base":
         return MonocularSlam(camera, seed, config, mode)
     if kind == "dual+":

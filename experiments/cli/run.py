@@ -3,7 +3,7 @@
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -23,7 +23,6 @@ from experiments.cli.console import (
 
 if TYPE_CHECKING:
     from experiments.runs.execution import SystemKind
-    from slam.dual.config import DualConfig
 
 
 class SystemChoice(StrEnum):
@@ -32,6 +31,8 @@ class SystemChoice(StrEnum):
     BASE = "base"
     DUAL = "dual"
     DUAL_PLUS = "dual+"
+    PAPER = "paper"
+    PAPER_PLUS = "paper+"
 
 
 def run_command(
@@ -41,8 +42,8 @@ def run_command(
         str,
         typer.Option(
             metavar="NAMES",
-            help="base: ORB-SLAM's method; dual: Dual-SLAM; dual+: with initialization by GMS; or several, "
-            "such as base,dual.",
+            help="base: ORB-SLAM's method; dual: Dual-SLAM; dual+: with initialization by GMS; paper and "
+            "paper+: these as the paper has them; or several, such as base,dual.",
         ),
     ] = "base",
     config: Annotated[
@@ -115,12 +116,12 @@ def run_command(
     from slam.warmup import warm_up
 
     systems = chosen_systems(system)
-    settings = read_slam_settings(config) if config is not None else SlamSettings({})
+    settings = read_slam_settings(config) if config is not None else SlamSettings()
     if config is not None and mode is ModeChoice.LOCKSTEP and settings.mode is not None:
         mode = ModeChoice(settings.mode)
     check_real_time(real_time, mode)
-    dual = _dual_config(systems, recovery, exhaustive, not no_relocalization, settings.dual)
-    settings = replace(settings, dual=dual, mode=mode.value)
+    options = _dual_options(systems, recovery, exhaustive, no_relocalization)
+    settings = replace(settings, dual_options=options, mode=mode.value)
     if real_time and rerun:
         raise InputError("--rerun", "a recording takes time from the frames", "leave out --real-time")
     check_free(out_dir)
@@ -165,33 +166,24 @@ def chosen_systems(names: str) -> "list[SystemKind]":
     return [SystemChoice(name).value for name in chosen]
 
 
-def _dual_config(
-    systems: "list[SystemKind]",
-    recovery: str | None,
-    exhaustive: bool,
-    relocalization: bool,
-    from_file: "DualConfig | None",
-) -> "DualConfig | None":
-    """The settings of Dual-SLAM that file and options give, None for its defaults."""
+def _dual_options(
+    systems: "list[SystemKind]", recovery: str | None, exhaustive: bool, no_relocalization: bool
+) -> dict[str, Any]:
+    """The fields of the settings of Dual-SLAM that options give."""
     from scenarios.errors import InputError
-    from slam.dual.config import DualConfig
     from slam.dual.recovery.registry import parse_threads
 
-    if recovery is None and not exhaustive and relocalization:
-        return from_file
-    if systems == ["base"]:
+    options: dict[str, Any] = {}
+    if exhaustive:
+        options["exhaustive"] = True
+    if no_relocalization:
+        options["relocalization"] = False
+    if recovery is not None:
+        try:
+            options["recovery_threads"] = parse_threads(recovery)
+        except ValueError as error:
+            remedy = "give kinds with commas between, such as orb,sift"
+            raise InputError("--recovery", str(error), remedy) from None
+    if options and systems == ["base"]:
         raise InputError("--system", "base has no recovery", "add --system dual or dual+")
-    given = from_file or DualConfig()
-    config = replace(
-        given,
-        exhaustive=exhaustive or given.exhaustive,
-        relocalization=relocalization and given.relocalization,
-    )
-    if recovery is None:
-        return config
-    try:
-        return replace(config, recovery_threads=parse_threads(recovery))
-    except ValueError as error:
-        raise InputError(
-            "--recovery", str(error), "give kinds with commas between, such as orb,sift"
-        ) from None
+    return options

@@ -28,7 +28,7 @@ from slam.dual.recovery.registry import RECOVERY_KINDS
 
 PRESET_DIR = Path(__file__).parent / "presets"
 SPEC_VERSION = 1
-SystemName = Literal["dual", "dual+"]
+SystemName = Literal["dual", "dual+", "paper", "paper+"]
 _NAME = r"^[a-z0-9][a-z0-9_-]*$"
 _SEED_END = 2**53  # exact in JSON and in every table
 

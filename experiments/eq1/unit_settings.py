@@ -8,7 +8,6 @@ from experiments.eq1.units import ThreadChoice
 from experiments.runs.slam_settings import SlamSettings, parse_slam_settings
 from scenarios.errors import InputError
 from scenarios.yaml_file import Location
-from slam.dual.config import DualConfig
 
 # What the design of the experiment sets.
 _OWN = ("recovery_threads", "exhaustive", "relocalization", "place_merging")
@@ -43,5 +42,5 @@ def unit_settings(
     if isinstance(dual, Mapping):
         dual = {**dual, "recovery_threads": chosen}
     parsed = parse_slam_settings({**settings, "dual": dual}, (), locate)
-    design = replace(parsed.dual or DualConfig(), exhaustive=True, relocalization=False, place_merging=None)
-    return replace(parsed, dual=design)
+    design = {"exhaustive": True, "relocalization": False, "place_merging": None}
+    return replace(parsed, dual_options=design)

@@ -56,7 +56,7 @@ class UnitSpec(Grown):
     onset_s: float | None = Field(None, ge=0)
     exposed_s: float | None = Field(None, gt=0)
     threads: tuple[ThreadChoice, ...] = Field(min_length=1)
-    system: Literal["dual", "dual+"] = "dual"
+    system: Literal["dual", "dual+", "paper", "paper+"] = "dual"
     settings: dict[str, Any] = Field(default_factory=dict)
     arms: tuple[ArmName, ...] = ("free", "crossing")
 

@@ -19,7 +19,7 @@ from slam.core.results import MapTrajectory, TrackingResult
 from slam.dual.config import DualConfig
 from slam.map.map import Map
 
-SystemKind = Literal["base", "dual", "dual+"]
+SystemKind = Literal["base", "dual", "dual+", "paper", "paper+"]
 Mode = Literal["lockstep", "threaded"]
 """Schedule of tracking, mapping and loop closing: ``slam.runtime.backend.ExecutionMode`` by name."""
 Progress = Callable[[int, int], None]
@@ -191,8 +191,8 @@ def system_factory(
 
     Args:
         mode: schedule of tracking, mapping and loop closing.
-        dual: settings of Dual-SLAM; None for its defaults.
-        config: settings of the base; None for the published ones for the image size.
+        dual: settings of Dual-SLAM; None for its own.
+        config: settings of the base; None for the system's own.
     """
     from slam.factory import build_system
     from slam.runtime.backend import ExecutionMode

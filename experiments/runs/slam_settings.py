@@ -3,6 +3,7 @@
 The descriptions are those of the ``Attributes:`` sections of the settings' classes.
 """
 
+import dataclasses
 import inspect
 import math
 import re
@@ -15,16 +16,16 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 import yaml
 from pydantic import TypeAdapter, ValidationError
 
-from experiments.runs.execution import Mode, SystemFactory
+from experiments.runs.execution import Mode, SlamSystem, SystemFactory
 from scenarios.errors import InputError
 from scenarios.faults import guess
 from scenarios.yaml_file import Location, read_yaml
-from slam.config import SlamConfig, default_config
+from slam.config import SlamConfig
 from slam.core.camera import PinholeCamera
 from slam.dual.config import DualConfig
 from slam.dual.recovery.interface import RecoveryConfig
 from slam.dual.recovery.registry import RECOVERY_KINDS, ThreadSpec
-from slam.factory import build_system
+from slam.factory import build_system, default_settings
 from slam.runtime.backend import ExecutionMode
 
 _SUMMARY_KEY = "config"
@@ -42,21 +43,26 @@ _MOST = 10**6
 
 @dataclass(frozen=True)
 class SlamSettings:
-    """Settings that a file gives, over the defaults.
+    """Settings that a file or options give, over those that a system has by itself.
 
     Attributes:
-        written: fields of :class:`SlamConfig` as written; others keep the defaults of the image size.
-        dual: settings of Dual-SLAM; None where the file says nothing of them.
-        mode: how tracking and mapping share time; None where the file says nothing of it.
+        written: fields of :class:`SlamConfig` as written.
+        written_dual: fields of :class:`DualConfig` as written.
+        dual_options: fields of :class:`DualConfig` that go before what is written.
+        mode: how tracking and mapping share time; None where nothing is said of it.
     """
 
-    written: Mapping[str, Any]
-    dual: DualConfig | None = None
+    written: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    written_dual: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    dual_options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     mode: Mode | None = None
 
-    def config(self, camera: PinholeCamera) -> SlamConfig:
-        """The settings of the base for a camera."""
-        return _overlaid(default_config(camera), self.written, (), _unlocated)
+    def of(self, kind: str, camera: PinholeCamera) -> tuple[SlamConfig, DualConfig]:
+        """The settings of a system for a camera: of the base, and of Dual-SLAM."""
+        config, dual = default_settings(kind, camera)
+        config = _overlaid(config, self.written, (), _unlocated)
+        dual = _overlaid(dual, self.written_dual, (_DUAL,), _unlocated, base=config)
+        return config, replace(dual, **self.dual_options)
 
 
 def read_slam_settings(path: Path) -> SlamSettings:
@@ -87,23 +93,23 @@ def parse_slam_settings(data: Any, at: Location, locate: Callable[[Location], st
         raise InputError(locate(at), "is no mapping", "start from `dslab config show`")
     own = {key: value for key, value in data.items() if key not in (_DUAL, _MODE)}
     base = _overlaid(SlamConfig(), own, at, locate, extra=(_DUAL, _MODE))
-    dual = data.get(_DUAL)
+    dual = data.get(_DUAL) or {}
+    _overlaid(DualConfig(), dual, (*at, _DUAL), locate, base=base)
     mode: Mode | None = None
     if _MODE in data:
         mode = _checked(data[_MODE], Mode, (*at, _MODE), locate)
-    return SlamSettings(
-        written=own,
-        dual=None if dual is None else _overlaid(DualConfig(), dual, (*at, _DUAL), locate, base=base),
-        mode=mode,
-    )
+    return SlamSettings(own, dual, mode=mode)
 
 
 def factory_of(settings: SlamSettings, mode: Mode = "lockstep") -> SystemFactory:
     """A factory of systems with these settings."""
     execution_mode = ExecutionMode(settings.mode or mode)
-    return lambda kind, camera, seed: build_system(
-        kind, camera, seed, settings.config(camera), execution_mode, settings.dual
-    )
+
+    def build(kind: str, camera: PinholeCamera, seed: int) -> SlamSystem:
+        config, dual = settings.of(kind, camera)
+        return build_system(kind, camera, seed, config, execution_mode, dual)
+
+    return build
 
 
 def settings_yaml() -> str:

@@ -27,7 +27,7 @@ class InitializationConfig:
         min_keypoints: fewest keypoints of a reference frame.
         min_matches: with fewer matches with the reference frame, the current one becomes the reference.
         matcher: ``windowed``, near each keypoint's last known position, or ``gms``, also anywhere else if
-            its neighbours move alike.
+            its neighbours move alike, or ``gms_alone``, only so.
         radius_px: half side of the search window.
         max_octave: coarsest pyramid level matched by ``windowed``; ``gms`` has its own setting.
         ratio: largest ratio of best to second best descriptor distance within the window.
@@ -179,8 +179,9 @@ def frames_between(initial: InitialMap, config: TrackingConfig) -> list[Frame]:
 
 
 def _matcher(camera: PinholeCamera, view: ViewGeometry, config: InitializationConfig) -> InitialMatcher:
-    if config.matcher == "gms":
-        return GmsMatcher(camera, view, config.radius_px, config.ratio, config.gms)
+    if config.matcher != "windowed":
+        alone = config.matcher == "gms_alone"
+        return GmsMatcher(camera, view, config.radius_px, config.ratio, config.gms, alone)
     return WindowedMatcher(view, config.radius_px, config.max_octave, config.ratio)
 
 

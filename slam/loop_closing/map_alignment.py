@@ -90,7 +90,7 @@ def align(
         The alignment or None, the reason of a failure (``overlap`` or ``sim3``), final number of matches.
     """
     a, b = old.arrays, new.arrays
-    old_rows, new_rows = _matches(old, new, old_keyframe, new_keyframe)
+    old_rows, new_rows = matched_keypoints(old, new, old_keyframe, new_keyframe)
     if len(old_rows) < config.min_candidates:
         return None, "overlap", len(old_rows)
     solution = ransac_sim3(
@@ -147,7 +147,9 @@ def agree(old: Map, first: Alignment, second: Alignment, config: Agreement) -> b
     return bool(np.linalg.norm(moved - where[:3]) <= config.max_shift * depth)
 
 
-def _matches(old: Map, new: Map, old_keyframe: int, new_keyframe: int) -> tuple[np.ndarray, np.ndarray]:
+def matched_keypoints(
+    old: Map, new: Map, old_keyframe: int, new_keyframe: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Keypoint rows with points, in both maps, that match by descriptor."""
     a, b = old.arrays, new.arrays
     rows_a = old.keypoints(old_keyframe).start + np.flatnonzero(old.observed_points(old_keyframe) >= 0)

@@ -10,7 +10,7 @@ from slam.core.geometry import ViewGeometry
 from slam.matching._windowed_kernels import match_for_initialization
 from slam.matching.gms import GmsConfig, match_gms
 
-MatcherKind = Literal["windowed", "gms"]
+MatcherKind = Literal["windowed", "gms", "gms_alone"]
 
 
 class InitialMatcher(Protocol):
@@ -81,9 +81,16 @@ class GmsMatcher:
     """
 
     def __init__(
-        self, camera: PinholeCamera, view: ViewGeometry, radius_px: float, ratio: float, config: GmsConfig
+        self,
+        camera: PinholeCamera,
+        view: ViewGeometry,
+        radius_px: float,
+        ratio: float,
+        config: GmsConfig,
+        alone: bool = False,
     ) -> None:
-        """Store the settings, which are those of InitializationConfig."""
+        """Store the settings, which are those of InitializationConfig; ``alone``: match by GMS only."""
+        self._alone = alone
         self._near = WindowedMatcher(view, radius_px, config.max_octave, ratio)
         self._size_px = (camera.width_px, camera.height_px)
         self._config = config
@@ -97,6 +104,8 @@ class GmsMatcher:
     def match(self, frame: FrameFeatures) -> np.ndarray:
         """Match the next frame with the reference frame; see InitialMatcher."""
         reference = _given(self._reference)
+        if self._alone:
+            return match_gms(reference, frame, self._size_px, self._config)
         near = self._near.match(frame)
         far = match_gms(reference, frame, self._size_px, self._config)
         far = far[~np.isin(far[:, 0], near[:, 0]) & ~np.isin(far[:, 1], near[:, 1])]

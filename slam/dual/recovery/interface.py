@@ -138,11 +138,17 @@ class RecoveryConfig:
     Attributes:
         max_unusable_s: longest run of frames without a pose before the thread fails; 0 for none, as in the
             paper, infinity for any number, as in its released code.
+        whole_buffer: go back over the whole buffer, as in the paper, instead of to the frame at which enough
+            alignments with an old map agree.
+        at_once: compare the maps once, at the end of the buffer, by all the points of keyframes close in time
+            together, as in the paper, instead of keyframe by keyframe.
         tracking, mapping: settings of tracking and local mapping; None for the system's own.
         fusion: acceptance of the old map.
     """
 
     max_unusable_s: float = 2.0
+    whole_buffer: bool = False
+    at_once: bool = False
     tracking: TrackingConfig | None = None
     mapping: LocalMappingConfig | None = None
     fusion: FusionConfig = field(default_factory=FusionConfig)

@@ -4,6 +4,7 @@ import numpy as np
 
 from slam.core.frame import Frame
 from slam.dual.fusion.fuse import FusionConfig, confirms
+from slam.dual.recovery.common_points import align_all, pairs_close_in_time
 from slam.dual.recovery.interface import RecoveryTask
 from slam.loop_closing.map_alignment import Alignment, align
 from slam.loop_closing.place_check import doubt
@@ -14,13 +15,17 @@ class Overlap:
     """Aligns the extended map with old maps at keyframes of about the same time.
 
     Attributes:
+        accepted: the alignment that is confirmed; None while none is.
+        confirming: the earlier alignments that agree with it.
         tried: number of keyframe pairs compared.
-        confirming: the earlier alignments that agree with the last one.
     """
 
-    def __init__(self, task: RecoveryTask, config: FusionConfig) -> None:
+    def __init__(self, task: RecoveryTask, config: FusionConfig, at_once: bool = False) -> None:
+        """Prepare the comparison; ``at_once``: of all keyframes together, by :meth:`compare_all`."""
         self._task = task
         self._config = config
+        self._at_once = at_once
+        self._compared: list[int] = []
         self._keyframes = [
             {old.frame_index(int(k)): int(k) for k in old.keyframes()} for old in task.old_maps
         ]
@@ -32,12 +37,8 @@ class Overlap:
         self._failures: list[str] = []
         self._doubt = ""
         self.tried = 0
+        self.accepted: Alignment | None = None
         self.confirming: tuple[Alignment, ...] = ()
-
-    @property
-    def accepted(self) -> Alignment:
-        """The last alignment found."""
-        return self._found[-1]
 
     def is_old_keyframe(self, frame: Frame) -> bool:
         """Return True if an old map has a keyframe of this same frame."""
@@ -45,6 +46,9 @@ class Overlap:
 
     def attempt(self, frame: Frame, keyframe: int) -> bool:
         """Align this keyframe with every old map close in time; True once enough alignments agree."""
+        self._compared.append(keyframe)
+        if self.accepted is not None or self._at_once:
+            return self.accepted is not None
         for old, keyframes, stamps_s in zip(
             self._task.old_maps, self._keyframes, self._stamps_s, strict=True
         ):
@@ -63,12 +67,27 @@ class Overlap:
         if alignment is None:
             self._failures.append(reason)
             return False
-        self.confirming = tuple(e for e in self._found if confirms(old, e, alignment, self._config))
+        confirming = tuple(e for e in self._found if confirms(old, e, alignment, self._config))
         self._found.append(alignment)
-        if len(self.confirming) + 1 < self._config.confirmations:
+        if len(confirming) + 1 < self._config.confirmations:
             return False
         self._doubt = doubt(old, task.new_map, alignment, task.rng, self._config.place)
-        return not self._doubt
+        if self._doubt:
+            return False
+        self.accepted, self.confirming = alignment, confirming
+        return True
+
+    def compare_all(self) -> None:
+        """If all keyframes are to be compared at once, do so: the newest old map that fits is accepted."""
+        for old in self._task.old_maps if self._at_once else ():
+            pairs = pairs_close_in_time(old, self._task.new_map, self._compared, self._config)
+            self.tried += len(pairs)
+            if pairs:
+                new = self._task.new_map
+                self.accepted, reason, _ = align_all(old, new, pairs, self._task.rng, self._config)
+                if self.accepted is not None:
+                    return
+                self._failures.append(reason)
 
     def verdict(self) -> tuple[str, str]:
         """(stage, reason) of a recovery without a confirmed alignment."""

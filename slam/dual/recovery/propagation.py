@@ -22,7 +22,7 @@ def propagate(
         mapper: extends the new map.
     """
     result = RecoveryResult(task.new_map)
-    overlap = Overlap(task, config.fusion)
+    overlap = Overlap(task, config.fusion, config.at_once)
     unusable_since_s = None
     for features in task.backward:
         if task.cancellation.requested:
@@ -49,11 +49,13 @@ def propagate(
             tracker.keyframe_made(frame, keyframe)
             confirmed = overlap.attempt(frame, keyframe)
             result.alignments_tried = overlap.tried
-            if confirmed:
-                result.success = True
-                result.alignment = overlap.accepted
-                result.confirming = overlap.confirming
-                result.inliers = overlap.accepted.inliers
-                return result
-    result.stage, result.reason = overlap.verdict()
+            if confirmed and not config.whole_buffer:
+                break
+    overlap.compare_all()
+    result.alignments_tried = overlap.tried
+    if overlap.accepted is None:
+        result.stage, result.reason = overlap.verdict()
+    else:
+        result.success, result.inliers = True, overlap.accepted.inliers
+        result.alignment, result.confirming = overlap.accepted, overlap.confirming
     return result

@@ -29,7 +29,25 @@ def _gms(config: "RecoveryConfig | None") -> "RecoveryThread":
     return GmsRecovery(config)
 
 
-RECOVERY_KINDS: dict[str, RecoveryFactory] = {"orb": _orb, "sift": _sift, "gms": _gms}
+def _paper_orb(config: "RecoveryConfig | None") -> "RecoveryThread":
+    from slam.dual.recovery.paper import paper_orb_config
+
+    return _orb(config or paper_orb_config())
+
+
+def _paper_sift(config: "RecoveryConfig | None") -> "RecoveryThread":
+    from slam.dual.recovery.paper import paper_sift_config
+
+    return _sift(config or paper_sift_config())
+
+
+RECOVERY_KINDS: dict[str, RecoveryFactory] = {
+    "orb": _orb,
+    "sift": _sift,
+    "gms": _gms,
+    "paper_orb": _paper_orb,
+    "paper_sift": _paper_sift,
+}
 """Factories by kind; :func:`register_recovery_thread` adds one."""
 
 

@@ -42,6 +42,7 @@ class SiftRecoveryConfig(RecoveryConfig):
         ransac_iterations, ransac_error_px: of the pose RANSAC.
         min_sift_inliers, min_points: fewest SIFT features and map points that are inliers of a pose.
         min_sift_inliers_alone: fewest SIFT inliers if the map points are fewer than ``min_points``.
+        keyframe_too: a frame that does not match the last placed one is matched with the last keyframe.
         young_points: points with three observations, below which the map around a keyframe counts as young.
         min_parallax_deg: least angle between the rays that triangulate a SIFT feature.
         depth_radius_px: largest distance to a map point's keypoint at which a SIFT feature takes its depth,
@@ -60,6 +61,7 @@ class SiftRecoveryConfig(RecoveryConfig):
     min_sift_inliers: int = 20
     min_points: int = 15
     min_sift_inliers_alone: int = 60
+    keyframe_too: bool = True
     young_points: int = 50
     min_parallax_deg: float = 1.15
     depth_radius_px: float = 6.0
@@ -119,7 +121,8 @@ class SiftTracker(Tracker):
         """
         sift = self._detect(frame)
         outcome = self._place(sift, self.last_sift)
-        if not outcome.success and self._keyframe_sift is not self.last_sift:
+        again = self._sift_config.keyframe_too and self._keyframe_sift is not self.last_sift
+        if not outcome.success and again:
             outcome = self._place(sift, self._keyframe_sift)
         return outcome
 

@@ -9,6 +9,7 @@ from experiments.eq1.spec import ExperimentSpec, load_spec, preset_names
 from experiments.eq1.spec_schema import json_schema
 from experiments.eq1.units import UnitSpec
 from scenarios.errors import InputError
+from slam.core.camera import PinholeCamera
 from slam.tracking.tracker import TrackingConfig
 
 VALIDATOR = jsonschema.Draft202012Validator(json_schema())
@@ -69,9 +70,10 @@ def test_settings_reach_every_unit_and_its_threads(tmp_path):
     )
     unit = load(tmp_path, text).unit("hall/motion_blur/1/dual", 0)
     settings = settings_of(UnitSpec.model_validate(unit.model_dump(mode="json")))
-    assert settings.dual.workers == 1 and settings.dual.exhaustive and not settings.dual.relocalization
+    _, dual = settings.of("dual", PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0))
+    assert dual.workers == 1 and dual.exhaustive and not dual.relocalization
     assert settings.written == {"tracking": {"min_inliers": 40}}
-    plain, own, _ = settings.dual.recovery_threads
+    plain, own, _ = dual.recovery_threads
     assert plain.config is None
     assert own.config.tracking == TrackingConfig(min_inliers=40, cautious_s=2)
 
@@ -180,7 +182,11 @@ def test_a_family_may_be_used_by_member_or_as_a_whole(tmp_path):
             ":14: degradations[0].begins_s: 'soon' is",
         ),
         ("begins_s: {uniform: [0, 1]}", "begins_s: 3", ":15: degradations[0].acts_s: 0.0 is not valid"),
-        ("threads: [orb,", "threads: [gps,", "unknown recovery thread 'gps'; use gms or orb or sift"),
+        (
+            "threads: [orb,",
+            "threads: [gps,",
+            "unknown recovery thread 'gps'; use gms or orb or paper_orb or paper_sift or sift",
+        ),
         ("{kind: orb, seed: 1}", "orb", "two threads are the same; give those of one kind different seeds"),
         ("seed: 1}", "seed: 1, config: {min_shar: 0}}", ":22: threads[1].config.min_shar: unknown key"),
         (

@@ -220,7 +220,7 @@ def test_both_modes_give_the_same_failure_for_every_n(monkeypatch, blank):
     record = run(monkeypatch, sequence, unit("orb,gms", arms=("free",)))
     for n, kinds in ((1, "orb"), (2, "orb,gms")):
         of = settings_of(unit(kinds))
-        usual = replace(of, dual=replace(of.dual, exhaustive=False))
+        usual = replace(of, dual_options={**of.dual_options, "exhaustive": False})
         shipped = execute(sequence, "dual", 2, build=factory_of(usual))
         ends = [e for e in shipped.events if isinstance(e, RecoveryEnd) and e.stage != "cancelled"]
         assert record[f"d{n}"] is not any(e.success for e in ends)

@@ -14,6 +14,8 @@ from scenarios.errors import InputError
 from slam.config import SlamConfig
 from slam.core.camera import PinholeCamera
 from slam.dual.config import DualConfig
+from slam.dual.fusion.fuse import FusionConfig
+from slam.dual.paper import PAPER, paper_config
 from slam.dual.recovery.orb import OrbRecoveryConfig
 from slam.dual.recovery.registry import ThreadSpec
 from slam.factory import build_system
@@ -39,7 +41,7 @@ def undescribed(schema, place=""):
 
 def test_what_is_shown_is_the_defaults_and_valid(tmp_path):
     settings = read(tmp_path, settings_yaml())
-    assert settings.config(CAMERA) == SlamConfig() and settings.dual == DualConfig()
+    assert settings.of("dual", CAMERA) == (SlamConfig(), DualConfig())
     jsonschema.validate(yaml.safe_load(settings_yaml()), settings_schema())
 
 
@@ -49,19 +51,30 @@ def test_every_field_is_described():
 
 def test_what_a_file_leaves_out_keeps_the_defaults_of_the_image_size(tmp_path):
     settings = read(tmp_path, "tracking: {min_inliers: 40}\n")
-    assert settings.config(KITTI).orb.n_features == 2000 and settings.config(CAMERA).orb.n_features == 1000
-    assert settings.config(KITTI).tracking.min_inliers == 40 and settings.dual is None
+    (wide, dual), (usual, _) = (settings.of("dual", camera) for camera in (KITTI, CAMERA))
+    assert wide.orb.n_features == 2000 and usual.orb.n_features == 1000
+    assert wide.tracking.min_inliers == 40 and dual == DualConfig()
 
 
-@pytest.mark.parametrize("kind", ["base", "dual+"])
+def test_what_a_file_leaves_out_keeps_what_the_system_has_by_itself(tmp_path):
+    settings = read(tmp_path, "tracking: {min_inliers: 40}\ndual: {workers: 3, place_merging: {}}\n")
+    config, dual = settings.of("paper+", CAMERA)
+    assert config == replace(
+        paper_config(CAMERA, plus=True), tracking=replace(paper_config(CAMERA).tracking, min_inliers=40)
+    )
+    assert dual == replace(PAPER, workers=3, place_merging=FusionConfig())
+    assert replace(settings, dual_options={"workers": 2}).of("paper", CAMERA)[1].workers == 2
+
+
+@pytest.mark.parametrize("kind", ["base", "dual+", "paper"])
 def test_the_block_of_a_summary_is_accepted_back(tmp_path, kind):
     threads = (ThreadSpec("orb", 0, OrbRecoveryConfig(max_unusable_s=math.inf)), ThreadSpec("sift", 1))
     config = replace(SlamConfig(), min_map_keyframes=7)
     dual = DualConfig(recovery_threads=threads, place_merging=None)
     system = build_system(kind, CAMERA, config=config, dual=dual)
     again = read(tmp_path, to_json({"sequence": "x", "config": system.settings}))
-    assert again.config(CAMERA) == system.config and again.mode == "lockstep"
-    assert again.dual == (None if kind == "base" else dual)
+    assert again.of(kind, CAMERA) == (system.config, DualConfig() if kind == "base" else dual)
+    assert again.mode == "lockstep"
     assert factory_of(again)(kind, CAMERA, 0).settings == system.settings
 
 
@@ -70,7 +83,7 @@ def test_a_thread_is_as_the_system_except_for_what_its_own_settings_say(tmp_path
         tracking: {min_inliers: 40}
         dual: {recovery_threads: [orb, {kind: gms, config: {tracking: {gap_radius_px: 30}, min_inliers: 25}}]}
     """
-    orb, gms = read(tmp_path, text).dual.recovery_threads
+    orb, gms = read(tmp_path, text).of("dual", CAMERA)[1].recovery_threads
     assert orb.config is None and gms.config.mapping is None and gms.config.min_inliers == 25
     assert gms.config.tracking == TrackingConfig(min_inliers=40, gap_radius_px=30)
 

@@ -77,7 +77,8 @@ def test_each_image_is_used_once(faded_run):
     assert used == list(range(first, first - result.frames_covered - 1, -1))
 
 
-def test_a_frame_that_does_not_match_the_last_one_is_matched_with_the_last_keyframe():
+@pytest.mark.parametrize("keyframe_too", [True, False])
+def test_a_frame_that_does_not_match_the_last_one_is_matched_with_the_last_keyframe(keyframe_too):
     """A third of the last frame is visible, and the rest of the next one."""
     images, _, _ = toy(110, 0, STEP_M)
     task = blind_scene().again()
@@ -86,8 +87,9 @@ def test_a_frame_that_does_not_match_the_last_one_is_matched_with_the_last_keyfr
     shown[BLIND.stop - 2][:, :120] = 120
     task = replace(task, image_of=lambda index: shown.get(index, images[index]))
     features = {f.index: f for f in task.backward}
-    tracker = SiftTracker(task, SiftRecoveryConfig(min_sift_inliers_alone=20))
-    assert all(tracker.track(Frame(features[index])).success for index in shown)
+    tracker = SiftTracker(task, SiftRecoveryConfig(min_sift_inliers_alone=20, keyframe_too=keyframe_too))
+    tracked = [tracker.track(Frame(features[index])).success for index in shown]
+    assert tracked == [True, keyframe_too]
 
 
 # -- features ------------------------------------------------------------------------------------------------

@@ -1,0 +1,48 @@
+"""The paper's Dual-SLAM as its text has it: systems ``paper`` and ``paper+``.
+
+What the text leaves open is as in ORB-SLAM; whatever this project does beyond is off.
+
+Source: paper, Sec. III; Mur-Artal, Montiel, Tardós, "ORB-SLAM", 2015.
+"""
+
+from dataclasses import replace
+from math import inf
+
+from slam.config import SlamConfig, default_config
+from slam.core.camera import PinholeCamera
+from slam.dual.config import DualConfig
+from slam.dual.recovery.registry import ThreadSpec
+
+PAPER = DualConfig(
+    buffer_s=10.0,
+    buffer_cap_s=1e6,
+    start_keyframes=2,
+    recovery_threads=(ThreadSpec("paper_orb"), ThreadSpec("paper_sift")),
+    workers=1,
+    relocalization=False,
+    place_merging=None,
+)
+"""Settings of Dual-SLAM."""
+
+
+def paper_config(camera: PinholeCamera, plus: bool = False) -> SlamConfig:
+    """Settings of the base, ORB-SLAM's published ones; ``plus``: initialization by GMS."""
+    config = default_config(camera)
+    start, tracking = config.initialization, config.tracking
+    return replace(
+        config,
+        initial_features=2.0,
+        initialization=replace(
+            start,
+            matcher="gms_alone" if plus else "windowed",
+            max_octave=0,
+            max_between=0,
+            two_view=replace(start.two_view, min_lead_sigmas=0.0, homography_share=0.45),
+        ),
+        tracking=replace(
+            tracking,
+            crossing=replace(tracking.crossing, min_expected=inf),
+            doubt=replace(tracking.doubt, min_share=0.0, nearer=0.0, slower=0.0),
+        ),
+        self_calibration=replace(config.self_calibration, at_keyframes=()),
+    )
