@@ -10,11 +10,14 @@ import numpy as np
 from slam.loop_closing._alignment_kernels import match_across
 from slam.loop_closing.correction import Loop
 from slam.loop_closing.judgement import JudgementConfig
+from slam.loop_closing.look_alikes import note_look_alike
 from slam.loop_closing.map_alignment import Alignment, AlignmentConfig, agree, align
 from slam.loop_closing.place_check import PlaceCheckConfig, doubt
 from slam.map.map import Map
 from slam.optimization.sim3 import sim3_decompose, sim3_inverse
 from slam.places.recognition import KeyframeDatabase
+
+_REFUTED = ("map_is_stretched", "map_does_not_fit")  # by the geometry of the map
 
 
 @dataclass(frozen=True)
@@ -111,8 +114,13 @@ class LoopDetector:
         self._last_loop, self._groups, self._misfits = loop.keyframe, [], []
 
     def refused(self, loop: Loop, reason: str) -> Refusal:
-        """Take over that the corrected map has spoken against a loop; its like is not tried again at once."""
+        """Take over that the corrected map has spoken against a loop; its like is not tried again at once.
+
+        What is refused although it looked alike, is remembered by the map.
+        """
         self._misfits.append((loop.keyframe, loop.alignment))
+        if reason in _REFUTED:
+            note_look_alike(self.map, loop)
         return Refusal(loop.keyframe, loop.loop_keyframe, len(loop.points), reason)
 
     def _is_misfit(self, keyframe: int, alignment: Alignment) -> bool:

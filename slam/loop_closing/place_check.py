@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from slam.loop_closing.look_alikes import doubles
 from slam.loop_closing.map_alignment import Agreement, Alignment, AlignmentConfig, agree, align
 from slam.map.map import Map
 from slam.map.trajectory import keyframe_trajectory
@@ -60,11 +61,14 @@ def doubt(old: Map, new: Map, found: Alignment, rng: np.random.Generator, config
         config: thresholds.
 
     Returns:
-        ``out_of_reach``, ``expected_points_missing``, ``contradicted``, ``too_narrow`` or
-        ``neighbours_disagree``; empty if nothing does.
+        ``out_of_reach``, ``look_alike_in_reach``, ``expected_points_missing``, ``contradicted``,
+        ``too_narrow`` or ``neighbours_disagree``; empty if nothing does.
     """
-    if old is not new and not _within_reach(old, new, found.S_old_new, config.reach):
-        return "out_of_reach"
+    if old is not new:
+        if not _within_reach(old, new, found.S_old_new, config.reach):
+            return "out_of_reach"
+        if any(_within_reach(old, new, S, config.reach) for S in doubles(old, new, found.S_old_new)):
+            return "look_alike_in_reach"
     old_side = _side(old, found.old_keyframe, config.around)
     new_side = _side(new, found.new_keyframe, config.around)
     if old is new:

@@ -278,7 +278,9 @@ class Backend:
         with self._gate:
             if isinstance(outcome, str) or _changed(map_, loop):
                 reason = outcome if isinstance(outcome, str) else _changed(map_, loop)
-                self._hand_over(Refused(task, task.detector.refused(loop, reason)))
+                with self.lock:
+                    refusal = task.detector.refused(loop, reason)
+                self._hand_over(Refused(task, refusal))
                 self._hand_over(Searched(sum(timer.cpu_ms.values())))
                 return
             corrected, factor, adjustment = outcome

@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 from slam_scenes import PointWorld, rigid, walk
 
-from slam.loop_closing.map_alignment import AlignmentConfig, align
+from slam.loop_closing.correction import Loop
+from slam.loop_closing.detection import LoopClosingConfig, LoopDetector
+from slam.loop_closing.look_alikes import look_alikes, note_look_alike
+from slam.loop_closing.map_alignment import Alignment, AlignmentConfig, align
 from slam.loop_closing.place_check import PlaceCheckConfig, doubt
-from slam.optimization.sim3 import sim3_matrix
+from slam.map._map_kernels import median_depth
+from slam.optimization.sim3 import sim3_decompose, sim3_matrix
+from slam.places.recognition import KeyframeDatabase
 from slam.tracking.reach import ReachConfig
 
 LAX = AlignmentConfig(min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20)
@@ -86,3 +91,67 @@ def test_maps_far_apart_in_space_but_not_in_time_are_out_of_reach():
     reach = PlaceCheckConfig(reach=ReachConfig(factor=0.3))
     assert doubt(*soon, found(*soon), rng(), reach) == "out_of_reach"
     assert doubt(*late, found(*late), rng(), reach) == ""
+
+
+def test_a_place_whose_double_is_in_reach_is_doubted():
+    """The old map has met look-alikes: two places, or any others as far apart, may show the same."""
+    reach = PlaceCheckConfig(reach=ReachConfig(factor=0.3))
+    for shift, reason in ((1.5, "look_alike_in_reach"), (1e5, "")):
+        old, new = maps(later=56 + 30 * 30)
+        A = rigid((shift, 0, 0), (0, 180, 0))
+        S = old.T_cam_map(6) @ A @ np.linalg.inv(old.T_cam_map(1))
+        old.look_alikes.append((1, 6, S))
+        assert look_alikes(old)[0] == pytest.approx(A, abs=1e-9)
+        assert doubt(old, new, found(old, new), rng(), reach) == reason
+        backward = replace(found(new, old), old_map_id=new.map_id)
+        assert doubt(new, old, backward, rng(), reach) == reason
+
+
+# -- look-alikes ---------------------------------------------------------------------------------------------
+
+
+def refuted(m, double):
+    """A loop between keyframes 6 and 1 that puts the former's surroundings where ``double`` does."""
+    none = np.empty(0, np.int32)
+    return Loop(6, 1, np.eye(4), none, none, Alignment(double, 1.0, 0, 1, 6, none, none))
+
+
+def test_a_map_remembers_the_doubles_that_its_geometry_has_refuted():
+    old, _ = maps()
+    half_turn = rigid((0.5, 0, 0), (0, 0, 180))
+    note_look_alike(old, refuted(old, half_turn))
+    note_look_alike(old, refuted(old, half_turn))
+    assert len(old.look_alikes) == 1 and look_alikes(old)[0] == pytest.approx(half_turn, abs=1e-9)
+    note_look_alike(old, refuted(old, rigid((200.0, 0, 0))))
+    assert len(old.look_alikes) == 2
+
+
+def test_what_may_be_drift_is_no_double():
+    old, _ = maps()
+    depth = median_depth(old.arrays, 6)
+    note_look_alike(old, refuted(old, rigid((0.5 * depth, 0, 0), (0, 5, 0))))
+    assert old.look_alikes == []
+
+
+def test_doubles_follow_the_map_through_every_change():
+    old, new = maps()
+    new.look_alikes.append((1, 6, rigid((3, 1, 0), (0, 90, 0))))
+    (before,), G = look_alikes(new), sim3_matrix(0.5, rigid((0, 0, 0), (10, 20, 30))[:3, :3], np.ones(3))
+    copied = new.copy()
+    copied.transform(*sim3_decompose(G))
+    expected = G @ before @ np.linalg.inv(G)
+    assert look_alikes(copied)[0] == pytest.approx(expected, abs=1e-9)
+    assert look_alikes(new)[0] == pytest.approx(before, abs=1e-9), "a copy is independent"
+    old.absorb(copied)
+    assert look_alikes(old)[0] == pytest.approx(expected, abs=1e-9)
+    S = np.array([new.T_cam_map(k) for k in range(new.n_keyframes)]) @ np.linalg.inv(G)
+    new.move_keyframes(S)
+    assert look_alikes(new)[0] == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize(("reason", "count"), [("map_is_stretched", 1), ("map_has_changed", 0)])
+def test_only_what_the_geometry_refutes_is_remembered(reason, count):
+    old, _ = maps()
+    detector = LoopDetector(old, KeyframeDatabase(old), LoopClosingConfig())
+    refusal = detector.refused(refuted(old, rigid((0.5, 0, 0), (0, 0, 180))), reason)
+    assert refusal.reason == reason and len(old.look_alikes) == count
