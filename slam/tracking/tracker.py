@@ -44,6 +44,7 @@ class TrackingConfig:
         gap_radius_px: the same after passed-over frames, for the whole local map; doubled twice.
         min_motion_matches, min_motion_inliers: below, the reference keyframe replaces the motion model.
         reference_ratio: best over second best descriptor distance of a match with the reference keyframe.
+        local_map_ratio: the same of a match with the local map.
         min_reference_matches: below, tracking by the reference keyframe fails too.
         min_inliers: map matches that survive pose optimisation, below which tracking is lost.
         cautious_inliers: the same where no frame just before supports the pose, on which all later ones
@@ -62,6 +63,7 @@ class TrackingConfig:
     min_motion_matches: int = 20
     min_motion_inliers: int = 10
     reference_ratio: float = 0.8
+    local_map_ratio: float = 0.8
     min_reference_matches: int = 15
     min_inliers: int = 30
     cautious_inliers: int = 50
@@ -259,7 +261,8 @@ class Tracker:
         frame.point, frame.T_cam_map = np.full(len(f), -1, np.int32), T_cam_map
         _, count = guided.match_local_points(
             m.arrays, m.view, T_cam_map, candidates,
-            f.xy, f.octave, f.descriptors, f.cell_start, frame.point, radius_px / 4.0, 0.8, False,
+            f.xy, f.octave, f.descriptors, f.cell_start, frame.point, radius_px / 4.0,
+            self.config.local_map_ratio, False,
         )  # fmt: skip
         inliers = optimize_frame(frame, m) if count >= self.config.min_motion_matches else 0
         return inliers, frame.T_cam_map, frame.point
@@ -303,7 +306,8 @@ class Tracker:
             return 0, 0
         guided.match_local_points(
             m.arrays, m.view, frame.T_cam_map, self._local_points,
-            f.xy, f.octave, f.descriptors, f.cell_start, frame.point, 1.0, 0.8, self.observing,
+            f.xy, f.octave, f.descriptors, f.cell_start, frame.point, 1.0,
+            self.config.local_map_ratio, self.observing,
         )  # fmt: skip
         matches = int((frame.point >= 0).sum())
         inliers = optimize_frame(frame, self.map)

@@ -209,7 +209,8 @@ class SiftTracker(Tracker):
         for widen, last in ((2.0, False), (1.0, True)):
             guided.match_local_points(
                 m.arrays, m.view, frame.T_cam_map, candidates,
-                f.xy, f.octave, f.descriptors, f.cell_start, frame.point, widen, 0.8, last,
+                f.xy, f.octave, f.descriptors, f.cell_start, frame.point, widen,
+                self.config.local_map_ratio, last,
             )  # fmt: skip
             matched = np.flatnonzero(frame.point >= 0)
             matches = len(matched)
