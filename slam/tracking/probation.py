@@ -82,7 +82,8 @@ class Probation:
             that the frames must be as many as it takes to doubt them.
 
     Attributes:
-        frames: the relocalized frame and those tracked since.
+        frames: the relocalized frame and those tracked since; once it is confirmed, from the first of them on
+            that met the bar.
         faults: time and fault of each that says something, empty for none.
         verdict: whether it has ended, and how.
         reason: reason of a withdrawal; empty otherwise.
@@ -117,6 +118,7 @@ class Probation:
         tracker.observing = False
         tracker.resume(frame)
         self.faults: list[tuple[float, str]] = []
+        self._sound_from: int | None = None
         self._judge(frame)
 
     @property
@@ -152,6 +154,7 @@ class Probation:
         before = [fault for at_s, fault in self._earlier if at_s >= now_s - self._config.memory_s]
         if own and not own[-1] and self._are_sound(own) and self._are_sound(before + own):
             self.verdict = Verdict.CONFIRMED
+            self.frames = self.frames[self._sound_from :]
             self.tracker.observing = True
         elif span_s >= self._span_s + self._config.patience_s - 1e-6 and not (own and self._are_sound(own)):
             self.withdraw(next((fault for fault in reversed(own) if fault), "too_little_evidence"))
@@ -168,6 +171,8 @@ class Probation:
         is_telling = seen.expected >= self._config.min_expected or not (fault or self._far)
         if is_telling and self._deviation_deg(frame) <= self._config.max_deviation_deg:
             self.faults.append((frame.features.stamp_s, fault))
+            if not fault and self._sound_from is None:
+                self._sound_from = len(self.frames) - 1
 
     def _deviation_deg(self, frame: Frame) -> float:
         m, matched = self.tracker.map, frame.point >= 0
