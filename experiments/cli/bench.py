@@ -27,6 +27,7 @@ from experiments.cli.console import (
 )
 from experiments.cli.run import SystemChoice, chosen_systems
 from scenarios.errors import InputError
+from scenarios.input_files import is_folder
 
 if TYPE_CHECKING:
     from slam.dual.config import DualConfig
@@ -389,11 +390,9 @@ def accuracy_command(
     for title in columns.values():
         table.add_column(title, justify="right")
     for _, row in found.iterrows():
-        table.add_row(
-            row.source,
-            str(row.sequences),
-            *(number(None if isnan(row[c]) else row[c]) for c in list(columns)[1:]),
-        )
+        source = Path(row.source).name if is_folder(Path(row.source)) else row.source
+        figures = (number(None if isnan(row[c]) else row[c]) for c in list(columns)[1:])
+        table.add_row(source, str(row.sequences), *figures)
     print_table(table)
 
 
