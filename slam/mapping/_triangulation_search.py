@@ -109,10 +109,20 @@ def _best_on_line(
     r0 = max(int(np.floor((min(y_0, y_1) - margin - view.y_min) / view.cell)), 0)
     r1 = min(int(np.floor((max(y_0, y_1) + margin - view.y_min) / view.cell)), view.rows - 1)
     best, second, found = NEAR + 1, 257, -1
+    slack = (margin + 1e-6) * np.sqrt(norm)
     for r in range(r0, r1 + 1):
-        if c0 > c1:
-            break
-        for i in range(cells[r * view.cols + c0], cells[r * view.cols + c1 + 1]):
+        # Of the row of cells, those that the band around the line crosses; the first and the last row also
+        # hold the keypoints beyond them.
+        left, right = c0, c1
+        if abs(la) > 1e-9 * np.sqrt(norm) and 0 < r < view.rows - 1:
+            top, bottom = view.y_min + r * view.cell, view.y_min + (r + 1) * view.cell
+            u, v = (-lc - lb * top) / la, (-lc - lb * bottom) / la
+            half = slack / abs(la)
+            left = max(left, int(np.floor((max(min(u, v) - half, view.x_min) - view.x_min) / view.cell)))
+            right = min(right, int(np.floor((min(max(u, v) + half, view.x_max) - view.x_min) / view.cell)))
+        if left > right:
+            continue
+        for i in range(cells[r * view.cols + left], cells[r * view.cols + right + 1]):
             b = first + i
             if used[i] or kp_point[b] >= 0 or abs(octave - kp_octave[b]) > 2:
                 continue
