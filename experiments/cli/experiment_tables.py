@@ -10,6 +10,7 @@ from experiments.cli.console import out, print_table
 if TYPE_CHECKING:
     from experiments.campaign.replay import Replay
     from experiments.campaign.status import ExperimentStatus
+    from experiments.statistics.reanalysis import Reanalysis
 
 
 def print_answer(answer: dict[str, Any]) -> None:
@@ -28,6 +29,31 @@ def print_answer(answer: dict[str, Any]) -> None:
         table.add_row(str(row["n"]), percent(row["measured"]), ends_percent(row), percent(row["predicted"]))
     if answer["rows"]:
         print_table(table)
+
+
+def print_reanalysis(found: "Reanalysis") -> None:
+    """Print the figures of all cells together, then those of every cell in which something happened."""
+    out.print(f"{found.units} units in {found.worlds} worlds, {found.void} void")
+    table = Table(title="all cells, weighted by their units, %")
+    columns = ("n", "Eq. 1 within\nkinds", "within\nworlds", "in one unit", "measured", "by worlds, 95 %")
+    for column in columns:
+        table.add_column(column, justify="right")
+    for level in found.levels:
+        by = level.by_worlds
+        shares = (level.within_kinds, level.within_worlds, level.in_units, level.measured)
+        ends = f"{100 * by.value:.1f} ({100 * by.low:.1f} to {100 * by.high:.1f})"
+        table.add_row(str(level.n), *("-" if s is None else f"{100 * s:.1f}" for s in shares), ends)
+    print_table(table)
+    out.print(f"failed with all threads, or silently: {100 * found.failed_or_silent:.1f} %")
+    table = Table(title="by cell and kind of world, %")
+    for column in ("cell", "world", "n", "Eq. 1", "weakest", "in one unit", "measured", "verdicts"):
+        table.add_column(column, justify="left" if column in ("cell", "world", "verdicts") else "right")
+    for c in found.cells:
+        if any(c.worlds_with):
+            figures = (c.units.product, c.units.weakest, c.units.measured, c.forecast.measured)
+            both = f"{c.independence}, {c.prediction}"
+            table.add_row(c.cell, c.world, str(c.n), *(f"{100 * f.value:.1f}" for f in figures), both)
+    print_table(table)
 
 
 def status_table(status: "ExperimentStatus") -> Table:

@@ -1,0 +1,74 @@
+"""Outcomes of the cells of a table of records."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from experiments.eq1.records import Outcome, dual_column, thread_column
+from experiments.statistics.outcomes import Floats, Outcomes
+
+
+@dataclass(frozen=True)
+class HomogeneousCell:
+    """One cell of the table in one kind of world.
+
+    Attributes:
+        name: of the cell.
+        world: kind of the world.
+        worlds: (W,) seeds of the worlds, increasing.
+        outcomes: of its units; a unit that is void or missing is NaN.
+        silent: (W, S, K) silent failure of each unit.
+        units, void: number of completed and of void units.
+    """
+
+    name: str
+    world: str
+    worlds: np.ndarray
+    outcomes: Outcomes
+    silent: Floats
+    units: int
+    void: int
+
+
+def cells_of(table: pd.DataFrame, threads: int) -> list[HomogeneousCell]:
+    """The cells of a table, each split by kind of world, in the order of the table.
+
+    Records without repeats have one replicate per sequence: the sequences of a world are its units in the
+    order of their numbers, which are the same lead-ins in every cell.
+
+    Args:
+        table: records, with the columns of ``records.columns``.
+        threads: number n of recovery threads.
+    """
+    found = []
+    table = table[table["outcome"] != Outcome.INFRASTRUCTURE_ERROR].sort_values(
+        ["world_seed", "index"], kind="stable"
+    )
+    names = table[["cell", "world"]].loc[table.index.sort_values()].drop_duplicates()
+    for cell, world in names.itertuples(index=False):
+        rows = table[(table["cell"] == cell) & (table["world"] == world)]
+        seeds = np.unique(rows["world_seed"])
+        place = np.searchsorted(seeds, rows["world_seed"])
+        number = rows.groupby("world_seed").cumcount().to_numpy()
+        completed = (rows["outcome"] == Outcome.COMPLETED).to_numpy()
+        shape = (len(seeds), int(number.max()) + 1, 1)
+
+        def outcome(column: str, rows=rows, at=(place, number, 0), done=completed, shape=shape) -> Floats:
+            values = np.full(shape, np.nan)
+            values[at] = np.where(done, rows[column].fillna(False).astype(float), np.nan)
+            return values
+
+        numbers = range(1, threads + 1)
+        outcomes = Outcomes(
+            outcome("breakage"),
+            np.stack([outcome(thread_column("cross", n, "failed")) for n in numbers]),
+            np.stack([outcome(dual_column(n)) for n in numbers]),
+        )
+        units = int(completed.sum())
+        found.append(
+            HomogeneousCell(
+                str(cell), str(world), seeds, outcomes, outcome("silent_failure"), units, len(rows) - units
+            )
+        )
+    return found
