@@ -163,24 +163,30 @@ def power_command(
         list[float], typer.Option(help="Assumed failure rate of a recovery thread; repeat for each of n.")
     ],
     n: Annotated[
-        int | None, typer.Option(min=1, help="Number of threads, if one pr is given for all.")
+        int | None, typer.Option(min=1, max=6, help="Number of threads, if one pr is given for all.")
     ] = None,
     ratio: Annotated[float, typer.Option(help="Ratio of measured to predicted failures to detect.")] = 2.0,
-    power: Annotated[float, typer.Option(help="Probability of detection.")] = 0.8,
-    cells: Annotated[int, typer.Option(min=1, help="Number of cells tested together (Holm correction).")] = 1,
+    worlds: Annotated[
+        int | None, typer.Option(min=3, max=2000, help="Worlds; default: as many as the power takes.")
+    ] = None,
+    power: Annotated[float, typer.Option(help="Wanted probability of detection, without --worlds.")] = 0.8,
+    sequences: Annotated[int, typer.Option(min=1, max=20, help="Sequences per world.")] = 1,
+    replicates: Annotated[int, typer.Option(min=1, max=20, help="Replicates per sequence.")] = 3,
+    icc: Annotated[float, typer.Option(help="Share of an outcome that the world determines.")] = 0.6,
+    tests: Annotated[int, typer.Option(min=1, max=100, help="Tests under one Holm correction.")] = 1,
     as_json: JsonOption = False,
 ) -> None:
-    """Print the units per cell needed for a ratio and a power.
+    """Simulate the tests of Eq. 1, and print their power, or the worlds that a power takes.
 
     For example:
 
     `dslab experiment power --p0 0.25 --pr 0.2 --n 2 --ratio 2 --power 0.8`
 
-    `dslab experiment power --p0 0.5 --pr 0.2 --pr 0.4 --ratio 1.5 --cells 9`
+    `dslab experiment power --p0 0.5 --pr 0.5 --ratio 1.29 --worlds 100 --tests 9`
     """
     from dataclasses import asdict
 
-    from experiments.statistics.power import units_needed
+    from experiments.statistics.power import MOST_WORLDS, Design, power_of, worlds_needed
     from scenarios.errors import InputError
 
     if n is not None and len(pr) not in (1, n):
@@ -188,19 +194,24 @@ def power_command(
             "--n", f"is {n}, but {len(pr)} values of --pr are given", "give one --pr, or n of them"
         )
     each = tuple(pr * n) if n is not None and len(pr) == 1 else tuple(pr)
+    design = Design(worlds or MOST_WORLDS, sequences, replicates, icc, tests)
     try:
-        plan = units_needed(p0, each, ratio, power, alpha=0.05 / cells)
+        if worlds is None:
+            found = worlds_needed(p0, each, ratio, power, design)
+        else:
+            found = power_of(p0, each, ratio, design)
     except ValueError as error:
         raise InputError("dslab experiment power", str(error), "give other assumptions") from None
     if as_json:
-        print_json_line(asdict(plan))
+        print_json_line({} if found is None else asdict(found))
         return
-    out.print(f"predicted {plan.predicted:.4g}; {ratio:g} times as high: {plan.measured:.4g}")
-    if plan.units is None:
-        out.print(f"over ten million units per cell would be needed (power with these: {plan.power:.2f})")
+    if found is None:
+        out.print(f"more than {MOST_WORLDS} worlds would be needed")
         return
+    out.print(f"predicted {found.predicted:.4g}; {ratio:g} times as high: {found.measured:.4g}")
     out.print(
-        f"{plan.units} completed units per cell give a power of {plan.power:.2f} (requested: {power:g})"
+        f"{found.design.worlds} worlds: power {found.independence:.2f} of the test of independence, "
+        f"{found.forecast:.2f} of the forecast (standard error {found.error:.2f})"
     )
 
 

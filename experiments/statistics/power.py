@@ -1,138 +1,137 @@
-"""Planning: the number of units that a cell needs, by the test that will judge it."""
+"""Planning: the power of the very tests that will judge Eq. 1, by simulated experiments."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
 
-from experiments.statistics.joint import Floats, draw_tables, independent, margins_of
-from experiments.statistics.likelihood_ratio import signed_root
+from experiments.statistics.permutations import independence
+from experiments.statistics.simulated import Truth, simulate
+from experiments.statistics.verdicts import LEVEL, compare_forecast
 
-_MOST_UNITS = 10_000_000
+MOST_WORLDS = 2000
+_LEAST_WORLDS = 10  # with fewer nothing is tested
 
 
 @dataclass(frozen=True)
-class Plan:
-    """Number of units for a cell.
+class Design:
+    """A cell to be measured.
 
     Attributes:
-        units: least number found, None if over ten million.
-        power: reached with that many.
-        predicted: p0 · Π pr_j.
-        measured: with the wanted ratio.
+        worlds, sequences, replicates: W, of S sequences each, of K replicates each.
+        correlation: ICC of every outcome within a world: the share that is difficulty, not chance.
+        tests: number of tests that Holm's correction is made over.
     """
 
-    units: int | None
-    power: float
+    worlds: int
+    sequences: int = 1
+    replicates: int = 3
+    correlation: float = 0.6
+    tests: int = 1
+
+
+@dataclass(frozen=True)
+class Power:
+    """Probability that a test finds that Eq. 1 does not hold.
+
+    Attributes:
+        design: the cell.
+        predicted: p0 · Π pr_j.
+        measured: with the assumed ratio.
+        independence, forecast: of the two tests.
+        error: largest standard error of these.
+    """
+
+    design: Design
     predicted: float
     measured: float
+    independence: float
+    forecast: float
+    error: float
 
 
 def power_of(
-    p0: float,
-    pr: tuple[float, ...],
-    ratio: float,
-    units: int,
-    alpha: float = 0.05,
-    replicates: int = 4000,
-    seed: int = 0,
-) -> float:
-    """Probability that the likelihood-ratio test rejects Eq. 1 at this true ratio.
+    p0: float, pr: tuple[float, ...], ratio: float, design: Design, experiments: int = 400, seed: int = 0
+) -> Power:
+    """Simulate a cell many times, and test each.
+
+    Chance that B and the threads share makes the measured failures more than Eq. 1 predicts.
 
     Args:
-        p0: guessed P(B).
-        pr: guessed pr_j, one per recovery thread.
-        ratio: true measured / predicted, > 0.
-        units: completed units of the cell.
-        alpha: size of the test; divide by the number of cells to plan for Holm's correction.
-        replicates: drawn under H0 and under the alternative, with outcomes of a unit otherwise independent.
+        p0, pr: shares of breakages and of each thread's failures, in (0, 1).
+        ratio: measured over predicted failures, from 1 to min(p0, pr) / (p0 · Π pr).
+        design: of the cell.
+        experiments: number of simulations.
         seed: of the draws.
 
     Raises:
-        ValueError: a probability outside (0, 1), or a ratio that makes P(D_n | B) larger than 1.
+        ValueError: a share or the ratio is out of range.
     """
-    share = _checked(p0, pr, ratio)
-    rng = np.random.default_rng(seed)
-    null, alternative = (
-        np.abs(signed_root(margins_of(draw_tables(rng, _model(p0, s, pr), units, replicates))))
-        for s in (math.prod(pr), share)
-    )
-    # As in the test: p = (1 + larger of the null) / (1 + replicates) <= alpha.
-    allowed = math.floor(alpha * (1 + replicates) + 1e-9) - 1
-    if allowed < 0:
-        return 0.0
-    critical = np.sort(null)[replicates - 1 - allowed] if allowed < replicates else -1.0
-    return float(np.mean(alternative > critical + 1e-9))
+    truth, predicted = _truth(p0, pr, ratio, design)
+    rng, level = np.random.default_rng(seed), LEVEL / design.tests
+    permutations = math.ceil(40 / level) - 1
+    found = np.zeros((experiments, 2), bool)
+    for each in found:
+        outcomes = simulate(truth, rng, design.worlds, design.sequences, design.replicates)
+        p = independence(outcomes, rng, permutations).p
+        each[:] = p is not None and p <= level, compare_forecast(outcomes).p <= level
+    shares = found.mean(axis=0)
+    error = float(np.sqrt(shares * (1 - shares) / experiments).max())
+    return Power(design, predicted, ratio * predicted, float(shares[0]), float(shares[1]), error)
 
 
-def units_needed(
+def worlds_needed(
     p0: float,
     pr: tuple[float, ...],
     ratio: float,
-    power: float = 0.8,
-    alpha: float = 0.05,
-    replicates: int = 4000,
+    power: float,
+    design: Design,
+    experiments: int = 400,
     seed: int = 0,
-) -> Plan:
-    """Least number of units with which the test detects a ratio with the wanted power.
+) -> Power | None:
+    """The least number of worlds with which the test of independence has a power.
 
-    The search starts at the delta method's estimate and ends within 2% of the answer.
+    Args:
+        p0, pr, ratio, experiments, seed: as of :func:`power_of`.
+        power: wanted, in (0, 1).
+        design: of the cell, whatever its number of worlds.
+
+    Returns:
+        The power with that number, in steps of a twentieth; None if 2,000 worlds are too few.
 
     Raises:
-        ValueError: as `power_of`; a ratio of 1; a power outside (0, 1).
+        ValueError: a share, the ratio or the power is out of range.
     """
-    share = _checked(p0, pr, ratio)
-    if ratio == 1 or not 0 < power < 1:
-        raise ValueError(f"ratio {ratio} or power {power} can be had with no number of units")
+    if not 0 < power < 1:
+        raise ValueError(f"power must be between 0 and 1, is {power:g}")
 
-    def reached(units: int) -> float:
-        return power_of(p0, pr, ratio, units, alpha, replicates, seed)
+    def at(worlds: int) -> Power:
+        cell = Design(worlds, design.sequences, design.replicates, design.correlation, design.tests)
+        return power_of(p0, pr, ratio, cell, experiments, seed)
 
-    predicted = p0 * math.prod(pr)
-    high = max(2, _by_delta_method(p0, share, pr, ratio, power, alpha))
-    while reached(high) < power:
-        high *= 2
-        if high > _MOST_UNITS:
-            return Plan(None, reached(_MOST_UNITS), predicted, p0 * share)
-    low = high // 2
-    while low > 1 and reached(low) >= power:
-        high, low = low, low // 2
-    while high - low > max(1, high // 50):
+    low, high = _LEAST_WORLDS, _LEAST_WORLDS
+    while (found := at(high)).independence < power:
+        if high == MOST_WORLDS:
+            return None
+        low, high = high, min(2 * high, MOST_WORLDS)
+    while high - low > max(1, high // 20):
         middle = (low + high) // 2
-        low, high = (low, middle) if reached(middle) >= power else (middle, high)
-    return Plan(high, reached(high), predicted, p0 * share)
+        tried = at(middle)
+        if tried.independence >= power:
+            high, found = middle, tried
+        else:
+            low = middle
+    return found
 
 
-def units_to_measure(p: float, relative_half_width: float, confidence: float = 0.95) -> int:
-    """Number of units that measures a probability to this relative half-width (normal approximation).
-
-    Raises:
-        ValueError: p outside (0, 1) or a half-width that is not positive.
-    """
-    if not 0 < p < 1 or relative_half_width <= 0:
-        raise ValueError(f"p {p} or half-width {relative_half_width} out of range")
-    z = float(norm.ppf((1 + confidence) / 2))
-    return math.ceil(z * z * (1 - p) / (p * relative_half_width**2))
-
-
-def _checked(p0: float, pr: tuple[float, ...], ratio: float) -> float:
-    """P(D_n | B) at this ratio."""
-    if not pr or not all(0 < p < 1 for p in (p0, *pr)):
-        raise ValueError(f"p0 {p0} and pr {pr} must lie strictly between 0 and 1")
-    share = ratio * math.prod(pr)
-    if not 0 < share <= 1:
-        raise ValueError(f"at pr {pr} no ratio of {ratio} is possible: at most {1 / math.prod(pr):.3g}")
-    return share
-
-
-def _model(p0: float, share: float, pr: tuple[float, ...]) -> Floats:
-    return independent(np.array([1 - p0, p0 * (1 - share), p0 * share]), np.array(pr))
-
-
-def _by_delta_method(
-    p0: float, share: float, pr: tuple[float, ...], ratio: float, power: float, alpha: float
-) -> int:
-    variance = (1 - share) / (p0 * share) + sum((1 - p) / p for p in pr)
-    z = float(norm.ppf(1 - alpha / 2) + norm.ppf(power))
-    return math.ceil(variance * (z / math.log(ratio)) ** 2)
+def _truth(p0: float, pr: tuple[float, ...], ratio: float, design: Design) -> tuple[Truth, float]:
+    shares = (p0, *pr)
+    if not pr or not all(0 < share < 1 for share in shares):
+        raise ValueError(f"p0 and pr must be between 0 and 1, are {', '.join(f'{s:g}' for s in shares)}")
+    if not 0 <= design.correlation <= 1:
+        raise ValueError(f"the ICC must be from 0 to 1, is {design.correlation:g}")
+    product = math.prod(shares)
+    most = min(shares) / product
+    if not 1 <= ratio <= most:
+        raise ValueError(f"the ratio must be from 1 to {most:.3g}, the weakest link's, is {ratio:g}")
+    return Truth(shares, design.correlation, (ratio - 1) / (most - 1)), product

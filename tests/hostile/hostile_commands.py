@@ -23,7 +23,7 @@ ARGUMENTS = {
     "experiment export": "{in}/experiment/experiment",
     "experiment report": "{in}/experiment/nothing",
     "experiment replay": "{in}/experiment/experiment none",
-    "experiment power": "--p0 0.25 --pr 0.2 --n 2",
+    "experiment power": "--p0 0.25 --pr 0.2 --n 2 --worlds 10",
     "experiment prove": "--only nothing",
     "experiment reanalyse": "{in}/experiment/experiment",
     "experiment fuzz": "--out {in}/result",

@@ -382,11 +382,12 @@ def test_an_exported_table_of_wrong_rows_is_one_line(dslab, smoke, damage):
     ] in err
 
 
-def test_power_prints_the_units(dslab):
-    code, out, _ = dslab("experiment", "power", "--p0", "0.4", "--pr", "0.3", "--n", "2", "--json")
-    plan = json.loads(out)
-    assert code == 0 and plan["units"] > 50 and plan["power"] >= 0.8
-    assert plan["predicted"] == pytest.approx(0.036)
+def test_power_prints_that_of_both_tests(dslab):
+    given = ["--p0", "0.4", "--pr", "0.3", "--n", "2", "--ratio", "4", "--worlds", "40", "--json"]
+    code, out, _ = dslab("experiment", "power", *given)
+    found = json.loads(out)
+    assert code == 0 and found["predicted"] == pytest.approx(0.036)
+    assert found["design"]["worlds"] == 40 and 0.5 < found["independence"] <= 1 and 0 < found["forecast"] <= 1
 
 
 def test_the_schema_is_one_of_json(dslab):

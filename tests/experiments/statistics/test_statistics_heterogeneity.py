@@ -9,7 +9,6 @@ from experiments.statistics.dose_response import dose_response
 from experiments.statistics.heterogeneity import beta_binomial, beta_factor, eckhardt_lee, mixture
 from experiments.statistics.intervals import clopper_pearson
 from experiments.statistics.joint import JointCounts, independent
-from experiments.statistics.power import power_of, units_needed, units_to_measure
 from experiments.statistics.results import DosePoint
 
 
@@ -146,28 +145,3 @@ def test_the_severity_of_half_has_no_bounds_if_nothing_rises():
         assert (found.ed50.low, found.ed50.high) == (None, None)
     assert dose_response("blur", "p0", _points([1.0], [5], 20)).slope.value is None
     assert dose_response("blur", "p0", []).curve == ()
-
-
-def test_the_planned_units_reach_the_power_and_half_of_them_do_not():
-    plan = units_needed(0.3, (0.3,), 2.0, replicates=2000)
-    assert plan.predicted == pytest.approx(0.09)
-    assert plan.measured == pytest.approx(0.18)
-    assert plan.power >= 0.8
-    assert power_of(0.3, (0.3,), 2.0, plan.units, seed=9) == pytest.approx(0.8, abs=0.05)
-    assert power_of(0.3, (0.3,), 2.0, plan.units // 2, seed=9) < 0.7
-
-
-def test_planning_grows_with_rarity_and_refuses_the_impossible():
-    rare = units_needed(0.1, (0.1, 0.1), 2.0, replicates=500)
-    assert rare.units > units_needed(0.1, (0.1,), 2.0, replicates=500).units > 500
-    assert power_of(0.3, (0.3,), 1.0, 60, replicates=4000) <= 0.06
-    for arguments in ((0.3, (0.6,), 2.0), (0.0, (0.3,), 2.0), (0.3, (), 2.0), (0.3, (0.3,), 1.0)):
-        with pytest.raises(ValueError):
-            units_needed(*arguments)
-
-
-def test_units_to_measure_directly():
-    assert units_to_measure(0.01, 0.3) == pytest.approx(4200, rel=0.02)
-    assert units_to_measure(0.003, 0.3) == pytest.approx(14_000, rel=0.02)
-    with pytest.raises(ValueError):
-        units_to_measure(0.0, 0.3)
