@@ -79,7 +79,11 @@ def _stress_kind(kind: str) -> str:
     else:
         where = "Rendered frames only."
     model, measure = SEGMENT_KINDS[kind], DEGRADATIONS[kind].measure_name
-    ramp = " Its severity may rise and fall over `ramp_s`." if "ramp_s" in model.model_fields else ""
+    ramp = (
+        " Its severity may rise and fall over `ramp_s` (fall over `fall_s`)."
+        if "ramp_s" in model.model_fields
+        else ""
+    )
     return f"""## {name.capitalize().replace("Jpeg", "JPEG")}
 
 {_about(model)}
@@ -88,7 +92,7 @@ def _stress_kind(kind: str) -> str:
 
 **`{kind}`** · {where}{ramp} Measured on every frame as `{measure}`.
 
-{_fields(model, ("kind", "start_s", "duration_s", "ramp_s"))}
+{_fields(model, ("kind", "start_s", "duration_s", "ramp_s", "fall_s"))}
 """
 
 

@@ -54,7 +54,7 @@ def describe_severity(segment: SegmentBase) -> str:
     return ", ".join(
         describe_field(name, value)
         for name, value in segment.severity.items()
-        if not (name == "ramp_s" and not value)
+        if not (name in ("ramp_s", "fall_s") and not value)
     )
 
 

@@ -5,12 +5,12 @@ Segments of different kinds may lie over one another in time; those of one kind 
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
 from scenarios.kinds import Kinds
-from scenarios.strict import Strict
+from scenarios.strict import Grown, Strict
 
 Axis = Literal["yaw", "pitch", "roll"]
 
@@ -37,17 +37,30 @@ class SegmentBase(Strict):
         return self.model_dump(exclude={"kind", "start_s", "duration_s"})
 
 
-class ImageSegment(SegmentBase):
+class ImageSegment(Grown, SegmentBase):
     """A segment that acts on the images; its severity may rise and fall in straight lines at its ends."""
 
+    _unwritten: ClassVar = {"fall_s": None}
+
     ramp_s: float = Field(0.0, ge=0, description="time in which the severity rises, and in which it falls")
+    fall_s: float | None = Field(None, ge=0, description="time in which it falls, if not ramp_s")
+
+    @property
+    def falls_s(self) -> float:
+        """Time in which the severity falls."""
+        return self.ramp_s if self.fall_s is None else self.fall_s
 
     @model_validator(mode="after")
     def _ramps_fit(self) -> "ImageSegment":
-        if 2 * self.ramp_s > self.duration_s + 1e-9:
+        if self.ramp_s + self.falls_s > self.duration_s + 1e-9:
+            if self.fall_s is None:
+                raise ValueError(
+                    f"two ramps of {self.ramp_s:g} s are longer than the segment, "
+                    f"use at most ramp_s = {self.duration_s / 2:g}"
+                )
             raise ValueError(
-                f"two ramps of {self.ramp_s:g} s are longer than the segment, "
-                f"use at most ramp_s = {self.duration_s / 2:g}"
+                f"ramp_s and fall_s are {self.ramp_s + self.fall_s:g} s together, longer than the segment, "
+                f"use at most {self.duration_s:g}"
             )
         return self
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field, ValidationError, ValidationInfo, field_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
@@ -11,7 +11,7 @@ from scenarios.cameras import Camera
 from scenarios.imu import Imu
 from scenarios.motions import Trajectory
 from scenarios.segments import FastRotation, LowTexture, MotionBlur, Segment, self_overlap
-from scenarios.strict import Strict
+from scenarios.strict import Grown, Strict
 from scenarios.worlds import CorridorWorld, RoomWorld, World
 
 __all__ = [
@@ -33,8 +33,10 @@ __all__ = [
 SPEC_VERSION = 1
 
 
-class Scenario(Strict):
+class Scenario(Grown):
     """One scenario; with a seed it is one sequence, bit for bit."""
+
+    _unwritten: ClassVar = {"noise_seed": None}
 
     spec_version: Literal[1] = SPEC_VERSION
     name: str = Field(pattern=r"^[a-z0-9][a-z0-9_/-]*$", max_length=80)
@@ -48,6 +50,9 @@ class Scenario(Strict):
     seed: int = Field(0, ge=0, lt=2**63)
     world_seed: int | None = Field(
         None, ge=0, lt=2**63, description="seed of the world where it is another than that of all else"
+    )
+    noise_seed: int | None = Field(
+        None, ge=0, lt=2**63, description="likewise, of sensor noise and of what segments draw on images"
     )
 
     @property

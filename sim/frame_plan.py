@@ -160,6 +160,11 @@ def world_seed(scenario: Scenario, seed: int) -> int:
     return seed if scenario.world_seed is None else scenario.world_seed
 
 
+def noise_seed(scenario: Scenario, seed: int) -> int:
+    """Seed of sensor noise and image segments: the scenario's ``noise_seed``, else the root seed."""
+    return seed if scenario.noise_seed is None else scenario.noise_seed
+
+
 def plan_path(scenario: Scenario, seed: int, backend: RenderBackend) -> Motion:
     """Plan the camera's motion with its segments; nothing is built or rendered."""
     acting = (s for s in scenario.segments if s.kind in FRAME_PLAN_KINDS)
@@ -206,6 +211,7 @@ def expose_frames(
     plan: FramePlan,
     clean_frames: CleanFrames,
     camera: Camera,
+    sensor: Sensor,
     chain: ImageChain,
     depth: bool,
     progress: Progress,
@@ -217,6 +223,7 @@ def expose_frames(
         plan: with every segment applied.
         clean_frames: the sharp frames.
         camera: of the scenario.
+        sensor: of the camera.
         chain: the image-space segments.
         depth: write depth images too.
         progress: called after every frame.
@@ -228,7 +235,6 @@ def expose_frames(
     lens = None if own.is_pinhole else Lens(own)
     ideal = lens.ideal if lens else own
     count, size = len(plan.stamps_s), (camera.height_px, camera.width_px)
-    sensor = Sensor(camera, plan.seed)
     T_world_mid, T_mid_open, T_mid_close = _shutter_poses(plan)
     blur_px = np.zeros(count)
     with ExitStack() as files:

@@ -13,12 +13,14 @@ from sim.frame_plan import (
     expose_frames,
     ideal_camera,
     mujoco_backend,
+    noise_seed,
     plan_frames,
     rendered_clean_frames,
     taking_intrinsics,
 )
 from sim.io.raw import RawFrames
 from sim.room import check_memory, check_room
+from sim.sensors.sensor import Sensor
 from sim.unfinished import scratch_folder
 from sim.worlds.base import WorldModel
 
@@ -61,16 +63,17 @@ class Preview:
             own,
             part.stamps_s,
             part.frame,
-            seed,
+            noise_seed(self.scenario, seed),
             part.exposure_s,
             ideal_camera(own),
         )
+        sensor = Sensor(camera, noise_seed(self.scenario, seed))
         with (
             scratch_folder() as folder,
             rendered_clean_frames(self.world, camera, self.backend) as clean_frames,
         ):
             blur_px = expose_frames(
-                folder, part, clean_frames, camera, chain, False, lambda step, done, total: None
+                folder, part, clean_frames, camera, sensor, chain, False, lambda step, done, total: None
             )
             shape = (len(part.frame), camera.height_px, camera.width_px)
             frames = RawFrames(folder / "gray.npy", shape, np.uint8)

@@ -26,6 +26,7 @@ from sim.frame_plan import (
     expose_frames,
     ideal_camera,
     mujoco_backend,
+    noise_seed,
     plan_frames,
     plan_in_world,
     render_backend,
@@ -72,8 +73,8 @@ def render_sequence(
     """Render a scenario, or read it from the cache.
 
     The same scenario and seed give the same bytes on one machine and GL driver. Frames stay on disk and are
-    read one by one. If segments act on images only behind the lens, the frames before them are cached too:
-    another severity renders nothing again.
+    read one by one. If segments act on images only behind the lens, or noise has a seed of its own, the
+    frames before them are cached too: another severity, or noise, renders nothing again.
 
     Args:
         scenario: what happens.
@@ -123,12 +124,14 @@ def images_need_of(scenario: Scenario, out_dir: Path, depth: bool = False) -> Ne
 
 def _stacks_bytes(scenario: Scenario, depth: bool) -> int:
     """Size of the stacks of frames in the cache."""
-    per_pixel = 5 if depth else 2 if _ends_behind_the_lens(scenario) else 1
+    per_pixel = 5 if depth else 2 if _keeps_exposed_frames(scenario) else 1
     return per_pixel * scenario.frame_count * scenario.camera.width_px * scenario.camera.height_px
 
 
-def _ends_behind_the_lens(scenario: Scenario) -> bool:
-    """Return True if segments act on images, and all of them on what the lens has let through."""
+def _keeps_exposed_frames(scenario: Scenario) -> bool:
+    """Return True if noise has its own seed, or segments act only on what the lens has let through."""
+    if scenario.noise_seed is not None:
+        return True
     stages = [DEGRADATIONS[s.kind].stage for s in scenario.segments if isinstance(s, ImageSegment)]
     return bool(stages) and min(stages) >= Stage.LENS
 
@@ -145,7 +148,7 @@ def _render_into(
     """Write the frames and the truth of a sequence into a folder of the cache; return its plan."""
     camera, own = scenario.camera, taking_intrinsics(scenario.camera)
     exposed = world = None
-    if _ends_behind_the_lens(scenario) and not depth:
+    if _keeps_exposed_frames(scenario) and not depth:
         exposed = _exposed_frames_of(scenario, seed, backend, store, progress)
         view_share = exposed.view_share
         plan = plan_in_world(scenario, seed, backend, view_share.shape[1], lambda plan: view_share)
@@ -156,17 +159,18 @@ def _render_into(
         own,
         plan.stamps_s,
         plan.frame,
-        seed,
+        noise_seed(scenario, seed),
         exposure_s=plan.exposure_s,
         ideal=ideal_camera(own),
     )
     if exposed:
         blur_px = exposed.blur_px[plan.frame]
-        _sense_frames(folder, plan, exposed.frames, camera, chain, progress)
+        _sense_frames(folder, plan, exposed.frames, camera, chain, noise_seed(scenario, seed), progress)
     else:
         assert world is not None
         with rendered_clean_frames(world, camera, backend) as clean_frames:
-            blur_px = expose_frames(folder, plan, clean_frames, camera, chain, depth, progress)
+            sensor = Sensor(camera, noise_seed(scenario, seed))
+            blur_px = expose_frames(folder, plan, clean_frames, camera, sensor, chain, depth, progress)
     _write_truth(folder, scenario, plan, chain, blur_px)
     return plan
 
@@ -177,11 +181,12 @@ def _sense_frames(
     exposed: RawFrames,
     camera: Camera,
     chain: ImageChain,
+    seed: int,
     progress: Progress,
 ) -> None:
     """Degrade exposed frames behind the lens and write them."""
     size = (camera.height_px, camera.width_px)
-    sensor = Sensor(camera, plan.seed)
+    sensor = Sensor(camera, seed)
     with RawWriter(folder / "gray.npy", (len(plan.frame), *size), np.uint8) as grays:
         for index, frame in enumerate(plan.frame.tolist()):
             grays.append(sense(exposed[frame], index, frame, chain, sensor))
@@ -212,6 +217,7 @@ def _exposed_frames_of(
         update={
             "name": "exposed_frames",
             "description": "",
+            "noise_seed": None,
             "segments": tuple(in_order_of_action(kept)),
             "camera": scenario.camera.model_copy(update=_NO_SENSOR),
         }

@@ -12,7 +12,7 @@ from scenarios.segments import SEGMENT_KINDS, ImageSegment, SegmentBase
 from sim.degradations.recorded_kinds import recording_lacks
 from sim.degradations.registry import DEGRADATIONS
 
-_OF_EVERY_KIND = ("kind", "start_s", "duration_s", "ramp_s")
+_OF_EVERY_KIND = ("kind", "start_s", "duration_s", "ramp_s", "fall_s")
 _WORLD = "a world"
 _WIDTHS = (18, 18, 7, None)
 
@@ -26,7 +26,8 @@ def described_kinds() -> Iterator[RenderableType]:
     plain = [kind for kind in _acting() if not issubclass(SEGMENT_KINDS[kind], ImageSegment)]
     yield (
         "Every kind has start_s and duration_s, in seconds from the first frame, and all but "
-        f"{', '.join(plain)} have ramp_s, the time in which the severity rises and falls."
+        f"{', '.join(plain)} have ramp_s, the time in which the severity rises "
+        "and falls (fall_s, if it falls in another)."
     )
     others = [kind for kind in DEGRADATIONS if kind not in _acting()]
     yield f"In rendered scenarios only: {', '.join(others)}."

@@ -19,7 +19,7 @@ Node = dict[str, Any]
 def severity_fields(kind: str) -> list[str]:
     """Fields of a kind of segment that say how bad it is; empty for an unknown kind."""
     model = SEGMENT_KINDS.get(kind)
-    times = ("kind", "start_s", "duration_s", "ramp_s")
+    times = ("kind", "start_s", "duration_s", "ramp_s", "fall_s")
     return [name for name in model.model_fields if name not in times] if model else []
 
 

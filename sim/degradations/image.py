@@ -87,7 +87,11 @@ class ImageDegradation(ABC, Generic[SegmentT]):
 def ramp(segment: ImageSegment, stamps_s: np.ndarray) -> np.ndarray:
     """(N,) float64 strength of a segment at (N,) times: 0 outside, 1 between its two ramps."""
     inside = (stamps_s >= segment.start_s - 1e-9) & (stamps_s < segment.end_s - 1e-9)
-    if segment.ramp_s == 0:
-        return inside.astype(float)
-    to_edge_s = np.minimum(stamps_s - segment.start_s, segment.end_s - stamps_s)
-    return np.where(inside, np.clip(to_edge_s / segment.ramp_s, 0, 1), 0.0)
+    strength = inside.astype(float)
+    for length_s, to_edge_s in (
+        (segment.ramp_s, stamps_s - segment.start_s),
+        (segment.falls_s, segment.end_s - stamps_s),
+    ):
+        if length_s > 0:
+            strength = np.minimum(strength, np.clip(to_edge_s / length_s, 0, 1))
+    return strength

@@ -188,6 +188,25 @@ def test_another_severity_behind_the_lens_renders_nothing_again(tmp_path):
         np.testing.assert_array_equal(worse.frame_truth[name], column)
 
 
+def test_another_noise_seed_draws_only_the_noise_anew(tmp_path, rendered):
+    calls = []
+
+    def counted(number: int | None):
+        backend = replace(
+            fake_backend(), build_world=lambda *a: calls.append(a) or fake_backend().build_world(*a)
+        )
+        scenario = SCENARIO.model_copy(update={"noise_seed": number})
+        return render_sequence(scenario, 1, cache_dir=tmp_path / "other", backend=backend)
+
+    first, again, second = counted(1), counted(1), counted(2)
+    assert digest(first) == digest(again) == digest(rendered) != digest(second)
+    assert len(calls) == 1  # the world of the exposed frames
+    np.testing.assert_array_equal(first.T_world_cam, second.T_world_cam)
+    apart = np.array(first.frames[5], float) - second.frames[5]
+    assert 0 < apart.std() < 4 * SCENARIO.camera.noise_sigma
+    assert abs(apart.mean()) < 0.2
+
+
 def test_a_corrupt_entry_is_rendered_again(tmp_path, rendered, caplog):
     before = digest(rendered)
     stack = next((tmp_path / "cache").glob("*/gray.npy"))

@@ -48,6 +48,12 @@ def test_light_survives_coding_and_saturates():
     assert np.abs(encode(light) - 255 * linear_to_srgb(light.astype(float))).max() < 0.6
 
 
+def test_a_creeping_segment_rises_to_its_end():
+    segment = SEGMENT_KINDS["jpeg"](kind="jpeg", start_s=1, duration_s=2, quality=5, ramp_s=2, fall_s=0)
+    strength = ramp(segment, np.array([0.9, 1.0, 1.5, 2.0, 2.99, 3.0]))
+    np.testing.assert_allclose(strength, [0, 0, 0.25, 0.5, 0.995, 0])
+
+
 @pytest.mark.parametrize("ramp_s", [0.0, 0.5])
 def test_the_ramp_is_straight_and_within_the_segment(ramp_s):
     segment = SEGMENT_KINDS["jpeg"](kind="jpeg", start_s=1, duration_s=2, quality=5, ramp_s=ramp_s)
