@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slam.core.frame import Frame
+from slam.core.frame import Frame, FrameFeatures
 from slam.core.timing import StageTimer
 from slam.map._map_kernels import count_observed, resolve_points
 from slam.map.map import Map
@@ -53,6 +53,7 @@ class TrackingConfig:
         min_share: share of inliers among the map matches, below which the frame is rejected; 0 for any.
         local_map_keyframes: most keyframes of the local map.
         keyframe_share: a keyframe is made when inliers fall below this share of the reference's points.
+        urgent_share: the same of the frame right behind a keyframe, which adds little to it.
         keyframe_interval_s: least time between keyframes.
         crossing: what a frame behind a gap must show.
         doubt: bounds of a motion that is believed.
@@ -71,6 +72,7 @@ class TrackingConfig:
     min_share: float = 0.0
     local_map_keyframes: int = 80
     keyframe_share: float = 0.9
+    urgent_share: float = 0.5
     keyframe_interval_s: float = 0.1
     crossing: CrossingConfig = field(default_factory=CrossingConfig)
     doubt: DoubtConfig = field(default_factory=DoubtConfig)
@@ -106,7 +108,7 @@ class Tracker:
         self._local_points = np.empty(0, np.int32)
         self.doubt = Doubt(config.doubt)
         self._in_motion = False  # the velocity is that of a tracked step
-        self._last_keyframe_stamp_s = -np.inf
+        self._last_keyframe: FrameFeatures | None = None
         self._passed_over = 0
         self._cautious_until_s = -np.inf
 
@@ -118,13 +120,13 @@ class Tracker:
 
     def keyframe_requested(self, frame: Frame) -> None:
         """Start the least interval to the next keyframe at ``frame``, which will become one."""
-        self._last_keyframe_stamp_s = frame.features.stamp_s
+        self._last_keyframe = frame.features
 
     def resume(self, frame: Frame) -> None:
         """Continue from a relocalized frame, with zero velocity."""
         self.last, self.velocity, self._in_motion = frame, np.eye(4), False
         self._passed_over = 0
-        self._last_keyframe_stamp_s = frame.features.stamp_s
+        self._last_keyframe = frame.features
         self._cautious_until_s = frame.features.stamp_s + self.config.cautious_s
 
     def corrected(self, factor: np.ndarray) -> None:
@@ -145,7 +147,7 @@ class Tracker:
         frame.reference_keyframe = keyframe
         frame.T_cam_reference = np.eye(4)
         frame.T_cam_map = self.map.T_cam_map(keyframe)
-        self._last_keyframe_stamp_s = frame.features.stamp_s
+        self._last_keyframe = frame.features
 
     def rebase(self, map_: Map, last: Frame) -> None:
         """Continue in a map that has absorbed this tracker's; ``last`` is already expressed in it."""
@@ -199,14 +201,23 @@ class Tracker:
 
     def wants_keyframe(self, frame: Frame, inliers: int) -> bool:
         """Return True if the frame sees too few of its reference keyframe's points."""
-        if abs(frame.features.stamp_s - self._last_keyframe_stamp_s) < self.config.keyframe_interval_s - 1e-6:
+        if not self._may_be_keyframe(frame):
             return False
         known = count_observed(
             self.map.arrays, frame.reference_keyframe, 3 if self.map.n_keyframes > 2 else 2
         )
-        return inliers < self.config.keyframe_share * known
+        last = self._last_keyframe
+        right_behind = last is not None and abs(frame.features.index - last.index) == 1
+        return inliers < (self.config.urgent_share if right_behind else self.config.keyframe_share) * known
 
     # -- steps -------------------------------------------------------------------------------------------
+
+    def _may_be_keyframe(self, frame: Frame) -> bool:
+        """True if the least interval since the last keyframe is over."""
+        if self._last_keyframe is None:
+            return True
+        waited_s = abs(frame.features.stamp_s - self._last_keyframe.stamp_s)
+        return waited_s > self.config.keyframe_interval_s - 1e-6
 
     def _refreshed_last(self) -> Frame:
         """The last frame, moved along with its reference keyframe and freed of dropped points."""

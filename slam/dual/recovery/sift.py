@@ -132,8 +132,7 @@ class SiftTracker(Tracker):
 
     def wants_keyframe(self, frame: Frame, inliers: int) -> bool:
         """Decide as forward tracking does, but earlier where the map is young or ends."""
-        waited_s = abs(frame.features.stamp_s - self._last_keyframe_stamp_s)
-        if waited_s < self.config.keyframe_interval_s - 1e-6:
+        if not self._may_be_keyframe(frame):
             return False
         if inliers < self._sift_config.min_points:
             return True

@@ -8,6 +8,7 @@ from slam_scenes import FPS, PointWorld, Sighting, pose_error, rigid, tracked_in
 
 from slam.core.frame import Frame, FrameFeatures
 from slam.core.timing import StageTimer
+from slam.map._map_kernels import count_observed
 from slam.map.invariants import check_map
 from slam.tracking.tracker import Tracker, TrackingConfig
 
@@ -297,6 +298,17 @@ def test_a_keyframe_is_requested_with_few_known_points_and_not_too_soon(known, s
         # In both directions of time, the distance from the last keyframe matters.
         assert tracker.wants_keyframe(frame, 0) is late
         assert not tracker.wants_keyframe(frame, 10**6)
+
+
+def test_a_frame_right_behind_a_keyframe_becomes_one_only_in_need(known, sightings):
+    config = TrackingConfig(keyframe_interval_s=0.0)
+    for number, due in ((21, config.urgent_share), (22, config.keyframe_share), (19, config.urgent_share)):
+        tracker = started(known, sightings[20], config=config)
+        frame = sightings[number].again()
+        assert tracker.track(frame).success
+        points = count_observed(tracker.map.arrays, frame.reference_keyframe, 3)
+        assert tracker.wants_keyframe(frame, int(due * points) - 1)
+        assert not tracker.wants_keyframe(frame, int(due * points) + 1)
 
 
 def test_a_new_keyframe_becomes_the_reference_with_its_points(known, sightings):
