@@ -16,9 +16,9 @@ from pathlib import Path
 from pydantic import BaseModel
 from stress_pictures import draw_pictures
 
-from experiments.eq1.records import PAIR_COLUMNS, THREAD_COLUMNS, UNIT_COLUMNS
+from experiments.eq1.records import FAILURES, PAIR_COLUMNS, THREAD_COLUMNS, UNIT_COLUMNS
 from experiments.eq1.spec import ExperimentSpec, load_spec, preset_names
-from experiments.eq1.spec_parts import Base, Degradation, Stopping
+from experiments.eq1.spec_parts import Base, Degradation
 from experiments.runs.slam_settings import settings_yaml
 from scenarios.cameras import PRESETS as CAMERAS
 from scenarios.cameras import Camera
@@ -167,7 +167,7 @@ def presets() -> str:
 
 def experiment_fields() -> str:
     """The fields of an experiment's file."""
-    parts = {"": ExperimentSpec, "A base": Base, "A degradation": Degradation, "The stopping rule": Stopping}
+    parts = {"": ExperimentSpec, "A base": Base, "A degradation": Degradation}
     return "\n".join(f"{title}\n\n{_fields(model, ())}" for title, model in parts.items())
 
 
@@ -176,6 +176,9 @@ def record_columns() -> str:
     tables = {
         "": UNIT_COLUMNS,
         "Per arm and recovery thread, as in `free_r1_failed` or `cross_r2_cpu_ms`:": THREAD_COLUMNS,
+        "With J the first 1, 2, … threads, as in `d1` or `m2`:": {
+            k: ("bool", v) for k, v in FAILURES.items()
+        },
         "Per gap between two frames of the lead-in, as in `pairs27_rotation_deg`:": PAIR_COLUMNS,
     }
     return "\n".join(

@@ -180,7 +180,6 @@ def run_experiment(
     """
     from experiments.campaign.clusters import open_worker_pool
     from experiments.campaign.runner import run_experiment as run_units
-    from experiments.campaign.stopping import stopping_rule
     from experiments.campaign.worker_pool import WorkerPoolSettings
     from experiments.eq1.spec import load_spec
     from experiments.eq1.trial import run_unit
@@ -188,8 +187,7 @@ def run_experiment(
     load_plugins()
     spec = load_spec(experiment) if isinstance(experiment, str | Path) else experiment
     settings = WorkerPoolSettings(workers=workers)
-    rule = stopping_rule(spec.stopping)
-    return run_units(spec, Path(folder), lambda: open_worker_pool(settings, run_unit), rule, show=progress)
+    return run_units(spec, Path(folder), lambda: open_worker_pool(settings, run_unit), show=progress)
 
 
 def _opened(sequence: Sequence | Scenario | str | Path, seed: int | None) -> Sequence:

@@ -72,14 +72,16 @@ def read_errors(folder: Path) -> list[dict[str, Any]]:
 def read_spec(folder: Path) -> "ExperimentSpec":
     """Read the spec of an experiment's folder.
 
+    The spec of an earlier version, whose cells may mix populations, is read for its exported table.
+
     Raises:
         InputError: the folder has no spec.
     """
-    from experiments.eq1.spec import load_spec
+    from experiments.eq1.former_spec import load_any_spec
 
     if not is_given(folder / SPEC_FILE):
         raise InputError(str(folder), f"has no {SPEC_FILE}", "give the folder of an experiment that was run")
-    return load_spec(folder / SPEC_FILE)
+    return load_any_spec(folder / SPEC_FILE)
 
 
 def has_digests(folder: Path) -> bool:
@@ -88,10 +90,7 @@ def has_digests(folder: Path) -> bool:
     Raises:
         InputError: it is not an experiment's folder.
     """
-    if _is_exported(folder):
-        return table_has_digest(folder / TABLE_FILE)
-    with Ledger.open(folder, read_spec(folder), read_only=True) as ledger:
-        return ledger.has_digests
+    return not _is_exported(folder) or table_has_digest(folder / TABLE_FILE)
 
 
 def claim_folder(folder: Path) -> None:
@@ -136,9 +135,8 @@ def export(folder: Path, csv: bool = False) -> Path:
     """
     spec = read_spec(folder)
     with Ledger.open(folder, spec, read_only=True) as ledger:
-        rows, errors, checked = ledger.rows(), ledger.errors(), ledger.has_digests
-        records = ledger.records()
-    about = {"spec": spec, "spec_digest": _spec_digest(folder), "with_digest": checked}
+        rows, errors, records = ledger.rows(), ledger.errors(), ledger.records()
+    about = {"spec": spec, "spec_digest": _spec_digest(folder)}
     write_file(folder / TABLE_FILE, partial(write_table, rows=rows, **about))
     write_file(folder / ERRORS_FILE, partial(write_errors, errors=errors))
     if csv:

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 from experiments.campaign.ledger_file import (
     ERROR_COLUMNS,
     RERUN,
-    SCHEMA_VERSION,
     check_owner,
     connect,
     create_tables,
@@ -50,7 +49,6 @@ class Ledger:
         self._threads = len(experiment.threads)
         self._types = columns(self._threads)
         self._cells = {cell: place for place, cell in enumerate(experiment.cell_names())}
-        self._version, self._stored = SCHEMA_VERSION, tuple(self._types)
 
     @classmethod
     def open(cls, folder: Path, experiment: "Experiment", read_only: bool = False) -> Self:
@@ -59,11 +57,11 @@ class Ledger:
         Args:
             folder: of the experiment; must exist.
             experiment: owner of the units.
-            read_only: change nothing; possible during a run, and for ledgers of earlier versions.
+            read_only: change nothing; possible during a run.
 
         Raises:
-            InputError: it holds units of another spec, is missing although only to be read, or is damaged, or
-                the disk is full.
+            InputError: it holds units of another spec, is of an earlier version, is missing although only to
+                be read, or is damaged, or the disk is full.
         """
         path = Path(folder) / LEDGER_FILE
         if read_only and not path.is_file():
@@ -78,7 +76,7 @@ class Ledger:
                     # A commit costs little beside its unit, so it may as well outlive a power failure.
                     connection.execute("PRAGMA synchronous=FULL")
                     create_tables(connection, experiment, ledger._types)
-                ledger._version, ledger._stored = check_owner(connection, path, experiment, ledger._types)
+                check_owner(connection, path, experiment, ledger._types)
                 if not read_only:
                     ledger._check_writable()
         except BaseException:
@@ -95,16 +93,6 @@ class Ledger:
     def close(self) -> None:
         """Close the file."""
         self._connection.close()
-
-    @property
-    def has_digests(self) -> bool:
-        """False for a ledger of schema version 1, in which a changed value may pass for a true one."""
-        return self._version > 1
-
-    @property
-    def is_current(self) -> bool:
-        """False for a ledger of an earlier version, which can only be read: no digests, or fewer columns."""
-        return self.has_digests and len(self._stored) == len(self._types)
 
     def add(self, record: Mapping[str, Any]) -> None:
         """Write the row of a unit that has ended, in one transaction.
@@ -189,7 +177,7 @@ class Ledger:
             self._connection.execute("BEGIN")
             stored = self._connection.execute(f"SELECT * FROM {table} ORDER BY rowid").fetchall()
             sums = "SELECT number, digest FROM sums WHERE name = ?"
-            written = self._connection.execute(sums, (table,)).fetchone() if self.has_digests else None
+            written = self._connection.execute(sums, (table,)).fetchone()
             self._connection.execute("COMMIT")
         rows = [self._plain(table, row) for row in stored]
         for row, of in zip(rows, stored, strict=True):
@@ -197,11 +185,10 @@ class Ledger:
                 raise InputError(
                     f"{self.path}: {table} row {row['unit_id']!r}", f"is damaged: {fault}", RERUN
                 )
-        if self.has_digests:
-            found = len(rows), joint_digest(row["digest"] for row in stored)
-            if written is None or found != tuple(written):
-                problem = f"is damaged: {len(rows)} rows of {table} are not those that were written"
-                raise InputError(str(self.path), problem, RERUN)
+        found = len(rows), joint_digest(row["digest"] for row in stored)
+        if written is None or found != tuple(written):
+            problem = f"is damaged: {len(rows)} rows of {table} are not those that were written"
+            raise InputError(str(self.path), problem, RERUN)
         return rows
 
     def _fault(self, table: Table, row: Row, stored: sqlite3.Row) -> str | None:
@@ -210,14 +197,12 @@ class Ledger:
             fault = f"cell is {row['cell']!r}"
         if fault is None and row.get("experiment", self._experiment) != self._experiment:
             fault = f"experiment is {row['experiment']!r}"
-        written = {name: row[name] for name in (self._stored if table == "units" else row)}
-        if fault is None and self.has_digests and stored["digest"] != digest_of(written):
+        if fault is None and stored["digest"] != digest_of(row):
             fault = "it does not agree with its digest"
         return fault
 
     def _plain(self, table: Table, stored: sqlite3.Row) -> Row:
-        present = set(stored.keys())
-        row = {name: stored[name] if name in present else None for name in self._names(table)}
+        row = {name: stored[name] for name in self._names(table)}
         if table == "units":
             for name, kind in self._types.items():
                 if kind == "bool" and row[name] in (0, 1):
@@ -238,9 +223,6 @@ class Ledger:
         )
 
     def _check_writable(self) -> None:
-        if not self.is_current:
-            problem = "is of an earlier version"
-            raise InputError(str(self.path), problem, "continue it by `dslab experiment run`")
         (found,) = self._connection.execute("PRAGMA integrity_check(1)").fetchone()
         if found != "ok":
             raise InputError(str(self.path), f"is damaged ({found})", RERUN)

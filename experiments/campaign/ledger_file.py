@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 from experiments.eq1.record_checks import digest_of, joint_digest
 from experiments.eq1.record_table import SQL_TYPES
-from experiments.eq1.records import ColumnType, added_later
+from experiments.eq1.records import ColumnType
 from scenarios.errors import InputError
 
 if TYPE_CHECKING:
     from experiments.campaign.schedule import Experiment
 
-SCHEMA_VERSION = 2
-"""Since 2 every row has a digest; files of version 1 can be read."""
+SCHEMA_VERSION = 3
+"""Since 3 units are replicates of sequences in worlds. Earlier ledgers are refused."""
 ERROR_COLUMNS = ("unit_id", "cell", "index", "attempt", "at", "worker", "message", "report")
 RERUN = (
     "add --rerun-damaged to `dslab experiment run`, which runs damaged units again, or choose a new folder"
@@ -86,14 +86,11 @@ def create_tables(
 
 def check_owner(
     connection: sqlite3.Connection, path: Path, experiment: "Experiment", types: Mapping[str, ColumnType]
-) -> tuple[int, tuple[str, ...]]:
+) -> None:
     """Check that a ledger is that of an experiment.
 
-    Returns:
-        Its schema version, and those of the columns of units that it has: columns added later may be missing.
-
     Raises:
-        InputError: it is not, has no tables yet, or its description is damaged.
+        InputError: it is not, is of an earlier version, has no tables yet, or its description is damaged.
     """
     if not has_tables(connection):
         # The run that creates it has not yet created its tables, or was ended before.
@@ -103,12 +100,17 @@ def check_owner(
         {row["name"] for row in connection.execute(f"PRAGMA table_info({table})")}
         for table in ("units", "infrastructure_errors")
     )
-    version = 1 if "digest" not in known else SCHEMA_VERSION
-    if meta.get("schema_version") != str(version):
+    if meta.get("schema_version") in ("1", "2"):
+        problem = "is of an earlier version: its units were drawn and judged otherwise"
+        remedy = (
+            "choose a new folder; `dslab experiment report` still reads tables that were exported from it"
+        )
+        raise InputError(str(path), problem, remedy)
+    if meta.get("schema_version") != str(SCHEMA_VERSION):
         problem = f"has the form {meta.get('schema_version')!r}, this is {SCHEMA_VERSION}"
         raise InputError(str(path), problem, "choose a new folder")
     digest = meta.pop("digest", None)
-    if version > 1 and digest != digest_of(meta):
+    if digest != digest_of(meta):
         raise InputError(str(path), "is damaged: its description has changed", "choose a new folder")
     held, given = meta.get("spec_hash", ""), experiment.content_hash
     if held != given:
@@ -117,12 +119,9 @@ def check_owner(
             f"holds units of another spec ({meta.get('experiment')} {held[:12]}, given is {given[:12]})",
             "choose a new folder, or give the spec.yaml of this one",
         )
-    added = {"digest"} if version > 1 else set()
-    lacking = {name for name in {*types} - known if added_later(name)}
-    if known != {*types} - lacking | added or of_errors != {"number", *ERROR_COLUMNS} | added:
+    if known != {*types, "digest"} or of_errors != {"number", *ERROR_COLUMNS, "digest"}:
         problem = "has other columns than this version of the programs writes"
         raise InputError(str(path), problem, "choose a new folder")
-    return version, tuple(name for name in types if name not in lacking)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Renewal of a ledger: an older one gets digests and columns, a damaged one loses the damaged rows."""
+"""Renewal of a damaged ledger, which loses the damaged rows."""
 
 import os
 import shutil
@@ -16,7 +16,7 @@ _RENEWED = ".ledger-renewed"
 
 
 def renew_ledger(folder: Path, experiment: Experiment, drop_damaged: bool = False) -> None:
-    """Write a ledger of an earlier version, or a damaged one, anew; leave any other as it is.
+    """Write a damaged ledger anew without its damaged rows, if that is wanted.
 
     The ledger is replaced when the new one is whole. Only the driver of the folder may call this.
 
@@ -41,10 +41,9 @@ def renew_ledger(folder: Path, experiment: Experiment, drop_damaged: bool = Fals
                 raise InputError(str(path), "is empty: its rows are lost", remedy)
             return
         with Ledger.open(folder, experiment, read_only=True) as old:
-            if old.is_current and not drop_damaged:
+            if not drop_damaged:
                 return
-            units = old.sound_rows("units") if drop_damaged else old.rows()
-            errors = old.sound_rows("infrastructure_errors") if drop_damaged else old.errors()
+            units, errors = old.sound_rows("units"), old.sound_rows("infrastructure_errors")
         connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
     try:
         renewed.mkdir()

@@ -15,7 +15,7 @@ from experiments.campaign.folder_lock import sole_driver
 from experiments.campaign.ledger import Ledger
 from experiments.campaign.ledger_renewal import renew_ledger
 from experiments.campaign.repeated_fault import RepeatedFault
-from experiments.campaign.schedule import Experiment, Record, Schedule, StoppingRule
+from experiments.campaign.schedule import Experiment, Record, Schedule
 from experiments.campaign.unit_job import is_infrastructure_error
 from experiments.campaign.worker_pool import Ended, WorkerPool
 from experiments.eq1.record_table import normalise
@@ -33,7 +33,7 @@ class Tally:
     """Progress of a run.
 
     Attributes:
-        done, total: units that have ended, and all units; the total falls as cells stop.
+        done, total: units that have ended, and all units.
         completed, void, errors: units by outcome.
         retries: attempts in this run that ended in an infrastructure error.
         breakages: completed units with a breakage (B).
@@ -63,7 +63,6 @@ def run_experiment(
     experiment: Experiment,
     folder: Path,
     open_worker_pool: Callable[[], AbstractContextManager[WorkerPool]],
-    rule: StoppingRule | None = None,
     retry_errors: bool = False,
     rerun_damaged: bool = False,
     show: Show | None = None,
@@ -74,7 +73,6 @@ def run_experiment(
         experiment: its spec.
         folder: absent, empty, or that of an earlier run of the same spec, which is continued.
         open_worker_pool: opens the workers; called only if units are left to run.
-        rule: stopping rule of the cells; None to run every budget to its end.
         retry_errors: retry units that were given up after infrastructure errors.
         rerun_damaged: drop damaged rows of the ledger and run their units again.
         show: called with the progress, at least after each unit.
@@ -94,7 +92,7 @@ def run_experiment(
             if retry_errors and ledger.forget_errors():
                 rows = ledger.rows()
             check_units(experiment, rows, folder)
-            run = _Run(ledger, Schedule(experiment, rows, rule), experiment, show)
+            run = _Run(ledger, Schedule(experiment, rows), experiment, show)
             if not run.schedule.complete:
                 with open_worker_pool() as pool:
                     run.work(pool)
@@ -141,7 +139,7 @@ class _Run:
         while not self.schedule.complete:
             for worker in pool.free():
                 # Failed units come last: their fault may pass, or be found to be that of every unit.
-                unit = self.schedule.next() or (self._due.popleft() if self._due else None)
+                unit = self.schedule.next(worker) or (self._due.popleft() if self._due else None)
                 if unit is None:
                     break
                 pool.start(unit, worker)

@@ -1,28 +1,15 @@
-"""Order of units: by index over all cells, to each cell's budget or until its stopping rule is met.
+"""Order of units: by index, all cells of an index one after the other on one worker.
 
-The set of units run depends only on the spec and their records: a rule is evaluated at fixed numbers of
-units, in the order of their index, not in the order in which they end.
+They share their lead-in, which the worker has at hand. Which worker runs a unit does not affect its record.
 """
 
+from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from experiments.eq1.units import ThreadChoice, UnitSpec
 
 Record = Mapping[str, Any]
-
-
-class StoppingRule(Protocol):
-    """Condition under which a cell has enough units."""
-
-    def checkpoints(self, budget: int) -> Sequence[int]:
-        """Numbers of units at which it is evaluated, increasing, all below the budget."""
-        ...
-
-    def is_met(self, records: Sequence[Record]) -> bool:
-        """True if these, the first units of a cell by index, are enough."""
-        ...
 
 
 class Experiment(Protocol):
@@ -40,110 +27,66 @@ class Experiment(Protocol):
     def as_yaml(self) -> str: ...
 
 
-@dataclass
-class _Cell:
-    """Progress of a cell.
-
-    Attributes:
-        budget: largest number of units.
-        gate: number of units that may be started for now.
-        started: number of units started or found done, without a gap from 0.
-        done: records by index.
-    """
-
-    budget: int
-    gate: int
-    started: int = 0
-    done: dict[int, Record] = field(default_factory=dict)
-    stopped: bool = False
-
-
 class Schedule:
     """Order of an experiment's remaining units.
 
     Args:
         experiment: its spec.
-        done: existing records.
-        rule: stopping rule; None runs every budget to its end.
+        done: existing records; those beyond the units of a cell do not count.
     """
 
-    def __init__(
-        self,
-        experiment: Experiment,
-        done: Sequence[Record] = (),
-        rule: StoppingRule | None = None,
-    ) -> None:
+    def __init__(self, experiment: Experiment, done: Sequence[Record] = ()) -> None:
         self._experiment = experiment
-        self._rule = rule
-        self._cells: dict[str, _Cell] = {}
-        for name in experiment.cell_names():
-            budget = experiment.units_of(name)
-            self._cells[name] = _Cell(budget, self._next_gate(budget, 0))
+        self._units = {cell: experiment.units_of(cell) for cell in experiment.cell_names()}
+        self._done: dict[str, dict[int, Record]] = {cell: {} for cell in self._units}
         for record in done:
-            self._cells[record["cell"]].done[record["index"]] = record
-        for cell in self._cells.values():
-            self._move_gate(cell)
+            self.finish(record)
+        self._due: dict[int, deque[str]] = {}
+        for index in range(max(self._units.values(), default=0)):
+            cells = [cell for cell, n in self._units.items() if index < n and index not in self._done[cell]]
+            if cells:
+                self._due[index] = deque(cells)
+        self._index_of: dict[str, int] = {}
 
-    def next(self) -> UnitSpec | None:
-        """The next unit to start; None if there is none until others have ended."""
-        best: tuple[int, str] | None = None
-        for name, cell in self._cells.items():
-            while cell.started < cell.gate and cell.started in cell.done:
-                cell.started += 1
-            if cell.started < cell.gate and (best is None or cell.started < best[0]):
-                best = (cell.started, name)
-        if best is None:
-            return None
-        index, name = best
-        self._cells[name].started += 1
-        return self._experiment.unit(name, index)
+    def next(self, worker: str = "") -> UnitSpec | None:
+        """The next unit to start on a worker; None if all have been started.
+
+        Args:
+            worker: its name. It goes on with the index of its last unit, then with one that no other worker
+                is at, then helps another.
+        """
+        index = self._index_of.get(worker)
+        if index not in self._due:
+            at = {self._index_of[other] for other in self._index_of if other != worker}
+            index = next((i for i in self._due if i not in at), next(iter(self._due), None))
+            if index is None:
+                return None
+            self._index_of[worker] = index
+        cell = self._due[index].popleft()
+        if not self._due[index]:
+            del self._due[index]
+        return self._experiment.unit(cell, index)
 
     def finish(self, record: Record) -> None:
         """Add the record of a unit that has ended."""
-        cell = self._cells[record["cell"]]
-        cell.done[record["index"]] = record
-        self._move_gate(cell)
+        if record["index"] < self._units[record["cell"]]:
+            self._done[record["cell"]][record["index"]] = record
 
     @property
     def total(self) -> int:
-        """Number of units: the present ones of stopped cells, the budget of others."""
-        return sum(cell.gate if cell.stopped else cell.budget for cell in self._cells.values())
+        """Number of units."""
+        return sum(self._units.values())
 
     @property
     def done(self) -> int:
-        """Number of units of the total that have ended."""
-        return sum(len(self._counted(cell)) for cell in self._cells.values())
+        """Number of units that have ended."""
+        return sum(map(len, self._done.values()))
 
     @property
     def complete(self) -> bool:
         """True if all units have ended."""
         return self.done == self.total
 
-    def stopped_cells(self) -> dict[str, int]:
-        """Cells that met the rule, with their number of units at that point."""
-        return {name: cell.gate for name, cell in self._cells.items() if cell.stopped}
-
     def records(self) -> list[Record]:
-        """Records of the units of the total, by cell and index."""
-        return [record for cell in self._cells.values() for record in self._counted(cell)]
-
-    def _counted(self, cell: _Cell) -> list[Record]:
-        end = cell.gate if cell.stopped else cell.budget
-        return [cell.done[index] for index in sorted(cell.done) if index < end]
-
-    def _move_gate(self, cell: _Cell) -> None:
-        """Advance the gate of a cell, or stop the cell, once all units up to the gate are done."""
-        while self._rule is not None and cell.gate < cell.budget and not cell.stopped:
-            first = [cell.done.get(index) for index in range(cell.gate)]
-            known = [record for record in first if record is not None]
-            if len(known) < cell.gate:
-                return
-            if self._rule.is_met(known):
-                cell.stopped = True
-            else:
-                cell.gate = self._next_gate(cell.budget, cell.gate)
-
-    def _next_gate(self, budget: int, passed: int) -> int:
-        if self._rule is None:
-            return budget
-        return next((n for n in self._rule.checkpoints(budget) if passed < n < budget), budget)
+        """Records of the units that have ended, by cell and index."""
+        return [done[index] for done in self._done.values() for index in sorted(done)]

@@ -7,7 +7,6 @@ from typing import Any
 
 from experiments.campaign.folder import read_errors, read_rows
 from experiments.campaign.schedule import Schedule
-from experiments.campaign.stopping import stopping_rule
 from experiments.eq1.records import Outcome, dual_column
 
 
@@ -17,8 +16,7 @@ class CellStatus:
 
     Attributes:
         cell: its name.
-        budget: largest number of units.
-        stopped_at: number of units at which it met the stopping rule; None if it has not.
+        budget: number of units.
         units: number of units that have ended.
         completed, void, errors: of these, by outcome.
         breakages, failures: completed units with B, and with failure of all threads (D_n).
@@ -26,7 +24,6 @@ class CellStatus:
 
     cell: str
     budget: int
-    stopped_at: int | None
     units: int
     completed: int
     void: int
@@ -68,8 +65,7 @@ def experiment_status(folder: Path) -> ExperimentStatus:
     """
     spec, rows = read_rows(folder)
     errors = read_errors(folder)
-    schedule = Schedule(spec, rows, stopping_rule(spec.stopping))
-    stopped = schedule.stopped_cells()
+    schedule = Schedule(spec, rows)
     whole = dual_column(len(spec.threads))
     return ExperimentStatus(
         name=spec.name,
@@ -77,7 +73,7 @@ def experiment_status(folder: Path) -> ExperimentStatus:
         done=schedule.done,
         total=schedule.total,
         cells=tuple(
-            _cell(cell, spec.units_of(cell), stopped.get(cell), [r for r in rows if r["cell"] == cell], whole)
+            _cell(cell, spec.units_of(cell), [r for r in rows if r["cell"] == cell], whole)
             for cell in spec.cell_names()
         ),
         failed_attempts=len(errors),
@@ -89,15 +85,12 @@ def experiment_status(folder: Path) -> ExperimentStatus:
     )
 
 
-def _cell(
-    cell: str, budget: int, stopped_at: int | None, rows: list[dict[str, Any]], whole: str
-) -> CellStatus:
+def _cell(cell: str, budget: int, rows: list[dict[str, Any]], whole: str) -> CellStatus:
     outcomes = Counter(row["outcome"] for row in rows)
     completed = [row for row in rows if row["outcome"] == Outcome.COMPLETED]
     return CellStatus(
         cell=cell,
         budget=budget,
-        stopped_at=stopped_at,
         units=len(rows),
         completed=len(completed),
         void=outcomes[Outcome.VOID],

@@ -8,7 +8,7 @@ from experiments.campaign.ledger_file import ERROR_COLUMNS
 from experiments.campaign.schedule import Experiment
 from experiments.eq1.record_checks import digest_of, record_fault
 from experiments.eq1.record_table import arrow_table
-from experiments.eq1.records import added_later, columns
+from experiments.eq1.records import FORMER_COLUMNS, added_later, columns, failure_column
 from scenarios.errors import InputError
 from scenarios.input_files import open_file
 
@@ -16,9 +16,7 @@ _DIGEST, _SPEC_DIGEST = b"digest", b"spec_digest"
 _REMEDY = "export it anew from its ledger, by the version that wrote it"
 
 
-def write_table(
-    path: Path, rows: list[dict[str, Any]], spec: Experiment, spec_digest: str, with_digest: bool
-) -> None:
+def write_table(path: Path, rows: list[dict[str, Any]], spec: Experiment, spec_digest: str) -> None:
     """Write the records of an experiment.
 
     Args:
@@ -26,7 +24,6 @@ def write_table(
         rows: normalised records, in order.
         spec: of the experiment.
         spec_digest: of the file of the spec.
-        with_digest: False if the rows come from a ledger without digests.
 
     Raises:
         OSError: it cannot be written.
@@ -34,8 +31,7 @@ def write_table(
     import pyarrow.parquet as pq
 
     about = {"experiment": spec.name, "spec_hash": spec.content_hash, "spec_digest": spec_digest}
-    if with_digest:
-        about["digest"] = _digest(rows)
+    about["digest"] = _digest(rows)
     table = arrow_table(rows, len(spec.threads)).replace_schema_metadata(about)
     pq.write_table(table, path, write_page_checksum=True)
 
@@ -67,8 +63,8 @@ def read_error_table(path: Path) -> list[dict[str, Any]]:
 def read_table(path: Path, spec: Experiment, spec_digest: str) -> list[dict[str, Any]]:
     """Read the records of an experiment, whose spec is still the one of their export.
 
-    Columns that were added later become null if they are missing, since older tables lack them. So do tables
-    lack digests; of these only types and domains are checked.
+    Columns that were added later become null if they are missing, since older tables lack them; columns of
+    earlier versions are left out. Older tables lack digests too; of these only types and domains are checked.
 
     Raises:
         InputError: it is no such table, or not as it was written.
@@ -77,15 +73,16 @@ def read_table(path: Path, spec: Experiment, spec_digest: str) -> list[dict[str,
     if about.get(_SPEC_DIGEST, spec_digest.encode()) != spec_digest.encode():
         raise InputError(str(path), "was exported with another spec.yaml than stands beside it", _REMEDY)
     types = columns(len(spec.threads))
-    differing = set(types) ^ set(names)
-    if differing := {name for name in differing if name not in types or not added_later(name)}:
+    unknown = set(names) - set(types) - FORMER_COLUMNS
+    if differing := unknown | {name for name in set(types) - set(names) if not added_later(name)}:
         problem = f"missing or unknown columns: {', '.join(sorted(differing))}"
         raise InputError(str(path), problem, _REMEDY)
-    rows = [{name: row.get(name) for name in types} for row in found]
+    whole = failure_column("s", len(spec.threads))
+    former = {} if whole in names else {whole: "dual_failure"}
+    rows = [{name: row.get(former.get(name, name)) for name in types} for row in found]
     _check(path, rows, spec)
     written = about.get(_DIGEST)
-    stored = [name for name in types if name in names]
-    if written is not None and written != _digest({n: row[n] for n in stored} for row in rows).encode():
+    if written is not None and written != _digest(found).encode():
         raise InputError(str(path), "is damaged: its rows are not those that were written", _REMEDY)
     return rows
 

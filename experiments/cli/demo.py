@@ -93,8 +93,10 @@ def units_table(cell: "CellAnalysis", experiment: "ExperimentSpec") -> Table:
     from scenarios.describe import describe_field, describe_kind
 
     kinds = [thread.kind for thread in experiment.threads]
-    degradation = experiment.degradations[experiment.cells[cell.cell].degradation]
-    dose = describe_field(degradation.dose, degradation.doses[experiment.cells[cell.cell].dose])
+    of_cell = experiment.cells[cell.cell]
+    assert of_cell.degradation is not None and of_cell.dose is not None
+    degradation = experiment.degradations[of_cell.degradation]
+    dose = describe_field(degradation.dose, degradation.doses_of(of_cell.base)[of_cell.dose])
     table = Table(
         title=f"Eq. 1 in {cell.completed} units of {describe_kind(cell.kind)}, {dose}",
         box=box.SIMPLE,

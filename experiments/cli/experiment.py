@@ -1,7 +1,7 @@
 """``dslab experiment``."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -17,9 +17,6 @@ from experiments.cli.console import (
 from experiments.cli.experiment_progress import estimates_text, experiment_progress
 from experiments.cli.experiment_tables import print_answer, print_replay, status_table
 from experiments.cli.fuzz import fuzz_command
-
-if TYPE_CHECKING:
-    from experiments.eq1.spec import ExperimentSpec
 
 _HELP = """Run many units with base and Dual-SLAM: run, resume, status, replay, report.
 
@@ -50,8 +47,8 @@ def run_command(
         str | None,
         typer.Option(metavar="URL", help="Dask scheduler to use instead of processes of this machine."),
     ] = None,
-    units: Annotated[
-        int | None, typer.Option(min=1, help="Units per cell instead of those of the spec.")
+    worlds: Annotated[
+        int | None, typer.Option(min=1, help="Worlds of every cell instead of those of the spec.")
     ] = None,
     timeout: TimeoutOption = _TIMEOUT_S,
     memory: MemoryOption = _MEMORY_MB,
@@ -73,35 +70,32 @@ def run_command(
 
     `dslab experiment run smoke --out out/smoke`
 
-    `dslab experiment run my-spec.yaml --out out/mine --workers 8 --units 100`
+    `dslab experiment run my-spec.yaml --out out/mine --workers 8 --worlds 100`
 
     `dslab experiment run eq1-full --out out/full --scheduler tcp://10.0.0.1:8786`
     """
     from experiments.campaign.clusters import open_worker_pool
     from experiments.campaign.runner import run_experiment
-    from experiments.campaign.stopping import stopping_rule
     from experiments.campaign.worker_pool import WorkerPoolSettings
     from experiments.eq1.spec import load_spec
     from experiments.eq1.trial import run_unit
     from experiments.runs.provenance import usable_cores
 
     spec = load_spec(experiment)
-    if units is not None:
-        spec = _with_units(spec, units)
+    if worlds is not None:
+        spec = spec.model_copy(update={"worlds": worlds})
     settings = WorkerPoolSettings(
         workers=workers or usable_cores(),
         scheduler=scheduler,
         timeout_s=timeout,
         memory_mb=memory or None,
     )
-    rule = stopping_rule(spec.stopping)
     try:
         with experiment_progress(spec.name) as show:
             tally = run_experiment(
                 spec,
                 out_dir,
                 lambda: open_worker_pool(settings, run_unit),
-                rule,
                 retry_errors,
                 rerun_damaged,
                 show,
@@ -392,15 +386,3 @@ def _note_digests(folder: Path) -> None:
     if not has_digests(folder):
         note = "its rows were written before they had digests: a changed value may pass for a true one"
         err.print(f"note: {folder}: {note}", markup=False, soft_wrap=True)
-
-
-def _with_units(spec: "ExperimentSpec", units: int) -> "ExperimentSpec":
-    from pydantic import ValidationError
-
-    from scenarios.errors import InputError
-
-    try:
-        return spec.model_validate(spec.model_dump(mode="json") | {"units": units})
-    except ValidationError as error:
-        problem = error.errors()[0]["msg"].removeprefix("Value error, ").replace("units = ", "")
-        raise InputError("--units", problem, "give more units or change the spec") from None

@@ -62,13 +62,10 @@ def status_table(status: "ExperimentStatus") -> Table:
     table.add_column("cell")
     for column in ("units", "completed", "void", "errors", "breakages", "all\nthreads\nfailed"):
         table.add_column(column, justify="right")
-    if any(cell.stopped_at is not None for cell in status.cells):
-        table.add_column("stopped early")
     for cell in status.cells:
         ended = f"{cell.units} / {cell.budget}"
         counts = (cell.completed, cell.void, cell.errors, cell.breakages, cell.failures)
-        stopped = [] if cell.stopped_at is None else [f"at {cell.stopped_at}"]
-        table.add_row(cell.cell, ended, *map(str, counts), *stopped)
+        table.add_row(cell.cell, ended, *map(str, counts))
     return table
 
 

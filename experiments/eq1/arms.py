@@ -14,7 +14,7 @@ import numpy as np
 from experiments.eq1.unit_settings import unit_settings
 from experiments.eq1.units import UnitSpec
 from experiments.evaluation.breakages import EXPOSURE_GRACE_S
-from experiments.runs.execution import RunRecord, record_of, slam_camera, without_features
+from experiments.runs.execution import RunRecord, SystemKind, record_of, slam_camera, without_features
 from experiments.runs.slam_settings import SlamSettings, factory_of
 from sim.sequence import SegmentTruth, Sequence
 from slam.core.events import Breakage, RecoveryStart
@@ -50,9 +50,10 @@ class Exposure:
         Raises:
             ValueError: there is no frame before it, in it or after it.
         """
-        first = unit.scenario.segments[0]
-        onset_s = first.start_s if unit.onset_s is None else unit.onset_s
-        exposed_s = first.duration_s if unit.exposed_s is None else unit.exposed_s
+        onset_s, exposed_s = unit.onset_s, unit.exposed_s
+        if onset_s is None or exposed_s is None:
+            first = unit.scenario.segments[0]
+            onset_s, exposed_s = onset_s or first.start_s, exposed_s or first.duration_s
         stamps_s = sequence.stamps_s
         onset = int(np.searchsorted(stamps_s, onset_s - _ROUNDING_S))
         end = int(np.searchsorted(stamps_s, onset_s + exposed_s - _ROUNDING_S)) - 1
@@ -211,22 +212,28 @@ def settings_of(unit: UnitSpec) -> SlamSettings:
     return unit_settings(unit.settings, unit.threads, lambda at: ".".join(map(str, at)))
 
 
-def run_lead_in(unit: UnitSpec, sequence: Sequence, exposure: Exposure, clock: CpuClock) -> BranchRun:
-    """Run the lead-in, which all arms share: the frames before the onset."""
+def run_lead_in(
+    unit: UnitSpec, sequence: Sequence, exposure: Exposure, clock: CpuClock, kind: SystemKind | None = None
+) -> BranchRun:
+    """Run the lead-in, which all arms share: the frames before the onset; ``kind``: None for the unit's."""
     camera = slam_camera(sequence.camera)
-    system = factory_of(settings_of(unit))(unit.system, camera, unit.nuisance_seed)
+    system = factory_of(settings_of(unit))(kind or unit.system, camera, unit.repeat_seed)
     branch = BranchRun(system, sequence, clock)
     branch.feed(exposure.onset_frame)
     return branch
 
 
-def run_free(lead_in: SavedBranch, unit: UnitSpec) -> FreeArm:
+PLAIN: dict[str, SystemKind] = {"dual+": "dual", "paper+": "paper"}
+"""Systems beside which the base is that of another one, without its initialisation."""
+
+
+def run_free(lead_in: SavedBranch, unit: UnitSpec, plain: SavedBranch | None = None) -> FreeArm:
     """Run base and Dual-SLAM to the end.
 
     Up to the first breakage the two are identical bit for bit and run as one; the base then resumes from a
-    snapshot just before it.
+    snapshot just before it. With a ``plain`` lead-in, of the system in ``PLAIN``, it resumes from that.
     """
-    seed, saved = unit.nuisance_seed, lead_in
+    seed, saved = unit.repeat_seed, lead_in
     stride = max(1, round(_SAVE_EVERY_S * lead_in.sequence.camera.fps))
     dual = lead_in.resume()
     while not (dual.at_end or dual.is_broken):
@@ -234,6 +241,8 @@ def run_free(lead_in: SavedBranch, unit: UnitSpec) -> FreeArm:
             saved = dual.save()
         dual.step()
     base = saved.resume_as_base() if dual.is_broken else None
+    if plain is not None:
+        base = plain.resume_as_base()
     for branch in filter(None, (base, dual)):
         branch.feed(len(branch.sequence))
         branch.finish()

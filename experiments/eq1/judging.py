@@ -1,59 +1,58 @@
 """From the arms of a unit to the columns of its record: the declared and the audited outcome."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from experiments.eq1.arms import BranchRun, Exposure, FreeArm
-from experiments.eq1.records import dual_column, thread_column
-from experiments.eq1.recovery_judging import Reference, judge_recovery
+from experiments.eq1.mission import Fault, false_declarations, final_pose_faults, first_cause
+from experiments.eq1.records import dual_column, failure_column, thread_column
+from experiments.eq1.recovery_judging import Recovery, Reference, judge_recovery
 from experiments.evaluation import metrics
 from experiments.evaluation.alignment import Similarity, Undefined, align_poses
 from experiments.evaluation.audit import LossAudit
 from experiments.evaluation.audit_report import audit_loss_in, declaration_delay_s
 from experiments.evaluation.breakages import BreakageOutcome, breakage_outcomes
 from experiments.evaluation.declared_audit import audit_declared
-from experiments.evaluation.summary import is_tracked, main_map_pairs, posed_frames
+from experiments.evaluation.summary import main_map_pairs
 from experiments.runs.execution import RunRecord
 
 
 def judge_free(arm: FreeArm, reference: Reference) -> dict[str, Any]:
     """The columns of base and dual and, after a breakage, of every recovery thread."""
-    exposure, threads = reference.exposure, reference.threads
-    base_first = _first_exposed(arm.base, reference)
-    loss = _loss(arm.base, exposure, base_first)
+    exposure = reference.exposure
+    first, base_first = _first_exposed(arm.dual, reference), _first_exposed(arm.base, reference)
+    loss = _loss(arm.dual, exposure, first)
+    silent = None if loss is None else first is None and loss.true_loss_frame is not None
     row = {
-        "breakage": base_first is not None,
-        "silent_failure": None if loss is None else base_first is None and loss.true_loss_frame is not None,
-        "base_failure": not is_tracked(arm.base.results[-1]),
-        "base_share_tracked": float(np.mean([is_tracked(r) for r in arm.base.results])),
-        "dual_share_tracked": float(posed_frames(arm.dual).mean()),
+        "breakage": first is not None,
+        "silent_failure": silent,
+        "base_breakage": base_first is not None,
+        "base_failure": base_first is not None and base_first.relocalized is None,
         **_accuracy(arm.base, "base", exposure),
         **_accuracy(arm.dual, "dual", exposure),
         **declared_columns(arm.base, "base", ("loops", "relocalizations")),
         **declared_columns(arm.dual, "dual", ("loops", "relocalizations", "fusions", "joins")),
-        **{dual_column(n): False for n in range(1, threads + 1)},
-        "dual_failure": False,
     }
-    dual_first = _first_exposed(arm.dual, reference)
-    if base_first is None or dual_first is None:
-        return row
-    breakage = base_first.breakage
-    lost = loss.true_loss_frame if loss is not None else None
-    recovery = judge_recovery("free", arm.dual.events, arm.first_frame_of, breakage.frame, reference)
-    row |= {
-        "breakage_frame": breakage.frame,
-        "breakage_reason": breakage.reason,
-        "declaration_delay_s": declaration_delay_s(reference.sequence.stamps_s, lost, breakage.frame),
-        "relocalized": base_first.relocalized is not None,
-        "dual_relocalized": dual_first.relocalized is not None,
-        "reinit": recovery.reinit_frame is not None,
-        "reinit_frame": recovery.reinit_frame,
-        # The old map's last correct pose is that of the frame before the loss.
-        "free_frames_to_cross": recovery.frames_from((breakage.frame if lost is None else lost) - 1),
-        **recovery.columns,
-    }
-    return row | _whole(recovery.columns, threads)
+    if base_first is not None:
+        row["relocalized"] = base_first.relocalized is not None
+    recovery = None
+    if first is not None:
+        breakage = first.breakage
+        lost = loss.true_loss_frame if loss is not None else None
+        recovery = judge_recovery("free", arm.dual.events, arm.first_frame_of, breakage.frame, reference)
+        row |= {
+            "breakage_frame": breakage.frame,
+            "breakage_reason": breakage.reason,
+            "declaration_delay_s": declaration_delay_s(reference.sequence.stamps_s, lost, breakage.frame),
+            "reinit": recovery.reinit_frame is not None,
+            "reinit_frame": recovery.reinit_frame,
+            # The old map's last correct pose is that of the frame before the loss.
+            "free_frames_to_cross": recovery.frames_from((breakage.frame if lost is None else lost) - 1),
+            **recovery.columns,
+        }
+    return row | _dual_failures(arm, reference, first, recovery) | _base_mission(arm, exposure, base_first)
 
 
 def judge_crossing(branch: BranchRun, reference: Reference) -> dict[str, Any]:
@@ -83,13 +82,68 @@ def declared_columns(record: RunRecord, name: str, kinds: tuple[str, ...]) -> di
     return {**false, f"{name}_unjudged": audit.unjudged}
 
 
-def _whole(columns: dict[str, Any], threads: int) -> dict[str, Any]:
-    """D_n for every n, and the failure of the system that stops at the first successful thread."""
-    failed = [columns[thread_column("free", j, "failed")] for j in range(1, threads + 1)]
-    declared = [columns[thread_column("free", j, "declared")] for j in range(1, threads + 1)]
-    first = declared.index(True) if any(declared) else None
-    row = {dual_column(n): all(failed[:n]) for n in range(1, threads + 1)}
-    return row | {"dual_failure": True if first is None else failed[first]}
+def _dual_failures(
+    arm: FreeArm,
+    reference: Reference,
+    broke: BreakageOutcome | None,
+    recovery: Recovery | None,
+) -> dict[str, Any]:
+    """D_J, S_J and M_J for the first 1 to n threads, and the first cause with all of them.
+
+    The run is that of all threads. Where its first n have S_J, so has the mission; where not, the one of them
+    that declared success first did so in the run as well.
+    """
+    numbers = range(1, reference.threads + 1)
+    failed, declared = (
+        [recovery is not None and recovery.columns[thread_column("free", j, name)] is True for j in numbers]
+        for name in ("failed", "declared")
+    )
+    faults = _audited_faults(arm.dual, reference.exposure, broke)
+    threads, system = system_failures(broke is not None, failed, declared)
+    row: dict[str, Any] = {}
+    for n in numbers:
+        row |= {
+            dual_column(n): threads[n - 1],
+            failure_column("s", n): system[n - 1],
+            failure_column("m", n): system[n - 1] or bool(faults),
+        }
+    if broke is not None and row[failure_column("s", reference.threads)]:
+        faults.append(Fault.declared(broke.breakage.frame, "dual_failure"))
+    return row | {"mission_cause": first_cause(faults)}
+
+
+def system_failures(
+    broke: bool, failed: Sequence[bool], declared: Sequence[bool]
+) -> tuple[list[bool], list[bool]]:
+    """D_J and S_J for the first 1 to n threads.
+
+    Args:
+        broke: B.
+        failed: of every thread.
+        declared: of every thread, that it declared success.
+    """
+    threads, system = [], []
+    for n in range(1, len(failed) + 1):
+        first = next((j for j in range(n) if declared[j]), None)
+        threads.append(broke and all(failed[:n]))
+        system.append(broke and (first is None or failed[first]))
+    return threads, system
+
+
+def _base_mission(arm: FreeArm, exposure: Exposure, broke: BreakageOutcome | None) -> dict[str, Any]:
+    faults = _audited_faults(arm.base, exposure, broke)
+    if broke is not None and broke.relocalized is None:
+        faults.append(Fault.declared(broke.breakage.frame, "base_failure"))
+    return {"base_mission_failure": bool(faults), "base_mission_cause": first_cause(faults)}
+
+
+def _audited_faults(record: RunRecord, exposure: Exposure, broke: BreakageOutcome | None) -> list[Fault]:
+    """All that only the truth shows: a silent failure, false declarations, a final pose out of bounds."""
+    faults = [*false_declarations(audit_declared(record)), *final_pose_faults(record, exposure)]
+    loss = _loss(record, exposure, broke)
+    if broke is None and loss is not None and loss.true_loss_frame is not None:
+        faults.append(Fault.audited(loss.true_loss_frame, "silent_failure"))
+    return faults
 
 
 # -- base and dual -------------------------------------------------------------------------------------------
@@ -113,15 +167,26 @@ def _accuracy(record: RunRecord, name: str, exposure: Exposure) -> dict[str, Any
     """ATE and coverage of the largest map, end-point error of the map that holds the lead-in."""
     truth, pairs = record.sequence.T_world_cam, main_map_pairs(record)
     assert truth is not None
-    row: dict[str, Any] = {f"{name}_ate_m": None, f"{name}_path_share": 0.0, f"{name}_end_error_m": None}
+    figures = ("ate_m", "keyframe_ate_m", "end_error_m")
+    row: dict[str, Any] = {f"{name}_{figure}": None for figure in figures}
+    row |= {f"{name}_path_share": 0.0, f"{name}_share_tracked": 0.0}
     if pairs is None:
         return row
-    ate = metrics.ate(pairs)
-    row[f"{name}_ate_m"] = None if isinstance(ate, Undefined) else ate.rmse_m
+    main = record.trajectories[0]
+    row[f"{name}_share_tracked"] = len(main.frames) / len(record.results)
+    row[f"{name}_ate_m"] = _ate_m(pairs)
+    keyframes = next((path for path in record.keyframes if path.map_id == main.map_id), None)
+    if keyframes is not None:
+        row[f"{name}_keyframe_ate_m"] = _ate_m(metrics.associate(keyframes, record.sequence.stamps_s, truth))
     share = metrics.coverage(pairs.frames, truth).share
     row[f"{name}_path_share"] = share if np.isfinite(share) else None
     row[f"{name}_end_error_m"] = _end_error_m(record, exposure)
     return row
+
+
+def _ate_m(pairs: metrics.PosePairs) -> float | None:
+    ate = metrics.ate(pairs)
+    return None if isinstance(ate, Undefined) else ate.rmse_m
 
 
 def _end_error_m(record: RunRecord, exposure: Exposure) -> float | None:

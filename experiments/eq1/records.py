@@ -1,7 +1,8 @@
 """The record of a unit: one flat row with the same columns for every unit of an experiment.
 
 Booleans are null if they do not apply: a recovery that was never due has neither failed nor succeeded. Names
-follow Eq. 1: B a breakage, R_j the failure of recovery thread j, D_n the failure of Dual-SLAM with n threads.
+follow Eq. 1: B a breakage, R_j the failure of recovery thread j; with J the first n threads, D_J is B and the
+failure of all of them, S_J the failure of the system, M_J that of its mission.
 """
 
 import math
@@ -30,6 +31,10 @@ DOMAINS: dict[Domain, tuple[ColumnType, float, float]] = {
 """Type, least and largest value of each domain; a name is a text that is not empty."""
 
 
+SHAM = "sham"
+"""Kind of the cells without a degradation."""
+
+
 class Outcome(StrEnum):
     """Outcome of a unit."""
 
@@ -42,12 +47,17 @@ UNIT_COLUMNS: dict[str, tuple[Domain, str]] = {
     "unit_id": ("name", "content hash of the unit's spec"),
     "experiment": ("name", "name of the experiment"),
     "cell": ("name", "name of the cell"),
+    "base": ("name", "name of its base: one kind of world and of motion"),
     "kind": ("name", "kind of the degradation"),
     "severity": ("float", "its dose"),
     "index": ("count", "number of the unit in its cell"),
     "world": ("name", "kind of the world"),
-    "world_seed": ("count", "seed of the world: units that share it are a cluster"),
-    "nuisance_seed": ("count", "seed of all else"),
+    "sequence": ("count", "number of its sequence in its world"),
+    "repeat": ("count", "number of the replicate in its sequence"),
+    "world_seed": ("count", "seed of the world: worlds are the sample"),
+    "sequence_seed": ("count", "seed of path, camera and draws of the segment"),
+    "repeat_seed": ("count", "seed of noise, start frame, SLAM and threads"),
+    "start_frame": ("count", "first frame of the scenario that was fed; frames count from it"),
     "code": ("text", "hash of the sources of sim, scenarios and slam"),
     "commit": ("text", "commit of the code"),
     "outcome": ("name", "completed, void or infrastructure_error"),
@@ -64,10 +74,17 @@ UNIT_COLUMNS: dict[str, tuple[Domain, str]] = {
     "breakage_reason": ("text", "as declared"),
     "declaration_delay_s": ("float", "from the true loss to the declaration"),
     "silent_failure": ("bool", "the segment corrupted the map and no breakage was declared"),
-    "relocalized": ("bool", "given B: the base relocalized"),
-    "base_failure": ("bool", "the base ends without an intact map"),
-    "base_share_tracked": ("share", "share of frames tracked"),
+    "view_overlap": ("share", "largest view overlap of usable frames on either side of the stress"),
+    "rescuable": ("bool", "it is enough for a recovery by images; never shown to the SLAM"),
+    # The base; beside a system with initialisation by GMS the plain one, with a map of its own.
+    "base_breakage": ("bool", "it declared tracking lost in the exposed segment"),
+    "relocalized": ("bool", "given its breakage: it relocalized, before the next one"),
+    "base_failure": ("bool", "it broke and did not relocalize"),
+    "base_mission_failure": ("bool", "the same, or silent, false, or its final pose is off"),
+    "base_mission_cause": ("text", "which of these was first"),
+    "base_share_tracked": ("share", "share of frames with a final pose in the main map"),
     "base_ate_m": ("amount", "ATE of the largest map"),
+    "base_keyframe_ate_m": ("amount", "the same over its keyframes, as in the paper's Table I"),
     "base_path_share": ("share", "share of the path that this map covers"),
     "base_end_error_m": ("amount", "position error of the last pose, aligned on the lead-in"),
     "base_false_loops": ("count", "loops it closed that are false by the audit"),
@@ -77,8 +94,12 @@ UNIT_COLUMNS: dict[str, tuple[Domain, str]] = {
     "reinit": ("bool", "given B: a new map was initialized before the end"),
     "reinit_frame": ("count", "its frame"),
     "free_frames_to_cross": ("int", "frames from the old map's last correct pose to the new map's first"),
-    "dual_share_tracked": ("share", "share of frames with a final pose, of the dual with all its threads"),
+    "dual_share_tracked": (
+        "share",
+        "share of frames with a final pose in the main map, with all its threads",
+    ),
     "dual_ate_m": ("amount", "ATE of its largest map"),
+    "dual_keyframe_ate_m": ("amount", "the same over its keyframes"),
     "dual_path_share": ("share", "share of the path that this map covers"),
     "dual_end_error_m": ("amount", "position error of the last pose, aligned on the lead-in"),
     "dual_false_loops": ("count", "loops it closed that are false by the audit"),
@@ -86,8 +107,7 @@ UNIT_COLUMNS: dict[str, tuple[Domain, str]] = {
     "dual_false_fusions": ("count", "fusions by a recovery, likewise"),
     "dual_false_joins": ("count", "fusions by place, likewise"),
     "dual_unjudged": ("count", "of all these, those that the audit could not judge"),
-    "dual_failure": ("bool", "B, and the first thread to declare success was false, or none declared it"),
-    "dual_relocalized": ("bool", "given B: the dual continued in the broken map by relocalization"),
+    "mission_cause": ("text", "what failed first in its mission, with all its threads"),
     # Crossing arm.
     "cross_reinit": ("bool", "a new map was initialized after the exposed segment"),
     "cross_reinit_frame": ("count", "its frame"),
@@ -129,36 +149,53 @@ PAIR_COLUMNS: dict[str, tuple[Domain, str]] = {
 }
 """Per gap, named ``pairs1_count``, ``pairs27_direction_deg`` and so on: medians over the pairs of the gap."""
 
-DUAL_COLUMN = "d{n}"
-"""``d1`` … ``dn`` (bool): Dual-SLAM failed with the first n threads: B and R_1 … R_n of the free arm."""
+FAILURES = {
+    "d": "B and all of R_1 … R_n of the free arm: D_J",
+    "s": "B and, of the first n threads, none declared success or the first to do so was false: S_J",
+    "m": "S_J, or silent, or a false declaration, or a final pose out of bounds: M_J",
+}
+"""Failures of Dual-SLAM with the first n threads (bool), named ``d1`` … ``dn``, ``s1`` …, ``m1`` …."""
 
 
 NEVER_NULL = frozenset(
     {
         *("unit_id", "experiment", "cell", "kind", "severity", "index"),
-        *("world", "world_seed", "nuisance_seed", "outcome", "message", "attempts"),
+        *("world", "world_seed", "outcome", "message", "attempts"),
     }
 )
 """Columns with a value in every record."""
 
 GIVEN_BREAKAGE = frozenset(
     {
-        *("breakage_frame", "breakage_reason", "relocalized", "dual_relocalized"),
-        *("reinit", "reinit_frame", "free_frames_to_cross"),
+        *("breakage_frame", "breakage_reason", "reinit", "reinit_frame", "free_frames_to_cross"),
     }
 )
 """Columns that are null without a breakage, besides those of the threads in the free arm."""
 
-_ADDED_COLUMNS = frozenset(
-    f"{system}_{name}"
-    for system in ("base", "dual")
-    for name in ("false_loops", "false_relocalizations", "false_fusions", "false_joins", "unjudged")
+_LATER = (
+    "false_loops",
+    "false_relocalizations",
+    "false_fusions",
+    "false_joins",
+    "unjudged",
+    "keyframe_ate_m",
 )
+_ADDED_COLUMNS = frozenset(
+    {
+        *(f"{system}_{name}" for system in ("base", "dual") for name in _LATER),
+        *("base", "sequence", "repeat", "sequence_seed", "repeat_seed", "start_frame"),
+        *("view_overlap", "rescuable", "mission_cause"),
+        *("base_breakage", "base_mission_failure", "base_mission_cause"),
+    }
+)
+FORMER_COLUMNS = frozenset({"nuisance_seed", "dual_failure", "dual_relocalized"})
+"""Columns of earlier versions."""
 
 
 def added_later(column: str) -> bool:
-    """True if tables and ledgers of earlier versions may lack a column; its values are then null."""
-    return column in _ADDED_COLUMNS or column.startswith("pairs")
+    """True if tables of earlier versions may lack a column; its values are then null."""
+    numbered = column[:1] in ("s", "m") and column[1:].isdigit()
+    return column in _ADDED_COLUMNS or column.startswith("pairs") or numbered
 
 
 MEASURED_COLUMNS = ("attempts", "render_s", "slam_s", "cpu_s", "wall_s", "peak_rss_mb")
@@ -181,8 +218,13 @@ def pair_column(gap: int, name: str) -> str:
 
 
 def dual_column(threads: int) -> str:
-    """The name of the column of D_n."""
-    return DUAL_COLUMN.format(n=threads)
+    """The name of the column of D_J with the first ``threads`` threads."""
+    return failure_column("d", threads)
+
+
+def failure_column(failure: Literal["d", "s", "m"], threads: int) -> str:
+    """The name of the column of D_J, S_J or M_J with the first ``threads`` threads."""
+    return f"{failure}{threads}"
 
 
 @cache
@@ -192,7 +234,9 @@ def domains(threads: int) -> Mapping[str, Domain]:
     for arm in ("free", "cross"):
         for thread in range(1, threads + 1):
             named |= {thread_column(arm, thread, n): domain for n, (domain, _) in THREAD_COLUMNS.items()}
-    whole: dict[str, Domain] = {dual_column(n): "bool" for n in range(1, threads + 1)}
+    whole: dict[str, Domain] = {
+        failure_column(failure, n): "bool" for failure in ("d", "s", "m") for n in range(1, threads + 1)
+    }
     pairs: dict[str, Domain] = {
         pair_column(gap, n): domain for gap in PAIR_GAPS for n, (domain, _) in PAIR_COLUMNS.items()
     }
@@ -212,10 +256,15 @@ def empty_record(unit: UnitSpec) -> dict[str, Any]:
         "cell": unit.cell,
         "kind": unit.kind,
         "severity": unit.severity,
+        "base": unit.base or None,
         "index": unit.index,
+        "sequence": unit.sequence,
+        "repeat": unit.repeat,
         "world": unit.scenario.world.kind,
         "world_seed": unit.world_seed,
-        "nuisance_seed": unit.nuisance_seed,
+        "sequence_seed": unit.sequence_seed,
+        "repeat_seed": unit.repeat_seed,
+        "start_frame": unit.start_frame,
         "outcome": Outcome.INFRASTRUCTURE_ERROR.value,
         "message": "",
         "attempts": 1,

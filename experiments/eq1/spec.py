@@ -1,11 +1,12 @@
 """The spec of an experiment: cells, units and seeds as typed and validated data.
 
-A cell is a scenario base with one dose of one degradation, run by one system. Its units have a clean lead-in,
-an exposed segment in part of which the degradation acts, and a clean tail. Index ``i`` has the same world and
-the same nuisance seed in every cell: two cells differ only in what their names state.
+A cell is a scenario base, one kind of world and of motion, with one dose of one degradation, run by one
+system. Its units have a clean lead-in, an exposed segment in part of which the degradation acts, and a clean
+tail. They are replicates of sequences in worlds. Index ``i`` has the same world, path and noise in every
+cell: two cells differ only in what their names state.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -13,8 +14,10 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 import yaml
 from pydantic import Field, ValidationError, model_validator
 
-from experiments.eq1.spec_parts import Base, Degradation, Stopping, Threads
-from experiments.eq1.unit_drawing import Cell, draw_scenario, written_base
+from experiments.eq1.homogeneity import base_mixtures, stress_mixtures
+from experiments.eq1.records import SHAM
+from experiments.eq1.spec_parts import Base, Degradation, Threads
+from experiments.eq1.unit_drawing import Cell, Place, draw_scenario, written_base
 from experiments.eq1.unit_settings import unit_settings
 from experiments.eq1.units import ArmName, ThreadChoice, UnitSpec, content_hash
 from scenarios.distributions import NotationError
@@ -27,8 +30,11 @@ from scenarios.yaml_file import Location, YamlFile, read_yaml
 from slam.dual.recovery.registry import RECOVERY_KINDS
 
 PRESET_DIR = Path(__file__).parent / "presets"
-SPEC_VERSION = 1
+SPEC_VERSION = 2
+START_WITHIN_S = 1.0
+"""Replicates start within this time of the lead-in, or within half of it."""
 SystemName = Literal["dual", "dual+", "paper", "paper+"]
+LevelName = Literal["sequences", "worlds"]
 _NAME = r"^[a-z0-9][a-z0-9_-]*$"
 _SEED_END = 2**53  # exact in JSON and in every table
 
@@ -38,7 +44,7 @@ class ExperimentSpec(Grown):
 
     _unwritten: ClassVar = {"settings": {}}
 
-    spec_version: Literal[1] = SPEC_VERSION
+    spec_version: Literal[2] = SPEC_VERSION
     name: str = Field(pattern=_NAME, max_length=40)
     description: str = ""
     root_seed: int = Field(0, ge=0, lt=_SEED_END)
@@ -57,15 +63,33 @@ class ExperimentSpec(Grown):
     lead_in_s: float = Field(5.0, gt=0, le=600)
     exposed_s: float = Field(10.0, gt=0, le=600, description="L, the unit length of Eq. 1")
     tail_s: float = Field(15.0, gt=0, le=600)
-    units: int = Field(ge=1, le=1_000_000, description="per cell; with a stopping rule the most")
-    units_per_world: int = Field(1, ge=1, description="units that share a world: a cluster")
-    stopping: Stopping | None = None
+    worlds: int = Field(ge=1, le=100_000, description="of every cell: the sample")
+    sequences_per_world: int = Field(1, ge=1, le=100, description="paths in one world")
+    repeats: int = Field(
+        1, ge=1, le=100, description="replicates of a sequence: other noise, start frame and random seeds"
+    )
+    sham: bool = Field(True, description="a cell without a degradation for every base")
+    confirmatory: tuple[str, ...] = Field((), description="cells whose tests decide; named before the run")
+    levels: tuple[LevelName, ...] = Field(
+        (), description="within what chance is to be told apart: sequences need repeats, worlds sequences"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_version(cls, data: Any) -> Any:
+        former = [name for name in ("units", "units_per_world", "stopping") if name in data]
+        if former or data.get("spec_version", SPEC_VERSION) == 1:
+            raise ValueError(
+                f"{' and '.join(former) or 'spec_version 1'}: of an earlier version whose cells mixed "
+                "populations, give worlds and sequences_per_world and repeats and spec_version 2 instead"
+            )
+        return data
 
     @model_validator(mode="after")
     def _check_consistency(self) -> "ExperimentSpec":
         for name in ("systems", "arms", "degradations"):
             items = getattr(self, name)
-            named = [getattr(item, "kind", item) for item in items]
+            named = [getattr(item, "label", item) for item in items]
             twice = next((item for i, item in enumerate(named) if item in named[:i]), None)
             if twice is not None:
                 raise ValueError(f"{name} names {twice} twice, keep one of them")
@@ -75,36 +99,38 @@ class ExperimentSpec(Grown):
                 raise ValueError(f"unknown recovery thread {thread.kind!r}, use {known}")
         if any(thread in self.threads[:i] for i, thread in enumerate(self.threads)):
             raise ValueError("two threads are the same, give those of one kind different seeds")
-        if self.stopping is not None:
-            self._check_stopping(self.stopping)
+        for degradation in self.degradations:
+            if fault := degradation.base_fault(self.bases):
+                raise ValueError(f"degradations, {degradation.label}: {fault}")
+        needed = len(self.threads) + 1
+        for level, name in (("sequences", "repeats"), ("worlds", "sequences_per_world")):
+            if level in self.levels and getattr(self, name) < needed:
+                raise ValueError(
+                    f"{name} is {getattr(self, name)}, but chance within {level} with {len(self.threads)} "
+                    f"threads takes {needed}, give {name}: {needed} or leave {level} out of levels"
+                )
         return self
-
-    def _check_stopping(self, rule: Stopping) -> None:
-        if rule.min_units > self.units:
-            raise ValueError(f"stopping.min_units is above units = {self.units}, lower it")
-        if rule.quantity[-1] != "0" and int(rule.quantity[-1]) > len(self.threads):
-            raise ValueError(f"stopping.quantity {rule.quantity} is of no thread, use p0 or a lower number")
-        arm = "crossing" if rule.quantity.startswith("pr") else "free"
-        if arm not in self.arms:
-            raise ValueError(f"stopping.quantity {rule.quantity} is of the {arm} arm, add it to arms")
 
     # -- cells and units ---------------------------------------------------------------------------------
 
     @cached_property
     def cells(self) -> dict[str, Cell]:
-        """Every cell by name: base (if several), kind, number of the dose, system (if several)."""
+        """Every cell by name: base (if several), kind, number of the dose (or sham), system (if several)."""
         named = [(name, base, member) for name, base in self.bases.items() for member in _members(base)]
         found = {}
         for name, base, member in named:
             place = name if member is None else f"{name}-{member}"
             written = written_base(base.family, member, base.own)
-            for number, degradation in enumerate(self.degradations):
-                for dose in range(len(degradation.doses)):
-                    image = f"{degradation.kind}/{dose + 1}"
-                    image = f"{place}/{image}" if len(named) > 1 else image
-                    for system in self.systems:
-                        cell = Cell(image, name, written, number, dose, system)
-                        found[f"{image}/{system}" if len(self.systems) > 1 else image] = cell
+            doses: list[tuple[str, int | None, int | None]] = [
+                (f"{degradation.label}/{dose + 1}", number, dose)
+                for number, degradation in enumerate(self.degradations)
+                for dose in range(len(degradation.doses_of(name)))
+            ]
+            for stress, number, dose in [*doses, *([(SHAM, None, None)] if self.sham else [])]:
+                image = f"{place}/{stress}" if len(named) > 1 else stress
+                for system in self.systems:
+                    cell = Cell(image, name, written, number, dose, system)
+                    found[f"{image}/{system}" if len(self.systems) > 1 else image] = cell
         return found
 
     def model_copy(self, **options: Any) -> Self:
@@ -118,7 +144,7 @@ class ExperimentSpec(Grown):
         return list(self.cells)
 
     def units_of(self, cell: str) -> int:
-        """Largest number of units of a cell.
+        """Number of units of a cell.
 
         Raises:
             InputError: the cell is unknown.
@@ -126,12 +152,28 @@ class ExperimentSpec(Grown):
         self._cell(cell)
         return self.units
 
-    def seeds(self, index: int) -> tuple[int, int]:
-        """World seed and nuisance seed of an index, the same in every cell."""
-        number = index // self.units_per_world
-        world = rng_for(self.root_seed, "experiment", "world", number).integers(_SEED_END)
-        nuisance = rng_for(self.root_seed, "experiment", "nuisance", index).integers(_SEED_END)
-        return int(world), int(nuisance)
+    @property
+    def units(self) -> int:
+        """Number of units of every cell."""
+        return self.worlds * self.sequences_per_world * self.repeats
+
+    def place(self, index: int) -> Place:
+        """World, sequence and replicate of an index, the same in every cell."""
+        number, repeat = divmod(index, self.repeats)
+        world, sequence = divmod(number, self.sequences_per_world)
+
+        def seed(*names: str | int) -> int:
+            return int(rng_for(self.root_seed, "experiment", *names).integers(_SEED_END))
+
+        return Place(
+            index,
+            sequence,
+            repeat,
+            seed("world", world),
+            seed("sequence", world, sequence),
+            seed("repeat", world, sequence, repeat),
+            self.repeats > 1,
+        )
 
     def unit(self, cell: str, index: int) -> UnitSpec:
         """Draw one unit, of any index from 0: a pure function of the spec.
@@ -143,17 +185,29 @@ class ExperimentSpec(Grown):
 
     def _unit(self, cell: str, index: int, where: Callable[[Location], str]) -> UnitSpec:
         of_cell = self._cell(cell)
-        world_seed, nuisance_seed = self.seeds(index)
-        degradation = self.degradations[of_cell.degradation]
+        kind, severity = SHAM, 0.0
+        if of_cell.degradation is not None and of_cell.dose is not None:
+            degradation = self.degradations[of_cell.degradation]
+            kind, severity = degradation.label, degradation.severities_of(of_cell.base)[of_cell.dose]
+        place = self.place(index)
+        scenario = draw_scenario(self, of_cell, place, where)
+        start_s = min(START_WITHIN_S, self.lead_in_s / 2)
+        starts = max(1, round(start_s * scenario.camera.fps))
+        start = rng_for(place.repeat_seed, "experiment", "start").integers(starts)
         return UnitSpec(
             experiment=self.name,
             cell=cell,
-            kind=degradation.kind,
-            severity=(degradation.severities or degradation.doses)[of_cell.dose],
+            base=of_cell.base,
+            kind=kind,
+            severity=severity,
             index=index,
-            world_seed=world_seed,
-            nuisance_seed=nuisance_seed,
-            scenario=draw_scenario(self, of_cell, index, world_seed, nuisance_seed, where),
+            sequence=place.sequence,
+            repeat=place.repeat,
+            world_seed=place.world_seed,
+            sequence_seed=place.sequence_seed,
+            repeat_seed=place.repeat_seed,
+            scenario=scenario,
+            start_frame=int(start),
             onset_s=self.lead_in_s,
             exposed_s=self.exposed_s,
             threads=self.threads,
@@ -171,8 +225,8 @@ class ExperimentSpec(Grown):
 
     @property
     def content_hash(self) -> str:
-        """Hash of all that determines units, without their number, stopping rule and description."""
-        data = self.model_dump(mode="json", exclude={"description", "units", "stopping"})
+        """Hash of all that determines units and the tests, without the number of worlds and description."""
+        data = self.model_dump(mode="json", exclude={"description", "worlds"})
         return content_hash({**data, "written": {name: cell.written for name, cell in self.cells.items()}})
 
     def as_yaml(self) -> str:
@@ -203,21 +257,41 @@ def load_spec(path_or_preset: str | Path) -> ExperimentSpec:
     raise InputError(text, "no such experiment", remedy)
 
 
-def _load(path: Path) -> ExperimentSpec:
-    file = read_yaml(path, "experiment", f"a copy of {PRESET_DIR / 'smoke.yaml'}")
+def read_spec_file(path: Path) -> YamlFile:
+    """Read the YAML file of a spec.
+
+    Raises:
+        InputError: it does not exist or is no YAML.
+    """
+    return read_yaml(path, "experiment", f"a copy of {PRESET_DIR / 'smoke.yaml'}")
+
+
+def validated(data: Any, file: YamlFile) -> ExperimentSpec:
+    """The spec that the data of a file are, each field of the right kind.
+
+    Raises:
+        InputError: they are none.
+    """
     try:
-        spec = ExperimentSpec.model_validate(file.data)
+        spec = ExperimentSpec.model_validate(data)
     except ValidationError as error:
         raise all_faults(error, file.where, root=ExperimentSpec) from None
     collect(_distribution_faults(file), None)
+    return spec
+
+
+def _load(path: Path) -> ExperimentSpec:
+    file = read_spec_file(path)
+    spec = validated(file.data, file)
     unit_settings(spec.settings, spec.threads, file.where)
-    faults: list[InputError] = []
+    faults = list(_mixtures(spec, file))
     for cell in spec.cell_names():
         try:
             spec._unit(cell, 0, file.where)
         except InputError as error:
             faults += error.faults
     collect(in_order_of_lines(path, faults), None)
+    collect(list(_confirmatory_faults(spec, file)), None)
     return spec
 
 
@@ -229,6 +303,24 @@ def _distribution_faults(file: YamlFile) -> list[InputError]:
         for at, found in distributions_in(file.data[key], (key,))
         if isinstance(found, NotationError)
     ]
+
+
+def _mixtures(spec: ExperimentSpec, file: YamlFile) -> Iterator[InputError]:
+    """What mixes populations in a cell."""
+    cells = spec.cells.values()
+    drawn_from = {(cell.base, id(cell.written)): cell.written for cell in cells}
+    for (name, _), variants in drawn_from.items():
+        yield from base_mixtures(name, spec.bases[name], variants, file.where)
+    yield from stress_mixtures(spec.degradations, file.where)
+
+
+def _confirmatory_faults(spec: ExperimentSpec, file: YamlFile) -> Iterator[InputError]:
+    """Names of cells to confirm that are none."""
+    for number, cell in enumerate(spec.confirmatory):
+        if cell not in spec.cells or spec.cells[cell].degradation is None:
+            known = [name for name, of in spec.cells.items() if of.degradation is not None]
+            remedy = f"use {guess(cell, known)}one of {', '.join(known)}"
+            yield InputError(file.where(("confirmatory", number)), f"{cell} is no cell with a dose", remedy)
 
 
 def _members(base: Base) -> tuple[str | None, ...]:

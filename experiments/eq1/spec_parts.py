@@ -1,6 +1,7 @@
-"""The parts of an experiment's spec: bases, degradations, threads, the stopping rule."""
+"""The parts of an experiment's spec: bases, degradations, threads."""
 
 import math
+from collections.abc import Collection
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -9,7 +10,7 @@ from experiments.eq1.units import ThreadChoice
 from scenarios.distributions import is_distribution
 from scenarios.errors import InputError
 from scenarios.families import load_family
-from scenarios.segments import SEGMENT_KINDS
+from scenarios.segments import SEGMENT_KINDS, ImageSegment
 from scenarios.strict import Strict
 
 Node = dict[str, Any]
@@ -47,9 +48,9 @@ Threads = tuple[Annotated[ThreadChoice, BeforeValidator(_as_choice)], ...]
 
 
 class Base(Strict):
-    """World, trajectory and camera of units; any node may be a distribution.
+    """World, trajectory and camera of units, one kind of world and of motion; any other node may be drawn.
 
-    The world is drawn from a unit's world seed, all else from its nuisance seed.
+    The world is drawn from a unit's world seed, path and camera from its sequence's.
     """
 
     family: str | None = Field(None, description="scenario family or member whose fields these are laid over")
@@ -78,44 +79,67 @@ class Base(Strict):
         return self
 
 
+Doses = Annotated[tuple[float, ...], Field(min_length=1, max_length=20)]
+
+
 class Degradation(Strict):
     """One kind of degradation in several doses, each a cell."""
 
     kind: str = Field(description="kind of the segment")
     dose: str = Field(description="field of the segment that the doses set")
-    doses: tuple[float, ...] = Field(min_length=1, max_length=20)
-    severities: tuple[float, ...] | None = Field(
+    doses: Doses | dict[str, Doses] = Field(description="of every base, or of each by its name")
+    severities: Doses | dict[str, Doses] | None = Field(
         None, description="severities that stand for the doses in the results; the doses by default"
     )
+    creeping: bool = Field(False, description="the dose rises over the whole duration; of kinds with ramp_s")
     begins_s: Span = Field(0.0, description="start after the onset; a number or a distribution")
     acts_s: SpanOrRest = Field(None, description="duration, likewise; by default to the end of L")
     fields: Node = Field(
         default_factory=dict, description="further fields of the segment, distributions allowed"
     )
 
+    @property
+    def label(self) -> str:
+        """Its name in cells and records: creeping stress is a kind of its own."""
+        return f"{self.kind}-creeping" if self.creeping else self.kind
+
+    def doses_of(self, base: str) -> tuple[float, ...]:
+        """The doses of a base."""
+        return _of_base(self.doses, base)
+
+    def severities_of(self, base: str) -> tuple[float, ...]:
+        """The severities of a base that stand for its doses."""
+        return self.doses_of(base) if self.severities is None else _of_base(self.severities, base)
+
+    def base_fault(self, bases: Collection[str]) -> str:
+        """What is wrong with its doses for these bases; empty if nothing is."""
+        for name, given in (("doses", self.doses), ("severities", self.severities)):
+            if isinstance(given, dict) and set(given) != set(bases):
+                differing = ", ".join(sorted(set(given) ^ set(bases)))
+                return f"{name} are not those of the bases ({differing}), give one list for each base"
+        for base in bases:
+            doses, severities = self.doses_of(base), self.severities_of(base)
+            if len(severities) != len(doses):
+                return f"{len(severities)} severities for {len(doses)} doses, give one per dose"
+            if len(set(severities)) < len(severities):
+                return "two doses have the same severity, make them differ"
+        return ""
+
     @model_validator(mode="after")
-    def _check_distinct(self) -> "Degradation":
-        if self.severities is not None and len(self.severities) != len(self.doses):
-            raise ValueError(
-                f"{len(self.severities)} severities for {len(self.doses)} doses, give one per dose"
-            )
-        numbers = self.severities or self.doses
-        if len(set(numbers)) < len(numbers):
-            raise ValueError("two doses have the same severity, make them differ")
+    def _check_fields(self) -> "Degradation":
+        model = SEGMENT_KINDS.get(self.kind)
+        if self.creeping and model is not None and not issubclass(model, ImageSegment):
+            raise ValueError(f"creeping: {self.kind} has no ramp_s, use a kind that acts on images")
+        own = ("ramp_s", "fall_s") if self.creeping else ()
         severities = severity_fields(self.kind)
         if severities and self.dose not in severities:
             known = " or ".join(severities)
             raise ValueError(f"dose: a segment of kind {self.kind} has no {self.dose}, use {known}")
-        taken = [name for name in ("kind", "start_s", "duration_s", self.dose) if name in self.fields]
+        taken = [name for name in ("kind", "start_s", "duration_s", *own, self.dose) if name in self.fields]
         if taken:
             raise ValueError(f"fields repeats {taken[0]}, leave it out there")
         return self
 
 
-class Stopping(Strict):
-    """A cell stops when the confidence sequence of one quantity is narrow enough, or at its budget."""
-
-    quantity: str = Field("p0", pattern=r"^(p0|pr[1-9]|d[1-9])$", description="p0, pr1, d1 and so on")
-    half_width: float = Field(gt=0, lt=0.5)
-    confidence: float = Field(0.95, gt=0.5, lt=1)
-    min_units: int = Field(20, ge=1, description="valid units before it may stop")
+def _of_base(given: tuple[float, ...] | dict[str, tuple[float, ...]], base: str) -> tuple[float, ...]:
+    return given[base] if isinstance(given, dict) else given

@@ -5,28 +5,20 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 
-from experiments.eq1.arms import (
-    BranchRun,
-    CpuClock,
-    Exposure,
-    run_crossing,
-    run_free,
-    run_lead_in,
-    settings_of,
-)
+from experiments.eq1.arms import PLAIN, CpuClock, Exposure, run_crossing, run_free, settings_of
 from experiments.eq1.conditioning import judge_pairs
 from experiments.eq1.judging import judge_crossing, judge_free
-from experiments.eq1.lead_in import lead_in_fault
 from experiments.eq1.records import Outcome, empty_record, error_message
 from experiments.eq1.recovery_judging import Reference
+from experiments.eq1.shared_lead_ins import lead_in_of
 from experiments.eq1.units import UnitSpec
 from experiments.runs.execution import RunRecord, execute
 from experiments.runs.memory import peak_rss_mb, reset_peak
 from experiments.runs.provenance import code_hash, commit
 from experiments.runs.slam_settings import factory_of
 from sim.sequence import Sequence
-from slam.core.results import MapTrajectory
 
 
 def run_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict[str, Any]:
@@ -72,7 +64,7 @@ def record_runs(unit: UnitSpec, sequence: Sequence, path: Path) -> list[RunRecor
     build = factory_of(settings_of(unit))
     with Recording(path, sequence, kinds) as recorded:
         runs = [
-            execute(sequence, kind, unit.nuisance_seed, recorded.watch(kind), build=build) for kind in kinds
+            execute(sequence, kind, unit.repeat_seed, recorded.watch(kind), build=build) for kind in kinds
         ]
         recorded.finish(runs)
     return runs
@@ -81,7 +73,8 @@ def record_runs(unit: UnitSpec, sequence: Sequence, path: Path) -> list[RunRecor
 def _render(unit: UnitSpec, cache_dir: Path | None) -> Sequence:
     from sim.sequence_rendering import render_sequence
 
-    return render_sequence(unit.scenario, cache_dir=cache_dir)
+    whole = render_sequence(unit.scenario, cache_dir=cache_dir)
+    return whole.only(np.arange(unit.start_frame, len(whole))) if unit.start_frame else whole
 
 
 def _judged(unit: UnitSpec, sequence: Sequence, clock: CpuClock) -> dict[str, Any]:
@@ -92,32 +85,18 @@ def _judged(unit: UnitSpec, sequence: Sequence, clock: CpuClock) -> dict[str, An
         "onset_frame": exposure.onset_frame,
         "end_frame": exposure.end_frame,
     }
-    branch = run_lead_in(unit, sequence, exposure, clock)
-    fault = _lead_in_fault(branch, exposure)
-    if fault is not None:
-        return row | {"outcome": Outcome.VOID.value, "void_reason": fault}
-    lead_in = branch.save()
-    reference = Reference(sequence, exposure, _current_path(branch), unit.kind, len(unit.threads))
+    lead_in = lead_in_of(unit, sequence, exposure, clock)
+    of_base = PLAIN.get(unit.system) if "free" in unit.arms else None
+    plain = None if of_base is None else lead_in_of(unit, sequence, exposure, clock, of_base)
+    faults = [f"{of_base}: {plain.fault}"] if plain is not None and plain.fault else []
+    if lead_in.branch is None or lead_in.path is None or faults:
+        return row | {"outcome": Outcome.VOID.value, "void_reason": lead_in.fault or faults[0]}
+    reference = Reference(sequence, exposure, lead_in.path, unit.kind, len(unit.threads))
     if "free" in unit.arms:
-        row |= judge_free(run_free(lead_in, unit), reference)
+        beside = None if plain is None else plain.branch
+        row |= judge_free(run_free(lead_in.branch, unit, beside), reference)
     if "crossing" in unit.arms:
-        row |= judge_crossing(run_crossing(lead_in, exposure), reference)
+        row |= judge_crossing(run_crossing(lead_in.branch, exposure), reference)
     if "pairs" in unit.arms:
-        row |= judge_pairs(sequence, exposure.onset_frame, unit.nuisance_seed)
+        row |= judge_pairs(sequence, exposure.onset_frame, unit.repeat_seed)
     return row | {"outcome": Outcome.COMPLETED.value}
-
-
-def _lead_in_fault(branch: BranchRun, exposure: Exposure) -> str | None:
-    system = branch.system
-    fault = lead_in_fault(branch.results, system.events, branch.sequence, exposure.onset_frame)
-    if fault is None:
-        keyframes = len(system.current_map.keyframes())
-        if keyframes <= system.config.min_map_keyframes:
-            return f"{keyframes} keyframes only at the onset: a breakage would drop the map"
-    return fault
-
-
-def _current_path(branch: BranchRun) -> MapTrajectory:
-    """The poses of the lead-in in the current map."""
-    current = branch.system.current_map_id
-    return next(path for path in branch.system.trajectories() if path.map_id == current)

@@ -39,16 +39,36 @@ class Cell:
         base: name of its base in the spec.
         written: world, trajectory and camera as written, one for each variant that the world seed chooses
             from: the members of a family.
-        degradation, dose: indices of kind and dose in the spec.
+        degradation, dose: indices of kind and dose in the spec; None for a sham, which has neither.
         system: the system that is run.
     """
 
     image: str
     base: str
     written: tuple[dict[str, Any], ...]
-    degradation: int
-    dose: int
+    degradation: int | None
+    dose: int | None
     system: Any
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a unit stands in its cell, the same in every cell.
+
+    Attributes:
+        index: number of the unit.
+        sequence, repeat: of its sequence in its world, of its replicate in the sequence.
+        world_seed, sequence_seed, repeat_seed: see :class:`experiments.eq1.units.UnitSpec`.
+        is_repeated: sequences have several replicates.
+    """
+
+    index: int
+    sequence: int
+    repeat: int
+    world_seed: int
+    sequence_seed: int
+    repeat_seed: int
+    is_repeated: bool
 
 
 def written_base(family: str | None, member: str | None, own: dict[str, Any]) -> tuple[dict[str, Any], ...]:
@@ -74,48 +94,51 @@ def written_base(family: str | None, member: str | None, own: dict[str, Any]) ->
 def draw_scenario(
     spec: UnitPlan,
     cell: Cell,
-    index: int,
-    world_seed: int,
-    nuisance_seed: int,
+    place: Place,
     where: Callable[[Location], str],
 ) -> Scenario:
     """Draw the scenario of a unit.
 
-    The world seed determines the world: its variant, its parameters and itself. The nuisance seed determines
-    the rest, in streams independent of kind and dose: path, camera and noise are the same in every cell.
+    The world seed determines the world: its variant, its parameters and itself. The sequence seed determines
+    path and camera, in streams independent of kind and dose: they are the same in every cell. Replicates
+    differ in noise alone.
 
     Args:
         spec: of the experiment.
         cell: one of its cells.
-        index: of the unit.
-        world_seed, nuisance_seed: of the unit.
+        place: of the unit in the cell.
         where: describes a location in the spec, for error messages.
 
     Raises:
         InputError: the drawn scenario is not valid.
     """
-    written = cell.written[int(rng_for(world_seed, "experiment", "variant").random() * len(cell.written))]
-    of_world, of_rest = Draw(world_seed), Draw(nuisance_seed)
+    variant = rng_for(place.world_seed, "experiment", "variant").random()
+    written = cell.written[int(variant * len(cell.written))]
+    of_world, of_rest = Draw(place.world_seed), Draw(place.sequence_seed)
     data: dict[str, Any] = {
-        "name": f"{cell.image}/{index}",
+        "name": f"{cell.image}/{place.index}",
         "duration_s": spec.lead_in_s + spec.exposed_s + spec.tail_s,
         "world": of_world(written["world"], ("world",), ("world",)),
         "trajectory": of_rest(written["trajectory"], ("trajectory",), ("trajectory",)),
         "camera": of_rest(written["camera"], ("camera",), ("camera",)),
-        "segments": [_segment(spec, cell, of_rest)],
-        "seed": nuisance_seed,
-        "world_seed": world_seed,
+        "segments": _segments(spec, cell, of_rest),
+        "seed": place.sequence_seed,
+        "world_seed": place.world_seed,
+        "noise_seed": place.repeat_seed if place.is_repeated else None,
     }
     for draw in (of_world, of_rest):
         draw.round_whole_numbers(data)
     try:
         return Scenario.model_validate(data)
     except ValidationError as error:
-        of_sample = f", in cell {cell.image} as drawn for unit {index}"
+        of_sample = f", in cell {cell.image} as drawn for unit {place.index}"
         raise all_faults(error, lambda at: where(_in_spec(spec, cell, at)), of_sample) from None
 
 
-def _segment(spec: UnitPlan, cell: Cell, draw: Draw) -> dict[str, Any]:
+def _segments(spec: UnitPlan, cell: Cell, draw: Draw) -> list[dict[str, Any]]:
+    """The degradation as a segment; none in a sham."""
+    if cell.degradation is None or cell.dose is None:
+        return []
     degradation = spec.degradations[cell.degradation]
 
     def drawn(value: Any, *name: str) -> Any:
@@ -124,23 +147,26 @@ def _segment(spec: UnitPlan, cell: Cell, draw: Draw) -> dict[str, Any]:
     begins_s = drawn(degradation.begins_s, "begins_s")
     left_s = spec.exposed_s - begins_s
     acts_s = left_s if degradation.acts_s is None else min(drawn(degradation.acts_s, "acts_s"), left_s)
-    return {
+    segment = {
         "kind": degradation.kind,
         "start_s": spec.lead_in_s + begins_s,
         "duration_s": acts_s,
         **{name: drawn(value, name) for name, value in degradation.fields.items()},
-        degradation.dose: degradation.doses[cell.dose],
+        degradation.dose: degradation.doses_of(cell.base)[cell.dose],
     }
+    return [segment | ({"ramp_s": acts_s, "fall_s": 0.0} if degradation.creeping else {})]
 
 
 def _in_spec(spec: UnitPlan, cell: Cell, at: Location) -> Location:
     """Location in the spec of a field of the scenario."""
-    if at[:1] != ("segments",):
+    if at[:1] != ("segments",) or cell.degradation is None:
         return ("bases", cell.base, *at)
     inside, place = at[2:], ("degradations", cell.degradation)
     name = inside[0] if inside else "kind"
-    if name == spec.degradations[cell.degradation].dose:
-        return (*place, "doses", cell.dose)
+    degradation = spec.degradations[cell.degradation]
+    if name == degradation.dose and cell.dose is not None:
+        of_base = (cell.base,) if isinstance(degradation.doses, dict) else ()
+        return (*place, "doses", *of_base, cell.dose)
     if name in ("start_s", "duration_s"):
         return (*place, "begins_s" if name == "start_s" else "acts_s")
     return (*place, name) if name == "kind" else (*place, "fields", *inside)

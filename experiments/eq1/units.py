@@ -30,12 +30,16 @@ class UnitSpec(Grown):
 
     Attributes:
         experiment: name of the experiment it belongs to.
-        cell: name of the cell, such as ``blur/2``.
-        kind: kind of the degradation of the cell, such as ``motion_blur``.
+        cell: name of the cell, such as ``motion_blur/2``.
+        base: name of its base in the spec: one kind of world and of motion.
+        kind: kind of the degradation of the cell, such as ``motion_blur``; ``sham`` for none.
         severity: dose of the degradation, in the unit that the experiment states.
         index: number of the unit in its cell, from 0.
-        world_seed, nuisance_seed: of the world; of path, sensor noise, draws of the segment and the SLAM.
+        sequence, repeat: number of its sequence in its world, and of the replicate in its sequence.
+        world_seed, sequence_seed: of the world; of path, camera and draws of the segment.
+        repeat_seed: of sensor noise, start frame, SLAM and threads.
         scenario: as drawn with these seeds: lead-in, exposed segment with the degradation, tail.
+        start_frame: first frame of the scenario that is fed to the systems.
         onset_s, exposed_s: the exposed segment; None for that of the scenario's first injected segment.
         threads: the recovery threads, in order; n of Eq. 1 is their number.
         system: the system run in the free arm besides the base, and in the crossing arm.
@@ -47,12 +51,17 @@ class UnitSpec(Grown):
 
     experiment: str
     cell: str
+    base: str = ""
     kind: str
     severity: float
     index: int = Field(ge=0)
+    sequence: int = Field(0, ge=0)
+    repeat: int = Field(0, ge=0)
     world_seed: int = Field(ge=0)
-    nuisance_seed: int = Field(ge=0)
+    sequence_seed: int = Field(ge=0)
+    repeat_seed: int = Field(ge=0)
     scenario: Scenario
+    start_frame: int = Field(0, ge=0)
     onset_s: float | None = Field(None, ge=0)
     exposed_s: float | None = Field(None, gt=0)
     threads: tuple[ThreadChoice, ...] = Field(min_length=1)

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from experiments.eq1.records import SHAM
 from experiments.report.describe import listed
 from scenarios.describe import describe_field, describe_kind, label_and_unit, plain
 
@@ -29,26 +30,41 @@ def conditions(spec: "ExperimentSpec") -> list[dict[str, Any]]:
 
 def _condition(spec: "ExperimentSpec", number: int, name: str) -> dict[str, Any]:
     cell = spec.cells[name]
+    system = str(cell.system) if name != cell.image else None
+    if cell.degradation is None or cell.dose is None:
+        *base, _ = cell.image.split("/")
+        named = ", ".join([*base, "no stress"])
+        return {
+            "number": number,
+            "cell": name,
+            "kind": SHAM,
+            "field": "",
+            "dose": "none",
+            "value": 0.0,
+            "axis": "",
+            "severity": 0.0,
+            "name": f"{named} ({system})" if system else named,
+        }
     degradation = spec.degradations[cell.degradation]
-    value = degradation.doses[cell.dose]
+    value = degradation.doses_of(cell.base)[cell.dose]
     dose = describe_field(degradation.dose, value)
     label, unit = label_and_unit(degradation.dose)
     *base, _, _ = cell.image.split("/")
-    system = str(cell.system) if name != cell.image else None
     # A value is not parted from its unit.
     together = dose.replace(
         f"{plain(value)}{unit}", f"{plain(value)}{unit}".replace(" ", "\N{NO-BREAK SPACE}")
     )
-    named = ", ".join([*base, describe_kind(degradation.kind), together])
+    creeping = "creeping " if degradation.creeping else ""
+    named = ", ".join([*base, creeping + describe_kind(degradation.kind), together])
     return {
         "number": number,
         "cell": name,
-        "kind": degradation.kind,
+        "kind": degradation.label,
         "field": degradation.dose,
         "dose": dose,
         "value": value,
         "axis": f"{label} ({unit.strip()})" if unit and label != unit.strip() else label,
-        "severity": (degradation.severities or degradation.doses)[cell.dose],
+        "severity": degradation.severities_of(cell.base)[cell.dose],
         "name": f"{named} ({system})" if system else named,
     }
 
@@ -61,6 +77,8 @@ def doses_of(found: list[dict[str, Any]], kind: str) -> list[dict[str, Any]]:
 def describe_stress(found: list[dict[str, Any]], kind: str) -> str:
     """Name a kind of degradation with its doses: ``motion blur (exposure 0.1 and 0.2 s)``."""
     doses = doses_of(found, kind)
+    if kind == SHAM:
+        return "no stress"
     label, unit = label_and_unit(doses[0]["field"])
     values = listed([plain(dose["value"]) for dose in doses])
     return f"{describe_kind(kind)} ({'' if label == unit.strip() else label + ' '}{values}{unit})"

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from experiments.eq1.records import SHAM, failure_column
 from experiments.report import outcomes, reproductions
 from experiments.report.answer import answer
 from experiments.report.conditioning import conditioning
@@ -44,13 +45,15 @@ def report_content(
     scenarios = {cell: spec.unit(cell, 0).scenario for cell in cells}
     table = _in_order_of_cells(table, cells)
     threads = len(spec.threads)
+    table = table.assign(dual_failure=table[failure_column("s", threads)])
     methods = tuple(thread.kind for thread in spec.threads)
     settings = replace(settings or AnalysisSettings(), thread_methods=methods)
-    analysis = as_data(analyse(table, threads, settings))
+    stressed = table[table["kind"] != SHAM]
+    analysis = as_data(analyse(stressed, threads, settings))
     analysis["cells"].sort(key=lambda cell: cells.index(cell["cell"]))
     kinds = [condition["kind"] for condition in found]
     analysis["dose_response"].sort(key=lambda fit: kinds.index(fit["kind"]))
-    kinds_apart = as_data(kinds_of_world(table, threads, settings.confidence))
+    kinds_apart = as_data(kinds_of_world(stressed, threads, settings.confidence))
     units = outcomes.unit_counts(table, {cell: spec.units_of(cell) for cell in cells})
     results = {
         "format": FORMAT,
@@ -99,7 +102,6 @@ def _about(spec: "ExperimentSpec") -> dict[str, Any]:
         "name": spec.name,
         "content_hash": spec.content_hash,
         "threads": [thread.model_dump(mode="json") for thread in spec.threads],
-        "stopping": data.get("stopping"),
         "spec": data,
         "spec_yaml": spec.as_yaml(),
     }
@@ -109,8 +111,7 @@ def _warnings(units: dict[str, Any], table: pd.DataFrame) -> list[str]:
     warnings = []
     if units["missing"]:
         warnings.append(
-            f"{units['missing']} of {units['planned']} planned trials are not recorded: figures will "
-            "change. Where a stopping rule ends a condition early, its missing trials are not needed."
+            f"{units['missing']} of {units['planned']} planned trials are not recorded: figures will change."
         )
     for name, what in (("code", "the sources of sim, scenarios and slam"), ("commit", "the repository")):
         versions = len(set(table[name].dropna()))

@@ -162,7 +162,7 @@ def timeline(table: pd.DataFrame, frames: Mapping[str, int]) -> list[dict[str, A
 
 def _profile(row: pd.Series) -> dict[str, Any]:
     names = ("unit_id", "index", "onset_frame", "end_frame", "breakage_frame", "reinit_frame")
-    flags = ("breakage", "relocalized", "base_failure", "silent_failure", "dual_relocalized")
+    flags = ("breakage", "relocalized", "base_failure", "silent_failure")
     profile = {name: as_data(row[name]) for name in (*names, *flags)}
     return profile | {
         "dual_failure": as_data(row["dual_failure"]),

@@ -24,7 +24,7 @@ def lead_ins(table: pd.DataFrame) -> pd.DataFrame:
     rows = table[table["outcome"] == Outcome.COMPLETED.value]
     judged = [pair_column(gap, name) for gap in PAIR_GAPS for name in PAIR_COLUMNS]
     measured = rows[[pair_column(gap, "baseline_m") for gap in PAIR_GAPS]].notna().any(axis=1)
-    return rows[measured].drop_duplicates(["world_seed", "nuisance_seed", *judged])
+    return rows[measured].drop_duplicates(["world_seed", "index", *judged])
 
 
 def baseline_errors(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from experiments.eq1.records import Outcome, dual_column, thread_column
+from experiments.eq1.records import SHAM, Outcome, dual_column, thread_column
 from experiments.statistics.outcomes import Floats, Outcomes
 
 
@@ -34,27 +34,32 @@ class HomogeneousCell:
 def cells_of(table: pd.DataFrame, threads: int) -> list[HomogeneousCell]:
     """The cells of a table, each split by kind of world, in the order of the table.
 
-    Records without repeats have one replicate per sequence: the sequences of a world are its units in the
-    order of their numbers, which are the same lead-ins in every cell.
+    Records of earlier versions do not say of which sequence they are: of these the units of a world count as
+    sequences of one replicate, in the order of their numbers, which are the same lead-ins in every cell.
+    Sham cells are left out.
 
     Args:
         table: records, with the columns of ``records.columns``.
         threads: number n of recovery threads.
     """
     found = []
-    table = table[table["outcome"] != Outcome.INFRASTRUCTURE_ERROR].sort_values(
-        ["world_seed", "index"], kind="stable"
-    )
+    counted = (table["outcome"] != Outcome.INFRASTRUCTURE_ERROR) & (table["kind"] != SHAM)
+    table = table.loc[counted.fillna(False).to_numpy(bool)]
+    table = table.sort_values(["world_seed", "index"], kind="stable")
     names = table[["cell", "world"]].loc[table.index.sort_values()].drop_duplicates()
     for cell, world in names.itertuples(index=False):
         rows = table[(table["cell"] == cell) & (table["world"] == world)]
         seeds = np.unique(rows["world_seed"])
         place = np.searchsorted(seeds, rows["world_seed"])
-        number = rows.groupby("world_seed").cumcount().to_numpy()
+        sequence, repeat = rows.groupby("world_seed").cumcount().to_numpy(), np.zeros(len(rows), int)
+        if "sequence" in rows and bool(rows["sequence"].notna().to_numpy().all()):
+            sequence, repeat = (rows[name].to_numpy(int) for name in ("sequence", "repeat"))
         completed = (rows["outcome"] == Outcome.COMPLETED).to_numpy()
-        shape = (len(seeds), int(number.max()) + 1, 1)
+        shape = (len(seeds), int(sequence.max()) + 1, int(repeat.max()) + 1)
 
-        def outcome(column: str, rows=rows, at=(place, number, 0), done=completed, shape=shape) -> Floats:
+        def outcome(
+            column: str, rows=rows, at=(place, sequence, repeat), done=completed, shape=shape
+        ) -> Floats:
             values = np.full(shape, np.nan)
             values[at] = np.where(done, rows[column].fillna(False).astype(float), np.nan)
             return values

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.eq1.records import columns, dual_column, thread_column
+from experiments.eq1.spec_parts import Degradation
 from experiments.eq1.units import ThreadChoice
 
 KINDS = ("low_texture", "motion_blur", "fast_rotation")
@@ -36,16 +37,20 @@ class FakeSpec:
         images = [f"{kind}/{dose + 1}" for kind in KINDS for dose in range(self.doses)]
         return {
             f"{image}/{system}" if len(self.systems) > 1 else image: SimpleNamespace(
-                image=image, system=system, degradation=place // self.doses, dose=place % self.doses
+                image=image,
+                base="passage",
+                system=system,
+                degradation=place // self.doses,
+                dose=place % self.doses,
             )
             for place, image in enumerate(images)
             for system in self.systems
         }
 
     @property
-    def degradations(self) -> list[SimpleNamespace]:
+    def degradations(self) -> list[Degradation]:
         return [
-            SimpleNamespace(kind=kind, dose=dose, doses=doses, severities=severities)
+            Degradation(kind=kind, dose=dose, doses=doses, severities=severities)
             for kind, (dose, doses, severities) in zip(KINDS, _DOSES, strict=True)
         ]
 
@@ -63,7 +68,7 @@ class FakeSpec:
         )
 
     def model_dump(self, mode: str) -> dict:
-        return {"name": self.name, "units": self.units, "stopping": None, "description": "<b>Made</b> up."}
+        return {"name": self.name, "units": self.units, "description": "<b>Made</b> up."}
 
     def as_yaml(self) -> str:
         return f"name: {self.name}\nunits: {self.units}\n"
@@ -109,7 +114,6 @@ def _row(spec, rng, cell: str, index: int, shared: float, hardness: float, code:
         "index": index,
         "world": "corridor",
         "world_seed": 1000 + index // 2,
-        "nuisance_seed": 2000 + index,
         "code": code,
         "commit": "0123abc",
         "outcome": "completed",
@@ -149,7 +153,7 @@ def _add_outcomes(row: dict, rng, dose: float, shared: float, threads: int) -> N
             _add_thread(row, rng, "free", thread, failed, reinit)
         row[dual_column(thread)] = all_failed
     declared = [j for j in range(1, threads + 1) if row.get(thread_column("free", j, "declared"))]
-    row["dual_failure"] = broke and (not declared or row[thread_column("free", declared[0], "failed")])
+    row[f"s{threads}"] = broke and (not declared or row[thread_column("free", declared[0], "failed")])
     base_failure = bool(broke and rng.random() < 0.9)
     row |= {
         "breakage": broke,
@@ -178,7 +182,6 @@ def _add_outcomes(row: dict, rng, dose: float, shared: float, threads: int) -> N
             "reinit": reinit,
             "reinit_frame": again,
             "free_frames_to_cross": None if again is None else again - frame + 15,
-            "dual_relocalized": False,
         }
     for name, value in list(row.items()):
         if isinstance(value, np.generic):

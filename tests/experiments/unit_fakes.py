@@ -42,7 +42,7 @@ class MadeUp:
         seed = int(rng_for(self.root_seed, "unit", index).integers(2**53))
         return UnitSpec(
             experiment=self.name, cell=cell, kind="made_up", severity=1.0, index=index,
-            world_seed=seed, nuisance_seed=seed,
+            world_seed=seed, sequence_seed=seed, repeat_seed=seed,
             scenario=Scenario(name="made-up", world=RoomWorld(), seed=seed), threads=self.threads,
         )  # fmt: skip
 
@@ -137,7 +137,7 @@ def rendered_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path
 
 def made_up_record(unit: UnitSpec) -> dict:
     """A record determined by the unit's seed: p0 = 1/2, each thread fails in half of the cases."""
-    rng = rng_for(unit.nuisance_seed, unit.cell)
+    rng = rng_for(unit.repeat_seed, unit.cell)
     record = empty_record(unit) | {"code": "0", "commit": "0", "wall_s": time.perf_counter()}
     if rng.random() < 0.1:
         return record | {"outcome": "void", "void_reason": "drawn so"}

@@ -45,7 +45,8 @@ def unit(threads: str = "orb,gms", **changes) -> UnitSpec:
         "severity": 0.0,
         "index": 0,
         "world_seed": 1,
-        "nuisance_seed": 2,
+        "sequence_seed": 2,
+        "repeat_seed": 3,
         "scenario": scenario,
         "threads": tuple(ThreadChoice(kind=kind) for kind in threads.split(",")),
     }

@@ -26,7 +26,8 @@ SCENARIO = {
     "segments": [{"kind": "low_light", "start_s": 0.2, "duration_s": 0.2, "illumination": 0.5}],
 }  # fmt: skip
 SPEC = {
-    "name": "tiny", "root_seed": 1, "units": 2, "lead_in_s": 1, "exposed_s": 0.5, "tail_s": 0.5,
+    "name": "tiny", "root_seed": 1, "worlds": 2, "sham": False,
+    "lead_in_s": 1, "exposed_s": 0.5, "tail_s": 0.5,
     "bases": {"corridor": {"world": CORRIDOR, "camera": CAMERA}},
     "degradations": [{"kind": "low_texture", "dose": "contrast", "doses": [0.3, 0.02], "begins_s": 0.1,
                       "acts_s": 0.3}],

@@ -70,7 +70,7 @@ def dual_parts(unit: dict[str, Any], frames: int) -> list[tuple[int, int, str]]:
     broke, again = unit["breakage_frame"], unit["reinit_frame"]
     before = (0, broke, "tracked")
     if again is None:
-        after = "relocalized later" if unit["dual_relocalized"] else "lost for good"
+        after = "lost for good"
         return [before, (broke, frames, after)]
     if unit["dual_failure"]:
         return [before, (broke, again, "lost for good"), (again, frames, "a new map, not joined")]

@@ -20,15 +20,12 @@ from experiments.campaign.folder import SPEC_FILE, claim_folder
 from experiments.campaign.folder_lock import sole_driver
 from experiments.campaign.ledger import LEDGER_FILE
 from experiments.campaign.runner import run_experiment
-from experiments.campaign.stopping import NarrowEnough
 from experiments.campaign.unit_job import unit_record
 from experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings
 from experiments.eq1.records import decided
-from experiments.eq1.spec import Stopping
 from scenarios.errors import InputError
 
 PLAN = MadeUp({"ok": 25, "slow-0.01": 25})
-RULE = NarrowEnough(Stopping(quantity="p0", half_width=0.4, min_units=10))
 
 
 def test_an_emptied_ledger_is_refused_and_one_that_was_never_begun_is_not(run_made_up, tmp_path):
@@ -43,11 +40,11 @@ def test_an_emptied_ledger_is_refused_and_one_that_was_never_begun_is_not(run_ma
     assert (folder / LEDGER_FILE).read_bytes() == b""
 
 
-def test_one_worker_and_two_give_the_same_rows_with_a_stopping_rule(shared_pool, tmp_path):
+def test_one_worker_and_two_give_the_same_rows(shared_pool, tmp_path):
     for kind in (OneWorker, WorkerPool):
         pool = kind(shared_pool._client, partial(unit_record, made_up_unit), WorkerPoolSettings(workers=2))
-        tally = run_experiment(PLAN, tmp_path / kind.__name__, lambda pool=pool: nullcontext(pool), RULE)
-        assert tally.done == tally.total < 50
+        tally = run_experiment(PLAN, tmp_path / kind.__name__, lambda pool=pool: nullcontext(pool))
+        assert tally.done == tally.total == 50
     one, two = (rows_of(tmp_path / kind.__name__, PLAN) for kind in (OneWorker, WorkerPool))
     assert one == two
     assert all(row == decided(made_up_record(PLAN.unit(row["cell"], row["index"]))) for row in one)

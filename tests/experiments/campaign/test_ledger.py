@@ -64,6 +64,20 @@ def test_another_spec_is_refused_in_one_line_and_changes_nothing(tmp_path):
     assert (tmp_path / LEDGER_FILE).read_bytes() == before
 
 
+@pytest.mark.parametrize("version", ["1", "2"])
+def test_a_ledger_of_an_earlier_version_is_refused_and_keeps_its_rows(tmp_path, version):
+    fill(tmp_path, [("a", 0)])
+    with sqlite3.connect(tmp_path / LEDGER_FILE) as connection:
+        connection.execute("UPDATE meta SET value = ? WHERE key = 'schema_version'", (version,))
+    before = (tmp_path / LEDGER_FILE).read_bytes()
+    for read_only in (True, False):
+        with pytest.raises(
+            InputError, match=r"is of an earlier version: .*; choose a new folder; `dslab exp"
+        ):
+            Ledger.open(tmp_path, PLAN, read_only=read_only)
+    assert (tmp_path / LEDGER_FILE).read_bytes() == before
+
+
 def test_a_unit_is_written_once(tmp_path):
     with Ledger.open(tmp_path, PLAN) as ledger:
         ledger.add(record_of(PLAN, "a", 0))

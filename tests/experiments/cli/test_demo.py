@@ -96,7 +96,7 @@ def test_units_follow_with_both_shares_and_their_intervals_and_no_verdict(demo_c
         assert f"{level.measured.events} of {level.measured.units}" in row
         assert f"{100 * level.predicted.value:.1f} %" in row and row.count(" to ") == 2
     assert "too few units to decide" in " ".join(out.split())
-    assert spec.units_per_world == 1 and table["world_seed"].nunique() == spec.units == len(table)
+    assert spec.repeats == 1 and table["world_seed"].nunique() == spec.units == len(table)
     assert dslab("experiment", "status", tmp_path / "d" / "experiment")[0] == 0
 
 

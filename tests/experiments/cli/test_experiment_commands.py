@@ -13,22 +13,30 @@ import pyarrow.parquet as pq
 import pytest
 from unit_fakes import LocalPool, made_up_record, made_up_unit
 
-from experiments.campaign.folder import TABLE_FILE, export, has_digests, read_experiment, read_spec
+from experiments.campaign.folder import TABLE_FILE, export, has_digests, read_experiment
 from experiments.campaign.ledger import LEDGER_FILE, Ledger
 from experiments.campaign.runner import Tally, run_experiment
 from experiments.campaign.unit_job import unit_record
 from experiments.cli.experiment_progress import estimates_text, pace_text
-from experiments.eq1.record_checks import digest_of, joint_digest
+from experiments.eq1.record_checks import digest_of
 from experiments.eq1.records import added_later, columns, decided
 from experiments.eq1.spec import load_spec
 from scenarios.errors import InputError
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    """The folder of an experiment: three synthetic units per cell of smoke."""
-    folder, spec = tmp_path_factory.mktemp("experiment") / "s", load_spec("smoke")
-    spec = spec.model_validate(spec.model_dump(mode="json") | {"units": 3})
+def plain(tmp_path_factory):
+    """The file of a spec with two cells: smoke without sham and repeats."""
+    path, spec = tmp_path_factory.mktemp("spec") / "plain.yaml", load_spec("smoke")
+    path.write_text(spec.model_copy(update={"sham": False, "repeats": 1, "worlds": 4}).as_yaml())
+    return path
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory, plain):
+    """The folder of an experiment: three synthetic units per cell."""
+    folder, spec = tmp_path_factory.mktemp("experiment") / "s", load_spec(plain)
+    spec = spec.model_copy(update={"worlds": 3})
     run_experiment(spec, folder, lambda: nullcontext(LocalPool(partial(unit_record, made_up_unit))))
     return folder
 
@@ -46,12 +54,12 @@ def smoke(finished, monkeypatch, tmp_path):
     return shutil.copytree(finished, tmp_path / "s")
 
 
-def test_a_run_can_be_read_and_made_longer(dslab, smoke):
+def test_a_run_can_be_read_and_made_longer(dslab, smoke, plain):
     spec, table = read_experiment(smoke)
     assert spec.name == "smoke" and spec.units == 3
     assert list(table["cell"]) == [c for c in spec.cell_names() for _ in range(3)]
     assert list(table["index"]) == [0, 1, 2] * 2
-    code, out, _ = dslab("experiment", "run", "smoke", "--out", smoke, "--units", "4")
+    code, out, _ = dslab("experiment", "run", plain, "--out", smoke, "--worlds", "4")
     assert code == 0 and "8 of 8 units" in out and f"dslab experiment report {smoke}" in out
     code, out, _ = dslab("experiment", "status", smoke, "--json")
     status = json.loads(out)
@@ -138,9 +146,11 @@ def failing(smoke, monkeypatch):
     ("units", "part"),
     [(1, "all 2 units were given up: OSError"), (9, "the last 3 units ended in the same error")],
 )
-def test_a_run_in_which_every_unit_fails_says_why_and_ends_with_1(dslab, failing, tmp_path, units, part):
+def test_a_run_in_which_every_unit_fails_says_why_and_ends_with_1(
+    dslab, failing, tmp_path, units, part, plain
+):
     failing()
-    run = ("experiment", "run", "smoke", "--out", tmp_path / "x", "--units", units)
+    run = ("experiment", "run", plain, "--out", tmp_path / "x", "--worlds", units)
     code, out, err = dslab(*run)
     assert (code, out) == (1, "") and err.count("\n") == 1
     assert part in err and "No space left on device" in err and "run the same command again" in err
@@ -148,9 +158,9 @@ def test_a_run_in_which_every_unit_fails_says_why_and_ends_with_1(dslab, failing
     assert code == 1 and part in err
 
 
-def test_units_given_up_among_others_are_counted_in_the_last_line(dslab, failing, tmp_path):
+def test_units_given_up_among_others_are_counted_in_the_last_line(dslab, failing, tmp_path, plain):
     failing("2")
-    code, out, _ = dslab("experiment", "run", "smoke", "--out", tmp_path / "x", "--units", 3)
+    code, out, _ = dslab("experiment", "run", plain, "--out", tmp_path / "x", "--worlds", 3)
     assert code == 0
     assert out.splitlines()[-1].startswith(
         "3 of 6 units were given up, most for: OSError: [Errno 28] No space"
@@ -171,8 +181,8 @@ def test_a_replay_that_ends_in_an_infrastructure_error_ends_with_1(dslab, smoke,
         (("--timeout", "1e300"), "--timeout: 1e+300 s is no time limit"),
     ],
 )
-def test_limits_under_which_no_unit_could_run_are_refused(dslab, smoke, tmp_path, option, part):
-    for command in (("run", "smoke", "--out", tmp_path / "x"), ("replay", smoke, "low_texture/1:0")):
+def test_limits_under_which_no_unit_could_run_are_refused(dslab, smoke, tmp_path, option, part, plain):
+    for command in (("run", plain, "--out", tmp_path / "x"), ("replay", smoke, "low_texture/1:0")):
         code, _, err = dslab("experiment", *command, *option)
         assert code == 2 and part in err and err.count("\n") == 1
     assert not (tmp_path / "x").exists()
@@ -199,18 +209,18 @@ READERS = (("status",), ("status", "--json"), ("export",), ("report",), ("replay
         ("UPDATE meta SET value = '3' WHERE key = 'threads'", "its description has changed"),
     ],
 )
-def test_a_damaged_ledger_is_one_line_for_every_command(dslab, smoke, statement, part):
+def test_a_damaged_ledger_is_one_line_for_every_command(dslab, smoke, statement, part, plain):
     change(smoke, statement)
     before = sorted(path.name for path in smoke.iterdir())
     for name, *rest in (*READERS, ("run",)):
-        arguments = ("smoke", "--out", smoke) if name == "run" else (smoke, *rest)
+        arguments = (plain, "--out", smoke) if name == "run" else (smoke, *rest)
         code, _, err = dslab("experiment", name, *arguments)
         assert code == 2 and err.count("\n") == 1 and part in err, name
         assert LEDGER_FILE in err and ("--rerun-damaged" in err or "new folder" in err)
     assert sorted(path.name for path in smoke.iterdir()) == before
 
 
-def test_damaged_units_are_run_again_on_request(dslab, smoke):
+def test_damaged_units_are_run_again_on_request(dslab, smoke, plain):
     _, before = read_experiment(smoke)
     change(
         smoke,
@@ -218,7 +228,7 @@ def test_damaged_units_are_run_again_on_request(dslab, smoke):
         "DELETE FROM units WHERE rowid = 4",
         "UPDATE sums SET digest = 'x'",
     )
-    run = ("experiment", "run", "smoke", "--out", smoke, "--units", 3)
+    run = ("experiment", "run", plain, "--out", smoke, "--worlds", 3)
     assert dslab(*run)[0] == 2
     code, out, _ = dslab(*run, "--rerun-damaged")
     assert code == 0 and "6 of 6 units" in out
@@ -227,102 +237,43 @@ def test_damaged_units_are_run_again_on_request(dslab, smoke):
     assert not list(smoke.glob(".*"))
 
 
-@pytest.fixture
-def of_version_1(smoke):
-    """Turns the ledger into one of the first form, without digests."""
-    change(
-        smoke,
-        "ALTER TABLE units DROP COLUMN digest",
-        "ALTER TABLE infrastructure_errors DROP COLUMN digest",
-        "DROP TABLE sums",
-        "DELETE FROM meta WHERE key = 'digest'",
-        "UPDATE meta SET value = '1' WHERE key = 'schema_version'",
-    )
-    return smoke
+def test_a_ledger_of_an_earlier_version_is_one_line_for_every_command(dslab, smoke, plain):
+    change(smoke, "UPDATE meta SET value = '2' WHERE key = 'schema_version'")
+    for name, *rest in (*READERS, ("run",)):
+        arguments = (plain, "--out", smoke) if name == "run" else (smoke, *rest)
+        code, _, err = dslab("experiment", name, *arguments)
+        assert code == 2 and err.count("\n") == 1 and "is of an earlier version" in err, name
 
 
-def test_a_ledger_of_version_1_is_read_with_a_note_and_continued_with_digests(dslab, of_version_1):
-    folder = of_version_1
-    for name, *rest in READERS:
-        if name != "report":
-            code, _, err = dslab("experiment", name, folder, *rest)
-            assert code == 0 and err.startswith("note: ") and "before they had digests" in err
-    _, before = read_experiment(folder)
-    code, out, _ = dslab("experiment", "run", "smoke", "--out", folder, "--units", 4)
-    assert code == 0 and "8 of 8 units" in out
-    code, _, err = dslab("experiment", "status", folder)
-    assert (code, err) == (0, "")
-    _, table = read_experiment(folder)
-    assert table[table["index"] < 3].reset_index(drop=True).equals(before)
-
-
-def test_values_of_a_ledger_of_version_1_are_checked(dslab, of_version_1):
-    change(of_version_1, "UPDATE units SET breakage = 2 WHERE rowid = 3")
-    for name in ("status", "export"):
-        code, _, err = dslab("experiment", name, of_version_1)
-        assert code == 2 and "breakage is 2" in err
-    code, _, err = dslab("experiment", "run", "smoke", "--out", of_version_1)
-    assert code == 2 and "breakage is 2" in err
-
-
-@pytest.fixture
-def of_fewer_columns(smoke):
-    """Turns the ledger into one that was written before the columns of false declarations."""
-    with Ledger.open(smoke, read_spec(smoke), read_only=True) as ledger:
-        rows = ledger.rows()
-    added = [name for name in rows[0] if added_later(name) and not name.startswith("pairs")]
-    assert len(added) == 8
-    digests = {r["unit_id"]: digest_of({k: v for k, v in r.items() if k not in added}) for r in rows}
-    change(
-        smoke,
-        *(f"ALTER TABLE units DROP COLUMN {name}" for name in added),
-        *(f"UPDATE units SET digest = '{d}' WHERE unit_id = '{unit}'" for unit, d in digests.items()),
-        f"UPDATE sums SET digest = '{joint_digest(digests.values())}' WHERE name = 'units'",
-    )
-    return smoke, added
-
-
-def test_a_ledger_that_lacks_later_columns_is_read_exported_and_continued(dslab, of_fewer_columns):
-    folder, added = of_fewer_columns
-    for name, *rest in READERS:
-        code, _, err = dslab("experiment", name, folder, *rest)
-        assert code == 0, err
-    _, before = read_experiment(folder)
-    assert before[added].isna().all(axis=None)
-    code, out, _ = dslab("experiment", "run", "smoke", "--out", folder, "--units", 4)
-    assert code == 0 and "8 of 8 units" in out
-    _, table = read_experiment(folder)
-    assert table[table["index"] < 3].reset_index(drop=True).equals(before)
-    with Ledger.open(folder, read_spec(folder), read_only=True) as ledger:
-        assert ledger.is_current
-
-
-def test_a_changed_value_of_a_ledger_that_lacks_later_columns_is_found(dslab, of_fewer_columns):
-    folder, _ = of_fewer_columns
-    change(folder, "UPDATE units SET severity = 7 WHERE rowid = 2")
-    code, _, err = dslab("experiment", "status", folder)
-    assert code == 2 and "does not agree with its digest" in err
-
-
-def test_an_exported_table_that_lacks_later_columns_is_read_by_its_digest(dslab, of_fewer_columns):
-    folder, added = of_fewer_columns
-    dslab("experiment", "export", folder)
-    (folder / LEDGER_FILE).unlink()
-    _, table = read_experiment(folder)
-    whole = pq.read_table(folder / TABLE_FILE)
-    rows = [{k: v for k, v in row.items() if k not in added} for row in whole.to_pylist()]
+def test_an_exported_table_of_an_earlier_version_is_read_by_its_digest(dslab, smoke):
+    dslab("experiment", "export", smoke)
+    (smoke / LEDGER_FILE).unlink()
+    _, table = read_experiment(smoke)
+    whole = pq.read_table(smoke / TABLE_FILE)
+    added = [name for name in whole.column_names if added_later(name)]
+    assert {"base", "repeat", "s2", "m1", "rescuable"} <= set(added)
+    table[added] = None
+    kept = [field for field in whole.schema if field.name not in added]
+    schema = pa.schema([*kept, ("nuisance_seed", pa.int64()), ("dual_failure", pa.bool_())])
+    rows = [
+        {k: v for k, v in row.items() if k not in added} | {"nuisance_seed": 1, "dual_failure": True}
+        for row in whole.to_pylist()
+    ]
     digest = digest_of({str(number): digest_of(row) for number, row in enumerate(rows)})
     for severity, fits in ((None, True), (7.0, False)):
         if severity:
             rows[0]["severity"] = severity
-        older = pa.Table.from_pylist(rows, schema=pa.schema([f for f in whole.schema if f.name not in added]))
         about = {**whole.schema.metadata, b"digest": digest.encode()}
-        pq.write_table(older.replace_schema_metadata(about), folder / TABLE_FILE)
+        pq.write_table(
+            pa.Table.from_pylist(rows, schema=schema).replace_schema_metadata(about), smoke / TABLE_FILE
+        )
         if fits:
-            pd.testing.assert_frame_equal(read_experiment(folder)[1], table)
+            found = read_experiment(smoke)[1]
+            assert found["s2"].all() and found.drop(columns=added).equals(table.drop(columns=added))
+            assert found[[name for name in added if name != "s2"]].isna().all(axis=None)
         else:
             with pytest.raises(InputError, match="not those that were written"):
-                read_experiment(folder)
+                read_experiment(smoke)
 
 
 def test_a_changed_bit_of_an_exported_table_changes_no_row_silently(dslab, smoke):
@@ -392,7 +343,7 @@ def test_power_prints_that_of_both_tests(dslab):
 
 def test_the_schema_is_one_of_json(dslab):
     code, out, _ = dslab("experiment", "schema")
-    assert code == 0 and "stopping" in json.loads(out)["properties"]
+    assert code == 0 and "confirmatory" in json.loads(out)["properties"]
 
 
 def test_progress_shows_pace_and_estimates():

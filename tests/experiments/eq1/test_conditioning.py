@@ -160,7 +160,7 @@ def simulated(rng, slope, worlds=25, per_world=4, level=1.0, noise=0.4):
     """Lead-ins with errors as a power of the baseline; worlds differ in level, cameras in speed."""
     units = worlds * per_world
     table = simulated_cell(rng, "low_texture/1", 1, units, 0.3, 0.3, units_per_world=per_world)
-    table["nuisance_seed"] = pd.array(range(units), dtype="Int64")
+    table["index"] = pd.array(range(units), dtype="Int64")
     table["index"] = pd.array(range(units), dtype="Int64")
     world = rng.normal(0, level, worlds)[np.arange(units) // per_world]
     # Fast cameras are in hard worlds: the slope is unbiased only within lead-ins.

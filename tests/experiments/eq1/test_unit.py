@@ -47,7 +47,7 @@ def test_a_breakage_that_both_threads_cross(broken):
     assert (broken["breakage"], broken["breakage_frame"]) == (True, 85)
     assert (broken["declaration_delay_s"], broken["silent_failure"]) == (0.0, False)
     # Half of the old view is still in the image: the base relocalizes, but it broke nevertheless.
-    assert (broken["relocalized"], broken["base_failure"], broken["dual_relocalized"]) == (True, False, False)
+    assert (broken["base_breakage"], broken["relocalized"], broken["base_failure"]) == (True, True, False)
     for thread in (1, 2):
         assert told(broken, "free", thread, "failed", "declared", "false", "stage") == (
             False,
@@ -59,8 +59,9 @@ def test_a_breakage_that_both_threads_cross(broken):
             broken, "free", thread, "scale_error", "seam_error_m", "frames_covered"
         )
         assert abs(scale_error) < 0.05 and seam_m < 0.1 and 5 < frames < 40
-    assert (broken["d1"], broken["d2"], broken["dual_failure"]) == (False, False, False)
-    assert broken["base_share_tracked"] < broken["dual_share_tracked"]
+    assert [broken[f"{failure}{n}"] for failure in "dsm" for n in (1, 2)] == [False] * 6
+    assert (broken["mission_cause"], broken["base_mission_failure"]) == (None, False)
+    assert 0.9 < broken["base_share_tracked"] <= broken["dual_share_tracked"]
     assert broken["dual_path_share"] > 0.9
     assert broken["dual_end_error_m"] < 0.2
     assert (broken["dual_false_fusions"], broken["dual_false_loops"], broken["dual_unjudged"]) == (0, 0, 0)
@@ -100,7 +101,7 @@ def test_the_crossing_arm_pays_for_its_own_detection(monkeypatch):
 def test_without_a_breakage_the_columns_of_the_free_arm_are_null(monkeypatch):
     record = run(monkeypatch, synthetic())
     assert (record["breakage"], record["silent_failure"], record["base_failure"]) == (False, False, False)
-    assert (record["d1"], record["d2"], record["dual_failure"]) == (False, False, False)
+    assert [record[f"{failure}{n}"] for failure in "dsm" for n in (1, 2)] == [False] * 6
     free = [name for name in record if name.startswith("free_")]
     assert {record[name] for name in (*free, "reinit", "relocalized", "breakage_frame")} == {None}
     assert told(record, "cross", 1, "failed") == (False,)
@@ -113,7 +114,8 @@ def test_without_a_new_map_every_thread_fails(monkeypatch):
     for arm in ("free", "cross"):
         for thread in (1, 2):
             assert told(record, arm, thread, "failed", "stage", "reason") == (True, "no_reinit", "no_new_map")
-    assert (record["d1"], record["d2"], record["dual_failure"]) == (True, True, True)
+    assert [record[f"{failure}{n}"] for failure in "dsm" for n in (1, 2)] == [True] * 6
+    assert (record["mission_cause"], record["base_mission_cause"]) == ("dual_failure", "base_failure")
 
 
 def test_a_false_recovery_fails_by_the_audit(monkeypatch):
@@ -198,7 +200,7 @@ def test_branches_equal_runs_from_the_start(sequence):
     free, crossing = run_free(lead_in, of), run_crossing(lead_in, exposure)
     build = factory_of(settings_of(of))
     for kind, branched in (("base", free.base), ("dual", free.dual)):
-        assert trace(branched) == trace(execute(sequence, kind, of.nuisance_seed, build=build))
+        assert trace(branched) == trace(execute(sequence, kind, of.repeat_seed, build=build))
     whole = run_lead_in(of, sequence, exposure, clock)
     whole.system.cut()
     whole.feed(END + 1)

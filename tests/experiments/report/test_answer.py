@@ -4,7 +4,9 @@ import json
 
 import pytest
 from report_fakes import FakeSpec, fake_table
+from test_documented_results import FOLDER
 
+from experiments.eq1.former_spec import load_any_spec
 from experiments.eq1.spec import load_spec, preset_names
 from experiments.report.answer import answer
 from experiments.report.conditions import conditions, describe_stress, dose_at, doses_of
@@ -63,7 +65,7 @@ def test_every_dose_of_a_preset_has_a_name_and_a_unit(preset):
 
 
 def test_doses_that_stand_for_a_severity_are_found_again():
-    found = conditions(load_spec("eq1-quick"))
+    found = conditions(load_any_spec(FOLDER / "spec.yaml"))
     contrasts = doses_of(found, "low_texture")
     assert [d["value"] for d in contrasts] == [0.3, 0.15, 0.05]
     assert [dose_at(d["severity"], contrasts) for d in contrasts] == ["0.3", "0.15", "0.05"]

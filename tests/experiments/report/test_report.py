@@ -94,7 +94,7 @@ def test_every_recovery_of_table_3_is_a_success_or_a_failure(made):
         assert row["needs_recovery"] == row["failure"] + row["success"]
         assert row["success"] == sum(row["with_thread"])
     done = made.table[made.table["outcome"] == "completed"]
-    assert rows[-1]["failure"] == done["dual_failure"].fillna(False).sum()
+    assert rows[-1]["failure"] == done["s2"].fillna(False).sum()
     assert rows[-1]["trials"] == len(done)
     second = made.report["tables"]["table_2"][-1]
     assert second["reduction_of_breakage"] == 1 - rows[-1]["failure"] / rows[-1]["needs_recovery"]

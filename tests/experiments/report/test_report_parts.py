@@ -2,8 +2,9 @@
 
 import pytest
 from report_fakes import FakeSpec, fake_table
+from test_documented_results import FOLDER
 
-from experiments.eq1.spec import load_spec
+from experiments.eq1.former_spec import load_any_spec
 from experiments.report.conditions import conditions
 from experiments.report.describe import counts, figure_of, number, p_value, percent, proportion, share_of
 from experiments.report.outcomes import taxonomy, unit_counts
@@ -18,7 +19,6 @@ PROFILE = {
     "breakage_frame": 120,
     "reinit_frame": 160,
     "relocalized": False,
-    "dual_relocalized": False,
     "dual_failure": False,
 }
 
@@ -144,7 +144,7 @@ def fit(quantity: str) -> dict:
 
 @pytest.mark.parametrize("width_in", [WIDE_IN, NARROW_IN])
 def test_doses_stand_on_the_axis_and_no_curve_lies_on_another(width_in):
-    spec = load_spec("eq1-quick")
+    spec = load_any_spec(FOLDER / "spec.yaml")
     threads = [thread.model_dump() for thread in spec.threads]
     fits = [fit("p0"), fit("pr1"), fit("pr2"), fit("p0") | {"kind": "motion_blur"}]
     report = {

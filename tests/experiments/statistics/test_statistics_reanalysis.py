@@ -55,6 +55,16 @@ def test_a_cell_is_split_by_kind_of_world_and_void_units_are_no_outcome():
     assert np.nansum(corridor.outcomes.breakage) == rows.breakage.fillna(False).sum()
 
 
+def test_replicates_stand_in_their_sequences_and_shams_are_left_out():
+    rows = TABLE[(TABLE.cell == "low_texture/1") & (TABLE.world == "corridor")].copy()
+    rows["sequence"], rows["repeat"] = rows["index"] % 4 // 2, rows["index"] % 2
+    (cell,) = cells_of(pd.concat([rows, rows.assign(kind="sham", cell="sham")]), 2)
+    assert cell.outcomes.breakage.shape == (10, 2, 2)
+    world, unit = cell.worlds[3], rows[rows.world_seed == cell.worlds[3]].iloc[-1]
+    assert unit.world_seed == world and unit.outcome == "completed"
+    assert cell.outcomes.breakage[3, int(unit["sequence"]), int(unit["repeat"])] == unit["breakage"]
+
+
 def test_the_command_prints_the_figures(monkeypatch):
     monkeypatch.setattr("experiments.statistics.reanalysis.permutations_for", lambda tests: 99)
     printed = CliRunner().invoke(app, ["experiment", "reanalyse", str(RECORDS)])
