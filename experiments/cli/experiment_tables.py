@@ -1,11 +1,12 @@
 """Results of the commands of ``dslab experiment`` as text."""
 
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
-from experiments.cli.console import out, print_table
+from experiments.cli.console import number, out, print_table
 
 if TYPE_CHECKING:
     from experiments.campaign.replay import Replay
@@ -46,14 +47,37 @@ def print_reanalysis(found: "Reanalysis") -> None:
     print_table(table)
     out.print(f"failed with all threads, or silently: {100 * found.failed_or_silent:.1f} %")
     table = Table(title="by cell and kind of world, %")
-    for column in ("cell", "world", "n", "Eq. 1", "weakest", "in one unit", "measured", "verdicts"):
+    columns = (
+        "cell",
+        "world",
+        "n",
+        "Eq. 1",
+        "weakest",
+        "in one unit",
+        "measured",
+        "mission",
+        "over Eq. 1, 95 %",
+    )
+    for column in (*columns, "verdicts"):
         table.add_column(column, justify="left" if column in ("cell", "world", "verdicts") else "right")
     for c in found.cells:
         if any(c.worlds_with):
             figures = (c.units.product, c.units.weakest, c.units.measured, c.forecast.measured)
             both = f"{c.independence}, {c.prediction}"
-            table.add_row(c.cell, c.world, str(c.n), *(f"{100 * f.value:.1f}" for f in figures), both)
+            mission, ratio = c.shares.get("mission_failure"), c.steps.get("whole")
+            of_mission = "-" if mission is None else f"{100 * mission.value:.1f}"
+            over = (
+                "-"
+                if ratio is None
+                else f"{number(ratio.value, 2)} ({_end(ratio.low)} to {_end(ratio.high)})"
+            )
+            each = (*(f"{100 * f.value:.1f}" for f in figures), of_mission, over, both)
+            table.add_row(c.cell, c.world, str(c.n), *each)
     print_table(table)
+
+
+def _end(value: float) -> str:
+    return number(value, 2) if isfinite(value) else "unbounded"
 
 
 def status_table(status: "ExperimentStatus") -> Table:

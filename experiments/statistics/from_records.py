@@ -1,11 +1,12 @@
 """Outcomes of the cells of a table of records."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import pandas as pd
 
-from experiments.eq1.records import SHAM, Outcome, dual_column, thread_column
+from experiments.eq1.records import SHAM, Outcome, dual_column, failure_column, thread_column
 from experiments.statistics.outcomes import Floats, Outcomes
 
 
@@ -19,6 +20,9 @@ class HomogeneousCell:
         worlds: (W,) seeds of the worlds, increasing.
         outcomes: of its units; a unit that is void or missing is NaN.
         silent: (W, S, K) silent failure of each unit.
+        system_failures, mission_failures: (n, W, S, K) S_J and M_J for the first 1 to n threads; None where
+            the records do not say.
+        base_missions: (W, S, K) mission failure of the base; None likewise.
         units, void: number of completed and of void units.
     """
 
@@ -27,6 +31,9 @@ class HomogeneousCell:
     worlds: np.ndarray
     outcomes: Outcomes
     silent: Floats
+    system_failures: Floats | None
+    mission_failures: Floats | None
+    base_missions: Floats | None
     units: int
     void: int
 
@@ -43,6 +50,7 @@ def cells_of(table: pd.DataFrame, threads: int) -> list[HomogeneousCell]:
         threads: number n of recovery threads.
     """
     found = []
+    numbers = range(1, threads + 1)
     counted = (table["outcome"] != Outcome.INFRASTRUCTURE_ERROR) & (table["kind"] != SHAM)
     table = table.loc[counted.fillna(False).to_numpy(bool)]
     table = table.sort_values(["world_seed", "index"], kind="stable")
@@ -64,16 +72,31 @@ def cells_of(table: pd.DataFrame, threads: int) -> list[HomogeneousCell]:
             values[at] = np.where(done, rows[column].fillna(False).astype(float), np.nan)
             return values
 
-        numbers = range(1, threads + 1)
         outcomes = Outcomes(
             outcome("breakage"),
             np.stack([outcome(thread_column("cross", n, "failed")) for n in numbers]),
             np.stack([outcome(dual_column(n)) for n in numbers]),
         )
+
+        def failures(failure: Literal["s", "m"], rows=rows, of=outcome) -> Floats | None:
+            columns = [failure_column(failure, n) for n in numbers]
+            said = all(name in rows and bool(rows[name].notna().to_numpy().any()) for name in columns)
+            return np.stack([of(name) for name in columns]) if said else None
+
+        base = "base_mission_failure"
         units = int(completed.sum())
         found.append(
             HomogeneousCell(
-                str(cell), str(world), seeds, outcomes, outcome("silent_failure"), units, len(rows) - units
+                str(cell),
+                str(world),
+                seeds,
+                outcomes,
+                outcome("silent_failure"),
+                failures("s"),
+                failures("m"),
+                outcome(base) if base in rows and bool(rows[base].notna().to_numpy().any()) else None,
+                units,
+                len(rows) - units,
             )
         )
     return found

@@ -7,12 +7,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from experiments.statistics.estimates import chain, correlation_in_sequences
 from experiments.statistics.from_records import HomogeneousCell, cells_of
-from experiments.statistics.outcomes import Floats, Outcomes
+from experiments.statistics.outcomes import Floats, Outcomes, world_means
 from experiments.statistics.permutations import independence, permutations_for
 from experiments.statistics.products import product_of_distinct
 from experiments.statistics.verdicts import Comparison, Verdict, compare_forecast, compare_units, verdicts
-from experiments.statistics.world_intervals import Interval, share_interval
+from experiments.statistics.world_intervals import (
+    Interval,
+    Rare,
+    few_events,
+    ratio_interval,
+    share_interval,
+)
 
 
 @dataclass(frozen=True)
@@ -46,6 +53,11 @@ class CellAtLevel:
         worlds_with: worlds with a breakage, and with a failure of each thread.
         units, forecast: Q and D against Eq. 1.
         independence, prediction: the verdicts on them.
+        steps: from Eq. 1 to what is measured, as ratios by name: ``arms``, ``run``, ``path``, ``world`` or
+            ``sequence``, ``whole``; only those that the design can tell and whose denominator is not 0.
+        chance: share of B's variance that is chance and not the sequence, 1 - ICC; None without repeats.
+        shares: by name ``breakage``, ``dual_failure`` (D_J), ``system_failure`` (S_J), ``mission_failure``
+            (M_J), ``base_mission_failure`` and, of unbroken units, ``silent_failure``; those in the records.
     """
 
     cell: str
@@ -56,6 +68,9 @@ class CellAtLevel:
     forecast: Comparison
     independence: Verdict
     prediction: Verdict
+    steps: dict[str, Interval]
+    chance: Interval | None
+    shares: dict[str, Interval]
 
 
 @dataclass(frozen=True)
@@ -93,6 +108,11 @@ class Reanalysis:
                 "p_forecast": c.forecast.p,
                 "verdict_in_units": c.independence,
                 "verdict_forecast": c.prediction,
+                "way_to_weakest_in_units": c.units.way_to_weakest,
+                "way_to_weakest_forecast": c.forecast.way_to_weakest,
+                "steps": {name: asdict(ratio) for name, ratio in c.steps.items()},
+                "chance": None if c.chance is None else asdict(c.chance),
+                "shares": {name: asdict(share) for name, share in c.shares.items()},
             }
             for c in self.cells
         ]
@@ -180,9 +200,67 @@ def _judged(
                 test = independence(outcomes, rng, number)
                 pair = compare_units(outcomes, test), compare_forecast(outcomes)
                 happened = (outcomes.columns > 0).any(axis=(2, 3)).sum(axis=1)
-                tested.append((cell, n, tuple(map(int, happened)), *pair))
+                tested.append((cell, outcomes, tuple(map(int, happened)), *pair))
     found = verdicts([units for *_, units, _ in tested], [forecast for *_, forecast in tested])
     return tuple(
-        CellAtLevel(cell.name, cell.world, n, happened, units, forecast, *verdict)
-        for (cell, n, happened, units, forecast), *verdict in zip(tested, *found, strict=True)
+        CellAtLevel(
+            cell.name,
+            cell.world,
+            outcomes.threads,
+            happened,
+            units,
+            forecast,
+            *verdict,
+            _steps(outcomes),
+            _chance(outcomes),
+            _shares(cell, outcomes),
+        )
+        for (cell, outcomes, happened, units, forecast), *verdict in zip(tested, *found, strict=True)
     )
+
+
+def _steps(outcomes: Outcomes) -> dict[str, Interval]:
+    """The steps of the chain with their intervals."""
+    found = chain(outcomes)
+    margins = tuple(float(p) for p in world_means(outcomes.columns).mean(axis=1))
+    ratios = {}
+    for name in ("arms", "run", "path", "world", "sequence", "whole"):
+        pair = getattr(found, name)
+        if pair is None:
+            continue
+        # Only a product of margins has the variance of a product of counts.
+        shares = margins if name in ("world", "sequence", "whole") else ()
+        rare = Rare(shares) if few_events(pair[0].pseudo_values, shares) else None
+        ratio = ratio_interval(*pair, rare)
+        if ratio is not None:  # of shares, so never below 0
+            ratios[name] = Interval(ratio.value, max(0.0, ratio.low), ratio.high)
+    return ratios
+
+
+def _chance(outcomes: Outcomes) -> Interval | None:
+    correlation = correlation_in_sequences(outcomes.breakage)
+    if correlation is None:
+        return None
+    within, variance = correlation
+    return ratio_interval(variance - within, variance)
+
+
+def _shares(cell: HomogeneousCell, outcomes: Outcomes) -> dict[str, Interval]:
+    """Shares of units by world, over the units that every figure at this n uses."""
+    n, valid = outcomes.threads, np.isfinite(cell.outcomes.of_first(outcomes.threads).breakage)
+    events: dict[str, Floats | None] = {
+        "breakage": cell.outcomes.breakage,
+        "dual_failure": cell.outcomes.dual_failures[n - 1],
+        "system_failure": None if cell.system_failures is None else cell.system_failures[n - 1],
+        "mission_failure": None if cell.mission_failures is None else cell.mission_failures[n - 1],
+        "base_mission_failure": cell.base_missions,
+        "silent_failure": np.where(cell.outcomes.breakage == 0, cell.silent, np.nan),
+    }
+    shares = {}
+    for name, event in events.items():
+        if event is None:
+            continue
+        means = world_means(np.where(valid, event, np.nan))
+        if np.isfinite(means).any():
+            shares[name] = share_interval(means[np.isfinite(means)])
+    return shares

@@ -65,6 +65,33 @@ def test_replicates_stand_in_their_sequences_and_shams_are_left_out():
     assert cell.outcomes.breakage[3, int(unit["sequence"]), int(unit["repeat"])] == unit["breakage"]
 
 
+def test_the_steps_of_the_chain_multiply_to_the_whole():
+    rng = np.random.default_rng(3)
+    worlds, sequences, repeats = 30, 3, 3
+    index = np.arange(worlds * sequences * repeats)
+    place = np.unravel_index(index, (worlds, sequences, repeats))
+    hard = np.repeat(rng.uniform(0.2, 0.8, worlds), sequences * repeats)
+    rows = pd.DataFrame({"world_seed": place[0], "sequence": place[1], "repeat": place[2], "index": index})
+    rows = rows.assign(cell="a/1", world="room", kind="a", outcome="completed", silent_failure=False)
+    rows["breakage"], rows["cross_r1_failed"] = rng.random(len(index)) < hard, rng.random(len(index)) < hard
+    rows["d1"] = rows["breakage"] & (rng.random(len(index)) < hard)
+    rows["s1"] = rows["d1"] | (rows["breakage"] & (index % 7 == 0))  # a first success that is false
+    rows["m1"] = rows["s1"] | (index % 11 == 0)
+    (found,) = reanalyse(rows, 1, permutations=199).cells
+    step = {name: ratio.value for name, ratio in found.steps.items()}
+    assert set(step) == {"arms", "run", "path", "world", "whole"}
+    assert np.prod([step[name] for name in ("arms", "run", "path", "world")]) == pytest.approx(step["whole"])
+    assert all(ratio.low < ratio.value < ratio.high for ratio in found.steps.values())
+    assert step["world"] > 1.05  # what a world shares; runs and paths share nothing here
+    assert found.steps["run"].low < 1 < found.steps["run"].high
+    assert found.chance is not None and 0.8 < found.chance.value < 1.0
+    for name, column in (("dual_failure", "d1"), ("system_failure", "s1"), ("mission_failure", "m1")):
+        assert found.shares[name].value == pytest.approx(rows[column].mean())
+    assert found.shares["system_failure"].value > found.shares["dual_failure"].value
+    (once,) = reanalyse(rows[(rows["repeat"] == 0) & (rows["sequence"] == 0)], 1, permutations=199).cells
+    assert set(once.steps) == {"arms", "whole"} and once.chance is None
+
+
 def test_the_command_prints_the_figures(monkeypatch):
     monkeypatch.setattr("experiments.statistics.reanalysis.permutations_for", lambda tests: 99)
     printed = CliRunner().invoke(app, ["experiment", "reanalyse", str(RECORDS)])
