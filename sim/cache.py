@@ -6,15 +6,17 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from scenarios.errors import InputError
 from scenarios.input_files import open_file, read_json
 from sim.unfinished import is_held, sweep, unfinished_folder
+
+ContentT = TypeVar("ContentT")
 
 CACHE_DIR_VARIABLE = "DSLAB_CACHE_DIR"
 MAX_BYTES = 20 * 10**9
@@ -88,6 +90,17 @@ class FolderCache:
             return None
         _touch(entry / _MANIFEST)
         return entry
+
+    def load(self, key: str, read: Callable[[Path], ContentT]) -> ContentT | None:
+        """What a sound entry holds; None without one. One that ``read`` finds corrupt is dropped."""
+        entry = self.find(key)
+        if entry is None:
+            return None
+        try:
+            return read(entry)
+        except CorruptEntryError as fault:
+            self.drop(entry, str(fault))
+            return None
 
     def entries(self) -> list[Entry]:
         """Every entry, those used longest ago first; other folders and files are none."""

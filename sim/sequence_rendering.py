@@ -1,12 +1,11 @@
 """From a scenario and a seed to a sequence: frames and truth."""
 
 import json
-from collections.abc import Callable
 from collections.abc import Sequence as Many
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -51,8 +50,6 @@ __all__ = [
     "render_backend",
     "render_sequence",
 ]
-
-ContentT = TypeVar("ContentT")
 
 _NO_SENSOR = {"noise_sigma": 0.0, "shot_noise": 0.0, "softness_px": 0.0, "contrast": 1.0}
 _VIEW_SHARE = "view_share.npy"
@@ -102,7 +99,7 @@ def render_sequence(
     keys = {kept: entry_key(scenario, seed, backend, depth=kept) for kept in (depth, True)}
     opened = partial(_open, scenario=scenario, meta=meta, depth=depth)
     # An entry with depth has the same frames.
-    found = (_cached(store, key, opened) for key in keys.values())
+    found = (store.load(key, opened) for key in keys.values())
     sequence = next((sequence for sequence in found if sequence is not None), None)
     if sequence is None:
         needs = [*needs, Need(store.root, _stacks_bytes(scenario, depth))]
@@ -224,7 +221,7 @@ def _exposed_frames_of(
     )
     key = entry_key(bare, seed, backend, exposed_frames=True)
     read = partial(_read_exposed_frames, scenario=bare)
-    found = _cached(store, key, read)
+    found = store.load(key, read)
     if found is None:
         with store.create(key) as folder:
             plan = _render_into(folder, bare, seed, False, backend, store, progress)
@@ -256,18 +253,6 @@ def _write_truth(
     np.save(folder / "stamps_s.npy", plan.stamps_s + plan.stamp_error_s)
     np.save(folder / "T_world_cam.npy", plan.motion.T_world_cam(plan.stamps_s))
     np.savez(folder / "frame_truth.npz", **columns)
-
-
-def _cached(store: FolderCache, key: str, read: Callable[[Path], ContentT]) -> ContentT | None:
-    """What a sound entry of the cache holds; None without one. A corrupt one is dropped."""
-    entry = store.find(key)
-    if entry is None:
-        return None
-    try:
-        return read(entry)
-    except CorruptEntryError as fault:
-        store.drop(entry, str(fault))
-        return None
 
 
 def _open(entry: Path, scenario: Scenario, meta: dict[str, Any], depth: bool) -> Sequence:

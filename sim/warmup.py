@@ -4,6 +4,7 @@ import numpy as np
 
 from scenarios.spec import Scenario
 from sim.degradations.registry import DEGRADATIONS
+from sim.sensors.shared_view import seen_share
 from sim.sequence_rendering import render_sequence
 from sim.unfinished import scratch_folder
 
@@ -36,3 +37,6 @@ def warm_up() -> None:
     )
     with scratch_folder() as folder:
         render_sequence(scenario, cache_dir=folder)
+    seen_share(
+        depth_m := np.ones((2, 2), np.float32), depth_m, np.eye(3), np.zeros(3), np.ones(2), np.ones(2), 0.05
+    )

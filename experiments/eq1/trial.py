@@ -12,6 +12,7 @@ from experiments.eq1.conditioning import judge_pairs
 from experiments.eq1.judging import judge_crossing, judge_free
 from experiments.eq1.records import Outcome, empty_record, error_message
 from experiments.eq1.recovery_judging import Reference
+from experiments.eq1.rescuable import overlap_columns
 from experiments.eq1.shared_lead_ins import lead_in_of
 from experiments.eq1.units import UnitSpec
 from experiments.runs.execution import RunRecord, execute
@@ -42,6 +43,7 @@ def run_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | No
         record |= {"code": code_hash(), "commit": commit()}
         with render.running():
             sequence = _render(unit, cache_dir)
+            record |= overlap_columns(unit, sequence, cache_dir)
         record |= _judged(unit, sequence, slam)
         if recording is not None:
             record_runs(unit, sequence, recording)

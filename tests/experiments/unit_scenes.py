@@ -56,4 +56,5 @@ def unit(threads: str = "orb,gms", **changes) -> UnitSpec:
 def run(monkeypatch, sequence: Sequence, of: UnitSpec | None = None, **options) -> dict:
     """The record of a unit on given images."""
     monkeypatch.setattr(trial, "_render", lambda *_: sequence)
+    monkeypatch.setattr(trial, "overlap_columns", lambda *_: {})  # the images are of no rendered world
     return trial.run_unit(of or unit(), **options)

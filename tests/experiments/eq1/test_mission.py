@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from unit_scenes import END, FPS, FRAMES, ONSET, run, synthetic, unit
 
-from experiments.eq1 import arms, shared_lead_ins
+from experiments.eq1 import arms, rescuable, shared_lead_ins
 from experiments.eq1.arms import Exposure
 from experiments.eq1.mission import Fault, final_pose_faults, first_cause
 from experiments.eq1.records import decided
+from experiments.evaluation.view_overlap import BestOverlap
 from slam.core.results import MapTrajectory
 
 EXPOSURE = Exposure(ONSET / FPS, (END - ONSET + 1) / FPS, ONSET, END, END + 7)
@@ -95,3 +96,19 @@ def test_a_sham_is_judged_over_the_same_frames_without_a_segment(monkeypatch):
     record = run(monkeypatch, replace(synthetic(), segments=()), sham)
     assert (record["outcome"], record["onset_frame"], record["end_frame"]) == ("completed", ONSET, END)
     assert (record["breakage"], record["m1"]) == (False, False)
+
+
+def test_the_overlap_is_of_frames_without_stress_within_the_buffer(monkeypatch):
+    asked = []
+
+    def best(scenario, T_world_cam, before, after, cache_dir):
+        asked.append((list(before), list(after)))
+        return BestOverlap(0.15, (70, 110))
+
+    monkeypatch.setattr(rescuable, "best_overlap", best)
+    of = unit("orb", settings={"dual": {"buffer_s": 1.0}})
+    found = rescuable.overlap_columns(of, synthetic())
+    assert found == {"view_overlap": 0.15, "rescuable": False}
+    assert asked == [(list(range(ONSET - round(FPS), ONSET)), list(range(END + 1, FRAMES)))]
+    sham = rescuable.overlap_columns(of, replace(synthetic(), segments=()))
+    assert sham == {"view_overlap": None, "rescuable": None}

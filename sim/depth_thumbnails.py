@@ -1,0 +1,132 @@
+"""Exact depth of a scenario's world in small images, cheap enough for hundreds of poses."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from scenarios.spec import Camera, Scenario
+from sim.cache import FolderCache
+from sim.frame_plan import RenderBackend, ideal_camera, mujoco_backend, taking_intrinsics, world_seed
+from sim.io.raw import stored_array
+from sim.provenance import entry_key
+from sim.room import check_memory
+from sim.sensors.camera import Intrinsics
+from sim.worlds.base import Surface, WorldModel
+
+THUMBNAIL_WIDTH_PX = 80
+
+DepthOf = Callable[[np.ndarray], np.ndarray]
+"""Depth (h, w) float32, metres along the optical axis, 0 for no surface, at a pose T_world_cam (4, 4)."""
+
+
+def thumbnail_camera(camera: Camera, width_px: int = THUMBNAIL_WIDTH_PX) -> Intrinsics:
+    """The small pinhole camera with the field of view of a scenario's.
+
+    Args:
+        camera: of a scenario; of a distorting one the pinhole camera that holds all it sees.
+        width_px: width of the small images; their pixels stay as wide and as high as the camera's.
+    """
+    ideal = ideal_camera(taking_intrinsics(camera))
+    scale = width_px / ideal.width_px
+    return replace(
+        ideal,
+        width_px=width_px,
+        height_px=max(2, round(ideal.height_px * scale)),
+        fx=ideal.fx * scale,
+        fy=ideal.fy * scale,
+        cx=(ideal.cx + 0.5) * scale - 0.5,
+        cy=(ideal.cy + 0.5) * scale - 0.5,
+    )
+
+
+def depth_thumbnails(
+    scenario: Scenario,
+    T_world_cam: np.ndarray,
+    *,
+    width_px: int = THUMBNAIL_WIDTH_PX,
+    cache_dir: Path | None = None,
+    backend: RenderBackend | None = None,
+) -> tuple[np.ndarray, Intrinsics]:
+    """Render small depth images of a scenario's world.
+
+    The world is static: objects that segments let move are not in it. The same scenario and poses give the
+    same bytes on one machine and GL driver.
+
+    Args:
+        scenario: its world and camera count, and its seed.
+        T_world_cam: (N, 4, 4) float64 camera (x right, y down, z forward) to world, metres.
+        width_px: width of the images.
+        cache_dir: folder of the cache; None for the default one. It keeps the shape of the world, as only
+            the textures make it slow to build.
+        backend: worlds and renderer; None for MuJoCo.
+
+    Returns:
+        (N, h, w) float32 metres along the optical axis, 0 for no surface; their camera.
+
+    Raises:
+        InputError: no GL, the world's sizes do not fit, the images do not fit into the memory, or the cache
+            cannot be written.
+    """
+    camera = thumbnail_camera(scenario.camera, width_px)
+    shape = (len(T_world_cam), camera.height_px, camera.width_px)
+    check_memory("depth thumbnails", len(T_world_cam), 4 * int(np.prod(shape)))
+    depths_m = np.empty(shape, np.float32)
+    with depth_renderer(scenario, camera, cache_dir=cache_dir, backend=backend) as depth_of:
+        for index, pose in enumerate(T_world_cam):
+            depths_m[index] = depth_of(pose)
+    return depths_m, camera
+
+
+@contextmanager
+def depth_renderer(
+    scenario: Scenario,
+    camera: Intrinsics,
+    *,
+    cache_dir: Path | None = None,
+    backend: RenderBackend | None = None,
+) -> Iterator[DepthOf]:
+    """Yield the depth in a scenario's world as a function of the pose; see ``depth_thumbnails``."""
+    backend = backend or mujoco_backend()
+    renderer = backend.renderer(_bare_world(scenario, backend, FolderCache(cache_dir)), camera)
+    try:
+        yield lambda T_world_cam: renderer.render(T_world_cam)[1]
+    finally:
+        renderer.close()
+
+
+def _bare_world(scenario: Scenario, backend: RenderBackend, store: FolderCache) -> WorldModel:
+    """The world as one surface without texture."""
+    seed = world_seed(scenario, scenario.seed)
+    # Only the world and its seed shape it.
+    key = entry_key(Scenario(name="world_shape", world=scenario.world), seed, backend, world_shape=True)
+    shape = store.load(key, _stored_shape)
+    if shape is None:
+        with store.create(key) as folder:
+            _store_shape(folder, backend.build_world(scenario.world, seed).surfaces)
+        shape = _stored_shape(store.root / key)
+    vertices, triangles = shape
+    blank = np.zeros((1, 1), np.uint8)
+    surface = Surface(vertices, triangles, np.zeros((len(vertices), 2)), blank, "world")
+    return WorldModel([surface], 0.0, np.ones(1))
+
+
+def _store_shape(folder: Path, surfaces: list[Surface]) -> None:
+    firsts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
+    triangles = [surface.triangles + first for surface, first in zip(surfaces, firsts[:-1], strict=True)]
+    # The renderers take single precision.
+    np.save(folder / "vertices_m.npy", np.concatenate([s.vertices for s in surfaces]).astype(np.float32))
+    np.save(folder / "triangles.npy", np.concatenate(triangles).astype(np.int32))
+
+
+def _stored_shape(entry: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) float64 and triangles (T, 3) int32 of an entry.
+
+    Raises:
+        CorruptEntryError: the entry holds anything else.
+    """
+    vertices_m = stored_array(entry / "vertices_m.npy", (None, 3), np.float32)
+    triangles = stored_array(entry / "triangles.npy", (None, 3), np.int32)
+    return vertices_m.astype(np.float64), np.array(triangles)
