@@ -108,7 +108,7 @@ def _bare_world(scenario: Scenario, backend: RenderBackend, store: FolderCache) 
             _store_shape(folder, backend.build_world(scenario.world, seed).surfaces)
         shape = _stored_shape(store.root / key)
     vertices, triangles = shape
-    blank = np.zeros((1, 1), np.uint8)
+    blank = np.zeros((2, 2), np.uint8)
     surface = Surface(vertices, triangles, np.zeros((len(vertices), 2)), blank, "world")
     return WorldModel([surface], 0.0, np.ones(1))
 

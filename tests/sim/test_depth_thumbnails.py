@@ -11,6 +11,7 @@ from world_views import cheap_textures, poses
 from scenarios.spec import Scenario
 from sim.depth_thumbnails import depth_thumbnails, thumbnail_camera
 from sim.frame_plan import mujoco_backend, taking_intrinsics
+from sim.rendering.renderers import RENDERERS, load_renderer
 from sim.sensors.distortion import unproject
 from sim.worlds import build_world, layout
 
@@ -41,7 +42,9 @@ def T_world_cam() -> np.ndarray:
     return np.array(poses(layout(SCENARIO.world, 3), 5))
 
 
-def test_depth_is_that_of_the_textured_world(tmp_path, backend, T_world_cam):
+@pytest.mark.parametrize("kind", RENDERERS)
+def test_depth_is_that_of_the_textured_world(tmp_path, backend, T_world_cam, kind):
+    backend = replace(backend, renderer=load_renderer(kind))
     depths_m, camera = depth_thumbnails(SCENARIO, T_world_cam, cache_dir=tmp_path, backend=backend)
     assert depths_m.shape == (5, 53, 80) and depths_m.dtype == np.float32
     renderer = backend.renderer(backend.build_world(SCENARIO.world, 3), camera)
