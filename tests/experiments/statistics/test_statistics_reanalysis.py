@@ -1,6 +1,7 @@
 """The records of the first run, analysed anew: the figures that two recomputations agree on."""
 
 import json
+import runpy
 from pathlib import Path
 
 import numpy as np
@@ -90,6 +91,26 @@ def test_the_steps_of_the_chain_multiply_to_the_whole():
     assert found.shares["system_failure"].value > found.shares["dual_failure"].value
     (once,) = reanalyse(rows[(rows["repeat"] == 0) & (rows["sequence"] == 0)], 1, permutations=199).cells
     assert set(once.steps) == {"arms", "whole"} and once.chance is None
+
+
+def test_a_page_of_pandas_gives_the_same_figures(found, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["recompute.py", str(RECORDS / "units.parquet")])
+    again = runpy.run_path(str(RECORDS.parents[1] / "examples" / "recompute.py"))["found"]
+    told = {(c.cell, c.world, c.n): c for c in found.cells}
+    assert len(again) == 36 and len(told) >= 28 and "low_texture/2" in capsys.readouterr().out
+    for row in again.itertuples():
+        cell = told.get((row.cell, row.world, row.n))
+        if cell is None:
+            assert row.worlds < 2 + row.n  # too few worlds for a test
+            continue
+        mine = (cell.units.product, cell.units.weakest, cell.units.measured, cell.forecast.measured)
+        theirs = (row.eq1, row.weakest_link, row.in_units, row.measured)
+        assert [figure.value for figure in mine] == pytest.approx(theirs, abs=1e-12)
+        for name, ends in (
+            ("breakage", (row.p0_low, row.p0_high)),
+            ("dual_failure", (row.measured_low, row.measured_high)),
+        ):
+            assert (cell.shares[name].low, cell.shares[name].high) == pytest.approx(ends, abs=1e-9)
 
 
 def test_the_command_prints_the_figures(monkeypatch):

@@ -1,0 +1,57 @@
+"""Eq. 1 recomputed from a table of units with pandas alone, to check `dslab experiment reanalyse` by.
+
+Run: python examples/recompute.py docs/eq1-quick/units.parquet
+"""
+
+import sys
+from itertools import combinations
+
+import numpy as np
+import pandas as pd
+from scipy.stats import t as student
+
+table = pd.read_parquet(sys.argv[1] if len(sys.argv) > 1 else "docs/eq1-quick/units.parquet")
+table = table[(table.outcome == "completed") & (table.kind != "sham")]
+threads = sum(name.startswith("d") and name[1:].isdigit() for name in table)
+failed = [f"cross_r{j}_failed" for j in range(1, threads + 1)]
+
+
+def interval(by_world):
+    """Wilson's interval of a share, with as many trials as the spread of the worlds' means is worth."""
+    worlds, p, variance = len(by_world), by_world.mean(), by_world.var()
+    trials = p * (1 - p) * worlds / variance if variance > 0 else worlds
+    z2 = student.ppf(0.975, worlds - 1) ** 2
+    middle, half = p + z2 / (2 * trials), np.sqrt(z2 * (p * (1 - p) / trials + z2 / (4 * trials**2)))
+    return p, (middle - half) / (1 + z2 / trials), (middle + half) / (1 + z2 / trials)
+
+
+def product_over_different_worlds(means):
+    """Eq. 1: the mean over all choices of different worlds of p0 of one times pr1 of another and so on."""
+    x = means.to_numpy(float)
+    world = np.indices((len(x),) * x.shape[1])
+    different = np.all([a != b for a, b in combinations(world, 2)], axis=0)
+    return np.prod([x[w, j] for j, w in enumerate(world)], axis=0)[different].mean()
+
+
+rows = []
+for (cell, world), units in table.groupby(["cell", "world"], sort=False):
+    # Equal weight per world, then sequence, then replicate.
+    levels = [name for name in ("world_seed", "sequence") if name in units and units[name].notna().all()]
+    for n in range(1, threads + 1):
+        events = units[["breakage", *failed[:n]]].astype(float)
+        events["in_units"], events["measured"] = events.prod(axis=1), units[f"d{n}"].astype(float)
+        means = events.groupby([units[name] for name in levels]).mean().groupby(level=0).mean()
+        p0, low, high = interval(means["breakage"])
+        measured, measured_low, measured_high = interval(means["measured"])
+        rows.append(
+            {
+                "cell": cell, "world": world, "n": n, "worlds": len(means),
+                "p0": p0, "p0_low": low, "p0_high": high,
+                "eq1": product_over_different_worlds(means[["breakage", *failed[:n]]]),
+                "weakest_link": means[["breakage", *failed[:n]]].mean().min(),
+                "in_units": means["in_units"].mean(), "measured": measured,
+                "measured_low": measured_low, "measured_high": measured_high,
+            }
+        )  # fmt: skip
+found = pd.DataFrame(rows)
+print(found.round(3).to_string(index=False))
