@@ -128,16 +128,16 @@ bases:
   c: {world: {kind: room}, trajectory: {kind: fly}}
 degradations:
   - {kind: jpeg, dose: quality, doses: [5, 500]}
-units: %s
+worlds: %s
 """
     err = dslab("scenarios", "validate", write(tmp_path, text % 3))[2]
     fields = [line.split(": ")[2] for line in err.splitlines()]
     assert sorted(fields[:2]) == ["bases.b.camera.fps", "bases.b.world.wide_m"]
     assert fields[2:] == ["bases.c.trajectory.kind", "degradations[0].doses[1]"]
     err = dslab("scenarios", "validate", write(tmp_path, (text % 0).replace("bad", "bad name")))[2]
-    assert [line.split(": ")[2] for line in err.splitlines()] == ["name", "units"]
+    assert [line.split(": ")[2] for line in err.splitlines()] == ["name", "worlds"]
     code, out, _ = dslab("scenarios", "validate", PRESET_DIR / "smoke.yaml")
-    assert code == 0 and "valid, smoke, an experiment, 2 cells" in out
+    assert code == 0 and "valid, smoke, an experiment, 3 cells of 4 units" in out
 
 
 def test_the_schema_is_json(dslab):

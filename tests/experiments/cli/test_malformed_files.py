@@ -127,7 +127,7 @@ def test_every_yaml_file_is_bounded(refused, tmp_path, kind, fault):
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("units: 4", "units: 9223372036854775807", "units"),
+        ("worlds: 2", "worlds: 9223372036854775807", "worlds"),
         ("kind: low_texture", "kind: [low_texture]", "kind"),
         ("kind: low_texture", "kind: low_texture\n    acts_s: {choice: [1, {}]}", "acts_s"),
         ("kind: low_texture", "kind: low_texture\n    begins_s: {choice: [[1]]}", "begins_s"),
