@@ -93,8 +93,8 @@ def test_a_driver_that_is_killed_loses_only_the_units_under_way(run_made_up, com
 
 
 def test_ctrl_c_on_the_command_is_two_lines_and_exit_130_and_the_same_command_resumes(command, tmp_path):
-    spec, folder = load_spec("smoke").model_copy(update={"units": 20}), tmp_path / "x"
-    run = command(DSLAB, "experiment", "run", "smoke", "--out", folder, "--units", 20, "--workers", 2)
+    spec, folder = load_spec("smoke").model_copy(update={"worlds": 7}), tmp_path / "x"
+    run = command(DSLAB, "experiment", "run", "smoke", "--out", folder, "--worlds", 7, "--workers", 2)
     code, said = ended_midway(run, signal.SIGINT, folder, spec)
     assert code == 130
     assert said.splitlines() == [
@@ -106,12 +106,12 @@ def test_ctrl_c_on_the_command_is_two_lines_and_exit_130_and_the_same_command_re
     file.close()
     with Ledger.open(folder, spec, read_only=True) as ledger:
         kept = ledger.rows()
-    assert 5 <= len(kept) < 40
+    assert 5 <= len(kept) < 42
     for row in kept:
         assert decided(row) == decided(normalise(made_up_record(spec.unit(row["cell"], row["index"])), 2))
     again = subprocess.run(run, capture_output=True, text=True, timeout=300, check=True)
-    assert "40 of 40 units" in again.stdout
+    assert "42 of 42 units" in again.stdout
     with Ledger.open(folder, spec, read_only=True) as ledger:
         rows = ledger.rows()
     # Rows include times, hence none was run again.
-    assert len(rows) == 40 and all(row in rows for row in kept)
+    assert len(rows) == 42 and all(row in rows for row in kept)
