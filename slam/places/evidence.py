@@ -98,7 +98,7 @@ def support(
         map_.arrays, map_.view, np.ascontiguousarray(S_cam_map), scale, np.asarray(points, np.int32),
         features.xy, features.octave, features.descriptors, features.cell_start, 0, radius_px, near,
     )  # fmt: skip
-    cell = _cell(map_.view, pixels)
+    cell = cells_of(map_.view, pixels)
     expected = np.bincount(cell, weights=likely)
     found = np.bincount(cell, weights=keypoint >= 0)
     total = float(expected.sum())
@@ -113,9 +113,9 @@ def support(
     return Support(total, int(found.sum()), int(speaks.sum()), supported, contradicted)
 
 
-def _cell(view: ViewGeometry, pixels: np.ndarray) -> np.ndarray:
-    """(n,) cell of each pixel (n, 2); cells are square."""
+def cells_of(view: ViewGeometry, pixels: np.ndarray) -> np.ndarray:
+    """(n,) cell of each pixel (n, 2) of the view; cells are square, 8 to a row."""
     side = (view.x_max - view.x_min) / _COLUMNS
-    column = ((pixels[:, 0] - view.x_min) / side).astype(int)
-    row = ((pixels[:, 1] - view.y_min) / side).astype(int)
+    column = np.clip((pixels[:, 0] - view.x_min) / side, 0, _COLUMNS - 1).astype(int)
+    row = np.maximum((pixels[:, 1] - view.y_min) / side, 0).astype(int)
     return row * _COLUMNS + column

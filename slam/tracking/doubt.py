@@ -34,7 +34,7 @@ class DoubtConfig:
     min_frames: int = 8
     unsteady: float = 0.5
     least: float = 0.02
-    min_share: float = 0.4
+    min_share: float = 0.5
     nearer: float = 2.0
     slower: float = 8.0
 

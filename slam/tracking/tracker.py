@@ -11,9 +11,11 @@ from slam.map._map_kernels import count_observed, resolve_points
 from slam.map.map import Map
 from slam.matching import guided
 from slam.optimization.pose import optimize_pose
-from slam.places.evidence import EvidenceBar, support
+from slam.places.evidence import EvidenceBar, cells_of, support
 from slam.places.recognition import match_by_bow, shipped_vocabulary
 from slam.tracking.doubt import Doubt, DoubtConfig
+
+_KEYPOINTS_TO_SEE = 3  # in a cell, of which chance puts one or two anywhere
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,10 @@ class TrackingConfig:
         min_share: share of inliers among the map matches, below which the frame is rejected; 0 for any.
         local_map_keyframes: most keyframes of the local map.
         keyframe_share: a keyframe is made when inliers fall below this share of the reference's points.
-        urgent_share: the same of the frame right behind a keyframe, which adds little to it.
+        keyframe_cover: one is made too when points are found in less than this share of the cells, 8 to a
+            row of the image, that have keypoints: poses that hang on one side of the view wander.
+        urgent_share: share of points, as ``keyframe_share``, below which the frame right behind a keyframe
+            becomes one too, though it adds little to it.
         keyframe_interval_s: least time between keyframes.
         crossing: what a frame behind a gap must show.
         doubt: bounds of a motion that is believed.
@@ -72,6 +77,7 @@ class TrackingConfig:
     min_share: float = 0.0
     local_map_keyframes: int = 80
     keyframe_share: float = 0.9
+    keyframe_cover: float = 0.6
     urgent_share: float = 0.5
     keyframe_interval_s: float = 0.1
     crossing: CrossingConfig = field(default_factory=CrossingConfig)
@@ -200,7 +206,7 @@ class Tracker:
             last.T_cam_reference = last.T_cam_map @ np.linalg.inv(self.map.T_cam_map(last.reference_keyframe))
 
     def wants_keyframe(self, frame: Frame, inliers: int) -> bool:
-        """Return True if the frame sees too few of its reference keyframe's points."""
+        """Return True if the frame sees too few of its reference keyframe's points, or on one side only."""
         if not self._may_be_keyframe(frame):
             return False
         known = count_observed(
@@ -208,7 +214,10 @@ class Tracker:
         )
         last = self._last_keyframe
         right_behind = last is not None and abs(frame.features.index - last.index) == 1
-        return inliers < (self.config.urgent_share if right_behind else self.config.keyframe_share) * known
+        if right_behind:
+            return inliers < self.config.urgent_share * known
+        held = inliers >= self.config.keyframe_share * known
+        return not held or _covered_share(frame, self.map) < self.config.keyframe_cover
 
     # -- steps -------------------------------------------------------------------------------------------
 
@@ -358,6 +367,14 @@ class Tracker:
         made = m.features(int(np.median(m.arrays.pt_first_keyframe[points])))
         predicted = self.velocity @ last.T_cam_map
         self.doubt.note(frame, last, predicted, m.arrays.pt_xyz[points], made.stamp_s)
+
+
+def _covered_share(frame: Frame, map_: Map) -> float:
+    """Share of the cells of the image with keypoints in which points of the map are found too."""
+    cell = cells_of(map_.view, frame.features.xy)
+    seen = np.bincount(cell) >= _KEYPOINTS_TO_SEE
+    found = np.bincount(cell[frame.point >= 0], minlength=len(seen)) > 0
+    return float((seen & found).sum() / max(1, seen.sum()))
 
 
 def optimize_frame(frame: Frame, map_: Map) -> int:

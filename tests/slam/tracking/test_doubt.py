@@ -140,7 +140,7 @@ def test_a_few_bad_frames_are_forgiven(wall):
     assert doubted(wall, lambda i: orbit(r.normal(0, 2)) if i in brief else np.eye(4)).reason == ""
 
 
-@pytest.mark.parametrize(("bad", "share", "since"), [(3, 0.4, 0), (0, 0.4, None), (3, 0.0, None)])
+@pytest.mark.parametrize(("bad", "share", "since"), [(3, 0.5, 0), (0, 0.5, None), (3, 0.0, None)])
 def test_the_last_frames_before_a_loss_are_not_forgiven(wall, bad, share, since):
     onset = PLANTED_AT - bad
 
@@ -184,7 +184,7 @@ def orbit_in_map(map_, frame, degrees):
     return T
 
 
-def run(kind, sequence, min_share=0.4):
+def run(kind, sequence, min_share=0.5):
     tracking = TrackingConfig(doubt=replace(DoubtConfig(), min_share=min_share))
     system = build_system(kind, CAMERA, 0, SlamConfig(tracking=tracking))
     images, stamps_s, _ = sequence

@@ -311,6 +311,19 @@ def test_a_frame_right_behind_a_keyframe_becomes_one_only_in_need(known, sightin
         assert not tracker.wants_keyframe(frame, int(due * points) + 1)
 
 
+def test_a_keyframe_is_requested_where_points_are_found_on_one_side_only(known, sightings):
+    tracker = started(known, sightings[20])
+    frame = sightings[24].again()
+    assert tracker.track(frame).success
+    x = frame.features.xy[:, 0]
+    many = 10**6
+    assert not tracker.wants_keyframe(frame, many)
+    frame.point[x > np.quantile(x, 0.4)] = -1
+    assert tracker.wants_keyframe(frame, many)
+    tracker = started(known, sightings[20], config=TrackingConfig(keyframe_cover=0.0))
+    assert not tracker.wants_keyframe(frame, many)
+
+
 def test_a_new_keyframe_becomes_the_reference_with_its_points(known, sightings):
     built, point_of = known
     tracker = started(known, sightings[0])
