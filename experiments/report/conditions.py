@@ -2,16 +2,12 @@
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from experiments.eq1.records import SHAM
 from experiments.report.describe import listed
 from scenarios.describe import describe_field, describe_kind, label_and_unit, plain
 
 if TYPE_CHECKING:
     from experiments.eq1.spec import ExperimentSpec
-
-_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
 
 def conditions(spec: "ExperimentSpec") -> list[dict[str, Any]]:
@@ -91,29 +87,3 @@ def thread_names(report: dict[str, Any]) -> list[str]:
         f"{kind} ({kinds[:i].count(kind) + 1})" if kinds.count(kind) > 1 else kind
         for i, kind in enumerate(kinds)
     ]
-
-
-def describe_quantity(quantity: str, threads: list[str]) -> str:
-    """Name a probability: ``p0`` as breaking, ``pr1`` as the failure of the first thread."""
-    if quantity == "p0":
-        return "tracking breaks (p₀)"
-    number = int(quantity.removeprefix("pr"))
-    return f"{threads[number - 1]} fails (pr{str(number).translate(_SUBSCRIPTS)})"
-
-
-def dose_at(severity: float | None, doses: list[dict[str, Any]]) -> str | None:
-    """Dose at a severity, in the unit of the doses.
-
-    Args:
-        severity: in the records' measure; between two doses the dose is interpolated.
-        doses: from `doses_of`.
-
-    Returns:
-        The outermost dose where the severity lies beyond it, None without a severity.
-    """
-    if severity is None:
-        return None
-    axis, values = zip(*sorted((d["severity"], d["value"]) for d in doses), strict=True)
-    if not axis[0] <= severity <= axis[-1]:
-        return f"beyond {plain(values[0] if severity < axis[0] else values[-1])}"
-    return f"{np.interp(severity, axis, values):.3g}"
