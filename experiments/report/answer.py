@@ -5,9 +5,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from experiments.report.conditions import describe_stress, thread_names
+from experiments.report.conditions import describe_label, describe_stress, thread_names
 from experiments.report.describe import interval_of_share, listed, plural
-from scenarios.describe import describe_kind
 
 LEAST_WORLDS = 10
 """Worlds with the event below which nothing is tested (`statistics.verdicts`)."""
@@ -52,7 +51,7 @@ def answer(results: dict[str, Any]) -> Answer:
     sentences = [*asked, *_verdicts(results, told), _basis(results, told), _certainty(analysis)]
     if results["reanalysed"]:
         sentences.append("Reanalysed: the spec mixed kinds of world in a condition; they are split here.")
-    headline = _headline(Counter(cell["verdict_forecast"] for cell in told))
+    headline = _headline(told)
     return Answer(headline, [*sentences, _chance(analysis), _limits(results)], analysis["kinds_of_world"])
 
 
@@ -61,8 +60,8 @@ def confirmed(cells: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [cell for cell in cells if cell["confirmatory"]] or cells
 
 
-def _headline(counts: Counter[str]) -> str:
-    total = sum(counts.values())
+def _headline(told: list[dict[str, Any]]) -> str:
+    counts, total = Counter(cell["verdict_forecast"] for cell in told), len(told)
     wrong = [
         f"too {few} failures in {counts[verdict]}"
         for verdict, few in (("optimistic", "few"), ("pessimistic", "many"))
@@ -83,6 +82,11 @@ def _headline(counts: Counter[str]) -> str:
             f"{counts['untested']} could not be made."
             if counts["untested"]
             else "No verdict on Eq. 1: where all fails, any formula is right."
+        )
+    most = max(cell["worlds"] for cell in told)
+    if most < LEAST_WORLDS:
+        return (
+            f"Untested: a test takes {LEAST_WORLDS} worlds that break and fail to recover; {most} were run."
         )
     return f"Untested: in no condition did {LEAST_WORLDS} worlds both break and fail to recover."
 
@@ -108,7 +112,7 @@ def _stress(found: list[dict[str, Any]]) -> str:
     """Kinds of degradation, with their doses if there are few."""
     kinds = list(dict.fromkeys(condition["kind"] for condition in found if condition["dose"] != "none"))
     few = len(kinds) <= _KINDS_WITH_DOSES
-    return listed([describe_stress(found, kind) if few else describe_kind(kind) for kind in kinds])
+    return listed([describe_stress(found, kind) if few else describe_label(kind) for kind in kinds])
 
 
 def _verdicts(results: dict[str, Any], told: list[dict[str, Any]]) -> Iterable[str]:
@@ -135,7 +139,10 @@ def _certainty(analysis: dict[str, Any]) -> str:
 
 def _chance(analysis: dict[str, Any]) -> str:
     if not analysis["chance"]:
-        return "No sequence was repeated enough to tell chance from difficulty."
+        return (
+            "Chance could not be told from the difficulty of the sequences: that takes repeats, three worlds "
+            "and breakages that vary."
+        )
     each = [f"{interval_of_share(share)} in kind {world}" for world, share in analysis["chance"].items()]
     return (
         f"Chance, not the difficulty of the sequence, makes {listed(each)} of what varies in the breakages."

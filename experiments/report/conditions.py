@@ -50,8 +50,7 @@ def _condition(spec: "ExperimentSpec", number: int, name: str) -> dict[str, Any]
     together = dose.replace(
         f"{plain(value)}{unit}", f"{plain(value)}{unit}".replace(" ", "\N{NO-BREAK SPACE}")
     )
-    creeping = "creeping " if degradation.creeping else ""
-    named = ", ".join([*base, creeping + describe_kind(degradation.kind), together])
+    named = ", ".join([*base, describe_label(degradation.label), together])
     return {
         "number": number,
         "cell": name,
@@ -63,6 +62,12 @@ def _condition(spec: "ExperimentSpec", number: int, name: str) -> dict[str, Any]
         "severity": degradation.severities_of(cell.base)[cell.dose],
         "name": f"{named} ({system})" if system else named,
     }
+
+
+def describe_label(label: str) -> str:
+    """Name a kind of degradation as the records call it: ``defocus-creeping`` is creeping defocus."""
+    kind = label.removesuffix("-creeping")
+    return describe_kind(kind) if kind == label else f"creeping {describe_kind(kind)}"
 
 
 def doses_of(found: list[dict[str, Any]], kind: str) -> list[dict[str, Any]]:
@@ -77,13 +82,18 @@ def describe_stress(found: list[dict[str, Any]], kind: str) -> str:
         return "no stress"
     label, unit = label_and_unit(doses[0]["field"])
     values = listed([plain(dose["value"]) for dose in doses])
-    return f"{describe_kind(kind)} ({'' if label == unit.strip() else label + ' '}{values}{unit})"
+    return f"{describe_label(kind)} ({'' if label == unit.strip() else label + ' '}{values}{unit})"
 
 
 def thread_names(report: dict[str, Any]) -> list[str]:
     """Name each recovery thread of a report, equal kinds with their places."""
-    kinds = [thread["kind"].upper() for thread in report["experiment"]["threads"]]
+    kinds = [_thread_name(thread["kind"]) for thread in report["experiment"]["threads"]]
     return [
         f"{kind} ({kinds[:i].count(kind) + 1})" if kinds.count(kind) > 1 else kind
         for i, kind in enumerate(kinds)
     ]
+
+
+def _thread_name(kind: str) -> str:
+    own = kind.removeprefix("paper_").upper()
+    return own if kind.upper() == own else f"the paper's {own}"

@@ -9,7 +9,7 @@ from markupsafe import Markup, escape
 
 from experiments.pages import render_page
 from experiments.report.answer import MEANINGS
-from experiments.report.conditions import thread_names
+from experiments.report.conditions import describe_label, thread_names
 from experiments.report.describe import FILTERS
 from experiments.report.paper_figures import PAPER
 from experiments.report.plots.draw import Image, Plot
@@ -26,7 +26,8 @@ def report_html(report: dict[str, Any], plots: dict[str, Plot]) -> str:
     """
     return render_page(
         _TEMPLATES,
-        FILTERS | {"data_uri": _data_uri, "labelled": _labelled, "in_order": _in_order},
+        FILTERS
+        | {"data_uri": _data_uri, "labelled": _labelled, "in_order": _in_order, "stress": describe_label},
         report=report,
         plots=plots,
         paper=PAPER,

@@ -19,7 +19,7 @@ from experiments.statistics.estimates import Figure
 from experiments.statistics.formulas import FORMULAS, FormulaScore, compare_formulas, second_thread_gain
 from experiments.statistics.from_records import HomogeneousCell, cells_of
 from experiments.statistics.judged import JudgedCell, judge_cells, share_of_chance
-from experiments.statistics.outcomes import Floats, Outcomes
+from experiments.statistics.outcomes import Floats, Outcomes, world_means
 from experiments.statistics.permutations import permutations_for, within_sequences
 from experiments.statistics.products import product_of_distinct
 from experiments.statistics.verdicts import Verdict
@@ -240,14 +240,13 @@ def _within_worlds(each: Sequence[Outcomes]) -> float | None:
 
 
 def _by_world(cells: Sequence[HomogeneousCell], outcomes: Sequence[Floats]) -> Floats:
-    """(W,) mean over all units of each world, in whatever cells they are."""
-    sums: dict[tuple[str, int], Floats] = {}
+    """(W,) mean over the cells of each world's mean, in whatever cells it is."""
+    means: dict[tuple[str, int], list[float]] = {}
     for cell, outcome in zip(cells, outcomes, strict=True):
-        for seed, units in zip(cell.worlds, outcome, strict=True):
-            known = units[np.isfinite(units)]
-            at = (cell.world, int(seed))
-            sums[at] = sums.get(at, np.zeros(2)) + np.array([known.sum(), known.size])
-    return np.array([total / count for total, count in sums.values() if count])
+        for seed, mean in zip(cell.worlds, world_means(outcome), strict=True):
+            if np.isfinite(mean):
+                means.setdefault((cell.world, int(seed)), []).append(float(mean))
+    return np.asarray([np.mean(of_world) for of_world in means.values()], dtype=np.float64)
 
 
 def _kind_of_world(

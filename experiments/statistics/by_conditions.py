@@ -38,12 +38,12 @@ class DosePoint:
 def dose_points(
     cells: Sequence[HomogeneousCell], shams: Sequence[HomogeneousCell], threads: int
 ) -> tuple[DosePoint, ...]:
-    """Shares against dose, a sham of the same base as the dose zero of every kind."""
+    """Shares against dose, in the order of the cells; a sham of the same world is the dose zero of a kind."""
     found = []
     for kind, world in dict.fromkeys((cell.kind, cell.world) for cell in cells):
         own = [c for c in cells if (c.kind, c.world) == (kind, world)]
         zero = [c for c in shams if c.world == world]
-        for cell in [*zero, *sorted(own, key=lambda c: c.severity)]:
+        for cell in [*zero, *own]:
             if cell.units:
                 severity = 0.0 if cell.kind == SHAM else cell.severity
                 shares = _shares(cell, threads)

@@ -210,7 +210,10 @@ def share_of_chance(cells: Sequence[HomogeneousCell]) -> Interval | None:
             return None
         chance = of_cell - within if chance is None else chance + (of_cell - within)
         variance = of_cell if variance is None else variance + of_cell
-    return None if chance is None or variance is None else ratio_interval(chance, variance)
+    found = None if chance is None or variance is None else ratio_interval(chance, variance)
+    if found is None:
+        return None
+    return Interval(*(min(max(0.0, x), 1.0) for x in (found.value, found.low, found.high)))
 
 
 def _shares(cell: HomogeneousCell, n: int) -> dict[str, Interval]:

@@ -8,7 +8,6 @@ from matplotlib.figure import Figure
 
 from experiments.report.plots.style import GREY, NARROW_IN, bars, log_ticks, new_figure, thread_colour
 from experiments.statistics.judged import STEPS
-from scenarios.describe import plain
 
 _NAMES = {"whole": "D / Eq. 1"}
 _LEAST, _MOST = 3.0, 30.0
@@ -37,7 +36,8 @@ def draw_chain(report: dict[str, Any], kind: str, width_in: float) -> Figure | N
         c = named[cell["cell"]]
         world = cell["world"].replace("_", " ")
         axes.set_title(
-            f"{c['number']}. {world}, {c['dose'] or plain(c['value'])}, n = {cell['n']}\n"
+            f"{c['number']}. {world}, {c['dose']}, n = {cell['n']}"
+            f"{' (confirmatory)' if cell['confirmatory'] else ''}\n"
             f"Q: {cell['verdict_in_units']}, D: {cell['verdict_forecast']}",
             fontsize=8.5,
             loc="left",

@@ -5,7 +5,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.report.conditions import thread_names
+from experiments.report.conditions import describe_label, thread_names
 from experiments.report.plots.style import (
     BLUE,
     NARROW_IN,
@@ -16,13 +16,13 @@ from experiments.report.plots.style import (
     percent_axis,
     thread_colour,
 )
-from scenarios.describe import describe_kind, plain
+from scenarios.describe import plain
 
 _APART = 0.13
 
 
 def draw_doses(report: dict[str, Any], width_in: float) -> Figure | None:
-    """Draw a panel per kind of degradation and of world, doses in their unit, in the order of severity."""
+    """Draw a panel per kind of degradation and of world, doses in their unit, in the order of the spec."""
     points = report["analysis"]["doses"]
     if not points:
         return None
@@ -42,7 +42,7 @@ def draw_doses(report: dict[str, Any], width_in: float) -> Figure | None:
         axes.set_xticks(range(len(own)), labels, fontsize=8)
         axes.set_xlabel(of[-1]["axis"], fontsize=9)
         axes.set_xlim(-0.5, len(own) - 0.5)
-        axes.set_title(f"{describe_kind(kind)}, {world.replace('_', ' ')}", fontsize=9, loc="left")
+        axes.set_title(f"{describe_label(kind)}, {world.replace('_', ' ')}", fontsize=9, loc="left")
         axes.set_ylim(-0.03, 1.03)
         percent_axis(axes.yaxis)
         axes.tick_params(axis="y", labelsize=8, labelleft=True)

@@ -9,6 +9,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from experiments.report.conditions import describe_label
 from experiments.report.paths_file import read_paths
 from experiments.report.plots.chain import draw_chain
 from experiments.report.plots.conditioning import draw_conditioning
@@ -17,7 +18,6 @@ from experiments.report.plots.formulas import draw_formulas
 from experiments.report.plots.paths import draw_paths
 from experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
 from experiments.report.plots.trials import draw_end_errors, draw_timeline
-from scenarios.describe import describe_kind
 
 _PNG_DPI = 110
 
@@ -65,7 +65,7 @@ def draw_plots(report: dict[str, Any], folder: Path) -> dict[str, Plot]:
     drawings: Mapping[str, tuple[str, Callable[[float], Figure | None]]] = {
         **{
             f"chain_{kind}": (
-                f"Steps from Eq. 1 to the measured failures under {describe_kind(kind)}, as ratios.",
+                f"Steps from Eq. 1 to the measured failures under {describe_label(kind)}, as ratios.",
                 partial(draw_chain, report, kind),
             )
             for kind in dict.fromkeys(cell["kind"] for cell in report["analysis"]["cells"])

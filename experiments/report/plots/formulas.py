@@ -53,6 +53,7 @@ def draw_formulas(report: dict[str, Any], width_in: float) -> Figure | None:
         percent_axis(axes.xaxis)
     for empty in panels[len(found) :]:
         empty.remove()
-    marks = [legend_mark(colour, name, mark) for name, (colour, mark) in _STYLES.items()]
+    told = {score["name"] for formulas in found for score in formulas["on_dual_failures"]}
+    marks = [legend_mark(colour, name, mark) for name, (colour, mark) in _STYLES.items() if name in told]
     legend_above(figure, marks, 5, width_in)
     return figure

@@ -29,12 +29,17 @@ def test_the_paragraph_says_what_was_asked_tried_found_and_not_said(results):
     text = " ".join(answer(results).sentences)
     for part in ("Asked: ", "Tried: ", "How sure: ", "Not said: ", "all are exploratory", "decide little"):
         assert part in text
+    assert answer(results).headline.endswith("both break and fail to recover.")
+    few = [cell | {"worlds": 9} for cell in results["analysis"]["cells"]]
+    few_worlds = answer(results | {"analysis": results["analysis"] | {"cells": few}})
+    assert few_worlds.headline.endswith("; 9 were run.")
     assert "low texture (contrast 0.3 and 0.1)" in text and "10 rendered worlds (corridor)" in text
     assert f"{results['units']['completed']} trials" in text and "without a healthy map" in text
 
 
 def judged(*words: str, confirmatory: bool = False) -> list[dict]:
-    return [{"n": 1, "confirmatory": confirmatory, "verdict_forecast": word} for word in words]
+    each = {"n": 1, "confirmatory": confirmatory, "worlds": 12}
+    return [each | {"verdict_forecast": word} for word in words]
 
 
 @pytest.mark.parametrize(

@@ -245,6 +245,25 @@ def test_one_thread_and_two_systems_and_no_crossing_arm(odd):
     assert points and all("thread_1" not in point["shares"] for point in points)
 
 
+def test_a_design_with_all_parts_has_them_on_its_page(tmp_path):
+    kinds = (ThreadChoice(kind="paper_orb"), ThreadChoice(kind="sift"))
+    spec = FakeSpec(doses=1, threads=kinds, confirmatory=("low_texture/1",))
+    table = fake_table(spec, hardness=1.5, per_world=3)
+    number = table["index"].to_numpy(int)
+    table["sequence"], table["repeat"] = 0 * number, number % 3
+    table["rescuable"] = number % 2 == 0
+    table["m2"] = table["s2"] | (number % 7 == 0)
+    table.loc[number % 7 == 0, "mission_cause"] = "final_pose"
+    report = report_content(spec, table, tmp_path, FEW)
+    text = Page(report_html(report, {})).text
+    for part in ("the paper's ORB, SIFT", "confirmatory", "telling sequences", "hopeless", "final pose"):
+        assert part in text
+    analysis = report["analysis"]
+    assert analysis["directions"] and analysis["rescuable"] and analysis["chance"]["corridor"]["low"] >= 0
+    assert all("run" in cell["steps"] for cell in analysis["cells"] if cell["steps"] and cell["n"] == 1)
+    assert "named before the run" in text and "final_pose" in report["taxonomy"]["mission_causes"]
+
+
 def test_records_of_several_code_states_give_a_warning(odd):
     assert any("2 states of the sources" in warning for warning in odd["warnings"])
     assert odd["sources"]["code"] == {"0ld": 18, "c0de": 18}

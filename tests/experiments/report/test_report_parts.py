@@ -71,7 +71,7 @@ def judged(n: int, **steps: tuple) -> dict:
     """A judged cell with some steps of the chain."""
     ratios = {name: dict(zip(("value", "low", "high"), step, strict=True)) for name, step in steps.items()}
     return {
-        "cell": "c", "world": "room", "kind": "blur", "n": n, "steps": ratios,
+        "cell": "c", "world": "room", "kind": "blur", "n": n, "steps": ratios, "confirmatory": False,
         "verdict_in_units": "untested", "verdict_forecast": "saturated",
     }  # fmt: skip
 
