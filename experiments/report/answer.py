@@ -15,7 +15,7 @@ _KINDS_WITH_DOSES = 4
 MEANINGS = {
     "optimistic": "Eq. 1 predicted too few failures",
     "pessimistic": "it predicted too many",
-    "consistent": "it agrees with what was measured",
+    "consistent": "it agrees with what was measured, within .3 of the way to the weakest link",
     "undecided": "there are too few worlds to decide",
     "saturated": "it cannot be told from the weakest link, as all fails",
     "untested": f"fewer than {LEAST_WORLDS} worlds broke, or failed to recover",

@@ -18,10 +18,10 @@ DELAYS_S = (0.1, 0.5)
 
 @dataclass(frozen=True)
 class DosePoint:
-    """Shares at one dose of one kind of degradation in one kind of world.
+    """Shares at one dose of one kind of degradation in one setting.
 
     Attributes:
-        kind, world, cell, severity: which one; the sham's severity is 0.
+        kind, world, setting, cell, severity: which one; the sham's severity is 0.
         worlds: their number.
         shares: ``breakage``, ``thread_1`` to ``thread_n`` (R_j of the crossing arm), ``dual_1`` to
             ``dual_n`` (D_J).
@@ -29,6 +29,7 @@ class DosePoint:
 
     kind: str
     world: str
+    setting: str
     cell: str
     severity: float
     worlds: int
@@ -38,16 +39,16 @@ class DosePoint:
 def dose_points(
     cells: Sequence[HomogeneousCell], shams: Sequence[HomogeneousCell], threads: int
 ) -> tuple[DosePoint, ...]:
-    """Shares against dose, in the order of the cells; a sham of the same world is the dose zero of a kind."""
+    """Shares against dose, in the order of the cells; a sham of the same setting is the dose zero."""
     found = []
-    for kind, world in dict.fromkeys((cell.kind, cell.world) for cell in cells):
-        own = [c for c in cells if (c.kind, c.world) == (kind, world)]
-        zero = [c for c in shams if c.world == world]
+    for kind, world, setting in dict.fromkeys((c.kind, c.world, c.setting) for c in cells):
+        own = [c for c in cells if (c.kind, c.world, c.setting) == (kind, world, setting)]
+        zero = [c for c in shams if (c.world, c.setting) == (world, setting)]
         for cell in [*zero, *own]:
             if cell.units:
                 severity = 0.0 if cell.kind == SHAM else cell.severity
                 shares = _shares(cell, threads)
-                found.append(DosePoint(kind, world, cell.name, severity, len(cell.worlds), shares))
+                found.append(DosePoint(kind, world, setting, cell.name, severity, len(cell.worlds), shares))
     return tuple(found)
 
 

@@ -39,6 +39,13 @@ class HomogeneousCell:
         return str(self.rows["kind"].iloc[0])
 
     @property
+    def setting(self) -> str:
+        """What of its name is neither degradation nor dose: base and system, empty with one of each."""
+        parts = self.name.split("/")
+        at = parts.index(self.kind) if self.kind in parts else 0
+        return "/".join([*parts[:at], *parts[at + (1 if self.kind == SHAM else 2) :]])
+
+    @property
     def severity(self) -> float:
         """Its dose, in the measure of the records."""
         return float(self.rows["severity"].iloc[0])

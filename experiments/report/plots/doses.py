@@ -22,19 +22,19 @@ _APART = 0.13
 
 
 def draw_doses(report: dict[str, Any], width_in: float) -> Figure | None:
-    """Draw a panel per kind of degradation and of world, doses in their unit, in the order of the spec."""
+    """Draw a panel per kind of degradation and setting, doses in their unit, in the order of the spec."""
     points = report["analysis"]["doses"]
     if not points:
         return None
-    kinds = list(dict.fromkeys((point["kind"], point["world"]) for point in points))
+    kinds = list(dict.fromkeys((point["kind"], point["world"], point["setting"]) for point in points))
     named = {condition["cell"]: condition for condition in report["conditions"]}
     styles = _styles(report)
     columns = min(2 if width_in > NARROW_IN else 1, len(kinds))
     rows = -(-len(kinds) // columns)
     figure = new_figure(0.7 + 2.0 * rows, width_in)
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel()
-    for axes, (kind, world) in zip(panels, kinds, strict=False):
-        own = [point for point in points if (point["kind"], point["world"]) == (kind, world)]
+    for axes, (kind, world, setting) in zip(panels, kinds, strict=False):
+        own = [p for p in points if (p["kind"], p["world"], p["setting"]) == (kind, world, setting)]
         for place, point in enumerate(own):
             _draw_point(axes, place, point["shares"], styles)
         of = [named[point["cell"]] for point in own]
@@ -42,7 +42,8 @@ def draw_doses(report: dict[str, Any], width_in: float) -> Figure | None:
         axes.set_xticks(range(len(own)), labels, fontsize=8)
         axes.set_xlabel(of[-1]["axis"], fontsize=9)
         axes.set_xlim(-0.5, len(own) - 0.5)
-        axes.set_title(f"{describe_label(kind)}, {world.replace('_', ' ')}", fontsize=9, loc="left")
+        where = world if setting in ("", world) else f"{world}, {setting}"
+        axes.set_title(f"{describe_label(kind)}, {where.replace('_', ' ')}", fontsize=9, loc="left")
         axes.set_ylim(-0.03, 1.03)
         percent_axis(axes.yaxis)
         axes.tick_params(axis="y", labelsize=8, labelleft=True)

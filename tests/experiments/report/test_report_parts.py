@@ -99,7 +99,13 @@ def test_the_chain_has_a_panel_per_condition_and_arrows_for_open_ends(width_in):
 def test_doses_stand_on_the_axis_in_their_unit_with_the_sham_as_none():
     share = {"value": 0.5, "low": 0.1, "high": 0.9}
     points = [
-        {"kind": "blur", "world": "room", "cell": cell, "shares": {"breakage": share, "dual_1": share}}
+        {
+            "kind": "blur",
+            "world": "room",
+            "setting": "",
+            "cell": cell,
+            "shares": {"breakage": share, "dual_1": share},
+        }
         for cell in ("sham", "a", "b")
     ]
     named = [

@@ -150,7 +150,7 @@ def test_parts_of_the_breakages_hold_all_of_them_once():
     # Worlds have as many units each, so that the share of units is that of worlds.
     assert found.rescuable[1].dual_failures[0].value == pytest.approx(hopeless["d1"].mean())
     assert [point.severity for point in found.doses] == [0.0, 2.0]
-    assert found.sham["room"]["mission_failure"].value > 0
+    assert found.sham[0].shares["mission_failure"].value > 0
 
 
 def test_p0_and_pr_are_compared_by_worlds():
