@@ -16,9 +16,12 @@ from pathlib import Path
 from pydantic import BaseModel
 from stress_pictures import draw_pictures
 
+from experiments.campaign.folder import read_experiment
 from experiments.eq1.records import FAILURES, PAIR_COLUMNS, THREAD_COLUMNS, UNIT_COLUMNS
 from experiments.eq1.spec import ExperimentSpec, load_spec, preset_names
 from experiments.eq1.spec_parts import Base, Degradation
+from experiments.report.content import report_content
+from experiments.report.write import write_files
 from experiments.runs.slam_settings import settings_yaml
 from scenarios.cameras import PRESETS as CAMERAS
 from scenarios.cameras import Camera
@@ -44,12 +47,20 @@ def main(folder: Path) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(HERE, folder, ignore=shutil.ignore_patterns("*.py", "__pycache__", "eq1-quick"))
     draw_pictures(folder / "stress")
+    report_first_run(folder / "eq1-quick")
     for page in folder.rglob("*.md"):
         text = page.read_text()
         text = re.sub(r"<!-- made: (\w+) -->", lambda found: globals()[found[1]](), text)
         page.write_text(re.sub(r"<!-- code: (\S+) -->", lambda found: code(found[1]), text))
     for name in ROOT_PAGES:
         (folder / name.lower()).write_text(on_the_site((ROOT / name).read_text()))
+
+
+def report_first_run(folder: Path) -> None:
+    """Write the report of the records of the first run, with its page and plots."""
+    folder.mkdir()
+    records = HERE / "eq1-quick"
+    write_files(report_content(*read_experiment(records), records.relative_to(ROOT)), folder)
 
 
 def on_the_site(text: str) -> str:
@@ -63,6 +74,17 @@ def on_the_site(text: str) -> str:
 def code(file: str) -> str:
     """A file as a block of code."""
     return f"```python\n{(ROOT / file).read_text()}```"
+
+
+def first_run() -> str:
+    """Links to the report of the first run, and two of its plots, which are drawn with it."""
+    links = "[The whole report, reanalysed](eq1-quick/report.html) · [its figures](eq1-quick/report.json)"
+    kinds = ("low_texture", "motion_blur")
+    plots = [
+        f"![From Eq. 1 to what was measured, {kind.replace('_', ' ')}](eq1-quick/plots/chain_{kind}.svg)"
+        for kind in kinds
+    ]
+    return "\n\n".join([links, *plots])
 
 
 def stress_kinds() -> str:

@@ -1,4 +1,4 @@
-"""Eq. 1 recomputed from a table of units with pandas alone, to check `dslab experiment reanalyse` by.
+"""Eq. 1 recomputed from a table of units with pandas alone, to check `dslab experiment report` by.
 
 Run: python examples/recompute.py docs/eq1-quick/units.parquet
 """

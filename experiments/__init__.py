@@ -16,20 +16,16 @@ if TYPE_CHECKING:
     from experiments.eq1.spec import load_spec as load_experiment
     from experiments.plugins import load_plugins
     from experiments.report.write import write_report
-    from experiments.statistics.analysis import analyse
-    from experiments.statistics.kinds_of_world import kinds_of_world
-    from experiments.statistics.results import Analysis, AnalysisSettings
+    from experiments.statistics.analysis import Analysis, analyse
 
 choose_kernel_cache()
 
 _HOMES = {
-    "Analysis": "experiments.statistics.results",
-    "AnalysisSettings": "experiments.statistics.results",
+    "Analysis": "experiments.statistics.analysis",
     "ExperimentSpec": "experiments.eq1.spec",
     "Run": "experiments.api",
     "analyse": "experiments.statistics.analysis",
     "compare": "experiments.api",
-    "kinds_of_world": "experiments.statistics.kinds_of_world",
     "load_experiment": "experiments.eq1.spec:load_spec",
     "load_plugins": "experiments.plugins",
     "read_experiment": "experiments.campaign.folder",
@@ -40,12 +36,10 @@ _HOMES = {
 
 __all__ = [
     "Analysis",
-    "AnalysisSettings",
     "ExperimentSpec",
     "Run",
     "analyse",
     "compare",
-    "kinds_of_world",
     "load_experiment",
     "load_plugins",
     "read_experiment",

@@ -12,7 +12,7 @@ from experiments.result_folder import run_systems
 from experiments.runs.execution import SystemFactory, SystemKind
 from experiments.runs.files import to_json
 from experiments.statistics.analysis import analyse
-from experiments.statistics.results import CellAnalysis
+from experiments.statistics.judged import JudgedCell
 from sim.io.folders import Progress, new_directory
 from sim.sequence import Sequence
 
@@ -29,7 +29,7 @@ def run_demo(
     workers: int = 2,
     progress: Progress | None = None,
     build: SystemFactory | None = None,
-) -> tuple[dict[SystemKind, dict], list[CellAnalysis]]:
+) -> tuple[dict[SystemKind, dict], list[JudgedCell]]:
     """Run the systems, then the units, and write the folder of the demonstration, whole or not at all.
 
     It holds a folder for each system, their common recording and picture, and the folder of the experiment.
@@ -44,7 +44,7 @@ def run_demo(
         build: factory of the systems; ``slam.factory.build_system`` by default.
 
     Returns:
-        Summary of each system, and the analysis of each cell of the experiment.
+        Summary of each system, and each cell of the experiment, per number of threads.
 
     Raises:
         InputError: the folder is taken or not writable, or the disk is full.
@@ -61,7 +61,7 @@ def run_demo(
 
 def _run_units(
     experiment: ExperimentSpec, folder: Path, workers: int, progress: Progress | None
-) -> list[CellAnalysis]:
+) -> list[JudgedCell]:
     show = progress or (lambda step, done, total: None)
     run_experiment(
         experiment,

@@ -1,5 +1,6 @@
 """``dslab demo``."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +12,7 @@ from experiments.cli.console import MOST_SEED, ForceOption, out, progress_bars, 
 
 if TYPE_CHECKING:
     from experiments.eq1.spec import ExperimentSpec
-    from experiments.statistics.results import CellAnalysis
+    from experiments.statistics.judged import JudgedCell
 
 SCENARIO, SEED = "stressed", 4
 """Default of the demonstration: of the seeds 0 to 4 the one in which the base stays lost and a recovery
@@ -72,9 +73,9 @@ def demo_command(
         sequence = render_sequence(spec, progress=show, force=force)
         summaries, cells = run_demo(sequence, spec.seed, out_dir, experiment, _WORKERS, show)
     print_runs(summaries)
-    for cell in cells:
+    for name in dict.fromkeys(cell.cell for cell in cells):
         assert experiment is not None
-        out.print(units_table(cell, experiment))
+        out.print(units_table([cell for cell in cells if cell.cell == name], experiment))
     files = {
         "picture": f"{out_dir / PICTURE_FILE}",
         "recording": f"{out_dir / RECORDING_FILE}  (open it: dslab view {out_dir})",
@@ -88,43 +89,34 @@ def demo_command(
         out.print(f"{name:10s} {place}", soft_wrap=True)
 
 
-def units_table(cell: "CellAnalysis", experiment: "ExperimentSpec") -> Table:
-    """Predicted and measured shares of dual failures, for each number of recovery threads."""
+def units_table(levels: Sequence["JudgedCell"], experiment: "ExperimentSpec") -> Table:
+    """Predicted and measured shares of dual failures in one cell, a row for each number of threads."""
     from scenarios.describe import describe_field, describe_kind
 
-    kinds = [thread.kind for thread in experiment.threads]
+    cell, kinds = levels[0], [thread.kind for thread in experiment.threads]
     of_cell = experiment.cells[cell.cell]
     assert of_cell.degradation is not None and of_cell.dose is not None
     degradation = experiment.degradations[of_cell.degradation]
     dose = describe_field(degradation.dose, degradation.doses_of(of_cell.base)[of_cell.dose])
     table = Table(
-        title=f"Eq. 1 in {cell.completed} units of {describe_kind(cell.kind)}, {dose}",
+        title=f"Eq. 1 in {cell.units} units of {describe_kind(cell.kind)}, {dose}",
         box=box.SIMPLE,
         show_edge=False,
         padding=(0, 2, 0, 0),
         caption_justify="left",
     )
-    for column in ("n", "recovery threads", "predicted", "95 % interval", "measured", "95 % interval"):
+    for column in ("n", "recovery threads", "predicted", "measured", "95 % interval"):
         table.add_column(column, overflow="fold")
-    for level in cell.levels:
-        predicted, measured = level.predicted, level.measured
-        table.add_row(
-            str(level.n),
-            ", ".join(kinds[: level.n]),
-            share(predicted.value),
-            _ends(predicted.low, predicted.high),
-            f"{measured.events} of {measured.units}",
-            _ends(measured.low, measured.high),
-        )
-    threads = ", ".join(f"thread {t.thread} failed in {t.pr.events} of {t.pr.units}" for t in cell.threads)
-    void = f" {cell.void} more had no healthy map to break." if cell.void else ""
+    for level in levels:
+        measured = level.measured
+        ends = f"{100 * measured.low:.0f} to {100 * measured.high:.0f} %"
+        threads = ", ".join(kinds[: level.n])
+        table.add_row(str(level.n), threads, share(level.eq1), share(measured.value), ends)
+    broke, *failed = levels[-1].worlds_with
+    threads = ", ".join(f"thread {j} failed in {count}" for j, count in enumerate(failed, 1))
     table.caption = (
         "Share of units in which the base broke and all n recovery threads failed. Eq. 1 predicts it as if "
-        f"these were independent, p0 · pr1 … prn: the base broke in {cell.p0.events} of {cell.p0.units}; "
-        f"made to cross the same images in every unit, {threads}.{void} No verdict: too few units to decide."
+        f"these were independent, p0 · pr1 … prn: of {cell.worlds} worlds the base broke in {broke}; made to "
+        f"cross the same images in every unit, {threads}. No verdict: too few worlds to decide."
     )
     return table
-
-
-def _ends(low: float | None, high: float | None) -> str:
-    return "-" if low is None or high is None else f"{100 * low:.0f} to {100 * high:.0f} %"

@@ -209,35 +209,6 @@ def power_command(
     )
 
 
-@app.command("reanalyse")
-def reanalyse_command(
-    folder: FolderArgument,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the permutations.")] = 0,
-    as_json: JsonOption = False,
-) -> None:
-    """Analyse an experiment's records anew: cells split by kind of world, with worlds as the sample.
-
-    Records whose cells mix kinds of world are taken too. For example:
-
-    `dslab experiment reanalyse docs/eq1-quick`
-    """
-    from experiments.campaign.folder import read_experiment
-    from experiments.cli.experiment_tables import print_reanalysis
-    from experiments.runs.files import plain
-    from experiments.statistics.reanalysis import reanalyse
-    from scenarios.errors import InputError
-
-    spec, table = read_experiment(folder)
-    try:
-        found = reanalyse(table, len(spec.threads), seed)
-    except ValueError as error:
-        raise InputError(str(folder), str(error), "give a folder with completed units") from None
-    if as_json:
-        print_json_line(plain(found.row()))
-    else:
-        print_reanalysis(found)
-
-
 @app.command("prove")
 def prove_command(
     experiments: Annotated[int, typer.Option(min=20, help="Simulated experiments per claim.")] = 2000,

@@ -1,83 +1,37 @@
 """Results of the commands of ``dslab experiment`` as text."""
 
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
-from experiments.cli.console import number, out, print_table
+from experiments.cli.console import out, print_table
 
 if TYPE_CHECKING:
     from experiments.campaign.replay import Replay
     from experiments.campaign.status import ExperimentStatus
-    from experiments.statistics.reanalysis import Reanalysis
 
 
 def print_answer(answer: dict[str, Any]) -> None:
-    """Print verdict, measured and predicted shares of a report.
+    """Print verdict, paragraph, and predicted and measured shares of a report.
 
     Args:
-        answer: of report.json: ``sentences``, the verdict first, and one of ``rows`` per n.
+        answer: of report.json: ``headline``, ``sentences``, and ``rows`` per kind of world and n.
     """
     from experiments.report.describe import ends_percent, percent
 
-    out.print(answer["sentences"][0])
+    out.print(answer["headline"], markup=False)
+    out.print(" ".join(answer["sentences"]), markup=False)
     table = Table()
-    for column in ("threads, n", "failures measured", "95 % interval", "predicted by Eq. 1"):
-        table.add_column(column, justify="right")
+    for column in ("kind of world", "worlds", "n", "Eq. 1", "weakest link", "measured", "95 %, by worlds"):
+        table.add_column(column, justify="left" if column == "kind of world" else "right")
     for row in answer["rows"]:
-        table.add_row(str(row["n"]), percent(row["measured"]), ends_percent(row), percent(row["predicted"]))
+        shares = (percent(row["eq1"]), percent(row["weakest"]))
+        measured = row["measured"]
+        of = (percent(measured["value"]), ends_percent(measured)) if measured else ("-", "-")
+        table.add_row(row["world"], str(row["worlds"]), str(row["n"]), *shares, *of)
     if answer["rows"]:
         print_table(table)
-
-
-def print_reanalysis(found: "Reanalysis") -> None:
-    """Print the figures of all cells together, then those of every cell in which something happened."""
-    out.print(f"{found.units} units in {found.worlds} worlds, {found.void} void")
-    table = Table(title="all cells, weighted by their units, %")
-    columns = ("n", "Eq. 1 within\nkinds", "within\nworlds", "in one unit", "measured", "by worlds, 95 %")
-    for column in columns:
-        table.add_column(column, justify="right")
-    for level in found.levels:
-        by = level.by_worlds
-        shares = (level.within_kinds, level.within_worlds, level.in_units, level.measured)
-        ends = f"{100 * by.value:.1f} ({100 * by.low:.1f} to {100 * by.high:.1f})"
-        table.add_row(str(level.n), *("-" if s is None else f"{100 * s:.1f}" for s in shares), ends)
-    print_table(table)
-    out.print(f"failed with all threads, or silently: {100 * found.failed_or_silent:.1f} %")
-    table = Table(title="by cell and kind of world, %")
-    columns = (
-        "cell",
-        "world",
-        "n",
-        "Eq. 1",
-        "weakest",
-        "in one unit",
-        "measured",
-        "mission",
-        "over Eq. 1, 95 %",
-    )
-    for column in (*columns, "verdicts"):
-        table.add_column(column, justify="left" if column in ("cell", "world", "verdicts") else "right")
-    for c in found.cells:
-        if any(c.worlds_with):
-            figures = (c.units.product, c.units.weakest, c.units.measured, c.forecast.measured)
-            both = f"{c.independence}, {c.prediction}"
-            mission, ratio = c.shares.get("mission_failure"), c.steps.get("whole")
-            of_mission = "-" if mission is None else f"{100 * mission.value:.1f}"
-            over = (
-                "-"
-                if ratio is None
-                else f"{number(ratio.value, 2)} ({_end(ratio.low)} to {_end(ratio.high)})"
-            )
-            each = (*(f"{100 * f.value:.1f}" for f in figures), of_mission, over, both)
-            table.add_row(c.cell, c.world, str(c.n), *each)
-    print_table(table)
-
-
-def _end(value: float) -> str:
-    return number(value, 2) if isfinite(value) else "unbounded"
 
 
 def status_table(status: "ExperimentStatus") -> Table:

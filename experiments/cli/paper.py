@@ -74,12 +74,10 @@ def _print(rows: list[Row]) -> None:
 
         return cell
 
-    def estimated(*place: str) -> Callable[[Row], str]:
+    def estimated(name: str) -> Callable[[Row], str]:
         def cell(row: Row) -> str:
-            estimate: Any = row
-            for name in place:
-                estimate = estimate[name]
-            if place[-1].startswith("ratio"):
+            estimate = row[name]
+            if name.startswith("ratio"):
                 return f"{number(estimate['value'])}\n{ends(estimate)}"
             return f"{percent(estimate['value'])}\n{between(estimate)}"
 
@@ -98,10 +96,6 @@ def _print(rows: list[Row]) -> None:
             "measured /\npredicted": estimated("ratio"),
             "threads\nalike, p": lambda row: p_value(row["alike_p"]),
             "ratio, ten\ntrials as one": estimated("ratio_if_alike"),
-        },
-        "Alternative model: some breakages are unrecoverable": {
-            "unrecoverable": estimated("mixture", "share_hopeless"),
-            "pr of the rest": estimated("mixture", "pr_rest"),
         },
     }
     for title, columns in tables.items():

@@ -1,35 +1,25 @@
-"""Answer of an experiment: what was asked, tried, measured and predicted, and how sure that is."""
+"""Answer of an experiment in plain words: what was asked, the answer, for which conditions, how sure."""
 
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from experiments.report.conditions import describe_stress
-from experiments.report.describe import listed, number, percent, plural
-from scenarios.describe import describe_kind
+from experiments.report.conditions import describe_label, describe_stress, thread_names
+from experiments.report.describe import interval_of_share, listed, plural
 
-WORLDS_FOR_A_TEST = 100
-"""Number of worlds below which they are called too few: a rough figure, the power was not simulated."""
+LEAST_WORLDS = 10
+"""Worlds with the event below which nothing is tested (`statistics.verdicts`)."""
 
 _KINDS_WITH_DOSES = 4
-
-
-@dataclass(frozen=True)
-class AnswerRow:
-    """Failures with n recovery threads, as shares of the trials; None where not determined.
-
-    Attributes:
-        n: number of recovery threads.
-        measured, low, high: share of trials in which tracking breaks and all n threads fail; its interval.
-        predicted, predicted_low, predicted_high: the same by Eq. 1, kinds of world told apart.
-    """
-
-    n: int
-    measured: float | None
-    low: float | None
-    high: float | None
-    predicted: float | None
-    predicted_low: float | None
-    predicted_high: float | None
+MEANINGS = {
+    "optimistic": "Eq. 1 predicted too few failures",
+    "pessimistic": "it predicted too many",
+    "consistent": "it agrees with what was measured, within .3 of the way to the weakest link",
+    "undecided": "there are too few worlds to decide",
+    "saturated": "it cannot be told from the weakest link, as all fails",
+    "untested": f"fewer than {LEAST_WORLDS} worlds broke, or failed to recover",
+}
 
 
 @dataclass(frozen=True)
@@ -37,12 +27,14 @@ class Answer:
     """Answer of an experiment, for page and terminal.
 
     Attributes:
-        sentences: plain text, the verdict first; measured and predicted shares are in the rows instead.
-        rows: one per n; empty before a trial is completed.
+        headline: the verdict.
+        sentences: the paragraph behind it.
+        rows: per kind of world and n, as ``KindOfWorld`` of the analysis.
     """
 
+    headline: str
     sentences: list[str]
-    rows: list[AnswerRow]
+    rows: list[dict[str, Any]]
 
 
 def answer(results: dict[str, Any]) -> Answer:
@@ -51,76 +43,118 @@ def answer(results: dict[str, Any]) -> Answer:
     Args:
         results: figures as `report_content` returns them and report.json holds them.
     """
-    kinds = results["kinds_of_world"]
-    rows = [_row(level) for level in kinds["levels"]]
-    if not rows:
-        return Answer(["No result yet: no trial is completed.", _asked(), _tried(results)], [])
-    sentences = [_verdict(kinds), _asked(), _tried(results), _certainty(results), _mixture(kinds)]
-    return Answer([*filter(None, sentences), _limits(results)], rows)
+    analysis = results["analysis"]
+    told = confirmed(analysis["cells"])
+    asked = [_asked(), _tried(results)]
+    if not told:
+        return Answer("No result yet: no trial is completed.", asked, [])
+    sentences = [*asked, *_verdicts(results, told), _basis(results, told), _certainty(analysis)]
+    if results["reanalysed"]:
+        sentences.append("Reanalysed: the spec mixed kinds of world in a condition; they are split here.")
+    headline = _headline(told)
+    return Answer(headline, [*sentences, _chance(analysis), _limits(results)], analysis["kinds_of_world"])
 
 
-def _row(level: dict[str, Any]) -> AnswerRow:
-    measured = level["measured"]
-    low, high = level["predicted_interval"] or (None, None)
-    predicted = level["predicted_by_kind"]
-    return AnswerRow(level["n"], measured["value"], measured["low"], measured["high"], predicted, low, high)
+def confirmed(cells: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The confirmatory of some judged cells; all of them where none was named."""
+    return [cell for cell in cells if cell["confirmatory"]] or cells
 
 
-def _verdict(kinds: dict[str, Any]) -> str:
-    if kinds["worlds"] < WORLDS_FOR_A_TEST:
-        return "No verdict on Eq. 1: too few units to decide."
-    return "No verdict on Eq. 1: no test here allows for units that share a world."
+def _headline(told: list[dict[str, Any]]) -> str:
+    counts, total = Counter(cell["verdict_forecast"] for cell in told), len(told)
+    wrong = [
+        f"too {few} failures in {counts[verdict]}"
+        for verdict, few in (("optimistic", "few"), ("pessimistic", "many"))
+        if counts[verdict]
+    ]
+    if wrong:
+        return f"Eq. 1 predicted {listed(wrong)} of {plural(total, 'test')}."
+    if counts["consistent"]:
+        return (
+            f"Eq. 1 agrees in {counts['consistent']} of {plural(total, 'test')}, and in none it is refuted."
+        )
+    if counts["undecided"]:
+        rest = " The others could not be tested." if counts["undecided"] < total else ""
+        return f"Undecided: too few worlds in {counts['undecided']} of {plural(total, 'test')}.{rest}"
+    if counts["saturated"]:
+        return (
+            f"No verdict on Eq. 1: in {plural(counts['saturated'], 'test')} any formula is right, and "
+            f"{counts['untested']} could not be made."
+            if counts["untested"]
+            else "No verdict on Eq. 1: where all fails, any formula is right."
+        )
+    most = max(cell["worlds"] for cell in told)
+    if most < LEAST_WORLDS:
+        return (
+            f"Untested: a test takes {LEAST_WORLDS} worlds that break and fail to recover; {most} were run."
+        )
+    return f"Untested: in no condition did {LEAST_WORLDS} worlds both break and fail to recover."
 
 
 def _asked() -> str:
     return (
-        "Asked: does Dual-SLAM fail as rarely as Eq. 1 of its paper says, Pr(failure) = p₀ · prⁿ? A failure "
-        "is a trial in which tracking breaks (p₀) and each of n recovery threads fails (pr); Eq. 1 takes "
-        "these for independent."
+        "Asked: does Dual-SLAM fail as rarely as Eq. 1 of its paper says, Pr(failure) = p₀ · prⁿ, as if the "
+        "breakage of tracking (p₀) and the failure of each of n recovery threads (pr) were independent?"
     )
 
 
 def _tried(results: dict[str, Any]) -> str:
-    kinds, threads = results["kinds_of_world"], results["experiment"]["threads"]
-    worlds = f" ({listed(kinds['kinds'])})" if kinds["kinds"] else ""
+    analysis = results["analysis"]
+    kinds = listed(list(dict.fromkeys(row["world"] for row in analysis["kinds_of_world"])))
+    worlds = plural(analysis["worlds"], "rendered world") + (f" ({kinds})" if kinds else "")
     return (
-        f"Tried: {_stress(results['conditions'])}. {plural(kinds['units'], 'trial')} (units) in "
-        f"{plural(kinds['worlds'], 'rendered world')}{worlds}; recovery threads in order: "
-        f"{', '.join(thread['kind'].upper() for thread in threads)}."
+        f"Tried: {_stress(results['conditions'])}, in {plural(analysis['units'], 'trial')} in {worlds}, with "
+        f"the recovery threads {', then '.join(thread_names(results))}."
     )
 
 
 def _stress(found: list[dict[str, Any]]) -> str:
     """Kinds of degradation, with their doses if there are few."""
-    kinds = list(dict.fromkeys(condition["kind"] for condition in found))
+    kinds = list(dict.fromkeys(condition["kind"] for condition in found if condition["dose"] != "none"))
     few = len(kinds) <= _KINDS_WITH_DOSES
-    return listed([describe_stress(found, kind) if few else describe_kind(kind) for kind in kinds])
+    return listed([describe_stress(found, kind) if few else describe_label(kind) for kind in kinds])
 
 
-def _certainty(results: dict[str, Any]) -> str:
-    kinds, confidence = results["kinds_of_world"], results["analysis"]["settings"]["confidence"]
+def _verdicts(results: dict[str, Any], told: list[dict[str, Any]]) -> Iterable[str]:
+    names = thread_names(results)
+    for n in dict.fromkeys(cell["n"] for cell in told):
+        counts = Counter(cell["verdict_forecast"] for cell in told if cell["n"] == n)
+        total = plural(sum(counts.values()), "condition")
+        each = [f"in {counts[v]} {text} ({v})" for v, text in MEANINGS.items() if counts[v]]
+        yield f"With {' and '.join(names[:n])}, of {total}: {'; '.join(each)}."
+
+
+def _basis(results: dict[str, Any], told: list[dict[str, Any]]) -> str:
+    if any(cell["confirmatory"] for cell in told):
+        return "These are the conditions named before the run; the others are exploratory."
+    return "No condition was named before the run: all are exploratory."
+
+
+def _certainty(analysis: dict[str, Any]) -> str:
+    worlds = {row["world"]: row["worlds"] for row in analysis["kinds_of_world"]}
+    each = listed([f"{plural(count, 'world')} of kind {world}" for world, count in worlds.items()])
+    few = " So few worlds decide little." if min(worlds.values(), default=0) < 3 * LEAST_WORLDS else ""
+    return f"How sure: all rests on {each}, as the trials of one world succeed and fail together.{few}"
+
+
+def _chance(analysis: dict[str, Any]) -> str:
+    if not analysis["chance"]:
+        return (
+            "Chance could not be told from the difficulty of the sequences: that takes repeats, three worlds "
+            "and breakages that vary."
+        )
+    each = [f"{interval_of_share(share)} in kind {world}" for world, share in analysis["chance"].items()]
     return (
-        f"How sure: the {number(100 * confidence)} % intervals rest on {plural(kinds['worlds'], 'world')}, "
-        "for trials in one world succeed and fail together."
-    )
-
-
-def _mixture(kinds: dict[str, Any]) -> str | None:
-    """Prediction from conditions that mix kinds of world."""
-    shares = [percent(level["predicted_by_cell"]) for level in kinds["levels"]]
-    if not kinds["mixed"]:
-        return None
-    return (
-        f"Mixed worlds: predicted from {listed(kinds['kinds'])} together, not from each kind apart, it would "
-        f"be {listed(shares)}: where easy and hard worlds are mixed, failures coincide more often than Eq. 1 "
-        "says, even if it holds in each kind."
+        f"Chance, not the difficulty of the sequence, makes {listed(each)} of what varies in the breakages."
     )
 
 
 def _limits(results: dict[str, Any]) -> str:
-    units = results["units"]
+    aside, units = results["set_aside"], results["units"]
     left_out = [
-        f"{plural(units['void'], 'trial')} without a healthy map before the stress" if units["void"] else "",
+        f"{plural(aside['void_lead_ins'], 'lead-in')} that ended without a healthy map"
+        if aside["void_lead_ins"]
+        else "",
         f"{plural(units['errors'], 'trial')} that ended in an error of the machine"
         if units["errors"]
         else "",

@@ -41,10 +41,9 @@ def _marks(table: pd.DataFrame) -> list[dict[str, Any]]:
 def _sentences(errors: dict[str, Any]) -> str:
     name, slope = QUANTITY_WORDS[errors["quantity"]], errors["slope"]
     sample = f"{plural(errors['lead_ins'], 'lead-in')} in {plural(errors['worlds'], 'world')}"
-    if slope["value"] is None:
+    if slope is None:
         return f"Error of the {name}: no slope can be estimated from {sample}."
-    limits = ends(slope)
-    interval = f" ({limits})" if limits else ", without an interval"
+    interval = f" ({ends(slope)})" if None not in (slope["low"], slope["high"]) else ", without an interval"
     text = (
         f"Error of the {name}: the slope of its logarithm over that of the baseline is "
         f"{number(slope['value'])}{interval}, from {sample}: twice the baseline gives "
@@ -62,9 +61,9 @@ _WAYS = {
 }
 
 
-def _sign(slope: dict[str, Any]) -> int:
+def _sign(slope: dict[str, Any] | None) -> int:
     """Sign of a slope whose interval excludes zero, else 0."""
-    low, high = slope["low"], slope["high"]
+    low, high = (slope["low"], slope["high"]) if slope else (None, None)
     if low is None or high is None:
         return 0
     return 1 if low > 0 else -1 if high < 0 else 0

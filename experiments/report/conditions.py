@@ -2,16 +2,12 @@
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from experiments.eq1.records import SHAM
 from experiments.report.describe import listed
 from scenarios.describe import describe_field, describe_kind, label_and_unit, plain
 
 if TYPE_CHECKING:
     from experiments.eq1.spec import ExperimentSpec
-
-_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
 
 def conditions(spec: "ExperimentSpec") -> list[dict[str, Any]]:
@@ -54,8 +50,7 @@ def _condition(spec: "ExperimentSpec", number: int, name: str) -> dict[str, Any]
     together = dose.replace(
         f"{plain(value)}{unit}", f"{plain(value)}{unit}".replace(" ", "\N{NO-BREAK SPACE}")
     )
-    creeping = "creeping " if degradation.creeping else ""
-    named = ", ".join([*base, creeping + describe_kind(degradation.kind), together])
+    named = ", ".join([*base, describe_label(degradation.label), together])
     return {
         "number": number,
         "cell": name,
@@ -67,6 +62,12 @@ def _condition(spec: "ExperimentSpec", number: int, name: str) -> dict[str, Any]
         "severity": degradation.severities_of(cell.base)[cell.dose],
         "name": f"{named} ({system})" if system else named,
     }
+
+
+def describe_label(label: str) -> str:
+    """Name a kind of degradation as the records call it: ``defocus-creeping`` is creeping defocus."""
+    kind = label.removesuffix("-creeping")
+    return describe_kind(kind) if kind == label else f"creeping {describe_kind(kind)}"
 
 
 def doses_of(found: list[dict[str, Any]], kind: str) -> list[dict[str, Any]]:
@@ -81,39 +82,18 @@ def describe_stress(found: list[dict[str, Any]], kind: str) -> str:
         return "no stress"
     label, unit = label_and_unit(doses[0]["field"])
     values = listed([plain(dose["value"]) for dose in doses])
-    return f"{describe_kind(kind)} ({'' if label == unit.strip() else label + ' '}{values}{unit})"
+    return f"{describe_label(kind)} ({'' if label == unit.strip() else label + ' '}{values}{unit})"
 
 
 def thread_names(report: dict[str, Any]) -> list[str]:
     """Name each recovery thread of a report, equal kinds with their places."""
-    kinds = [thread["kind"].upper() for thread in report["experiment"]["threads"]]
+    kinds = [_thread_name(thread["kind"]) for thread in report["experiment"]["threads"]]
     return [
         f"{kind} ({kinds[:i].count(kind) + 1})" if kinds.count(kind) > 1 else kind
         for i, kind in enumerate(kinds)
     ]
 
 
-def describe_quantity(quantity: str, threads: list[str]) -> str:
-    """Name a probability: ``p0`` as breaking, ``pr1`` as the failure of the first thread."""
-    if quantity == "p0":
-        return "tracking breaks (p₀)"
-    number = int(quantity.removeprefix("pr"))
-    return f"{threads[number - 1]} fails (pr{str(number).translate(_SUBSCRIPTS)})"
-
-
-def dose_at(severity: float | None, doses: list[dict[str, Any]]) -> str | None:
-    """Dose at a severity, in the unit of the doses.
-
-    Args:
-        severity: in the records' measure; between two doses the dose is interpolated.
-        doses: from `doses_of`.
-
-    Returns:
-        The outermost dose where the severity lies beyond it, None without a severity.
-    """
-    if severity is None:
-        return None
-    axis, values = zip(*sorted((d["severity"], d["value"]) for d in doses), strict=True)
-    if not axis[0] <= severity <= axis[-1]:
-        return f"beyond {plain(values[0] if severity < axis[0] else values[-1])}"
-    return f"{np.interp(severity, axis, values):.3g}"
+def _thread_name(kind: str) -> str:
+    own = kind.removeprefix("paper_").upper()
+    return own if kind.upper() == own else f"the paper's {own}"

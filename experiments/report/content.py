@@ -1,30 +1,30 @@
 """All figures of a report as one object: exact in report.json, rounded on the page."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from experiments.eq1.records import SHAM, failure_column
+from experiments.eq1.records import failure_column
 from experiments.report import outcomes, reproductions
 from experiments.report.answer import answer
 from experiments.report.conditioning import conditioning
 from experiments.report.conditions import conditions
+from experiments.report.describe import plural
 from experiments.report.plain_data import as_data
-from experiments.report.verdict import verdict
 from experiments.runs import provenance
-from experiments.statistics.analysis import AnalysisSettings, analyse
-from experiments.statistics.kinds_of_world import kinds_of_world
+from experiments.statistics.analysis import analyse
 
 if TYPE_CHECKING:
     from experiments.eq1.spec import ExperimentSpec
 
-FORMAT = 1
+FORMAT = 2
+PAPER_THREAD = "paper_orb"
+"""Kind of the thread that is Algorithm 1 to the letter with the base's own method."""
 
 
 def report_content(
-    spec: "ExperimentSpec", table: pd.DataFrame, folder: Path, settings: AnalysisSettings | None = None
+    spec: "ExperimentSpec", table: pd.DataFrame, folder: Path, permutations: int | None = None
 ) -> dict[str, Any]:
     """Analyse the records of an experiment and return the figures as plain data.
 
@@ -32,40 +32,32 @@ def report_content(
         spec: the ExperimentSpec.
         table: the records so far, with the columns of `records.columns`.
         folder: folder of the experiment, for commands that replay units.
-        settings: settings of the analysis; the defaults if None.
+        permutations: of the tests; None for as many as the number of tests takes.
 
     Returns:
-        Dicts, lists and Python scalars; floats unrounded.
+        Dicts, lists and Python scalars; floats unrounded; null for an end of an interval that is unbounded.
     """
     cells = spec.cell_names()
     families = {name: cell.image.split("/")[0] for name, cell in spec.cells.items()}
     systems = {name: str(cell.system) for name, cell in spec.cells.items()}
-    found = conditions(spec)
     # All units of a cell have the same frame rate and duration.
     scenarios = {cell: spec.unit(cell, 0).scenario for cell in cells}
     table = _in_order_of_cells(table, cells)
     threads = len(spec.threads)
+    kinds = [thread.kind for thread in spec.threads]
+    letter = kinds.index(PAPER_THREAD) + 1 if PAPER_THREAD in kinds else None
+    analysis = as_data(analyse(table, threads, spec.confirmatory, letter, permutations=permutations))
     table = table.assign(dual_failure=table[failure_column("s", threads)])
-    methods = tuple(thread.kind for thread in spec.threads)
-    settings = replace(settings or AnalysisSettings(), thread_methods=methods)
-    stressed = table[table["kind"] != SHAM]
-    analysis = as_data(analyse(stressed, threads, settings))
-    analysis["cells"].sort(key=lambda cell: cells.index(cell["cell"]))
-    kinds = [condition["kind"] for condition in found]
-    analysis["dose_response"].sort(key=lambda fit: kinds.index(fit["kind"]))
-    kinds_apart = as_data(kinds_of_world(stressed, threads, settings.confidence))
     units = outcomes.unit_counts(table, {cell: spec.units_of(cell) for cell in cells})
     results = {
         "format": FORMAT,
         "experiment": _about(spec),
-        "conditions": found,
+        "reanalysed": bool((table.groupby("cell")["world"].nunique() > 1).any()),
+        "conditions": conditions(spec),
         "units": units,
         "warnings": _warnings(units, table),
-        "verdict": verdict(analysis),
-        "kinds_of_world": kinds_apart,
-        "calibration": _calibration(analysis, cells),
         "analysis": analysis,
-        "lengths": _lengths(analysis, table),
+        "lengths": _lengths(table),
         "conditioning": conditioning(analysis, table),
         "tables": {
             "table_1": reproductions.table_1(table),
@@ -81,7 +73,7 @@ def report_content(
         "end_errors": reproductions.end_errors(table),
         "taxonomy": outcomes.taxonomy(table, threads),
         "failures": outcomes.failures(table, threads, folder),
-        "set_aside": outcomes.set_aside(table),
+        "set_aside": outcomes.set_aside(table, systems),
         "costs": outcomes.costs(table),
         "sources": outcomes.sources(table) | {"report_commit": provenance.commit()},
         "versions": provenance.versions(),
@@ -117,51 +109,26 @@ def _warnings(units: dict[str, Any], table: pd.DataFrame) -> list[str]:
         versions = len(set(table[name].dropna()))
         if versions > 1:
             warnings.append(f"The records are of {versions} states of {what}: they may not be comparable.")
+    if codes := set(table["code"].dropna()) - {provenance.code_hash()}:
+        warnings.append(
+            f"{plural(len(codes), 'state')} of the code that made the records is not that of this report: "
+            "replays may differ."
+        )
     dirty = sum(str(commit).endswith("-dirty") for commit in table["commit"].dropna())
     if dirty:
         warnings.append(f"{dirty} records are of a work tree with uncommitted changes.")
     return warnings
 
 
-def _calibration(analysis: dict[str, Any], cells: list[str]) -> list[dict[str, Any]]:
-    """One point per cell and n; cells are numbered from 1 in the order of the spec."""
-    names = ("n", "predicted", "measured", "ratio", "verdict", "holm_p", "power_ratio_2")
+def _lengths(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Frames to cross in both arms."""
     return [
-        {"number": cells.index(cell["cell"]) + 1, "cell": cell["cell"]}
-        | {name: level[name] for name in names}
-        for cell in analysis["cells"]
-        for level in cell["levels"]
+        {
+            "cell": cell,
+            **{
+                arm: outcomes.spread(own[f"{arm}_frames_to_cross"].astype("Float64"))
+                for arm in ("free", "cross")
+            },
+        }
+        for cell, own in outcomes.completed(table).groupby("cell", sort=False)
     ]
-
-
-def _lengths(analysis: dict[str, Any], table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Frames to cross in both arms, and the effect of the difference on a prediction."""
-    completed = outcomes.completed(table)
-    rows = []
-    for cell in analysis["cells"]:
-        own = completed[completed["cell"] == cell["cell"]]
-        free, crossing = (
-            outcomes.spread(own[f"{arm}_frames_to_cross"].astype("Float64")) for arm in ("free", "cross")
-        )
-        rows.append(
-            {
-                "cell": cell["cell"],
-                "free": free,
-                "crossing": crossing,
-                "ratio": _ratio(free["median"], crossing["median"]),
-                "levels": [
-                    {
-                        "n": level["n"],
-                        "predicted": level["predicted"]["value"],
-                        "predicted_at_free_length": level["predicted_at_free_length"],
-                        "measured": level["measured"]["estimate"],
-                    }
-                    for level in cell["levels"]
-                ],
-            }
-        )
-    return rows
-
-
-def _ratio(part: float | None, whole: float | None) -> float | None:
-    return part / whole if part is not None and whole else None

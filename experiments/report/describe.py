@@ -41,13 +41,20 @@ def p_value(value: float | None) -> str:
     return "< 0.001" if value < 0.001 else f"{value:.3f}" if value < 0.1 else f"{value:.2f}"
 
 
+def ratio(value: float | None) -> str:
+    """Ratio, to two digits behind the point at most."""
+    if value is None:
+        return "unbounded"
+    return f"{value:.2f}" if value < 10 else f"{value:.3g}"
+
+
 def proportion(share: dict[str, Any] | None) -> str:
-    """Events of units, their share and its interval."""
+    """Events of units and their share."""
     if share is None:
         return NONE
     if not share["units"]:
         return "0 of 0"
-    return f"{share['events']} of {share['units']}: {percent(share['estimate'])} {_ends(share, percent)}"
+    return f"{share['events']} of {share['units']}: {percent(share['estimate'])}"
 
 
 def ends(of: dict[str, Any]) -> str:
@@ -60,14 +67,10 @@ def ends_percent(of: dict[str, Any]) -> str:
     return _between(of, percent)
 
 
-def share_of(estimate: dict[str, Any] | None) -> str:
-    """Estimated probability with its interval, as percentages."""
-    return _estimate(estimate, percent)
-
-
-def figure_of(estimate: dict[str, Any] | None) -> str:
-    """Estimate with its interval."""
-    return _estimate(estimate, number)
+def interval_of_share(share: dict[str, Any]) -> str:
+    """Share with the ends of its interval in brackets: ``24.1 % [13.4, 34.3]``."""
+    low, high = ("unbounded" if end is None else percent(end) for end in (share["low"], share["high"]))
+    return f"{percent(share['value'])} [{low.removesuffix(' %')}, {high.removesuffix(' %')}]"
 
 
 def counts(values: dict[str, int]) -> str:
@@ -85,25 +88,11 @@ def listed(words: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
-def _estimate(estimate: dict[str, Any] | None, form: Callable[[float | None], str]) -> str:
-    if estimate is None or estimate["value"] is None:
-        return NONE
-    return f"{form(estimate['value'])} {_ends(estimate, form)}".strip()
-
-
-def _ends(of: dict[str, Any], form: Callable[[float | None], str]) -> str:
-    between = _between(of, form)
-    return f"({between})" if between else ""
-
-
 def _between(of: dict[str, Any], form: Callable[[float | None], str]) -> str:
-    if of["low"] is None and of["high"] is None:
-        return ""
-    low, high = ("?" if end is None else form(end) for end in (of["low"], of["high"]))
+    low, high = ("unbounded" if end is None else form(end) for end in (of["low"], of["high"]))
     return f"{low.removesuffix(' %') if high.endswith(' %') else low} to {high}"
 
 
 FILTERS = {
-    f.__name__: f
-    for f in (percent, number, metres, p_value, proportion, share_of, ends, ends_percent, counts)
+    f.__name__: f for f in (percent, number, metres, p_value, proportion, ratio, ends, ends_percent, counts)
 }

@@ -1,14 +1,14 @@
 """Outcomes of the units: counts, list of failures, their reasons and stages."""
 
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from experiments.eq1.records import Outcome, dual_column, thread_column
-from experiments.report.plain_data import as_data, counted, is_false, is_true, spread
-from experiments.statistics.intervals import clopper_pearson
+from experiments.eq1.records import Outcome, dual_column, failure_column, thread_column
+from experiments.report.plain_data import as_data, counted, is_false, is_true, of_trials, spread
 
 ARMS = ("free", "cross")
 
@@ -53,7 +53,7 @@ def _counts(rows: pd.DataFrame, planned: int) -> dict[str, int]:
 
 
 def failures(table: pd.DataFrame, threads: int, folder: Path) -> list[dict[str, Any]]:
-    """Units with a dual failure, a false recovery or a silent failure, in table order.
+    """Units with a dual failure, a false recovery, a silent or a mission failure, in table order.
 
     Args:
         table: the records.
@@ -89,7 +89,12 @@ def _failures_of(row: pd.Series, threads: int) -> list[str]:
     for arm, place in (("free", ""), ("cross", " in the crossing arm")):
         false = [j for j in range(1, threads + 1) if _is_set(row[thread_column(arm, j, "false")])]
         found += [f"false recovery by thread {j}{place}" for j in false]
-    return [*found, "silent failure"] if _is_set(row["silent_failure"]) else found
+    if _is_set(row["silent_failure"]):
+        found.append("silent failure")
+    if _is_set(row[failure_column("m", threads)]):
+        cause = as_data(row["mission_cause"]) or "unknown"
+        found.append(f"mission failure (first: {cause.replace('_', ' ')})")
+    return found
 
 
 def _thread_failures(row: pd.Series, threads: int) -> list[dict[str, Any]]:
@@ -110,32 +115,36 @@ def taxonomy(table: pd.DataFrame, threads: int) -> dict[str, Any]:
     rows = completed(table)
     per_cell = []
     for cell, of_cell in rows.groupby("cell", sort=False):
-        silent = is_true(of_cell["silent_failure"])
-        judged = int(of_cell["silent_failure"].notna().sum())
         per_cell.append(
             {
                 "cell": cell,
                 "breakage_reasons": counted(of_cell["breakage_reason"][is_true(of_cell["breakage"])]),
-                "silent": as_data(clopper_pearson(int(silent.sum()), judged)),
+                "silent": _silent(of_cell),
+                "mission_causes": counted(of_cell["mission_cause"]),
                 "declaration_delay_s": spread(of_cell["declaration_delay_s"]),
             }
         )
     broke = is_true(rows["breakage"])
-    silent = is_true(rows["silent_failure"])
     return {
         "breakage_reasons": counted(rows["breakage_reason"][broke]),
-        "silent": as_data(clopper_pearson(int(silent.sum()), int(rows["silent_failure"].notna().sum()))),
+        "silent": _silent(rows),
+        "mission_causes": counted(rows["mission_cause"]),
+        "base_mission_causes": counted(rows["base_mission_cause"]),
         "declaration_delay_s": spread(rows["declaration_delay_s"]),
         "per_cell": per_cell,
         "threads": [_thread_taxonomy(rows, arm, thread) for arm in ARMS for thread in range(1, threads + 1)],
     }
 
 
+def _silent(rows: pd.DataFrame) -> dict[str, Any]:
+    """Silent failures, of the unbroken units."""
+    return of_trials(rows.loc[is_false(rows["breakage"]), "silent_failure"])
+
+
 def _thread_taxonomy(rows: pd.DataFrame, arm: Any, thread: int) -> dict[str, Any]:
     failed = rows[thread_column(arm, thread, "failed")]
     lost = rows[is_true(failed)]
     declared = is_true(rows[thread_column(arm, thread, "declared")])
-    false = is_true(rows[thread_column(arm, thread, "false")])
     return {
         "arm": "free" if arm == "free" else "crossing",
         "thread": thread,
@@ -143,7 +152,7 @@ def _thread_taxonomy(rows: pd.DataFrame, arm: Any, thread: int) -> dict[str, Any
         "failed": len(lost),
         "stages": counted(lost[thread_column(arm, thread, "stage")]),
         "reasons": counted(_without_figures(lost[thread_column(arm, thread, "reason")])),
-        "false": as_data(clopper_pearson(int((false & declared).sum()), int(declared.sum()))),
+        "false": of_trials(rows.loc[declared, thread_column(arm, thread, "false")].fillna(False)),
     }
 
 
@@ -152,14 +161,26 @@ def _without_figures(reasons: pd.Series) -> pd.Series:
     return reasons.str.replace(r"[-+]?\d+(\.\d+)?", "…", regex=True)
 
 
-def set_aside(table: pd.DataFrame) -> dict[str, Any]:
-    """Void units with their reasons, and infrastructure errors with their messages."""
+def set_aside(table: pd.DataFrame, systems: Mapping[str, str]) -> dict[str, Any]:
+    """Void lead-ins with their reasons, and infrastructure errors with their messages.
+
+    A lead-in that ends without a healthy map voids its unit in every cell of its base; it counts once.
+
+    Args:
+        table: the records.
+        systems: system of each cell; each has lead-ins of its own.
+    """
     void = table[table["outcome"] == Outcome.VOID]
+    lead_in = void.assign(system=void["cell"].map(systems))[["world", "world_seed", "index", "system"]]
+    lead_ins = void[~lead_in.duplicated()]
     errors = table[table["outcome"] == Outcome.INFRASTRUCTURE_ERROR]
     retried = completed(table)
     return {
-        "void_reasons": counted(void["void_reason"].fillna("no reason given")),
-        "void": [_named(row) | {"reason": as_data(row["void_reason"]) or ""} for _, row in void.iterrows()],
+        "void_lead_ins": len(lead_ins),
+        "void_reasons": counted(lead_ins["void_reason"].fillna("no reason given")),
+        "void": [
+            _named(row) | {"reason": as_data(row["void_reason"]) or ""} for _, row in lead_ins.iterrows()
+        ],
         "errors": [
             _named(row) | {"message": as_data(row["message"]) or "", "attempts": as_data(row["attempts"])}
             for _, row in errors.iterrows()

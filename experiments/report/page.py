@@ -8,7 +8,8 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from experiments.pages import render_page
-from experiments.report.conditions import describe_quantity, dose_at, doses_of, thread_names
+from experiments.report.answer import MEANINGS
+from experiments.report.conditions import describe_label, thread_names
 from experiments.report.describe import FILTERS
 from experiments.report.paper_figures import PAPER
 from experiments.report.plots.draw import Image, Plot
@@ -26,14 +27,14 @@ def report_html(report: dict[str, Any], plots: dict[str, Plot]) -> str:
     return render_page(
         _TEMPLATES,
         FILTERS
-        | {"data_uri": _data_uri, "labelled": _labelled, "dose_at": dose_at, "quantity": describe_quantity},
+        | {"data_uri": _data_uri, "labelled": _labelled, "in_order": _in_order, "stress": describe_label},
         report=report,
         plots=plots,
         paper=PAPER,
         threads=report["analysis"]["threads"],
         named={condition["cell"]: condition for condition in report["conditions"]},
         thread_names=thread_names(report),
-        doses_of=doses_of,
+        meanings=MEANINGS,
     )
 
 
@@ -49,3 +50,9 @@ def _labelled(rows: Markup, heads: list[str]) -> Markup:
         return re.sub(r"<t[hd](?=[ >])", lambda cell: f'{cell[0]} data-label="{escape(next(names))}"', row[0])
 
     return Markup(re.sub(r"<tr.*?</tr>", labelled, rows, flags=re.DOTALL))
+
+
+def _in_order(cells: list[dict[str, Any]], conditions: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Judged cells in the order of the spec, then by kind of world and n."""
+    place = {condition["cell"]: condition["number"] for condition in conditions}
+    return sorted(cells, key=lambda cell: (place[cell["cell"]], cell["world"], cell["n"]))

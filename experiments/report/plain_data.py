@@ -10,6 +10,12 @@ from experiments.runs.files import plain
 from experiments.statistics.intervals import Proportion
 
 
+def of_trials(column: pd.Series) -> dict[str, Any]:
+    """Count the true of the known values of a nullable column: events, units and their share."""
+    events, units = int(is_true(column).sum()), int(column.notna().sum())
+    return {"events": events, "units": units, "estimate": events / units if units else None}
+
+
 def as_data(value: Any) -> Any:
     """Convert nested dataclasses to plain data; a proportion gets its estimate too."""
     if is_dataclass(value) and not isinstance(value, type):

@@ -11,8 +11,7 @@ import pandas as pd
 
 from experiments.eq1.records import dual_column, thread_column
 from experiments.report.outcomes import completed, recovered, rows_where
-from experiments.report.plain_data import as_data, is_false, is_true, numbers, spread
-from experiments.statistics.intervals import clopper_pearson
+from experiments.report.plain_data import as_data, is_true, numbers, of_trials, spread
 
 UNITS_PER_CELL_OF_TIMELINE = 10
 """Number of trials per sequence in the paper."""
@@ -30,7 +29,7 @@ def table_1(table: pd.DataFrame) -> list[dict[str, Any]]:
                 "units_with_ate": int(units[f"{system}_ate_m"].notna().sum()),
                 "median_share_tracked": _median(units[f"{system}_share_tracked"]),
                 "median_path_share": _median(units[f"{system}_path_share"]),
-                "failed": _proportion(column),
+                "failed": of_trials(column),
             }
         rows.append(row)
     return rows
@@ -66,9 +65,9 @@ def _groups(
 
 
 def _failure_rates(units: pd.DataFrame, threads: int) -> dict[str, Any]:
-    levels = [_proportion(units[dual_column(n)]) for n in range(1, threads + 1)]
-    shares = {name: _proportion(units[name]) for name in ("breakage", "base_failure")}
-    shipped = _proportion(units["dual_failure"])
+    levels = [of_trials(units[dual_column(n)]) for n in range(1, threads + 1)]
+    shares = {name: of_trials(units[name]) for name in ("breakage", "base_failure")}
+    shipped = of_trials(units["dual_failure"])
     left = shipped["events"]
     return {
         **shares,
@@ -186,11 +185,6 @@ def end_errors(table: pd.DataFrame) -> list[dict[str, Any]]:
         }
         for cell, units in cells
     ]
-
-
-def _proportion(column: pd.Series) -> dict[str, Any]:
-    yes, no = int(is_true(column).sum()), int(is_false(column).sum())
-    return as_data(clopper_pearson(yes, yes + no))
 
 
 def _median(column: pd.Series) -> float | None:

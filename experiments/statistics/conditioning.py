@@ -1,16 +1,64 @@
-"""Pose error of two views against their baseline: medians per gap, and slopes within lead-ins."""
+"""Pose error of two views against their baseline: means per gap, and slopes within lead-ins, by worlds."""
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import pandas as pd
 
 from experiments.eq1.records import PAIR_COLUMNS, PAIR_GAPS, Outcome, pair_column
-from experiments.statistics.clustering import cluster_median, cluster_ratio
-from experiments.statistics.results import BaselineErrors, Estimate, GapErrors, GapSlope
+from experiments.statistics.estimates import Figure
+from experiments.statistics.world_intervals import Interval, ratio_interval
 
 QUANTITIES = ("rotation_deg", "direction_deg")
-_METHOD = "least squares of logarithms within lead-ins; worlds resampled"
+
+
+@dataclass(frozen=True)
+class GapErrors:
+    """Errors of the pairs of frames with one gap.
+
+    Attributes:
+        gap: in frames.
+        lead_ins, pairs: their numbers.
+        matches, baseline_m: medians over lead-ins.
+        error: median over lead-ins, in degrees.
+    """
+
+    gap: int
+    lead_ins: int
+    pairs: int
+    matches: float
+    baseline_m: float
+    error: float
+
+
+@dataclass(frozen=True)
+class GapSlope:
+    """Slope of log error on log baseline between two gaps; None where it is not determined."""
+
+    narrow: int
+    wide: int
+    slope: Interval | None
+
+
+@dataclass(frozen=True)
+class BaselineErrors:
+    """An error of the relative pose against the baseline.
+
+    Attributes:
+        quantity: one of ``QUANTITIES``.
+        lead_ins, worlds: their numbers.
+        gaps: errors per gap.
+        slope: over all gaps.
+        steps: slopes between neighbouring gaps.
+    """
+
+    quantity: str
+    lead_ins: int
+    worlds: int
+    gaps: tuple[GapErrors, ...]
+    slope: Interval | None
+    steps: tuple[GapSlope, ...]
 
 
 def lead_ins(table: pd.DataFrame) -> pd.DataFrame:
@@ -21,15 +69,17 @@ def lead_ins(table: pd.DataFrame) -> pd.DataFrame:
     Args:
         table: of units, with the columns of `experiments.eq1.records.columns`.
     """
-    rows = table[table["outcome"] == Outcome.COMPLETED.value]
     judged = [pair_column(gap, name) for gap in PAIR_GAPS for name in PAIR_COLUMNS]
+    if not set(judged) <= set(table.columns):
+        return table.iloc[:0]
+    completed = (table["outcome"] == Outcome.COMPLETED.value).fillna(False)
+    rows: pd.DataFrame = table.loc[completed.astype(bool), :]
     measured = rows[[pair_column(gap, "baseline_m") for gap in PAIR_GAPS]].notna().any(axis=1)
-    return rows[measured].drop_duplicates(["world_seed", "index", *judged])
+    first = ~rows.duplicated(["world", "world_seed", "index", *judged])
+    return rows.loc[measured & first, :]
 
 
-def baseline_errors(
-    rows: pd.DataFrame, quantity: str, draws: int, rng: np.random.Generator, confidence: float = 0.95
-) -> BaselineErrors | None:
+def baseline_errors(rows: pd.DataFrame, quantity: str) -> BaselineErrors | None:
     """Relate an error of the relative pose to the baseline; None if no pair was judged.
 
     Every lead-in has its own level, so that hard worlds and fast cameras do not bias the slope: it measures
@@ -37,56 +87,49 @@ def baseline_errors(
 
     Args:
         rows: from `lead_ins`.
-        quantity: ``rotation_deg`` or ``direction_deg``.
-        draws: of the bootstrap over worlds.
-        rng: of the bootstrap.
-        confidence: of the intervals.
+        quantity: one of ``QUANTITIES``.
     """
-    if not any(rows[pair_column(gap, quantity)].notna().any() for gap in PAIR_GAPS):
-        return None
     gaps = []
-    for gap in PAIR_GAPS:
+    for gap in PAIR_GAPS if len(rows) else ():
         own = rows[rows[pair_column(gap, quantity)].notna()]
         if len(own):
-            error, world = _floats(own, gap, quantity), own["world_seed"].to_numpy()
-            gaps.append(
-                GapErrors(
-                    gap,
-                    len(own),
-                    int(own[pair_column(gap, "count")].sum()),
-                    float(np.median(_floats(own, gap, "matches"))),
-                    float(np.median(_floats(own, gap, "baseline_m"))),
-                    cluster_median(error, world, draws, rng, confidence),
-                )
+            medians = (
+                float(np.median(_floats(own, gap, name))) for name in ("matches", "baseline_m", quantity)
             )
+            gaps.append(GapErrors(gap, len(own), int(own[pair_column(gap, "count")].sum()), *medians))
+    if not gaps:
+        return None
     measured = [g.gap for g in gaps]
-    slopes = [
-        GapSlope(narrow, wide, _slope(rows, quantity, [narrow, wide], draws, rng, confidence))
-        for narrow, wide in pairwise(measured)
-    ]
-    whole = _slope(rows, quantity, measured, draws, rng, confidence)
     used = rows[_known(rows, quantity, measured).sum(axis=1) > 1]
-    worlds = used["world_seed"].nunique()
-    return BaselineErrors(quantity, len(used), worlds, tuple(gaps), whole, tuple(slopes))
+    return BaselineErrors(
+        quantity,
+        len(used),
+        len(used[["world", "world_seed"]].drop_duplicates()),
+        tuple(gaps),
+        _slope(rows, quantity, measured),
+        tuple(GapSlope(a, b, _slope(rows, quantity, [a, b])) for a, b in pairwise(measured)),
+    )
 
 
-def _slope(
-    rows: pd.DataFrame,
-    quantity: str,
-    gaps: list[int],
-    draws: int,
-    rng: np.random.Generator,
-    confidence: float,
-) -> Estimate:
-    """Slope of log error on log baseline; zeros, which have no logarithm, are left out."""
-    baseline_m, error = _by_gap(rows, "baseline_m", gaps), _by_gap(rows, quantity, gaps)
+def _slope(rows: pd.DataFrame, quantity: str, gaps: list[int]) -> Interval | None:
+    """Least-squares slope of log error on log baseline; zeros, which have no logarithm, are left out."""
     known = _known(rows, quantity, gaps)
     enough = known.sum(axis=1) > 1
-    known, baseline_m, error = known[enough], baseline_m[enough], error[enough]
-    x = _about_own_mean(np.log(np.where(known, baseline_m, 1.0)), known)
-    y = _about_own_mean(np.log(np.where(known, error, 1.0)), known)
-    world = rows["world_seed"].to_numpy()[enough]
-    return cluster_ratio((x * y).sum(axis=1), (x * x).sum(axis=1), world, draws, rng, _METHOD, confidence)
+    if not enough.any():
+        return None
+    x, y = (
+        _about_own_mean(np.log(np.where(known, _by_gap(rows, name, gaps), 1.0))[enough], known[enough])
+        for name in ("baseline_m", quantity)
+    )
+    sums = pd.DataFrame({"xy": (x * y).sum(axis=1), "xx": (x * x).sum(axis=1)})
+    by_world = sums.groupby([rows[name].to_numpy()[enough] for name in ("world", "world_seed")]).mean()
+    xy, xx = (Figure.mean(by_world[name].to_numpy()) for name in ("xy", "xx"))
+    if xx.value <= 0:
+        return None
+    if len(by_world) < 2:
+        slope = xy.value / xx.value
+        return Interval(slope, -np.inf, np.inf)
+    return ratio_interval(xy, xx)
 
 
 def _known(rows: pd.DataFrame, quantity: str, gaps: list[int]) -> np.ndarray:

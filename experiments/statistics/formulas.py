@@ -16,6 +16,7 @@ from experiments.statistics.world_intervals import Interval
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(40)
 _WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
 RIVALS = ("weakest link", "beta factor", "one factor")
+FORMULAS = ("Eq. 1", *RIVALS, "ceiling")
 
 
 def eq1(p: Floats) -> Floats:
@@ -84,8 +85,7 @@ def compare_formulas(
     means = np.stack([world_means(cell.columns) for cell in cells])  # (cells, n + 1, W)
     units = np.stack([world_means(np.prod(cell.columns, axis=0)) for cell in cells])
     outcome = units if on_units else np.stack([world_means(cell.dual_failures[-1]) for cell in cells])
-    names = ("Eq. 1", *RIVALS, "ceiling")
-    predicted = np.empty((len(names), *outcome.shape))
+    predicted = np.empty((len(FORMULAS), *outcome.shape))
     worlds = outcome.shape[1]
     for w in range(worlds):
         others = np.arange(worlds) != w
@@ -103,7 +103,7 @@ def compare_formulas(
             p_rivals.get(name),
             (predicted[i] - outcome).mean(axis=1),
         )
-        for i, name in enumerate(names)
+        for i, name in enumerate(FORMULAS)
     ]
 
 

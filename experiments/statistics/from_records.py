@@ -1,6 +1,7 @@
-"""Outcomes of the cells of a table of records."""
+"""Outcomes of homogeneous cells from a table of records: one kind of world per cell, worlds kept apart."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -18,85 +19,110 @@ class HomogeneousCell:
         name: of the cell.
         world: kind of the world.
         worlds: (W,) seeds of the worlds, increasing.
-        outcomes: of its units; a unit that is void or missing is NaN.
-        silent: (W, S, K) silent failure of each unit.
-        system_failures, mission_failures: (n, W, S, K) S_J and M_J for the first 1 to n threads; None where
-            the records do not say.
-        base_missions: (W, S, K) mission failure of the base; None likewise.
-        units, void: number of completed and of void units.
+        threads: number n of recovery threads.
+        rows: its records, completed or void.
+        place: (rows,) world, sequence and replicate of each row.
+        shape: W, S, K.
     """
 
     name: str
     world: str
     worlds: np.ndarray
-    outcomes: Outcomes
-    silent: Floats
-    system_failures: Floats | None
-    mission_failures: Floats | None
-    base_missions: Floats | None
-    units: int
-    void: int
+    threads: int
+    rows: pd.DataFrame
+    place: tuple[np.ndarray, np.ndarray, np.ndarray]
+    shape: tuple[int, int, int]
+
+    @property
+    def kind(self) -> str:
+        """Kind of its degradation, ``sham`` for none."""
+        return str(self.rows["kind"].iloc[0])
+
+    @property
+    def setting(self) -> str:
+        """What of its name is neither degradation nor dose: base and system, empty with one of each."""
+        parts = self.name.split("/")
+        at = parts.index(self.kind) if self.kind in parts else 0
+        return "/".join([*parts[:at], *parts[at + (1 if self.kind == SHAM else 2) :]])
+
+    @property
+    def severity(self) -> float:
+        """Its dose, in the measure of the records."""
+        return float(self.rows["severity"].iloc[0])
+
+    @cached_property
+    def completed(self) -> np.ndarray:
+        """(rows,) units that are not void."""
+        return (self.rows["outcome"] == Outcome.COMPLETED).to_numpy(bool)
+
+    @property
+    def units(self) -> int:
+        """Number of completed units."""
+        return int(self.completed.sum())
+
+    @property
+    def void(self) -> int:
+        """Number of void units."""
+        return len(self.rows) - self.units
+
+    def says(self, *columns: str) -> bool:
+        """True if the completed records know each of these columns."""
+        rows = self.rows.loc[self.completed]
+        return all(name in rows and bool(rows[name].notna().any()) for name in columns)
+
+    def values(self, column: str) -> Floats:
+        """(W, S, K) a column of numbers or booleans; NaN for null, void or missing."""
+        return self.grid(pd.to_numeric(self.rows[column]).to_numpy(float, na_value=np.nan))
+
+    def events(self, column: str) -> Floats:
+        """(W, S, K) an event of 0 or 1, null counting as 0; NaN for a unit that is void or missing."""
+        return self.grid(self.rows[column].fillna(False).to_numpy(float))
+
+    def grid(self, by_row: Floats) -> Floats:
+        """(W, S, K) values of the completed among the (rows,), NaN elsewhere."""
+        found = np.full(self.shape, np.nan)
+        found[self.place] = np.where(self.completed, by_row, np.nan)
+        return found
+
+    @cached_property
+    def outcomes(self) -> Outcomes:
+        """The outcomes that Eq. 1 relates."""
+        numbers = range(1, self.threads + 1)
+        return Outcomes(
+            self.events("breakage"),
+            np.stack([self.events(thread_column("cross", n, "failed")) for n in numbers]),
+            np.stack([self.events(dual_column(n)) for n in numbers]),
+        )
+
+    def failures(self, failure: Literal["s", "m"], n: int) -> Floats | None:
+        """(W, S, K) S_J or M_J of the first n threads; None where the records do not say."""
+        column = failure_column(failure, n)
+        return self.events(column) if self.says(column) else None
 
 
-def cells_of(table: pd.DataFrame, threads: int) -> list[HomogeneousCell]:
+def cells_of(table: pd.DataFrame, threads: int, sham: bool = False) -> list[HomogeneousCell]:
     """The cells of a table, each split by kind of world, in the order of the table.
 
     Records of earlier versions do not say of which sequence they are: of these the units of a world count as
     sequences of one replicate, in the order of their numbers, which are the same lead-ins in every cell.
-    Sham cells are left out.
 
     Args:
         table: records, with the columns of ``records.columns``.
         threads: number n of recovery threads.
+        sham: the sham cells instead of those with a dose.
     """
-    found = []
-    numbers = range(1, threads + 1)
-    counted = (table["outcome"] != Outcome.INFRASTRUCTURE_ERROR) & (table["kind"] != SHAM)
+    counted = (table["outcome"] != Outcome.INFRASTRUCTURE_ERROR) & ((table["kind"] == SHAM) == sham)
     table = table.loc[counted.fillna(False).to_numpy(bool)]
+    names = table[["cell", "world"]].drop_duplicates()
     table = table.sort_values(["world_seed", "index"], kind="stable")
-    names = table[["cell", "world"]].loc[table.index.sort_values()].drop_duplicates()
+    found = []
     for cell, world in names.itertuples(index=False):
         rows = table[(table["cell"] == cell) & (table["world"] == world)]
-        seeds = np.unique(rows["world_seed"])
-        place = np.searchsorted(seeds, rows["world_seed"])
+        seeds, place = np.unique(rows["world_seed"].to_numpy(np.int64), return_inverse=True)
         sequence, repeat = rows.groupby("world_seed").cumcount().to_numpy(), np.zeros(len(rows), int)
         if "sequence" in rows and bool(rows["sequence"].notna().to_numpy().all()):
             sequence, repeat = (rows[name].to_numpy(int) for name in ("sequence", "repeat"))
-        completed = (rows["outcome"] == Outcome.COMPLETED).to_numpy()
         shape = (len(seeds), int(sequence.max()) + 1, int(repeat.max()) + 1)
-
-        def outcome(
-            column: str, rows=rows, at=(place, sequence, repeat), done=completed, shape=shape
-        ) -> Floats:
-            values = np.full(shape, np.nan)
-            values[at] = np.where(done, rows[column].fillna(False).astype(float), np.nan)
-            return values
-
-        outcomes = Outcomes(
-            outcome("breakage"),
-            np.stack([outcome(thread_column("cross", n, "failed")) for n in numbers]),
-            np.stack([outcome(dual_column(n)) for n in numbers]),
-        )
-
-        def failures(failure: Literal["s", "m"], rows=rows, of=outcome) -> Floats | None:
-            columns = [failure_column(failure, n) for n in numbers]
-            said = all(name in rows and bool(rows[name].notna().to_numpy().any()) for name in columns)
-            return np.stack([of(name) for name in columns]) if said else None
-
-        base = "base_mission_failure"
-        units = int(completed.sum())
-        found.append(
-            HomogeneousCell(
-                str(cell),
-                str(world),
-                seeds,
-                outcomes,
-                outcome("silent_failure"),
-                failures("s"),
-                failures("m"),
-                outcome(base) if base in rows and bool(rows[base].notna().to_numpy().any()) else None,
-                units,
-                len(rows) - units,
-            )
-        )
+        at = (place, sequence, repeat)
+        found.append(HomogeneousCell(str(cell), str(world), seeds, threads, rows, at, shape))
     return found

@@ -1,9 +1,8 @@
-"""Intervals of proportions."""
+"""Exact intervals of proportions of independent trials, for the paper's own tables."""
 
 from dataclasses import dataclass
-from typing import Literal
 
-from statsmodels.stats.proportion import proportion_confint
+from scipy.stats import beta
 
 
 @dataclass(frozen=True)
@@ -42,31 +41,11 @@ def clopper_pearson(events: int, units: int, confidence: float = 0.95) -> Propor
 
     Source: Clopper & Pearson, "The use of confidence or fiducial limits", Biometrika 1934.
     """
-    return _interval(events, units, confidence, "beta")
-
-
-def jeffreys(events: int, units: int, confidence: float = 0.95) -> Proportion:
-    """Equal-tailed interval of the posterior under Jeffreys' prior Beta(1/2, 1/2).
-
-    It has the stated coverage on average over true shares, and is shorter than the exact one. No units give
-    [0, 1]. It reaches 0 without events, and 1 if every unit is an event.
-
-    Raises:
-        ValueError: as `clopper_pearson`.
-
-    Source: Brown, Cai & DasGupta, "Interval estimation for a binomial proportion", Statistical Science 2001.
-    """
-    return _interval(events, units, confidence, "jeffreys")
-
-
-def _interval(events: int, units: int, confidence: float, method: Literal["beta", "jeffreys"]) -> Proportion:
     if not 0 <= events <= units:
         raise ValueError(f"{events} events of {units} units")
     if not 0 < confidence < 1:
         raise ValueError(f"confidence {confidence} is not in (0, 1)")
-    low, high = 0.0, 1.0
-    if units:  # statsmodels returns NaN for none
-        low, high = map(float, proportion_confint(events, units, 1 - confidence, method))
-    # Brown, Cai & DasGupta's interval includes the shares 0 and 1 if they were observed; that of statsmodels
-    # does not.
-    return Proportion(events, units, low if events > 0 else 0.0, high if events < units else 1.0, confidence)
+    tail = (1 - confidence) / 2
+    low = float(beta.ppf(tail, events, units - events + 1)) if events > 0 else 0.0
+    high = float(beta.isf(tail, events + 1, units - events)) if events < units else 1.0
+    return Proportion(events, units, low, high, confidence)

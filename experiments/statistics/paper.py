@@ -10,8 +10,8 @@ import numpy as np
 from scipy.stats import fisher_exact
 
 from experiments.statistics.intervals import Proportion, clopper_pearson
-from experiments.statistics.joint import Floats
-from experiments.statistics.results import Estimate, Mixture
+from experiments.statistics.outcomes import Floats
+from experiments.statistics.world_intervals import Interval
 from scenarios.seeds import rng_for
 
 TRIALS_PER_SEQUENCE = 10
@@ -68,8 +68,6 @@ CAVEATS: tuple[str, ...] = (
     " the better one, in which case Eq. 1 would predict still fewer failures than stated here.",
     "Measured and predicted share p0 and the first thread's failures: their ratio is that of the second"
     " thread's share of failures to the first one's.",
-    "The mixture has as many parameters as the counts have degrees of freedom: it fits whatever they are, and"
-    " is an explanation, not a test.",
 )
 
 
@@ -88,7 +86,6 @@ class PaperAnalysis:
         ratio: measured over predicted.
         ratio_if_alike: the same if the trials of a sequence were one trial each: counts over ten.
         alike_p: exact test of "thread 2 fails as often as thread 1".
-        mixture: hopeless breakages and the rest.
     """
 
     counts: PaperCounts
@@ -97,11 +94,10 @@ class PaperAnalysis:
     thread_1: Proportion
     thread_2: Proportion
     measured: Proportion
-    predicted: Estimate
-    ratio: Estimate
-    ratio_if_alike: Estimate
+    predicted: Interval
+    ratio: Interval
+    ratio_if_alike: Interval
     alike_p: float
-    mixture: Mixture
 
 
 def reanalyse(confidence: float = 0.95, draws: int = 20_000, seed: int = 0) -> tuple[PaperAnalysis, ...]:
@@ -135,7 +131,6 @@ def reanalyse_row(counts: PaperCounts, confidence: float, draws: int, seed: int)
     _, first_alike, second_alike = _posterior(counts, TRIALS_PER_SEQUENCE, draws, rng)
     share_1, share_2 = counts.first_failed / counts.breakages, counts.failures / counts.first_failed
     ratio = share_2 / share_1
-    method = "posterior draws, Jeffreys prior"
     return PaperAnalysis(
         counts,
         clopper_pearson(failures, trials, confidence),
@@ -143,15 +138,14 @@ def reanalyse_row(counts: PaperCounts, confidence: float, draws: int, seed: int)
         clopper_pearson(counts.first_failed, counts.breakages, confidence),
         clopper_pearson(counts.failures, counts.first_failed, confidence),
         clopper_pearson(counts.failures, counts.trials, confidence),
-        Estimate.of_draws(counts.breakages / counts.trials * share_1**2, p0 * first**2, confidence, method),
-        Estimate.of_draws(ratio, second / first, confidence, method),
-        Estimate.of_draws(ratio, second_alike / first_alike, confidence, f"{method}, counts over ten"),
+        _of_draws(counts.breakages / counts.trials * share_1**2, p0 * first**2, confidence),
+        _of_draws(ratio, second / first, confidence),
+        _of_draws(ratio, second_alike / first_alike, confidence),
         float(
             fisher_exact(
                 [[counts.first_failed, counts.with_one], [counts.failures, counts.with_two]], "two-sided"
             ).pvalue
         ),
-        _mixture(counts, confidence, draws, rng),
     )
 
 
@@ -168,24 +162,7 @@ def _posterior(
     )
 
 
-def _mixture(counts: PaperCounts, confidence: float, draws: int, rng: np.random.Generator) -> Mixture:
-    """Fit the mixture; threads stop at the first success, hence pr = with_two / with_one."""
-    ends = np.array([counts.with_one, counts.with_two, counts.failures], float)
-    hopeless, pr = _classes(ends[None] / ends.sum())
-    drawn_hopeless, drawn_pr = _classes(rng.dirichlet(ends + 0.5, draws))
-    method = "two-class mixture; interval of posterior draws"
-    return Mixture(
-        counts.breakages,
-        Estimate.of_draws(float(hopeless[0]), drawn_hopeless, confidence, method),
-        Estimate.of_draws(float(pr[0]), drawn_pr, confidence, method),
-    )
-
-
-def _classes(shares: Floats) -> tuple[Floats, Floats]:
-    """Share of hopeless breakages and pr of the rest, from shares recovered by thread 1, 2, none."""
-    one, two, none = shares.T
-    pr = two / one
-    hopeless = 1 - one / np.maximum(1 - pr, 1e-12)
-    # Fewer failures than the rest alone would have: no hopeless breakages, all threads alike.
-    alike = (two + 2 * none) / (one + 2 * two + 2 * none)
-    return np.maximum(hopeless, 0), np.where(hopeless >= 0, pr, alike)
+def _of_draws(value: float, draws: Floats, confidence: float) -> Interval:
+    """A value with the equal-tailed interval of draws from the posterior under Jeffreys' prior."""
+    low, high = np.quantile(draws, [(1 - confidence) / 2, (1 + confidence) / 2])
+    return Interval(value, float(low), float(high))

@@ -28,6 +28,7 @@ class FakeSpec:
     doses: int = 3
     threads: tuple[ThreadChoice, ...] = (ThreadChoice(kind="orb"), ThreadChoice(kind="sift"))
     systems: tuple[str, ...] = ("dual",)
+    confirmatory: tuple[str, ...] = ()
     name: str = "made-up"
     content_hash: str = "5bec"
     frames: int = 500
@@ -81,6 +82,7 @@ def fake_table(
     shared: float = 0.3,
     hardness: float = 0.0,
     code: str = "c0de",
+    per_world: int = 2,
 ) -> pd.DataFrame:
     """Records of units whose difficulty is shared by breakage and recoveries to a degree.
 
@@ -91,10 +93,11 @@ def fake_table(
         shared: share of units in which everything fails alike.
         hardness: added to every dose.
         code: hash of the sources.
+        per_world: units of a world.
     """
     rng = np.random.default_rng(seed)
     rows = [
-        _row(spec, rng, cell, index, shared, hardness, code)
+        _row(spec, rng, cell, index, shared, hardness, code, per_world)
         for cell in spec.cell_names()
         for index in range(spec.units_of(cell) if units is None else units)
     ]
@@ -103,7 +106,7 @@ def fake_table(
     return table.astype({name: _TYPES[kind] for name, kind in types.items()})
 
 
-def _row(spec, rng, cell: str, index: int, shared: float, hardness: float, code: str) -> dict:
+def _row(spec, rng, cell, index, shared, hardness, code, per_world) -> dict:
     kind, dose = cell.split("/")[:2]
     row = dict.fromkeys(columns(len(spec.threads))) | {
         "unit_id": f"{rng.integers(2**63):016x}",
@@ -113,7 +116,7 @@ def _row(spec, rng, cell: str, index: int, shared: float, hardness: float, code:
         "severity": float(dose),
         "index": index,
         "world": "corridor",
-        "world_seed": 1000 + index // 2,
+        "world_seed": 1000 + index // per_world,
         "code": code,
         "commit": "0123abc",
         "outcome": "completed",

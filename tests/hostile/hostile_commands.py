@@ -25,7 +25,6 @@ ARGUMENTS = {
     "experiment replay": "{in}/experiment/experiment none",
     "experiment power": "--p0 0.25 --pr 0.2 --n 2 --worlds 10",
     "experiment prove": "--only nothing",
-    "experiment reanalyse": "{in}/experiment/experiment",
     "experiment fuzz": "--out {in}/result",
     "bench slam": "{in}/nothing",
     "bench sim": "--renderer nothing",

@@ -16,7 +16,6 @@ from experiments.report.plots.style import (
     NARROW_IN,
     ORANGE,
     PURPLE,
-    bars,
     legend_above,
     log_ticks,
     new_figure,
@@ -26,7 +25,7 @@ _COLOURS = (BLUE, ORANGE, GREEN, PURPLE)
 
 
 def draw_conditioning(report: dict[str, Any], width_in: float) -> Figure | None:
-    """Draw a log-log panel per error: points per lead-in and gap, medians with intervals, slope."""
+    """Draw a log-log panel per error: points per lead-in and gap, medians, slope."""
     found = report["analysis"]["conditioning"]
     if not found:
         return None
@@ -51,16 +50,14 @@ def _draw_panel(axes: Axes, errors: dict[str, Any], marks: list[dict[str, Any]])
             [m[quantity] for m in own],
             "o", color=colour, markersize=4, alpha=0.3, markeredgewidth=0,
         )  # fmt: skip
-        at, low, high = (gap["error"][name] for name in ("value", "low", "high"))
-        axes.errorbar(
+        axes.plot(
             gap["baseline_m"],
-            at,
-            yerr=None if low is None or high is None else bars(at, low, high),
-            fmt="D", color=colour, markersize=7, markeredgecolor="white", elinewidth=2, zorder=3,
+            gap["error"],
+            "D", color=colour, markersize=7, markeredgecolor="white", zorder=3,
             label=f"{gap['gap']} frame{'s' if gap['gap'] > 1 else ''} apart",
         )  # fmt: skip
     axes.set(xscale="log", yscale="log")
-    slope = errors["slope"]["value"]
+    slope = errors["slope"] and errors["slope"]["value"]
     suffix = "" if slope is None else f": slope {number(slope)}"
     axes.set_title(QUANTITY_WORDS[quantity] + suffix, fontsize=10)
     axes.set_xlabel("true baseline (m)")
@@ -73,8 +70,8 @@ def _draw_panel(axes: Axes, errors: dict[str, Any], marks: list[dict[str, Any]])
 
 def _draw_slope(axes: Axes, errors: dict[str, Any]) -> None:
     """Draw the slope over all gaps; without an intercept, through the centre of the medians."""
-    slope = errors["slope"]["value"]
-    points = [(g["baseline_m"], g["error"]["value"]) for g in errors["gaps"] if g["error"]["value"]]
+    slope = errors["slope"] and errors["slope"]["value"]
+    points = [(g["baseline_m"], g["error"]) for g in errors["gaps"] if g["error"]]
     if slope is None or len(points) < 2:
         return
     x, y = ([math.log(value) for value in axis] for axis in zip(*points, strict=True))

@@ -9,13 +9,12 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from experiments.report.conditions import describe_label
 from experiments.report.paths_file import read_paths
-from experiments.report.plots.answer import draw_answer
-from experiments.report.plots.calibration import draw_calibration
+from experiments.report.plots.chain import draw_chain
 from experiments.report.plots.conditioning import draw_conditioning
-from experiments.report.plots.dependence import draw_dependence
-from experiments.report.plots.dose_response import draw_dose_response
-from experiments.report.plots.models import draw_heterogeneity
+from experiments.report.plots.doses import draw_doses
+from experiments.report.plots.formulas import draw_formulas
 from experiments.report.plots.paths import draw_paths
 from experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
 from experiments.report.plots.trials import draw_end_errors, draw_timeline
@@ -64,26 +63,20 @@ def draw_plots(report: dict[str, Any], folder: Path) -> dict[str, Plot]:
     """
     paths = read_paths(folder)
     drawings: Mapping[str, tuple[str, Callable[[float], Figure | None]]] = {
-        "answer": (
-            "Measured and predicted share of failures with intervals, as in the table above.",
-            partial(draw_answer, report),
+        **{
+            f"chain_{kind}": (
+                f"Steps from Eq. 1 to the measured failures under {describe_label(kind)}, as ratios.",
+                partial(draw_chain, report, kind),
+            )
+            for kind in dict.fromkeys(cell["kind"] for cell in report["analysis"]["cells"])
+        },
+        "formulas": (
+            "Mean prediction of each formula minus the mean failures, per condition.",
+            partial(draw_formulas, report),
         ),
-        "calibration": (
-            f"Predicted against measured share of failures, {len(report['calibration'])} points, as in the "
-            "table of conditions.",
-            partial(draw_calibration, report),
-        ),
-        "dependence": (
-            "P(R given B) over P(R) with intervals per condition, as in the table below.",
-            partial(draw_dependence, report),
-        ),
-        "dose_response": (
-            "Share of breakages and of failed crossings against the dose, with the fits of the table below.",
-            partial(draw_dose_response, report),
-        ),
-        "heterogeneity": (
-            "Pooled prediction, prediction within conditions and measured share, as in the table below.",
-            partial(draw_heterogeneity, report),
+        "doses": (
+            "Shares of breakages, failures of threads and dual failures against the dose, with intervals.",
+            partial(draw_doses, report),
         ),
         "conditioning": (
             "Error of rotation and of direction against baseline, medians per gap as in the table below.",

@@ -90,12 +90,12 @@ def test_units_follow_with_both_shares_and_their_intervals_and_no_verdict(demo_c
     assert code == 0 and "…\n" not in out and "None" not in out
     assert max(map(len, out[: out.index("picture ")].splitlines())) <= 80
     spec, table = read_experiment(tmp_path / "d" / "experiment")
-    (cell,) = analyse(table, 2).cells
-    for level, threads in zip(cell.levels, ("orb ", "orb, sift "), strict=True):
+    levels = analyse(table, 2).cells
+    for level, threads in zip(levels, ("orb ", "orb, sift "), strict=True):
         (row,) = (line for line in out.splitlines() if line.startswith(f"{level.n} ") and threads in line)
-        assert f"{level.measured.events} of {level.measured.units}" in row
-        assert f"{100 * level.predicted.value:.1f} %" in row and row.count(" to ") == 2
-    assert "too few units to decide" in " ".join(out.split())
+        assert f"{100 * level.measured.value:.1f} %" in row and row.count(" to ") == 1
+        assert f"{100 * level.eq1:.1f} %" in row
+    assert "too few worlds to decide" in " ".join(out.split())
     assert spec.repeats == 1 and table["world_seed"].nunique() == spec.units == len(table)
     assert dslab("experiment", "status", tmp_path / "d" / "experiment")[0] == 0
 

@@ -70,17 +70,19 @@ def test_the_status_of_a_published_table_is_that_of_its_cells(dslab, tmp_path):
 
 
 def test_the_report_prints_its_answer(dslab, monkeypatch, tmp_path):
-    shares = {"n": 2, "measured": 0.222, "low": 0.141, "high": 0.333, "predicted": 0.19}
+    measured = {"value": 0.222, "low": 0.141, "high": 0.333}
+    row = {"world": "room", "worlds": 9, "n": 2, "eq1": 0.19, "weakest": 0.2, "measured": measured}
+    answer = {"headline": "No.", "sentences": ["Asked."], "rows": [row]}
 
     def write(folder, *_):
-        (folder / "report.json").write_text(json.dumps({"answer": {"sentences": ["No."], "rows": [shares]}}))
+        (folder / "report.json").write_text(json.dumps({"answer": answer}))
         return folder / "report.html"
 
     monkeypatch.setattr("experiments.report.write.write_report", write)
     shutil.copytree(PUBLISHED, tmp_path / "p")
     code, out, _ = dslab("experiment", "report", tmp_path / "p")
-    assert code == 0 and out.startswith("No.\n") and out.endswith("report.html\n")
-    assert "2 22.2 % 14.1 to 33.3 % 19.0 %" in " ".join(out.split())
+    assert code == 0 and out.startswith("No.\nAsked.\n") and out.endswith("report.html\n")
+    assert "room 9 2 19.0 % 20.0 % 22.2 % 14.1 to 33.3 %" in " ".join(out.split())
 
 
 def test_progress_shows_count_bar_and_time_left(monkeypatch):

@@ -8,47 +8,72 @@ from test_documented_results import FOLDER
 
 from experiments.eq1.former_spec import load_any_spec
 from experiments.eq1.spec import load_spec, preset_names
-from experiments.report.answer import answer
-from experiments.report.conditions import conditions, describe_stress, dose_at, doses_of
+from experiments.report.answer import MEANINGS, answer
+from experiments.report.conditions import conditions, describe_stress, doses_of
 from experiments.report.content import report_content
-from experiments.statistics.analysis import AnalysisSettings
-
-FEW = AnalysisSettings(draws=40, replicates=19)
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory) -> dict:
     spec = FakeSpec(doses=2, units=20)
-    return report_content(spec, fake_table(spec, hardness=1.5), tmp_path_factory.mktemp("report"), FEW)
-
-
-def test_the_answer_has_the_shares_of_the_statistics(results):
-    rows = answer(results).rows
-    assert [row.n for row in rows] == [1, 2]
-    for row, level in zip(rows, results["kinds_of_world"]["levels"], strict=True):
-        assert (row.measured, row.predicted) == (level["measured"]["value"], level["predicted_by_kind"])
-        assert row.low <= row.measured <= row.high
-        assert row.predicted_low <= row.predicted <= row.predicted_high
+    return report_content(spec, fake_table(spec, hardness=1.5), tmp_path_factory.mktemp("report"), 99)
 
 
 def test_the_answer_survives_the_file(results):
     assert answer(json.loads(json.dumps(results))) == answer(results)
     assert results["answer"]["sentences"] == answer(results).sentences
+    assert results["answer"]["rows"] == results["analysis"]["kinds_of_world"]
 
 
-def test_the_answer_begins_with_the_verdict_and_names_what_was_tried(results):
-    first, *rest = answer(results).sentences
-    assert first.startswith("No verdict") and "too few" in first
-    text = " ".join(rest)
+def test_the_paragraph_says_what_was_asked_tried_found_and_not_said(results):
+    text = " ".join(answer(results).sentences)
+    for part in ("Asked: ", "Tried: ", "How sure: ", "Not said: ", "all are exploratory", "decide little"):
+        assert part in text
+    assert answer(results).headline.endswith("both break and fail to recover.")
+    few = [cell | {"worlds": 9} for cell in results["analysis"]["cells"]]
+    few_worlds = answer(results | {"analysis": results["analysis"] | {"cells": few}})
+    assert few_worlds.headline.endswith("; 9 were run.")
     assert "low texture (contrast 0.3 and 0.1)" in text and "10 rendered worlds (corridor)" in text
-    assert str(results["kinds_of_world"]["units"]) in text
-    assert f"{results['units']['void']} trials without a healthy map" in text
+    assert f"{results['units']['completed']} trials" in text and "without a healthy map" in text
+
+
+def judged(*words: str, confirmatory: bool = False) -> list[dict]:
+    each = {"n": 1, "confirmatory": confirmatory, "worlds": 12}
+    return [each | {"verdict_forecast": word} for word in words]
+
+
+@pytest.mark.parametrize(
+    ("words", "headline"),
+    [
+        (["optimistic", "saturated", "untested"], "Eq. 1 predicted too few failures in 1 of 3 tests."),
+        (
+            ["optimistic", "pessimistic"],
+            "predicted too few failures in 1 and too many failures in 1 of 2 tests.",
+        ),
+        (["consistent", "undecided"], "Eq. 1 agrees in 1 of 2 tests, and in none it is refuted."),
+        (
+            ["undecided", "untested"],
+            "Undecided: too few worlds in 1 of 2 tests. The others could not be tested.",
+        ),
+        (["saturated", "saturated"], "No verdict on Eq. 1: where all fails, any formula is right."),
+        (["untested"] * 2, "Untested: in no condition did 10 worlds both break and fail to recover."),
+    ],
+)
+def test_the_headline_follows_the_verdicts_of_the_confirmatory_conditions(results, words, headline):
+    analysis = results["analysis"] | {"cells": judged(*words)}
+    found = answer(results | {"analysis": analysis})
+    assert found.headline.endswith(headline)
+    told = next(sentence for sentence in found.sentences if sentence.startswith("With ORB, of"))
+    assert all(f"in {words.count(word)} {MEANINGS[word]} ({word})" in told for word in words)
+    both = judged("optimistic") + judged(*words, confirmatory=True)
+    named = answer(results | {"analysis": analysis | {"cells": both}})
+    assert named.headline == found.headline and "named before the run" in " ".join(named.sentences)
 
 
 def test_an_experiment_without_a_trial_has_no_result(tmp_path):
     spec = FakeSpec(doses=1)
-    found = answer(report_content(spec, fake_table(spec, units=0), tmp_path, FEW))
-    assert found.rows == [] and found.sentences[0].startswith("No result yet")
+    found = answer(report_content(spec, fake_table(spec, units=0), tmp_path, 99))
+    assert found.rows == [] and found.headline.startswith("No result yet")
 
 
 @pytest.mark.parametrize("preset", preset_names())
@@ -64,11 +89,7 @@ def test_every_dose_of_a_preset_has_a_name_and_a_unit(preset):
                 assert condition["axis"].endswith(f"({unit})") and condition["dose"].endswith(unit)
 
 
-def test_doses_that_stand_for_a_severity_are_found_again():
+def test_doses_are_named_in_the_order_of_the_spec():
     found = conditions(load_any_spec(FOLDER / "spec.yaml"))
-    contrasts = doses_of(found, "low_texture")
-    assert [d["value"] for d in contrasts] == [0.3, 0.15, 0.05]
-    assert [dose_at(d["severity"], contrasts) for d in contrasts] == ["0.3", "0.15", "0.05"]
-    assert dose_at(3.5, contrasts) == "0.1"
-    assert (dose_at(9.0, contrasts), dose_at(0.1, contrasts)) == ("beyond 0.05", "beyond 0.3")
+    assert [d["value"] for d in doses_of(found, "low_texture")] == [0.3, 0.15, 0.05]
     assert describe_stress(found, "motion_blur") == "motion blur (exposure 0.06, 0.1 and 0.2 s)"

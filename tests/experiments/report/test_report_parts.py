@@ -2,17 +2,22 @@
 
 import pytest
 from report_fakes import FakeSpec, fake_table
-from test_documented_results import FOLDER
 
-from experiments.eq1.former_spec import load_any_spec
-from experiments.report.conditions import conditions
-from experiments.report.describe import counts, figure_of, number, p_value, percent, proportion, share_of
-from experiments.report.outcomes import taxonomy, unit_counts
-from experiments.report.plots.calibration import draw_calibration
-from experiments.report.plots.dose_response import draw_dose_response
+from experiments.report.describe import (
+    counts,
+    ends,
+    interval_of_share,
+    number,
+    p_value,
+    percent,
+    proportion,
+    ratio,
+)
+from experiments.report.outcomes import set_aside, taxonomy, unit_counts
+from experiments.report.plots.chain import draw_chain
+from experiments.report.plots.doses import draw_doses
 from experiments.report.plots.style import NARROW_IN, WIDE_IN
 from experiments.report.plots.trials import base_parts, dual_parts
-from experiments.report.verdict import verdict
 
 PROFILE = {
     "breakage": True,
@@ -38,62 +43,17 @@ def test_small_shares_keep_their_digits(value, words):
     assert percent(value) == words
 
 
-def test_figures_are_given_with_their_intervals():
-    share = {"events": 3, "units": 40, "estimate": 0.075, "low": 0.016, "high": 0.204}
-    assert proportion(share) == "3 of 40: 7.5 % (1.6 to 20.4 %)"
-    assert proportion(share | {"events": 0, "units": 0, "estimate": None}) == "0 of 0"
-    assert figure_of({"value": 4.1234, "low": 2.0, "high": None}) == "4.12 (2 to ?)"
-    assert share_of({"value": None, "low": None, "high": None}) == "–"
+def test_figures_are_given_with_their_intervals_and_open_ends_are_said():
+    share = {"events": 3, "units": 40, "estimate": 0.075}
+    assert proportion(share) == "3 of 40: 7.5 %"
+    assert proportion({"events": 0, "units": 0, "estimate": None}) == "0 of 0"
+    assert interval_of_share({"value": 0.241, "low": 0.134, "high": 0.343}) == "24.1 % [13.4, 34.3]"
+    assert ends({"low": 2.0, "high": None}) == "2 to unbounded"
+    assert [ratio(x) for x in (None, 0.0, 4.1234, 22.0)] == ["unbounded", "0.00", "4.12", "22"]
     assert [p_value(p) for p in (None, 1e-9, 0.0123, 0.5)] == ["–", "< 0.001", "0.012", "0.50"]
     assert [number(x) for x in (None, 7.0, 12345.678, 0.00001)] == ["–", "7", "1.23e4", "1e-5"]
     # A name may end in a number's place: "too few matches with last frame" is not of frame 119.
     assert counts({"matches_with_last_frame": 119, "audit": 1}) == "119 × matches with last frame; 1 × audit"
-
-
-def level(n: int, word: str, power: float | None) -> dict:
-    return {"n": n, "verdict": word, "power_ratio_2": power, "tost_p": None}
-
-
-def analysis(words: list[str], measured: tuple[float, float], within: tuple[float, float]) -> dict:
-    """One cell per verdict, n = 1."""
-    share = {"events": 5, "units": 100, "estimate": 0.05, "low": measured[0], "high": measured[1]}
-    predicted = {"value": 0.02, "low": within[0], "high": within[1]}
-    return {
-        "threads": 1,
-        "cells": [
-            {
-                "cell": f"c{place}",
-                "levels": [level(1, word, 0.3 if word == "undecided" else 0.9)],
-                "threads": [],
-            }
-            for place, word in enumerate(words)
-        ],
-        "heterogeneity": {
-            "eckhardt_lee": [{"n": 1, "measured": share, "within": predicted, "pooled": predicted}],
-            "gee": {},
-        },
-        "settings": {"power_ratio": 2.0, "power_wanted": 0.8, "equivalence_ratio": 2.0, "alpha": 0.05},
-    }
-
-
-@pytest.mark.parametrize(
-    ("words", "headline"),
-    [
-        (["undecided"] * 3, "Undecided: no condition has enough trials"),
-        (
-            ["consistent", "undecided"],
-            "not rejected in 1 of 2 verdicts with enough power. 1 of 2 verdicts are undecided",
-        ),
-        (["optimistic", "consistent"], "rejected in 1 of 2 verdicts: more failures"),
-        (["pessimistic", "pessimistic"], "rejected in 2 of 2 verdicts: fewer failures"),
-        (["pessimistic", "optimistic", "undecided"], "off in both directions"),
-    ],
-)
-def test_the_headline_follows_the_verdicts(words, headline):
-    text = verdict(analysis(words, (0.01, 0.1), (0.01, 0.05)))
-    assert headline in text["tests_headline"]
-    assert text["levels"][0]["counts"]["undecided"] == words.count("undecided")
-    assert text["levels"][0]["powered"] == len(words) - words.count("undecided")
 
 
 def test_a_profile_separates_recovered_from_lost_frames():
@@ -107,60 +67,68 @@ def test_a_profile_separates_recovered_from_lost_frames():
     assert never[1] == (120, 300, "lost for good")
 
 
-def mark(predicted: float, measured: float, word: str = "consistent") -> dict:
+def judged(n: int, **steps: tuple) -> dict:
+    """A judged cell with some steps of the chain."""
+    ratios = {name: dict(zip(("value", "low", "high"), step, strict=True)) for name, step in steps.items()}
     return {
-        "number": 1,
-        "cell": "c",
-        "n": 1,
-        "verdict": word,
-        "predicted": {"value": predicted, "low": predicted / 2, "high": predicted * 2},
-        "measured": {
-            "events": 1,
-            "units": 9,
-            "estimate": measured,
-            "low": measured / 3,
-            "high": measured * 3,
-        },
-    }
-
-
-def test_points_of_the_calibration_lie_at_their_shares():
-    figure = draw_calibration({"calibration": [mark(0.01, 0.2), mark(0.05, 0.0)]}, WIDE_IN)
-    assert figure is not None
-    axes = figure.axes[0]
-    centres = [tuple(container[0].get_xydata()[0]) for container in axes.containers]
-    assert centres == [(0.01, 0.2), (0.05, 0.0)]
-    assert axes.get_xlim()[0] == axes.get_ylim()[0] == 0
-    assert draw_calibration({"calibration": []}, WIDE_IN) is None
-
-
-def fit(quantity: str) -> dict:
-    points = [
-        {"severity": x, "proportion": {"estimate": 0.5, "low": 0.1, "high": 0.9}} for x in (1.7, 2.7, 4.3)
-    ]
-    curve = [(1.7, 0.2, 0.1, 0.4), (4.3, 0.8, 0.6, 0.9)]
-    return {"kind": "low_texture", "quantity": quantity, "points": points, "curve": curve}
+        "cell": "c", "world": "room", "kind": "blur", "n": n, "steps": ratios, "confirmatory": False,
+        "verdict_in_units": "untested", "verdict_forecast": "saturated",
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("width_in", [WIDE_IN, NARROW_IN])
-def test_doses_stand_on_the_axis_and_no_curve_lies_on_another(width_in):
-    spec = load_any_spec(FOLDER / "spec.yaml")
-    threads = [thread.model_dump() for thread in spec.threads]
-    fits = [fit("p0"), fit("pr1"), fit("pr2"), fit("p0") | {"kind": "motion_blur"}]
-    report = {
-        "analysis": {"dose_response": fits},
-        "conditions": conditions(spec),
-        "experiment": {"threads": threads},
-    }
-    figure = draw_dose_response(report, width_in)
-    assert figure is not None and len(figure.axes) == 4
-    assert figure.get_figwidth() <= width_in
-    for axes in figure.axes:
-        texture = "low texture" in axes.get_title("left")
-        assert axes.get_xlabel() == ("contrast" if texture else "exposure (s)")
-        doses = ["0.3", "0.15", "0.05"] if texture else ["0.06", "0.1", "0.2"]
-        assert [label.get_text() for label in axes.get_xticklabels()] == doses
-        assert len(axes.containers) == 3 and len(axes.collections) == 4  # points; their bars and one band
+def test_the_chain_has_a_panel_per_condition_and_arrows_for_open_ends(width_in):
+    cells = [
+        judged(1, world=(1.2, 0.9, 1.5), whole=(2.0, 1.0, None)),
+        judged(2, arms=(0.0, 0.0, 1.0)),
+        judged(2),
+    ]
+    condition = {"cell": "c", "number": 4, "dose": "exposure 1 s", "value": 1.0}
+    figure = draw_chain({"analysis": {"cells": cells}, "conditions": [condition]}, "blur", width_in)
+    assert figure is not None and figure.get_figwidth() == width_in and len(figure.axes) == 2
+    one, two = figure.axes
+    assert one.get_title("left") == "4. room, exposure 1 s, n = 1\nQ: untested, D: saturated"
+    assert [label.get_text() for label in one.get_yticklabels()] == ["world", "arms", "D / Eq. 1"]
+    marks = {(line.get_marker(), line.get_ydata()[0]) for line in one.lines if line.get_marker() in "o<>"}
+    assert marks == {("o", 0), ("o", 2), (">", 2)}
+    # A ratio of 0 has no place on the axis.
+    assert [line.get_marker() for line in two.lines if line.get_marker() in "o<>"] == ["<"]
+    assert draw_chain({"analysis": {"cells": [judged(2)]}, "conditions": []}, "blur", width_in) is None
+
+
+def test_doses_stand_on_the_axis_in_their_unit_with_the_sham_as_none():
+    share = {"value": 0.5, "low": 0.1, "high": 0.9}
+    points = [
+        {
+            "kind": "blur",
+            "world": "room",
+            "setting": "",
+            "cell": cell,
+            "shares": {"breakage": share, "dual_1": share},
+        }
+        for cell in ("sham", "a", "b")
+    ]
+    named = [
+        {"cell": cell, "value": value, "field": "exposure_s" if value else "", "axis": "exposure (s)"}
+        for cell, value in (("sham", 0.0), ("a", 0.06), ("b", 0.2))
+    ]
+    threads = {"threads": [{"kind": "orb"}]}
+    report = {"analysis": {"doses": points}, "conditions": named, "experiment": threads}
+    figure = draw_doses(report, WIDE_IN)
+    assert figure is not None
+    (axes,) = figure.axes
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["none", "0.06", "0.2"]
+    assert axes.get_xlabel() == "exposure (s)" and len(axes.containers) == 6
+
+
+def test_a_void_lead_in_counts_once_though_it_voids_its_unit_in_every_cell():
+    spec = FakeSpec(doses=3, units=10)
+    table = fake_table(spec)
+    table["outcome"] = "completed"
+    table.loc[table["index"] == 4, ["outcome", "void_reason"]] = ["void", "no map"]
+    found = set_aside(table, dict.fromkeys(spec.cell_names(), "dual"))
+    assert (table["outcome"] == "void").sum() == 9
+    assert (found["void_lead_ins"], found["void_reasons"], len(found["void"])) == (1, {"no map": 1}, 1)
 
 
 def test_reasons_that_differ_in_figures_only_are_counted_together():

@@ -1,191 +1,168 @@
-"""The whole analysis on tables of records of known truth, and on tables with little in them."""
+"""The analysis: the first run's records, on whose figures two recomputations agree, and made-up tables."""
 
-from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from experiment_tables import simulated_cell
 
-from experiments.statistics.analysis import AnalysisSettings, analyse
+from experiments.statistics.analysis import analyse
+from experiments.statistics.from_records import cells_of
 
-pytestmark = pytest.mark.filterwarnings("error")
-QUICK = AnalysisSettings(draws=200, replicates=99)
-
-
-def _experiment(units=40, shared=0.0, kinds=("blur", "dark", "turn"), **more):
-    rng = np.random.default_rng(1)
-    return pd.concat(
-        [
-            simulated_cell(rng, f"{kind}/{s}", s, units, 0.1 + 0.15 * s, 0.1 + 0.1 * s, shared=shared, **more)
-            for kind in kinds
-            for s in (1, 2, 3)
-        ],
-        ignore_index=True,
-    )
-
-
-def _finite(value):
-    if isinstance(value, dict):
-        return all(map(_finite, value.values()))
-    if isinstance(value, list | tuple):
-        return all(map(_finite, value))
-    return not isinstance(value, float) or np.isfinite(value)
-
-
-@pytest.mark.slow
-def test_nine_cells_are_analysed_and_every_figure_is_finite():
-    found = analyse(_experiment(units_per_world=2), 2)
-    assert _finite(asdict(found))
-    assert [c.cell for c in found.cells] == [f"{k}/{s}" for k in ("blur", "dark", "turn") for s in (1, 2, 3)]
-
-
-@pytest.mark.slow
-def test_the_result_does_not_depend_on_the_order_of_the_rows():
-    table = _experiment(units=12, units_per_world=2, kinds=("blur",))
-    assert analyse(table.sample(frac=1, random_state=3), 2, QUICK) == analyse(table, 2, QUICK)
+RECORDS = Path(__file__).resolve().parents[3] / "docs" / "eq1-quick"
+TABLE = pd.read_parquet(RECORDS / "units.parquet")
 
 
 @pytest.fixture(scope="module")
-def blurred():
-    """A table of three cells with some void units and an error, and its analysis."""
-    table = _experiment(units=80, shared=1.0, kinds=("blur",))
-    table.loc[0:2, "outcome"] = "void"
-    table.loc[3, "outcome"] = "infrastructure_error"
-    return table, analyse(table, 2, QUICK)
+def found():
+    return analyse(TABLE, 2, permutations=199)
 
 
-def test_counts_are_those_of_the_table(blurred):
-    table, found = blurred
-    rows = table[(table["cell"] == "blur/1") & (table["outcome"] == "completed")]
-    cell = found.cells[0]
-    assert (cell.units, cell.completed, cell.void, cell.errors) == (80, 76, 3, 1)
-    assert cell.p0.events == rows["breakage"].sum()
-    assert cell.p0.units == 76
-    broken = rows[rows["breakage"]]
-    thread = cell.threads[1]
-    assert (thread.pr.events, thread.pr.units) == (rows["cross_r2_failed"].sum(), 76)
-    assert (thread.pr_given_b.events, thread.pr_given_b.units) == (
-        broken["free_r2_failed"].sum(),
-        len(broken),
-    )
-    assert thread.stages == {"sim3": rows["cross_r2_failed"].sum()}
-    level = cell.levels[1]
-    assert level.measured.events == rows["d2"].sum()
-    shares = [rows[name].mean() for name in ("breakage", "cross_r1_failed", "cross_r2_failed")]
-    assert level.predicted.value == pytest.approx(float(np.prod(shares)))
-    assert cell.frames_to_cross_free == 60
+def test_products_over_distinct_units_and_the_chain(found):
+    one, two = found.levels
+    assert (found.worlds, found.units, found.void) == (15, 522, 18)
+    shares = [(v.within_worlds, v.within_kinds, v.in_units, v.measured) for v in (one, two)]
+    assert shares[0] == pytest.approx((0.253, 0.241, 0.272, 0.241), abs=1e-3)
+    assert shares[1] == pytest.approx((0.196, 0.190, 0.213, 0.218), abs=1e-3)
+    assert found.failed_or_silent == pytest.approx(0.274, abs=5e-4)
+    by_worlds = found.failed_or_silent_by_worlds
+    assert by_worlds.high - by_worlds.low > 0.15, "by worlds, not by units: .077"
 
 
-def test_the_prediction_is_the_crossing_arms_not_the_free_arms():
-    table = _experiment(kinds=("blur",), units=120)
-    table["cross_r1_failed"] = pd.array([False] * len(table), dtype="boolean")
-    level = analyse(table, 2, QUICK).cells[2].levels[0]
-    assert level.predicted.value == 0.0
-    assert level.measured.events > 0
-    assert level.ratio.value is None and level.ratio.low > 1 and level.ratio.high is None
-    assert level.verdict == "optimistic"
+def test_no_formula_can_be_told_from_another_in_saturated_corridors(found):
+    """Of these some are untested besides, since too few worlds have the event; nothing else has a verdict."""
+    saturated = {(c.cell, c.n) for c in found.cells if c.world == "corridor" and c.saturated}
+    both = {(f"{cell}", n) for cell in ("low_texture/3", "motion_blur/2", "motion_blur/3") for n in (1, 2)}
+    assert saturated == both | {("fast_rotation/3", 1)}
+    assert {str(v) for c in found.cells for v in (c.verdict_in_units, c.verdict_forecast)} == {
+        "untested",
+        "saturated",
+    }
+    (never,) = (c for c in found.cells if (c.cell, c.world, c.n) == ("fast_rotation/3", "corridor", 2))
+    assert never.verdict_in_units == "untested" and never.worlds_with == (10, 5, 0)
 
 
-@pytest.mark.slow
-def test_many_units_in_which_eq1_holds_are_consistent_and_equivalent():
-    rng = np.random.default_rng(2)
-    found = analyse(simulated_cell(rng, "blur/1", 1, 1500, 0.4, 0.4), 2, QUICK).cells[0]
-    assert [level.verdict for level in found.levels] == ["consistent", "consistent"]
-    assert all(level.tost_p < 0.05 and level.power_ratio_2 > 0.99 for level in found.levels)
-    assert found.threads[0].fisher_p > 0.01
-    assert found.threads[0].rho.low < 1 < found.threads[0].rho.high
+def test_a_cell_is_split_by_kind_of_world_and_void_units_are_no_outcome():
+    cells = cells_of(TABLE, 2)
+    assert len(cells) == 18 and sum(cell.units for cell in cells) == 522
+    corridor = next(c for c in cells if (c.name, c.world) == ("low_texture/1", "corridor"))
+    assert corridor.outcomes.breakage.shape == (10, 4, 1) and corridor.void == 2
+    assert np.isnan(corridor.outcomes.breakage).sum() == 2
+    rows = TABLE[(TABLE.cell == "low_texture/1") & (TABLE.world == "corridor")]
+    assert np.nansum(corridor.outcomes.breakage) == rows.breakage.fillna(False).sum()
 
 
-def test_shared_difficulty_is_called_optimistic_and_dependent():
+def test_replicates_stand_in_their_sequences_and_shams_are_left_out():
+    rows = TABLE[(TABLE.cell == "low_texture/1") & (TABLE.world == "corridor")].copy()
+    rows["sequence"], rows["repeat"] = rows["index"] % 4 // 2, rows["index"] % 2
+    (cell,) = cells_of(pd.concat([rows, rows.assign(kind="sham", cell="sham")]), 2)
+    assert cell.outcomes.breakage.shape == (10, 2, 2)
+    world, unit = cell.worlds[3], rows[rows.world_seed == cell.worlds[3]].iloc[-1]
+    assert unit.world_seed == world and unit.outcome == "completed"
+    assert cell.outcomes.breakage[3, int(unit["sequence"]), int(unit["repeat"])] == unit["breakage"]
+
+
+def test_the_steps_of_the_chain_multiply_to_the_whole():
     rng = np.random.default_rng(3)
-    found = analyse(simulated_cell(rng, "blur/1", 1, 1500, 0.2, 0.2, shared=2.0), 2, QUICK)
-    cell = found.cells[0]
-    assert [level.verdict for level in cell.levels] == ["optimistic", "optimistic"]
-    assert cell.levels[1].ratio.low > cell.levels[0].ratio.high
-    assert cell.threads[0].rho.low > 1.2 and cell.rho_2_given_1.low > 1.2
-    assert cell.threads[0].fisher_p < 1e-6
-    mixture = found.heterogeneity.mixture
-    assert mixture is not None and mixture.share_hopeless.low > 0.02
-    uneven = {b.quantity: b for b in found.heterogeneity.beta_binomial}["crossings over units"]
-    assert uneven.var_over_mean2 > 0.2 and uneven.p < 1e-6
-    assert found.heterogeneity.beta_factor[0].beta.low > 0.02
+    worlds, sequences, repeats = 30, 3, 3
+    index = np.arange(worlds * sequences * repeats)
+    place = np.unravel_index(index, (worlds, sequences, repeats))
+    hard = np.repeat(rng.uniform(0.2, 0.8, worlds), sequences * repeats)
+    rows = pd.DataFrame({"world_seed": place[0], "sequence": place[1], "repeat": place[2], "index": index})
+    rows = rows.assign(
+        cell="a/1", world="room", kind="a", severity=1.0, outcome="completed", silent_failure=False
+    )
+    rows["breakage"], rows["cross_r1_failed"] = rng.random(len(index)) < hard, rng.random(len(index)) < hard
+    rows["d1"] = rows["breakage"] & (rng.random(len(index)) < hard)
+    rows["s1"] = rows["d1"] | (rows["breakage"] & (index % 7 == 0))  # a first success that is false
+    rows["m1"] = rows["s1"] | (index % 11 == 0)
+    analysis = analyse(rows, 1, permutations=199)
+    (found,), chance = analysis.cells, analysis.chance["room"]
+    step = {name: ratio.value for name, ratio in found.steps.items()}
+    assert set(step) == {"arms", "run", "path", "world", "whole"}
+    assert np.prod([step[name] for name in ("arms", "run", "path", "world")]) == pytest.approx(step["whole"])
+    assert all(ratio.low < ratio.value < ratio.high for ratio in found.steps.values())
+    assert step["world"] > 1.05  # what a world shares; runs and paths share nothing here
+    assert found.steps["run"].low < 1 < found.steps["run"].high
+    assert 0.8 < chance.value < 1.0
+    for name, column in (("dual_failure", "d1"), ("system_failure", "s1"), ("mission_failure", "m1")):
+        assert found.shares[name].value == pytest.approx(rows[column].mean())
+    assert found.shares["system_failure"].value > found.shares["dual_failure"].value
+    once = analyse(rows[(rows["repeat"] == 0) & (rows["sequence"] == 0)], 1, permutations=199)
+    assert set(once.cells[0].steps) == {"arms", "whole"} and not once.chance and not once.within_sequences
 
 
-def test_few_units_are_undecided_and_shared_worlds_are_noted():
-    found = analyse(_experiment(units=12, units_per_world=4, kinds=("blur",)), 2, QUICK)
-    assert found.cells[0].levels[1].verdict == "undecided" and found.cells[0].worlds == 3
-    assert any("undecided" in note and "no support" in note for note in found.notes)
-    assert any("share worlds" in note for note in found.notes)
+def made_up(worlds=12, sequences=1, repeats=3, seed=0, sham=False, **columns):
+    """Records of one cell in which each world has its difficulty, shared by breakage and the one thread."""
+    rng = np.random.default_rng(seed)
+    place = np.unravel_index(np.arange(worlds * sequences * repeats), (worlds, sequences, repeats))
+    rows = pd.DataFrame(dict(zip(("world_seed", "sequence", "repeat"), place, strict=True)))
+    hard = rng.uniform(0.2, 0.9, worlds)[place[0]]
+    broke, failed, crossed = (rng.random(len(rows)) < hard for _ in range(3))
+    name, kind = ("sham", "sham") if sham else ("blur/1", "blur")
+    rows = rows.assign(index=range(len(rows)), cell=name, kind=kind, severity=2.0, world="room")
+    rows = rows.assign(outcome="completed", breakage=broke, silent_failure=False)
+    rows = rows.assign(d1=broke & failed, s1=broke & failed, m1=broke, cross_r1_failed=crossed)
+    return rows.assign(cross_r1_stage=np.where(crossed, "propagation", None)).assign(**columns)
 
 
-def test_holm_corrects_over_the_tested_cells(blurred):
-    _, found = blurred
-    raw = [c.levels[0].lrt_p for c in found.cells]
-    corrected = [c.levels[0].holm_p for c in found.cells]
-    assert min(corrected) == pytest.approx(min(1.0, min(raw) * sum(p is not None for p in raw)))
+@pytest.mark.parametrize(("worlds", "repeats"), [(1, 1), (1, 2), (2, 2), (3, 1), (4, 3)])
+def test_no_design_is_too_small_and_few_worlds_are_untested(worlds, repeats):
+    found = analyse(made_up(worlds, 1, repeats), 1, ("blur/1",), paper_thread=1, permutations=99)
+    (cell,) = found.cells
+    assert cell.worlds == worlds and cell.confirmatory
+    assert cell.verdict_in_units == cell.verdict_forecast == "untested"
+    assert (cell.eq1 is None) == (worlds < 3) and cell.measured.low <= cell.measured.value
+    assert (len(found.within_sequences) == 1) == (repeats > 1)
+    assert found.doses and bool(found.directions) == (worlds > 2)
 
 
-def test_there_is_a_dose_response_per_kind_and_quantity(blurred):
-    _, found = blurred
-    assert [(d.kind, d.quantity) for d in found.dose_response[:3]] == [
-        ("blur", "p0"),
-        ("blur", "pr1"),
-        ("blur", "pr2"),
-    ]
-    first = found.dose_response[0]
-    assert [p.severity for p in first.points] == [1.0, 2.0, 3.0]
-    assert first.slope.low > 0
+def test_the_answer_within_sequences_is_deterministic_without_telling_ones():
+    rows = made_up(24, 1, 3)
+    same = rows.groupby("world_seed")["breakage"].transform("first")
+    (test,) = analyse(rows.assign(breakage=same), 1, permutations=99).within_sequences
+    assert (test.telling, test.p, test.ratio) == (0, None, None)
+    (test,) = analyse(made_up(60, 1, 3), 1, permutations=199).within_sequences
+    assert test.telling >= 20 and test.p > 0.01 and test.ratio == pytest.approx(1, abs=0.25)
 
 
-def _all_failing(table):
-    table["breakage"] = True
-    for name in ("cross_r1_failed", "cross_r2_failed", "free_r1_failed", "free_r2_failed", "d1", "d2"):
-        table[name] = True
-    return table
+def test_holm_corrects_the_confirmatory_cells_apart_from_the_others():
+    rows = pd.concat([made_up(14, seed=s, cell=f"blur/{s}") for s in range(6)])
+    named = analyse(rows, 1, ("blur/0",), permutations=999).cells
+    assert [cell.confirmatory for cell in named] == [True] + [False] * 5
+    (alone,) = analyse(rows[rows["cell"] == "blur/0"], 1, permutations=999).cells
+    together = analyse(rows, 1, permutations=999).cells[0]
+    assert named[0].p_forecast == alone.p_forecast < together.p_forecast
 
 
-def _none_failing(table):
-    table["breakage"] = False
-    for name in ("cross_r1_failed", "cross_r2_failed", "d1", "d2"):
-        table[name] = False
-    table[["free_r1_failed", "free_r2_failed", "reinit"]] = None
-    return table
+def test_parts_of_the_breakages_hold_all_of_them_once():
+    rng = np.random.default_rng(1)
+    rows = made_up(12)
+    rows["rescuable"] = pd.array(np.where(rng.random(len(rows)) < 0.7, True, False), dtype="boolean")
+    rows.loc[:3, "rescuable"] = pd.NA
+    rows["declaration_delay_s"] = np.where(rows["breakage"], rng.choice([0.0, 0.3, 2.0], len(rows)), np.nan)
+    found = analyse(pd.concat([rows, made_up(12, sham=True)]), 1, permutations=99)
+    known = rows["breakage"] & rows["rescuable"].notna()
+    assert sum(part.breakages for part in found.rescuable) == known.sum()
+    assert sum(part.share.value for part in found.rescuable) == pytest.approx(1)
+    assert sum(part.breakages for part in found.delays) == rows["breakage"].sum()
+    hopeless = rows[known & ~rows["rescuable"].fillna(False).astype(bool)]
+    # Worlds have as many units each, so that the share of units is that of worlds.
+    assert found.rescuable[1].dual_failures[0].value == pytest.approx(hopeless["d1"].mean())
+    assert [point.severity for point in found.doses] == [0.0, 2.0]
+    assert found.sham[0].shares["mission_failure"].value > 0
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda t: t.iloc[:0],
-        lambda t: pd.DataFrame(),
-        lambda t: t.assign(outcome="void"),
-        lambda t: t.iloc[[0, 12]],
-        _all_failing,
-        _none_failing,
-        lambda t: t.drop(columns=[c for c in t if c.startswith("cross_")]),
-        lambda t: t.assign(severity=None).astype({"cross_r1_failed": object, "breakage": object}),
-    ],
-)
-def test_tables_with_little_information_are_accepted(change):
-    found = analyse(change(_experiment(units=8, kinds=("blur",)).copy()), 2, QUICK)
-    assert _finite(asdict(found))
-    assert all(level.verdict in ("undecided", "consistent") for c in found.cells for level in c.levels)
+def test_p0_and_pr_are_compared_by_worlds():
+    rows = made_up(20)
 
+    def direction(failed, stage):
+        table = rows.assign(cross_r1_failed=failed, cross_r1_stage=stage)
+        (found,) = analyse(table, 1, paper_thread=1, permutations=99).directions
+        return found
 
-def test_without_a_crossing_arm_nothing_is_predicted():
-    found = analyse(_experiment(units=20, kinds=("blur",), crossing=False), 2, QUICK)
-    level = found.cells[0].levels[0]
-    assert (level.predicted.value, level.lrt_p, level.tost_p) == (None, None, None)
-    assert level.measured.units == 20
-    assert level.verdict == "undecided"
-    assert any("No crossing arm" in note for note in found.notes)
-
-
-def test_eq1_holds_trivially_if_everything_fails():
-    found = analyse(_all_failing(_experiment(units=40, kinds=("blur",))), 2, QUICK)
-    assert [level.verdict for level in found.cells[0].levels] == ["consistent", "consistent"]
-
-
-def test_no_recovery_thread_is_refused():
-    with pytest.raises(ValueError):
-        analyse(pd.DataFrame(), 0)
+    alike = direction(rows["breakage"], np.where(rows["breakage"], "propagation", None))
+    assert (alike.difference.value, alike.p) == (0, 1)
+    later = direction(True, "audit")
+    assert later.difference.value == pytest.approx(rows["breakage"].mean()) and later.p < 1e-3
+    assert later.apart == len(rows)

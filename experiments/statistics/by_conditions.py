@@ -1,0 +1,153 @@
+"""Shares by dose, by rescuability and by delay of the declaration, with intervals by worlds."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from experiments.eq1.records import SHAM, thread_column
+from experiments.statistics.estimates import Figure
+from experiments.statistics.from_records import HomogeneousCell
+from experiments.statistics.judged import ratio_of_shares, share_by_world
+from experiments.statistics.outcomes import Floats, world_means
+from experiments.statistics.world_intervals import Interval
+
+DELAYS_S = (0.1, 0.5)
+"""Ends of the classes of delay from the true loss to its declaration."""
+
+
+@dataclass(frozen=True)
+class DosePoint:
+    """Shares at one dose of one kind of degradation in one setting.
+
+    Attributes:
+        kind, world, setting, cell, severity: which one; the sham's severity is 0.
+        worlds: their number.
+        shares: ``breakage``, ``thread_1`` to ``thread_n`` (R_j of the crossing arm), ``dual_1`` to
+            ``dual_n`` (D_J).
+    """
+
+    kind: str
+    world: str
+    setting: str
+    cell: str
+    severity: float
+    worlds: int
+    shares: dict[str, Interval]
+
+
+def dose_points(
+    cells: Sequence[HomogeneousCell], shams: Sequence[HomogeneousCell], threads: int
+) -> tuple[DosePoint, ...]:
+    """Shares against dose, in the order of the cells; a sham of the same setting is the dose zero."""
+    found = []
+    for kind, world, setting in dict.fromkeys((c.kind, c.world, c.setting) for c in cells):
+        own = [c for c in cells if (c.kind, c.world, c.setting) == (kind, world, setting)]
+        zero = [c for c in shams if (c.world, c.setting) == (world, setting)]
+        for cell in [*zero, *own]:
+            if cell.units:
+                severity = 0.0 if cell.kind == SHAM else cell.severity
+                shares = _shares(cell, threads)
+                found.append(DosePoint(kind, world, setting, cell.name, severity, len(cell.worlds), shares))
+    return tuple(found)
+
+
+def _shares(cell: HomogeneousCell, threads: int) -> dict[str, Interval]:
+    outcomes = cell.outcomes
+    events = {"breakage": outcomes.breakage}
+    crossed = [j for j in range(1, threads + 1) if cell.says(thread_column("cross", j, "failed"))]
+    events |= {f"thread_{j}": outcomes.thread_failures[j - 1] for j in crossed}
+    events |= {f"dual_{j}": outcomes.dual_failures[j - 1] for j in range(1, threads + 1)}
+    shares = {name: share_by_world(event) for name, event in events.items()}
+    return {name: share for name, share in shares.items() if share is not None}
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of the breakages of one kind of world, over all its cells.
+
+    Attributes:
+        world: kind of world.
+        part: which one.
+        breakages: their number.
+        share: of the breakages for which it is known to which part they belong.
+        dual_failures: per n, D_J of the part's breakages.
+    """
+
+    world: str
+    part: str
+    breakages: int
+    share: Interval | None
+    dual_failures: tuple[Interval | None, ...]
+
+
+def rescuable_parts(cells: Sequence[HomogeneousCell]) -> tuple[Part, ...]:
+    """Breakages after which images could recover, and geometrically hopeless ones; none where unknown."""
+
+    def parts(cell: HomogeneousCell) -> dict[str, Floats]:
+        rescuable = cell.values("rescuable")
+        return {"rescuable": _where(rescuable == 1, rescuable), "hopeless": _where(rescuable == 0, rescuable)}
+
+    return _parts([cell for cell in cells if cell.says("rescuable")], parts)
+
+
+def delay_parts(cells: Sequence[HomogeneousCell]) -> tuple[Part, ...]:
+    """Breakages by the delay of their declaration; none where it is unknown."""
+    short, long = DELAYS_S
+
+    def parts(cell: HomogeneousCell) -> dict[str, Floats]:
+        delay = cell.values("declaration_delay_s")
+        return {
+            f"up to {short:g} s": _where(delay <= short, delay),
+            f"{short:g} to {long:g} s": _where((delay > short) & (delay <= long), delay),
+            f"over {long:g} s": _where(delay > long, delay),
+        }
+
+    return _parts([cell for cell in cells if cell.says("declaration_delay_s")], parts)
+
+
+def _where(condition: np.ndarray, known: Floats) -> Floats:
+    return np.where(np.isfinite(known), condition, np.nan)
+
+
+def _parts(cells: Sequence[HomogeneousCell], parts) -> tuple[Part, ...]:
+    found = []
+    for world in dict.fromkeys(cell.world for cell in cells):
+        own = [cell for cell in cells if cell.world == world]
+        each = [parts(cell) for cell in own]
+        for name in each[0]:
+            part = [of_cell[name] for of_cell in each]
+            broken = [c.outcomes.breakage * np.isfinite(p) for c, p in zip(own, part, strict=True)]
+            inside = [b * np.nan_to_num(p) for b, p in zip(broken, part, strict=True)]
+            number = int(sum(np.nansum(x) for x in inside))
+            if not sum(np.nansum(b) for b in broken):
+                continue
+            duals = tuple(
+                _ratio(
+                    own, [c.outcomes.dual_failures[n] * i for c, i in zip(own, inside, strict=True)], inside
+                )
+                for n in range(own[0].threads)
+            )
+            found.append(Part(world, name, number, _ratio(own, inside, broken), duals))
+    return tuple(found)
+
+
+def _ratio(
+    cells: Sequence[HomogeneousCell], events: Sequence[Floats], of: Sequence[Floats]
+) -> Interval | None:
+    """Share of events among others, over all cells, with its interval by worlds."""
+    numerator, denominator = (Figure.mean(_over_cells(cells, x)) for x in (events, of))
+    if denominator.value <= 0:
+        return None
+    found = ratio_of_shares(numerator, denominator)
+    value = numerator.value / denominator.value
+    return Interval(value, found.low, min(1.0, found.high)) if found else Interval(value, 0.0, 1.0)
+
+
+def _over_cells(cells: Sequence[HomogeneousCell], events: Sequence[Floats]) -> Floats:
+    """(W,) mean over cells of the world means; a world without a unit in a cell adds nothing there."""
+    seeds = np.unique(np.concatenate([cell.worlds for cell in cells]))
+    total = np.zeros(len(seeds))
+    for cell, event in zip(cells, events, strict=True):
+        total[np.searchsorted(seeds, cell.worlds)] += np.nan_to_num(world_means(event))
+    return total / len(cells)

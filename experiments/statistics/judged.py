@@ -1,0 +1,242 @@
+"""Cells of an experiment judged against Eq. 1: figures by worlds, the chain, the verdicts."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+
+from experiments.statistics.estimates import (
+    Figure,
+    chain,
+    correlation_in_sequences,
+    measured_in_units,
+)
+from experiments.statistics.from_records import HomogeneousCell
+from experiments.statistics.outcomes import Floats, Outcomes, world_means
+from experiments.statistics.permutations import independence, permutations_for
+from experiments.statistics.verdicts import (
+    Comparison,
+    Verdict,
+    compare_forecast,
+    compare_units,
+    holm,
+    verdicts,
+)
+from experiments.statistics.world_intervals import (
+    Interval,
+    Rare,
+    few_events,
+    ratio_interval,
+    share_interval,
+)
+
+STEPS = ("world", "path", "sequence", "run", "arms", "whole")
+"""Steps from Eq. 1 to what is measured, in this order; ``sequence`` stands for the first two."""
+
+
+@dataclass(frozen=True)
+class JudgedCell:
+    """One cell in one kind of world, with the first n recovery threads.
+
+    Attributes:
+        cell, world, kind, severity: its name, kind of world, kind of degradation and dose in the records.
+        n: number of threads.
+        confirmatory: whether it was named before the run.
+        worlds, units: their numbers, of those that all figures at this n use.
+        worlds_with: worlds with a breakage, and with a failure of each thread.
+        eq1, weakest: pi_marg and the smallest of p0 and the threads' pr; None with too few worlds.
+        in_units: Q.
+        saturated: whether no formula can be told from another here.
+        p_independence, p_forecast: of the tests of Q and D, by Holm; None with too few worlds.
+        verdict_in_units, verdict_forecast: on Q and D.
+        way_in_units, way_forecast: k of Q and D: 0 is Eq. 1, 1 the weakest link.
+        steps: ratios by their names in ``STEPS``; only those that the design can tell and whose denominator
+            is not 0.
+        shares: by name ``breakage``, ``dual_failure`` (D_J), ``system_failure`` (S_J), ``mission_failure``
+            (M_J), ``base_mission_failure`` and, of unbroken units, ``silent_failure``; those in the records.
+    """
+
+    cell: str
+    world: str
+    kind: str
+    severity: float
+    n: int
+    confirmatory: bool
+    worlds: int
+    units: int
+    worlds_with: tuple[int, ...]
+    eq1: float | None
+    weakest: float | None
+    in_units: float
+    saturated: bool
+    p_independence: float | None
+    p_forecast: float | None
+    verdict_in_units: Verdict
+    verdict_forecast: Verdict
+    way_in_units: float | None
+    way_forecast: float | None
+    steps: dict[str, Interval]
+    shares: dict[str, Interval]
+
+    @property
+    def measured(self) -> Interval:
+        """D, with its interval by worlds."""
+        return self.shares["dual_failure"]
+
+
+def judge_cells(
+    cells: Sequence[HomogeneousCell],
+    threads: int,
+    confirmatory: Sequence[str],
+    rng: np.random.Generator,
+    permutations: int | None = None,
+) -> tuple[JudgedCell, ...]:
+    """Judge cells with the first 1 to ``threads`` threads, by n and then in the order of the cells.
+
+    Holm's correction is made over the confirmatory cells and numbers of threads, and over the others apart.
+    """
+    number = permutations or permutations_for(len(cells) * threads)
+    pairs = [(n, cell) for n in range(1, threads + 1) for cell in cells if cell.units]
+    of = {i: usable(cell, n) for i, (n, cell) in enumerate(pairs)}
+    tested: dict[int, tuple[Comparison, Comparison]] = {
+        i: (compare_units(outcomes, independence(outcomes, rng, number)), compare_forecast(outcomes))
+        for i, outcomes in of.items()
+        if len(outcomes.breakage) > 1 + outcomes.threads
+    }
+    found: dict[int, tuple[Verdict, Verdict, float, float]] = {}
+    for family in (True, False):
+        own = [i for i in tested if (pairs[i][1].name in confirmatory) == family]
+        units, forecasts = [tested[i][0] for i in own], [tested[i][1] for i in own]
+        p = holm([c.p for c in units]), holm([c.p for c in forecasts])
+        found |= dict(zip(own, zip(*verdicts(units, forecasts), *p, strict=True), strict=True))
+    return tuple(
+        _judged(cell, of[i], cell.name in confirmatory, tested.get(i), found.get(i))
+        for i, (_, cell) in enumerate(pairs)
+        if len(of[i].breakage)
+    )
+
+
+def usable(cell: HomogeneousCell, n: int) -> Outcomes:
+    """Outcomes of the sequences with enough replicates, and of the worlds that have any."""
+    outcomes = cell.outcomes.of_first(n)
+    return outcomes.of_worlds(outcomes.has_units)
+
+
+def _judged(
+    cell: HomogeneousCell,
+    outcomes: Outcomes,
+    confirmatory: bool,
+    tested: tuple[Comparison, Comparison] | None,
+    found: tuple[Verdict, Verdict, float, float] | None,
+) -> JudgedCell:
+    n, happened = outcomes.threads, np.nansum(outcomes.columns, axis=(2, 3)) > 0
+    in_units, forecast = tested or (None, None)
+    on_units, on_forecast, p_units, p_forecast = found or (Verdict.UNTESTED, Verdict.UNTESTED, None, None)
+    return JudgedCell(
+        cell=cell.name,
+        world=cell.world,
+        kind=cell.kind,
+        severity=cell.severity,
+        n=n,
+        confirmatory=confirmatory,
+        worlds=len(outcomes.breakage),
+        units=int(np.isfinite(outcomes.breakage).sum()),
+        worlds_with=tuple(map(int, happened.sum(axis=1))),
+        eq1=in_units.product.value if in_units else None,
+        weakest=in_units.weakest.value if in_units else None,
+        in_units=measured_in_units(outcomes).value,
+        saturated=in_units is not None and in_units.product.value > 0 and in_units.saturated,
+        p_independence=p_units,
+        p_forecast=p_forecast,
+        verdict_in_units=on_units,
+        verdict_forecast=on_forecast,
+        way_in_units=in_units.way_to_weakest if in_units else None,
+        way_forecast=forecast.way_to_weakest if forecast else None,
+        steps=_steps(outcomes) if tested else {},
+        shares=_shares(cell, n),
+    )
+
+
+def _steps(outcomes: Outcomes) -> dict[str, Interval]:
+    """The steps of the chain with their intervals."""
+    found = chain(outcomes)
+    margins = tuple(float(p) for p in world_means(outcomes.columns).mean(axis=1))
+    ratios = {}
+    for name in STEPS:
+        pair = getattr(found, name)
+        # Only a product of margins has the variance of a product of counts.
+        shares = margins if name in ("world", "sequence", "whole") else ()
+        ratio = None if pair is None else ratio_of_shares(*pair, shares)
+        if ratio is not None:
+            ratios[name] = ratio
+    return ratios
+
+
+def ratio_of_shares(
+    numerator: Figure, denominator: Figure, shares: tuple[float, ...] = ()
+) -> Interval | None:
+    """Ratio of two shares with its interval, never below 0; None where it is not determined.
+
+    Args:
+        numerator, denominator: over the same worlds.
+        shares: whose product the denominator estimates, if it does.
+    """
+    if numerator.worlds < 3 or not np.isfinite([*numerator.without, *denominator.without]).all():
+        return None
+    rare = Rare(shares) if few_events(numerator.pseudo_values, shares) else None
+    ratio = ratio_interval(numerator, denominator, rare)
+    if ratio is None or not isfinite(ratio.value):
+        return None
+    return Interval(ratio.value, min(max(0.0, ratio.low), ratio.value), ratio.high)
+
+
+def share_of_chance(cells: Sequence[HomogeneousCell]) -> Interval | None:
+    """1 - ICC of B over cells of the same worlds: its variance that is chance, not the sequence's difficulty.
+
+    None without repeats, with fewer than 3 worlds, or where B does not vary.
+    """
+    chance: Figure | None = None
+    variance: Figure | None = None
+    for cell in cells:
+        outcomes = usable(cell, 1)
+        if len(outcomes.breakage) < 3:
+            return None
+        correlation = correlation_in_sequences(outcomes.breakage)
+        if correlation is None:
+            return None
+        within, of_cell = correlation
+        if variance is not None and of_cell.worlds != variance.worlds:
+            return None
+        chance = of_cell - within if chance is None else chance + (of_cell - within)
+        variance = of_cell if variance is None else variance + of_cell
+    found = None if chance is None or variance is None else ratio_interval(chance, variance)
+    if found is None:
+        return None
+    return Interval(*(min(max(0.0, x), 1.0) for x in (found.value, found.low, found.high)))
+
+
+def _shares(cell: HomogeneousCell, n: int) -> dict[str, Interval]:
+    """Shares of units by world, over the units that every figure at this n uses."""
+    valid, silent = np.isfinite(cell.outcomes.of_first(n).breakage), cell.says("silent_failure")
+    events: dict[str, Floats | None] = {
+        "breakage": cell.outcomes.breakage,
+        "dual_failure": cell.outcomes.dual_failures[n - 1],
+        "system_failure": cell.failures("s", n),
+        "mission_failure": cell.failures("m", n),
+        "base_mission_failure": cell.events("base_mission_failure")
+        if cell.says("base_mission_failure")
+        else None,
+        "silent_failure": np.where(cell.outcomes.breakage == 0, cell.events("silent_failure"), np.nan)
+        if silent
+        else None,
+    }
+    found = {name: share_by_world(np.where(valid, e, np.nan)) for name, e in events.items() if e is not None}
+    return {name: share for name, share in found.items() if share is not None}
+
+
+def share_by_world(event: Floats) -> Interval | None:
+    """Share of an event, (W, S, K) with NaN for no unit, with its interval by worlds; None without units."""
+    means = world_means(event)
+    means = means[np.isfinite(means)]
+    return share_interval(means) if len(means) else None
