@@ -70,6 +70,10 @@ class Rectifier:
             level = cv2.remap(
                 level, *self._maps, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, (float(_OUTSIDE),)
             )
+        return self.pyramid_of(level)
+
+    def pyramid_of(self, level: np.ndarray) -> ImagePyramid:
+        """The pyramid of an image (H, W) float32 of the ideal camera."""
         levels = [with_gradients(level)]
         while len(levels) < len(self.intrinsics):
             level = halved(level)
