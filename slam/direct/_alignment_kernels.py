@@ -145,3 +145,39 @@ def linearise(
         for n in range(m):
             H[m, n] = H[n, m]
     return energy, seen, saturated
+
+
+@njit(cache=True, nogil=True)
+def likeness(level, camera, uv, inverse_depth, pattern, intensity, weight, T):
+    """Correlation of the two views within the patterns, -1 to 1, which no gain or shading can feign."""
+    height, width = level.shape[0], level.shape[1]
+    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
+    count = pattern.shape[0]
+    value = np.empty(count)
+    both, own, others = 0.0, 0.0, 0.0
+    for i in range(uv.shape[0]):
+        d = inverse_depth[i]
+        mean, other_mean, seen = 0.0, 0.0, True
+        for k in range(count):
+            x = (uv[i, 0] + pattern[k, 0] - cx) / fx
+            y = (uv[i, 1] + pattern[k, 1] - cy) / fy
+            pz = T[2, 0] * x + T[2, 1] * y + T[2, 2] + T[2, 3] * d
+            if weight[i, k] <= 0.0 or pz <= 1e-6:
+                seen = False
+                break
+            u = fx * (T[0, 0] * x + T[0, 1] * y + T[0, 2] + T[0, 3] * d) / pz + cx
+            v = fy * (T[1, 0] * x + T[1, 1] * y + T[1, 2] + T[1, 3] * d) / pz + cy
+            if not (0.0 <= u < width - 1 and 0.0 <= v < height - 1):
+                seen = False
+                break
+            value[k] = _bilinear(level, u, v, 0)
+            mean += intensity[i, k] / count
+            other_mean += value[k] / count
+        if not seen or not other_mean >= 0.0:  # NaN
+            continue
+        for k in range(count):
+            a, b = intensity[i, k] - mean, value[k] - other_mean
+            both += a * b
+            own += a * a
+            others += b * b
+    return both / np.sqrt(own * others) if own > 0.0 and others > 0.0 else 0.0

@@ -4,13 +4,14 @@ Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
-from slam.direct._alignment_kernels import PATTERN, linearise, residual_energy, sample_patterns
+from slam.direct._alignment_kernels import PATTERN, likeness, linearise, residual_energy, sample_patterns
 from slam.direct.pyramid import ImagePyramid
 from slam.optimization._se3 import retract
 
@@ -19,6 +20,9 @@ _DAMPING = 1e-2
 _LEAST_DAMPING = 1e-6
 _LEAST_INFORMATION = 1e-9
 _FAN_PX = 1.5
+_LEAST_CONTRAST = 0.5
+_LARGE_GAIN = 0.3  # as a logarithm
+_LARGE_OFFSET = 30.0
 _STILL_PX = 0.02  # a smaller step is none
 
 
@@ -91,19 +95,57 @@ class Reference:
         self.intrinsics = intrinsics
         self.config = config or AlignmentConfig()
         self.depth = 1.0 / float(np.median(inverse_depth)) if len(inverse_depth) else np.nan
-        self.levels = tuple(self._at(pyramid, level, xy, inverse_depth) for level in range(len(pyramid)))
+        self._mean, self._contrast = _moments(pyramid)
+        self.levels: tuple[Patterns, ...] = tuple(
+            self._sampled(image, *_at_level(xy, inverse_depth, level))
+            for level, image in enumerate(pyramid.levels)
+        )
 
     def __len__(self) -> int:
         return len(self.levels[0].uv)
 
-    def _at(self, pyramid: ImagePyramid, level: int, xy: np.ndarray, inverse_depth: np.ndarray) -> Patterns:
-        uv = (np.asarray(xy, float) + 0.5) * 0.5**level - 0.5
-        kept = np.arange(len(uv)) if level == 0 else _spaced(uv)
-        uv, d = np.ascontiguousarray(uv[kept]), np.ascontiguousarray(inverse_depth[kept], float)
+    def brightness_of(self, other: ImagePyramid) -> np.ndarray:
+        """(2,) a and b by which mean and contrast of the whole images differ."""
+        mean, contrast = _moments(other)
+        if min(contrast, self._contrast) < _LEAST_CONTRAST:
+            return np.zeros(2)
+        gain = contrast / self._contrast
+        return np.array([np.log(gain), mean - gain * self._mean])
+
+    def coarser(self) -> "Reference":
+        """The same without the finest level."""
+        return self._with(self.levels[1:], self.intrinsics[1:])
+
+    def seen_in(self, pyramid: ImagePyramid) -> "Reference":
+        """The same points in another image of the same view."""
+        levels = zip(pyramid.levels, self.levels, strict=True)
+        return self._with(
+            tuple(self._sampled(image, p.uv, p.inverse_depth) for image, p in levels), self.intrinsics
+        )
+
+    def _with(self, levels: tuple[Patterns, ...], intrinsics: np.ndarray) -> "Reference":
+        other = copy(self)
+        other.levels, other.intrinsics = levels, intrinsics
+        return other
+
+    def _sampled(self, image: np.ndarray, uv: np.ndarray, inverse_depth: np.ndarray) -> Patterns:
         intensity, weight = np.empty((len(uv), len(PATTERN))), np.empty((len(uv), len(PATTERN)))
-        image = pyramid.levels[level]
         sample_patterns(image, uv, PATTERN, self.config.gradient_scale, intensity, weight)
-        return Patterns(uv, d, intensity, weight)
+        return Patterns(uv, inverse_depth, intensity, weight)
+
+
+def _moments(pyramid: ImagePyramid) -> tuple[float, float]:
+    """Mean and standard deviation of the coarsest level."""
+    known = pyramid.levels[-1][..., 0]
+    known = known[np.isfinite(known)]
+    return (float(known.mean()), float(known.std())) if known.size else (0.0, 0.0)
+
+
+def _at_level(xy: np.ndarray, inverse_depth: np.ndarray, level: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels and inverse depths of the points that are used on a level."""
+    uv = (np.asarray(xy, float) + 0.5) * 0.5**level - 0.5
+    kept = np.arange(len(uv)) if level == 0 else _spaced(uv)
+    return np.ascontiguousarray(uv[kept]), np.ascontiguousarray(inverse_depth[kept], float)
 
 
 def _spaced(uv: np.ndarray) -> np.ndarray:
@@ -123,6 +165,7 @@ class Aligned:
         error: root of the mean weighted Huber cost on the finest level, of 255.
         visible: share of the reference's pixels that the target shows.
         saturated: share of these whose residual is beyond the cutoff.
+        likeness: correlation of the two views within the patterns on the finest level, -1 to 1.
         information: (6, 6) of translation and rotation at the result, brightness taken out, for residuals of
             unit variance.
     """
@@ -132,6 +175,7 @@ class Aligned:
     error: float
     visible: float
     saturated: float
+    likeness: float
     information: np.ndarray
 
 
@@ -149,7 +193,7 @@ def align(
         reference: view with depths.
         target: pyramid of the other view, of the same camera.
         guesses: (4, 4) motions reference to target that are tried.
-        affine: (2,) brightness at first; none if None.
+        affine: (2,) brightness at first; None for no change, or that of the whole images if it is large.
         coarsest, finest: levels to begin and to end with; the whole pyramid by default.
 
     Returns:
@@ -157,7 +201,7 @@ def align(
     """
     config, levels = reference.config, len(target)
     top = levels - 1 if coarsest is None else min(coarsest, levels - 1)
-    start = np.zeros(2) if affine is None else np.asarray(affine, float)
+    start = np.asarray(_first_brightness(reference, target) if affine is None else affine, float)
     states = [_State(np.array(T, float), start.copy()) for T in guesses]
     states = _best(reference, target, states, top, config.tried)
     for level in range(top, finest - 1, -1):
@@ -194,6 +238,11 @@ class _Model(NamedTuple):
     cost: float
     H: np.ndarray
     gradient: np.ndarray
+
+
+def _first_brightness(reference: Reference, target: ImagePyramid) -> np.ndarray:
+    whole = reference.brightness_of(target)
+    return whole if abs(whole[0]) > _LARGE_GAIN or abs(whole[1]) > _LARGE_OFFSET else np.zeros(2)
 
 
 class _State:
@@ -279,6 +328,10 @@ class _State:
         p, config = reference.levels[level], reference.config
         energy, seen, saturated = self.energy(reference, target, level, config.cutoff)
         H = self.model(reference, target, level, config.cutoff).H
+        alike = likeness(
+            target.levels[level], reference.intrinsics[level], p.uv, p.inverse_depth, PATTERN, p.intensity,
+            p.weight, self.T,
+        )  # fmt: skip
         known = int((p.weight > 0).sum())
         inner = H[6:, 6:] + 1e-9 * np.eye(2)
         information = H[:6, :6] - H[:6, 6:] @ np.linalg.solve(inner, H[6:, :6])
@@ -288,6 +341,7 @@ class _State:
             float(np.sqrt(energy / max(1, seen))),
             seen / max(1, known),
             saturated / max(1, seen),
+            float(alike),
             information,
         )
 

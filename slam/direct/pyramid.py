@@ -72,12 +72,12 @@ class Rectifier:
             )
         return self.pyramid_of(level)
 
-    def pyramid_of(self, level: np.ndarray) -> ImagePyramid:
-        """The pyramid of an image (H, W) float32 of the ideal camera."""
-        levels = [with_gradients(level)]
-        while len(levels) < len(self.intrinsics):
-            level = halved(level)
-            levels.append(with_gradients(level))
+    def pyramid_of(self, image: np.ndarray, finest: int = 0) -> ImagePyramid:
+        """The pyramid of an image (H, W) float32 of the ideal camera at the size of level ``finest``."""
+        levels = [with_gradients(image)]
+        while len(levels) < len(self.intrinsics) - finest:
+            image = halved(image)
+            levels.append(with_gradients(image))
         return ImagePyramid(tuple(levels))
 
 

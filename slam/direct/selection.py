@@ -6,7 +6,7 @@ too: in a block where no pixel does, a coarser gradient over a larger block may.
 Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 3.1.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from slam.direct.pyramid import ImagePyramid
 
 _REGION_PX = 32
 _ROUNDS = 3
+_LEAST_THRESHOLD = 1.0
 _CLOSE = 1.25  # a number of points this near to the wanted one needs no other blocks
 
 
@@ -25,7 +26,8 @@ class SelectionConfig:
     Attributes:
         points: number of points wanted.
         margin_px: pixels along the border without points.
-        threshold: least gradient beyond the median of its region of 32x32 px, per pixel.
+        threshold: least gradient beyond the median of its region of 32x32 px, per pixel; halved while
+            there are too few points.
         coarser: factor of that threshold for every coarser gradient.
     """
 
@@ -54,6 +56,14 @@ def select(pyramid: ImagePyramid, config: SelectionConfig | None = None) -> Sele
     The size of blocks is adapted to the number of points wanted. An image without gradients has none.
     """
     config = config or SelectionConfig()
+    found = _select(pyramid, config)
+    while len(found.xy) < config.points / 2 and config.threshold > _LEAST_THRESHOLD:
+        config = replace(config, threshold=config.threshold / 2)
+        found = _select(pyramid, config)
+    return found
+
+
+def _select(pyramid: ImagePyramid, config: SelectionConfig) -> Selection:
     squares = [squared_gradients(level) for level in pyramid.levels[:3]]
     while len(squares) < 3:
         squares.append(np.zeros((1, 1), np.float32))

@@ -1,48 +1,71 @@
 """Recovery by intensities: frames placed by photometric alignment, backward.
 
-Where corners blur or vanish, intensities may still tell. A frame is aligned with the last placed one on pixels of
-known depth; these are then located in it one by one, across their edges, and go on as tracks, which are
-triangulated, take part in bundle adjustment and carry the depth to new surface. The map grows with ORB
-features on these poses.
+Where corners blur or vanish, intensities may still tell. A frame is aligned with the last placed one on
+pixels of known depth. These are then located in it one by one, across their edges, and go on as tracks,
+which are triangulated, take part in bundle adjustment and carry the depth to new surface. The map grows with
+ORB features on these poses.
 
-Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018; Forster, Pizzoli, Scaramuzza, "SVO", 2014.
+Where one of two frames is blurred by motion and the other is not, the sharper one is blurred along the
+predicted motion before they are compared, by the length under which they look most alike.
+
+Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018; Forster, Pizzoli, Scaramuzza, "SVO: Fast
+Semi-Direct Monocular Visual Odometry", 2014.
 """
 
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 
 from slam.core.frame import Frame
 from slam.core.geometry import share_of_motion
-from slam.direct._alignment_kernels import PATTERN, sample_patterns
-from slam.direct._location_kernels import locate, search_line
 from slam.direct.alignment import Aligned, AlignmentConfig, Reference, align, fan
+from slam.direct.blur import align_through_blur
+from slam.direct.location import locate_on_lines, locate_points
 from slam.direct.pyramid import ImagePyramid, Rectifier
 from slam.direct.selection import SelectionConfig, select
 from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
 from slam.dual.recovery.propagation import propagate
-from slam.dual.recovery.sift import SiftRecoveryConfig, SiftTracker
-from slam.dual.recovery.sift_mapping import SiftMapper
-from slam.features.sift import SiftFrame, take_depth_from_points
-from slam.map._map_kernels import resolve_points
-from slam.tracking.tracker import Tracker, TrackingOutcome
+from slam.dual.recovery.tracks import TrackRecoveryConfig, TrackTracker
+from slam.features.tracks import TrackedFrame, take_depth_from_points
+from slam.tracking.tracker import TrackingOutcome
+
+_CELL_PX = 8  # in which a located point leaves no room for a new one
+_SPEEDS = (0.65, 0.8, 1.25, 1.5)  # of the predicted motion over a gap that are tried too
+_LONG_GAP = 3
+_MOST_SPREAD_CHANGE = 4.0
 
 
 @dataclass(frozen=True)
-class DirectRecoveryConfig(SiftRecoveryConfig):
-    """Settings of the direct thread."""
+class DirectRecoveryConfig(TrackRecoveryConfig):
+    """Settings of the direct thread.
 
+    Attributes:
+        alignment, selection: of photometric alignment, and of the points that it rests on.
+        most_error: error of an alignment, of 255, beyond which the images differ.
+        most_saturated: share of its pixels beyond the cutoff, likewise.
+        least_likeness: correlation of the views within the patterns, below which they differ too.
+        least_visible: share of the reference's points that must be in view.
+        through_blur: compare a sharp image with a blurred one by blurring it.
+        blurred_error: as ``most_error``, for such a comparison.
+        blurred_share: least gain by it: its error over that of the images as they are.
+        point_error: mean absolute residual beyond which a point is not located.
+        distinct: residual of the second best place on an epipolar line over the best, at least.
+        line_px: longest line that is searched.
+    """
+
+    depth_radius_px: float = 10.0
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     selection: SelectionConfig = field(default_factory=lambda: SelectionConfig(points=1500))
     most_error: float = 9.0
-    least_visible: float = 0.25
     most_saturated: float = 0.25
+    least_likeness: float = 0.5
+    least_visible: float = 0.25
+    through_blur: bool = True
+    blurred_error: float = 8.0
+    blurred_share: float = 0.65
     point_error: float = 12.0
     distinct: float = 1.6
     line_px: float = 60.0
-    min_sift_inliers_alone: int = 60
-    depth_radius_px: float = 10.0
 
 
 class DirectRecovery:
@@ -50,222 +73,214 @@ class DirectRecovery:
 
     name = "direct"
     needs_images = True
-    cost = RecoveryCost(frame_ms=20.0, keyframe_ms=50.0, alignment_ms=4.0)
+    # Measured: CPU on one core, 640x480, 1,500 points, 1,000 ORB features.
+    cost = RecoveryCost(frame_ms=35.0, keyframe_ms=50.0, alignment_ms=4.0)
 
     def __init__(self, config: RecoveryConfig | None = None) -> None:
         self.config = DirectRecoveryConfig.extending(config)
 
     def run(self, task: RecoveryTask) -> RecoveryResult:
         """Place the buffered frames newest first, each by photometric alignment with the last one."""
-        tracker = DirectTracker(task, self.config)
-        mapper = SiftMapper(
-            task.new_map,
-            self.config.mapping_in(task),
-            tracker.last_sift,
-            lambda: tracker.last_sift,
-            self.config.adjusted_keyframes,
-            self.config.paired_keyframes,
-        )
-        return propagate(task, self.config, tracker, mapper)
+        rectifier = Rectifier(task.camera)
+        if rectifier.is_too_small:
+            return RecoveryResult(task.new_map, stage="propagation", reason="image_too_small")
+        tracker = DirectTracker(task, self.config, rectifier)
+        return propagate(task, self.config, tracker, tracker.mapper(task))
 
 
-DEBUG = False
+@dataclass
+class DirectFrame(TrackedFrame):
+    """Points of a frame with its image.
+
+    Attributes:
+        pyramid: of the image.
+    """
+
+    pyramid: ImagePyramid
 
 
-class DirectTracker(SiftTracker):
-    def __init__(self, task, config):
-        self._rectifier = Rectifier(task.camera)
-        self._pyramids: dict[int, ImagePyramid] = {}
-        self._direct = config
-        self._step = task.step
-        self._missed = 0
-        self.log = []
-        self.errors = []
-        super().__init__(task, config)
+class DirectTracker(TrackTracker):
+    """Places frames by photometric alignment."""
 
-    def _pyramid(self, frame: Frame) -> ImagePyramid:
-        index = frame.features.index
-        if index not in self._pyramids:
-            keep = {self.last_sift.frame.features.index, self._keyframe_sift.frame.features.index} if hasattr(self, "_keyframe_sift") else set()
-            self._pyramids = {k: v for k, v in self._pyramids.items() if k in keep}
-            self._pyramids[index] = self._rectifier.pyramid(self._task.image_of(index))
-        return self._pyramids[index]
+    latest: DirectFrame
+    keyframe_view: DirectFrame
 
-    def _detect(self, frame):
-        return self._with_new(frame, np.empty((0, 2)), np.empty(0))
-
-    def _with_new(self, frame, xy, sigma):
-        found = select(self._pyramid(frame), self._direct.selection)
-        new = found.xy.astype(float)
-        if len(xy):
-            cell = 8.0
-            taken = set(map(tuple, np.floor(xy / cell).astype(int)))
-            keep = np.array([tuple(c) not in taken for c in np.floor(new / cell).astype(int)], bool)
-            room = max(0, self._direct.selection.points - len(xy))
-            rows = np.flatnonzero(keep)
-            if len(rows) > room:
-                rows = rows[np.arange(room) * len(rows) // max(1, room)]
-            new, scale = new[rows], found.scale[rows]
-        else:
-            scale = found.scale
-        allxy = np.concatenate([xy, new])
-        inv = np.concatenate([1 / sigma**2, 0.25**scale])
-        return SiftFrame(frame, allxy, inv, np.empty((len(allxy), 0), np.uint8))
+    def __init__(self, task: RecoveryTask, config: DirectRecoveryConfig, rectifier: Rectifier) -> None:
+        self._direct_config = config
+        self._task = task
+        self._rectifier = rectifier
+        nothing = np.empty((0, 2)), np.empty(0)
+        super().__init__(task, config, self._with_new_points(task.first, self._pyramid(task.first), *nothing))
+        self.velocity = task.step
 
     def track(self, frame: Frame) -> TrackingOutcome:
-        outcome = self._place_directly(frame, self.last_sift)
-        if not outcome.success and self._keyframe_sift is not self.last_sift:
-            again = self._place_directly(frame, self._keyframe_sift)
-            outcome = again if again.success else outcome
+        """Place the frame by alignment with the last placed frame or the last keyframe.
+
+        Args:
+            frame: features only; pose, matches and reference keyframe are filled in.
+        """
+        pyramid = self._pyramid(frame)
+        outcome = self._place(frame, pyramid, self.latest)
+        again = self._direct_config.keyframe_too and self.keyframe_view is not self.latest
+        if not outcome.success and again:
+            outcome = self._place(frame, pyramid, self.keyframe_view)
         return outcome
 
-    def pass_over(self, frame: Frame) -> None:
-        self._passed_over += 1
+    # -- steps -------------------------------------------------------------------------------------------
 
-    def _place_directly(self, frame: Frame, reference: SiftFrame) -> TrackingOutcome:
-        config, m = self._direct, self.map
-        rows = np.flatnonzero(reference.known & (np.nan_to_num(reference.xyz_cam[:, 2]) > 0))
-        if len(rows) < config.min_sift_inliers:
+    def _pyramid(self, frame: Frame) -> ImagePyramid:
+        return self._rectifier.pyramid(self._task.image_of(frame.features.index))
+
+    def _with_new_points(
+        self, frame: Frame, pyramid: ImagePyramid, xy: np.ndarray, inv_sigma2: np.ndarray
+    ) -> DirectFrame:
+        """The frame with points located in it (k, 2) and new ones where these leave room."""
+        found = select(pyramid, self._direct_config.selection)
+        taken = _cells(xy)
+        free = np.flatnonzero(~np.isin(_cells(found.xy), taken))
+        room = max(0, self._direct_config.selection.points - len(xy))
+        if len(free) > room:
+            free = free[np.arange(room) * len(free) // max(1, room)]
+        return DirectFrame(
+            frame,
+            np.concatenate([xy, found.xy[free].astype(float)]),
+            np.concatenate([inv_sigma2, 0.25 ** found.scale[free]]),
+            pyramid,
+        )
+
+    def _place(self, frame: Frame, pyramid: ImagePyramid, reference: DirectFrame) -> TrackingOutcome:
+        config, intrinsics = self._direct_config, self._rectifier.intrinsics
+        rows = np.flatnonzero(reference.known & ~(reference.xyz_cam[:, 2] <= 0))
+        if len(rows) < config.min_features:
             return TrackingOutcome(False, 0, len(rows), "too_few_points_of_known_depth")
-        pyramid, intrinsics = self._pyramid(frame), self._rectifier.intrinsics
-        ref = Reference(self._pyramid(reference.frame), intrinsics, reference.xy[rows], 1 / reference.xyz_cam[rows, 2], config.alignment)
-        T_ref = self._pose_of(reference.frame)
-        gap = abs(reference.frame.features.index - frame.features.index)
-        velocity = self.velocity if self.velocity is not None else self._step
-        ahead = np.linalg.matrix_power(velocity, min(gap, 90))
-        guesses = [*fan(ahead, intrinsics), velocity, np.eye(4)]
-        shares = (0.8, 1.25, 0.65, 1.5) if gap > 3 else ()
-        guesses += [np.linalg.matrix_power(velocity, max(1, round(gap * x))) for x in shares]
-        found = align(ref, pyramid, guesses)
-        blurred = False
-        typical = float(np.median(self.errors)) if self.errors else 4.0
-        bar = config.most_error
-        if found is None or found.error > bar or found.saturated > config.most_saturated:
-            again = self._align_blurred(frame, reference, ref, rows, guesses, velocity)
-            if again is not None and again.error <= min(8.0, 0.65 * (found.error if found else 14.0)):
-                found, blurred = again, True
-        if found is None:
-            return TrackingOutcome(False, 0, 0, "no_alignment")
-        if DEBUG: print("      ", frame.features.index, gap, "err %.1f vis %.2f sat %.2f n %d" % (found.error, found.visible, found.saturated, len(rows)))
-        self.log.append((frame.features.index, found.error, found.visible, found.saturated, len(rows)))
-        if found.visible < config.least_visible:
-            return TrackingOutcome(False, 0, 0, "too_little_in_view")
-        if not blurred and (found.error > bar or found.saturated > config.most_saturated):
-            return TrackingOutcome(False, 0, 0, "images_differ")
-        if not blurred:
-            self.errors.append(found.error)
-        if blurred:
-            return self._accept_blurred(frame, reference, rows, found, T_ref, gap)
-        p = ref.levels[0]
-        xy, error = np.empty_like(p.uv), np.empty(len(p.uv))
-        locate(pyramid.levels[0], intrinsics[0], p.uv, p.inverse_depth, PATTERN, p.intensity, p.weight, found.T_target_ref, found.affine, xy, error)
-        seen = np.isfinite(xy[:, 0]) & (error < config.point_error)
-        known_rows, known_xy = rows[seen], xy[seen]
-        if len(known_rows) < config.min_sift_inliers:
-            return TrackingOutcome(False, 0, len(known_rows), "too_few_points_located")
-        other_rows, other_xy = self._on_lines(reference, rows, pyramid, found)
-        pairs_ref = np.concatenate([known_rows, other_rows])
-        sigma = 1 / np.sqrt(reference.inv_sigma2[pairs_ref])
-        sift = self._with_new(frame, np.concatenate([known_xy, other_xy]), sigma)
-        frame.T_cam_map = np.ascontiguousarray(found.T_target_ref @ T_ref)
-        xyz = reference.positions(known_rows, T_ref)
-        resolve_points(m.arrays, reference.frame.point)
-        agree, points, matches = self._match_map(sift, reference.frame.point, xyz, np.arange(len(known_rows)))
-        inliers = int(agree.sum())
-        alone = points < config.min_points
-        if inliers + points < self._least_inliers(frame, 0) or inliers < (config.min_sift_inliers_alone if alone else config.min_sift_inliers):
-            return TrackingOutcome(False, points, matches, "too_few_inliers")
-        fault = self._fault_of_crossing(frame, reference.frame)
-        if fault:
-            return TrackingOutcome(False, points, matches, fault)
-        if alone:
-            frame.point[:] = -1
-        self._set_reference(frame, reference.frame)
-        self._accept(frame, reference.frame)
-        if gap > 1 and self.velocity is not None:
-            self.velocity = share_of_motion(self.velocity, 1.0 / gap)
-        good = np.concatenate([agree, np.ones(len(other_rows), bool)])
-        own = np.flatnonzero(good)
-        self._pass_tracks_on(sift, reference, np.column_stack([pairs_ref[good], own]))
-        self._register(sift)
-        return TrackingOutcome(True, points, matches)
-
-    def _align_blurred(self, frame, reference, ref, rows, guesses, velocity):
-        """Alignment with the sharper of the two images blurred along the motion; None for none."""
-        config, intrinsics = self._direct, self._rectifier.intrinsics
-        target, source = self._pyramid(frame), self._pyramid(reference.frame)
-        fx, fy, cx, cy = intrinsics[0]
         xyz = reference.xyz_cam[rows]
-        moved = xyz @ velocity[:3, :3].T + velocity[:3, 3]
-        ok = moved[:, 2] > 0
-        if not ok.any():
-            return None
-        before = xyz[ok, :2] / xyz[ok, 2:] * [fx, fy]
-        flow = np.median(moved[ok, :2] / moved[ok, 2:] * [fx, fy] - before, axis=0)
-        speed = float(np.linalg.norm(flow))
-        if speed < 1.0:
-            return None
-        best = None
-        sharper_target = _sharpness(target) > _sharpness(source)
-        for factor in (0.7, 1.4, 2.5, 4.0, 6.0, 9.0, 13.0):
-            length = factor * speed
-            if length < 3 or length > 0.4 * target.levels[0].shape[1]:
-                continue
-            if sharper_target:
-                found = align(ref, self._blurred(target, flow / speed, length), guesses, finest=1)
-            else:
-                other = Reference(self._blurred(source, flow / speed, length), intrinsics, reference.xy[rows], 1 / xyz[:, 2], config.alignment)
-                found = align(other, target, guesses, finest=1)
-            if found is not None and DEBUG:
-                print("        blur", sharper_target, round(length), "err %.1f vis %.2f sat %.2f" % (found.error, found.visible, found.saturated))
-            if found is not None and found.visible > config.least_visible and (best is None or found.error < best.error):
-                best = found
-        return best
+        view = Reference(reference.pyramid, intrinsics, reference.xy[rows], 1 / xyz[:, 2], config.alignment)
+        gap = abs(reference.frame.features.index - frame.features.index)
+        found = align(view, pyramid, self._guesses(gap))
+        sharp = found is not None and self._look_alike(found)
+        if not sharp:
+            found = self._through_blur(view, reference, pyramid, rows, gap, found)
+        if found is None:
+            return TrackingOutcome(False, 0, len(rows), "images_differ")
+        if found.visible < config.least_visible or not _keeps_spread(xyz, found.T_target_ref):
+            return TrackingOutcome(False, 0, len(rows), "too_little_in_view")
+        frame.T_cam_map = np.ascontiguousarray(found.T_target_ref @ self.pose_of(reference.frame))
+        follow = self._follow_points if sharp else self._carry_depths
+        outcome = follow(frame, pyramid, reference, rows, view, found)
+        if outcome.success:
+            moved = frame.T_cam_map @ np.linalg.inv(self.pose_of(reference.frame))
+            self.velocity = share_of_motion(moved, 1 / gap)
+        return outcome
 
-    def _blurred(self, pyramid, direction, length):
-        image = pyramid.levels[0][..., 0]
-        n = int(length) | 1
-        kernel = np.zeros((n, n), np.float32)
-        c = n // 2
-        a = (c - direction * c, c + direction * c)
-        cv2.line(kernel, tuple(np.round(a[0]).astype(int)), tuple(np.round(a[1]).astype(int)), 1.0, 1)
-        out = cv2.filter2D(np.nan_to_num(image), -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE)
-        return self._rectifier.pyramid_of(out)
+    def _guesses(self, gap: int) -> list[np.ndarray]:
+        """Motions over so many frames that are tried."""
+        velocity = self.velocity if self.velocity is not None else np.eye(4)
+        steps = [gap] + [max(1, round(gap * speed)) for speed in _SPEEDS if gap > _LONG_GAP]
+        ahead = [np.linalg.matrix_power(velocity, step) for step in steps]
+        return [*fan(ahead[0], self._rectifier.intrinsics), *ahead[1:], np.eye(4)]
 
-    def _accept_blurred(self, frame, reference, rows, found, T_ref, gap):
-        m = self.map
-        sift = self._with_new(frame, np.empty((0, 2)), np.empty(0))
-        frame.T_cam_map = np.ascontiguousarray(found.T_target_ref @ T_ref)
-        xyz = reference.xyz_cam[rows] @ found.T_target_ref[:3, :3].T + found.T_target_ref[:3, 3]
-        fx, fy, cx, cy = self._rectifier.intrinsics[0]
-        xyz = xyz[xyz[:, 2] > 0]
-        uv = xyz[:, :2] / xyz[:, 2:] * [fx, fy] + [cx, cy]
-        world = (xyz - frame.T_cam_map[:3, 3]) @ frame.T_cam_map[:3, :3]
-        take_depth_from_points(sift, world, uv, frame.T_cam_map, m.view, 2 * self._direct.depth_radius_px)
-        resolve_points(m.arrays, reference.frame.point)
+    def _look_alike(self, found: Aligned) -> bool:
+        config = self._direct_config
+        return (
+            found.error <= config.most_error
+            and found.saturated <= config.most_saturated
+            and found.likeness >= config.least_likeness
+        )
+
+    def _through_blur(
+        self,
+        view: Reference,
+        reference: DirectFrame,
+        pyramid: ImagePyramid,
+        rows: np.ndarray,
+        gap: int,
+        sharp: Aligned | None,
+    ) -> Aligned | None:
+        """The alignment with the sharper image blurred along the motion; None where this explains little."""
+        config = self._direct_config
+        if not config.through_blur or self.velocity is None:
+            return None
+        found = align_through_blur(
+            view, reference.pyramid, pyramid, self._rectifier, reference.xyz_cam[rows], self.velocity,
+            self._guesses(gap),
+        )  # fmt: skip
+        if found is None or (sharp is not None and found.error > config.blurred_share * sharp.error):
+            return None
+        alike = found.likeness >= config.least_likeness
+        return found if alike and found.error <= config.blurred_error else None
+
+    def _follow_points(
+        self,
+        frame: Frame,
+        pyramid: ImagePyramid,
+        reference: DirectFrame,
+        rows: np.ndarray,
+        view: Reference,
+        found: Aligned,
+    ) -> TrackingOutcome:
+        """Locate the reference's points in an aligned frame and go on with them."""
+        config, intrinsics = self._direct_config, self._rectifier.intrinsics[0]
+        xy, error = locate_points(view, pyramid, found)
+        seen = np.isfinite(xy[:, 0]) & (error <= config.point_error)
+        others = np.setdiff1d(np.arange(len(reference.xy)), rows)
+        other_xy = locate_on_lines(
+            reference.pyramid, pyramid, intrinsics, reference.xy[others], found, reference.depth,
+            config.line_px, config.point_error, config.distinct,
+        )  # fmt: skip
+        on_line = np.isfinite(other_xy[:, 0])
+        theirs = np.concatenate([rows[seen], others[on_line]])
+        tracked = self._with_new_points(
+            frame, pyramid, np.concatenate([xy[seen], other_xy[on_line]]), reference.inv_sigma2[theirs]
+        )
+        xyz = reference.positions(rows[seen], self.pose_of(reference.frame))
+        outcome, agree = self.confirm(tracked, reference, xyz, np.arange(len(xyz)))
+        if outcome.success:
+            own = np.flatnonzero(np.concatenate([agree, np.ones(int(on_line.sum()), np.bool_)]))
+            self.pass_tracks_on(tracked, reference, np.column_stack([theirs[own], own]))
+            self.register(tracked)
+        return outcome
+
+    def _carry_depths(
+        self,
+        frame: Frame,
+        pyramid: ImagePyramid,
+        reference: DirectFrame,
+        rows: np.ndarray,
+        view: Reference,
+        found: Aligned,
+    ) -> TrackingOutcome:
+        """Begin anew in a frame aligned through blur: points are not found again, their depths are."""
+        nothing = np.empty((0, 2)), np.empty(0)
+        tracked = self._with_new_points(frame, pyramid, *nothing)
+        xyz = reference.positions(rows, self.pose_of(reference.frame))
+        T, map_view = frame.T_cam_map, self.map.view
+        in_camera = xyz @ T[:3, :3].T + T[:3, 3]
+        ahead = in_camera[:, 2] > 0
+        pixels = in_camera[ahead, :2] / in_camera[ahead, 2:] * (map_view.fx, map_view.fy)
+        pixels += (map_view.cx, map_view.cy)
+        radius_px = 2 * self._direct_config.depth_radius_px
+        take_depth_from_points(tracked, xyz[ahead], pixels, T, map_view, radius_px)
+        known = int(tracked.known.sum())
+        if known < self._direct_config.min_features_alone:
+            return TrackingOutcome(False, 0, known, "too_few_points_of_known_depth")
         frame.point[:] = -1
-        self._set_reference(frame, reference.frame)
+        self.set_reference(frame, reference.frame)
         self._accept(frame, reference.frame)
-        if gap > 1 and self.velocity is not None:
-            self.velocity = share_of_motion(self.velocity, 1.0 / gap)
-        self._register(sift)
-        return TrackingOutcome(True, 0, int(sift.known.sum()))
-
-    def _on_lines(self, reference: SiftFrame, known, pyramid, found: Aligned):
-        config, intrinsics = self._direct, self._rectifier.intrinsics
-        rows = np.setdiff1d(np.arange(len(reference.xy)), known)
-        if not len(rows):
-            return rows, np.empty((0, 2))
-        uv = np.ascontiguousarray(reference.xy[rows])
-        intensity, weight = np.empty((len(rows), 8)), np.empty((len(rows), 8))
-        sample_patterns(self._pyramid(reference.frame).levels[0], uv, PATTERN, 50.0, intensity, weight)
-        depth = reference.depth
-        xy, error = np.empty_like(uv), np.empty(len(uv))
-        search_line(pyramid.levels[0], intrinsics[0], uv, PATTERN, intensity, weight, found.T_target_ref, found.affine,
-                    4.0 / depth, 0.05 / depth, config.line_px, config.point_error, config.distinct, xy, error)
-        ok = np.isfinite(xy[:, 0])
-        return rows[ok], xy[ok]
+        self.register(tracked)
+        return TrackingOutcome(True, 0, known)
 
 
-def _sharpness(pyramid):
-    return float(np.nanmean(np.abs(pyramid.levels[0][..., 1:])))
+def _cells(xy: np.ndarray) -> np.ndarray:
+    """(n,) names of the small squares in which pixels (n, 2) lie."""
+    column, row = np.floor(xy.T / _CELL_PX).astype(np.int64)
+    return row << 32 | column
+
+
+def _keeps_spread(xyz: np.ndarray, T_target_ref: np.ndarray) -> bool:
+    """False if points (n, 3) of the reference shrink to a patch in the target, which fits many."""
+    moved = xyz @ T_target_ref[:3, :3].T + T_target_ref[:3, 3]
+    ahead = moved[:, 2] > 0
+    if ahead.sum() < len(xyz) / 2:
+        return False
+    areas = [float(np.prod(np.std(p[ahead, :2] / p[ahead, 2:], axis=0))) for p in (xyz, moved)]
+    return areas[0] <= _MOST_SPREAD_CHANGE * areas[1]
