@@ -90,6 +90,21 @@ class PinholeCamera:
             points = undistort_residual(points, self.residual, self.intrinsics).astype(np.float32)
         return points
 
+    def distort_points(self, xy: np.ndarray) -> np.ndarray:
+        """Invert :meth:`undistort_points`: where the image as taken shows ideal pixels.
+
+        Args:
+            xy: (N, 2) pixels of the ideal camera ``K``.
+
+        Returns:
+            (N, 2) float64 pixels.
+        """
+        points = distort_residual(xy, self.residual, self.intrinsics) if any(self.residual) else xy
+        if self._is_pinhole:
+            return np.asarray(points, float)
+        rays = np.column_stack([(points - self.intrinsics[2:]) / self.intrinsics[:2], np.ones(len(points))])
+        return self._projected(rays)
+
     def _undistorted(self, xy: np.ndarray) -> np.ndarray:
         K = self.K
         undistort = cv2.fisheye.undistortPoints if self.model == "equidistant" else cv2.undistortPoints
@@ -112,6 +127,11 @@ class PinholeCamera:
         (x_min, y_min), (x_max, y_max) = xy.min(axis=0), xy.max(axis=0)
         return float(x_min), float(y_min), float(x_max), float(y_max)
 
+    def _projected(self, rays: np.ndarray) -> np.ndarray:
+        project = cv2.fisheye.projectPoints if self.model == "equidistant" else cv2.projectPoints
+        pixels, _ = project(rays[:, None], np.zeros(3), np.zeros(3), self.K, np.array(self.distortion))
+        return pixels[:, 0]
+
     @property
     def _is_pinhole(self) -> bool:
         return self.model == "radtan" and not any(self.distortion)
@@ -128,11 +148,9 @@ class PinholeCamera:
         outline = self._outline()
         ideal = self._undistorted(outline)
         rays = np.column_stack([(ideal - [self.cx, self.cy]) / [self.fx, self.fy], np.ones(len(ideal))])
-        if np.isfinite(rays).all():
-            project = cv2.fisheye.projectPoints if self.model == "equidistant" else cv2.projectPoints
-            again, _ = project(rays[:, None], np.zeros(3), np.zeros(3), self.K, np.array(self.distortion))
-            if np.abs(again[:, 0] - outline).max() < _MOST_UNDISTORT_ERROR_PX:
-                return
+        error = np.abs(self._projected(rays) - outline).max() if np.isfinite(rays).all() else np.inf
+        if error < _MOST_UNDISTORT_ERROR_PX:
+            return
         raise ValueError(f"camera distortion cannot be taken out over the whole image: {self.distortion}")
 
 

@@ -14,6 +14,7 @@ from slam.map.trajectory import keyframe_trajectory
 
 BLIND = range(50, 56)
 FADED = range(50, 80)
+SMEARED = range(50, 72)
 _FADED_CONTRAST = 0.05
 _FADED_SPEED = 3
 
@@ -125,6 +126,17 @@ def faded_scene():
         for i, image in enumerate(shown)
     ]
     return _scene(faded, T_world_cam[kept])
+
+
+@cache
+def smeared_scene():
+    """Frames that each are the mean of 25 views while the camera moves on, between sharp ones."""
+    images, _, T_world_cam = toy(140, 0, STEP_M)
+    shown = [
+        np.rint(np.mean(images[i - 12 : i + 13], axis=0)).astype(np.uint8) if i in SMEARED else image
+        for i, image in enumerate(images[:120])
+    ]
+    return _scene(shown, T_world_cam[:120])
 
 
 def _without_features(features):

@@ -29,6 +29,12 @@ def _gms(config: "RecoveryConfig | None") -> "RecoveryThread":
     return GmsRecovery(config)
 
 
+def _direct(config: "RecoveryConfig | None") -> "RecoveryThread":
+    from slam.dual.recovery.direct import DirectRecovery
+
+    return DirectRecovery(config)
+
+
 def _paper_orb(config: "RecoveryConfig | None") -> "RecoveryThread":
     from slam.dual.recovery.paper import paper_orb_config
 
@@ -45,6 +51,7 @@ RECOVERY_KINDS: dict[str, RecoveryFactory] = {
     "orb": _orb,
     "sift": _sift,
     "gms": _gms,
+    "direct": _direct,
     "paper_orb": _paper_orb,
     "paper_sift": _paper_sift,
 }

@@ -13,7 +13,7 @@ from slam.core.frame import Frame
 from slam.dual.recovery.interface import RecoveryConfig
 from slam.dual.recovery.registry import ThreadSpec, build_thread
 from slam.dual.recovery.sift import SiftRecoveryConfig, SiftTracker
-from slam.features import sift
+from slam.features import sift, tracks
 from slam.features.sift import SiftFrame
 from slam.features.sift_detector import SiftDetector
 from slam.map.invariants import check_map
@@ -87,7 +87,7 @@ def test_a_frame_that_does_not_match_the_last_one_is_matched_with_the_last_keyfr
     shown[BLIND.stop - 2][:, :120] = 120
     task = replace(task, image_of=lambda index: shown.get(index, images[index]))
     features = {f.index: f for f in task.backward}
-    tracker = SiftTracker(task, SiftRecoveryConfig(min_sift_inliers_alone=20, keyframe_too=keyframe_too))
+    tracker = SiftTracker(task, SiftRecoveryConfig(min_features_alone=20, keyframe_too=keyframe_too))
     tracked = [tracker.track(Frame(features[index])).success for index in shown]
     assert tracked == [True, keyframe_too]
 
@@ -162,11 +162,11 @@ def test_a_feature_takes_the_depth_of_a_nearby_map_point():
     seen = view_of(xy, np.zeros((3, 128), np.uint8))
     T = rigid((0.3, -0.2, 0.5), (3, 8, -5))
     beside = np.array([[104.0, 101.0], [330.0, 200.0], [500.0, 397.0]])
-    xyz_cam = sift.rays(beside, VIEW) * np.array([[4.0], [5.0], [6.0]])
+    xyz_cam = tracks.rays(beside, VIEW) * np.array([[4.0], [5.0], [6.0]])
     xyz = (xyz_cam - T[:3, 3]) @ T[:3, :3]
-    sift.take_depth_from_points(seen, xyz, beside, T, VIEW, 6.0)
+    tracks.take_depth_from_points(seen, xyz, beside, T, VIEW, 6.0)
     assert seen.known.tolist() == [True, False, True]
-    np.testing.assert_allclose(seen.xyz_cam[[0, 2]], sift.rays(xy[[0, 2]], VIEW) * [[4.0], [6.0]])
+    np.testing.assert_allclose(seen.xyz_cam[[0, 2]], tracks.rays(xy[[0, 2]], VIEW) * [[4.0], [6.0]])
     assert seen.depth == pytest.approx(5.0)
     np.testing.assert_allclose(seen.positions(np.array([0]), T)[0] @ T[:3, :3].T + T[:3, 3], seen.xyz_cam[0])
 
@@ -181,7 +181,7 @@ def test_triangulation_of_pairs_rejects_what_is_inconsistent():
     rays_2 = xyz @ T_2[:3, :3].T + T_2[:3, 3]
     rays_1, rays_2 = rays_1 / rays_1[:, 2:], rays_2 / rays_2[:, 2:]
     rays_1[4, 1] += 0.05  # off the epipolar line
-    found, disagrees = sift.triangulate_pairs(
+    found, disagrees = tracks.triangulate_pairs(
         T_1, rays_1, T_2, rays_2, np.full(6, 1e-5), float(np.cos(np.deg2rad(1.0)))
     )
     assert disagrees.tolist() == [False] * 4 + [True, False]

@@ -1,4 +1,4 @@
-"""Local mapping of ORB features on poses that SIFT features constrain too.
+"""Local mapping of ORB features on poses that other features constrain too.
 
 Source: paper, Algorithm 1, line 20: bundle adjustment and reconstruction with ORB features on SIFT's poses.
 """
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.features.sift import SiftFrame
+from slam.features.tracks import TrackedFrame
 from slam.map import _map_kernels as kernels
 from slam.map.map import MIN_OBSERVATIONS, Map
 from slam.mapping._local_problem import local_problem
@@ -16,12 +16,12 @@ from slam.mapping._triangulation_search import new_points
 from slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
 from slam.optimization.bundle_adjustment import local_bundle_adjust
 
-_MIN_VIEWS = 3  # of a SIFT feature: two views agree on any point along their epipolar line
+_MIN_VIEWS = 3  # of a track: two views agree on any point along their epipolar line
 _FIXED = 2  # oldest of the newest keyframes, which fix position and scale for the others
 
 
-class SiftMapper(LocalMapper):
-    """Local mapping with the SIFT features of the newest keyframes.
+class TrackMapper(LocalMapper):
+    """Local mapping with the tracked features of the newest keyframes.
 
     They take part in bundle adjustment, and those keyframes are matched for new points even if they share
     none: so the map continues across frames in which no ORB features are matched.
@@ -31,7 +31,7 @@ class SiftMapper(LocalMapper):
         config: settings.
         first: view of keyframe 0, at which recovery starts.
         latest: returns the view of the frame that becomes a keyframe.
-        kept: number of keyframes whose SIFT features are kept.
+        kept: number of keyframes whose tracked features are kept.
         paired: number of them matched for new points.
     """
 
@@ -39,8 +39,8 @@ class SiftMapper(LocalMapper):
         self,
         map_: Map,
         config: LocalMappingConfig,
-        first: SiftFrame,
-        latest: Callable[[], SiftFrame],
+        first: TrackedFrame,
+        latest: Callable[[], TrackedFrame],
         kept: int,
         paired: int,
     ) -> None:
@@ -48,7 +48,7 @@ class SiftMapper(LocalMapper):
         self._latest = latest
         self._kept = kept
         self._paired = paired
-        self._views: dict[int, SiftFrame] = {0: first}
+        self._views: dict[int, TrackedFrame] = {0: first}
 
     def adjust_keyframes(self, free: np.ndarray) -> None:
         """Bundle-adjust the keyframes marked in ``free``, the newest ones, and their points.
@@ -68,29 +68,29 @@ class SiftMapper(LocalMapper):
         fixed = ~free[cameras]
         if not fixed.any():
             fixed[0] = True
-        sift = self._sift_problem(cameras)
-        if not len(points) and not len(sift.xyz):
+        tracks = self._track_problem(cameras)
+        if not len(points) and not len(tracks.xyz):
             return
         count = len(obs_camera)
         result, good = local_bundle_adjust(
             a.kf_T_cam_map[cameras],
             fixed,
-            np.concatenate([a.pt_xyz[points], sift.xyz]),
-            np.concatenate([obs_camera, sift.camera]),
-            np.concatenate([obs_point, len(points) + sift.point]),
-            np.concatenate([a.kp_xy[obs_keypoint], sift.xy]),
-            np.concatenate([view.inv_sigma2[a.kp_octave[obs_keypoint]], sift.inv_sigma2]),
+            np.concatenate([a.pt_xyz[points], tracks.xyz]),
+            np.concatenate([obs_camera, tracks.camera]),
+            np.concatenate([obs_point, len(points) + tracks.point]),
+            np.concatenate([a.kp_xy[obs_keypoint], tracks.xy]),
+            np.concatenate([view.inv_sigma2[a.kp_octave[obs_keypoint]], tracks.inv_sigma2]),
             view.fx, view.fy, view.cx, view.cy,
         )  # fmt: skip
         a.kf_T_cam_map[cameras[~fixed]] = result.T_cam_map[~fixed]
         a.pt_xyz[points] = result.points[: len(points)]
         kernels.erase_observations(a, obs_keypoint[~good[:count]], MIN_OBSERVATIONS)
         kernels.refresh_geometries(a, points, view.scale)
-        xyz = result.points[len(points) :][sift.point]
-        for c in np.unique(sift.camera):
-            own, seen = sift.camera == c, self._views[int(cameras[c])]
-            seen.set_positions(sift.row[own], xyz[own], result.T_cam_map[c])
-            seen.forget(sift.row[own & ~good[count:]])
+        xyz = result.points[len(points) :][tracks.point]
+        for c in np.unique(tracks.camera):
+            own, seen = tracks.camera == c, self._views[int(cameras[c])]
+            seen.set_positions(tracks.row[own], xyz[own], result.T_cam_map[c])
+            seen.forget(tracks.row[own & ~good[count:]])
 
     # -- steps -------------------------------------------------------------------------------------------
 
@@ -121,8 +121,8 @@ class SiftMapper(LocalMapper):
         kernels.create_points(m.arrays, first, xyz, own, theirs, m.view.scale)
         return np.arange(first, first + len(own))
 
-    def _sift_problem(self, cameras: np.ndarray) -> "_SiftProblem":
-        """Bundle adjustment terms of the SIFT features seen from ``cameras`` (C,), keyframe rows."""
+    def _track_problem(self, cameras: np.ndarray) -> "_TrackProblem":
+        """Bundle adjustment terms of the tracked features seen from ``cameras`` (C,), keyframe rows."""
         seen = [
             (c, self._views[int(k)], self.map.T_cam_map(int(k)))
             for c, k in enumerate(cameras)
@@ -140,7 +140,7 @@ class SiftMapper(LocalMapper):
         xyz[point[made]] = positions[made]
         use = (counts >= _MIN_VIEWS) & np.isfinite(xyz[:, 0])
         keep = use[point]
-        return _SiftProblem(
+        return _TrackProblem(
             camera[keep],
             row[keep],
             (np.cumsum(use) - 1)[point[keep]],
@@ -151,8 +151,8 @@ class SiftMapper(LocalMapper):
 
 
 @dataclass(frozen=True)
-class _SiftProblem:
-    """Observations (n,) of SIFT features, ordered by camera, and their points (p, 3)."""
+class _TrackProblem:
+    """Observations (n,) of tracked features, ordered by camera, and their points (p, 3)."""
 
     camera: np.ndarray
     row: np.ndarray

@@ -1,0 +1,361 @@
+"""Photometric alignment: the motion between two views under which pixels of known depth look alike.
+
+Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018.
+"""
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from slam.direct._alignment_kernels import PATTERN, likeness, linearise, residual_energy, sample_patterns
+from slam.direct.pyramid import ImagePyramid
+from slam.optimization._se3 import retract
+
+_SPACING_PX = 2  # of points on the coarser levels, where more would see the same pixels
+_DAMPING = 1e-2
+_LEAST_DAMPING = 1e-6
+_LEAST_INFORMATION = 1e-9
+_FAN_PX = 1.5
+_LEAST_CONTRAST = 0.5
+_LARGE_GAIN = 0.3  # as a logarithm
+_LARGE_OFFSET = 30.0
+_STILL_PX = 0.02  # a smaller step is none
+
+
+@dataclass(frozen=True)
+class AlignmentConfig:
+    """Settings of photometric alignment.
+
+    Attributes:
+        huber: residual beyond which it counts linearly, of 255.
+        gradient_scale: gradient per pixel at which a residual counts half.
+        cutoff: residual beyond which it counts as this, doubled while too many do.
+        most_saturated: share of such residuals that is too many.
+        most_cutoff_factor: largest factor of ``cutoff``.
+        iterations: most steps on a level.
+        gain_sigma, offset_sigma: what is expected of a and b: images gain brightness little.
+        tried: most of the guesses that are followed from the coarsest level on.
+    """
+
+    huber: float = 9.0
+    gradient_scale: float = 50.0
+    cutoff: float = 20.0
+    most_saturated: float = 0.6
+    most_cutoff_factor: float = 8.0
+    iterations: int = 12
+    gain_sigma: float = 0.3
+    offset_sigma: float = 20.0
+    tried: int = 3
+
+    @property
+    def affine_prior(self) -> np.ndarray:
+        """(2,) information on a and b in units of the residuals' variance."""
+        return self.huber**2 / np.array([self.gain_sigma, self.offset_sigma]) ** 2
+
+
+@dataclass(frozen=True)
+class Patterns:
+    """Points of a view at one level of its pyramid.
+
+    Attributes:
+        uv: (N, 2) float64 pixels of the level.
+        inverse_depth: (N,) float64.
+        intensity, weight: (N, 8) float64 of the pixels of the pattern.
+    """
+
+    uv: np.ndarray
+    inverse_depth: np.ndarray
+    intensity: np.ndarray
+    weight: np.ndarray
+
+
+class Reference:
+    """A view with points of known depth, ready to be aligned with others.
+
+    Args:
+        pyramid: of the view.
+        intrinsics: (L, 4) of its levels.
+        xy: (N, 2) pixels of the finest level.
+        inverse_depth: (N,) in its own length unit, positive.
+        config: settings.
+    """
+
+    def __init__(
+        self,
+        pyramid: ImagePyramid,
+        intrinsics: np.ndarray,
+        xy: np.ndarray,
+        inverse_depth: np.ndarray,
+        config: AlignmentConfig | None = None,
+    ) -> None:
+        self.intrinsics = intrinsics
+        self.config = config or AlignmentConfig()
+        self.depth = 1.0 / float(np.median(inverse_depth)) if len(inverse_depth) else np.nan
+        self._mean, self._contrast = _moments(pyramid)
+        self.levels: tuple[Patterns, ...] = tuple(
+            self._sampled(image, *_at_level(xy, inverse_depth, level))
+            for level, image in enumerate(pyramid.levels)
+        )
+
+    def __len__(self) -> int:
+        return len(self.levels[0].uv)
+
+    def brightness_of(self, other: ImagePyramid) -> np.ndarray:
+        """(2,) a and b by which mean and contrast of the whole images differ."""
+        mean, contrast = _moments(other)
+        if min(contrast, self._contrast) < _LEAST_CONTRAST:
+            return np.zeros(2)
+        gain = contrast / self._contrast
+        return np.array([np.log(gain), mean - gain * self._mean])
+
+    def coarser(self) -> "Reference":
+        """The same without the finest level."""
+        return self._with(self.levels[1:], self.intrinsics[1:])
+
+    def seen_in(self, pyramid: ImagePyramid) -> "Reference":
+        """The same points in another image of the same view."""
+        levels = zip(pyramid.levels, self.levels, strict=True)
+        return self._with(
+            tuple(self._sampled(image, p.uv, p.inverse_depth) for image, p in levels), self.intrinsics
+        )
+
+    def _with(self, levels: tuple[Patterns, ...], intrinsics: np.ndarray) -> "Reference":
+        other = copy(self)
+        other.levels, other.intrinsics = levels, intrinsics
+        return other
+
+    def _sampled(self, image: np.ndarray, uv: np.ndarray, inverse_depth: np.ndarray) -> Patterns:
+        intensity, weight = np.empty((len(uv), len(PATTERN))), np.empty((len(uv), len(PATTERN)))
+        sample_patterns(image, uv, PATTERN, self.config.gradient_scale, intensity, weight)
+        return Patterns(uv, inverse_depth, intensity, weight)
+
+
+def _moments(pyramid: ImagePyramid) -> tuple[float, float]:
+    """Mean and standard deviation of the coarsest level."""
+    known = pyramid.levels[-1][..., 0]
+    known = known[np.isfinite(known)]
+    return (float(known.mean()), float(known.std())) if known.size else (0.0, 0.0)
+
+
+def _at_level(xy: np.ndarray, inverse_depth: np.ndarray, level: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels and inverse depths of the points that are used on a level."""
+    uv = (np.asarray(xy, float) + 0.5) * 0.5**level - 0.5
+    kept = np.arange(len(uv)) if level == 0 else _spaced(uv)
+    return np.ascontiguousarray(uv[kept]), np.ascontiguousarray(inverse_depth[kept], float)
+
+
+def _spaced(uv: np.ndarray) -> np.ndarray:
+    """Rows of the first point of every small square of pixels."""
+    squares = np.floor(uv / _SPACING_PX).astype(np.int64)
+    _, first = np.unique(squares[:, 1] << 32 | squares[:, 0] & 0xFFFFFFFF, return_index=True)
+    return np.sort(first)
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """A photometric alignment.
+
+    Attributes:
+        T_target_ref: (4, 4) motion, reference camera to target camera.
+        affine: (2,) a, b: target intensity is exp(a) times the reference's plus b.
+        error: root of the mean weighted Huber cost on the finest level, of 255.
+        visible: share of the reference's pixels that the target shows.
+        saturated: share of these whose residual is beyond the cutoff.
+        likeness: correlation of the two views within the patterns on the finest level, -1 to 1.
+        information: (6, 6) of translation and rotation at the result, brightness taken out, for residuals of
+            unit variance.
+    """
+
+    T_target_ref: np.ndarray
+    affine: np.ndarray
+    error: float
+    visible: float
+    saturated: float
+    likeness: float
+    information: np.ndarray
+
+
+def align(
+    reference: Reference,
+    target: ImagePyramid,
+    guesses: Sequence[np.ndarray],
+    affine: np.ndarray | None = None,
+    coarsest: int | None = None,
+    finest: int = 0,
+) -> Aligned | None:
+    """Align a view with a reference, coarse to fine.
+
+    Args:
+        reference: view with depths.
+        target: pyramid of the other view, of the same camera.
+        guesses: (4, 4) motions reference to target that are tried.
+        affine: (2,) brightness at first; None for no change, or that of the whole images if it is large.
+        coarsest, finest: levels to begin and to end with; the whole pyramid by default.
+
+    Returns:
+        The alignment; None if the views have too little in common to determine one.
+    """
+    config, levels = reference.config, len(target)
+    top = levels - 1 if coarsest is None else min(coarsest, levels - 1)
+    start = np.asarray(_first_brightness(reference, target) if affine is None else affine, float)
+    states = [_State(np.array(T, float), start.copy()) for T in guesses]
+    states = _best(reference, target, states, top, config.tried)
+    for level in range(top, finest - 1, -1):
+        for state in states:
+            state.refine(reference, target, level)
+        states = _best(reference, target, states, level, 1 if level == top else len(states))
+        if not states:
+            return None
+    return states[0].result(reference, target, finest)
+
+
+def fan(T_target_ref: np.ndarray, intrinsics: np.ndarray) -> list[np.ndarray]:
+    """A guess and small turns of it about all axes, as large as the coarsest level needs.
+
+    Args:
+        T_target_ref: (4, 4) guess.
+        intrinsics: (L, 4) of the levels.
+
+    Returns:
+        27 guesses, the given one first.
+    """
+    turn = _FAN_PX / intrinsics[-1][0]
+    guesses = []
+    for axes in sorted(product((-1.0, 0.0, 1.0), repeat=3), key=lambda a: sum(map(abs, a))):
+        T = np.eye(4)
+        retract(T_target_ref, turn * np.array([0.0, 0.0, 0.0, *axes]), T)
+        guesses.append(T)
+    return guesses
+
+
+class _Model(NamedTuple):
+    """Mean cost of an alignment, and half of its sum as a quadratic form of a step."""
+
+    cost: float
+    H: np.ndarray
+    gradient: np.ndarray
+
+
+def _first_brightness(reference: Reference, target: ImagePyramid) -> np.ndarray:
+    whole = reference.brightness_of(target)
+    return whole if abs(whole[0]) > _LARGE_GAIN or abs(whole[1]) > _LARGE_OFFSET else np.zeros(2)
+
+
+class _State:
+    """An alignment under way."""
+
+    def __init__(self, T: np.ndarray, affine: np.ndarray) -> None:
+        self.T = T
+        self.affine = affine
+
+    def energy(
+        self, reference: Reference, target: ImagePyramid, level: int, cutoff: float
+    ) -> tuple[float, int, int]:
+        """Sum of costs, number of pixels, number of those beyond the cutoff."""
+        p, config = reference.levels[level], reference.config
+        return residual_energy(
+            target.levels[level], reference.intrinsics[level], p.uv, p.inverse_depth, PATTERN, p.intensity,
+            p.weight, self.T, self.affine, config.huber, cutoff,
+        )  # fmt: skip
+
+    def refine(self, reference: Reference, target: ImagePyramid, level: int) -> None:
+        """Levenberg steps on one level."""
+        config = reference.config
+        cutoff = self._cutoff(reference, target, level)
+        scale = np.append(np.full(3, reference.depth), np.ones(5))  # steps of position are in depths
+        still = _STILL_PX / reference.intrinsics[level][0]
+        model, damping = self.model(reference, target, level, cutoff), _DAMPING
+        for _ in range(config.iterations):
+            step = -np.linalg.solve(
+                model.H * scale * scale[:, None]
+                + np.diag(damping * model.H.diagonal() * scale**2 + _LEAST_INFORMATION),
+                model.gradient * scale,
+            )
+            moved = self._moved(step * scale)
+            there = moved.model(reference, target, level, cutoff)
+            if there.cost < model.cost:
+                self.T, self.affine, model = moved.T, moved.affine, there
+                damping = max(damping / 4, _LEAST_DAMPING)
+                if np.abs(step[:6]).max() < still:
+                    break
+            elif np.abs(step[:6]).max() < still:
+                break
+            else:
+                damping *= 8
+
+    def model(self, reference: Reference, target: ImagePyramid, level: int, cutoff: float) -> "_Model":
+        """Mean cost and its Gauss-Newton model."""
+        p, config = reference.levels[level], reference.config
+        H, gradient = np.empty((8, 8)), np.empty(8)
+        energy, seen, _ = linearise(
+            target.levels[level], reference.intrinsics[level], p.uv, p.inverse_depth, PATTERN, p.intensity,
+            p.weight, self.T, self.affine, config.huber, cutoff, H, gradient,
+        )  # fmt: skip
+        H[[6, 7], [6, 7]] += config.affine_prior
+        gradient[6:] += config.affine_prior * self.affine
+        return _Model(self._mean(reference, level, energy, seen), H, gradient)
+
+    def _moved(self, step: np.ndarray) -> "_State":
+        T = np.eye(4)
+        retract(self.T, step[:6], T)
+        return _State(T, self.affine + step[6:])
+
+    def _cutoff(self, reference: Reference, target: ImagePyramid, level: int) -> float:
+        """The cutoff, doubled while too many residuals are beyond it."""
+        config = reference.config
+        cutoff = config.cutoff
+        while cutoff < config.cutoff * config.most_cutoff_factor:
+            _, seen, saturated = self.energy(reference, target, level, cutoff)
+            if saturated <= config.most_saturated * seen:
+                break
+            cutoff *= 2.0
+        return cutoff
+
+    def mean_cost(self, reference: Reference, target: ImagePyramid, level: int, cutoff: float) -> float:
+        """Mean cost of a pixel with the prior of the brightness; infinite with too few pixels."""
+        energy, seen, _ = self.energy(reference, target, level, cutoff)
+        return self._mean(reference, level, energy, seen)
+
+    def _mean(self, reference: Reference, level: int, energy: float, seen: int) -> float:
+        prior = float(reference.config.affine_prior @ self.affine**2)
+        return (energy + prior) / seen if seen >= _least_pixels(reference, level) else np.inf
+
+    def result(self, reference: Reference, target: ImagePyramid, level: int) -> Aligned:
+        p, config = reference.levels[level], reference.config
+        energy, seen, saturated = self.energy(reference, target, level, config.cutoff)
+        H = self.model(reference, target, level, config.cutoff).H
+        alike = likeness(
+            target.levels[level], reference.intrinsics[level], p.uv, p.inverse_depth, PATTERN, p.intensity,
+            p.weight, self.T,
+        )  # fmt: skip
+        known = int((p.weight > 0).sum())
+        inner = H[6:, 6:] + 1e-9 * np.eye(2)
+        information = H[:6, :6] - H[:6, 6:] @ np.linalg.solve(inner, H[6:, :6])
+        return Aligned(
+            self.T,
+            self.affine,
+            float(np.sqrt(energy / max(1, seen))),
+            seen / max(1, known),
+            saturated / max(1, seen),
+            float(alike),
+            information,
+        )
+
+
+def _least_pixels(reference: Reference, level: int) -> float:
+    """Fewest pixels that both views must have: an alignment that looks away from most has low costs."""
+    return max(100.0, 0.1 * float((reference.levels[level].weight > 0).sum()))
+
+
+def _best(
+    reference: Reference, target: ImagePyramid, states: list[_State], level: int, most: int
+) -> list[_State]:
+    """The states of least mean cost, those without enough pixels left out."""
+    cutoff = reference.config.cutoff * reference.config.most_cutoff_factor
+    costs = [state.mean_cost(reference, target, level, cutoff) for state in states]
+    order = [i for i in np.argsort(costs, kind="stable") if np.isfinite(costs[i])]
+    return [states[i] for i in order[:most]]

@@ -1,0 +1,100 @@
+"""Alignment of a sharp view with one that is blurred by motion: the sharper one is blurred too."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from slam.direct.alignment import Aligned, Reference, align
+from slam.direct.pyramid import ImagePyramid, Rectifier
+
+_LENGTHS = tuple(2.0 * 1.4**i for i in range(13))  # px of the second finest level, on which this is done
+_MOST_OF_WIDTH = 0.4
+_LEAST_FLOW_PX = 0.5
+
+
+def align_through_blur(
+    reference: Reference,
+    source: ImagePyramid,
+    target: ImagePyramid,
+    rectifier: Rectifier,
+    xyz: np.ndarray,
+    velocity: np.ndarray,
+    guesses: Sequence[np.ndarray],
+) -> Aligned | None:
+    """Align two views, the sharper of them blurred along the predicted motion by the length that fits best.
+
+    The whole image is blurred alike, on the second finest level: so much and no more does it tell.
+
+    Args:
+        reference: points of the source.
+        source, target: the views.
+        rectifier: that made them.
+        xyz: (N, 3) the reference's points in its camera.
+        velocity: (4, 4) motion per frame, earlier camera to later one.
+        guesses: (4, 4) motions, source to target.
+
+    Returns:
+        The alignment of least error; None if there is none or nothing moves in the image.
+    """
+    if len(target) < 2:
+        return None
+    direction = _flow(xyz, velocity, reference.intrinsics[1])
+    if direction is None:
+        return None
+    view, images = reference.coarser(), (source.levels[1][..., 0], target.levels[1][..., 0])
+    blur_target = _sharpness(target) > _sharpness(source)
+    best = None
+    for length in _LENGTHS:
+        if length > _MOST_OF_WIDTH * images[0].shape[1]:
+            break
+        blurred = rectifier.pyramid_of(_blurred(images[blur_target], direction, length), 1)
+        if blur_target:
+            found = align(view, blurred, guesses)
+        else:
+            found = align(view.seen_in(blurred), ImagePyramid(target.levels[1:]), guesses)
+        if found is not None and (best is None or found.error < best.error):
+            best = found
+    return best
+
+
+def _flow(xyz: np.ndarray, velocity: np.ndarray, intrinsics: np.ndarray) -> np.ndarray | None:
+    """(2,) direction in which points move in the image; None if they hardly do."""
+    moved = xyz @ velocity[:3, :3].T + velocity[:3, 3]
+    ahead = moved[:, 2] > 0
+    if not ahead.any():
+        return None
+    flow = np.median(moved[ahead, :2] / moved[ahead, 2:] - xyz[ahead, :2] / xyz[ahead, 2:], axis=0)
+    flow *= intrinsics[:2]
+    speed_px = float(np.linalg.norm(flow))
+    return flow / speed_px if speed_px >= _LEAST_FLOW_PX else None
+
+
+def _sharpness(pyramid: ImagePyramid) -> float:
+    """Mean absolute gradient of the second finest level."""
+    return float(np.nanmean(np.abs(pyramid.levels[1][..., 1:])))
+
+
+def _blurred(image: np.ndarray, direction: np.ndarray, length: float) -> np.ndarray:
+    """The image (H, W) float32 averaged along a line; what is unknown stays so."""
+    size = int(np.ceil(length)) | 1
+    middle = size // 2
+    kernel = np.zeros((size, size), np.float32)
+    for at in np.linspace(-length / 2, length / 2, 4 * size):
+        x, y = middle + at * direction
+        c, r = int(np.floor(x)), int(np.floor(y))
+        for i, j, share in (
+            (r, c, (1 - x + c) * (1 - y + r)), (r, c + 1, (x - c) * (1 - y + r)),
+            (r + 1, c, (1 - x + c) * (y - r)), (r + 1, c + 1, (x - c) * (y - r)),
+        ):  # fmt: skip
+            if 0 <= i < size and 0 <= j < size:
+                kernel[i, j] += share
+    known = np.isfinite(image)
+    filled = np.where(known, image, np.float32(0))
+    out = cv2.filter2D(filled, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE)
+    if known.all():
+        return out
+    weight = cv2.filter2D(
+        known.astype(np.float32), -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE
+    )
+    return np.where(known, out / np.maximum(weight, 1e-6), np.float32(np.nan)).astype(np.float32)

@@ -1,0 +1,219 @@
+"""What recovery threads share that follow features of their own beside the map's: pose, depth, tracks."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.core.frame import Frame
+from slam.core.timing import StageTimer
+from slam.dual.recovery.interface import RecoveryConfig, RecoveryTask
+from slam.dual.recovery.track_mapping import TrackMapper
+from slam.features.tracks import TrackedFrame, rays, take_depth_from_points, triangulate_pairs
+from slam.map._map_kernels import count_observed, resolve_points
+from slam.matching import guided
+from slam.optimization.pose import CHI2_2DOF, optimize_pose
+from slam.tracking.tracker import Tracker, TrackingOutcome
+
+
+@dataclass(frozen=True)
+class TrackRecoveryConfig(RecoveryConfig):
+    """Settings of a thread with features of its own.
+
+    Attributes:
+        min_points: fewest map points that are inliers of a pose.
+        min_features, min_features_alone: fewest features that are; the same if the map points are fewer than
+            ``min_points``.
+        keyframe_too: a frame that does not fit the last placed one is compared with the last keyframe.
+        young_points: points with three observations, below which the map around a keyframe counts as young.
+        min_parallax_deg: least angle between the rays that triangulate a feature.
+        depth_radius_px: largest distance to a map point's keypoint at which a feature takes its depth, until
+            it is triangulated.
+        adjusted_keyframes: number of newest keyframes whose features are in bundle adjustment.
+        paired_keyframes: number of them matched for new points even without covisibility.
+    """
+
+    min_points: int = 15
+    min_features: int = 20
+    min_features_alone: int = 60
+    keyframe_too: bool = True
+    young_points: int = 50
+    min_parallax_deg: float = 1.15
+    depth_radius_px: float = 6.0
+    adjusted_keyframes: int = 10
+    paired_keyframes: int = 4
+
+
+class TrackTracker(Tracker):
+    """Places frames by features that are followed from frame to frame, then matches the map's ORB features.
+
+    A feature takes its depth from a nearby map point at first; once there is parallax with the frame that
+    saw it first, it is triangulated. Positions are kept relative to the last frame that saw them and so
+    follow the map when bundle adjustment moves it.
+
+    Attributes:
+        latest: the last placed frame.
+        keyframe_view: the last keyframe.
+    """
+
+    def __init__(self, task: RecoveryTask, config: TrackRecoveryConfig, first: TrackedFrame) -> None:
+        super().__init__(task.new_map, config.tracking_in(task), StageTimer())
+        self._thread_config = config
+        self._placed: list[Frame] = []
+        self._tracks = 0
+        self.latest = self.keyframe_view = first
+        self.start(first.frame, first.frame.reference_keyframe)
+        self.register(first)
+
+    def mapper(self, task: RecoveryTask) -> TrackMapper:
+        """Local mapping with the features of the keyframes that are made of placed frames."""
+        config = self._thread_config
+        return TrackMapper(
+            self.map,
+            config.mapping_in(task),
+            self.latest,
+            lambda: self.latest,
+            config.adjusted_keyframes,
+            config.paired_keyframes,
+        )
+
+    def pass_over(self, frame: Frame) -> None:
+        """Skip an unusable frame: the next one is compared with the same frame."""
+        self._passed_over += 1
+
+    def wants_keyframe(self, frame: Frame, inliers: int) -> bool:
+        """Decide as forward tracking does, but earlier where the map is young or ends."""
+        if not self._may_be_keyframe(frame):
+            return False
+        if inliers < self._thread_config.min_points:
+            return True
+        if count_observed(self.map.arrays, frame.reference_keyframe, 3) < self._thread_config.young_points:
+            known = count_observed(self.map.arrays, frame.reference_keyframe, 2)
+            return inliers < self.config.keyframe_share * known
+        return super().wants_keyframe(frame, inliers)
+
+    def keyframe_made(self, frame: Frame, keyframe: int) -> None:
+        """Take over that ``frame``, the last placed one, has become ``keyframe``."""
+        super().keyframe_made(frame, keyframe)
+        self.keyframe_view = self.latest
+
+    def confirm(
+        self, tracked: TrackedFrame, reference: TrackedFrame, xyz: np.ndarray, rows: np.ndarray
+    ) -> tuple[TrackingOutcome, np.ndarray]:
+        """Refine a pose by the map too; if it holds, the frame is the last one from now on.
+
+        Args:
+            tracked: the frame, with a pose.
+            reference: the frame that it was compared with.
+            xyz, rows: (k, 3) positions of the features ``rows``.
+
+        Returns:
+            The outcome, and (k,) bool mask of the features that agree.
+        """
+        config, frame = self._thread_config, tracked.frame
+        resolve_points(self.map.arrays, reference.frame.point)
+        agree, points, matches = self.match_map(tracked, reference.frame.point, xyz, rows)
+        features = int(agree.sum())
+        alone = points < config.min_points
+        too_few = features + points < self._least_inliers(frame, 0)
+        if too_few or features < (config.min_features_alone if alone else config.min_features):
+            return TrackingOutcome(False, points, matches, "too_few_inliers"), agree
+        fault = self._fault_of_crossing(frame, reference.frame)
+        if fault:
+            return TrackingOutcome(False, points, matches, fault), agree
+        if alone:
+            frame.point[:] = -1
+        self.set_reference(frame, reference.frame)
+        self._accept(frame, reference.frame)
+        return TrackingOutcome(True, points, matches), agree
+
+    # -- steps -------------------------------------------------------------------------------------------
+
+    def match_map(
+        self, tracked: TrackedFrame, seen: np.ndarray, xyz: np.ndarray, rows: np.ndarray
+    ) -> tuple[np.ndarray, int, int]:
+        """Match the local map around the pose and refine it by both kinds of features.
+
+        Args:
+            tracked: the frame, with a pose.
+            seen: map points that the reference frame sees, -1 for none.
+            xyz, rows: (k, 3) positions of the features ``rows``.
+
+        Returns:
+            Inlier mask of the features (k,) bool, number of map point inliers, number of map points matched.
+        """
+        m, frame, f = self.map, tracked.frame, tracked.frame.features
+        _, candidates = guided.collect_local_map(
+            m.arrays, m.n_keyframes, m.n_points, seen, self.config.local_map_keyframes
+        )
+        frame.point[:] = -1
+        agree, matches = np.zeros(len(rows), np.bool_), 0
+        for widen, last in ((2.0, False), (1.0, True)):
+            guided.match_local_points(
+                m.arrays, m.view, frame.T_cam_map, candidates,
+                f.xy, f.octave, f.descriptors, f.cell_start, frame.point, widen,
+                self.config.local_map_ratio, last,
+            )  # fmt: skip
+            matched = np.flatnonzero(frame.point >= 0)
+            matches = len(matched)
+            frame.T_cam_map, inlier = optimize_pose(
+                frame.T_cam_map,
+                np.concatenate([m.arrays.pt_xyz[frame.point[matched]], xyz]),
+                np.concatenate([f.xy[matched], tracked.xy[rows]]),
+                np.concatenate([m.view.inv_sigma2[f.octave[matched]], tracked.inv_sigma2[rows]]),
+                m.view.fx, m.view.fy, m.view.cx, m.view.cy,
+            )  # fmt: skip
+            frame.point[matched[~inlier[:matches]]] = -1
+            agree = inlier[matches:]
+        return agree, int((frame.point >= 0).sum()), matches
+
+    def set_reference(self, frame: Frame, reference: Frame) -> None:
+        """Set the reference: the keyframe with most common points, or the predecessor's."""
+        m = self.map
+        keyframes, _ = guided.collect_local_map(m.arrays, m.n_keyframes, m.n_points, frame.point, 1)
+        frame.reference_keyframe = (
+            int(keyframes[0]) if len(keyframes) else m.live(reference.reference_keyframe)
+        )
+
+    def pass_tracks_on(self, tracked: TrackedFrame, reference: TrackedFrame, pairs: np.ndarray) -> None:
+        """Pass first view and position of each feature to its match, triangulated where possible."""
+        theirs, own = pairs.T
+        view, T = self.map.view, tracked.frame.T_cam_map
+        tracked.follow(own, reference, theirs)
+        tracked.set_positions(own, reference.positions(theirs, self.pose_of(reference.frame)), T)
+        poses = np.empty((len(self._placed), 4, 4))
+        for number in np.unique(tracked.seen_from[own]):
+            poses[number] = self.pose_of(self._placed[number])
+        xyz, disagrees = triangulate_pairs(
+            poses[tracked.seen_from[own]],
+            rays(tracked.seen_at[own], view),
+            np.ascontiguousarray(T),
+            rays(tracked.xy[own], view),
+            CHI2_2DOF / (tracked.inv_sigma2[own] * view.fx * view.fy),
+            float(np.cos(np.deg2rad(self._thread_config.min_parallax_deg))),
+        )
+        seen = np.isfinite(xyz[:, 0])
+        tracked.set_positions(own[seen], xyz[seen], T)
+        tracked.forget(own[disagrees])
+
+    def register(self, tracked: TrackedFrame) -> None:
+        """Register a placed frame; its new features take their depth from nearby map points."""
+        frame, m = tracked.frame, self.map
+        new = np.flatnonzero(tracked.seen_from < 0)
+        tracked.seen_from[new] = len(self._placed)
+        tracked.track[new] = self._tracks + np.arange(len(new))
+        self._tracks += len(new)
+        self._placed.append(frame)
+        rows = np.flatnonzero(frame.point >= 0)
+        take_depth_from_points(
+            tracked,
+            m.arrays.pt_xyz[frame.point[rows]],
+            frame.features.xy[rows],
+            frame.T_cam_map,
+            m.view,
+            self._thread_config.depth_radius_px,
+        )
+        self.latest = tracked
+
+    def pose_of(self, frame: Frame) -> np.ndarray:
+        """(4, 4) T_cam_map of a placed frame in the current map."""
+        return frame.T_cam_reference @ self.map.T_cam_map(frame.reference_keyframe)

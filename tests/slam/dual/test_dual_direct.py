@@ -1,0 +1,71 @@
+"""Recovery by intensities: blank, faded and smeared frames, and what it must not believe."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recovery_scenes import FADED, SMEARED, blind_scene, faded_scene, same_map, smeared_scene
+
+from slam.dual.recovery.direct import DirectRecoveryConfig
+from slam.dual.recovery.registry import ThreadSpec, build_thread
+from slam.map.invariants import check_map
+
+
+@pytest.fixture(scope="module")
+def faded():
+    return faded_scene().run("direct")
+
+
+def test_blank_frames_are_passed_over():
+    scene = blind_scene()
+    result = scene.run("direct")
+    assert result.success and result.frames_passed_over == 6
+    assert max(scene.errors_m(result).values()) < 0.02
+    assert abs(scene.scale_error(result)) < 0.04
+
+
+def test_faded_frames_are_crossed_with_a_pose_each(faded):
+    """At a twentieth of the contrast, over a path whose ends share no view."""
+    scene = faded_scene()
+    assert faded.success and faded.frames_passed_over == 0
+    errors = scene.errors_m(faded)
+    assert set(FADED) <= set(errors) and max(errors.values()) < 0.1
+    assert abs(scene.scale_error(faded)) < 0.05
+    check_map(faded.map)
+
+
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_recovery_bit_by_bit(faded):
+    again = faded_scene().run("direct")
+    assert same_map(again.map, faded.map)
+    assert again.alignment.S_old_new.tobytes() == faded.alignment.S_old_new.tobytes()
+
+
+def test_smeared_frames_are_entered_and_left_through_blur():
+    scene = smeared_scene()
+    result = scene.run("direct")
+    assert result.success and result.frames_passed_over == 0
+    errors = scene.errors_m(result)
+    assert set(SMEARED) <= set(errors) and max(errors.values()) < 0.1
+    assert abs(scene.scale_error(result)) < 0.1
+    sharp = scene.run("direct", DirectRecoveryConfig(through_blur=False))
+    assert not sharp.success and sharp.reason == "images_differ"
+
+
+def test_faint_images_of_something_else_do_not_look_alike():
+    """Their residuals are small, as they hold next to nothing; only the patterns tell."""
+    scene = faded_scene()
+    task = scene.again()
+    noise = np.random.default_rng(0).normal(120, 3, task.image_of(60).shape).astype(np.uint8)
+    shown = dict.fromkeys(FADED, noise)
+    task = replace(task, image_of=lambda index: shown.get(index, scene.images[index]))
+    result = build_thread(ThreadSpec("direct")).run(task)
+    assert not result.success and result.reason == "images_differ"
+    assert not set(FADED) & {f.features.index for f in result.frames}
+
+
+def test_a_small_image_is_a_reason():
+    task = blind_scene().again()
+    small = replace(task.camera, width_px=80, height_px=60, cx=40.0, cy=30.0)
+    result = build_thread(ThreadSpec("direct")).run(replace(task, camera=small))
+    assert (result.success, result.stage, result.reason) == (False, "propagation", "image_too_small")
