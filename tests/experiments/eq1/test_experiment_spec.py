@@ -256,7 +256,7 @@ def test_a_family_may_be_used_by_member_or_as_a_whole(tmp_path):
         (
             "threads: [orb,",
             "threads: [gps,",
-            "unknown recovery thread 'gps'; use gms or orb or paper_orb or paper_sift or sift",
+            "unknown recovery thread 'gps'; use direct or gms or orb or paper_orb or paper_sift or sift",
         ),
         ("{kind: orb, seed: 1}", "orb", "two threads are the same; give those of one kind different seeds"),
         ("seed: 1}", "seed: 1, config: {min_shar: 0}}", ":22: threads[1].config.min_shar: unknown key"),
