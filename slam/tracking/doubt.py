@@ -87,7 +87,7 @@ def _centre(T_cam_map: np.ndarray) -> np.ndarray:
 
 
 class Doubt:
-    """Watches the motion of one tracker.
+    """Watches the motion of one tracker, forward or backward in time.
 
     Where little holds a pose, such as a wall that fills the view, a turn and a change of position look alike.
     The estimate then wanders between them from frame to frame, by as much as the camera really moves, while
@@ -148,13 +148,13 @@ class Doubt:
         self._judge(stamp_s)
 
     def _forget(self, stamp_s: float) -> None:
-        oldest_s = stamp_s - self.config.window_s - self.config.memory_s
-        while self._motions[0].stamp_s < oldest_s:
+        span_s = self.config.window_s + self.config.memory_s
+        while abs(stamp_s - self._motions[0].stamp_s) > span_s:
             self._motions.popleft()
 
     def _judge(self, stamp_s: float) -> None:
         motions = np.array(self._motions)
-        recent = motions[:, _STAMP_S] > stamp_s - self.config.window_s
+        recent = np.abs(stamp_s - motions[:, _STAMP_S]) < self.config.window_s
         if min(recent.sum(), (~recent).sum()) < self.config.min_frames:
             return
         usual = np.median(motions[~recent], axis=0)
@@ -172,7 +172,9 @@ class Doubt:
         now = Motion(*np.median(motions[recent], axis=0))
         is_near = 0 < self.config.nearer * now.depth < usual.depth
         is_slow = 0 < self.config.slower * now.speed < usual.speed
-        if is_near and is_slow and now.born_s > motions[~recent][-1, _STAMP_S]:
+        before_s = motions[~recent][-1, _STAMP_S]
+        is_new = (now.born_s - before_s) * (now.stamp_s - before_s) > 0  # in either direction of time
+        if is_near and is_slow and is_new:
             usually = np.flatnonzero(motions[:, _SPEED] >= 0.5 * usual.speed)
             self._declare("scale_of_new_points", motions[min(usually[-1] + 1, len(motions) - 1), _FRAME])
 

@@ -4,7 +4,7 @@ Source: paper, Sec. III-B and Algorithm 1.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Protocol, Self
 
 import numpy as np
@@ -16,6 +16,7 @@ from slam.dual.fusion.fuse import FusionConfig
 from slam.loop_closing.map_alignment import Alignment
 from slam.map.map import Map
 from slam.mapping.local_mapping import LocalMappingConfig
+from slam.tracking.doubt import DoubtConfig
 from slam.tracking.tracker import TrackingConfig
 
 
@@ -144,6 +145,8 @@ class RecoveryConfig:
             together, as in the paper, instead of keyframe by keyframe.
         tracking, mapping: settings of tracking and local mapping; None for the system's own.
         fusion: acceptance of the old map.
+        doubt: when the map that grows backward is doubted, in place of that of ``tracking``: one that shrinks
+            would take what came later to another scale. Unsteady poses are forgiven.
     """
 
     max_unusable_s: float = 2.0
@@ -152,6 +155,7 @@ class RecoveryConfig:
     tracking: TrackingConfig | None = None
     mapping: LocalMappingConfig | None = None
     fusion: FusionConfig = field(default_factory=FusionConfig)
+    doubt: DoubtConfig = field(default_factory=lambda: DoubtConfig(min_share=0.0, slower=2.0))
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -160,7 +164,7 @@ class RecoveryConfig:
 
     def tracking_in(self, task: RecoveryTask) -> TrackingConfig:
         """Settings of tracking: the thread's, or else the system's."""
-        return self.tracking or task.system.tracking
+        return replace(self.tracking or task.system.tracking, doubt=self.doubt)
 
     def mapping_in(self, task: RecoveryTask) -> LocalMappingConfig:
         """Settings of local mapping: the thread's, or else the system's."""

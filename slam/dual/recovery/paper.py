@@ -6,20 +6,33 @@ Source: paper, Sec. III-B, III-C and Algorithm 1.
 from slam.dual.fusion.fuse import FusionConfig
 from slam.dual.recovery.orb import OrbRecoveryConfig
 from slam.dual.recovery.sift import SiftRecoveryConfig
+from slam.tracking.doubt import DoubtConfig
 
 # One similarity, to which the matches need not fit by any share.
 _FUSION = FusionConfig(confirmations=1, min_share=0.0, min_matches=20)
+_NO_DOUBT = DoubtConfig(min_share=0.0, nearer=0.0, slower=0.0)
 
 
 def paper_orb_config() -> OrbRecoveryConfig:
     """Settings of thread 1: ORB-SLAM, backward, to the first frame that fails."""
     return OrbRecoveryConfig(
-        max_unusable_s=0.0, whole_buffer=True, at_once=True, fusion=_FUSION, min_share=0.0
+        max_unusable_s=0.0,
+        whole_buffer=True,
+        at_once=True,
+        fusion=_FUSION,
+        doubt=_NO_DOUBT,
+        min_share=0.0,
     )
 
 
 def paper_sift_config() -> SiftRecoveryConfig:
     """Settings of thread 2: each frame against its neighbour, SIFT with its published threshold."""
     return SiftRecoveryConfig(
-        max_unusable_s=0.0, whole_buffer=True, at_once=True, fusion=_FUSION, keyframe_too=False, contrast=0.04
+        max_unusable_s=0.0,
+        whole_buffer=True,
+        at_once=True,
+        fusion=_FUSION,
+        doubt=_NO_DOUBT,
+        keyframe_too=False,
+        contrast=0.04,
     )

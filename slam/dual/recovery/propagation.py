@@ -40,6 +40,9 @@ def propagate(
                 return result
             tracker.pass_over(frame)
             continue
+        if tracker.doubt.reason:
+            result.stage, result.reason = "propagation", tracker.doubt.reason
+            return result
         unusable_since_s = None
         result.inliers = outcome.inliers
         result.frames.append(frame)

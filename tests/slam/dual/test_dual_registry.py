@@ -11,6 +11,7 @@ from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryR
 from slam.dual.recovery.registry import ThreadSpec, build_thread, parse_threads
 from slam.map.invariants import check_map
 from slam.mapping.local_mapping import LocalMappingConfig
+from slam.tracking.doubt import DoubtConfig
 from slam.tracking.tracker import TrackingConfig
 
 # Those of the paper are these with other settings.
@@ -83,6 +84,14 @@ def test_the_first_pose_behind_a_gap_needs_as_many_inliers_in_every_kind(kind):
     never = RecoveryConfig(tracking=TrackingConfig(cautious_inliers=10**6))
     result = blind_scene().run(kind, never)
     assert not result.success and all(f.features.index > BLIND[-1] for f in result.frames)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_map_that_is_doubted_on_the_way_back_ends_the_recovery(kind):
+    always = DoubtConfig(window_s=0.07, memory_s=1.0, min_frames=2, unsteady=0.0, least=-1.0, min_share=0.1)
+    result = blind_scene().run(kind, RecoveryConfig(doubt=always))
+    assert (result.success, result.stage) == (False, "propagation")
+    assert result.reason == "motion_beyond_prediction"
 
 
 @pytest.mark.parametrize("limit_s", [-1.0, float("nan")])

@@ -52,17 +52,18 @@ def test_a_plain_translation_or_turn_hides_nothing(wall, T):
 # -- motions -------------------------------------------------------------------------------------------------
 
 
-def posed(i, T_cam_map):
+def posed(i, T_cam_map, direction=1):
     features = Features(*(np.zeros((0, *n), t) for n, t in EMPTY))
-    frame = Frame(FrameFeatures.build(i, i / FPS, features, CAMERA, VIEW))
+    frame = Frame(FrameFeatures.build(i, direction * i / FPS, features, CAMERA, VIEW))
     frame.T_cam_map = T_cam_map
     return frame
 
 
-def doubted(wall, at, seconds=8.0, begin_turn=None, new_points=True, **config):
+def doubted(wall, at, seconds=8.0, begin_turn=None, new_points=True, direction=1, **config):
     """Doubt of a camera that goes along a wall at 0.9 m/s, moved by ``at(i)`` in frame ``i``.
 
-    From ``begin_turn`` on it is said to turn on the spot, 3 degrees a frame, before points ever nearer.
+    Time runs in ``direction``, 1 or -1. From ``begin_turn`` on it is said to turn on the spot, 3 degrees a
+    frame, before points ever nearer.
     """
     doubt, frames, x, yaw, depth = Doubt(DoubtConfig(**config)), [], 0.0, 0.0, 1.0
     for i in range(round(seconds * FPS)):
@@ -71,13 +72,13 @@ def doubted(wall, at, seconds=8.0, begin_turn=None, new_points=True, **config):
         else:
             x += STEP_M
         T = rigid(rotvec_deg=(0, yaw, 0)) @ rigid((-x, 0, 0))
-        frames.append(posed(i, at(i) @ T))
+        frames.append(posed(i, at(i) @ T, direction))
         if i >= 2:
             seen = (wall * depth - T[:3, 3]) @ T[:3, :3] if yaw else wall + np.array([x, 0, 0])
             before, last = frames[-3].T_cam_map, frames[-2].T_cam_map
             predicted = last @ np.linalg.inv(before) @ last
             born = i - 2 if new_points else min(i, begin_turn or i) - 5
-            doubt.note(frames[-1], frames[-2], predicted, seen, born / FPS)
+            doubt.note(frames[-1], frames[-2], predicted, seen, direction * born / FPS)
         if doubt.reason:
             break
     return doubt
@@ -88,8 +89,9 @@ def wander(begin, degrees=1.5):
     return lambda i: orbit(r.normal(0, degrees)) if i >= begin else np.eye(4)
 
 
-def test_a_camera_that_wanders_is_doubted_from_the_onset(wall):
-    doubt = doubted(wall, wander(PLANTED_AT))
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_camera_that_wanders_is_doubted_from_the_onset(wall, direction):
+    doubt = doubted(wall, wander(PLANTED_AT), direction=direction)
     assert doubt.reason == "motion_beyond_prediction"
     assert PLANTED_AT <= doubt.first_frame <= PLANTED_AT + 3
 
@@ -110,8 +112,9 @@ def still(_):
     return np.eye(4)
 
 
-def test_a_map_that_shrinks_is_doubted_from_the_onset(wall):
-    doubt = doubted(wall, still, begin_turn=PLANTED_AT)
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_map_that_shrinks_is_doubted_from_the_onset(wall, direction):
+    doubt = doubted(wall, still, begin_turn=PLANTED_AT, direction=direction)
     assert doubt.reason == "scale_of_new_points"
     assert doubt.first_frame == PLANTED_AT
 
