@@ -1,5 +1,6 @@
 """Stacks of frames in one raw .npy file, written one by one, read memory-mapped."""
 
+import weakref
 import zipfile
 import zlib
 from pathlib import Path
@@ -76,8 +77,9 @@ class RawFrames:
 
     def __init__(self, path: Path, shape: tuple[int, int, int], dtype: type) -> None:
         self._stack = stored_array(path, shape, dtype)
-        self._held = path.open("rb")
-        hold(self._held.fileno())
+        held = path.open("rb")
+        weakref.finalize(self, held.close)  # also if this ends in a cycle of references
+        hold(held.fileno())
 
     def __len__(self) -> int:
         return len(self._stack)

@@ -1,9 +1,11 @@
 """The cache: atomic, checked on every use, safe for several writers, bounded."""
 
+import gc
 import logging
 import multiprocessing
 import os
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,7 @@ from scenarios.errors import InputError
 from sim import cache
 from sim.cache import FolderCache, content_key, default_cache_dir
 from sim.io.raw import RawFrames, RawWriter
+from sim.unfinished import is_held
 
 
 def store(root: Path, key: str, text: str = "frames", max_bytes: int = 10**9) -> Path:
@@ -165,6 +168,21 @@ def test_cleaning_deletes_what_was_not_used_for_long_and_leaves_what_is_in_use(t
     deleted, used = FolderCache(tmp_path).clean()
     assert {entry.path.name for entry in deleted} == {"busy", "new", "read"} and not used
     assert [path.name for path in tmp_path.iterdir()] == ["notes"]
+
+
+def test_frames_in_a_cycle_of_references_close_their_file(tmp_path):
+    """And say nothing: an unclosed file is a warning, wherever the collector happens to run."""
+    path = tmp_path / "a.npy"
+    with RawWriter(path, (1, 2, 2), np.uint8) as writer:
+        writer.append(np.zeros((2, 2), np.uint8))
+    frames = RawFrames(path, (1, 2, 2), np.uint8)
+    frames.itself = frames
+    assert is_held(path)
+    del frames
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        gc.collect()
+    assert not said and not is_held(path)
 
 
 def test_the_cap_counts_and_deletes_entries_only(tmp_path):
