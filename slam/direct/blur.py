@@ -43,7 +43,7 @@ def align_through_blur(
     if direction is None:
         return None
     view, images = reference.coarser(), (source.levels[1][..., 0], target.levels[1][..., 0])
-    blur_target = _sharpness(target) > _sharpness(source)
+    blur_target = sharpness(target) > sharpness(source)
     best = None
     for length in _LENGTHS:
         if length > _MOST_OF_WIDTH * images[0].shape[1]:
@@ -70,7 +70,7 @@ def _flow(xyz: np.ndarray, velocity: np.ndarray, intrinsics: np.ndarray) -> np.n
     return flow / speed_px if speed_px >= _LEAST_FLOW_PX else None
 
 
-def _sharpness(pyramid: ImagePyramid) -> float:
+def sharpness(pyramid: ImagePyramid) -> float:
     """Mean absolute gradient of the second finest level."""
     return float(np.nanmean(np.abs(pyramid.levels[1][..., 1:])))
 

@@ -19,7 +19,7 @@ import numpy as np
 from slam.core.frame import Frame
 from slam.core.geometry import share_of_motion
 from slam.direct.alignment import Aligned, AlignmentConfig, Reference, align, fan
-from slam.direct.blur import align_through_blur
+from slam.direct.blur import align_through_blur, sharpness
 from slam.direct.location import locate_on_lines, locate_points
 from slam.direct.pyramid import ImagePyramid, Rectifier
 from slam.direct.selection import SelectionConfig, select
@@ -33,6 +33,7 @@ _CELL_PX = 8  # in which a located point leaves no room for a new one
 _SPEEDS = (0.65, 0.8, 1.25, 1.5)  # of the predicted motion over a gap that are tried too
 _LONG_GAP = 3
 _MOST_SPREAD_CHANGE = 4.0
+_BLURRED = 0.6  # of the sharpness of the sharpest image
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,17 @@ class DirectTracker(TrackTracker):
         nothing = np.empty((0, 2)), np.empty(0)
         super().__init__(task, config, self._with_new_points(task.first, self._pyramid(task.first), *nothing))
         self.velocity = task.step
+        self._sharpest = sharpness(self.latest.pyramid)
+
+    def wants_keyframe(self, frame: Frame, inliers: int) -> bool:
+        """Decide as for other features, but never in a blurred image, whose corners are not the scene's.
+
+        Triangulated between such images, they took the map to another scale.
+        """
+        sharp = sharpness(self.latest.pyramid)
+        self._sharpest = max(self._sharpest, sharp)
+        blurred = sharp < _BLURRED * self._sharpest
+        return not blurred and super().wants_keyframe(frame, inliers)
 
     def track(self, frame: Frame) -> TrackingOutcome:
         """Place the frame by alignment with the last placed frame or the last keyframe.
