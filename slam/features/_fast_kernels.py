@@ -166,3 +166,36 @@ def select_corners(
                 xs[count], ys[count], contrasts[count] = xs[k], ys[k], contrasts[k]
                 count += 1
     return count
+
+
+@njit(cache=True, nogil=True)
+def refine_corners(contrast: np.ndarray, width: int, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
+    """Find corners between the pixels: the summit of a quadratic fitted to the contrasts of 3x3 pixels.
+
+    Args:
+        contrast: (>= height * width,) uint8 from :func:`corner_contrast`, valid around each corner.
+        width: columns of the level.
+        xs: (N,) int32 columns of local maxima.
+        ys: (N,) int32 rows.
+
+    Returns:
+        (N, 2) float32 from the pixel to the summit, x and y, each in [-1, 1]; 0 where there is no summit.
+
+    Source: Leutenegger et al., BRISK, ICCV 2011, section 3.1.
+    """
+    offsets = np.zeros((xs.size, 2), np.float32)
+    for k in range(xs.size):
+        i = ys[k] * width + xs[k]
+        a, b, c = float(contrast[i - width - 1]), float(contrast[i - width]), float(contrast[i - width + 1])
+        d, e, f = float(contrast[i - 1]), float(contrast[i]), float(contrast[i + 1])
+        g, h, j = float(contrast[i + width - 1]), float(contrast[i + width]), float(contrast[i + width + 1])
+        # Least squares over the nine pixels.
+        left, right, top, bottom = a + d + g, c + f + j, a + b + c, g + h + j
+        s_x, s_y = (right - left) / 6, (bottom - top) / 6
+        s_xx, s_yy = (left - 2 * (b + e + h) + right) / 3, (top - 2 * (d + e + f) + bottom) / 3
+        s_xy = (a + j - c - g) / 4
+        det = s_xx * s_yy - s_xy * s_xy
+        if s_xx < 0 and det > 0:
+            offsets[k, 0] = min(max((s_xy * s_y - s_yy * s_x) / det, -1.0), 1.0)
+            offsets[k, 1] = min(max((s_xy * s_x - s_xx * s_y) / det, -1.0), 1.0)
+    return offsets

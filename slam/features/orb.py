@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from slam.core.frame import Features
-from slam.features._fast_kernels import corner_contrast, select_corners
+from slam.features._fast_kernels import corner_contrast, refine_corners, select_corners
 from slam.features._orb_kernels import BORDER_PX, descriptors, orientations
 from slam.features._spread_kernels import spread_corners
 
@@ -26,6 +26,7 @@ class OrbConfig:
         fast_threshold: contrast, in grey levels, that a corner must exceed.
         fast_min_threshold: the same in cells where no corner exceeds ``fast_threshold``.
         cell_px: side of these cells, in pixels of each level.
+        subpixel: find corners between the pixels of their level; by default at whole pixels, as in ORB-SLAM.
     """
 
     n_features: int = 1000
@@ -34,6 +35,7 @@ class OrbConfig:
     fast_threshold: int = 20
     fast_min_threshold: int = 7
     cell_px: int = 30
+    subpixel: bool = False
 
     def __post_init__(self) -> None:
         """Raise ValueError naming the first field that is out of range."""
@@ -59,6 +61,7 @@ class OrbConfig:
 class _Level:
     image: np.ndarray  # (h, w) uint8
     blurred: np.ndarray  # (h, w) uint8
+    contrast: np.ndarray  # (h * w,) uint8
     xs: np.ndarray  # candidate corners
     ys: np.ndarray
     contrasts: np.ndarray
@@ -90,7 +93,6 @@ class OrbExtractor:
         self.config = config or OrbConfig()
         self._shape = (height_px, width_px)
         self._levels = [self._allocate(scale) for scale in self.config.scales]
-        self._contrast = np.zeros(height_px * width_px, np.uint8)
 
     def __deepcopy__(self, memo: dict) -> "OrbExtractor":
         """Return a new extractor with the same settings: buffers keep no state between images."""
@@ -103,6 +105,7 @@ class OrbExtractor:
         return _Level(
             image=np.zeros((height, width), np.uint8),
             blurred=np.zeros((height, width), np.uint8),
+            contrast=np.zeros(height * width, np.uint8),
             xs=np.empty(most, np.int32),
             ys=np.empty(most, np.int32),
             contrasts=np.empty(most, np.uint8),
@@ -144,9 +147,9 @@ class OrbExtractor:
 
     def _detect(self, level: _Level) -> int:
         height, width = level.image.shape
-        corner_contrast(level.image, BORDER_PX - 1, self._contrast)
+        corner_contrast(level.image, BORDER_PX - 1, level.contrast)
         return select_corners(
-            self._contrast,
+            level.contrast,
             height,
             width,
             BORDER_PX,
@@ -169,7 +172,10 @@ class OrbExtractor:
             )
         angles = orientations(level.image, xs, ys)
         # The exact inverse of cv2.resize: integers are pixel centres, and levels have integer sizes.
-        xy = ((np.stack([xs, ys], axis=1) + 0.5) * level.pixel - 0.5).astype(np.float32)
+        at = np.stack([xs, ys], axis=1)
+        if self.config.subpixel:
+            at = at + refine_corners(level.contrast, width, xs, ys)
+        xy = ((at + 0.5) * level.pixel - 0.5).astype(np.float32)
         return (
             xy,
             np.full(len(chosen), octave, np.int32),

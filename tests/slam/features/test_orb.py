@@ -111,10 +111,29 @@ def test_a_point_has_the_same_position_in_every_octave(octave):
         to_nearest = xy - centres[cKDTree(centres).query(xy, p=np.inf)[1]]
         off.append(to_nearest[np.abs(to_nearest).max(axis=1) < 2 * scale])
     off = np.concatenate(off)
-    # Integer pixels of the level: a random error of 0.29. Without the shift of pixel centres the mean would
-    # be off by 0.5 - 0.5 / scale, 0.08 in octave 1 and 0.36 in octave 7.
+    # Without the shift of pixel centres the mean would be off by 0.5 - 0.5 / scale: 0.08 in octave 1, 0.36 in
+    # octave 7.
     assert len(off) > 200
     assert np.abs(off.mean(axis=0) / scale).max() < 0.05
+
+
+@pytest.mark.parametrize(("dx", "dy"), [(0.5, 0.0), (0.3, 0.7), (0.25, -0.4)])
+def test_corners_follow_a_shift_by_parts_of_a_pixel(dx, dy):
+    image = uneven_image()
+    shifted = cv2.warpAffine(
+        image, np.float32([[1, 0, dx], [0, 1, dy]]), (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC
+    )
+
+    def errors(subpixel):
+        a, b = (extract(each, subpixel=subpixel) for each in (image, shifted))
+        matches = match_brute_force(a.descriptors, b.descriptors, 40, 0.8)
+        off = b.xy[matches[:, 1]] - a.xy[matches[:, 0]] - (dx, dy)
+        return np.abs(off / 1.2 ** a.octave[matches[:, 0], None])
+
+    between, whole = errors(True), errors(False)
+    assert len(between) > 300
+    assert np.median(between) < 0.12
+    assert np.median(between) < 0.4 * np.median(whole)
 
 
 def test_a_rotated_image_gives_rotated_features():

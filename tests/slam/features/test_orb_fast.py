@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slam.features._fast_kernels import corner_contrast, select_corners
+from slam.features._fast_kernels import corner_contrast, refine_corners, select_corners
 
 CIRCLE = [
     *((0, 3), (1, 3), (2, 2), (3, 1), (3, 0), (3, -1), (2, -2), (1, -3)),
@@ -109,3 +109,22 @@ def test_corners_are_not_in_the_border():
     xs, ys = np.array([c[:2] for c in corners_of(make_image("noise"), border=18)]).T
     assert xs.min() >= 18 and xs.max() < 131 - 18 and ys.min() >= 18 and ys.max() < 90 - 18
     assert 18 in xs and 131 - 19 in xs and 18 in ys and 90 - 19 in ys
+
+
+@pytest.mark.parametrize("kind", IMAGES)
+def test_summits_agree_with_least_squares(kind):
+    image = make_image(kind)
+    corners = np.array(corners_of(image, threshold=7, min_threshold=7))
+    contrast = contrast_of(image)
+    v, u = (axis.ravel() for axis in np.mgrid[-1:2, -1:2])
+    terms = np.stack([u**0, u, v, u * u / 2, u * v, v * v / 2], axis=1)
+    expected = []
+    for x, y, _ in corners:
+        around = contrast[y - 1 : y + 2, x - 1 : x + 2].ravel().astype(float)
+        _, *slope, xx, xy, yy = np.linalg.lstsq(terms, around, rcond=None)[0]
+        curved = np.array([[xx, xy], [xy, yy]])
+        is_summit = np.linalg.eigvalsh(curved).max() < -1e-9
+        expected.append(np.clip(np.linalg.solve(curved, -np.array(slope)), -1, 1) if is_summit else (0, 0))
+    found = refine_corners(contrast.ravel(), image.shape[1], *np.ascontiguousarray(corners.T[:2], np.int32))
+    assert len(corners) > 20
+    assert np.allclose(found, expected, atol=1e-5)
