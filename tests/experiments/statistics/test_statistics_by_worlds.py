@@ -209,6 +209,14 @@ def test_holm_counts_every_confirmatory_comparison():
     assert verdicts([close], [other])[0] == [Verdict.OPTIMISTIC], "the forecasts are another family"
 
 
+def test_independence_takes_many_threads_and_does_not_depend_on_what_is_in_memory_together(rng, monkeypatch):
+    outcomes = simulate(Truth((0.5,) * 6, 0.3, 0.4), rng, 40, 2, 2, void=0.1)
+    found = independence(outcomes, np.random.default_rng(1), 300)
+    assert found.p < 0.05 and found.expected < found.statistic
+    monkeypatch.setattr("experiments.statistics.permutations._AT_ONCE", 1000)
+    assert independence(outcomes, np.random.default_rng(1), 300) == found
+
+
 # -- formulas ------------------------------------------------------------------------------------------------
 
 
