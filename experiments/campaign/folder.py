@@ -31,7 +31,7 @@ TABLE_FILE = "units.parquet"
 ERRORS_FILE = "infrastructure_errors.parquet"
 
 
-def read_experiment(folder: Path) -> "tuple[ExperimentSpec, pd.DataFrame]":
+def read_experiment(folder: Path | str) -> "tuple[ExperimentSpec, pd.DataFrame]":
     """Read the spec of an experiment and the table of its units, also during a run.
 
     Args:
@@ -44,7 +44,7 @@ def read_experiment(folder: Path) -> "tuple[ExperimentSpec, pd.DataFrame]":
     Raises:
         InputError: it is not an experiment's folder, or its rows are damaged.
     """
-    spec, rows = read_rows(folder)
+    spec, rows = read_rows(Path(folder))
     return spec, data_frame(rows, len(spec.threads))
 
 

@@ -19,7 +19,7 @@ from experiments.campaign.schedule import Experiment, Record, Schedule
 from experiments.campaign.unit_job import is_infrastructure_error
 from experiments.campaign.worker_pool import Ended, WorkerPool
 from experiments.eq1.record_table import normalise
-from experiments.eq1.records import Outcome, dual_column, empty_record
+from experiments.eq1.records import SHAM, Outcome, dual_column, empty_record
 from experiments.eq1.units import UnitSpec
 from scenarios.errors import InputError, MachineError
 
@@ -34,7 +34,8 @@ class Tally:
 
     Attributes:
         done, total: units that have ended, and all units.
-        completed, void, errors: units by outcome.
+        void, errors: units by outcome.
+        completed: units with a degradation that were completed; shams only show false alarms.
         retries: attempts in this run that ended in an infrastructure error.
         breakages: completed units with a breakage (B).
         failures: completed units in which Dual-SLAM failed with all threads (D_n).
@@ -151,7 +152,7 @@ class _Run:
     def tally(self, workers: int) -> Tally:
         """Progress of the run."""
         records = self.schedule.records()
-        completed = [r for r in records if r["outcome"] == Outcome.COMPLETED]
+        completed = [r for r in records if r["outcome"] == Outcome.COMPLETED and r["kind"] != SHAM]
         given_up = Counter(r["message"] for r in records if is_infrastructure_error(r))
         return Tally(
             done=self.schedule.done,

@@ -14,11 +14,11 @@ LEAST_WORLDS = 10
 _KINDS_WITH_DOSES = 4
 MEANINGS = {
     "optimistic": "Eq. 1 predicted too few failures",
-    "pessimistic": "it predicted too many",
-    "consistent": "it agrees with what was measured, within .3 of the way to the weakest link",
+    "pessimistic": "Eq. 1 predicted too many",
+    "consistent": "Eq. 1 agrees with what was measured, within .3 of the way to the weakest link",
     "undecided": "there are too few worlds to decide",
-    "saturated": "it cannot be told from the weakest link, as all fails",
-    "untested": f"fewer than {LEAST_WORLDS} worlds broke, or failed to recover",
+    "saturated": "Eq. 1 cannot be told from the weakest link, as all fails",
+    "untested": f"fewer than {LEAST_WORLDS} worlds with a breakage, or with a failure of each thread",
 }
 
 
@@ -120,7 +120,7 @@ def _verdicts(results: dict[str, Any], told: list[dict[str, Any]]) -> Iterable[s
     for n in dict.fromkeys(cell["n"] for cell in told):
         counts = Counter(cell["verdict_forecast"] for cell in told if cell["n"] == n)
         total = plural(sum(counts.values()), "condition")
-        each = [f"in {counts[v]} {text} ({v})" for v, text in MEANINGS.items() if counts[v]]
+        each = [f"{counts[v]} {v} ({text})" for v, text in MEANINGS.items() if counts[v]]
         yield f"With {' and '.join(names[:n])}, of {total}: {'; '.join(each)}."
 
 

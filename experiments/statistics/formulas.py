@@ -40,10 +40,12 @@ def beta_factor(p: Floats, beta: float) -> Floats:
 
 
 def one_factor(p: Floats, r: float) -> Floats:
-    """All depend on one normal factor with correlation ``r`` in [0, 1).
+    """All depend on one normal factor with correlation ``r`` in [0, 1]; Eq. 1 to the last bit for 0.
 
     Source: Vasicek 1987; Gauss-Hermite quadrature with 40 nodes.
     """
+    if r == 0:
+        return eq1(p)  # the quadrature's rounding, alike in all worlds, would pass for a sure gain over Eq. 1
     r = min(r, 1 - 1e-9)
     arguments = (ndtri(p)[..., None] - sqrt(r) * _NODES) / sqrt(1 - r)
     return (ndtr(arguments).prod(axis=-2) * _WEIGHTS).sum(axis=-1)

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.statistics.outcomes import Floats, Outcomes
+from experiments.statistics.outcomes import Floats, Outcomes, world_means
 
 _LEAST_TELLING = 20  # sequences
+_AT_ONCE = 1_000_000  # outcomes of the permutations that are in memory together
 
 
 @dataclass(frozen=True)
@@ -42,13 +43,14 @@ def independence(outcomes: Outcomes, rng: np.random.Generator, permutations: int
 
     The replicates of a world stay together, so that the test holds at any correlation within worlds.
     """
-    outcomes = outcomes.of_worlds(outcomes.has_units)
-    agreement = _agreement(outcomes)
-    worlds = np.arange(len(agreement))
-    observed = float(agreement[(worlds,) * (outcomes.threads + 1)].mean())
+    columns = outcomes.of_worlds(outcomes.has_units).columns
+    worlds = np.arange(columns.shape[1])
+    observed = float(_moved(columns, [worlds[None]] * outcomes.threads)[0])
     everyone = np.tile(worlds, (permutations, 1))
     others = [rng.permuted(everyone, axis=1) for _ in range(outcomes.threads)]
-    moved = agreement[(worlds, *others)].mean(axis=1)
+    at_once = max(1, _AT_ONCE // columns[0].size)
+    parts = range(0, permutations, at_once)
+    moved = np.concatenate([_moved(columns, [each[i : i + at_once] for each in others]) for i in parts])
     return PermutationTest(observed, float(moved.mean()), _two_sided(observed, moved))
 
 
@@ -91,23 +93,12 @@ def _two_sided(observed: float, moved: Floats) -> float:
     return min(1.0, 2 * min(up, low))
 
 
-def _agreement(outcomes: Outcomes) -> Floats:
-    """(W,) * (n + 1) mean of the product of B of one world and R_j of others, replicate by replicate."""
-    columns = outcomes.columns
-    valid = np.isfinite(columns).all(axis=0)
-    filled = np.where(valid, columns, 0.0)
-    worlds, sequences = len(outcomes.breakage), outcomes.breakage[0].shape[0]
-    total = np.zeros((worlds,) * len(columns))
-    used = np.zeros_like(total)
-    letters = "abcdefgh"[: len(columns)]
-    by_world = ",".join(f"{letter}k" for letter in letters) + "->" + letters
-    for s in range(sequences):
-        there = [valid[:, s].astype(float)] * len(columns)
-        count = np.einsum(by_world, *there)
-        product = np.einsum(by_world, *filled[:, :, s])
-        total += np.where(count > 0, product / np.maximum(count, 1), 0.0)
-        used += count > 0
-    return total / np.maximum(used, 1)
+def _moved(columns: Floats, others: Sequence[np.ndarray]) -> Floats:
+    """(P,) Q of (1 + n, W, S, K) columns where R_j comes from the worlds (P, W) that others say."""
+    product = columns[0]
+    for column, worlds in zip(columns[1:], others, strict=True):
+        product = product * column[worlds]
+    return np.nan_to_num(world_means(product)).mean(axis=1)
 
 
 def _weights(valid: np.ndarray) -> Floats:

@@ -129,7 +129,12 @@ def claims() -> list[Claim]:
     found.append(Claim("sequences that are decided give no verdict within", 1, 1, _deterministic))
     found.append(Claim("a mixture of kinds is optimistic within its kinds", 0, 0.05, _mixture))
     found.append(Claim("a mixture of kinds is optimistic if it is one cell", 0.95, 1, _mixed_cell))
-    found.append(Claim("some formula beats Eq. 1 where Eq. 1 is true", 0, 0.05, _formula_wins))
+    for common, design, what, bounds in (
+        (0.0, (60, 1, 2), "Eq. 1 is true", (0, 0.05)),
+        (0.5, (100, 1, 3), "half of the worlds have one cause", (0.9, 1)),
+    ):
+        experiment = partial(_formula_wins, common, design)
+        found.append(Claim(f"some formula beats Eq. 1 where {what}", *bounds, experiment))
     return found
 
 
@@ -206,7 +211,8 @@ def _any_optimistic(cells: Sequence[Outcomes], rng: np.random.Generator) -> bool
     return any(Verdict.OPTIMISTIC in each for each in found)
 
 
-def _formula_wins(rng: np.random.Generator) -> float:
-    cells = [simulate(Truth((a, b), 0.3), rng, 60, 1, 2) for a, b in ((0.3, 0.4), (0.5, 0.5), (0.6, 0.3))]
+def _formula_wins(common: float, design: tuple[int, int, int], rng: np.random.Generator) -> float:
+    shares = ((0.3, 0.4), (0.5, 0.5), (0.6, 0.3))
+    cells = [simulate(Truth(each, 0.3, common), rng, *design) for each in shares]
     scores = compare_formulas(cells, [True] * len(cells))
     return float(any(s.p is not None and s.p <= LEVEL for s in scores if s.name in RIVALS))

@@ -163,6 +163,7 @@ def _add_outcomes(row: dict, rng, dose: float, shared: float, threads: int) -> N
         "silent_failure": bool(not broke and rng.random() < 0.05),
         "base_failure": base_failure,
         "base_share_tracked": 0.5 if base_failure else 0.98,
+        "base_keyframe_ate_m": 0.5,
         "base_ate_m": 0.02 + 0.1 * rng.random(),
         "base_path_share": 0.4 if base_failure else 1.0,
         "base_end_error_m": None if base_failure else float(rng.lognormal(-2, 1)),

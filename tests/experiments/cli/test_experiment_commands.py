@@ -55,7 +55,7 @@ def smoke(finished, monkeypatch, tmp_path):
 
 
 def test_a_run_can_be_read_and_made_longer(dslab, smoke, plain):
-    spec, table = read_experiment(smoke)
+    spec, table = read_experiment(str(smoke))
     assert spec.name == "smoke" and spec.units == 3
     assert list(table["cell"]) == [c for c in spec.cell_names() for _ in range(3)]
     assert list(table["index"]) == [0, 1, 2] * 2
@@ -64,6 +64,14 @@ def test_a_run_can_be_read_and_made_longer(dslab, smoke, plain):
     code, out, _ = dslab("experiment", "status", smoke, "--json")
     status = json.loads(out)
     assert code == 0 and [cell["units"] for cell in status["cells"]] == [4, 4]
+
+
+def test_shams_are_units_but_not_of_the_shares_that_a_run_prints(tmp_path):
+    spec = load_spec("smoke").model_copy(update={"repeats": 1})
+    pool = partial(LocalPool, partial(unit_record, made_up_unit))
+    tally = run_experiment(spec, tmp_path / "s", lambda: nullcontext(pool()))
+    done = read_experiment(tmp_path / "s")[1].query("outcome == 'completed'")
+    assert tally.done == 6 and tally.completed == (done["kind"] != "sham").sum() < len(done)
 
 
 def test_the_exported_table_is_that_of_the_ledger_in_any_order_of_writing(dslab, smoke):

@@ -64,7 +64,7 @@ def test_the_headline_follows_the_verdicts_of_the_confirmatory_conditions(result
     found = answer(results | {"analysis": analysis})
     assert found.headline.endswith(headline)
     told = next(sentence for sentence in found.sentences if sentence.startswith("With ORB, of"))
-    assert all(f"in {words.count(word)} {MEANINGS[word]} ({word})" in told for word in words)
+    assert all(f"{words.count(word)} {word} ({MEANINGS[word]})" in told for word in words)
     both = judged("optimistic") + judged(*words, confirmatory=True)
     named = answer(results | {"analysis": analysis | {"cells": both}})
     assert named.headline == found.headline and "named before the run" in " ".join(named.sentences)

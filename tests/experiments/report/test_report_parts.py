@@ -1,7 +1,8 @@
 """Parts of a report: text, plots, profiles of trials."""
 
+import pandas as pd
 import pytest
-from report_fakes import FakeSpec, fake_table
+from report_fakes import KINDS, FakeSpec, fake_table
 
 from experiments.report.describe import (
     counts,
@@ -18,6 +19,7 @@ from experiments.report.plots.chain import draw_chain
 from experiments.report.plots.doses import draw_doses
 from experiments.report.plots.style import NARROW_IN, WIDE_IN
 from experiments.report.plots.trials import base_parts, dual_parts
+from experiments.report.reproductions import table_1, table_2, table_3
 
 PROFILE = {
     "breakage": True,
@@ -129,6 +131,20 @@ def test_a_void_lead_in_counts_once_though_it_voids_its_unit_in_every_cell():
     found = set_aside(table, dict.fromkeys(spec.cell_names(), "dual"))
     assert (table["outcome"] == "void").sum() == 9
     assert (found["void_lead_ins"], found["void_reasons"], len(found["void"])) == (1, {"no map": 1}, 1)
+
+
+def test_table_1_is_over_keyframes_and_tables_2_and_3_without_the_sham():
+    spec = FakeSpec(doses=1, units=6)
+    table = fake_table(spec)
+    table["outcome"], table["dual_failure"] = "completed", table["d2"]
+    assert [row["base"]["median_ate_m"] for row in table_1(table)] == [0.5] * 3
+    former = table.assign(base_keyframe_ate_m=pd.NA, dual_keyframe_ate_m=pd.NA)
+    assert table_1(former)[0]["base"]["median_ate_m"] == table[:6]["base_ate_m"].median()
+    both = pd.concat([table, table[:6].assign(cell="sham", kind="sham", breakage=True)])
+    cells = [*spec.cell_names(), "sham"]
+    of = {cell: cell.split("/")[0] for cell in cells}, dict.fromkeys(cells, "dual")
+    assert [row["family"] for row in table_3(both, 2, *of)] == [*KINDS, "all"]
+    assert table_2(both, 2, *of)[-1]["breakage"]["units"] == table["breakage"].notna().sum()
 
 
 def test_reasons_that_differ_in_figures_only_are_counted_together():

@@ -145,12 +145,25 @@ def test_parts_of_the_breakages_hold_all_of_them_once():
     known = rows["breakage"] & rows["rescuable"].notna()
     assert sum(part.breakages for part in found.rescuable) == known.sum()
     assert sum(part.share.value for part in found.rescuable) == pytest.approx(1)
-    assert sum(part.breakages for part in found.delays) == rows["breakage"].sum()
+    delays = rows.loc[rows["breakage"], "declaration_delay_s"]
+    assert [(part.part, part.breakages) for part in found.delays] == [
+        ("up to 0.1 s", (delays == 0).sum()),
+        ("0.1 to 0.5 s", (delays == 0.3).sum()),
+        ("over 0.5 s", (delays == 2).sum()),
+    ]
     hopeless = rows[known & ~rows["rescuable"].fillna(False).astype(bool)]
     # Worlds have as many units each, so that the share of units is that of worlds.
     assert found.rescuable[1].dual_failures[0].value == pytest.approx(hopeless["d1"].mean())
     assert [point.severity for point in found.doses] == [0.0, 2.0]
     assert found.sham[0].shares["mission_failure"].value > 0
+
+
+def test_silence_is_a_share_of_the_unbroken_units():
+    rows = made_up(60, repeats=1)
+    unbroken = np.flatnonzero(~rows["breakage"])
+    rows["silent_failure"] = rows["breakage"] | np.isin(np.arange(len(rows)), unbroken[:4])
+    (cell,) = analyse(rows, 1, permutations=99).cells
+    assert cell.shares["silent_failure"].value == pytest.approx(4 / len(unbroken))
 
 
 def test_p0_and_pr_are_compared_by_worlds():

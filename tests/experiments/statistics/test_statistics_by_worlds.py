@@ -209,13 +209,22 @@ def test_holm_counts_every_confirmatory_comparison():
     assert verdicts([close], [other])[0] == [Verdict.OPTIMISTIC], "the forecasts are another family"
 
 
+def test_independence_takes_many_threads_and_does_not_depend_on_what_is_in_memory_together(rng, monkeypatch):
+    outcomes = simulate(Truth((0.5,) * 6, 0.3, 0.4), rng, 40, 2, 2, void=0.1)
+    found = independence(outcomes, np.random.default_rng(1), 300)
+    assert found.p < 0.05 and found.expected < found.statistic
+    monkeypatch.setattr("experiments.statistics.permutations._AT_ONCE", 1000)
+    assert independence(outcomes, np.random.default_rng(1), 300) == found
+
+
 # -- formulas ------------------------------------------------------------------------------------------------
 
 
 def test_formulas_reach_from_eq1_to_the_weakest_link():
     p = np.array([[0.3, 0.5], [0.2, 0.9]])
     for formula in (beta_factor, one_factor):
-        assert formula(p, 0.0) == pytest.approx(eq1(p), abs=1e-9)
+        assert (formula(p, 0.0) == eq1(p)).all()
+        assert formula(p, 1e-6) == pytest.approx(eq1(p), abs=1e-5)
         between = np.array([formula(p, x) for x in (0.2, 0.5, 0.8)])
         assert (np.diff(between, axis=0) > 0).all()
         assert (formula(p, 0.95) <= weakest_link(p)).all()
@@ -238,6 +247,15 @@ def test_the_formula_that_made_the_outcomes_predicts_unseen_worlds_best(rng):
     again = {s.name: s for s in compare_formulas(independent, [True] * 4)}
     assert min(again[name].p for name in ("weakest link", "beta factor", "one factor")) > 0.05
     assert again["Eq. 1"].score < again["weakest link"].score
+
+
+def test_a_formula_that_is_eq1_by_its_fit_gains_nothing_over_it():
+    """B and R_1 seldom fail together, so that no common cause is fitted; rounding is no gain."""
+    broke = (np.arange(60) % 10 < 4).astype(float).reshape(60, 1, 1)
+    failed = (np.arange(60) % 10 > 2).astype(float).reshape(1, 60, 1, 1)
+    scores = {s.name: s for s in compare_formulas([Outcomes(broke, failed, broke * failed)], [True])}
+    for name in ("beta factor", "one factor"):
+        assert (scores[name].gain.low, scores[name].gain.high, scores[name].p) == (0, 0, 1)
 
 
 def test_a_formula_is_scored_on_worlds_that_it_has_not_seen(rng):
