@@ -72,7 +72,7 @@ class SlamEngine:
         self.seed = seed
         self.config = config
         self.events: list[ev.Event] = []
-        self.view = view_geometry(camera, config.orb.n_levels, config.orb.scale_factor)
+        self.view = view_geometry(camera, config.orb.n_levels, config.orb.scale_factor, config.orb.noise_px)
         self.state = _SEEKING
         self.timer = StageTimer()
         self.store = MapStore(config)

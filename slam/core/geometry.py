@@ -44,8 +44,10 @@ class ViewGeometry(NamedTuple):
         return np.array([self.fx, self.fy, self.cx, self.cy])
 
 
-def view_geometry(camera: PinholeCamera, n_levels: int, scale_factor: float) -> ViewGeometry:
-    """View geometry of a camera with a feature pyramid."""
+def view_geometry(
+    camera: PinholeCamera, n_levels: int, scale_factor: float, noise_px: float = 1.0
+) -> ViewGeometry:
+    """View geometry of a camera with a feature pyramid, its keypoints ``noise_px`` of a level off."""
     x_min, y_min, x_max, y_max = camera.undistorted_bounds()
     scale = scale_factor ** np.arange(n_levels, dtype=np.float64)
     return ViewGeometry(
@@ -62,7 +64,7 @@ def view_geometry(camera: PinholeCamera, n_levels: int, scale_factor: float) -> 
         int(np.ceil((y_max - y_min) / CELL_PX)) + 1,
         float(np.log(scale_factor)),
         scale,
-        1.0 / scale**2,
+        1.0 / (noise_px * scale) ** 2,
     )
 
 

@@ -27,6 +27,8 @@ class OrbConfig:
         fast_min_threshold: the same in cells where no corner exceeds ``fast_threshold``.
         cell_px: side of these cells, in pixels of each level.
         subpixel: find corners between the pixels of their level; by default at whole pixels, as in ORB-SLAM.
+        noise_px: standard deviation of a corner, in pixels of its level; all that is allowed of reprojection
+            errors is a multiple of it.
     """
 
     n_features: int = 1000
@@ -36,6 +38,7 @@ class OrbConfig:
     fast_min_threshold: int = 7
     cell_px: int = 30
     subpixel: bool = False
+    noise_px: float = 1.0
 
     def __post_init__(self) -> None:
         """Raise ValueError naming the first field that is out of range."""
@@ -46,6 +49,7 @@ class OrbConfig:
             "fast_threshold": 1 <= self.fast_threshold <= 254,
             "fast_min_threshold": 1 <= self.fast_min_threshold <= self.fast_threshold,
             "cell_px": self.cell_px >= 4,
+            "noise_px": 0 < self.noise_px <= 10,
         }
         for name, holds in checks.items():
             if not holds:

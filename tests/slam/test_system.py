@@ -263,3 +263,17 @@ def test_the_fewest_keyframes_of_a_kept_map_are_a_setting(sequence, snapshots, l
     assert ("map_dropped" in kinds(system)) is not kept
     assert system.maps() == ([0] if kept else [])
     assert system.state is (TrackingState.RELOCALIZING if kept else TrackingState.NOT_INITIALIZED)
+
+
+def test_corners_between_the_pixels_and_less_noise_give_a_better_path(sequence):
+    images, stamps_s, truth = sequence
+
+    def ate_m(**orb):
+        config = replace(SlamConfig(), orb=replace(SlamConfig().orb, **orb))
+        system = build_system("base", CAMERA, 0, config=config)
+        feed(system, images, stamps_s, check=False)
+        return rms(errors_m(system.trajectories()[0], truth)[0])
+
+    whole, between, finer = ate_m(), ate_m(subpixel=True), ate_m(subpixel=True, noise_px=0.5)
+    assert between < 0.9 * whole
+    assert finer < 0.75 * between

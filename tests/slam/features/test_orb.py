@@ -224,6 +224,7 @@ def test_wrong_image_is_refused(image, message):
         ("fast_min_threshold", 0),
         ("fast_min_threshold", 21),
         ("cell_px", 0),
+        ("noise_px", 0.0),
     ],
 )
 def test_wrong_config_is_refused_by_name(field, value):
