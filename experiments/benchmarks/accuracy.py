@@ -36,6 +36,7 @@ def measure_accuracy(
     peer_runs: int = 3,
     skip_frames: int = 20,
     progress: Callable[[str, int, int], None] | None = None,
+    kept: Path | None = None,
     build: SystemFactory | None = None,
 ) -> pd.DataFrame:
     """Run a system and a peer over the same frames; one row per run, kept in a Parquet file.
@@ -53,6 +54,7 @@ def measure_accuracy(
         peer_runs: runs of the peer per sequence.
         skip_frames: see ``seeds``.
         progress: called with (step, sequences done, sequences in all).
+        kept: folder in which the peer's results are kept for other measurements over the same frames.
         build: makes the system, for tests; None for the real one.
 
     Returns:
@@ -73,7 +75,7 @@ def measure_accuracy(
     for number, (source, seed) in enumerate(wanted):
         if (source, seed) not in done:
             about = {"source": source, "seed": seed, "code": code, "commit": commit()}
-            with _opened(source, seed, skip_frames, peer) as (frames, foreign):
+            with _opened(source, seed, skip_frames, peer, kept) as (frames, foreign):
                 found = _run_both(frames, seed, system, foreign, peer_runs, build)
             rows += [{**about, **row} for row in found]
             write_rows(table, rows, KEY)
@@ -124,7 +126,7 @@ def _of_sequence(rows: pd.DataFrame) -> Row:
 
 @contextmanager
 def _opened(
-    source: str, seed: int, skip_frames: int, peer: str | None
+    source: str, seed: int, skip_frames: int, peer: str | None, kept: Path | None
 ) -> Iterator[tuple[Frames, ForeignSystem | None]]:
     frames = open_sequence(source, seed)
     if frames.T_world_cam is None:
@@ -140,7 +142,7 @@ def _opened(
     if peer is None:
         yield frames, None
         return
-    with open_foreign_system(peer, source, frames) as foreign:
+    with open_foreign_system(peer, source, frames, kept=kept) as foreign:
         yield frames, foreign
 
 

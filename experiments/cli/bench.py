@@ -356,12 +356,16 @@ def accuracy_command(
     skip_frames: Annotated[
         int, typer.Option(min=1, help="Frames that each further seed leaves out of a folder's beginning.")
     ] = 20,
+    keep_peer: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Keep the peer's results here, and use those that are there."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compare accuracy and scale drift with a peer's over many sequences.
 
     ATE is of the frames that both have placed. Stopped and started again, it goes on where it was. A peer in
-    real time needs a quiet machine. For example:
+    real time needs a quiet machine; what it finds does not depend on our code, and can be kept. For example:
 
     `dslab bench accuracy clean-room path/to/sequence --peer path/to/orbslam3.py --out out/accuracy.parquet`
     """
@@ -374,7 +378,7 @@ def accuracy_command(
     single_threaded_opencv()
     with progress_bars() as show:
         rows = measure_accuracy(
-            sources, _seeds(seeds), system.value, out_file, peer, peer_runs, skip_frames, show
+            sources, _seeds(seeds), system.value, out_file, peer, peer_runs, skip_frames, show, keep_peer
         )
     found = sums(rows)
     if as_json:

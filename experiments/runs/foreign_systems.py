@@ -7,9 +7,11 @@ reading of images) are optional. Memory is not compared: the peak that a child p
 inherited from this process.
 """
 
+import hashlib
 import shlex
 import shutil
 import subprocess
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,6 +22,7 @@ import numpy as np
 
 from scenarios.errors import InputError
 from scenarios.input_files import is_folder, is_given, read_json
+from sim.cache import FolderCache, content_key
 from sim.io.forms import Form, detect_form, write_sequence
 from sim.io.text import check_words, read_rows, to_numbers
 from sim.io.truth import check_position, check_quaternion, half_interval_s, nearest, poses_of
@@ -57,19 +60,40 @@ class ForeignSystem:
         sequence: the content of the folder.
         sequence_dir: the TUM-form folder.
         scratch: folder for result folders.
+        kept: where results are kept; None keeps none.
     """
 
-    def __init__(self, command: list[str], sequence: Sequence, sequence_dir: Path, scratch: Path) -> None:
+    def __init__(
+        self,
+        command: list[str],
+        sequence: Sequence,
+        sequence_dir: Path,
+        scratch: Path,
+        kept: FolderCache | None = None,
+    ) -> None:
         self._command, self._sequence = command, sequence
-        self._sequence_dir, self._scratch = sequence_dir, scratch
+        self._sequence_dir, self._scratch, self._kept = sequence_dir, scratch, kept
+        self._runs = 0
 
     def run(self) -> ForeignRun:
-        """Run the program once; the last line of its errors is shown if it fails.
+        """Run the program once, or read its run of the same number over the same frames if that was kept.
+
+        The last line of its errors is shown if it fails.
 
         Raises:
             InputError: it cannot be started, fails, or leaves files that are missing or not valid.
         """
-        out_dir = Path(tempfile.mkdtemp(prefix="peer-", dir=self._scratch))
+        if self._kept is None:
+            return self._started(Path(tempfile.mkdtemp(prefix="peer-", dir=self._scratch)))
+        key = content_key([self._command, _digest(self._sequence), self._runs])
+        self._runs += 1
+        found = self._kept.load(key, lambda folder: read_foreign_run(folder, self._sequence))
+        if found is None:
+            with self._kept.create(key) as out_dir:
+                found = self._started(out_dir)
+        return found
+
+    def _started(self, out_dir: Path) -> ForeignRun:
         words = [*self._command, str(self._sequence_dir), str(out_dir)]
         where = f"--peer: {shlex.join(self._command)}"
         try:
@@ -86,7 +110,11 @@ class ForeignSystem:
 
 @contextmanager
 def open_foreign_system(
-    command: str, source: str, sequence: Sequence, progress: Callable[[str, int, int], None] | None = None
+    command: str,
+    source: str,
+    sequence: Sequence,
+    progress: Callable[[str, int, int], None] | None = None,
+    kept: Path | None = None,
 ) -> Iterator[ForeignSystem]:
     """Open a peer and the folder that it reads, for the duration of the block.
 
@@ -96,6 +124,8 @@ def open_foreign_system(
             a temporary one.
         sequence: the frames.
         progress: called with (step, done, total) while writing.
+        kept: folder in which its result folders are kept; what is there of the same command and frames is
+            read instead of running it again.
 
     Raises:
         InputError: the command is empty or there is no such program; the disk is full.
@@ -106,7 +136,16 @@ def open_foreign_system(
         if not (is_folder(folder) and detect_form(folder) is Form.TUM):
             folder = scratch / "sequence"
             write_sequence(sequence, folder, Form.TUM, progress=progress)
-        yield ForeignSystem(words, sequence, folder.resolve(), scratch)
+        cache = None if kept is None else FolderCache(kept, max_bytes=sys.maxsize)
+        yield ForeignSystem(words, sequence, folder.resolve(), scratch, cache)
+
+
+def _digest(sequence: Sequence) -> str:
+    """Hash of all that a peer sees: images, stamps, camera."""
+    digest = hashlib.sha256(repr((sequence.camera, sequence.stamps_s.tobytes())).encode())
+    for index in range(len(sequence)):
+        digest.update(np.ascontiguousarray(sequence.frames[index]))
+    return digest.hexdigest()
 
 
 def check_command(command: str) -> list[str]:

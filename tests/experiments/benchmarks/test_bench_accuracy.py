@@ -58,6 +58,21 @@ def test_errors_are_of_the_frames_that_both_have_placed_and_starts_differ(sequen
     assert built == [1, 2], "nothing is run again"
 
 
+def test_a_peer_is_not_run_again_over_the_same_frames_where_its_results_are_kept(sequence, folder, tmp_path):
+    def measured(table, seeds, runs):
+        given = ([folder], seeds, "base", tmp_path / table, command(tmp_path, PEER, "--first=20", log), runs)
+        build = lambda kind, camera, seed: FakeSystem(sequence.T_world_cam[(seed - 1) * 20 :])  # noqa: E731
+        rows = accuracy.measure_accuracy(*given, kept=tmp_path / "kept", build=build)
+        return rows[rows.system == "peer"], len(log.read_text().splitlines())
+
+    log = tmp_path / "log"
+    first, starts = measured("first.parquet", [1], 2)
+    again, starts_again = measured("again.parquet", [1], 2)
+    assert starts == starts_again == 2
+    pd.testing.assert_frame_equal(first, again)
+    assert measured("more.parquet", [1, 2], 3)[1] == 2 + 1 + 3, "another run; other frames"
+
+
 def test_a_start_behind_the_end_and_a_source_without_truth_are_one_line(folder, tmp_path):
     given = ["bench", "accuracy", folder, "--seeds", "9", "--out", str(tmp_path / "t.parquet")]
     result = CliRunner().invoke(app, given)
