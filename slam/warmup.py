@@ -85,14 +85,13 @@ def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
     from slam.mapping.self_calibration import SelfCalibrationConfig
 
     # Dual-SLAM: a saved map, a breakage, a recovery by both threads and a fusion, which relocalization would
-    # prevent. The base: a relocalization. Dual-SLAM+: its matcher, up to the first map, between the pixels.
+    # prevent. The base: a relocalization. Dual-SLAM+: its matcher, up to the first map.
     every = DualConfig(exhaustive=True, relocalization=False)
     config = replace(default_config(CAMERA), self_calibration=SelfCalibrationConfig(at_keyframes=(3,)))
-    configs = {"dual+": replace(config, orb=replace(config.orb, subpixel=True))}
     counts = {"dual": 110, "base": 75, "dual+": 10}
     done, total = 0, sum(counts.values())
     for kind, count in counts.items():
-        system = build_system(kind, CAMERA, seed=0, config=configs.get(kind, config), dual=every)
+        system = build_system(kind, CAMERA, seed=0, config=config, dual=every)
         for image, stamp_s, _ in toy_frames(count, range(60, 66), step_m=0.05):
             if progress:
                 progress("compiling kernels (kept for later runs)", done, total)

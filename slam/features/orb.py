@@ -26,9 +26,9 @@ class OrbConfig:
         fast_threshold: contrast, in grey levels, that a corner must exceed.
         fast_min_threshold: the same in cells where no corner exceeds ``fast_threshold``.
         cell_px: side of these cells, in pixels of each level.
-        subpixel: find corners between the pixels of their level; by default at whole pixels, as in ORB-SLAM.
+        subpixel: find corners between the pixels of their level; False: at whole pixels, as in ORB-SLAM.
         noise_px: standard deviation of a corner, in pixels of its level; all that is allowed of reprojection
-            errors is a multiple of it.
+            errors is a multiple of it. ORB-SLAM's is 1.
     """
 
     n_features: int = 1000
@@ -37,8 +37,8 @@ class OrbConfig:
     fast_threshold: int = 20
     fast_min_threshold: int = 7
     cell_px: int = 30
-    subpixel: bool = False
-    noise_px: float = 1.0
+    subpixel: bool = True
+    noise_px: float = 0.5
 
     def __post_init__(self) -> None:
         """Raise ValueError naming the first field that is out of range."""

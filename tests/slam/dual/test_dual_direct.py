@@ -51,7 +51,7 @@ def test_smeared_frames_are_entered_and_left_through_blur():
     made = {result.map.frame_index(int(k)) for k in result.map.keyframes()}
     assert not made & set(SMEARED)
     sharp = scene.run("direct", DirectRecoveryConfig(through_blur=False))
-    assert not sharp.success and sharp.reason == "images_differ"
+    assert not set(SMEARED) & {f.features.index for f in sharp.frames}
 
 
 def test_faint_images_of_something_else_do_not_look_alike():
