@@ -9,7 +9,7 @@ from slam.core.frame import Frame
 from slam.core.seeds import rng_for
 from slam.core.timing import StageTimer
 from slam.map_store import MapStore
-from slam.tracking.probation import Probation, Verdict
+from slam.tracking.probation import Probation, Verdict, Withdrawn
 from slam.tracking.tracker import Tracker, TrackingOutcome
 
 
@@ -42,16 +42,16 @@ class PlaceSearch:
         self._timer = timer
         self._lock = lock
         self._emit = emit
-        self._faults: tuple[tuple[float, str], ...] = ()  # of withdrawn probations since the loss
+        self._withdrawn: tuple[Withdrawn, ...] = ()  # since the loss
 
     @property
     def undecided(self) -> bool:
         """True while a probation is under way and none was withdrawn since the loss."""
-        return self.probation is not None and not self._faults
+        return self.probation is not None and not self._withdrawn
 
     def start(self) -> None:
         """Begin a new search, at a loss of tracking."""
-        self._faults = ()
+        self._withdrawn = ()
 
     def offer(self, frame: Frame, map_ids: Sequence[int]) -> tuple[TrackingOutcome, Probation | None]:
         """Search the maps for a frame, in their order.
@@ -81,7 +81,8 @@ class PlaceSearch:
         store, loss = self._store, self._store.loss(map_id)
         rng = rng_for(self._seed, "relocalization", frame.features.index)
         with self._timer("relocalize"), self._lock:
-            found = store.places(map_id).relocalizer.relocalize(frame, rng, store.reach(map_id))
+            reach = store.reach(map_id)
+            found = store.places(map_id).relocalizer.relocalize(frame, rng, reach)
             if found.success:
                 tracker = Tracker(store[map_id], self._config.tracking, self._timer)
                 self.probation = Probation(
@@ -91,8 +92,9 @@ class PlaceSearch:
                     tracker,
                     self._config.probation,
                     loss.at.stamp_s,
-                    self._faults,
+                    self._withdrawn,
                     loss.doubt,
+                    reach,
                 )
         reason = "on_probation" if found.success else found.reason
         return TrackingOutcome(False, found.inliers, found.matches, reason)
@@ -118,7 +120,7 @@ class PlaceSearch:
     def _end(self, probation: Probation, frame: Frame) -> None:
         """End a probation that was not confirmed; its frames count against the next one."""
         self.probation = None
-        self._faults += tuple(probation.faults)
+        self._withdrawn += (probation.withdrawn(),)
         self._emit(
             frame,
             ev.RelocalizationWithdrawn,

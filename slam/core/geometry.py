@@ -68,6 +68,11 @@ def view_geometry(
     )
 
 
+def camera_centre(T_cam_map: np.ndarray) -> np.ndarray:
+    """(3,) position of a camera in the map, from its (4, 4) pose."""
+    return -T_cam_map[:3, :3].T @ T_cam_map[:3, 3]
+
+
 def share_of_motion(T: np.ndarray, share: float) -> np.ndarray:
     """Return the share, from 0 to 1, of a small rigid motion (4, 4)."""
     part = np.eye(4)

@@ -7,6 +7,7 @@ itself once may do so elsewhere: whoever supposes a place has to ask whether its
 
 import numpy as np
 
+from slam.core.geometry import camera_centre
 from slam.loop_closing.correction import Loop
 from slam.map import _map_kernels as kernels
 from slam.map.map import Map
@@ -23,7 +24,7 @@ def note_look_alike(map_: Map, loop: Loop) -> None:
     T_other, T = map_.T_cam_map(loop.loop_keyframe), map_.T_cam_map(loop.keyframe)
     S = T_other @ loop.alignment.S_old_new @ np.linalg.inv(T)
     depth = kernels.median_depth(map_.arrays, loop.keyframe)
-    centre = _centre(T)
+    centre = camera_centre(T)
     double = _moved(loop.alignment.S_old_new, centre)
     _, R, _ = sim3_decompose(S)
     here = T @ np.linalg.inv(T_other)
@@ -47,10 +48,6 @@ def doubles(old: Map, new: Map, S_old_new: np.ndarray) -> list[np.ndarray]:
     """Where else the new map would look as it does, as far as both maps know: (4, 4) similarities."""
     there, back = [[*found, *map(sim3_inverse, found)] for found in (look_alikes(old), look_alikes(new))]
     return [A @ S_old_new for A in there] + [S_old_new @ B for B in back]
-
-
-def _centre(T_cam_map: np.ndarray) -> np.ndarray:
-    return -T_cam_map[:3, :3].T @ T_cam_map[:3, 3]
 
 
 def _moved(S: np.ndarray, position: np.ndarray) -> np.ndarray:

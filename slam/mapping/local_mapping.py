@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.core.frame import Frame
+from slam.core.geometry import camera_centre
 from slam.map import _map_kernels as kernels
 from slam.map.map import MIN_OBSERVATIONS, Map
 from slam.mapping._local_problem import local_problem
@@ -141,7 +142,9 @@ class LocalMapper:
     def _triangulate(self, keyframe: int, neighbour: int, nearest: float) -> np.ndarray:
         """Rows of the points triangulated between two keyframes."""
         m, a, config = self.map, self.map.arrays, self.config
-        baseline = np.linalg.norm(_centre(a.kf_T_cam_map[neighbour]) - _centre(a.kf_T_cam_map[keyframe]))
+        baseline = np.linalg.norm(
+            camera_centre(a.kf_T_cam_map[neighbour]) - camera_centre(a.kf_T_cam_map[keyframe])
+        )
         depth = kernels.median_depth(a, neighbour)
         if depth <= 0 or baseline < config.min_baseline * depth:
             return np.empty(0, np.int64)
@@ -179,7 +182,3 @@ class LocalMapper:
                 continue
             if kernels.redundant_share(m.arrays, int(k)) > self.config.redundancy:
                 m.cull_keyframe(int(k))
-
-
-def _centre(T_cam_map: np.ndarray) -> np.ndarray:
-    return -T_cam_map[:3, :3].T @ T_cam_map[:3, 3]

@@ -8,6 +8,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from slam.core.frame import Frame
+from slam.core.geometry import camera_centre
 from slam.tracking._doubt_kernels import median_angles
 
 _MIN_POINTS = 10
@@ -82,10 +83,6 @@ def hidden_motion(points: np.ndarray, T_cam_map: np.ndarray, T_other_map: np.nda
     return float(alone), max(0.0, float(alone - seen))
 
 
-def _centre(T_cam_map: np.ndarray) -> np.ndarray:
-    return -T_cam_map[:3, :3].T @ T_cam_map[:3, 3]
-
-
 class Doubt:
     """Watches the motion of one tracker, forward or backward in time.
 
@@ -141,7 +138,7 @@ class Doubt:
         step, _ = hidden_motion(points, T, T_last)
         _, hidden = hidden_motion(points, T, T_predicted_map)
         depth = float(np.median(points @ T[2, :3] + T[2, 3]))
-        path = float(np.linalg.norm(_centre(T) - _centre(T_last)))
+        path = float(np.linalg.norm(camera_centre(T) - camera_centre(T_last)))
         speed = path / abs(stamp_s - last.features.stamp_s)
         self._motions.append(Motion(frame.features.index, stamp_s, step, hidden, depth, speed, born_s))
         self._forget(stamp_s)

@@ -7,12 +7,16 @@ from enum import StrEnum
 import numpy as np
 
 from slam.core.frame import Frame
+from slam.core.geometry import camera_centre
 from slam.map.map import Map
 from slam.matching.guided import collect_local_map
 from slam.optimization.pose import direction_deviation
 from slam.places.evidence import EvidenceBar, support
 from slam.tracking.doubt import Doubt
+from slam.tracking.reach import Reach
 from slam.tracking.tracker import Tracker, TrackingOutcome
+
+_UNKNOWN_VIEW = "view_is_unknown"
 
 
 @dataclass(frozen=True)
@@ -35,8 +39,10 @@ class ProbationConfig:
         max_deviation_deg: largest standard deviation of the camera's direction, as its points determine it,
             with which a frame says anything.
         min_sound: share of the frames that say something, one at least, that must speak for the place.
+        max_share: share of what is expected after ``far_s`` above which a frame does not speak for the place:
+            no keyframe has seen it from near this view, so that it is not known what it should show here.
         memory_s: time for which frames on an earlier probation count too: where one place was mistaken for
-            another, it may be again.
+            another, it may be again. Those of one that this one goes on from count whatever their age.
     """
 
     frames: int = 3
@@ -56,6 +62,7 @@ class ProbationConfig:
     min_expected: float = 40.0
     max_deviation_deg: float = 0.55
     min_sound: float = 0.75
+    max_share: float = 1.6
     memory_s: float = 8.0
 
 
@@ -65,6 +72,26 @@ class Verdict(StrEnum):
     PENDING = "pending"
     CONFIRMED = "confirmed"
     WITHDRAWN = "withdrawn"
+
+
+@dataclass(frozen=True)
+class Withdrawn:
+    """What is kept of a probation that was withdrawn.
+
+    Attributes:
+        map_id: the map.
+        centre: (3,) last position of the camera there, frame map.
+        stamp_s: time of that position.
+        faults: time and fault of each frame that said something, empty for none; views that are unknown say
+            nothing of another place.
+        inherited: the same of those that it went on from.
+    """
+
+    map_id: int
+    centre: np.ndarray
+    stamp_s: float
+    faults: tuple[tuple[float, str], ...]
+    inherited: tuple[tuple[float, str], ...]
 
 
 class Probation:
@@ -77,7 +104,8 @@ class Probation:
         tracker: of the same map, not yet started.
         config: settings.
         lost_at_s: time of the loss.
-        earlier: times of frames on earlier probations since the loss, and their faults, empty for none.
+        earlier: probations that were withdrawn since the loss, in order.
+        reach: how far the camera can have come in a time; None if unknown.
         doubt: for which the map was lost, if it was; what made the poses wander then may still be in view, so
             that the frames must be as many as it takes to doubt them.
 
@@ -97,8 +125,9 @@ class Probation:
         tracker: Tracker,
         config: ProbationConfig,
         lost_at_s: float,
-        earlier: Sequence[tuple[float, str]] = (),
+        earlier: Sequence[Withdrawn] = (),
         doubt: Doubt | None = None,
+        reach: Reach | None = None,
     ) -> None:
         self.map_id = map_id
         self.keyframe = keyframe
@@ -110,7 +139,7 @@ class Probation:
         if doubt is not None:
             tracker.doubt = doubt.successor()
             self._config = replace(config, frames=max(config.frames, doubt.config.min_frames + 1))
-        self._earlier = earlier
+        self._inherited, self._earlier = _divided(earlier, map_id, frame, reach)
         lost_for_s = frame.features.stamp_s - lost_at_s
         self._far = lost_for_s > config.far_s
         asked_s = min(config.far_share * lost_for_s, config.far_max_s) if self._far else 0.0
@@ -145,13 +174,25 @@ class Probation:
         """End it without confirmation."""
         self.verdict, self.reason = Verdict.WITHDRAWN, reason
 
+    def withdrawn(self) -> Withdrawn:
+        """What is kept of it for those that come after."""
+        last = self.frames[-1]
+        return Withdrawn(
+            self.map_id,
+            camera_centre(last.T_cam_map),
+            last.features.stamp_s,
+            tuple((at_s, fault) for at_s, fault in self.faults if fault != _UNKNOWN_VIEW),
+            self._inherited,
+        )
+
     def _decide(self) -> None:
         now_s = self.frames[-1].features.stamp_s
         span_s = now_s - self.first.features.stamp_s
         if len(self.frames) <= self._config.frames or span_s < self._span_s - 1e-6:
             return
         own = [fault for _, fault in self.faults]
-        before = [fault for at_s, fault in self._earlier if at_s >= now_s - self._config.memory_s]
+        remembered = [fault for at_s, fault in self._earlier if at_s >= now_s - self._config.memory_s]
+        before = [fault for _, fault in self._inherited] + remembered
         if own and not own[-1] and self._are_sound(own) and self._are_sound(before + own):
             self.verdict = Verdict.CONFIRMED
             self.frames = self.frames[self._sound_from :]
@@ -168,6 +209,8 @@ class Probation:
         radius_px, bar = self._config.radius_px, self._config.far_bar if self._far else self._config.bar
         seen = support(m, points, frame.T_cam_map, frame.features, radius_px, near=self._far)
         fault = bar.fault(seen)
+        if self._far and not fault and seen.share > self._config.max_share:
+            fault = _UNKNOWN_VIEW
         is_telling = seen.expected >= self._config.min_expected or not (fault or self._far)
         if is_telling and self._deviation_deg(frame) <= self._config.max_deviation_deg:
             self.faults.append((frame.features.stamp_s, fault))
@@ -181,3 +224,26 @@ class Probation:
             frame.T_cam_map, points, m.view.inv_sigma2[octaves], m.view.fx, m.view.fy
         )
         return float(np.rad2deg(deviation))
+
+
+def _divided(
+    earlier: Sequence[Withdrawn], map_id: int, frame: Frame, reach: Reach | None
+) -> tuple[tuple[tuple[float, str], ...], tuple[tuple[float, str], ...]]:
+    """Faults of the probations that a frame's pose goes on from, and of the others.
+
+    A place that looks like where the camera is goes with it: what was withdrawn is found again a frame later,
+    some way on.
+    """
+    inherited: tuple[tuple[float, str], ...] = ()
+    others: tuple[tuple[float, str], ...] = ()
+    centre, stamp_s = camera_centre(frame.T_cam_map), frame.features.stamp_s
+    for old in earlier:
+        if (
+            reach is not None
+            and old.map_id == map_id
+            and reach.follows(centre, stamp_s, old.centre, old.stamp_s)
+        ):
+            inherited += tuple(fault for fault in (*old.inherited, *old.faults) if fault not in inherited)
+        else:
+            others += old.faults
+    return inherited, others

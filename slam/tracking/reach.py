@@ -68,6 +68,11 @@ class Reach:
             return False
         return True
 
+    def follows(self, centre: np.ndarray, stamp_s: float, before: np.ndarray, before_s: float) -> bool:
+        """Return True if the camera can have come to ``centre`` (3,) from a position just before."""
+        gap_s = abs(stamp_s - before_s)
+        return gap_s <= self.config.memory_s and self._is_near(centre, before, gap_s)
+
     def _is_near(self, centre: np.ndarray, other: np.ndarray, time_s: float) -> bool:
         distance = self.config.factor * self.speed * (abs(time_s) + self.config.slack_s)
         return bool(np.linalg.norm(centre - other) <= distance)

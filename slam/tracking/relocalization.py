@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from slam.core.frame import Frame
+from slam.core.geometry import camera_centre
 from slam.map import _map_kernels as kernels
 from slam.map.map import Map
 from slam.matching import guided
@@ -117,7 +118,7 @@ class Relocalizer:
             if (
                 outcome.success
                 and reach is not None
-                and not reach.allows(_centre(frame), frame.features.stamp_s)
+                and not reach.allows(camera_centre(frame.T_cam_map), frame.features.stamp_s)
             ):
                 outcome = replace(outcome, success=False, reason="out_of_reach")
             if outcome.success:
@@ -213,10 +214,6 @@ class Relocalizer:
         keyframes, _ = guided.collect_local_map(m.arrays, m.n_keyframes, m.n_points, frame.point, 1)
         frame.reference_keyframe = int(keyframes[0])
         frame.T_cam_reference = frame.T_cam_map @ np.linalg.inv(m.T_cam_map(frame.reference_keyframe))
-
-
-def _centre(frame: Frame) -> np.ndarray:
-    return np.linalg.inv(frame.T_cam_map)[:3, 3]
 
 
 def _progress(outcome: RelocalizationOutcome) -> tuple[int, int]:

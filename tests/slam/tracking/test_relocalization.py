@@ -27,7 +27,7 @@ from slam.map.map import Map
 from slam.places.evidence import Support
 from slam.places.recognition import KeyframeDatabase
 from slam.places.training import train_vocabulary
-from slam.tracking.probation import ProbationConfig
+from slam.tracking.probation import ProbationConfig, Withdrawn
 from slam.tracking.reach import Reach, ReachConfig
 from slam.tracking.relocalization import RelocalizationConfig, Relocalizer
 from slam.warmup import CAMERA
@@ -367,14 +367,53 @@ def test_of_two_places_that_look_alike_neither_is_taken(known):
     assert bold.relocalize(frame, rng()).success
 
 
+def mistaken(system, stamps_s, faults, centre):
+    """Plant a probation that was withdrawn at the last frame, with so many faulty frames."""
+    seen = tuple((stamps_s[87] - 0.05 * n, "contradicted") for n in range(faults))
+    system.engine.search._withdrawn = (Withdrawn(0, centre, stamps_s[87], seen, ()),)
+
+
+FAR_AWAY = np.full(3, 1e3)
+
+
 def test_a_place_after_a_mistaken_one_needs_more_frames(recovered, there_and_back):
     """Frames on an earlier, withdrawn probation count for some time."""
     images, stamps_s, _ = there_and_back
     first = {}
     for faults in (0, 6):
         system = recovered[2].restore()
-        system.engine.search._faults = tuple((stamps_s[87] - 0.05 * n, "contradicted") for n in range(faults))
+        mistaken(system, stamps_s, faults, FAR_AWAY)
         feed(system, images[88:], stamps_s[88:], check=False)
         (found,) = [e for e in system.events if isinstance(e, Relocalized)]
         first[faults] = found.frame - found.first_frame
     assert first[0] == 3 and first[6] == 17  # 18 of 24 frames are three quarters
+
+
+@pytest.mark.parametrize(("is_same", "frames"), [(True, 17), (False, 3)])
+def test_a_place_that_goes_on_from_a_mistaken_one_inherits_what_spoke_against_it(
+    recovered, there_and_back, is_same, frames
+):
+    """However long ago; another place has nothing to do with it."""
+    images, stamps_s, _ = there_and_back
+    system = recovered[2].restore()
+    reconfigure(system, probation=ProbationConfig(memory_s=0.0))
+    (path,) = recovered[0].trajectories()
+    there = path.T_map_cam[path.frames > 87][0][:3, 3]
+    mistaken(system, stamps_s, 6, there if is_same else FAR_AWAY)
+    feed(system, images[88:], stamps_s[88:], check=False)
+    (found,) = [e for e in system.events if isinstance(e, Relocalized)]
+    assert found.frame - found.first_frame == frames
+
+
+@pytest.mark.parametrize(("found", "reason"), [(120, ""), (200, "view_is_unknown")])
+def test_a_view_that_no_keyframe_has_been_near_does_not_speak_for_a_far_place(
+    recovered, there_and_back, monkeypatch, found, reason
+):
+    images, stamps_s, _ = there_and_back
+    system = recovered[2].restore()
+    reconfigure(system, probation=ProbationConfig(far_s=0.1, far_max_s=0.2))
+    seen = Support(100.0, found, 20, 1.0, 0.0)
+    monkeypatch.setattr("slam.tracking.probation.support", lambda *_, near: seen)
+    feed(system, images[88:], stamps_s[88:], check=False)
+    assert kinds(system)[2] == ("relocalization_withdrawn" if reason else "relocalized")
+    assert not reason or system.events[2].reason == reason
