@@ -17,6 +17,7 @@ from pydantic import BaseModel
 from stress_pictures import draw_pictures
 
 from experiments.campaign.folder import read_experiment
+from experiments.eq1.doses import AXES
 from experiments.eq1.records import FAILURES, PAIR_COLUMNS, THREAD_COLUMNS, UNIT_COLUMNS
 from experiments.eq1.spec import ExperimentSpec, load_spec, preset_names
 from experiments.eq1.spec_parts import Base, Degradation
@@ -185,6 +186,15 @@ def presets() -> str:
         ("preset", "what it asks"),
         [(f"`{name}`", load_spec(name).description) for name in preset_names()],
     )
+
+
+def boundary_doses() -> str:
+    """The axis of the doses of every kind of stress."""
+    rows = [
+        (f"`{kind}`", f"`{axis.field}`", f"{axis.weakest:g}", f"{axis.strongest:g}")
+        for kind, axis in AXES.items()
+    ]
+    return _table(("kind", "dose", "weakest", "strongest"), rows)
 
 
 def experiment_fields() -> str:

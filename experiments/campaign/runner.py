@@ -15,7 +15,7 @@ from experiments.campaign.folder_lock import sole_driver
 from experiments.campaign.ledger import Ledger
 from experiments.campaign.ledger_renewal import renew_ledger
 from experiments.campaign.repeated_fault import RepeatedFault
-from experiments.campaign.schedule import Experiment, Record, Schedule
+from experiments.campaign.schedule import Experiment, Record, Schedule, UnitOrder
 from experiments.campaign.unit_job import is_infrastructure_error
 from experiments.campaign.worker_pool import Ended, WorkerPool
 from experiments.eq1.record_table import normalise
@@ -67,6 +67,7 @@ def run_experiment(
     retry_errors: bool = False,
     rerun_damaged: bool = False,
     show: Show | None = None,
+    order: Callable[[Experiment, Sequence[Record]], UnitOrder] = Schedule,
 ) -> Tally:
     """Run all units of an experiment that its folder lacks.
 
@@ -77,6 +78,7 @@ def run_experiment(
         retry_errors: retry units that were given up after infrastructure errors.
         rerun_damaged: drop damaged rows of the ledger and run their units again.
         show: called with the progress, at least after each unit.
+        order: makes what decides which unit comes next, from the experiment and the existing records.
 
     Raises:
         InputError: the folder holds something else or is in use, or the disk is full. The ledger keeps its
@@ -93,7 +95,7 @@ def run_experiment(
             if retry_errors and ledger.forget_errors():
                 rows = ledger.rows()
             check_units(experiment, rows, folder)
-            run = _Run(ledger, Schedule(experiment, rows), experiment, show)
+            run = _Run(ledger, order(experiment, rows), experiment, show)
             if not run.schedule.complete:
                 with open_worker_pool() as pool:
                     run.work(pool)
@@ -123,12 +125,14 @@ def check_units(experiment: Experiment, rows: Sequence[Record], folder: Path) ->
 class _Run:
     """State of a run."""
 
-    def __init__(self, ledger: Ledger, schedule: Schedule, experiment: Experiment, show: Show | None) -> None:
+    def __init__(
+        self, ledger: Ledger, schedule: UnitOrder, experiment: Experiment, show: Show | None
+    ) -> None:
         self.schedule = schedule
         self._ledger = ledger
         self._whole = dual_column(len(experiment.threads))
         proven = {r["cell"] for r in schedule.records() if not is_infrastructure_error(r)}
-        self._faults = RepeatedFault(len(experiment.cell_names()), proven)
+        self._faults = RepeatedFault(schedule.first_cells, proven)
         self._most_busy = 1
         self._show = show or (lambda tally: None)
         self._due: deque[UnitSpec] = deque()

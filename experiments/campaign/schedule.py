@@ -27,6 +27,22 @@ class Experiment(Protocol):
     def as_yaml(self) -> str: ...
 
 
+class UnitOrder(Protocol):
+    """Interface of what decides which unit comes next."""
+
+    @property
+    def first_cells(self) -> int: ...
+    @property
+    def total(self) -> int: ...
+    @property
+    def done(self) -> int: ...
+    @property
+    def complete(self) -> bool: ...
+    def next(self, worker: str = "") -> UnitSpec | None: ...
+    def finish(self, record: Record) -> None: ...
+    def records(self) -> list[Record]: ...
+
+
 class Schedule:
     """Order of an experiment's remaining units.
 
@@ -71,6 +87,11 @@ class Schedule:
         """Add the record of a unit that has ended."""
         if record["index"] < self._units[record["cell"]]:
             self._done[record["cell"]][record["index"]] = record
+
+    @property
+    def first_cells(self) -> int:
+        """Number of cells with which it begins: all."""
+        return len(self._units)
 
     @property
     def total(self) -> int:

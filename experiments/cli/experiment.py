@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from experiments.cli.boundary import boundary_command
 from experiments.cli.console import (
     JsonOption,
     err,
@@ -27,6 +28,7 @@ The folder of an experiment holds its spec, a ledger with one row per unit, and 
 `dslab experiment report out/smoke`
 """
 app = typer.Typer(help=_HELP, no_args_is_help=True)
+app.command("boundary")(boundary_command)
 app.command("fuzz")(fuzz_command)
 
 FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of an experiment.")]

@@ -27,8 +27,15 @@ class _Bar(Progress):
 
 
 @contextmanager
-def experiment_progress(name: str) -> Iterator[Callable[["Tally"], None]]:
-    """Show count, bar, pace and time left, and below them the estimates; yields its update callback."""
+def experiment_progress(
+    name: str, estimates: Callable[["Tally"], str] | None = None
+) -> Iterator[Callable[["Tally"], None]]:
+    """Show count, bar, pace and time left, and below them the estimates; yields its update callback.
+
+    Args:
+        name: what runs.
+        estimates: the estimates as text; None for the shares of an experiment.
+    """
     columns = (
         MofNCompleteColumn(),
         BarColumn(bar_width=None),
@@ -41,7 +48,7 @@ def experiment_progress(name: str) -> Iterator[Callable[["Tally"], None]]:
 
         def show(tally: "Tally") -> None:
             pace = pace_text(tally, time.monotonic() - started_s)
-            progress.estimates = f"{name}: {estimates_text(tally)}"
+            progress.estimates = f"{name}: {(estimates or estimates_text)(tally)}"
             progress.update(task, completed=tally.done, total=tally.total, description=pace)
 
         yield show

@@ -5,11 +5,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from experiments.eq1.boundary_plan import is_search
 from experiments.report.content import report_content
 from experiments.report.page import report_html
 from experiments.report.plots.draw import draw_plots
 from experiments.report.recordings import add_recordings
 from experiments.runs.files import to_json
+from scenarios.errors import InputError
 from sim.io.folders import new_directory, unwritable, write_file
 
 PAGE, FIGURES, PLOTS = "report.html", "report.json", "plots"
@@ -32,12 +34,15 @@ def write_report(
         The path of report.html.
 
     Raises:
-        InputError: the folder holds no experiment, or is not writable.
+        InputError: the folder holds no experiment or a boundary search, or is not writable.
     """
     from experiments.campaign.folder import read_experiment
 
     folder = Path(folder)
     spec, table = read_experiment(folder)
+    if is_search(spec):
+        problem = "is a boundary search, whose outcomes chose its doses: shares over them mean nothing"
+        raise InputError(str(folder), problem, "see boundary.json and boundary.png")
     report = report_content(spec, table, folder)
     try:
         if recordings:

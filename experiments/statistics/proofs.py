@@ -8,7 +8,7 @@ from math import inf, sqrt
 import numpy as np
 
 from experiments.runs.processes import process_pool
-from experiments.statistics import estimates
+from experiments.statistics import boundary_proofs, estimates
 from experiments.statistics.formulas import RIVALS, compare_formulas
 from experiments.statistics.outcomes import Outcomes, world_means
 from experiments.statistics.permutations import independence, within_sequences
@@ -135,6 +135,18 @@ def claims() -> list[Claim]:
     ):
         experiment = partial(_formula_wins, common, design)
         found.append(Claim(f"some formula beats Eq. 1 where {what}", *bounds, experiment))
+    return found + _boundary_claims()
+
+
+def _boundary_claims() -> list[Claim]:
+    found = []
+    for planted, level in boundary_proofs.REACHED:
+        what = f"{level:g}, slope {planted.slope:g}, {planted.sham_rate:g} to {planted.ceiling:g}"
+        experiment = partial(boundary_proofs.covers, planted, level)
+        found.append(Claim(f"coverage of the boundary of {what}", 0.90, 1, experiment))
+    for planted, level in boundary_proofs.NOT_REACHED:
+        name = f"boundary of {level:g} is not reached, ceiling {planted.ceiling:g}"
+        found.append(Claim(name, 0.90, 1, partial(boundary_proofs.not_reached, planted, level)))
     return found
 
 

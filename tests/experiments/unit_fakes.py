@@ -13,7 +13,14 @@ import yaml
 from experiments.campaign.ledger import Ledger
 from experiments.campaign.schedule import Experiment
 from experiments.campaign.worker_pool import Ended, WorkerPool
-from experiments.eq1.records import decided, dual_column, empty_record, thread_column
+from experiments.eq1.records import (
+    SHAM,
+    decided,
+    dual_column,
+    empty_record,
+    failure_column,
+    thread_column,
+)
 from experiments.eq1.units import ThreadChoice, UnitSpec, content_hash
 from scenarios.seeds import rng_for
 from scenarios.spec import RoomWorld, Scenario
@@ -133,6 +140,32 @@ def rendered_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path
     frames = render_sequence(Scenario.model_validate(spec), cache_dir=cache_dir).frames
     digest = hashlib.sha256(b"".join(frame.tobytes() for frame in frames)).hexdigest()
     return made_up_record(unit) | {"outcome": "void", "void_reason": digest}
+
+
+def planted_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict:
+    """A system that breaks ever more often: in half of the units at an exposure of 0.1 s, a contrast of 0.1.
+
+    No recovery thread succeeds. One unit in ten is void. The machine fails in the unit whose index is in
+    PLANTED_FAULT, or in all.
+    """
+    if os.environ.get("PLANTED_FAULT") in ("all", str(unit.index)):
+        return empty_record(unit) | {"message": "no GL here"}
+    rng = rng_for(unit.repeat_seed, "planted")
+    uniform, void = rng.random(2)
+    record = empty_record(unit) | {"code": "0", "commit": "0", "wall_s": time.perf_counter()}
+    if void < 0.1:
+        return record | {"outcome": "void", "void_reason": "drawn so"}
+    sign = -1 if unit.kind == "low_texture" else 1
+    rise = 0.0 if unit.kind == SHAM else 1 / (1 + (unit.severity / 0.1) ** (-4 * sign))
+    broke = bool(uniform < rise)
+    columns = {failure_column(f, n): broke for f in ("d", "s", "m") for n in range(1, len(unit.threads) + 1)}
+    return record | {"outcome": "completed", "breakage": broke} | columns
+
+
+def slow_planted_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict:
+    """The same after a moment."""
+    time.sleep(0.2)
+    return planted_unit(unit)
 
 
 def made_up_record(unit: UnitSpec) -> dict:

@@ -10,9 +10,12 @@ from pathlib import Path
 
 import psutil
 import pytest
-from unit_fakes import MadeUp, made_up_record, rows_of
+from unit_fakes import MadeUp, made_up_record, planted_unit, rows_of
 
+from experiments.campaign.boundary_schedule import BoundarySchedule
 from experiments.campaign.ledger import LEDGER_FILE, Ledger
+from experiments.campaign.unit_job import unit_record
+from experiments.eq1.boundary_plan import boundary_plan
 from experiments.eq1.record_table import normalise
 from experiments.eq1.records import decided
 from experiments.eq1.spec import load_spec
@@ -41,6 +44,7 @@ if __name__ == "__main__":
     experiments.eq1.trial.run_unit = slow_unit
     main()
 """
+BOUNDARY = DSLAB.replace("slow_unit", "slow_planted_unit")
 pytestmark = pytest.mark.slow
 
 
@@ -115,3 +119,18 @@ def test_ctrl_c_on_the_command_is_two_lines_and_exit_130_and_the_same_command_re
         rows = ledger.rows()
     # Rows include times, hence none was run again.
     assert len(rows) == 42 and all(row in rows for row in kept)
+
+
+def test_a_boundary_search_that_is_killed_ends_with_the_doses_of_one_that_is_not(command, tmp_path):
+    plan, folder = boundary_plan(load_spec("smoke"), "motion_blur", "base", 0.5, trials=32), tmp_path / "x"
+    whole = BoundarySchedule(plan)
+    while (unit := whole.next()) is not None:
+        whole.finish(unit_record(planted_unit, unit))
+    search = ["experiment", "boundary", "motion_blur", "--of", "base", "--fail", "0.5", "--spec", "smoke"]
+    search += ["--trials", 32, "--out", folder]
+    ended_midway(command(BOUNDARY, *search, "--workers", 2), signal.SIGKILL, folder, plan.spec)
+    assert 5 <= len(rows_of(folder, plan.spec)) < 32
+    subprocess.run(command(BOUNDARY, *search, "--workers", 1), timeout=300, check=True)
+    rows = sorted(rows_of(folder, plan.spec), key=lambda row: row["index"])
+    assert rows == [decided(dict(record)) for record in whole.records()]
+    assert (folder / "boundary.png").is_file()

@@ -1,0 +1,135 @@
+"""Order of the trials of a boundary search: shams, then batches whose doses earlier batches decide.
+
+A batch starts when all trials before it have ended, so that doses depend neither on the number of workers nor
+on who ends first; a resumed search goes on with the doses that it would have chosen.
+"""
+
+from collections.abc import Sequence
+
+from experiments.campaign.schedule import Record
+from experiments.eq1.boundary_plan import BoundaryPlan
+from experiments.eq1.units import UnitSpec
+from experiments.statistics.boundary import SHAM, CurveGrid, Floats, curve_grid
+from scenarios.errors import InputError
+
+
+class BoundarySchedule:
+    """The trials of a search that are left.
+
+    A trial that was recorded keeps its dose. A void one or one that was given up says nothing of its dose.
+
+    Args:
+        plan: of the search.
+        done: existing records; those beyond the number of trials do not count.
+
+    Raises:
+        InputError: a record is of a unit that no search chooses, or the shams reach the level.
+    """
+
+    first_cells = 1
+    """Cells with which it begins: the sham."""
+
+    def __init__(self, plan: BoundaryPlan, done: Sequence[Record] = ()) -> None:
+        self.plan = plan
+        self.grid: CurveGrid = curve_grid(plan.strengths)
+        self._place = {cell: place for place, cell in enumerate(plan.dose_cells)} | {plan.sham_cell: SHAM}
+        self._done: dict[int, Record] = {}
+        self._started: set[int] = set()
+        self._chosen: tuple[int, list[int]] = (-1, [])
+        for record in sorted(done, key=lambda r: r["index"]):
+            if record["index"] in self._done or (record["index"] < plan.shams) != (
+                record["cell"] == plan.sham_cell
+            ):
+                raise InputError(
+                    f"{record['cell']}:{record['index']}",
+                    "is a unit of the ledger that no search chooses",
+                    "choose a new folder",
+                )
+            self.finish(record)
+        if all(trial in self._done for trial in range(plan.shams)):
+            self._check_shams()
+
+    def next(self, worker: str = "") -> UnitSpec | None:
+        """The next trial to start; None while all of its batch run, and at the end.
+
+        Raises:
+            InputError: as many shams fail as are to fail at the dose that is sought.
+        """
+        first = next((t for t in range(self.total) if t not in self._done), None)
+        if first is None:
+            return None
+        start, size = self._batch(first)
+        for trial in range(start, min(start + size, self.total)):
+            if trial not in self._done and trial not in self._started:
+                self._started.add(trial)
+                place = self._places(start, size)[trial - start]
+                cell = self.plan.sham_cell if place == SHAM else self.plan.dose_cells[place]
+                return self.plan.spec.unit(cell, trial)
+        return None
+
+    def finish(self, record: Record) -> None:
+        """Add the record of a trial that has ended."""
+        if record["index"] < self.total:
+            self._done[record["index"]] = record
+
+    @property
+    def total(self) -> int:
+        """Number of trials."""
+        return self.plan.trials
+
+    @property
+    def done(self) -> int:
+        """Number of trials that have ended."""
+        return len(self._done)
+
+    @property
+    def complete(self) -> bool:
+        """True if all trials have ended."""
+        return self.done == self.total
+
+    def records(self) -> list[Record]:
+        """Records of the trials that have ended, in their order."""
+        return [self._done[trial] for trial in sorted(self._done)]
+
+    def outcomes(self, until: int | None = None) -> tuple[list[int], list[bool]]:
+        """Dose and failure of every trial that has an outcome, of the first ``until`` or of all.
+
+        Returns:
+            Numbers of the doses, or SHAM, and whether it failed.
+        """
+        judged = [
+            (self._place[record["cell"]], bool(record[self.plan.column]))
+            for record in self.records()
+            if record[self.plan.column] is not None and (until is None or record["index"] < until)
+        ]
+        return [place for place, _ in judged], [failed for _, failed in judged]
+
+    def posterior(self, until: int | None = None) -> Floats:
+        """(G,) probability of every curve after the first ``until`` trials, or after all."""
+        return self.grid.posterior(*self.outcomes(until))
+
+    def _batch(self, trial: int) -> tuple[int, int]:
+        """First trial and size of the batch of a trial."""
+        shams, batch = self.plan.shams, self.plan.batch
+        if trial < shams:
+            return 0, shams
+        return shams + (trial - shams) // batch * batch, batch
+
+    def _places(self, start: int, size: int) -> list[int]:
+        """Doses of a batch."""
+        if start < self.plan.shams:
+            return [SHAM] * size
+        if self._chosen[0] != start:
+            self._check_shams()
+            self._chosen = start, self.grid.choose(self.posterior(start), size)
+        return self._chosen[1]
+
+    def _check_shams(self) -> None:
+        places, failed = self.outcomes(self.plan.shams)
+        if places and sum(failed) >= self.plan.level * len(places):
+            rate = f"{sum(failed)} of {len(places)}"
+            raise InputError(
+                "--fail",
+                f"{self.plan.level:g} is not above the sham rate: {rate} fail without stress",
+                "give a higher probability",
+            )

@@ -1,0 +1,171 @@
+"""``dslab experiment boundary``."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from experiments.cli.console import JsonOption, check_seed, err, out, print_json_line
+from experiments.cli.experiment_progress import experiment_progress
+
+if TYPE_CHECKING:
+    from experiments.campaign.boundary_schedule import BoundarySchedule
+    from experiments.campaign.runner import Tally
+    from experiments.eq1.boundary_plan import BoundaryPlan
+
+
+class FailureChoice(StrEnum):
+    """What is to fail."""
+
+    BASE = "base"
+    DUAL = "dual"
+    SYSTEM = "system"
+    MISSION = "mission"
+    RECOVERY = "recovery"
+
+
+def boundary_command(
+    kind: Annotated[
+        str, typer.Argument(metavar="KIND", help="Kind of stress; KIND-creeping for one that rises slowly.")
+    ],
+    of: Annotated[
+        FailureChoice,
+        typer.Option(
+            help="base: tracking breaks (B); dual: and every thread fails (D); system: what a user gets (S); "
+            "mission: that, or silently or falsely wrong (M); recovery: thread 1 does not cross (R_1)."
+        ),
+    ],
+    fail: Annotated[float, typer.Option(metavar="P", help="Probability of failure at the dose sought.")],
+    out_dir: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the search.")],
+    spec: Annotated[
+        str, typer.Option(metavar="NAME|SPEC.yaml", help="Experiment whose units are the trials.")
+    ] = "eq1-quick",
+    base: Annotated[
+        str | None, typer.Option(help="Base of it: kind of world and of motion; default: the first.")
+    ] = None,
+    trials: Annotated[int, typer.Option(min=2, help="Number of trials, each in a world of its own.")] = 60,
+    sham: Annotated[int, typer.Option(min=1, help="Of these, trials without stress, which come first.")] = 8,
+    batch: Annotated[
+        int, typer.Option(min=1, max=8, help="Trials whose doses are chosen together: busy workers at most.")
+    ] = 4,
+    dose: Annotated[
+        str | None, typer.Option(metavar="FIELD", help="Field of the segment, if not that of the kind.")
+    ] = None,
+    weakest: Annotated[float | None, typer.Option(help="Weakest dose, if not that of the kind.")] = None,
+    strongest: Annotated[
+        float | None, typer.Option(help="Strongest dose; below the weakest where less is stronger.")
+    ] = None,
+    seed: Annotated[
+        int,
+        typer.Option(min=0, callback=check_seed, help="Root of worlds, paths and noise."),
+    ] = 0,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one per core.")] = None,
+    timeout: Annotated[float, typer.Option(min=1, help="Time limit of a trial in seconds.")] = 1800.0,
+    memory: Annotated[
+        int, typer.Option(min=0, metavar="MB", help="Memory limit of a worker; 0: none.")
+    ] = 4000,
+    retry_errors: Annotated[
+        bool,
+        typer.Option("--retry-errors", help="Retry trials that were given up for infrastructure errors."),
+    ] = False,
+    rerun_damaged: Annotated[
+        bool, typer.Option("--rerun-damaged", help="Drop damaged rows of the ledger and run them again.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Find the dose of a stress at which a failure has a given probability.
+
+    Every trial is a unit in a fresh world. Doses are chosen by what they are expected to tell, given all
+    trials before. The folder gets a ledger, boundary.json and boundary.png; the same command goes on with it,
+    also after `kill -9`, with more trials or for another probability. Doses and answer are the same for any
+    number of workers. Give another seed than that of the experiment for which the dose is sought.
+    For example:
+
+    `dslab experiment boundary motion_blur --of base --fail 0.5 --out out/blur`
+
+    `dslab experiment boundary low_texture --of mission --fail 0.25 --base room --trials 100 --out out/room`
+
+    `dslab experiment boundary defocus-creeping --of dual --fail 0.5 --strongest 30 --out out/defocus`
+    """
+    from experiments.campaign.clusters import open_worker_pool
+    from experiments.campaign.runner import run_experiment
+    from experiments.campaign.worker_pool import WorkerPoolSettings
+    from experiments.eq1.boundary_plan import boundary_plan
+    from experiments.eq1.doses import dose_axis
+    from experiments.eq1.spec import load_spec
+    from experiments.eq1.trial import run_unit
+    from experiments.report.boundary import PICTURE_FILE, write_boundary
+    from experiments.runs.provenance import usable_cores
+
+    plan = boundary_plan(
+        load_spec(spec),
+        kind,
+        of.value,
+        fail,
+        base=base,
+        trials=trials,
+        shams=sham,
+        batch=batch,
+        seed=seed,
+        axis=dose_axis(kind.removesuffix("-creeping"), dose, weakest, strongest),
+    )
+    settings = WorkerPoolSettings(workers or usable_cores(), None, timeout, memory or None)
+    order = _Estimating(plan)
+    try:
+        with experiment_progress(f"{kind}, {of.value} {fail:g}", order.text) as show:
+            tally = run_experiment(
+                plan.spec,
+                out_dir,
+                lambda: open_worker_pool(settings, run_unit),
+                retry_errors,
+                rerun_damaged,
+                show,
+                order.schedule,
+            )
+    except KeyboardInterrupt:
+        err.print(
+            f"{out_dir} keeps the finished trials: run the same command again to resume", soft_wrap=True
+        )
+        raise
+    found = write_boundary(plan, out_dir)
+    if as_json:
+        print_json_line(found)
+        return
+    _print_answer(found, tally)
+    out.print(f"picture in {out_dir / PICTURE_FILE}", soft_wrap=True)
+
+
+class _Estimating:
+    """Keeps the schedule of a run, to show what it has found so far."""
+
+    def __init__(self, plan: "BoundaryPlan") -> None:
+        self._plan = plan
+        self._schedule: BoundarySchedule | None = None
+        self._shown = (-1, "")
+
+    def schedule(self, _experiment: Any, rows: Any) -> "BoundarySchedule":
+        from experiments.campaign.boundary_schedule import BoundarySchedule
+
+        self._schedule = BoundarySchedule(self._plan, rows)
+        return self._schedule
+
+    def text(self, tally: "Tally") -> str:
+        """The answer so far, void trials and errors."""
+        from experiments.report.boundary import answer_text
+
+        if self._schedule is None or tally.done <= self._plan.shams:
+            return f"trials without stress, {tally.void} void"
+        if self._shown[0] != tally.done:
+            grid, weights = self._schedule.grid, self._schedule.posterior()
+            text = answer_text(grid.boundary(weights, self._plan.level), self._plan)
+            self._shown = tally.done, text.partition(": ")[2]
+        return f"{self._shown[1]}, {tally.void} void" + (f", {tally.errors} errors" if tally.errors else "")
+
+
+def _print_answer(found: dict[str, Any], tally: "Tally") -> None:
+    sham = found["sham"]
+    out.print(found["answer"], soft_wrap=True)
+    counts = f"{tally.done} trials in as many worlds, {tally.void} of them void"
+    counts += f", {tally.errors} given up for: {tally.cause}" if tally.errors else ""
+    out.print(f"{counts}; without stress {sham['failures']} of {sham['trials']} fail", soft_wrap=True)

@@ -1,0 +1,156 @@
+"""``dslab experiment boundary``: answer, files, resumption; bad input is one line."""
+
+import json
+from contextlib import nullcontext
+
+import pytest
+from PIL import Image
+from unit_fakes import LocalPool, planted_unit
+
+from experiments.campaign.boundary_schedule import BoundarySchedule
+from experiments.campaign.folder import read_rows
+from experiments.eq1.boundary_plan import boundary_plan
+from experiments.eq1.doses import DoseAxis
+from experiments.eq1.spec import load_spec
+from experiments.report.boundary import answer_text, boundary_content
+from experiments.statistics.boundary import Boundary
+
+BLUR = ("experiment", "boundary", "motion_blur", "--of", "base", "--fail", "0.5", "--spec", "smoke")
+
+
+@pytest.fixture
+def search(dslab, monkeypatch, tmp_path):
+    """A function that runs the command on simulated units, in the same folder each time."""
+
+    def opened(settings, task):
+        return nullcontext(LocalPool(task))
+
+    monkeypatch.setattr("experiments.campaign.clusters.embedded_worker_pool", opened)
+    monkeypatch.setattr("experiments.eq1.trial.run_unit", planted_unit)
+    return lambda *arguments: dslab(*arguments, "--out", tmp_path / "b")
+
+
+def test_a_search_prints_its_answer_and_writes_json_and_picture(search, tmp_path):
+    code, out, err = search(*BLUR, "--trials", 40)
+    found = json.loads((tmp_path / "b" / "boundary.json").read_text())
+    assert code == 0 and err == ""
+    lines = out.splitlines()
+    assert lines[0] == found["answer"]
+    assert lines[0].startswith("motion blur, corridor: base failure reaches 0.5 at exposure 0.")
+    assert lines[1].startswith("40 trials in as many worlds, ") and "without stress 0 of 8 fail" in lines[1]
+    assert found["status"] == "reached" and found["low"] < found["dose"] < found["high"]
+    assert found["dose"] == pytest.approx(0.1, rel=0.4) and found["field"] == "exposure_s"
+    assert len(found["trials"]) == 40 and found["trials"][0]["dose"] is None
+    assert found["curve"]["dose"][0] == pytest.approx(0.01) and len(found["curve"]["low"]) > 20
+    with Image.open(tmp_path / "b" / "boundary.png") as picture:
+        assert min(picture.size) > 300
+
+
+def test_the_same_command_goes_on_or_says_the_same_again(search, tmp_path):
+    search(*BLUR, "--trials", 20)
+    first = read_rows(tmp_path / "b")[1]
+    code, out, _ = search(*BLUR, "--trials", 32, "--json")
+    found = json.loads(out)
+    assert code == 0 and len(found["trials"]) == 32
+    files = [(tmp_path / "b" / name).read_bytes() for name in ("boundary.json", "boundary.png")]
+    rows = read_rows(tmp_path / "b")[1]
+    assert all(row in rows for row in first)
+    assert json.loads(search(*BLUR, "--trials", 32, "--json")[1]) == found
+    assert [(tmp_path / "b" / n).read_bytes() for n in ("boundary.json", "boundary.png")] == files
+
+
+def test_less_contrast_is_stronger(search, tmp_path):
+    arguments = (
+        "experiment",
+        "boundary",
+        "low_texture",
+        "--of",
+        "mission",
+        "--fail",
+        "0.5",
+        "--spec",
+        "smoke",
+    )
+    code, out, _ = search(*arguments, "--trials", 40, "--json")
+    found = json.loads(out)
+    assert code == 0 and found["stronger"] == "less" and found["column"] == "m2"
+    assert found["low"] < found["dose"] < found["high"] and found["dose"] == pytest.approx(0.1, rel=0.4)
+    assert found["curve"]["dose"][0] > found["curve"]["dose"][-1]
+    assert found["curve"]["probability"][0] < 0.1 and found["curve"]["probability"][-1] > 0.9
+
+
+@pytest.mark.parametrize(
+    ("ends", "status", "said"),
+    [
+        (("0.01", "0.04"), "not_reached", "does not reach 0.5 up to exposure 0.04 s"),
+        (("0.3", "0.9"), "exceeded", "exceeds 0.5 even at the weakest dose, exposure 0.3 s"),
+    ],
+)
+def test_a_boundary_outside_the_doses_is_said(search, ends, status, said):
+    given = ("--weakest", ends[0], "--strongest", ends[1], "--trials", 40, "--json")
+    found = json.loads(search(*BLUR, *given)[1])
+    assert found["status"] == status and said in found["answer"] and found["dose"] is None
+
+
+def test_the_folder_of_a_search_is_that_of_an_experiment(search, dslab, monkeypatch, tmp_path):
+    monkeypatch.setattr(
+        "experiments.campaign.replay.embedded_worker_pool", lambda _, task: nullcontext(LocalPool(task))
+    )
+    search(*BLUR, "--trials", 20)
+    code, out, _ = dslab("experiment", "replay", tmp_path / "b", read_rows(tmp_path / "b")[1][12]["unit_id"])
+    assert code == 0 and "agrees with the ledger" in out
+    assert dslab("experiment", "export", tmp_path / "b")[0] == 0
+    code, out, _ = dslab("experiment", "status", tmp_path / "b")
+    assert code == 0 and "20 of 420 units" in out
+
+
+def test_doses_that_outcomes_have_chosen_have_no_report(search, dslab, tmp_path):
+    search(*BLUR, "--trials", 12)
+    code, _, err = dslab("experiment", "report", tmp_path / "b")
+    assert (
+        code == 2 and err.count("\n") == 1 and "is a boundary search, whose outcomes chose its doses" in err
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["blur", "--of", "base", "--fail", "0.5"], "error: blur: there is no such kind of stress; use "),
+        (["jpeg", "--of", "base", "--fail", "1.5"], "error: --fail: 1.5 is no probability"),
+        (["jpeg", "--of", "base", "--fail", "nan"], "error: --fail: nan is no probability"),
+        (["jpeg", "--of", "base", "--fail", "0.5", "--dose", "fall_s"], "error: --dose: "),
+        (["jpeg", "--of", "base", "--fail", "0.5", "--strongest", "-1"], "error: --strongest: -1 has no log"),
+        (
+            ["jpeg", "--of", "base", "--fail", "0.5", "--spec", "none"],
+            "error: none: no such experiment; use ",
+        ),
+        (["jpeg", "--of", "base", "--fail", "0.5", "--base", "moon"], "error: --base: "),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_no_folder(search, arguments, said, tmp_path):
+    code, out, err = search("experiment", "boundary", *arguments)
+    assert code == 2 and out == "" and err.startswith(said) and err.count("\n") == 1
+    assert not (tmp_path / "b").exists()
+
+
+def test_the_folder_of_another_search_or_of_other_files_is_refused_and_kept(search, tmp_path):
+    search(*BLUR, "--trials", 12)
+    before = (tmp_path / "b" / "boundary.json").read_bytes()
+    code, _, err = search(*BLUR, "--trials", 12, "--strongest", "0.5")
+    assert code == 2 and err.count("\n") == 1 and "holds units of another spec (boundary-base-8-4" in err
+    assert (tmp_path / "b" / "boundary.json").read_bytes() == before
+
+
+def test_an_answer_without_bounds_says_so():
+    plan = boundary_plan(load_spec("smoke"), "low_texture", "dual", 0.5, axis=DoseAxis("contrast", 1.0, 0.01))
+    near = plan.axis.strength(0.02)
+    text = answer_text(Boundary(0.5, near, plan.axis.strength(0.2), float("inf"), 0.2, 0.0), plan)
+    assert text == "low texture, corridor: dual failure reaches 0.5 at contrast 0.02 [unbounded, 0.2]"
+    text = answer_text(Boundary(0.5, float("inf"), near, float("inf"), 0.6, 0.0), plan)
+    assert text.endswith("does not reach 0.5 at any dose up to contrast 0.01: its ceiling is lower")
+
+
+def test_a_search_without_any_trial_yet_has_an_answer():
+    plan = boundary_plan(load_spec("smoke"), "jpeg", "base", 0.5)
+    found = boundary_content(BoundarySchedule(plan))
+    assert found["trials"] == [] and found["sham"]["trials"] == 0 and 0 < found["sham"]["rate"] < 0.2
