@@ -23,6 +23,7 @@ from experiments.eq1.spec_parts import Base, Degradation
 from experiments.report.content import report_content
 from experiments.report.write import write_files
 from experiments.runs.slam_settings import settings_yaml
+from experiments.runs.systems.command_spec import CommandSpec, Environment, Limits
 from scenarios.cameras import PRESETS as CAMERAS
 from scenarios.cameras import Camera
 from scenarios.describe import describe_kind, label_and_unit
@@ -190,6 +191,12 @@ def presets() -> str:
 def experiment_fields() -> str:
     """The fields of an experiment's file."""
     parts = {"": ExperimentSpec, "A base": Base, "A degradation": Degradation}
+    return "\n".join(f"{title}\n\n{_fields(model, ())}" for title, model in parts.items())
+
+
+def system_fields() -> str:
+    """The fields of the description of a program."""
+    parts = {"": CommandSpec, "`limits`": Limits, "`environment`": Environment}
     return "\n".join(f"{title}\n\n{_fields(model, ())}" for title, model in parts.items())
 
 
