@@ -16,6 +16,8 @@ from pathlib import Path
 from pydantic import BaseModel
 from stress_pictures import draw_pictures
 
+from experiments.batch.rows import COLUMNS as BATCH_COLUMNS
+from experiments.batch.spec import BatchSpec
 from experiments.campaign.folder import read_experiment
 from experiments.eq1.records import FAILURES, PAIR_COLUMNS, THREAD_COLUMNS, UNIT_COLUMNS
 from experiments.eq1.spec import ExperimentSpec, load_spec, preset_names
@@ -198,6 +200,16 @@ def system_fields() -> str:
     """The fields of the description of a program."""
     parts = {"": CommandSpec, "`limits`": Limits, "`environment`": Environment}
     return "\n".join(f"{title}\n\n{_fields(model, ())}" for title, model in parts.items())
+
+
+def batch_fields() -> str:
+    """The fields of a batch's file."""
+    return _fields(BatchSpec, ())
+
+
+def batch_columns() -> str:
+    """The columns of a batch's row."""
+    return _table(("column", "meaning"), [(f"`{name}`", words) for name, (_, words) in BATCH_COLUMNS.items()])
 
 
 def record_columns() -> str:

@@ -154,7 +154,7 @@ def _show_run(show: Progress, kind: str, done: int, total: int) -> None:
     show(f"SLAM ({kind})", done, total)
 
 
-def write_run(folder: Path, record: RunRecord, summary: dict) -> None:
+def write_run(folder: Path, record: RunRecord, summary: dict, picture: bool = True) -> None:
     """Write the files of a run, except recording and maps, into an existing folder."""
     main = record.trajectories[0] if record.trajectories else None
     write_tum(folder / "trajectory.txt", main)
@@ -164,7 +164,8 @@ def write_run(folder: Path, record: RunRecord, summary: dict) -> None:
     write_frames_csv(folder / "frames.csv", record.results)
     write_events(folder / "events.jsonl", record.events)
     (folder / SUMMARY_FILE).write_text(to_json(summary, indent=2) + "\n", encoding="utf-8")
-    _draw(folder, {record.system_kind: record})
+    if picture:
+        _draw(folder, {record.system_kind: record})
 
 
 def _draw(folder: Path, records: Mapping[str, RunRecord]) -> None:
