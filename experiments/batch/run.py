@@ -23,7 +23,7 @@ from scenarios.errors import InputError
 from scenarios.extensions import source_digest
 from scenarios.input_files import is_folder
 from sim.cache import content_key
-from sim.io.folders import write_file
+from sim.io.folders import unwritable, write_file
 
 ROWS_FILE, CSV_FILE, RUNS_DIR = "runs.parquet", "runs.csv", "runs"
 Progress = Callable[[str, int, int], None]
@@ -55,14 +55,18 @@ def run_batch(
         task: makes a run in its process; another one for tests.
 
     Raises:
-        InputError: a system is unknown or cannot be started, or the folder holds something else.
+        InputError: a system is unknown or cannot be started, or the folder holds something else or cannot be
+            written.
     """
     folders = tuple(folders)
     systems = {name: Registry.open(folders).find(name) for name in spec.systems}
     for system in systems.values():
         if isinstance(system, CommandSystem):
             system.check()
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unwritable(folder, error) from error
     with sole_driver(folder):
         table = folder / ROWS_FILE
         rows = _kept(table, spec)
@@ -76,7 +80,10 @@ def run_batch(
         _render(missing, workers, progress)
         for number, row in enumerate(_made(missing, workers, task), len(jobs) - len(missing) + 1):
             rows.append(row)
-            write_rows(table, typed(rows).to_dict("records"), KEY)
+            try:
+                write_rows(table, typed(rows).to_dict("records"), KEY)
+            except OSError as error:
+                raise unwritable(table, error) from error
             if progress is not None:
                 progress("runs", number, len(jobs))
         found = typed([row for row in rows if tuple(row[name] for name in KEY) in digests])

@@ -244,6 +244,12 @@ def test_a_batch_that_is_wrong_is_one_line(dslab, monkeypatch, tmp_path, line, s
     assert not (tmp_path / "b" / ROWS_FILE).exists()
 
 
+def test_a_folder_that_cannot_be_made_is_one_line(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="cannot be written"):
+        run_batch(spec_of(), [], tmp_path / "file" / "b")
+
+
 def test_one_batch_at_a_time_works_in_a_folder(tmp_path):
     from experiments.campaign.folder_lock import sole_driver
 
