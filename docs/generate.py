@@ -16,6 +16,8 @@ from pathlib import Path
 from pydantic import BaseModel
 from stress_pictures import draw_pictures
 
+from experiments.batch.rows import COLUMNS as BATCH_COLUMNS
+from experiments.batch.spec import BatchSpec
 from experiments.campaign.folder import read_experiment
 from experiments.eq1.doses import AXES
 from experiments.eq1.records import FAILURES, PAIR_COLUMNS, THREAD_COLUMNS, UNIT_COLUMNS
@@ -24,6 +26,7 @@ from experiments.eq1.spec_parts import Base, Degradation
 from experiments.report.content import report_content
 from experiments.report.write import write_files
 from experiments.runs.slam_settings import settings_yaml
+from experiments.runs.systems.command_spec import CommandSpec, Environment, Limits
 from scenarios.cameras import PRESETS as CAMERAS
 from scenarios.cameras import Camera
 from scenarios.describe import describe_kind, label_and_unit
@@ -201,6 +204,22 @@ def experiment_fields() -> str:
     """The fields of an experiment's file."""
     parts = {"": ExperimentSpec, "A base": Base, "A degradation": Degradation}
     return "\n".join(f"{title}\n\n{_fields(model, ())}" for title, model in parts.items())
+
+
+def system_fields() -> str:
+    """The fields of the description of a program."""
+    parts = {"": CommandSpec, "`limits`": Limits, "`environment`": Environment}
+    return "\n".join(f"{title}\n\n{_fields(model, ())}" for title, model in parts.items())
+
+
+def batch_fields() -> str:
+    """The fields of a batch's file."""
+    return _fields(BatchSpec, ())
+
+
+def batch_columns() -> str:
+    """The columns of a batch's row."""
+    return _table(("column", "meaning"), [(f"`{name}`", words) for name, (_, words) in BATCH_COLUMNS.items()])
 
 
 def record_columns() -> str:

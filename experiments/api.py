@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 
 from experiments.plugins import load_plugins
+from experiments.result_folder import execute_recorded
 from experiments.runs.execution import Mode, RunRecord, SystemFactory, execute, system_factory
-from scenarios.errors import InputError
+from experiments.runs.systems.registry import Registry
 from scenarios.spec import Scenario
 from sim.sequence import Sequence
 from slam.config import SlamConfig
@@ -121,7 +122,8 @@ def run(
 
     Args:
         sequence: a sequence, a scenario to render, or what names one: a folder, a scenario's name or file.
-        system: ``base``, ``dual`` or ``dual+``, or a function of (name, camera, seed) that makes a system.
+        system: name of a system of ``dslab systems list``, ``module:Class``, or a function of (name, camera,
+            seed) that makes a system.
         seed: root of every random stream of the system, and of a scenario given by name; None for the
             scenario's own, or 0.
         config: settings of the base; by default the published ones for the image size.
@@ -133,12 +135,15 @@ def run(
         InputError: the system is unknown, or the sequence is not valid.
     """
     load_plugins()
-    if isinstance(system, str) and system not in SYSTEMS:
-        raise InputError(f"system {system!r}", "is unknown", f"use one of {', '.join(SYSTEMS)}")
+    plugin = Registry.open().find(system) if isinstance(system, str) and system not in SYSTEMS else None
     opened = _opened(sequence, seed)
     seed = int(opened.meta.get("seed", 0)) if seed is None else seed
     build = system_factory(mode, dual, config) if isinstance(system, str) else system
     name: Any = system if isinstance(system, str) else getattr(system, "__name__", "own")
+    if plugin is not None:
+        show = None if progress is None else (lambda step, done, total: progress(done, total))
+        records = execute_recorded(opened, [plugin.name], seed, progress=show, plugins={plugin.name: plugin})
+        return Run(records[plugin.name])
     return Run(execute(opened, name, seed, None, progress, build))
 
 

@@ -9,14 +9,14 @@ from experiments.campaign.worker_pool import WorkerPoolSettings
 from experiments.eq1.spec import ExperimentSpec
 from experiments.eq1.trial import run_unit
 from experiments.result_folder import run_systems
-from experiments.runs.execution import SystemFactory, SystemKind
+from experiments.runs.execution import SystemFactory
 from experiments.runs.files import to_json
 from experiments.statistics.analysis import analyse
 from experiments.statistics.judged import JudgedCell
 from sim.io.folders import Progress, new_directory
 from sim.sequence import Sequence
 
-SYSTEMS: tuple[SystemKind, ...] = ("base", "dual+")
+SYSTEMS: tuple[str, ...] = ("base", "dual+")
 MARKER_FILE = "demo.json"
 EXPERIMENT_DIR = "experiment"
 
@@ -29,7 +29,7 @@ def run_demo(
     workers: int = 2,
     progress: Progress | None = None,
     build: SystemFactory | None = None,
-) -> tuple[dict[SystemKind, dict], list[JudgedCell]]:
+) -> tuple[dict[str, dict], list[JudgedCell]]:
     """Run the systems, then the units, and write the folder of the demonstration, whole or not at all.
 
     It holds a folder for each system, their common recording and picture, and the folder of the experiment.

@@ -3,15 +3,19 @@
 from collections.abc import Callable, Mapping
 from collections.abc import Sequence as Many
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from experiments.evaluation.summary import summarise
-from experiments.runs.execution import AtEnd, RunRecord, SystemFactory, SystemKind, execute
+from experiments.runs.execution import AtEnd, RunRecord, SystemFactory, execute, system_factory
 from experiments.runs.files import to_json, write_events, write_frames_csv, write_tum
 from experiments.runs.pacing import RealTime
+from experiments.runs.systems.command import CommandSystem, run_command
+from experiments.runs.systems.registry import OwnSystem, System, factory_with
 from sim.io.folders import Progress, new_directory
 from sim.sequence import Sequence
+from sim.unfinished import scratch_folder
 
 if TYPE_CHECKING:
     from experiments.recording import Recording
@@ -24,7 +28,7 @@ MAP_DIR = "map"
 
 def run_systems(
     sequence: Sequence,
-    systems: Many[SystemKind],
+    systems: Many[str],
     seed: int,
     folder: Path,
     recording: bool = False,
@@ -32,7 +36,8 @@ def run_systems(
     build: SystemFactory | None = None,
     real_time: bool = False,
     maps: bool = False,
-) -> dict[SystemKind, dict]:
+    plugins: Mapping[str, System] | None = None,
+) -> dict[str, dict]:
     """Run systems over a sequence, one after the other, and write their results into a folder.
 
     The folder of a run holds trajectory.txt (the map with most frames), trajectory_map<k>.txt (every other
@@ -50,13 +55,14 @@ def run_systems(
         build: makes the systems; ``slam.factory.build_system`` by default.
         real_time: feed the frames at the pace of their stamps; False for as fast as possible.
         maps: write the maps as well.
+        plugins: systems that are not ours, by name. A program leaves its log and its settings in the folder.
 
     Returns:
         The summary of each system, as in its summary.json.
 
     Raises:
         ValueError: a recording is requested in real time, which it would disturb.
-        InputError: a frame cannot be read.
+        InputError: a frame cannot be read, or a program cannot be started.
     """
     own = {kind: folder if len(systems) == 1 else folder / kind for kind in systems}
     for place in own.values():
@@ -70,8 +76,10 @@ def run_systems(
         build,
         real_time,
         (lambda kind: _map_writer(own[kind] / MAP_DIR)) if maps else (lambda kind: None),
+        plugins,
+        own.__getitem__,
     )
-    summaries: dict[SystemKind, dict] = {kind: summarise(record) for kind, record in records.items()}
+    summaries: dict[str, dict] = {kind: summarise(record) for kind, record in records.items()}
     for kind, record in records.items():
         write_run(own[kind], record, summaries[kind])
     if len(systems) > 1:
@@ -80,7 +88,7 @@ def run_systems(
 
 
 def run_sequence(
-    sequence: Sequence, system: SystemKind, seed: int, out_dir: Path, recording: bool = False, **options: Any
+    sequence: Sequence, system: str, seed: int, out_dir: Path, recording: bool = False, **options: Any
 ) -> dict:
     """Run one system and write its result folder, whole or not at all.
 
@@ -100,38 +108,53 @@ def run_sequence(
 
 def execute_recorded(
     sequence: Sequence,
-    systems: Many[SystemKind],
+    systems: Many[str],
     seed: int,
     recording_path: Path | None = None,
     progress: Progress | None = None,
     build: SystemFactory | None = None,
     real_time: bool = False,
-    at_end: Callable[[SystemKind], AtEnd | None] = lambda kind: None,
-) -> dict[SystemKind, RunRecord]:
-    """Run systems one after the other and, given a path, record them there together."""
+    at_end: Callable[[str], AtEnd | None] = lambda kind: None,
+    plugins: Mapping[str, System] | None = None,
+    folder_of: Callable[[str], Path] | None = None,
+) -> dict[str, RunRecord]:
+    """Run systems one after the other and, given a path, record them there together.
+
+    Arguments as of :func:`run_systems`; ``folder_of`` gives the folder of a program's log, by default none
+    that stays.
+    """
     if real_time and recording_path is not None:
         raise ValueError("a recording would take time from the frames")
     show = progress or (lambda step, done, total: None)
-    records: dict[SystemKind, RunRecord] = {}
+    plugins = plugins or {}
+    make = factory_with(plugins, build or system_factory())
+    records: dict[str, RunRecord] = {}
     path = recording_path
-    with nullcontext() if path is None else _open_recording(path, sequence, systems) as recording:
+    with (
+        nullcontext() if path is None else _open_recording(path, sequence, systems) as recording,
+        scratch_folder() as scratch,
+    ):
         for kind in systems:
-            records[kind] = execute(
-                sequence,
-                kind,
-                seed,
-                None if recording is None else recording.watch(kind),
-                lambda done, total, kind=kind: show(f"SLAM ({kind})", done, total),
-                build,
-                RealTime(sequence) if real_time else None,
-                at_end(kind),
-            )
+            watcher = None if recording is None else recording.watch(kind)
+            shown = partial(_show_run, show, kind)
+            plugin = plugins.get(kind, OwnSystem(kind))
+            if isinstance(plugin, CommandSystem):
+                log_dir = scratch if folder_of is None else folder_of(kind)
+                records[kind] = run_command(plugin, sequence, seed, log_dir, scratch, watcher, shown)
+            else:
+                pace = RealTime(sequence) if real_time else None
+                end = at_end(kind) if isinstance(plugin, OwnSystem) else None
+                records[kind] = execute(sequence, kind, seed, watcher, shown, make, pace, end)
         if recording is not None:
             recording.finish(list(records.values()))
     return records
 
 
-def write_run(folder: Path, record: RunRecord, summary: dict) -> None:
+def _show_run(show: Progress, kind: str, done: int, total: int) -> None:
+    show(f"SLAM ({kind})", done, total)
+
+
+def write_run(folder: Path, record: RunRecord, summary: dict, picture: bool = True) -> None:
     """Write the files of a run, except recording and maps, into an existing folder."""
     main = record.trajectories[0] if record.trajectories else None
     write_tum(folder / "trajectory.txt", main)
@@ -141,16 +164,17 @@ def write_run(folder: Path, record: RunRecord, summary: dict) -> None:
     write_frames_csv(folder / "frames.csv", record.results)
     write_events(folder / "events.jsonl", record.events)
     (folder / SUMMARY_FILE).write_text(to_json(summary, indent=2) + "\n", encoding="utf-8")
-    _draw(folder, {record.system_kind: record})
+    if picture:
+        _draw(folder, {record.system_kind: record})
 
 
-def _draw(folder: Path, records: Mapping[SystemKind, RunRecord]) -> None:
+def _draw(folder: Path, records: Mapping[str, RunRecord]) -> None:
     from experiments.pictures.run_picture import draw_runs
 
     draw_runs(folder / PICTURE_FILE, records)
 
 
-def _open_recording(path: Path, sequence: Sequence, systems: Many[SystemKind]) -> "Recording":
+def _open_recording(path: Path, sequence: Sequence, systems: Many[str]) -> "Recording":
     from experiments.recording import Recording
 
     return Recording(path, sequence, systems)

@@ -5,7 +5,20 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli import bench, cache, config, demo, doctor, experiment, run, view, vocabulary, warmup
+from experiments.cli import (
+    bench,
+    cache,
+    config,
+    demo,
+    doctor,
+    experiment,
+    run,
+    systems,
+    view,
+    vocabulary,
+    warmup,
+)
+from experiments.cli.batch import batch_command
 from experiments.cli.degrade import degrade_command
 from experiments.cli.export import export_command
 from experiments.cli.footage import footage_command
@@ -32,6 +45,8 @@ app.add_typer(cache.app, name="cache")
 app.command("degrade")(degrade_command)
 app.command("export")(export_command)
 app.command("run")(run.run_command)
+app.add_typer(systems.app, name="systems")
+app.command("batch")(batch_command)
 app.command("footage")(footage_command)
 app.command("view")(view.view_command)
 app.add_typer(experiment.app, name="experiment")

@@ -59,6 +59,15 @@ RendererOption = Annotated[
     str | None,
     typer.Option("--renderer", help="Renderer of scenarios: mujoco (the default) or pyrender."),
 ]
+SystemsOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--systems",
+        metavar="DIR",
+        help="Folder with descriptions of other people's systems; repeatable, beside those in DSLAB_SYSTEMS.",
+        show_default=False,
+    ),
+]
 SourceArgument = Annotated[str, typer.Argument(help="A sequence folder, a scenario's name or its YAML file.")]
 FolderOption = Annotated[Path, typer.Option("--out", help="Output folder; absent or empty.")]
 ForceOption = Annotated[

@@ -13,6 +13,7 @@ from experiments.cli.console import (
     ModeOption,
     RealTimeOption,
     RendererOption,
+    SystemsOption,
     check_real_time,
     check_seed,
     out,
@@ -22,7 +23,7 @@ from experiments.cli.console import (
 )
 
 if TYPE_CHECKING:
-    from experiments.runs.execution import SystemKind
+    from experiments.runs.systems.registry import System
 
 
 class SystemChoice(StrEnum):
@@ -43,9 +44,11 @@ def run_command(
         typer.Option(
             metavar="NAMES",
             help="base: ORB-SLAM's method; dual: Dual-SLAM; dual+: with initialization by GMS; paper and "
-            "paper+: these as the paper has them; or several, such as base,dual.",
+            "paper+: these as the paper has them; those of dslab systems list; a class of your own, as "
+            "module:Class; or several, such as base,dual.",
         ),
     ] = "base",
+    systems_dir: SystemsOption = None,
     config: Annotated[
         Path | None,
         typer.Option(
@@ -106,21 +109,27 @@ def run_command(
     `dslab run path/to/sequence --config slam.yaml --out out/sequence --json`
 
     `dslab run clean-room --mode threaded --real-time --map --out out/room`
+
+    `dslab run path/to/sequence --system base,orbslam3,my_slam:MySlam --out out/compared`
     """
     from experiments.cli.run_tables import print_runs
     from experiments.result_folder import PICTURE_FILE, run_systems
     from experiments.runs.slam_settings import SlamSettings, factory_of, read_slam_settings
     from experiments.runs.sources import open_sequence
+    from experiments.runs.systems.registry import Registry, split_names
     from scenarios.errors import InputError
     from sim.io.folders import check_free, new_directory
+    from slam.factory import SYSTEMS
     from slam.warmup import warm_up
 
-    systems = chosen_systems(system)
+    chosen = Registry.open(systems_dir or ()).find_all(split_names(system))
+    systems = list(chosen)
+    _check_startable(chosen, maps)
     settings = read_slam_settings(config) if config is not None else SlamSettings()
     if config is not None and mode is ModeChoice.LOCKSTEP and settings.mode is not None:
         mode = ModeChoice(settings.mode)
     check_real_time(real_time, mode)
-    options = _dual_options(systems, recovery, exhaustive, no_relocalization)
+    options = _dual_options([s for s in systems if s in SYSTEMS], recovery, exhaustive, no_relocalization)
     settings = replace(settings, dual_options=options, mode=mode.value)
     if real_time and rerun:
         raise InputError("--rerun", "a recording takes time from the frames", "leave out --real-time")
@@ -134,21 +143,24 @@ def run_command(
         slam_seed = seed if seed is not None else int(sequence.meta.get("seed", 0))
         build = factory_of(settings)
         with new_directory(out_dir) as folder:
-            summaries = run_systems(sequence, systems, slam_seed, folder, rerun, show, build, real_time, maps)
+            summaries = run_systems(
+                sequence, systems, slam_seed, folder, rerun, show, build, real_time, maps, chosen
+            )
     if as_json:
         for summary in summaries.values():
             print_json_line(summary)
-        return
-    print_runs(summaries)
-    out.print(f"picture    {out_dir / PICTURE_FILE}", soft_wrap=True)
-    if rerun:
-        out.print(f"recording  dslab view {out_dir}", soft_wrap=True)
-    for kind in summaries:
-        out.print(f"{kind:10s} {out_dir / kind if len(summaries) > 1 else out_dir}", soft_wrap=True)
+    else:
+        print_runs(summaries)
+        out.print(f"picture    {out_dir / PICTURE_FILE}", soft_wrap=True)
+        if rerun:
+            out.print(f"recording  dslab view {out_dir}", soft_wrap=True)
+        for kind in summaries:
+            out.print(f"{kind:10s} {out_dir / kind if len(summaries) > 1 else out_dir}", soft_wrap=True)
+    _check_described(summaries)
 
 
-def chosen_systems(names: str) -> "list[SystemKind]":
-    """The systems that an option names.
+def chosen_systems(names: str) -> list[str]:
+    """The systems of ours that an option names.
 
     Raises:
         InputError: one is unknown, or named twice.
@@ -163,11 +175,34 @@ def chosen_systems(names: str) -> "list[SystemKind]":
             raise InputError("--system", f"there is no system {name!r}", remedy)
         if name in chosen[:place]:
             raise InputError("--system", f"{name} is given twice", remedy)
-    return [SystemChoice(name).value for name in chosen]
+    return chosen
+
+
+def _check_startable(chosen: "dict[str, System]", maps: bool) -> None:
+    """Check, before frames are rendered, that programs are there, and that maps are asked of ours only."""
+    from experiments.runs.systems.command import CommandSystem
+    from experiments.runs.systems.registry import OwnSystem
+    from scenarios.errors import InputError
+
+    for system in chosen.values():
+        if isinstance(system, CommandSystem):
+            system.check()
+        if maps and not isinstance(system, OwnSystem):
+            raise InputError("--map", f"of {system.name} only poses are known", "leave out --map")
+
+
+def _check_described(summaries: dict[str, dict]) -> None:
+    """Raise InputError, after all is written, if a program left other files than described."""
+    from experiments.runs.ending import Ending, EndKind
+    from scenarios.errors import InputError
+
+    for name, summary in summaries.items():
+        if Ending(EndKind(summary["ended"])).is_of_description:
+            raise InputError(f"system {name}", summary["ended_message"], "correct it, or its description")
 
 
 def _dual_options(
-    systems: "list[SystemKind]", recovery: str | None, exhaustive: bool, no_relocalization: bool
+    systems: list[str], recovery: str | None, exhaustive: bool, no_relocalization: bool
 ) -> dict[str, Any]:
     """The fields of the settings of Dual-SLAM that options give."""
     from scenarios.errors import InputError
@@ -184,6 +219,6 @@ def _dual_options(
         except ValueError as error:
             remedy = "give kinds with commas between, such as orb,sift"
             raise InputError("--recovery", str(error), remedy) from None
-    if options and systems == ["base"]:
+    if options and set(systems) <= {"base"}:
         raise InputError("--system", "base has no recovery", "add --system dual or dual+")
     return options

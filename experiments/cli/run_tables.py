@@ -35,7 +35,26 @@ def print_runs(summaries: Mapping[str, dict]) -> None:
     if any(summary["breakage_list"] or _silent(summary) for summary in summaries.values()):
         out.print(breakage_table(summaries))
     for name, summary in summaries.items():
+        if summary["ended"] != "finished" and len(summaries) > 1:
+            out.print(f"{name}: {ending_text(summary)}")
+        if summary["declares"] != "events":
+            out.print(f"{name}: {declares_text(summary)}")
         out.print(f"{name}: {audit_text(summary)}")
+
+
+def ending_text(summary: dict) -> str:
+    """How a run ended, in words."""
+    return f"{summary['ended'].replace('_', ' ')}: {summary['ended_message']}"
+
+
+def declares_text(summary: dict) -> str:
+    """What a system that is not ours says of itself, and what counts in its place."""
+    says = {
+        "losses": "declares losses in its own words, and not what becomes of them",
+        "nothing": "declares nothing: frames without a pose and the audit are what counts",
+    }[summary["declares"]]
+    live = "; final poses stand in for live ones" if summary["live_poses"] == "final" else ""
+    return says + live
 
 
 def summary_table(summary: dict) -> Table:
@@ -45,7 +64,8 @@ def summary_table(summary: dict) -> Table:
     )
     dropped = summary["dropped_frames"]
     first = summary["first_tracked_frame"]
-    rows = {"frames dropped, too late": str(dropped)} if dropped else {}
+    rows = {} if summary["ended"] == "finished" else {"ended": ending_text(summary)}
+    rows |= {"frames dropped, too late": str(dropped)} if dropped else {}
     rows |= {
         "frames tracked": f"{summary['tracked']} of {summary['frames']} ({share(summary['share_tracked'])})",
         "frames with a pose in the end": f"{summary['posed']} of {summary['frames']} "
@@ -162,6 +182,8 @@ def _silent_row(loss: dict, summary: dict) -> tuple:
 
 def _fate(breakage: dict, summary: dict) -> str:
     """What became of a broken map."""
+    if summary["declares"] == "losses":
+        return "not said"
     if breakage["repair"] is None:
         again = breakage["reinit_frame"]
         begun = f"; new map from frame {again} on" if again is not None else ""

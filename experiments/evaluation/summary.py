@@ -33,12 +33,16 @@ def summarise(record: RunRecord) -> dict:
     ``cpu_ms_*`` is the CPU time of the tracking stages per frame, ``mapping_cpu_ms_*`` that of local mapping
     per keyframe, ``loop_cpu_ms_*`` that of loop closing. ``dropped_frames`` were too late to be fed; they are
     not among the ``frames``.
+    ``ended`` says how the run ended, ``declares`` what the system says of itself (``events``, ``losses`` or
+    ``nothing``), and ``live_poses`` whether they were given frame by frame: ``final`` ones stand in for them
+    where a program does not say.
     """
     outcomes = breakage_outcomes(record.events, record.sequence.segments, list(record.sequence.stamps_s))
     summary = {
         "sequence": sequence_label(record.sequence),
         "system": record.system_kind,
         "seed": record.seed,
+        **_ending(record),
         **_counts(record, outcomes),
         **_accuracy(record),
         **time_figures(record.results),
@@ -135,6 +139,15 @@ def stage_times(results: Iterable[TrackingResult]) -> dict[str, dict[str, float 
             "ms_median": _median(wall.get(stage, [])),
         }
         for stage, values in cpu.items()
+    }
+
+
+def _ending(record: RunRecord) -> dict:
+    return {
+        "ended": record.ending.kind.value,
+        "ended_message": record.ending.message,
+        "declares": record.declares.value,
+        "live_poses": "given" if record.has_live_poses else "final",
     }
 
 

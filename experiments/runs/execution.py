@@ -7,6 +7,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from experiments.runs.ending import FINISHED, Declares, Ending
 from experiments.runs.memory import peak_rss_mb, reset_peak
 from experiments.runs.pacing import RealTime
 from scenarios.errors import InputError
@@ -20,6 +21,7 @@ from slam.dual.config import DualConfig
 from slam.map.map import Map
 
 SystemKind = Literal["base", "dual", "dual+", "paper", "paper+"]
+"""Our systems, see ``slam.factory``; a plug-in goes by any other name."""
 Mode = Literal["lockstep", "threaded"]
 """Schedule of tracking, mapping and loop closing: ``slam.runtime.backend.ExecutionMode`` by name."""
 Progress = Callable[[int, int], None]
@@ -43,7 +45,8 @@ class SlamSystem(Protocol):
     def config(self) -> Any: ...
 
 
-SystemFactory = Callable[[SystemKind, PinholeCamera, int], SlamSystem]
+SystemFactory = Callable[[Any, PinholeCamera, int], SlamSystem]
+"""Makes a system from its name, the camera and a seed."""
 AtEnd = Callable[[SlamSystem, Sequence], None]
 """Called with the finished system and the frames it was fed."""
 
@@ -72,10 +75,13 @@ class RunRecord:
         wall_s: time spent in the system.
         peak_rss_mb: largest resident memory of the process during the run.
         dropped_frames: number of frames that were too late to be fed.
+        ending: how the run ended.
+        declares: what the system says of itself.
+        has_live_poses: False if ``live`` had to be made from the final poses.
     """
 
     sequence: Sequence
-    system_kind: SystemKind
+    system_kind: str
     seed: int
     config: dict
     results: tuple[TrackingResult, ...]
@@ -87,6 +93,9 @@ class RunRecord:
     wall_s: float
     peak_rss_mb: float
     dropped_frames: int = 0
+    ending: Ending = FINISHED
+    declares: Declares = Declares.EVENTS
+    has_live_poses: bool = True
 
 
 def slam_camera(camera: Intrinsics) -> PinholeCamera:
@@ -99,7 +108,7 @@ def slam_camera(camera: Intrinsics) -> PinholeCamera:
 
 def execute(
     sequence: Sequence,
-    system_kind: SystemKind,
+    system_kind: str,
     seed: int,
     observer: Observer | None = None,
     progress: Progress | None = None,
@@ -114,7 +123,7 @@ def execute(
 
     Args:
         sequence: frames, times, camera; its truth is not passed on.
-        system_kind: ``base``, ``dual`` or ``dual+``.
+        system_kind: name of the system: ``base``, ``dual`` or ``dual+``, or what ``build`` knows.
         seed: root of every random stream of the system.
         observer: called after every frame.
         progress: called with (frames done, frames in all).
@@ -159,7 +168,7 @@ def execute(
 def record_of(
     system: SlamSystem,
     sequence: Sequence,
-    system_kind: SystemKind,
+    system_kind: str,
     seed: int,
     results: Iterable[TrackingResult],
     wall_s: float,
@@ -181,6 +190,8 @@ def record_of(
         wall_s=wall_s,
         peak_rss_mb=peak_rss_mb(),
         dropped_frames=dropped,
+        ending=getattr(system, "ending", FINISHED),
+        declares=getattr(system, "declares", Declares.EVENTS),
     )
 
 

@@ -64,5 +64,5 @@ def test_runs_are_compared_in_a_table(run, sequence):
 
 
 def test_an_unknown_system_is_bad_input(sequence):
-    with pytest.raises(InputError, match="use one of base, dual"):
+    with pytest.raises(InputError, match="one of base, dual"):
         experiments.run(sequence, "dualslam")

@@ -3,11 +3,14 @@
 import os
 import subprocess
 import sys
+import threading
+import time
+from multiprocessing import active_children
 
 import psutil
 import pytest
 
-from experiments.runs.processes import process_pool
+from experiments.runs.processes import call_in_process, process_pool, side_by_side
 
 KILLED = """
 import os, signal
@@ -40,3 +43,24 @@ def test_workers_are_killed_if_the_block_raises():
     with pytest.raises(KeyboardInterrupt):
         work()
     assert not psutil.pid_exists(pids[0])
+
+
+def test_a_call_has_a_process_of_its_own_whose_every_end_is_told():
+    assert call_in_process(os.getpid, (), 120) != os.getpid()
+    with pytest.raises(ValueError, match="'x'"):
+        call_in_process(int, ("x",), 120)
+    with pytest.raises(ChildProcessError, match="exit code 7"):
+        call_in_process(os._exit, (7,), 120)
+    with pytest.raises(TimeoutError):
+        call_in_process(time.sleep, (300,), 1)
+    with pytest.raises(RuntimeError, match="pickle"):
+        call_in_process(threading.Lock, (), 120)
+    assert not active_children()
+
+
+def test_calls_side_by_side_end_with_the_caller():
+    calls = [(time.sleep, (seconds,), 300) for seconds in (0, 90, 90)]
+    started_s = time.monotonic()
+    for _ in side_by_side(2, call_in_process, calls):
+        break
+    assert time.monotonic() - started_s < 60 and not active_children()

@@ -1,0 +1,129 @@
+"""The row of a run: its columns, and how they are made from a record."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+
+from experiments.evaluation import metrics
+from experiments.evaluation.alignment import Undefined
+from experiments.evaluation.intact_map import judge_intact
+from experiments.evaluation.summary import is_tracked
+from experiments.runs.execution import RunRecord
+
+Row = dict[str, Any]
+
+KEY = ("source", "system", "run")
+STAGE = "stage_"
+"""Start of the columns with the median CPU time of a stage, milliseconds."""
+ERROR = "error"
+"""In ``ended``: the run could not be made, which says nothing of the system."""
+COLUMNS = {
+    "source": ("string", "the sequence, as named"),
+    "sequence": ("string", "its own name"),
+    "system": ("string", "name of the system"),
+    "run": ("Int64", "number of the run, from 0"),
+    "seed": ("Int64", "seed of the system"),
+    "first_frame": ("Int64", "first frame of the sequence that was given"),
+    "frames": ("Int64", "frames that there were, those that were dropped included"),
+    "dropped_frames": ("Int64", "frames that were too late to be given"),
+    "ended": ("string", "how the run ended; `error` if it could not be made"),
+    "ended_message": ("string", "a line about that"),
+    "declares": ("string", "what the system says of itself"),
+    "live_poses": ("string", "`given` frame by frame, or `final` ones in their place"),
+    "intact": ("boolean", "one map goes from the first pose to the end"),
+    "intact_reason": ("string", "why not"),
+    "longest_gap_s": ("Float64", "longest section that the map lacks"),
+    "completeness": ("Float64", "share of the frames that have a pose in the main map in the end"),
+    "share_tracked": ("Float64", "share of the frames that had a pose live"),
+    "path_share": ("Float64", "share of the true path between frames of the main map"),
+    "time_to_initialise_s": ("Float64", "from the first frame to the first live pose"),
+    "ate_keyframes_m": ("Float64", "RMSE of the keyframes of the main map after Sim(3) alignment"),
+    "ate_frames_m": ("Float64", "RMSE of its frames"),
+    "ate_reason": ("string", "why there is none"),
+    "rpe_m": ("Float64", "RMSE of the translation over one second"),
+    "rpe_deg": ("Float64", "RMSE of the rotation over one second"),
+    "breakages": ("Int64", "breakages that the system declared"),
+    "recoveries": ("Int64", "of them recovered"),
+    "relocalizations": ("Int64", "of them relocalized"),
+    "maps": ("Int64", "maps in the end"),
+    "ms_median": ("Float64", "tracking per frame, wall"),
+    "cpu_ms_median": ("Float64", "tracking per frame, CPU of its thread"),
+    "cpu_ms_p95": ("Float64", "likewise, 95th percentile"),
+    "mapping_cpu_ms_median": ("Float64", "mapping per keyframe"),
+    "loop_cpu_ms_median": ("Float64", "loop closing per keyframe"),
+    "wall_s": ("Float64", "time in the system; of a program with its start"),
+    "peak_rss_mb": ("Float64", "largest resident memory"),
+    "spec": ("string", "hash of the settings of the batch"),
+    "system_digest": ("string", "hash of the class or the description of the system"),
+    "code": ("string", "hash of the code that makes images and poses"),
+    "commit": ("string", "of the lab"),
+}
+_OF_SUMMARY = (
+    "dropped_frames", "ended", "ended_message", "declares", "live_poses", "path_share",
+    "time_to_initialise_s", "breakages", "recoveries", "relocalizations", "maps", "ms_median",
+    "cpu_ms_median", "cpu_ms_p95", "mapping_cpu_ms_median", "loop_cpu_ms_median", "peak_rss_mb",
+    "commit", "ate_reason",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class About:
+    """What a row says of its run before it is made: columns by name."""
+
+    columns: Row
+
+    def row(self, record: RunRecord, summary: dict) -> Row:
+        """The row of a run that was made.
+
+        Args:
+            record: the run.
+            summary: of :func:`experiments.evaluation.summary.summarise`.
+        """
+        frames = len(record.sequence) + record.dropped_frames
+        posed = len(record.trajectories[0].frames) if record.trajectories else 0
+        rpe = summary["rpe"] or {}
+        intact = judge_intact(record.trajectories, _first_pose_s(record), float(record.sequence.stamps_s[-1]))
+        return {
+            **self.columns,
+            **{name: summary[name] for name in _OF_SUMMARY},
+            "frames": frames,
+            "intact": intact.intact,
+            "intact_reason": intact.reason,
+            "longest_gap_s": intact.longest_gap_s,
+            "completeness": posed / frames,
+            "share_tracked": summary["tracked"] / frames,
+            "ate_keyframes_m": _ate_keyframes_m(record),
+            "ate_frames_m": summary["ate_m"],
+            "rpe_m": rpe.get("translation_rmse_m"),
+            "rpe_deg": rpe.get("rotation_rmse_deg"),
+            "wall_s": record.wall_s,
+            **{f"{STAGE}{name}": times["cpu_ms_median"] for name, times in summary["stages"].items()},
+        }
+
+    def without_figures(self, ended: str, message: str) -> Row:
+        """The row of a run of which nothing is known but its end."""
+        return {**self.columns, "ended": ended, "ended_message": message}
+
+
+def typed(rows: list[Row]) -> pd.DataFrame:
+    """Rows as a table, sorted, its types independent of which figures are missing."""
+    stages = sorted({str(name) for row in rows for name in row if str(name).startswith(STAGE)})
+    types = {name: kind for name, (kind, _) in COLUMNS.items()} | dict.fromkeys(stages, "Float64")
+    table = pd.DataFrame(rows, columns=list(types))
+    table = table.astype(types).sort_values(list(KEY), kind="stable")
+    return table.reset_index(drop=True)
+
+
+def _first_pose_s(record: RunRecord) -> float | None:
+    live = [result.stamp_s for result in record.results if is_tracked(result)]
+    first = [float(path.stamps_s[0]) for path in record.trajectories if len(path.stamps_s)]
+    return min([*live[:1], *first], default=None)
+
+
+def _ate_keyframes_m(record: RunRecord) -> float | None:
+    truth = record.sequence.T_world_cam
+    if truth is None or not record.keyframes:
+        return None
+    ate = metrics.ate(metrics.associate(record.keyframes[0], record.sequence.stamps_s, truth))
+    return None if isinstance(ate, Undefined) else ate.rmse_m

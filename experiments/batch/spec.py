@@ -1,0 +1,124 @@
+"""A batch: sequences times systems times runs, as a YAML file says."""
+
+import glob
+import re
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, ValidationError, field_validator
+
+from experiments.runs.execution import Mode
+from scenarios.errors import InputError
+from scenarios.faults import all_faults
+from scenarios.input_files import is_folder
+from scenarios.segment_text import parse_segment
+from scenarios.segments import SegmentBase
+from scenarios.strict import Strict
+from scenarios.yaml_file import YamlFile, read_yaml
+from sim.cache import content_key
+
+_PATTERN = re.compile(r"[*?\[]")
+_MOST_SEED = 2**63 - 1
+_OF_A_ROW = ("vary", "skip_frames", "first_s", "stress", "seed", "mode", "real_time")
+
+
+class BatchSpec(Strict):
+    """What is run: every system over every sequence, several times."""
+
+    sequences: tuple[str, ...] = Field(min_length=1, description="folders, patterns of folders, scenarios")
+    systems: tuple[str, ...] = Field(
+        min_length=1, description="names of `dslab systems list`, or module:Class"
+    )
+    runs: int = Field(10, ge=1, le=10_000, description="runs of each system over each sequence")
+    vary: Literal["seeds", "start", "nothing"] = Field(
+        "seeds", description="what differs from run to run: the system's seed, the first frame, or nothing"
+    )
+    skip_frames: int = Field(
+        1, ge=1, description="frames that each further run leaves out, if the start varies"
+    )
+    first_s: float | None = Field(None, gt=0, description="seconds of each sequence; all of it if left out")
+    stress: tuple[str, ...] = Field((), description="segments, as those of `dslab degrade`")
+    seed: int = Field(0, ge=0, le=_MOST_SEED, description="root of all seeds")
+    mode: Mode = Field("lockstep", description="schedule of our systems")
+    real_time: bool = Field(
+        False, description="feed ours and classes in real time, which needs mode threaded"
+    )
+    limit_s: float = Field(7200.0, gt=0, description="longest duration of a run, its preparation included")
+
+    @field_validator("systems")
+    @classmethod
+    def _all_different(cls, systems: tuple[str, ...]) -> tuple[str, ...]:
+        double = next((name for name in systems if systems.count(name) > 1), None)
+        if double is not None:
+            raise ValueError(f"{double} is named twice, name each once")
+        return systems
+
+    @property
+    def segments(self) -> list[SegmentBase]:
+        """The segments of the stress."""
+        return [parse_segment(text) for text in self.stress]
+
+    @property
+    def row_key(self) -> str:
+        """Hash of all that makes a row beside its sequence, system and run."""
+        return content_key(self.model_dump(mode="json", include=set(_OF_A_ROW)))
+
+
+def read_batch(path: Path) -> tuple[BatchSpec, list[str]]:
+    """Read and check a batch; its folders and scenarios, patterns written out.
+
+    Raises:
+        InputError: the file cannot be read or is not valid, a pattern fits no sequence, or a segment is none.
+    """
+    file = read_yaml(path, "batch", "the documentation, batches")
+    try:
+        spec = BatchSpec.model_validate(file.data)
+    except ValidationError as error:
+        raise all_faults(error, file.where, root=BatchSpec) from None
+    if spec.real_time and spec.mode != "threaded":
+        raise InputError(file.where(("real_time",)), f"the mode is {spec.mode}", "add mode: threaded")
+    for place, text in enumerate(spec.stress):
+        try:
+            parse_segment(text)
+        except InputError as fault:
+            raise InputError(file.where(("stress", place)), fault.problem, fault.remedy) from None
+    return spec, _sources(file, spec)
+
+
+def _sources(file: YamlFile, spec: BatchSpec) -> list[str]:
+    found: list[str] = []
+    for place, text in enumerate(spec.sequences):
+        where = file.where(("sequences", place))
+        found += _matches(where, text) if _PATTERN.search(text) else [_checked(where, text)]
+    double = next((source for source in found if found.count(source) > 1), None)
+    if double is not None:
+        raise InputError(file.where(("sequences",)), f"{double} is named twice", "name each once")
+    return found
+
+
+def _matches(where: str, pattern: str) -> list[str]:
+    """The sequence folders that a pattern fits."""
+    from sim.io.forms import detect_form
+
+    found = []
+    for name in sorted(filter(is_folder, glob.glob(pattern))):
+        try:
+            detect_form(Path(name))
+        except InputError:
+            continue
+        found.append(name)
+    if not found:
+        raise InputError(where, f"{pattern!r} fits no sequence folder", "correct the pattern")
+    return found
+
+
+def _checked(where: str, source: str) -> str:
+    """A source that can be opened, as far as that is known without its frames."""
+    from scenarios.loading import load_scenario
+    from sim.io.forms import load_sequence
+
+    try:
+        load_sequence(source) if is_folder(source) else load_scenario(source, None)
+    except InputError as fault:
+        raise InputError(f"{where} ({fault.where})", fault.problem, fault.remedy) from None
+    return source

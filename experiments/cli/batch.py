@@ -1,0 +1,93 @@
+"""``dslab batch``."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from experiments.cli.console import (
+    JsonOption,
+    SystemsOption,
+    number,
+    out,
+    print_json_line,
+    print_table,
+    progress_bars,
+    share,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def batch_command(
+    batch: Annotated[Path, typer.Argument(metavar="SPEC.yaml", help="The batch.")],
+    out_dir: Annotated[Path, typer.Option("--out", help="Folder of the results; resumed if it exists.")],
+    workers: Annotated[int, typer.Option(min=1, help="Number of runs at a time.")] = 1,
+    systems_dir: SystemsOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run systems over many sequences, several times each, and print a table.
+
+    SPEC.yaml names sequences (folders, patterns, scenarios), systems and the number of runs. Killed and
+    started again, a batch goes on where it was. Systems that take frames in real time run alone, after the
+    others. Writes runs.parquet and runs.csv, a row per run, and the result folder of each run. For example:
+
+    `dslab batch kitti.yaml --workers 2 --out out/kitti`
+    """
+    from experiments.batch.run import CSV_FILE, run_batch
+    from experiments.batch.spec import read_batch
+    from experiments.batch.table import sums
+    from experiments.runs.files import plain
+
+    spec, sources = read_batch(batch)
+    with progress_bars() as show:
+        rows = run_batch(spec, sources, out_dir, workers, systems_dir or (), show)
+    found = sums(rows)
+    if as_json:
+        print_json_line({"rows": plain(found.astype(object).where(found.notna(), None).to_dict("records"))})
+    else:
+        print_table(_table(found))
+        out.print(f"every run  {out_dir / CSV_FILE}", soft_wrap=True)
+    _check_made(rows)
+
+
+def _check_made(rows: "pd.DataFrame") -> None:
+    """Raise MachineError, after all is printed, if runs could not be made."""
+    from experiments.batch.rows import ERROR
+    from scenarios.errors import MachineError
+
+    lacking = rows[rows.ended == ERROR]
+    if len(lacking):
+        first = lacking.iloc[0]
+        problem = f"{len(lacking)} of {len(rows)} runs could not be made: {first.ended_message}"
+        remedy = "mend it and run the same command again"
+        raise MachineError(f"{first.source}, {first.system}, run {first.run}", problem, remedy)
+
+
+def _table(found: "pd.DataFrame") -> Table:
+    table = Table(title="medians over the runs")
+    table.add_column("")
+    columns = (
+        "intact\nmap", "ended\nbadly", "break-\nages", "ATE m,\nkeyframes", "ATE m,\nframes", "RPE m\nper s",
+        "complete", "CPU ms\nper frame",
+    )  # fmt: skip
+    for column in columns:
+        table.add_column(column, justify="right")
+    for _, own in found.astype(object).where(found.notna(), None).groupby("source", sort=False):
+        table.add_section()
+        table.add_row(Text(own.sequence.iloc[0], "bold"))
+        for row in own.itertuples():
+            figures = (row.ate_keyframes_m, row.ate_frames_m, row.rpe_m)
+            table.add_row(
+                row.system,
+                f"{row.intact} of {row.runs}",
+                str(row.ended_badly or "-"),
+                number(row.breakages, 0),
+                *map(number, figures),
+                share(row.completeness),
+                number(row.cpu_ms_median, 1),
+            )
+    return table

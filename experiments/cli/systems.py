@@ -1,0 +1,149 @@
+"""``dslab systems``."""
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from experiments.cli.console import SystemsOption, out, print_facts, print_table, progress_bars
+
+if TYPE_CHECKING:
+    from experiments.runs.execution import RunRecord
+    from experiments.runs.systems.registry import Registry
+
+NameArgument = Annotated[str, typer.Argument(metavar="NAME", help="Name of a system, or module:Class.")]
+app = typer.Typer(
+    no_args_is_help=True,
+    help="SLAM systems to run: ours, classes of your own, programs of other people. See them, check them, "
+    "install them.",
+)
+
+
+@app.command("list")
+def list_command(systems_dir: SystemsOption = None) -> None:
+    """List every system with what it is and whether it can be run.
+
+    Beside ours: programs that a YAML file describes, in the lab or in the folders of `--systems` and
+    `DSLAB_SYSTEMS`, and classes that installed packages bring (entry points `dslab.systems`). For example:
+
+    `dslab systems list`
+
+    `dslab systems list --systems my/systems`
+    """
+    from experiments.runs.systems.registry import Registry
+
+    registry = Registry.open(systems_dir or ())
+    table = Table()
+    for column in ("system", "what", "state"):
+        table.add_column(column)
+    for name in registry.names():
+        table.add_row(name, *_described(registry, name))
+    print_table(table)
+
+
+@app.command("check")
+def check_command(
+    name: NameArgument,
+    source: Annotated[
+        str | None,
+        typer.Option(
+            help="A sequence folder or scenario to run it on; a few made-up frames.", show_default=False
+        ),
+    ] = None,
+    systems_dir: SystemsOption = None,
+) -> None:
+    """Run a system over a few frames and say whether what it gives can be used.
+
+    Ends with exit code 2 and one line if it cannot be started, does not end well, or leaves other files than
+    its description says. Whether it tracks is another matter: the made-up frames are few. For example:
+
+    `dslab systems check orbslam3`
+
+    `dslab systems check my_slam:MySlam --source path/to/sequence`
+    """
+    from experiments.runs.ending import EndKind
+    from experiments.runs.sources import open_sequence
+    from experiments.runs.systems.check import made_up_sequence, run_once
+    from experiments.runs.systems.registry import Registry
+    from scenarios.errors import InputError
+
+    system = Registry.open(systems_dir or ()).find(name)
+    with progress_bars() as show:
+        sequence = made_up_sequence() if source is None else open_sequence(source, progress=show)
+        record, log = run_once(system, sequence)
+    if record.ending.kind is not EndKind.FINISHED:
+        out.print(log, end="" if log.endswith("\n") or not log else "\n")
+        remedy = record.ending.remedy or "see what it prints, above"
+        raise InputError(f"system {system.name}", f"{record.ending.kind}: {record.ending.message}", remedy)
+    print_facts(_facts(system.name, record))
+
+
+@app.command("install")
+def install_command(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a system, such as orbslam3.")],
+    systems_dir: SystemsOption = None,
+) -> None:
+    """Install a system into an environment of its own, in the user's cache folder.
+
+    Its packages come from PyPI, by uv if there is one, else by pip. They stay apart from the lab's, and under
+    their own licences. For example:
+
+    `dslab systems install orbslam3`
+    """
+    from experiments.runs.systems.command import CommandSystem
+    from experiments.runs.systems.environments import install
+    from experiments.runs.systems.registry import Registry
+    from scenarios.errors import InputError
+
+    system = Registry.open(systems_dir or ()).find(name)
+    environment = system.spec.environment if isinstance(system, CommandSystem) else None
+    if environment is None:
+        raise InputError(f"system {name}", "has no environment to install", "see `dslab systems list`")
+    out.print(f"installing {' '.join(environment.packages)}", soft_wrap=True)
+    out.print(f"{name}: {install(name, environment)}", soft_wrap=True)
+
+
+def _described(registry: "Registry", name: str) -> tuple[str, str]:
+    """What a system is, and its state."""
+    from experiments.runs.systems.command import CommandSystem
+    from experiments.runs.systems.registry import OwnSystem
+    from scenarios.errors import InputError
+
+    try:
+        system = registry.find(name)
+        if isinstance(system, OwnSystem):
+            return _OURS[name], "ready"
+        if not isinstance(system, CommandSystem):
+            return f"class {system.source}", "ready"
+        about = system.spec.about or str(system.file)
+        try:
+            system.check()
+        except InputError as fault:
+            return about, f"{fault.problem}; {fault.remedy}"
+        pace = "in real time" if system.spec.pace == "real_time" else "as fast as it can"
+        return about, f"ready, takes frames {pace}"
+    except InputError as fault:
+        return "-", str(fault)
+
+
+def _facts(name: str, record: "RunRecord") -> dict[str, str]:
+    from experiments.evaluation.summary import is_tracked
+
+    posed = len(record.trajectories[0].frames) if record.trajectories else 0
+    return {
+        "system": name,
+        "ended": record.ending.kind.value,
+        "frames": str(len(record.results)),
+        "with a live pose": str(sum(map(is_tracked, record.results))),
+        "with a final pose": str(posed),
+        "declares": record.declares.value,
+    }
+
+
+_OURS = {
+    "base": "ORB-SLAM's method",
+    "dual": "Dual-SLAM",
+    "dual+": "Dual-SLAM with initialization by GMS",
+    "paper": "Dual-SLAM as the paper has it",
+    "paper+": "that with initialization by GMS",
+}

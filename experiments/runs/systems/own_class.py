@@ -1,0 +1,109 @@
+"""Classes of one's own as systems: found by an entry point, or named as ``module:Class``."""
+
+import importlib
+import importlib.util
+import re
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any
+
+from experiments.runs.systems.poses_only import PosesOnly
+from scenarios.errors import InputError
+from slam.core.camera import PinholeCamera
+
+GROUP = "dslab.systems"
+"""Group of entry points; each names a class, made with (camera, seed)."""
+_NAMED = re.compile(r"[\w./\\-]+:\w+")
+
+
+@dataclass(frozen=True)
+class ClassSystem:
+    """A class of someone else's.
+
+    Attributes:
+        name: of the system.
+        make: the class, or a function, of (camera, seed).
+        source: where it comes from, as ``module:Class``.
+    """
+
+    name: str
+    make: Callable[[PinholeCamera, int], Any]
+    source: str
+
+    def build(self, camera: PinholeCamera, seed: int) -> PosesOnly:
+        """Make one, in the adapter that a run needs.
+
+        Raises:
+            InputError: its constructor raises, or makes an object without ``process``.
+        """
+        try:
+            made = self.make(camera, seed)
+        except Exception as error:  # another's code
+            problem = f"cannot be made with (camera, seed) ({type(error).__name__}: {error})"
+            raise InputError(self.source, problem, "correct its constructor") from error
+        if not callable(getattr(made, "process", None)):
+            raise InputError(self.source, "has no process(image, stamp_s)", "see `examples/own_slam.py`")
+        return PosesOnly(made, camera, self.source)
+
+
+def is_class_name(name: str) -> bool:
+    """Return True for ``module:Class`` or ``path/to/file.py:Class``."""
+    return _NAMED.fullmatch(name) is not None
+
+
+def class_system(named: str) -> ClassSystem:
+    """The class that a name stands for; its module may lie in the present folder.
+
+    Raises:
+        InputError: there is no such module or class, or it cannot be imported.
+    """
+    module_name, _, class_name = named.rpartition(":")
+    where = f"system {named}"
+    try:
+        module = _file_module(module_name) if module_name.endswith(".py") else _module(module_name)
+    except Exception as error:  # another's code
+        problem = f"cannot be imported ({type(error).__name__}: {error})"
+        raise InputError(where, " ".join(problem.split()), "check its name and its imports") from error
+    return ClassSystem(class_name, _callable(getattr(module, class_name, None), where), named)
+
+
+def entry_point_names() -> dict[str, EntryPoint]:
+    """The systems that installed packages bring, by name."""
+    return {point.name: point for point in sorted(entry_points(group=GROUP), key=lambda p: p.name)}
+
+
+def entry_point_system(point: EntryPoint) -> ClassSystem:
+    """The class of an entry point. Raises InputError if it cannot be loaded."""
+    where = f"system {point.name} ({point.value})"
+    try:
+        found = point.load()
+    except Exception as error:  # another's code
+        problem = f"cannot be loaded ({type(error).__name__}: {error})"
+        raise InputError(where, " ".join(problem.split()), "correct or uninstall it") from error
+    return ClassSystem(point.name, _callable(found, where), point.value)
+
+
+def _callable(found: Any, where: str) -> Callable[[PinholeCamera, int], Any]:
+    if not callable(found):
+        raise InputError(where, "is no class", "name a class, made with (camera, seed)")
+    return found
+
+
+def _module(name: str) -> Any:
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)
+    return importlib.import_module(name)
+
+
+def _file_module(name: str) -> Any:
+    path = Path(name)
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise ImportError(f"no such file: {path}")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

@@ -1,0 +1,137 @@
+"""The registry of systems: ours, classes of packages, programs that a YAML file describes."""
+
+import os
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+from experiments.runs.execution import SlamSystem, SystemFactory
+from experiments.runs.systems.command import CommandSystem
+from experiments.runs.systems.command_spec import OWN_FOLDER, read_command_spec
+from experiments.runs.systems.own_class import (
+    ClassSystem,
+    class_system,
+    entry_point_names,
+    entry_point_system,
+    is_class_name,
+)
+from scenarios.errors import InputError
+from scenarios.faults import guess
+from scenarios.input_files import file_names, is_folder
+from slam.core.camera import PinholeCamera
+from slam.factory import SYSTEMS
+
+VARIABLE = "DSLAB_SYSTEMS"
+"""Environment variable with the folders of further descriptions, separated as in PATH."""
+_NAME = re.compile(r"[A-Za-z0-9][\w.+-]*")
+
+
+@dataclass(frozen=True)
+class OwnSystem:
+    """One of the systems that come with the lab, by its name."""
+
+    name: str
+
+
+System = OwnSystem | ClassSystem | CommandSystem
+
+
+@dataclass(frozen=True)
+class Registry:
+    """Systems by name; classes and descriptions are read when they are asked for.
+
+    Attributes:
+        files: descriptions of programs, by name.
+        classes: entry points, by name.
+        folders: of the descriptions.
+    """
+
+    files: dict[str, Path]
+    classes: dict[str, EntryPoint] = field(default_factory=entry_point_names)
+    folders: tuple[Path, ...] = (OWN_FOLDER,)
+
+    @classmethod
+    def open(cls, folders: Iterable[Path] = ()) -> "Registry":
+        """List what there is.
+
+        Args:
+            folders: of further descriptions, beside ours and those of ``DSLAB_SYSTEMS``.
+
+        Raises:
+            InputError: a folder does not exist, or a name is given twice.
+        """
+        named = [Path(part) for part in os.environ.get(VARIABLE, "").split(os.pathsep) if part]
+        places = tuple(dict.fromkeys([OWN_FOLDER, *named, *folders]))
+        found = cls({}, folders=places)
+        for folder in places:
+            found._add(folder)
+        return found
+
+    def names(self) -> list[str]:
+        """Every name: ours, then descriptions, then classes."""
+        return [*SYSTEMS, *self.files, *self.classes]
+
+    def find(self, name: str) -> System:
+        """The system of a name, or a class that is named as ``module:Class``.
+
+        Raises:
+            InputError: there is none, or it is not valid.
+        """
+        if name in SYSTEMS:
+            return OwnSystem(name)
+        if name in self.files:
+            return CommandSystem(name, read_command_spec(self.files[name], self.folders), self.files[name])
+        if name in self.classes:
+            return entry_point_system(self.classes[name])
+        if is_class_name(name):
+            return class_system(name)
+        known = self.names()
+        remedy = f"give {guess(name, known)}one of {', '.join(known)}, or module:Class"
+        raise InputError("--system", f"there is no system {name!r}", remedy)
+
+    def find_all(self, names: Iterable[str]) -> dict[str, System]:
+        """The systems of several names, by the names that they have in results.
+
+        Raises:
+            InputError: as :meth:`find`, or one is named twice.
+        """
+        found: dict[str, System] = {}
+        for name in names:
+            system = self.find(name)
+            if system.name in found:
+                raise InputError("--system", f"{system.name} is given twice", "name each once")
+            found[system.name] = system
+        return found
+
+    def _add(self, folder: Path) -> None:
+        if not is_folder(folder):
+            raise InputError(f"systems: {folder}", "no such folder", f"correct --systems or {VARIABLE}")
+        for file in (folder / name for name in file_names(folder) if name.endswith(".yaml")):
+            name = file.stem
+            if not _NAME.fullmatch(name):
+                raise InputError(str(file), "is no name of a system", "use letters, digits and . + - _")
+            if name in self.names():
+                raise InputError(str(file), f"the name {name} is taken", "rename the file")
+            self.files[name] = file
+
+
+def split_names(names: str) -> list[str]:
+    """The names in an option, which commas separate."""
+    return [name.strip() for name in names.split(",")]
+
+
+def factory_with(systems: dict[str, System], ours: SystemFactory) -> SystemFactory:
+    """A factory of our systems and of the classes among some systems.
+
+    Args:
+        systems: by name.
+        ours: factory of our own.
+    """
+
+    def build(name: str, camera: PinholeCamera, seed: int) -> SlamSystem:
+        system = systems.get(name)
+        return system.build(camera, seed) if isinstance(system, ClassSystem) else ours(name, camera, seed)
+
+    return build

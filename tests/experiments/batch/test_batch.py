@@ -1,0 +1,264 @@
+"""A batch: what it makes, that it goes on after any end, and that what must be alone is alone."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import batch_fakes
+import numpy as np
+import pandas as pd
+import pytest
+from slam_fakes import circle, make_sequence
+from system_programs import write_program
+
+from experiments.batch import run as batch_run
+from experiments.batch.rows import COLUMNS
+from experiments.batch.run import CSV_FILE, ROWS_FILE, run_batch
+from experiments.batch.spec import BatchSpec, read_batch
+from experiments.batch.table import sums
+from experiments.evaluation.intact_map import judge_intact
+from scenarios.errors import InputError
+from sim.io.forms import load_sequence
+from sim.io.tum import write_tum
+from slam.core.results import MapTrajectory
+
+ROOT = Path(__file__).parents[3]
+EXAMPLE = f"{ROOT / 'examples' / 'own_slam.py'}:ConstantVelocity"
+FRAMES = 60
+
+
+@pytest.fixture
+def folder(tmp_path):
+    write_tum(make_sequence(FRAMES, segment=None), tmp_path / "drive")
+    return tmp_path / "drive"
+
+
+@pytest.fixture
+def in_this_process(monkeypatch):
+    monkeypatch.setattr(batch_run, "call_in_process", lambda function, arguments, _: function(*arguments))
+
+
+def spec_of(**fields):
+    return BatchSpec(**{"sequences": ("drive",), "systems": ("base",), "runs": 2, **fields})
+
+
+def test_a_row_has_the_figures_of_its_run(folder, tmp_path, in_this_process):
+    description = write_program(
+        tmp_path / "systems", make_sequence(FRAMES, segment=None), keyframes="trajectory.txt"
+    )
+    spec = spec_of(systems=(EXAMPLE, "copy"), runs=1)
+    rows = run_batch(spec, [str(folder)], tmp_path / "b", folders=[description.parent])
+    assert set(COLUMNS) <= set(rows.columns)
+    own, copy = (rows[rows.system == name].iloc[0] for name in ("ConstantVelocity", "copy"))
+    assert copy.ate_frames_m == pytest.approx(0, abs=1e-6) and copy.ate_keyframes_m == pytest.approx(
+        0, abs=1e-6
+    )
+    assert copy.rpe_m < 1e-5 and own.rpe_m > 0.1 and own.completeness == copy.completeness == 1.0
+    assert own.intact and own.declares == "nothing" and own.stage_process > 0 and pd.isna(own.ate_keyframes_m)
+    kept = pd.read_csv(tmp_path / "b" / CSV_FILE)
+    assert len(kept) == 2 and kept.system.tolist() == rows.system.tolist()
+    (place,) = (tmp_path / "b" / "runs").glob("*/copy/000")
+    assert {"trajectory.txt", "summary.json", "log.txt"} <= {path.name for path in place.iterdir()}
+
+
+def test_the_start_varies_and_the_stress_lies_on_the_same_frames(folder, tmp_path, in_this_process):
+    """The class notes the mean light of each frame."""
+    (tmp_path / "light.py").write_text(
+        f"class Light:\n    def __init__(self, camera, seed):\n        self.seed = seed\n"
+        "    def process(self, image, stamp_s):\n"
+        f"        with open({str(tmp_path / 'light')!r}, 'a') as file:\n"
+        f"            file.write(f'{{stamp_s:.3f}} {{image.mean()}}\\n')\n"
+    )
+    spec = spec_of(
+        systems=(f"{tmp_path / 'light.py'}:Light",), vary="start", skip_frames=7, first_s=1.5,
+        stress=("covered_lens:start_s=1,duration_s=0.3,transmission=0",),
+    )  # fmt: skip
+    rows = run_batch(spec, [str(folder)], tmp_path / "b")
+    assert rows.first_frame.tolist() == [0, 7] and rows.frames.tolist() == [45, 38]
+    assert not rows.intact.any() and rows.intact_reason.tolist() == ["no map"] * 2
+    light = np.loadtxt(tmp_path / "light")
+    dark = light[light[:, 1] < 20, 0]
+    assert dark.min() == pytest.approx(1.0, abs=0.04) and dark.max() == pytest.approx(1.27, abs=0.05)
+    assert sorted(np.unique(dark, return_counts=True)[1].tolist()) == [2] * (len(dark) // 2)
+
+
+def test_seeds_vary_by_default(tmp_path, folder, in_this_process):
+    rows = run_batch(spec_of(seed=4), [str(folder)], tmp_path / "b", task=batch_fakes.made_up)
+    assert rows.seed.tolist() == [4, 5] and rows.first_frame.tolist() == [0, 0]
+
+
+def test_more_runs_and_systems_may_be_added_but_not_other_settings(tmp_path, in_this_process):
+    def made():
+        return (tmp_path / "made").read_text().split("\n")[:-1]
+
+    run_batch(spec_of(), ["drive"], tmp_path / "b", task=batch_fakes.made_up)
+    rows = run_batch(
+        spec_of(runs=3, systems=("base", "dual")), ["drive"], tmp_path / "b", task=batch_fakes.made_up
+    )
+    assert len(rows) == 6 and len(made()) == len(set(made())) == 6
+    with pytest.raises(InputError, match="other settings of stress"):
+        run_batch(spec_of(first_s=2.0), ["drive"], tmp_path / "b", task=batch_fakes.made_up)
+
+
+def test_a_system_that_was_changed_is_run_again(tmp_path, in_this_process):
+    path = write_program(tmp_path / "systems", make_sequence(FRAMES, segment=None))
+    spec = spec_of(systems=("base", "copy"), runs=1)
+    run_batch(spec, ["drive"], tmp_path / "b", folders=[path.parent], task=batch_fakes.made_up)
+    path.write_text(path.read_text() + "about: another\n")
+    rows = run_batch(spec, ["drive"], tmp_path / "b", folders=[path.parent], task=batch_fakes.made_up)
+    assert len(rows) == 2 and sorted((tmp_path / "made").read_text().split()) == sorted(
+        ["base", "0", "copy", "0", "copy", "0"]
+    )
+
+
+def test_a_batch_that_was_killed_goes_on_and_gives_the_same_table(tmp_path, in_this_process):
+    whole = run_batch(spec_of(), ["drive"], tmp_path / "whole" / "b", task=batch_fakes.made_up)
+    there = tmp_path / "killed"
+    script = f"""
+import sys; sys.path.insert(0, {str(Path(batch_fakes.__file__).parent)!r})
+import batch_fakes
+from pathlib import Path
+from experiments.batch.run import run_batch
+from experiments.batch.spec import BatchSpec
+if __name__ == "__main__":
+    spec = BatchSpec(sequences=("drive",), systems=("base",), runs=2)
+    run_batch(spec, ["drive"], Path({str(there / "b")!r}), task=batch_fakes.slow)
+"""
+    there.mkdir()
+    (there / "batch.py").write_text(script)
+    lab = subprocess.Popen(
+        [sys.executable, there / "batch.py"], cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}
+    )
+    until_s = time.monotonic() + 120
+    while (
+        not ((there / "waits").exists() and (there / "b" / ROWS_FILE).exists()) and time.monotonic() < until_s
+    ):
+        time.sleep(0.05)
+    os.kill(lab.pid, signal.SIGKILL)
+    lab.wait()
+    (there / "go").touch()
+    resumed = run_batch(spec_of(), ["drive"], there / "b", task=batch_fakes.slow)
+    pd.testing.assert_frame_equal(resumed, whole)
+    assert (there / "made").read_text().split("\n")[:-1] == ["base 0", "base 1"]
+
+
+def test_every_end_of_a_run_is_a_row_and_what_could_not_be_made_is_made_again(tmp_path, in_this_process):
+    spec = spec_of(runs=5)
+    rows = run_batch(spec, ["drive"], tmp_path / "b", workers=2, task=batch_fakes.going_wrong)
+    assert rows.ended.tolist() == ["finished", "crashed", "timed_out", "error", "finished"]
+    assert "exit code 7" in rows.ended_message[1] and rows.ended_message[3] == "OSError: no disk"
+    (tmp_path / "mended").touch()
+    rows = run_batch(spec, ["drive"], tmp_path / "b", workers=2, task=batch_fakes.going_wrong)
+    assert rows.ended.tolist() == ["finished", "crashed", "timed_out", "finished", "finished"]
+    assert (tmp_path / "made").read_text().split("\n")[:-1].count("base 0") == 1
+    (found,) = sums(rows).to_dict("records")
+    assert (found["runs"], found["errors"], found["ended_badly"], found["intact"]) == (5, 0, 2, 2)
+    assert found["ate_frames_m"] == 4.0  # the median of 1, 4 and 5
+
+
+def test_what_takes_frames_in_real_time_runs_alone_and_the_rest_side_by_side(tmp_path, in_this_process):
+    path = write_program(tmp_path / "systems", make_sequence(FRAMES, segment=None), pace="real_time")
+    spec = spec_of(systems=("base", "copy"))
+    rows = run_batch(
+        spec, ["drive"], tmp_path / "b", workers=2, folders=[path.parent], task=batch_fakes.meeting
+    )
+    assert rows[rows.system == "base"].ended_message.tolist() == ["met", "met"]
+    assert rows[rows.system == "copy"].ended_message.tolist() == ["alone", "alone"]
+
+
+# -- the verdict ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("kept", "first_pose_s", "reason"),
+    [
+        (lambda t: t >= 30, 30.0, ""),  # a late start
+        (lambda t: t >= 30, 2.0, "lacks 28.0 s at its start"),  # an earlier map is gone
+        (lambda t: t < 50, 0.0, "lacks 10.1 s at its end"),
+        (lambda t: (t < 20) | (t > 26), 0.0, "lacks 6.2 s within"),
+        (lambda t: (t < 20) | (t > 24), 0.0, ""),
+        (lambda t: t < 0, None, "no map"),
+    ],
+)
+def test_an_intact_map_goes_from_the_first_pose_to_the_end(kept, first_pose_s, reason):
+    stamps_s = np.arange(601) / 10
+    frames = np.flatnonzero(kept(stamps_s))
+    path = MapTrajectory(0, frames, stamps_s[frames], circle(601)[frames])
+    verdict = judge_intact([path] if len(frames) else [], first_pose_s, 60.0)
+    assert (verdict.intact, verdict.reason) == (not reason, reason)
+
+
+# -- the command ---------------------------------------------------------------------------------------------
+
+
+def test_the_command_prints_a_row_per_system(dslab, folder, tmp_path, monkeypatch, in_this_process):
+    monkeypatch.chdir(tmp_path)
+    write_tum(replace(load_sequence(folder), T_world_cam=None), tmp_path / "drives" / "blind")
+    folder.rename(tmp_path / "drives" / "seen")
+    (tmp_path / "drives" / "notes").mkdir()
+    (tmp_path / "batch.yaml").write_text(f"sequences: [drives/*]\nsystems: ['{EXAMPLE}']\nruns: 1\n")
+    code, out, _ = dslab("batch", "batch.yaml", "--out", "b")
+    assert code == 0 and [w for w in out.split() if w in ("blind", "seen", "notes")] == ["blind", "seen"]
+    assert out.count("1 of 1") == 2 and max(map(len, out.splitlines()[:12])) <= 80
+    code, out, _ = dslab("batch", "batch.yaml", "--out", "b", "--json")
+    figures = json.loads(out)["rows"]
+    assert code == 0 and figures[0]["ate_frames_m"] is None and figures[1]["ate_frames_m"] > 0.1
+
+
+def test_runs_that_could_not_be_made_are_said_after_the_table(dslab, folder, tmp_path, in_this_process):
+    (folder / "rgb" / sorted(p.name for p in (folder / "rgb").iterdir())[9]).write_bytes(b"no image")
+    (tmp_path / "batch.yaml").write_text(f"sequences: [{folder}]\nsystems: ['{EXAMPLE}']\nruns: 1\n")
+    code, out, err = dslab("batch", tmp_path / "batch.yaml", "--out", tmp_path / "b")
+    assert code == 1 and "0 of 0" in out and "1 of 1 runs could not be made: InputError" in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("sequences: [no/such/folder]", "batch.yaml:1: sequences[0] (no/such/folder): "),
+        ("sequences: ['none*']", "'none*' fits no sequence folder"),
+        ("sequences: [clean-room, clean-room]", "clean-room is named twice"),
+        ("systems: [bse]", "there is no system 'bse'; give base (did you mean that?)"),
+        ("systems: [base, base]", "base is named twice"),
+        ("runs: 0", "batch.yaml:3: runs: 0 is not valid"),
+        ("stress: ['fog:start_s=1']", "batch.yaml:4: stress[0]: "),
+        ("stress: ['darkness:start_s=1']", "unknown kind 'darkness'"),
+        ("real_time: true", "the mode is lockstep; add mode: threaded"),
+        ("sequence: [x]", "unknown key; use sequences (did you mean that?)"),
+    ],
+)
+def test_a_batch_that_is_wrong_is_one_line(dslab, monkeypatch, tmp_path, line, says):
+    monkeypatch.chdir(tmp_path)
+    fields = {"sequences": "[clean-room]", "systems": "[base]", "runs": "1"}
+    key, _, value = line.partition(": ")
+    lines = {**fields, key: value}
+    Path("batch.yaml").write_text("".join(f"{k}: {v}\n" for k, v in lines.items()))
+    code, out, err = dslab("batch", "batch.yaml", "--out", "b")
+    assert (code, out) == (2, "") and says in err and err.count("\n") == 1
+    assert not (tmp_path / "b" / ROWS_FILE).exists()
+
+
+def test_a_folder_that_cannot_be_made_is_one_line(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="cannot be written"):
+        run_batch(spec_of(), [], tmp_path / "file" / "b")
+
+
+def test_one_batch_at_a_time_works_in_a_folder(tmp_path):
+    from experiments.campaign.folder_lock import sole_driver
+
+    (tmp_path / "b").mkdir()
+    with sole_driver(tmp_path / "b"), pytest.raises(InputError, match="another run is at work"):
+        run_batch(spec_of(), [], tmp_path / "b")
+
+
+def test_a_file_can_be_read_with_its_patterns(tmp_path, folder):
+    (tmp_path / "batch.yaml").write_text(f"sequences: ['{tmp_path}/dr*', clean-room]\nsystems: [base]\n")
+    spec, sources = read_batch(tmp_path / "batch.yaml")
+    assert sources == [str(folder), "clean-room"] and spec.runs == 10

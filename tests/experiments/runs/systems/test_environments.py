@@ -1,0 +1,202 @@
+"""Environments of other people's systems, made without the network; what comes with the lab for them."""
+
+import json
+import runpy
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from slam_fakes import make_sequence
+
+from experiments.runs.ending import EndKind
+from experiments.runs.systems import environments
+from experiments.runs.systems.check import made_up_sequence, run_once
+from experiments.runs.systems.command_spec import OWN_FOLDER, Environment
+from experiments.runs.systems.environments import install, is_installed, python_of
+from experiments.runs.systems.registry import Registry
+from experiments.runs.systems.vocabulary_text import vocabulary_of, write_dbow2
+from scenarios.errors import InputError, MachineError
+from sim.io.tum import write_tum
+from slam.places import _vocabulary_kernels as kernels
+from slam.places.recognition import shipped_vocabulary
+
+DRIVERS = OWN_FOLDER / "drivers"
+
+
+@pytest.fixture
+def cache(monkeypatch, tmp_path):
+    monkeypatch.setenv("DSLAB_CACHE_DIR", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def wheel(tmp_path):
+    """A package without needs."""
+    path = tmp_path / "tiny_slam-1.0-py3-none-any.whl"
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("tiny_slam.py", "version = '1.0'\n")
+        about = "tiny_slam-1.0.dist-info"
+        file.writestr(f"{about}/METADATA", "Metadata-Version: 2.1\nName: tiny_slam\nVersion: 1.0\n")
+        file.writestr(f"{about}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
+        file.writestr(f"{about}/RECORD", "")
+    return path
+
+
+@pytest.mark.parametrize("with_uv", [True, False])
+def test_an_environment_is_made_apart_and_only_counts_when_whole(monkeypatch, cache, wheel, with_uv):
+    uv = shutil.which("uv") or shutil.which("uv", path=str(Path(__file__).parents[4] / ".tools" / "bin"))
+    if with_uv and uv is None:
+        pytest.skip("uv is not here")
+    monkeypatch.setattr(environments.shutil, "which", lambda name: uv if with_uv else None)
+    tiny = Environment(packages=(str(wheel),), imports=("tiny_slam",))
+    with pytest.raises(InputError, match="run `dslab systems install tiny`"):
+        python_of("tiny", tiny)
+    assert install("tiny", tiny) == cache / "systems" / "tiny" and is_installed("tiny", tiny)
+    said = subprocess.run([python_of("tiny", tiny), "-c", "import tiny_slam, sys; print(sys.prefix)"],
+                          capture_output=True, text=True, check=True)  # fmt: skip
+    assert Path(said.stdout.strip()).resolve() == (cache / "systems" / "tiny").resolve()
+    assert not is_installed("tiny", Environment(packages=(str(wheel), "more")))
+
+
+def test_one_that_cannot_be_made_leaves_nothing_and_says_so(monkeypatch, cache, wheel):
+    broken = Environment(packages=(str(wheel),), imports=("no_such_module",), note="install libslam")
+    with pytest.raises(MachineError, match=r"No module named 'no_such_module'; install libslam"):
+        install("tiny", broken)
+    assert list((cache / "systems").iterdir()) == []
+
+
+def test_what_has_no_environment_is_not_installed(dslab):
+    code, _, err = dslab("systems", "install", "dual")
+    assert code == 2 and "has no environment to install" in err
+
+
+def test_those_that_come_with_the_lab_are_described_and_say_what_they_need(cache):
+    registry = Registry.open()
+    for name in ("orbslam3", "svo"):
+        system = registry.find(name)
+        assert system.spec.pace == "real_time" and system.spec.lost_states
+        with pytest.raises(InputError, match=f"run `dslab systems install {name}`"):
+            system.check()
+    assert registry.find("svo").spec.settings["quality_max_drop_fts"] == 300
+
+
+def test_our_vocabulary_as_text_is_the_same_tree(tmp_path):
+    vocabulary = shipped_vocabulary()
+    write_dbow2(vocabulary, tmp_path / "v.txt")
+    head, *lines = (tmp_path / "v.txt").read_text().splitlines()
+    assert head.split() == ["10", "6", "0", "0"] and not (tmp_path / "v.txt").read_text().endswith("\n")
+    rows = np.array([line.split() for line in lines], float)
+    parent, is_word = rows[:, 0].astype(int), rows[:, 1].astype(bool)
+    centre = rows[:, 2:34].astype(np.uint8)
+    assert (parent <= np.arange(len(rows))).all()
+    children = {p: np.flatnonzero(parent == p) + 1 for p in set(parent.tolist())}
+    described = np.random.default_rng(0).integers(0, 256, (20, 32), dtype=np.uint8)
+    words, _ = kernels.descend(vocabulary.tree, described.view(np.uint64), 0)
+    number = np.cumsum(is_word) - 1
+    for row, word in zip(described, words, strict=True):
+        node = 0
+        while node in children:
+            below = children[node]
+            distance = np.unpackbits(centre[below - 1] ^ row, axis=1).sum(axis=1)
+            node = int(below[distance.argmin()])
+        # Words are numbered otherwise there; their weights tell them.
+        assert rows[node - 1, 34] == pytest.approx(vocabulary.tree.weight[word], abs=1e-5)
+    assert number[-1] + 1 == vocabulary.n_words
+
+
+def test_the_result_says_whose_vocabulary_it_was(cache, tmp_path):
+    path, said = vocabulary_of(None)
+    assert path.is_file() and said.startswith("dual-slam-lab's own of 10000 words")
+    (tmp_path / "own.txt").touch()
+    assert vocabulary_of(tmp_path / "own.txt") == (tmp_path / "own.txt", str(tmp_path / "own.txt"))
+    with pytest.raises(InputError, match="no such file"):
+        vocabulary_of(tmp_path / "none.txt")
+
+
+def test_quaternions_of_the_drivers_are_right(monkeypatch):
+    monkeypatch.syspath_prepend(str(DRIVERS))
+    quaternion_xyzw = runpy.run_path(str(DRIVERS / "driver_files.py"))["quaternion_xyzw"]
+    turns = [*Rotation.random(50, random_state=0), *(Rotation.from_euler("xyz", e, degrees=True)
+             for e in ([180, 0, 0], [0, 180, 0], [0, 0, 180], [0, 0, 0]))]  # fmt: skip
+    for turn in turns:
+        found = Rotation.from_quat(quaternion_xyzw(turn.as_matrix()))
+        assert (found * turn.inv()).magnitude() < 1e-6
+
+
+STUB = """
+import enum
+import numpy as np
+Sensor = enum.Enum("Sensor", "MONOCULAR")
+State = enum.Enum("State", "NOT_INITIALIZED OK RECENTLY_LOST")
+class Result:
+    def __init__(self, state, n):
+        self.state, self.ok, self.pose_valid = state, state is State.OK, state is not State.NOT_INITIALIZED
+        self.pose_wc = np.eye(4)
+        self.pose_wc[0, 3] = n
+class Slam:
+    def __init__(self, vocabulary, settings, sensor, use_viewer):
+        assert open(settings).read().startswith("%YAML") and open(vocabulary).read() == "words"
+        self.stamps = []
+    def track_monocular(self, image, stamp_s):
+        assert image.shape == (48, 64)
+        self.stamps.append(stamp_s)
+        n = len(self.stamps)
+        return Result(State.NOT_INITIALIZED if n < 4 else State.RECENTLY_LOST if n == 8 else State.OK, n)
+    def shutdown(self):
+        print("down")
+    def save_trajectory_euroc(self, path):
+        rows = (f"{1e9 * s:.6f} {n} 0 0 0 0 0 1" for n, s in enumerate(self.stamps, 1) if n >= 4)
+        open(path, "w").write("\\n".join(rows))
+    def save_keyframe_trajectory_euroc(self, path):
+        open(path, "w").write(f"{1e9 * self.stamps[4]:.6f} 5 0 0 0 0 0 1\\n")
+"""
+
+
+def test_the_driver_of_orbslam3_keeps_the_poses_of_tracked_frames_only(tmp_path):
+    """Its package is a stub, as the real one is not among ours."""
+    (tmp_path / "pyorbslam3.py").write_text(STUB)
+    (tmp_path / "vocabulary.txt").write_text("words")
+    settings = {"features": 1000, "loops": True, "speed": 0}
+    (tmp_path / "settings.json").write_text(json.dumps(settings))
+    (tmp_path / "out").mkdir()
+    sequence = make_sequence(12, segment=None)
+    write_tum(sequence, tmp_path / "seq")
+    script = DRIVERS / "orbslam3_driver.py"
+    words = [
+        script,
+        tmp_path / "seq",
+        tmp_path / "out",
+        tmp_path / "vocabulary.txt",
+        tmp_path / "settings.json",
+    ]
+    done = subprocess.run(
+        [sys.executable, *words],
+        env={"PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    kept = np.loadtxt(tmp_path / "out" / "trajectory.txt")
+    tracked = [3, 4, 5, 6, 8, 9, 10, 11]
+    np.testing.assert_allclose(kept[:, 0], sequence.stamps_s[tracked], atol=1e-8)
+    assert len(np.loadtxt(tmp_path / "out" / "live.txt")) == len(tracked)
+    assert np.loadtxt(tmp_path / "out" / "keyframes.txt")[1] == 5
+    states = [line.split(",")[1] for line in (tmp_path / "out" / "frames.csv").read_text().splitlines()[1:]]
+    assert states[7] == "RECENTLY_LOST" and len(states) == 12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["orbslam3", "svo"])
+def test_the_real_ones_track_where_they_are_installed(name):
+    system = Registry.open().find(name)
+    if not is_installed(name, system.spec.environment):
+        pytest.skip(f"{name} is not installed")
+    record, log = run_once(system, made_up_sequence(90))
+    assert record.ending.kind is EndKind.FINISHED, log
+    assert len(record.trajectories[0].frames) > 45

@@ -1,0 +1,186 @@
+"""A class of one's own: its poses become a record, and what it does wrong an outcome."""
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from slam_fakes import make_sequence
+
+from experiments.runs import sources
+from experiments.runs.ending import Declares, EndKind
+from experiments.runs.execution import execute
+from experiments.runs.systems import own_class
+from experiments.runs.systems.own_class import ClassSystem, class_system
+from experiments.runs.systems.registry import Registry, factory_with
+from scenarios.errors import InputError
+from slam.core.events import Breakage
+
+EXAMPLE = Path(__file__).parents[4] / "examples" / "own_slam.py"
+FRAMES = 60
+
+
+class Replay:
+    """Gives the truth, but for some frames."""
+
+    truth = make_sequence(FRAMES, segment=None).T_world_cam
+    without = range(20, 30)
+
+    def __init__(self, camera, seed):
+        self.frame = -1
+
+    def process(self, image, stamp_s):
+        self.frame += 1
+        return None if self.frame in self.without else self.truth[self.frame]
+
+
+@pytest.fixture
+def sequence():
+    return make_sequence(FRAMES, segment=None)
+
+
+def run(kind, sequence):
+    system = ClassSystem("own", kind, "here:own")
+    return execute(sequence, "own", 0, build=factory_with({"own": system}, None))
+
+
+def test_its_poses_are_the_live_and_the_final_ones_and_frames_without_one_are_lost(sequence):
+    record = run(Replay, sequence)
+    posed = [f for f in range(FRAMES) if f not in Replay.without]
+    assert record.trajectories[0].frames.tolist() == record.live[0].frames.tolist() == posed
+    np.testing.assert_array_equal(record.trajectories[0].T_map_cam, Replay.truth[posed])
+    assert {str(record.results[f].state) for f in Replay.without} == {"lost"}
+    assert (record.ending.kind, record.declares) == (EndKind.FINISHED, Declares.NOTHING)
+
+
+def test_the_poses_of_finish_replace_the_live_ones(sequence):
+    class Smoothing(Replay):
+        def finish(self):
+            return list(self.truth)
+
+    record = run(Smoothing, sequence)
+    assert len(record.trajectories[0].frames) == FRAMES and len(record.live[0].frames) == FRAMES - 10
+
+
+def test_what_it_declares_is_a_breakage_in_its_own_words(sequence):
+    class Saying(Replay):
+        def __init__(self, camera, seed):
+            super().__init__(camera, seed)
+            self.events = []
+
+        def process(self, image, stamp_s):
+            pose = super().process(image, stamp_s)
+            if self.frame == 20:
+                self.events.append((stamp_s, "all dark"))
+            return pose
+
+    record = run(Saying, sequence)
+    (event,) = record.events
+    assert isinstance(event, Breakage) and (event.frame, event.reason) == (20, "all dark")
+    assert record.declares is Declares.LOSSES
+
+
+@pytest.mark.parametrize(
+    ("given", "kind", "posed"),
+    [
+        (lambda T: 1 / 0, EndKind.CRASHED, 9),
+        (lambda T: sys.exit(3), EndKind.CRASHED, 9),
+        (lambda T: T * np.nan, EndKind.NOT_FINITE, FRAMES - 11),
+        (lambda T: "left", EndKind.UNREADABLE, FRAMES - 11),
+        (lambda T: np.ones((4, 4)), EndKind.UNREADABLE, FRAMES - 11),
+        (lambda T: T[:3], EndKind.UNREADABLE, FRAMES - 11),
+    ],
+)
+def test_what_it_does_wrong_is_an_outcome_and_the_other_poses_count(sequence, given, kind, posed):
+    class Faulty(Replay):
+        def process(self, image, stamp_s):
+            pose = super().process(image, stamp_s)
+            return given(pose) if self.frame == 9 else pose
+
+    record = run(Faulty, sequence)
+    assert record.ending.kind is kind and record.ending.message
+    assert len(record.results) == FRAMES and len(record.trajectories[0].frames) == posed
+
+
+def test_the_example_runs_by_the_command_beside_ours(dslab, monkeypatch, no_picture, tmp_path, sequence):
+    from slam_fakes import fake_factory
+
+    from experiments.runs import slam_settings
+
+    monkeypatch.setattr(sources, "open_sequence", lambda *_, **__: sequence)
+    monkeypatch.setattr(slam_settings, "factory_of", lambda _: fake_factory(sequence))
+    code, out, _ = dslab("run", "x", "--system", f"base,{EXAMPLE}:ConstantVelocity", "--out", tmp_path / "r")
+    assert code == 0 and "ConstantVelocity: declares nothing" in " ".join(out.split())
+    own, base = (
+        json.loads((tmp_path / "r" / name / "summary.json").read_text())
+        for name in ("ConstantVelocity", "base")
+    )
+    assert own["share_posed"] == 1.0 and own["ate_m"] > 0.5 > base["ate_m"]
+    assert (own["ended"], own["declares"], base["declares"]) == ("finished", "nothing", "events")
+    assert (tmp_path / "r" / "ConstantVelocity" / "trajectory.txt").read_text().count("\n") == FRAMES + 1
+
+
+def test_the_example_is_twelve_lines():
+    code = EXAMPLE.read_text().partition("class ")[2].splitlines()
+    assert len([line for line in code if line.strip() and '"""' not in line]) <= 12
+
+
+def test_a_module_in_the_present_folder_is_found(tmp_path, monkeypatch):
+    (tmp_path / "my_own_slam.py").write_text("class Mine:\n    process = None\n")
+    monkeypatch.chdir(tmp_path)
+    assert class_system("my_own_slam:Mine").name == "Mine"
+
+
+@pytest.mark.parametrize(
+    ("named", "says"),
+    [
+        ("no_such_module_at_all:Mine", "cannot be imported"),
+        ("no/such/file.py:Mine", "no such file"),
+        ("json:Mine", "is no class"),
+        ("bse", "there is no system 'bse'; give base (did you mean that?), or one of base, dual"),
+    ],
+)
+def test_a_name_that_is_none_is_one_line(dslab, tmp_path, named, says):
+    code, out, err = dslab("run", "clean-room", "--system", named, "--out", tmp_path / "r")
+    assert (code, out) == (2, "") and says in err and err.count("\n") == 1
+
+
+def test_a_class_without_process_is_named(sequence):
+    with pytest.raises(InputError, match=r"here:own: has no process\(image, stamp_s\)"):
+        run(lambda camera, seed: object(), sequence)
+
+
+def test_a_system_of_a_package_goes_by_its_entry_point(monkeypatch):
+    from importlib.metadata import EntryPoint
+
+    point = EntryPoint("replay", f"{__name__}:Replay", own_class.GROUP)
+    monkeypatch.setattr(own_class, "entry_points", lambda group: [point] if group == own_class.GROUP else [])
+    registry = Registry.open()
+    assert "replay" in registry.names() and registry.find("replay").make is Replay
+
+
+def test_a_map_of_a_system_without_one_is_refused(dslab, tmp_path):
+    words = ("--system", f"{EXAMPLE}:ConstantVelocity", "--map", "--out", tmp_path / "r")
+    code, _, err = dslab("run", "clean-room", *words)
+    assert code == 2 and "--map: of ConstantVelocity only poses are known" in err
+
+
+def test_a_check_tells_what_is_wrong(dslab, tmp_path):
+    text = EXAMPLE.read_text().replace("return self.T_map_cam", "return self.T_map_cam * np.nan")
+    (tmp_path / "bad_slam.py").write_text(text)
+    assert dslab("systems", "check", f"{EXAMPLE}:ConstantVelocity")[0] == 0
+    code, _, err = dslab("systems", "check", f"{tmp_path / 'bad_slam.py'}:ConstantVelocity")
+    assert code == 2 and "not_finite" in err and err.count("\n") == 1
+
+
+def test_a_sequence_without_truth_runs_too(sequence):
+    assert len(run(Replay, replace(sequence, T_world_cam=None)).trajectories[0].frames) == FRAMES - 10
+
+
+def test_python_takes_it_by_its_name_too(sequence):
+    import experiments
+
+    ran = experiments.run(sequence, f"{EXAMPLE}:ConstantVelocity")
+    assert ran.system == "ConstantVelocity" and ran.metrics["share_posed"] == 1.0

@@ -1,0 +1,257 @@
+"""A program as a system: what it is given, what becomes of its files, and every way in which it can end."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from slam_fakes import make_sequence
+from system_programs import program, write_program
+
+from experiments.evaluation.summary import summarise
+from experiments.runs import sources
+from experiments.runs.ending import Declares, EndKind
+from experiments.runs.systems import guarded
+from experiments.runs.systems.command import LOG_FILE, run_command
+from experiments.runs.systems.command_spec import read_command_spec
+from scenarios.errors import InputError
+
+FRAMES = 40
+
+
+@pytest.fixture
+def sequence():
+    return make_sequence(FRAMES, segment=None)
+
+
+@pytest.fixture
+def run(tmp_path, sequence):
+    """Runs the copying program after an edit of what it does."""
+
+    def run(edit="pass", **fields):
+        system = program(tmp_path / "systems", sequence, edit, **fields)
+        (tmp_path / "scratch").mkdir(exist_ok=True)
+        return run_command(system, sequence, 3, tmp_path, tmp_path / "scratch")
+
+    return run
+
+
+def test_its_poses_are_judged_as_ours(run):
+    record = run()
+    summary = summarise(record)
+    assert summary["ate_m"] == pytest.approx(0.0, abs=1e-6) and summary["ate_poses"] == FRAMES
+    assert summary["scale_m_per_map_unit"] == pytest.approx(2.0)
+    assert (summary["ended"], summary["declares"], summary["live_poses"]) == ("finished", "nothing", "final")
+    assert summary["config"]["command"].endswith("{out}") and summary["peak_rss_mb"] > 1
+
+
+def test_it_is_given_frames_and_camera_and_no_truth(run, tmp_path):
+    run(f"import shutil; shutil.copytree(seq, {str(tmp_path / 'seen')!r})")
+    files = {path.name: path for path in (tmp_path / "seen").iterdir()}
+    assert set(files) == {"camera.yaml", "rgb", "rgb.txt", "meta.json", "segments.json"}
+    assert json.loads(files["segments.json"].read_text()) == [] and len(files["meta.json"].read_text()) < 40
+
+
+@pytest.mark.parametrize("form", ["kitti", "euroc"])
+def test_other_forms_are_read_and_written(run, form):
+    fields = {"reads": form, "trajectory_form": form}
+    edit = f"""
+if {form!r} == "kitti":
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+    rows = []
+    for p in poses:
+        R, t = Rotation.from_quat([float(x) for x in p[4:]]).as_matrix(), np.array(p[1:4], float) / 2
+        rows.append([str(x) for x in np.column_stack([R, t]).ravel()])
+else:
+    table = (seq / "mav0/cam0/data.csv").read_text().splitlines()[1:]
+    rows = [[",".join([line.split(",")[0], *p[1:4], p[7], *p[4:7]])] for line, p in zip(table, poses)]
+"""
+    record = run(edit, **fields)
+    assert record.ending.kind is EndKind.FINISHED, record.ending
+    assert summarise(record)["ate_m"] == pytest.approx(0.0, abs=1e-6)
+    assert len(record.trajectories[0].frames) == FRAMES
+
+
+def test_what_it_says_of_frames_becomes_times_and_losses(run):
+    edit = """
+states = ["OK"] * 10 + ["LOST"] * 5 + ["OK"] * 25
+lines = [f"{s},{state},2.5,1.5" for s, state in zip(stamps, states)]
+(out / "frames.csv").write_text("stamp_s,state,ms,cpu_ms\\n" + "\\n".join(lines))
+rows = [row for row, state in zip(rows, states) if state == "OK"]
+(out / "live.txt").write_text("".join(" ".join(row) + "\\n" for row in rows[:20]))
+"""
+    record = run(edit, frames="frames.csv", live="live.txt", lost_states="[LOST]")
+    (event,) = record.events
+    assert (event.frame, event.reason) == (10, "lost") and record.declares is Declares.LOSSES
+    summary = summarise(record)
+    assert (summary["cpu_ms_median"], summary["ms_median"]) == (1.5, 2.5)
+    assert (summary["tracked"], summary["posed"], summary["live_poses"]) == (20, 35, "given")
+    assert record.results[12].reason == "LOST"
+
+
+@pytest.mark.parametrize(
+    ("edit", "kind", "says", "posed"),
+    [
+        ("raise SystemExit(3)", EndKind.CRASHED, "exit code 3: no message", 0),
+        ("raise OSError('out of luck')", EndKind.CRASHED, "OSError: out of luck", 0),
+        ("import os; os.kill(os.getpid(), 11)", EndKind.CRASHED, "SIGSEGV", 0),
+        ("time.sleep(100)", EndKind.TIMED_OUT, "not done after 2 s", 0),
+        ("x = bytearray(400 * 2**20)\ntime.sleep(100)", EndKind.OUT_OF_MEMORY, "more than 300 MiB", 0),
+        ("raise MemoryError('enough')", EndKind.OUT_OF_MEMORY, "MemoryError", 0),
+        ("rows[5][2] = 'nan'", EndKind.NOT_FINITE, "row 6: the pose is not finite", FRAMES - 1),
+        ("rows[5][5] = 'inf'", EndKind.NOT_FINITE, "row 6", FRAMES - 1),
+        ("rows[5][2] = '?'", EndKind.UNREADABLE, "are no numbers", 0),
+        ("rows[5] = rows[5][:7]", EndKind.UNREADABLE, "trajectory.txt:6: 7 numbers where 8 belong", 0),
+        ("rows[5][4:] = ['3'] * 4", EndKind.UNREADABLE, "row 6: is no pose", 0),
+        ("rows[5][0] = '77.5'", EndKind.OTHER_STAMPS, "77.500000 s is the time of no frame", 0),
+        ("rows[5][0] = 'nan'", EndKind.OTHER_STAMPS, "row 6", 0),
+        ("(out / name).write_bytes(bytes(range(256))); raise SystemExit(0)", EndKind.UNREADABLE, "UTF-8", 0),
+        ("name = 'elsewhere.txt'", EndKind.FINISHED, "", 0),
+        ("(out / name).write_text(' '.join(rows[0]) + '\\n'); raise SystemExit(1)", EndKind.CRASHED, "1", 1),
+    ],
+    ids=range(16),
+)  # fmt: skip
+def test_every_end_is_an_outcome_and_keeps_what_there_is(run, edit, kind, says, posed):
+    record = run(edit, limits="{start_s: 2, slow_down: 0.001, memory_mb: 300}")
+    assert record.ending.kind is kind and says in record.ending.message
+    assert sum(len(t.frames) for t in record.trajectories) == posed
+    assert len(record.results) == FRAMES and summarise(record)["ended"] == kind.value
+
+
+def test_what_it_prints_is_kept_up_to_a_size(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(guarded, "_LOG_BYTES", 5000)
+    record = run("[print('x' * 1000) for _ in range(5000)]; print('the last'); raise SystemExit(2)")
+    assert (tmp_path / LOG_FILE).stat().st_size == 5000 and record.ending.message.endswith("the last")
+
+
+def test_all_of_its_processes_end_with_it(run, tmp_path):
+    edit = f"""
+import subprocess
+child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(300)"])
+pathlib.Path({str(tmp_path / "pid")!r}).write_text(str(child.pid))
+time.sleep(100)
+"""
+    record = run(edit, limits="{start_s: 1, slow_down: 0.001}")
+    assert record.ending.kind is EndKind.TIMED_OUT and _is_gone(int((tmp_path / "pid").read_text()))
+
+
+def test_it_ends_when_the_lab_is_killed(tmp_path):
+    script = f"""
+import sys
+from pathlib import Path
+from experiments.runs.systems.guarded import run_guarded
+code = "import os, time; open({str(tmp_path / "pid")!r}, 'w').write(str(os.getpid())); time.sleep(300)"
+run_guarded([sys.executable, "-c", code], Path({str(tmp_path / "log")!r}), 300, 1000, Path({str(tmp_path)!r}))
+"""
+    lab = subprocess.Popen([sys.executable, "-c", script])
+    pid = _read_soon(tmp_path / "pid")
+    os.kill(lab.pid, signal.SIGKILL)
+    lab.wait()
+    assert _is_gone(pid)
+
+
+def _read_soon(path: Path) -> int:
+    for _ in range(600):
+        if path.exists() and path.read_text():
+            return int(path.read_text())
+        time.sleep(0.05)
+    raise AssertionError("it did not start")
+
+
+def _is_gone(pid: int) -> bool:
+    for _ in range(100):
+        if not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE:
+            return True
+        time.sleep(0.05)
+    return False
+
+
+# -- descriptions --------------------------------------------------------------------------------------------
+
+
+def test_a_description_may_be_like_another_one(tmp_path, sequence):
+    write_program(tmp_path, sequence, settings="{features: 1000, vocabulary: null}")
+    (tmp_path / "more.yaml").write_text("like: copy\nsettings: {features: 2000}\n")
+    spec = read_command_spec(tmp_path / "more.yaml", (tmp_path,))
+    assert spec.settings == {"features": 2000, "vocabulary": None}
+    assert str(tmp_path / "program.py") in spec.command
+
+
+@pytest.mark.parametrize(
+    ("fields", "says"),
+    [
+        ({"command": "'slam {sequence} {output}'"}, "copy.yaml:1: command: unknown placeholder {output}"),
+        ({"command": "'slam {sequence}'"}, "does not say where {out} goes"),
+        ({"comand": "x"}, "comand: unknown key; use command (did you mean that?)"),
+        ({"reads": "rosbag"}, "reads: 'rosbag' is not valid"),
+        ({"trajectory": "../../secret"}, "is no file below {out}"),
+        ({"like": "nothing"}, "there is no other system 'nothing'"),
+        ({"limits": "{memory_mb: -1}"}, "limits.memory_mb: -1 is not valid"),
+        ({"command": "'no-such-program-at-all {sequence} {out}'"}, "no such command: no-such-program-at-all"),
+        ({"environment": "{packages: [left-pad]}"}, "run `dslab systems install copy`"),
+    ],
+)  # fmt: skip
+def test_a_description_that_is_wrong_is_one_line(dslab, monkeypatch, tmp_path, sequence, fields, says):
+    monkeypatch.setenv("DSLAB_CACHE_DIR", str(tmp_path / "cache"))
+    if "environment" in fields:
+        fields = {**fields, "command": "'{python} {sequence} {out}'"}
+    write_program(tmp_path / "s", sequence, **fields)
+    words = ("--system", "copy", "--systems", tmp_path / "s", "--out", tmp_path / "r")
+    code, out, err = dslab("run", "clean-room", *words)
+    assert (code, out) == (2, "") and says in err and err.count("\n") == 1
+    assert not (tmp_path / "r").exists()
+
+
+def test_a_run_by_the_command_has_the_log_and_the_settings(
+    dslab, monkeypatch, no_picture, tmp_path, sequence
+):
+    monkeypatch.setattr(sources, "open_sequence", lambda *_, **__: sequence)
+    monkeypatch.setenv("DSLAB_SYSTEMS", str(tmp_path / "s"))
+    write_program(tmp_path / "s", sequence, "print('hello')", settings="{features: 7}")
+    code, _, _ = dslab("run", "x", "--system", "copy", "--out", tmp_path / "r")
+    assert code == 0 and (tmp_path / "r" / LOG_FILE).read_text() == "hello\n"
+    assert json.loads((tmp_path / "r" / "settings.json").read_text()) == {"features": 7}
+    assert np.loadtxt(tmp_path / "r" / "trajectory.txt").shape == (FRAMES, 8)
+
+
+def test_files_that_are_not_as_described_end_the_command_after_all_is_written(
+    dslab, monkeypatch, no_picture, tmp_path, sequence
+):
+    monkeypatch.setattr(sources, "open_sequence", lambda *_, **__: sequence)
+    write_program(tmp_path / "s", sequence, "rows[0][0] = '99'")
+    words = ("--system", "copy", "--systems", tmp_path / "s", "--out", tmp_path / "r")
+    code, _, err = dslab("run", "x", *words)
+    assert code == 2 and "99.000000 s is the time of no frame" in err and err.count("\n") == 1
+    assert json.loads((tmp_path / "r" / "summary.json").read_text())["ended"] == "other_stamps"
+
+
+def test_names_that_are_taken_and_folders_that_are_missing_are_refused(dslab, tmp_path, sequence):
+    path = write_program(tmp_path / "s", sequence)
+    path.rename(path.with_name("dual.yaml"))
+    assert "the name dual is taken" in dslab("systems", "list", "--systems", tmp_path / "s")[2]
+    assert "no such folder" in dslab("systems", "list", "--systems", tmp_path / "none")[2]
+
+
+def test_the_list_says_of_each_whether_it_can_run(dslab, monkeypatch, tmp_path, sequence):
+    monkeypatch.setenv("DSLAB_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setenv("COLUMNS", "200")
+    write_program(tmp_path / "s", sequence, about="copies", comand="x")
+    code, out, _ = dslab("systems", "list", "--systems", tmp_path / "s")
+    rows = {line.split()[0]: line for line in out.splitlines() if line.strip()}
+    assert code == 0 and "ready" in rows["paper+"] and "unknown key" in rows["copy"]
+    assert "dslab systems install orbslam3" in rows["orbslam3"] and "svo-cpp" in rows["svo"]
+
+
+def test_what_cannot_be_started_by_the_system_is_bad_input(run, tmp_path, sequence):
+    script = tmp_path / "no-interpreter"
+    script.write_text("#!/no/such/interpreter\n")
+    script.chmod(0o755)
+    with pytest.raises(InputError, match="cannot be run"):
+        run(command=f"'{script} {{sequence}} {{out}}'")
