@@ -74,21 +74,39 @@ def looks_in(
         T_view_surface: (4, 4) motion, in the surface's length unit.
         least: correlation from which a patch looks alike.
     """
+    best = _correlations(surface, view, intrinsics, T_view_surface)
+    alike = best[np.isfinite(best).all(axis=1)] >= least
+    if not len(alike):
+        return Looks(0, 0.0, 0.0)
+    return Looks(len(alike), float(alike[:, 0].mean()), float(alike[:, 1:].mean()))
+
+
+def alike_in(
+    surface: Surface, view: ImagePyramid, intrinsics: np.ndarray, T_view_surface: np.ndarray, least: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) bool: which points of a surface tell something in a view, and which look alike there.
+
+    Arguments as for :func:`looks_in`.
+    """
+    best = _correlations(surface, view, intrinsics, T_view_surface)
+    return np.isfinite(best).all(axis=1), best[:, 0] >= least
+
+
+def _correlations(
+    surface: Surface, view: ImagePyramid, intrinsics: np.ndarray, T_view_surface: np.ndarray
+) -> np.ndarray:
+    """(N, 9) correlation of every patch where it should be seen and beside, NaN where it cannot be told."""
     level = min(_LEVEL, len(view) - 1)
     uv = np.ascontiguousarray((surface.xy + 0.5) * 0.5**level - 0.5, float)
     intensity, weight = np.empty((len(uv), len(_PATCH))), np.empty((len(uv), len(_PATCH)))
     sample_patterns(surface.pyramid.levels[level], uv, _PATCH, _GRADIENT_SCALE, intensity, weight)
-    kept = (weight > 0).all(axis=1)
-    best = np.empty((int(kept.sum()), len(_OFFSETS)))
+    intensity[weight <= 0] = np.nan
+    best = np.empty((len(uv), len(_OFFSETS)))
     correlations(
-        view.levels[level], intrinsics[level], uv[kept], np.ascontiguousarray(surface.inverse_depth[kept]),
-        _PATCH, intensity[kept], np.ascontiguousarray(T_view_surface), _OFFSETS, _REACH_PX, _LEAST_CONTRAST,
-        best,
+        view.levels[level], intrinsics[level], uv, np.ascontiguousarray(surface.inverse_depth, float), _PATCH,
+        intensity, np.ascontiguousarray(T_view_surface), _OFFSETS, _REACH_PX, _LEAST_CONTRAST, best,
     )  # fmt: skip
-    told = best[np.isfinite(best).all(axis=1)] >= least
-    if not len(told):
-        return Looks(0, 0.0, 0.0)
-    return Looks(len(told), float(told[:, 0].mean()), float(told[:, 1:].mean()))
+    return best
 
 
 def together(looks: Iterable[Looks]) -> Looks:
