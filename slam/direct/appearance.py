@@ -89,7 +89,7 @@ def alike_in(
     Arguments as for :func:`looks_in`.
     """
     best = _correlations(surface, view, intrinsics, T_view_surface)
-    return np.isfinite(best).all(axis=1), best[:, 0] >= least
+    return np.asarray(np.isfinite(best).all(axis=1)), best[:, 0] >= least
 
 
 def _correlations(
