@@ -11,8 +11,10 @@ import subprocess
 import sys
 import textwrap
 from collections.abc import Iterable, Mapping
+from functools import partial
 from pathlib import Path
 
+from direct_pictures import draw_direct_pictures, shown
 from pydantic import BaseModel
 from stress_pictures import draw_pictures
 
@@ -46,11 +48,17 @@ ROOT = HERE.parent
 ROOT_PAGES = ("ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md")
 
 
+direct_points, direct_alignment, direct_blur, direct_looks = (
+    partial(shown, name) for name in ("points", "alignment", "blur", "looks")
+)
+
+
 def main(folder: Path) -> None:
     """Write the pages into a folder, which is emptied before."""
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(HERE, folder, ignore=shutil.ignore_patterns("*.py", "__pycache__", "eq1-quick"))
     draw_pictures(folder / "stress")
+    draw_direct_pictures(folder / "direct")
     report_first_run(folder / "eq1-quick")
     for page in folder.rglob("*.md"):
         text = page.read_text()

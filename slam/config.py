@@ -11,6 +11,7 @@ from slam.mapping.self_calibration import SelfCalibrationConfig
 from slam.tracking.probation import ProbationConfig
 from slam.tracking.reach import ReachConfig
 from slam.tracking.relocalization import RelocalizationConfig
+from slam.tracking.rescue import RescueConfig
 from slam.tracking.tracker import TrackingConfig
 
 
@@ -24,6 +25,7 @@ class SlamConfig:
         tracking: poses of frames, and the choice of keyframes.
         mapping: new points, their culling, local bundle adjustment.
         loops: detection and correction of loops.
+        rescue: poses by intensities where features do not track, before a breakage is declared; off.
         relocalization: poses of frames after tracking was lost.
         reach: how far the camera can have come since it was lost.
         probation: confirmation of these poses by the frames that follow.
@@ -40,6 +42,7 @@ class SlamConfig:
     mapping: LocalMappingConfig = field(default_factory=LocalMappingConfig)
     loops: LoopClosingConfig = field(default_factory=LoopClosingConfig)
     relocalization: RelocalizationConfig = field(default_factory=RelocalizationConfig)
+    rescue: RescueConfig = field(default_factory=RescueConfig)
     self_calibration: SelfCalibrationConfig = field(default_factory=SelfCalibrationConfig)
     reach: ReachConfig = field(default_factory=ReachConfig)
     probation: ProbationConfig = field(default_factory=ProbationConfig)

@@ -38,6 +38,7 @@ from slam.runtime.backend import (
     Searched,
 )
 from slam.tracking.probation import Probation
+from slam.tracking.rescue import Rescue
 from slam.tracking.tracker import Tracker, TrackingOutcome
 
 _PX_PER_FEATURE = 45.0  # an image has room for at most one feature in this many pixels
@@ -89,6 +90,8 @@ class SlamEngine:
         self._initializer = Initializer(camera, self.view, config.initialization)
         self._tracker: Tracker | None = None
         self._mapper: LocalMapper | None = None
+        self._rescue = Rescue(camera, config.rescue) if config.rescue.max_s > 0 else None
+        self._image = np.empty((0, 0), np.uint8)  # of the newest frame
         self._mapping_cpu_ms = self._loop_cpu_ms = 0.0
         self._last_stamp_s = -np.inf
 
@@ -121,7 +124,7 @@ class SlamEngine:
             features = extractor.extract(image)
             built = FrameFeatures.build(self.frames, stamp_s, features, self.camera, self.view)
         self.frames += 1
-        self.newest = Frame(built)
+        self.newest, self._image = Frame(built), image
         self.backend.collect()
         return self.newest
 
@@ -149,6 +152,8 @@ class SlamEngine:
             if outcome.success and doubt.reason:
                 outcome = TrackingOutcome(False, outcome.inliers, outcome.matches, doubt.reason)
             wanted = outcome.success and self.tracker.wants_keyframe(frame, outcome.inliers)
+            if self._rescue is not None:
+                outcome = self._rescued(self._rescue, frame, outcome)
         is_keyframe = wanted and self.backend.idle
         if is_keyframe:
             self._map(frame)
@@ -254,6 +259,8 @@ class SlamEngine:
     def enter(self, map_id: int) -> None:
         """Make a map the current one, for tracking and mapping."""
         self.store.current_id = map_id
+        if self._rescue is not None:
+            self._rescue.ended()
         m = self.store.current
         self._mapper = LocalMapper(m, self.config.mapping, self.backend.lock)
         self._tracker = Tracker(m, self.config.tracking, self.timer)
@@ -273,12 +280,35 @@ class SlamEngine:
         """Run local mapping on a new keyframe, then loop closing and, when it is due, self-calibration."""
         self.tracker.keyframe_requested(frame)
         m = self.store.current
+        if self._rescue is not None:
+            self._rescue.keep(m, frame, self._image)
         rng = rng_for(self.seed, "loop", frame.features.index)
         due = self._may_refine_camera() and self._self_calibration.is_due(m)
         residual = self.camera.residual if due else None
         loops = self.store.places(m.map_id).loops
         with self.timer.apart():
             self.backend.submit(KeyframeTask(frame, self.mapper, loops, rng, residual))
+
+    def _rescued(self, rescue: Rescue, frame: Frame, outcome: TrackingOutcome) -> TrackingOutcome:
+        """Before a breakage is declared, try to place the frame by intensities; the outcome then."""
+        if outcome.success:
+            self._end_rescue(frame, rescue.tracked(self.tracker.map, frame), True)
+            return outcome
+        tracker, first = self.tracker, rescue.frames == 0
+        found = None
+        if not tracker.doubt.reason:
+            with self.timer("rescue"):
+                found = rescue.attempt(frame, self._image, self.camera, tracker.map)
+        if found is None:
+            self._end_rescue(frame, rescue.ended(), False)
+            return outcome
+        if first:
+            self.emit(frame, ev.RescueStart, reason=outcome.reason, inliers=outcome.inliers)
+        return tracker.take_pose(frame, found.T_cam_map, found.keyframe, found.velocity)
+
+    def _end_rescue(self, frame: Frame, frames: int, success: bool) -> None:
+        if frames:
+            self.emit(frame, ev.RescueEnd, success=success, frames=frames)
 
     def _resume(self, probation: Probation, frame: Frame, outcome: TrackingOutcome) -> None:
         """Go on where a relocalization was confirmed."""

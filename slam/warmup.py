@@ -81,12 +81,14 @@ def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
     """
     from slam.config import default_config
     from slam.dual.config import DualConfig
+    from slam.dual.recovery.registry import parse_threads
     from slam.factory import build_system
     from slam.mapping.self_calibration import SelfCalibrationConfig
 
-    # Dual-SLAM: a saved map, a breakage, a recovery by both threads and a fusion, which relocalization would
+    # Dual-SLAM: a saved map, a breakage, a recovery by three threads and a fusion, which relocalization would
     # prevent. The base: a relocalization. Dual-SLAM+: its matcher, up to the first map.
-    every = DualConfig(exhaustive=True, relocalization=False)
+    threads = parse_threads("orb,sift,direct")
+    every = DualConfig(recovery_threads=threads, exhaustive=True, relocalization=False)
     config = replace(default_config(CAMERA), self_calibration=SelfCalibrationConfig(at_keyframes=(3,)))
     counts = {"dual": 110, "base": 75, "dual+": 10}
     done, total = 0, sum(counts.values())

@@ -23,12 +23,13 @@ ROOT = Path(__file__).resolve().parents[1]
 OF_EARLIER_STATES = ("CHANGELOG.md", "measurements.md", "renamed.md")
 PAGES = [p for p in sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")]) if p.name not in OF_EARLIER_STATES]
 DEVIATIONS = (ROOT / "docs" / "dual-slam.md").read_text()
-# What `name: value` may refer to; ORB and SIFT are kinds of threads, THREAD is any.
+# What `name: value` may refer to; ORB, SIFT and DIRECT are kinds of threads, THREAD is any.
 BASES: dict[str, tuple[Any, ...]] = {
     "dual": (DualConfig(),),
-    "THREAD": tuple(RECOVERY_KINDS[kind](None).config for kind in ("orb", "sift", "gms")),
+    "THREAD": tuple(RECOVERY_KINDS[kind](None).config for kind in ("orb", "sift", "gms", "direct")),
     "ORB": (RECOVERY_KINDS["orb"](None).config,),
     "SIFT": (RECOVERY_KINDS["sift"](None).config,),
+    "DIRECT": (RECOVERY_KINDS["direct"](None).config,),
 }
 
 

@@ -9,6 +9,7 @@ import typer
 from rich.table import Table
 from typer.core import TyperGroup
 
+from experiments.cli.bench_direct import direct_command
 from experiments.cli.console import (
     JsonOption,
     ModeChoice,
@@ -19,6 +20,7 @@ from experiments.cli.console import (
     check_real_time,
     number,
     out,
+    parse_seeds,
     print_json_line,
     print_table,
     progress_bars,
@@ -34,7 +36,8 @@ if TYPE_CHECKING:
 
 _HELP = """Measure the speed of the tracker (`slam`), the simulator (`sim`) or whole units (`experiment`).
 
-Or count what systems declare falsely over many sequences (`declarations`), or compare accuracy (`accuracy`).
+Or count what systems declare falsely over many sequences (`declarations`), compare accuracy (`accuracy`), or
+hold photometric alignment against exact depth and pose (`direct`).
 
 `dslab bench` and `dslab bench SOURCE` are short for `dslab bench slam`. For example:
 
@@ -47,6 +50,8 @@ Or count what systems declare falsely over many sequences (`declarations`), or c
 `dslab bench sim`
 
 `dslab bench experiment`
+
+`dslab bench direct`
 
 `dslab bench declarations aliased/room --seeds 1-5 --out out/aliased.parquet`
 """
@@ -63,6 +68,7 @@ class _SlamByDefault(TyperGroup):
 
 
 app = typer.Typer(help=_HELP, cls=_SlamByDefault)
+app.command("direct")(direct_command)
 
 
 @app.command("slam")
@@ -322,7 +328,7 @@ def declarations_command(
     systems = chosen_systems(system)
     single_threaded_opencv()
     with progress_bars() as show:
-        rows = measure_declarations(scenarios, _seeds(seeds), systems, out_file, workers, show)
+        rows = measure_declarations(scenarios, parse_seeds(seeds), systems, out_file, workers, show)
     figures = ("runs", *(f"{part}{name}" for name in COUNTS for part in ("", "false_")), "unjudged")
     rows["runs"] = 1
     sums = rows.groupby(["scenario", "system"])[list(figures)].sum()
@@ -378,7 +384,7 @@ def accuracy_command(
     single_threaded_opencv()
     with progress_bars() as show:
         rows = measure_accuracy(
-            sources, _seeds(seeds), system.value, out_file, peer, peer_runs, skip_frames, show, keep_peer
+            sources, parse_seeds(seeds), system.value, out_file, peer, peer_runs, skip_frames, show, keep_peer
         )
     found = sums(rows)
     if as_json:
@@ -398,10 +404,3 @@ def accuracy_command(
         figures = (number(None if isnan(row[c]) else row[c]) for c in list(columns)[1:])
         table.add_row(source, str(row.sequences), *figures)
     print_table(table)
-
-
-def _seeds(text: str) -> list[int]:
-    first, _, last = text.partition("-")
-    if not first.isdecimal() or ("-" in text and not last.isdecimal()) or int(last or first) < int(first):
-        raise InputError(f"--seeds {text}", "is no seed or range of seeds", "write it as 7 or 1-10")
-    return list(range(int(first), int(last or first) + 1))

@@ -118,6 +118,16 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
         yield show
 
 
+def parse_seeds(text: str) -> list[int]:
+    """Parse one seed or a range of seeds, such as 7 or 1-10. Raises InputError."""
+    from scenarios.errors import InputError
+
+    first, _, last = text.partition("-")
+    if not first.isdecimal() or ("-" in text and not last.isdecimal()) or int(last or first) < int(first):
+        raise InputError(f"--seeds {text}", "is no seed or range of seeds", "write it as 7 or 1-10")
+    return list(range(int(first), int(last or first) + 1))
+
+
 def print_table(table: Table) -> None:
     """Print a table without frame; words too long for a narrow terminal are folded, never cut."""
     table.box, table.show_edge, table.pad_edge, table.title_justify = box.SIMPLE_HEAD, False, False, "left"

@@ -22,6 +22,7 @@ import numpy as np
 from experiments.campaign.clusters import embedded_worker_pool
 from experiments.campaign.unit_job import Task
 from experiments.campaign.worker_pool import Ended, WorkerPool, WorkerPoolSettings
+from experiments.fuzz.drawn_threads import drawn_kinds, drawn_settings
 from experiments.runs.execution import Mode, RunRecord, SystemFactory, SystemKind, execute, system_factory
 from experiments.runs.files import plain
 from experiments.runs.provenance import commit
@@ -57,7 +58,7 @@ class FuzzUnit:
     """One scenario, rendered once, through one or more systems.
 
     Attributes:
-        seed: of the scenario, the images and the systems.
+        seed: of the scenario, the images, the recovery threads and the systems.
         systems: the systems, in the order of their runs.
         mode: threaded systems are checked only at the end.
     """
@@ -152,7 +153,7 @@ def fuzz_run(
     try:
         record = execute(
             sequence, kind, unit.seed, observer=checks, at_end=lambda system, _: check_system(system),
-            build=build or system_factory(unit.mode),
+            build=build or system_factory(unit.mode, drawn_settings(unit.seed, kind)),
         )  # fmt: skip
         row |= {"outcome": FuzzOutcome.OK.value, **_figures(record)}
     except Exception as error:  # any error is a finding
@@ -169,6 +170,7 @@ def empty_row(unit: FuzzUnit, kind: SystemKind, scenario: Scenario | None = None
         "seed": unit.seed,
         "system": kind,
         "mode": unit.mode,
+        "recovery": drawn_kinds(unit.seed, kind),
         "scenario": scenario.name,
         "segments": len(scenario.segments),
         "outcome": FuzzOutcome.DIED.value,

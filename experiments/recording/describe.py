@@ -7,6 +7,9 @@ from slam.core.events import Event
 _TEXTS = {
     "initialized": "map {map_id} initialized with {points} points ({model})",
     "breakage": "breakage: map {map_id} lost, {reason}",
+    "rescue_start": "features do not track ({reason}): frames are placed by intensities",
+    "rescue_end": "features track again, after {frames} frames placed by intensities",
+    "rescue_failed": "intensities place no more frames, after {frames}",
     "poses_withdrawn": "{frames} poses in map {map_id} withdrawn, from frame {first_frame} on: {reason}",
     "relocalized": "relocalized in map {map_id}, {lost_s:.2f} s after the breakage",
     "relocalization_withdrawn": "relocalization in map {map_id} withdrawn after {frames} frames: {reason}",
@@ -35,6 +38,9 @@ _COLORS = {
     "recovery_start": palette.RECOVERY,
     "relocalization_withdrawn": palette.REFUSED,
     "loop_refused": palette.REFUSED,
+    "rescue_start": palette.RECOVERY,
+    "rescue_end": palette.FUSED,
+    "rescue_failed": palette.REFUSED,
     "recovery_failed": palette.REFUSED,
     "fusion": palette.FUSED,
     "fusion_refused": palette.REFUSED,
@@ -46,7 +52,7 @@ def describe_event(event: Event) -> tuple[str, Color]:
     fields = event.record()
     kind = event.kind
     if fields.get("success") is False:
-        kind = "recovery_failed"
+        kind = kind.replace("_end", "_failed")
     elif fields.get("accepted") is False:
         kind = "fusion_refused"
     words = {name: v.replace("_", " ") if isinstance(v, str) else v for name, v in fields.items()}

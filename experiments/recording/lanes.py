@@ -117,6 +117,7 @@ def _other(event: Event) -> tuple[str, Color | None]:
 
 _OTHERS: dict[str, Color] = {
     "map_cut": palette.LOST,
+    "rescue_start": palette.RECOVERY,
     "poses_withdrawn": palette.REFUSED,
     "map_dropped": palette.REFUSED,
     "loop_closed": palette.NOTE,

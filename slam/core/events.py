@@ -74,6 +74,34 @@ class Breakage(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
+class RescueStart(Event):
+    """Features do not track a frame, but intensities place it: tracking goes on without a breakage.
+
+    Attributes:
+        reason: why features do not track it.
+        inliers: map matches that there were.
+    """
+
+    kind: ClassVar[str] = "rescue_start"
+    reason: str
+    inliers: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class RescueEnd(Event):
+    """Features track again after frames that intensities placed, or a breakage follows.
+
+    Attributes:
+        success: features track again.
+        frames: number of frames that intensities placed.
+    """
+
+    kind: ClassVar[str] = "rescue_end"
+    success: bool
+    frames: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class PosesWithdrawn(Event):
     """Poses that were given are taken back, with the keyframes made meanwhile.
 

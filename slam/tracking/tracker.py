@@ -205,6 +205,37 @@ class Tracker:
             last.T_cam_map = self.velocity @ last.T_cam_map
             last.T_cam_reference = last.T_cam_map @ np.linalg.inv(self.map.T_cam_map(last.reference_keyframe))
 
+    def take_pose(
+        self, frame: Frame, T_cam_map: np.ndarray, keyframe: int, velocity: np.ndarray
+    ) -> TrackingOutcome:
+        """Go on from a frame whose pose was found otherwise; its features are matched as far as they fit.
+
+        Args:
+            frame: features only, which :meth:`track` could not place.
+            T_cam_map: (4, 4) its pose, refined by its matches if they would do for tracking.
+            keyframe: that it shares its view with.
+            velocity: (4, 4) from here on.
+        """
+        m, f = self.map, frame.features
+        frame.T_cam_map, frame.reference_keyframe = T_cam_map.copy(), keyframe
+        frame.point[:] = -1
+        _, candidates = guided.collect_local_map(
+            m.arrays, m.n_keyframes, m.n_points, m.observed_points(keyframe), self.config.local_map_keyframes
+        )
+        guided.match_local_points(
+            m.arrays, m.view, frame.T_cam_map, candidates,
+            f.xy, f.octave, f.descriptors, f.cell_start, frame.point, 1.0, self.config.local_map_ratio, False,
+        )  # fmt: skip
+        matches = int((frame.point >= 0).sum())
+        inliers = optimize_frame(frame, m) if matches >= self.config.min_motion_inliers else 0
+        if inliers < self.config.min_inliers:
+            frame.T_cam_map = T_cam_map
+        if not inliers:
+            frame.point[:] = -1
+        frame.T_cam_reference = frame.T_cam_map @ np.linalg.inv(m.T_cam_map(keyframe))
+        self.last, self.velocity, self._in_motion = frame, velocity, False
+        return TrackingOutcome(True, inliers, matches)
+
     def wants_keyframe(self, frame: Frame, inliers: int) -> bool:
         """Return True if the frame sees too few of its reference keyframe's points, or on one side only."""
         if not self._may_be_keyframe(frame):

@@ -18,11 +18,13 @@ import numpy as np
 
 from slam.core.frame import Frame
 from slam.core.geometry import share_of_motion
-from slam.direct.alignment import Aligned, AlignmentConfig, Reference, align, fan
-from slam.direct.blur import align_through_blur, sharpness
+from slam.direct.alignment import Aligned, Reference
+from slam.direct.blur import sharpness
 from slam.direct.location import locate_on_lines, locate_points
+from slam.direct.placement import PlacementConfig, guesses_ahead, place
 from slam.direct.pyramid import ImagePyramid, Rectifier
 from slam.direct.selection import SelectionConfig, select
+from slam.dual.recovery.appearance import LooksCheck, LooksConfig
 from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
 from slam.dual.recovery.propagation import propagate
 from slam.dual.recovery.tracks import TrackRecoveryConfig, TrackTracker
@@ -30,43 +32,27 @@ from slam.features.tracks import TrackedFrame, take_depth_from_points
 from slam.tracking.tracker import TrackingOutcome
 
 _CELL_PX = 8  # in which a located point leaves no room for a new one
-_SPEEDS = (0.65, 0.8, 1.25, 1.5)  # of the predicted motion over a gap that are tried too
-_LONG_GAP = 3
-_MOST_SPREAD_CHANGE = 4.0
 _BLURRED = 0.6  # of the sharpness of the sharpest image
 
 
 @dataclass(frozen=True)
-class DirectRecoveryConfig(TrackRecoveryConfig):
+class DirectRecoveryConfig(TrackRecoveryConfig, PlacementConfig):
     """Settings of the direct thread.
 
     Attributes:
-        alignment, selection: of photometric alignment, and of the points that it rests on.
-        most_error: error of an alignment, of 255, beyond which the images differ.
-        most_saturated: share of its pixels beyond the cutoff, likewise.
-        least_likeness: correlation of the views within the patterns, below which they differ too.
-        least_visible: share of the reference's points that must be in view.
-        through_blur: compare a sharp image with a blurred one by blurring it.
-        blurred_error: as ``most_error``, for such a comparison.
-        blurred_share: least gain by it: its error over that of the images as they are.
+        selection: of the points that alignments rest on.
         point_error: mean absolute residual beyond which a point is not located.
         distinct: residual of the second best place on an epipolar line over the best, at least.
         line_px: longest line that is searched.
+        looks: what the old map's surface must look like under an alignment with it.
     """
 
     depth_radius_px: float = 10.0
-    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     selection: SelectionConfig = field(default_factory=lambda: SelectionConfig(points=1500))
-    most_error: float = 9.0
-    most_saturated: float = 0.25
-    least_likeness: float = 0.5
-    least_visible: float = 0.25
-    through_blur: bool = True
-    blurred_error: float = 8.0
-    blurred_share: float = 0.65
     point_error: float = 12.0
     distinct: float = 1.6
     line_px: float = 60.0
+    looks: LooksConfig = field(default_factory=LooksConfig)
 
 
 class DirectRecovery:
@@ -86,7 +72,8 @@ class DirectRecovery:
         if rectifier.is_too_small:
             return RecoveryResult(task.new_map, stage="propagation", reason="image_too_small")
         tracker = DirectTracker(task, self.config, rectifier)
-        return propagate(task, self.config, tracker, tracker.mapper(task))
+        looks = LooksCheck(task, rectifier, self.config.looks)
+        return propagate(task, self.config, tracker, tracker.mapper(task), looks.doubt)
 
 
 @dataclass
@@ -161,65 +148,24 @@ class DirectTracker(TrackTracker):
         )
 
     def _place(self, frame: Frame, pyramid: ImagePyramid, reference: DirectFrame) -> TrackingOutcome:
-        config, intrinsics = self._direct_config, self._rectifier.intrinsics
+        config, rectifier = self._direct_config, self._rectifier
         rows = np.flatnonzero(reference.known & ~(reference.xyz_cam[:, 2] <= 0))
         if len(rows) < config.min_features:
             return TrackingOutcome(False, 0, len(rows), "too_few_points_of_known_depth")
-        xyz = reference.xyz_cam[rows]
-        view = Reference(reference.pyramid, intrinsics, reference.xy[rows], 1 / xyz[:, 2], config.alignment)
+        xyz, xy = reference.xyz_cam[rows], reference.xy[rows]
+        view = Reference(reference.pyramid, rectifier.intrinsics, xy, 1 / xyz[:, 2], config.alignment)
         gap = abs(reference.frame.features.index - frame.features.index)
-        found = align(view, pyramid, self._guesses(gap))
-        sharp = found is not None and self._look_alike(found)
-        if not sharp:
-            found = self._through_blur(view, reference, pyramid, rows, gap, found)
-        if found is None:
-            return TrackingOutcome(False, 0, len(rows), "images_differ")
-        if found.visible < config.least_visible or not _keeps_spread(xyz, found.T_target_ref):
-            return TrackingOutcome(False, 0, len(rows), "too_little_in_view")
-        frame.T_cam_map = np.ascontiguousarray(found.T_target_ref @ self.pose_of(reference.frame))
-        follow = self._follow_points if sharp else self._carry_depths
-        outcome = follow(frame, pyramid, reference, rows, view, found)
+        guesses = guesses_ahead(self.velocity, gap, rectifier.intrinsics)
+        placed = place(view, xyz, reference.pyramid, pyramid, rectifier, self.velocity, guesses, config)
+        if placed.found is None:
+            return TrackingOutcome(False, 0, len(rows), placed.reason)
+        frame.T_cam_map = np.ascontiguousarray(placed.found.T_target_ref @ self.pose_of(reference.frame))
+        follow = self._follow_points if placed.sharp else self._carry_depths
+        outcome = follow(frame, pyramid, reference, rows, view, placed.found)
         if outcome.success:
             moved = frame.T_cam_map @ np.linalg.inv(self.pose_of(reference.frame))
             self.velocity = share_of_motion(moved, 1 / gap)
         return outcome
-
-    def _guesses(self, gap: int) -> list[np.ndarray]:
-        """Motions over so many frames that are tried."""
-        velocity = self.velocity if self.velocity is not None else np.eye(4)
-        steps = [gap] + [max(1, round(gap * speed)) for speed in _SPEEDS if gap > _LONG_GAP]
-        ahead = [np.linalg.matrix_power(velocity, step) for step in steps]
-        return [*fan(ahead[0], self._rectifier.intrinsics), *ahead[1:], np.eye(4)]
-
-    def _look_alike(self, found: Aligned) -> bool:
-        config = self._direct_config
-        return (
-            found.error <= config.most_error
-            and found.saturated <= config.most_saturated
-            and found.likeness >= config.least_likeness
-        )
-
-    def _through_blur(
-        self,
-        view: Reference,
-        reference: DirectFrame,
-        pyramid: ImagePyramid,
-        rows: np.ndarray,
-        gap: int,
-        sharp: Aligned | None,
-    ) -> Aligned | None:
-        """The alignment with the sharper image blurred along the motion; None where this explains little."""
-        config = self._direct_config
-        if not config.through_blur or self.velocity is None:
-            return None
-        found = align_through_blur(
-            view, reference.pyramid, pyramid, self._rectifier, reference.xyz_cam[rows], self.velocity,
-            self._guesses(gap),
-        )  # fmt: skip
-        if found is None or (sharp is not None and found.error > config.blurred_share * sharp.error):
-            return None
-        alike = found.likeness >= config.least_likeness
-        return found if alike and found.error <= config.blurred_error else None
 
     def _follow_points(
         self,
@@ -286,13 +232,3 @@ def _cells(xy: np.ndarray) -> np.ndarray:
     """(n,) names of the small squares in which pixels (n, 2) lie."""
     column, row = np.floor(xy.T / _CELL_PX).astype(np.int64)
     return row << 32 | column
-
-
-def _keeps_spread(xyz: np.ndarray, T_target_ref: np.ndarray) -> bool:
-    """False if points (n, 3) of the reference shrink to a patch in the target, which fits many."""
-    moved = xyz @ T_target_ref[:3, :3].T + T_target_ref[:3, 3]
-    ahead = moved[:, 2] > 0
-    if ahead.sum() < len(xyz) / 2:
-        return False
-    areas = [float(np.prod(np.std(p[ahead, :2] / p[ahead, 2:], axis=0))) for p in (xyz, moved)]
-    return areas[0] <= _MOST_SPREAD_CHANGE * areas[1]

@@ -1,5 +1,7 @@
 """Overlap of the extended map with old maps, tested at keyframes of similar time."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from slam.core.frame import Frame
@@ -9,6 +11,9 @@ from slam.dual.recovery.interface import RecoveryTask
 from slam.loop_closing.map_alignment import Alignment, align
 from slam.loop_closing.place_check import doubt
 from slam.map.map import Map
+
+Doubt = Callable[[Map, Alignment], str]
+"""What speaks against an alignment with an old map; empty if nothing does."""
 
 
 class Overlap:
@@ -20,11 +25,21 @@ class Overlap:
         tried: number of keyframe pairs compared.
     """
 
-    def __init__(self, task: RecoveryTask, config: FusionConfig, at_once: bool = False) -> None:
-        """Prepare the comparison; ``at_once``: of all keyframes together, by :meth:`compare_all`."""
+    def __init__(
+        self, task: RecoveryTask, config: FusionConfig, at_once: bool = False, doubt_more: Doubt | None = None
+    ) -> None:
+        """Prepare the comparison.
+
+        Args:
+            task: of the recovery.
+            config: acceptance of an alignment.
+            at_once: compare all keyframes together, by :meth:`compare_all`.
+            doubt_more: asked last, of an alignment against which nothing else speaks.
+        """
         self._task = task
         self._config = config
         self._at_once = at_once
+        self._doubt_more = doubt_more
         self._compared: list[int] = []
         self._keyframes = [
             {old.frame_index(int(k)): int(k) for k in old.keyframes()} for old in task.old_maps
@@ -72,6 +87,8 @@ class Overlap:
         if len(confirming) + 1 < self._config.confirmations:
             return False
         self._doubt = doubt(old, task.new_map, alignment, task.rng, self._config.place)
+        if not self._doubt and self._doubt_more is not None:
+            self._doubt = self._doubt_more(old, alignment)
         if self._doubt:
             return False
         self.accepted, self.confirming = alignment, confirming
@@ -84,10 +101,14 @@ class Overlap:
             self.tried += len(pairs)
             if pairs:
                 new = self._task.new_map
-                self.accepted, reason, _ = align_all(old, new, pairs, self._task.rng, self._config)
-                if self.accepted is not None:
+                found, reason, _ = align_all(old, new, pairs, self._task.rng, self._config)
+                if found is None:
+                    self._failures.append(reason)
+                    continue
+                self._doubt = "" if self._doubt_more is None else self._doubt_more(old, found)
+                if not self._doubt:
+                    self.accepted = found
                     return
-                self._failures.append(reason)
 
     def verdict(self) -> tuple[str, str]:
         """(stage, reason) of a recovery without a confirmed alignment."""

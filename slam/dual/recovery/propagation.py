@@ -5,13 +5,17 @@ Source: paper, Sec. III-B and Algorithm 1.
 
 from slam.core.frame import Frame
 from slam.dual.recovery.interface import RecoveryConfig, RecoveryResult, RecoveryTask
-from slam.dual.recovery.overlap import Overlap
+from slam.dual.recovery.overlap import Doubt, Overlap
 from slam.mapping.local_mapping import LocalMapper
 from slam.tracking.tracker import Tracker
 
 
 def propagate(
-    task: RecoveryTask, config: RecoveryConfig, tracker: Tracker, mapper: LocalMapper
+    task: RecoveryTask,
+    config: RecoveryConfig,
+    tracker: Tracker,
+    mapper: LocalMapper,
+    doubt: Doubt | None = None,
 ) -> RecoveryResult:
     """Track the buffered frames newest first, map them, align with the old maps.
 
@@ -20,9 +24,10 @@ def propagate(
         config: settings.
         tracker: estimates poses in the new map; started at the task's first frame.
         mapper: extends the new map.
+        doubt: what else may speak against an alignment, asked when nothing in the maps does.
     """
     result = RecoveryResult(task.new_map)
-    overlap = Overlap(task, config.fusion, config.at_once)
+    overlap = Overlap(task, config.fusion, config.at_once, doubt)
     unusable_since_s = None
     for features in task.backward:
         if task.cancellation.requested:

@@ -11,6 +11,7 @@ from slam_fakes import simulated_camera
 
 from experiments import cli
 from experiments.campaign.worker_pool import Ended, WorkerPool
+from experiments.fuzz.drawn_threads import drawn_threads
 from experiments.fuzz.fuzzing import (
     FuzzUnit,
     empty_row,
@@ -95,6 +96,24 @@ def test_a_failure_to_render_is_reported(monkeypatch):
     assert [(r["system"], r["outcome"], r["stage"]) for r in rows] == [
         ("base", "exception", "render"), ("dual", "exception", "render"),
     ]  # fmt: skip
+
+
+def test_recovery_threads_are_drawn_by_seed_in_many_orders(monkeypatch, sequence):
+    orders = [",".join(spec.kind for spec in drawn_threads(seed)) for seed in range(200)]
+    assert {"direct", "orb,sift", "orb,direct,sift"} <= set(orders) and len(set(orders)) > 20
+    assert sum("direct" in order for order in orders) > 60
+    assert all(len(set(order.split(","))) == len(order.split(",")) for order in orders)
+    seed = orders.index("orb,direct,sift")
+    built = []
+
+    def run(sequence, kind, seed, observer, at_end, build):
+        built.append(build(kind, CAMERA, seed).dual.recovery_threads)
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("experiments.fuzz.fuzzing.execute", run)
+    row = fuzz_run(FuzzUnit(seed, ("dual",)), "dual", random_scenario(seed), sequence)
+    assert built == [drawn_threads(seed)] and row["recovery"] == "orb,direct,sift"
+    assert empty_row(UNIT, "base")["recovery"] == "" == empty_row(UNIT, "paper")["recovery"]
 
 
 # -- many units ----------------------------------------------------------------------------------------------

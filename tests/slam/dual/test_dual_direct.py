@@ -5,10 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from recovery_scenes import FADED, SMEARED, blind_scene, faded_scene, same_map, smeared_scene
+from slam_scenes import rigid
 
+from slam.dual.recovery import overlap
+from slam.dual.recovery.appearance import LooksConfig
 from slam.dual.recovery.direct import DirectRecoveryConfig
 from slam.dual.recovery.registry import ThreadSpec, build_thread
+from slam.map._map_kernels import median_depth
 from slam.map.invariants import check_map
+from slam.optimization.sim3 import sim3_decompose, sim3_matrix
 
 
 @pytest.fixture(scope="module")
@@ -71,3 +76,40 @@ def test_a_small_image_is_a_reason():
     small = replace(task.camera, width_px=80, height_px=60, cx=40.0, cy=30.0)
     result = build_thread(ThreadSpec("direct")).run(replace(task, camera=small))
     assert (result.success, result.stage, result.reason) == (False, "propagation", "image_too_small")
+
+
+def planted(monkeypatch, change):
+    """Give all alignments a fault that matches of features are made to overlook."""
+    found_by = overlap.align
+
+    def align(old, new, old_keyframe, *rest):
+        found, reason, count = found_by(old, new, old_keyframe, *rest)
+        if found is not None:
+            T = old.T_cam_map(old_keyframe)
+            S = np.linalg.inv(T) @ change(median_depth(old.arrays, old_keyframe)) @ T @ found.S_old_new
+            found = replace(found, S_old_new=S, scale=sim3_decompose(S)[0])
+        return found, reason, count
+
+    monkeypatch.setattr(overlap, "align", align)
+    monkeypatch.setattr(overlap, "doubt", lambda *_: "")
+
+
+WRONG = {
+    "scale": lambda depth: sim3_matrix(1.25, np.eye(3), np.array([0, 0, -0.25 * depth])),
+    "scale about the camera": lambda depth: sim3_matrix(0.6, np.eye(3), np.zeros(3)),
+    "turn": lambda depth: rigid((0, 0, 0), (0, 3, 0)),
+    "shift": lambda depth: rigid((0.1 * depth, 0, 0), (0, 0, 0)),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG.values(), ids=WRONG)
+def test_an_alignment_under_which_the_old_surface_looks_wrong_is_refused(monkeypatch, wrong):
+    planted(monkeypatch, wrong)
+    refused = blind_scene().run("direct")
+    assert (refused.success, refused.stage, refused.reason) == (False, "sim3", "images_differ")
+
+
+def test_without_the_photometric_check_a_planted_alignment_passes(monkeypatch):
+    planted(monkeypatch, WRONG["shift"])
+    unchecked = DirectRecoveryConfig(looks=LooksConfig(min_sound=0.0))
+    assert blind_scene().run("direct", unchecked).success

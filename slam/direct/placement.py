@@ -1,0 +1,142 @@
+"""Placement of a view by a reference: photometric alignment that is believed, through motion blur too.
+
+Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from slam.direct.alignment import Aligned, AlignmentConfig, Reference, align, fan
+from slam.direct.blur import align_through_blur
+from slam.direct.pyramid import ImagePyramid, Rectifier
+
+_SPEEDS = (0.65, 0.8, 1.25, 1.5)  # of the predicted motion over a gap that are tried too
+_LONG_GAP = 3
+_MOST_SPREAD_CHANGE = 4.0
+
+
+@dataclass(frozen=True)
+class PlacementConfig:
+    """Settings of the placement of a view.
+
+    Attributes:
+        alignment: of photometric alignment.
+        most_error: error of an alignment, of 255, beyond which the images differ.
+        most_saturated: share of its pixels beyond the cutoff, likewise.
+        least_likeness: correlation of the views within the patterns, below which they differ too.
+        least_visible: share of the reference's points that must be in view.
+        through_blur: compare a sharp image with a blurred one by blurring it.
+        blurred_error: as ``most_error``, for such a comparison.
+        blurred_share: least gain by it: its error over that of the images as they are.
+    """
+
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    most_error: float = 9.0
+    most_saturated: float = 0.25
+    least_likeness: float = 0.5
+    least_visible: float = 0.25
+    through_blur: bool = True
+    blurred_error: float = 8.0
+    blurred_share: float = 0.65
+
+    def looks_alike(self, found: Aligned) -> bool:
+        """True if two views, aligned as they are, look alike."""
+        return (
+            found.error <= self.most_error
+            and found.saturated <= self.most_saturated
+            and found.likeness >= self.least_likeness
+        )
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Placement of a view.
+
+    Attributes:
+        found: the alignment; None without one.
+        sharp: the images look alike as they are, so that their points can be found again.
+        reason: why there is none: ``images_differ`` or ``too_little_in_view``.
+    """
+
+    found: Aligned | None
+    sharp: bool = False
+    reason: str = ""
+
+
+def place(
+    view: Reference,
+    xyz: np.ndarray,
+    source: ImagePyramid,
+    target: ImagePyramid,
+    rectifier: Rectifier,
+    velocity: np.ndarray | None,
+    guesses: Sequence[np.ndarray],
+    config: PlacementConfig,
+) -> Placement:
+    """Place a view by a reference.
+
+    Args:
+        view: the reference, points of the source.
+        xyz: (N, 3) these points in the source's camera.
+        source, target: the images.
+        rectifier: that made them.
+        velocity: (4, 4) motion per frame, along which images are blurred; None where unknown.
+        guesses: (4, 4) motions, source to target.
+        config: what is believed.
+    """
+    found = align(view, target, guesses)
+    sharp = found is not None and config.looks_alike(found)
+    if not sharp:
+        found = _through_blur(view, xyz, source, target, rectifier, velocity, guesses, found, config)
+    if found is None:
+        return Placement(None, reason="images_differ")
+    if found.visible < config.least_visible or not _keeps_spread(xyz, found.T_target_ref):
+        return Placement(None, reason="too_little_in_view")
+    return Placement(found, sharp)
+
+
+def guesses_ahead(velocity: np.ndarray | None, gap: int, intrinsics: np.ndarray) -> list[np.ndarray]:
+    """Motions over ``gap`` frames that are tried: at constant velocity, slightly turned, other speeds, none.
+
+    Args:
+        velocity: (4, 4) motion of one frame; None for none.
+        gap: number of frames.
+        intrinsics: (L, 4) of the levels.
+    """
+    velocity = velocity if velocity is not None else np.eye(4)
+    steps = [gap] + [max(1, round(gap * speed)) for speed in _SPEEDS if gap > _LONG_GAP]
+    ahead = [np.linalg.matrix_power(velocity, step) for step in steps]
+    return [*fan(ahead[0], intrinsics), *ahead[1:], np.eye(4)]
+
+
+def _through_blur(
+    view: Reference,
+    xyz: np.ndarray,
+    source: ImagePyramid,
+    target: ImagePyramid,
+    rectifier: Rectifier,
+    velocity: np.ndarray | None,
+    guesses: Sequence[np.ndarray],
+    sharp: Aligned | None,
+    config: PlacementConfig,
+) -> Aligned | None:
+    """The alignment with the sharper image blurred along the motion; None where this explains little."""
+    if not config.through_blur or velocity is None:
+        return None
+    found = align_through_blur(view, source, target, rectifier, xyz, velocity, guesses)
+    if found is None or (sharp is not None and found.error > config.blurred_share * sharp.error):
+        return None
+    alike = found.likeness >= config.least_likeness
+    return found if alike and found.error <= config.blurred_error else None
+
+
+def _keeps_spread(xyz: np.ndarray, T_target_ref: np.ndarray) -> bool:
+    """False if points (n, 3) of the reference shrink to a patch in the target, which fits many."""
+    moved = xyz @ T_target_ref[:3, :3].T + T_target_ref[:3, 3]
+    ahead = moved[:, 2] > 0
+    if ahead.sum() < len(xyz) / 2:
+        return False
+    areas = [float(np.prod(np.std(p[ahead, :2] / p[ahead, 2:], axis=0))) for p in (xyz, moved)]
+    return areas[0] <= _MOST_SPREAD_CHANGE * areas[1]
