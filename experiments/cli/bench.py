@@ -32,6 +32,8 @@ from scenarios.errors import InputError
 from scenarios.input_files import is_folder
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from slam.dual.config import DualConfig
 
 _HELP = """Measure the speed of the tracker (`slam`), the simulator (`sim`) or whole units (`experiment`).
@@ -390,17 +392,24 @@ def accuracy_command(
     if as_json:
         print_json_line(plain(found.to_dict("records")))
         return
-    table = Table(title=f"{system.value} and peer, medians over sequences")
-    table.add_column("source")
-    columns = {
-        "sequences": "sequences", "ours_ate_m": "ATE m", "peer_ate_m": "peer's", "ratio": "ratio",
-        "worst_ratio": "worst", "ours_scale_off": "scale off", "peer_scale_off": "peer's",
-        "cpu_ratio": "tracking\nCPU ratio", "ours_posed": "posed", "peer_posed": "peer's",
+    accuracy = {
+        "ours_ate_m": "ATE m", "peer_ate_m": "peer's", "ratio": "ratio", "worst_ratio": "worst ratio",
     }  # fmt: skip
-    for title in columns.values():
-        table.add_column(title, justify="right")
+    rest = {
+        "ours_scale_off": "scale off", "peer_scale_off": "peer's", "cpu_ratio": "CPU ratio",
+        "ours_posed": "posed", "peer_posed": "peer's",
+    }  # fmt: skip
+    _print_sums(f"{system.value} and peer, medians over sequences", found, accuracy)
+    _print_sums("scale, CPU of tracking per frame, share of frames", found, rest)
+
+
+def _print_sums(title: str, found: "pd.DataFrame", columns: dict[str, str]) -> None:
+    """Print some columns of the sums per source, under these headings."""
+    table = Table(title=title)
+    for heading in ("source", "sequences", *columns.values()):
+        table.add_column(heading, justify="left" if heading == "source" else "right")
     for _, row in found.iterrows():
         source = Path(row.source).name if is_folder(Path(row.source)) else row.source
-        figures = (number(None if isnan(row[c]) else row[c]) for c in list(columns)[1:])
+        figures = (number(None if isnan(row[column]) else row[column]) for column in columns)
         table.add_row(source, str(row.sequences), *figures)
     print_table(table)

@@ -3,8 +3,8 @@
     python guard.py REPORT FILE_BYTES COMMAND...
 
 Standard input is a pipe of the parent: when it closes, whatever has ended the parent, the group is killed.
-The report is a JSON file: exit code (negative for a signal) and CPU seconds, or the error of a program that
-cannot be started. It needs nothing but Python, and starts in a hundredth of a second.
+The report is a JSON file: exit code (negative for a signal), CPU seconds and peak memory of the program itself
+(KiB), or the error of a program that cannot be started. It needs nothing but Python, and starts in a hundredth of a second.
 """
 
 import json
@@ -26,7 +26,8 @@ def main(report: str, file_bytes: int, command: list[str]) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _, status, usage = os.wait4(child.pid, 0)
     cpu_s = usage.ru_utime + usage.ru_stime
-    _write(report, {"exit_code": os.waitstatus_to_exitcode(status), "cpu_s": cpu_s})
+    exit_code = os.waitstatus_to_exitcode(status)
+    _write(report, {"exit_code": exit_code, "cpu_s": cpu_s, "peak_kb": usage.ru_maxrss})
     os.killpg(0, signal.SIGKILL)
 
 

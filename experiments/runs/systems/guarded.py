@@ -34,7 +34,8 @@ class GuardedRun:
         ending: finished, crashed, timed out or out of memory.
         wall_s: from its start to its end.
         cpu_s: of all its processes that it waited for; None if it was ended.
-        peak_rss_mb: largest resident memory of all its processes together, MiB, as far as it was seen.
+        peak_rss_mb: largest resident memory of all its processes together, MiB, as far as it was seen;
+            at least that of the program itself.
     """
 
     ending: Ending
@@ -84,7 +85,7 @@ def run_guarded(words: list[str], log: Path, time_s: float, memory_mb: float, cw
         ending = Ending(broken, f"took more than {memory_mb:g} MiB: {last}", "see its log, or raise limits")
     else:
         ending = _ending(found.get("exit_code"), last)
-    return GuardedRun(ending, wall_s, found.get("cpu_s"), peak_mb)
+    return GuardedRun(ending, wall_s, found.get("cpu_s"), max(peak_mb, found.get("peak_kb", 0) / 1024))
 
 
 def _watched(

@@ -13,14 +13,14 @@ from scenarios.errors import InputError
 
 def test_rows_are_kept_and_a_second_run_makes_only_what_is_missing(tmp_path, monkeypatch):
     table = tmp_path / "rows.parquet"
-    first = declarations.measure_declarations(["small"], [3], ["base"], table)
+    first = declarations.measure_declarations(["small"], [7], ["base"], table)
     assert list(first.system) == ["base"] and first.frames[0] > 100 and first.ate_m[0] < 1
     assert first.unjudged[0] == first.false_loops[0] == 0
-    again = declarations.measure_declarations(["small"], [3], ["base"], table)
+    again = declarations.measure_declarations(["small"], [7], ["base"], table)
     pd.testing.assert_frame_equal(first, again)
     monkeypatch.setattr(declarations, "code_hash", lambda: "another")
     with pytest.raises(InputError, match="rows of other code"):
-        declarations.measure_declarations(["small"], [3], ["base"], table)
+        declarations.measure_declarations(["small"], [7], ["base"], table)
 
 
 @pytest.mark.parametrize("seeds", ["x", "5-2", "-3", "1-"])

@@ -46,6 +46,7 @@ def test_workers_are_killed_if_the_block_raises():
 
 
 def test_a_call_has_a_process_of_its_own_whose_every_end_is_told():
+    others = set(active_children())
     assert call_in_process(os.getpid, (), 120) != os.getpid()
     with pytest.raises(ValueError, match="'x'"):
         call_in_process(int, ("x",), 120)
@@ -55,12 +56,13 @@ def test_a_call_has_a_process_of_its_own_whose_every_end_is_told():
         call_in_process(time.sleep, (300,), 1)
     with pytest.raises(RuntimeError, match="pickle"):
         call_in_process(threading.Lock, (), 120)
-    assert not active_children()
+    assert set(active_children()) <= others
 
 
 def test_calls_side_by_side_end_with_the_caller():
+    others = set(active_children())
     calls = [(time.sleep, (seconds,), 300) for seconds in (0, 90, 90)]
     started_s = time.monotonic()
     for _ in side_by_side(2, call_in_process, calls):
         break
-    assert time.monotonic() - started_s < 60 and not active_children()
+    assert time.monotonic() - started_s < 60 and set(active_children()) <= others

@@ -153,7 +153,7 @@ def test_a_map_fused_meanwhile_is_not_dropped_for_a_place_in_a_saved_one(monkeyp
     engine, frame = system.engine, system.engine.newest
     found = SimpleNamespace(
         map_id=0, faults=[], frames=[], keyframe=0, first=frame, tracker=engine.tracker,
-        reason="", withdraw=lambda reason: setattr(found, "reason", reason),
+        reason="", withdraw=lambda reason: setattr(found, "reason", reason), withdrawn=lambda: None,
     )  # fmt: skip
     monkeypatch.setattr(engine.search, "offer", lambda *_: (TrackingOutcome(True, 50, 60), found))
     engine.store.current_id = 1
