@@ -3,8 +3,9 @@
     python guard.py REPORT FILE_BYTES COMMAND...
 
 Standard input is a pipe of the parent: when it closes, whatever has ended the parent, the group is killed.
-The report is a JSON file: exit code (negative for a signal), CPU seconds and peak memory of the program itself
-(KiB), or the error of a program that cannot be started. It needs nothing but Python, and starts in a hundredth of a second.
+The report is a JSON file: exit code (negative for a signal), CPU seconds and peak memory (KiB) of the
+program itself, or the error of a program that cannot be started. It needs nothing but Python, and starts in
+a hundredth of a second.
 """
 
 import json
