@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed, wait
 from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process
+from multiprocessing.process import BaseProcess
 from threading import Thread
 from typing import Any
 
@@ -24,13 +25,13 @@ def process_pool(
         set_up: called in each as it starts; a function of a module.
         arguments: of ``set_up``.
     """
+    before = set(active_children())
     # Spawned, not forked: a process that holds a GL context must not fork.
     with ProcessPoolExecutor(workers, get_context("spawn"), _start, (set_up, arguments)) as pool:
         try:
             yield pool
         except BaseException:
-            for process in active_children():
-                process.kill()
+            _kill_others_than(before)
             raise
 
 
@@ -81,6 +82,7 @@ def side_by_side(workers: int, function: Callable[..., Any], calls: list[tuple[A
         function: called with the arguments of each; usually it calls :func:`call_in_process`.
         calls: arguments of each call.
     """
+    before = set(active_children())
     with ThreadPoolExecutor(workers) as pool:
         running = [pool.submit(function, *arguments) for arguments in calls]
         try:
@@ -90,9 +92,14 @@ def side_by_side(workers: int, function: Callable[..., Any], calls: list[tuple[A
             pool.shutdown(wait=False, cancel_futures=True)
             # A thread may be about to start another process.
             while wait(running, _KILL_AGAIN_S).not_done:
-                for process in active_children():
-                    process.kill()
+                _kill_others_than(before)
             raise
+
+
+def _kill_others_than(before: set[BaseProcess]) -> None:
+    """Kill the children that were started since; those of others stay."""
+    for process in set(active_children()) - before:
+        process.kill()
 
 
 def _call(sender: Any, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:

@@ -5,7 +5,7 @@ import subprocess
 import sys
 import threading
 import time
-from multiprocessing import active_children
+from multiprocessing import active_children, get_context
 
 import psutil
 import pytest
@@ -40,9 +40,14 @@ def test_workers_are_killed_if_the_block_raises():
             raise KeyboardInterrupt
 
     pids: list[int] = []
+    bystander = get_context("spawn").Process(target=time.sleep, args=(60,), daemon=True)
+    bystander.start()
     with pytest.raises(KeyboardInterrupt):
         work()
     assert not psutil.pid_exists(pids[0])
+    assert bystander.is_alive(), "another's process"
+    bystander.kill()
+    bystander.join()
 
 
 def test_a_call_has_a_process_of_its_own_whose_every_end_is_told():
