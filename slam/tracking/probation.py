@@ -246,4 +246,4 @@ def _divided(
             inherited += tuple(fault for fault in (*old.inherited, *old.faults) if fault not in inherited)
         else:
             others += old.faults
-    return inherited, others
+    return inherited, tuple(fault for fault in others if fault not in inherited)
