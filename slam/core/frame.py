@@ -111,6 +111,7 @@ class Frame:
         T_cam_map: (4, 4) pose, NaN while unknown.
         reference_keyframe: the keyframe that shares most map points, -1 while unknown.
         T_cam_reference: (4, 4) pose relative to that keyframe, NaN while unknown.
+        noise: standard deviation of its matched keypoints over the usual one, at least 1.
     """
 
     features: FrameFeatures
@@ -118,6 +119,7 @@ class Frame:
     T_cam_map: np.ndarray = field(default_factory=lambda: np.full((4, 4), np.nan))
     reference_keyframe: int = -1
     T_cam_reference: np.ndarray = field(default_factory=lambda: np.full((4, 4), np.nan))
+    noise: float = 1.0
 
     def __post_init__(self) -> None:
         self.point = np.full(len(self.features), -1, np.int32)
@@ -125,7 +127,11 @@ class Frame:
     def copy(self) -> "Frame":
         """Return an independent copy; the features, which never change, are shared."""
         copied = Frame(
-            self.features, self.T_cam_map.copy(), self.reference_keyframe, self.T_cam_reference.copy()
+            self.features,
+            self.T_cam_map.copy(),
+            self.reference_keyframe,
+            self.T_cam_reference.copy(),
+            self.noise,
         )
         copied.point[:] = self.point
         return copied

@@ -44,6 +44,7 @@ def paper_config(camera: PinholeCamera, plus: bool = False) -> SlamConfig:
             tracking,
             urgent_share=tracking.keyframe_share,
             keyframe_cover=0.0,
+            max_noise=1.0,
             crossing=replace(tracking.crossing, min_expected=inf),
             doubt=replace(tracking.doubt, min_share=0.0, nearer=0.0, slower=0.0),
         ),

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from slam.core.results import MapTrajectory
 from slam.loop_closing.look_alikes import doubles
 from slam.loop_closing.map_alignment import Agreement, Alignment, AlignmentConfig, agree, align
 from slam.map.map import Map
@@ -24,6 +25,9 @@ class PlaceCheckConfig:
         radius_px: half side of the search window, level 0.
         min_expected: a view that should see fewer points of the other side says nothing.
         bar: what a view must show.
+        far_s: time between two maps beyond which more is asked: the longer a camera was lost, the more places
+            there are where it can be, nearly alike among them.
+        far_bar: what a view must show then, of points that keyframes have seen from near it.
         min_sound: share of the views of either side that must show it.
         pairs: further pairs, of one of the two keyframes and a neighbour of the other, that are aligned on
             their own by the thresholds of ``alignment``.
@@ -38,6 +42,10 @@ class PlaceCheckConfig:
     min_expected: float = 20.0
     bar: EvidenceBar = field(
         default_factory=lambda: EvidenceBar(min_share=0.35, max_contradicted=0.2, min_cells=8)
+    )
+    far_s: float = 2.0
+    far_bar: EvidenceBar = field(
+        default_factory=lambda: EvidenceBar(min_share=0.7, max_contradicted=0.2, min_cells=8, max_share=1.6)
     )
     min_sound: float = 0.6
     pairs: int = 4
@@ -61,10 +69,12 @@ def doubt(old: Map, new: Map, found: Alignment, rng: np.random.Generator, config
         config: thresholds.
 
     Returns:
-        ``out_of_reach``, ``look_alike_in_reach``, ``expected_points_missing``, ``contradicted``,
-        ``too_narrow`` or ``neighbours_disagree``; empty if nothing does.
+        ``out_of_reach``, ``look_alike_in_reach``, a fault of :class:`EvidenceBar` or
+        ``neighbours_disagree``; empty if nothing does.
     """
+    far = False
     if old is not new:
+        far = _gap(keyframe_trajectory(old), keyframe_trajectory(new))[0] > config.far_s
         if not _within_reach(old, new, found.S_old_new, config.reach):
             return "out_of_reach"
         if any(_within_reach(old, new, S, config.reach) for S in doubles(old, new, found.S_old_new)):
@@ -74,8 +84,8 @@ def doubt(old: Map, new: Map, found: Alignment, rng: np.random.Generator, config
     if old is new:
         new_side = [k for k in new_side if k not in old_side]
     S_new_old = sim3_inverse(found.S_old_new)
-    fault = _one_way(new, old, new_side, old_side, S_new_old, config) or _one_way(
-        old, new, old_side, new_side, found.S_old_new, config
+    fault = _one_way(new, old, new_side, old_side, S_new_old, config, far) or _one_way(
+        old, new, old_side, new_side, found.S_old_new, config, far
     )
     if fault:
         return fault
@@ -88,14 +98,20 @@ def _within_reach(old: Map, new: Map, S_old_new: np.ndarray, config: ReachConfig
     """Return True if the camera can have come from one map to the other in the time between them."""
     before, after = keyframe_trajectory(old), keyframe_trajectory(new)
     after = replace(after, T_map_cam=S_old_new @ after.T_map_cam)
-    gap_s = np.abs(before.stamps_s[:, None] - after.stamps_s[None])
-    i, j = np.unravel_index(np.argmin(gap_s), gap_s.shape)
+    _, i, j = _gap(before, after)
     reaches = [Reach.of(path, config) for path in (before, after)]
     speeds = [reach.speed for reach in reaches if reach is not None]
     if not speeds:
         return True
     start = Reach(before.T_map_cam[i, :3, 3], float(before.stamps_s[i]), max(speeds), config)
     return start.allows(after.T_map_cam[j, :3, 3], float(after.stamps_s[j]))
+
+
+def _gap(one: MapTrajectory, other: MapTrajectory) -> tuple[float, int, int]:
+    """Least time between two paths, s, and the index in either where it is."""
+    gap_s = np.abs(one.stamps_s[:, None] - other.stamps_s[None])
+    i, j = np.unravel_index(np.argmin(gap_s), gap_s.shape)
+    return float(gap_s[i, j]), int(i), int(j)
 
 
 def _side(map_: Map, keyframe: int, around: int) -> list[int]:
@@ -110,15 +126,17 @@ def _one_way(
     there_side: list[int],
     S_here_there: np.ndarray,
     config: PlaceCheckConfig,
+    far: bool,
 ) -> str:
     """The most frequent fault of the views here, which look for the points there; empty if most are sound."""
     points = np.unique(np.concatenate([there.observed_points(k) for k in there_side]))
     points = points[points >= 0].astype(np.int32)
-    faults = []
+    faults, bar = [], config.far_bar if far else config.bar
     for k in here_side[: config.views]:
-        seen = support(there, points, here.T_cam_map(k) @ S_here_there, here.features(k), config.radius_px)
+        S_cam_there = here.T_cam_map(k) @ S_here_there
+        seen = support(there, points, S_cam_there, here.features(k), config.radius_px, near=far)
         if seen.expected >= config.min_expected:
-            faults.append(config.bar.fault(seen))
+            faults.append(bar.fault(seen))
     if not faults:
         return "expected_points_missing"
     if faults.count("") >= config.min_sound * len(faults):

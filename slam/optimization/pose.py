@@ -1,5 +1,7 @@
 """Pose of one camera from map points: motion-only bundle adjustment with outlier rejection."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -9,6 +11,7 @@ from slam.optimization._se3 import orthonormalise, retract
 CHI2_2DOF = 5.991
 """95% of the squared errors of a good observation, in units of its variance, lie below this."""
 
+_CHI2_MEDIAN = 1.386  # half of the squared errors of good observations lie below this
 _ROUNDS = 4
 _HUBER_ROUNDS = 2
 _ITERATIONS = 10
@@ -17,6 +20,20 @@ _MIN_DEPTH = 1e-6
 # Cost of a point behind the camera: that of a clear outlier, so that a step neither gains by moving points
 # behind the camera nor is blocked by a single one.
 _BEHIND_CHI2 = 100.0
+
+
+class PoseEstimate(NamedTuple):
+    """A pose from observations.
+
+    Attributes:
+        T_cam_map: (4, 4) the pose.
+        inlier: (N,) bool observations that agree with it.
+        noise: standard deviation of the observations over that which they were given, at least 1.
+    """
+
+    T_cam_map: np.ndarray
+    inlier: np.ndarray
+    noise: float
 
 
 def optimize_pose(
@@ -28,12 +45,16 @@ def optimize_pose(
     fy: float,
     cx: float,
     cy: float,
-) -> tuple[np.ndarray, np.ndarray]:
+    max_noise: float = 1.0,
+) -> PoseEstimate:
     """Refine a camera's pose on fixed map points and classify inliers and outliers.
 
     Four rounds of Levenberg-Marquardt; after each, observations are classified again by their squared error
     against chi-square at 95%. The first rounds use a Huber loss on all valid observations, the last ones
     least squares on the inliers.
+
+    Corners of a smeared image lie further off than usual, all of them. Their noise is then taken from the
+    median of the squared errors after the first round, which outliers hardly move.
 
     Args:
         T_cam_map: (4, 4) initial pose.
@@ -44,16 +65,18 @@ def optimize_pose(
         fy: focal length along y, px.
         cx: principal point along x, px.
         cy: principal point along y, px.
+        max_noise: how many times the standard deviation that ``inv_sigma2`` says the noise of this image may
+            be; 1 believes ``inv_sigma2``.
 
     Returns:
-        The refined pose (4, 4) and the inliers (N,) bool. Points behind the camera and non-finite
+        The refined pose and its inliers. Points behind the camera and non-finite
         observations are outliers. With fewer than three valid observations the pose is the initial one
         without inliers; if rejection leaves fewer than three, the pose is the last estimate.
 
     Source: Mur-Artal, Montiel, Tardós, "ORB-SLAM", 2015, section V and appendix (motion-only bundle
         adjustment); Levenberg-Marquardt with the damping of Nielsen, 1999.
     """
-    return _optimize_pose(
+    pose, inlier, noise = _optimize_pose(
         np.ascontiguousarray(T_cam_map, np.float64),
         np.ascontiguousarray(points, np.float64),
         np.ascontiguousarray(pixels, np.float64),
@@ -62,7 +85,9 @@ def optimize_pose(
         float(fy),
         float(cx),
         float(cy),
+        float(max_noise),
     )
+    return PoseEstimate(pose, inlier, noise)
 
 
 def direction_deviation(
@@ -98,7 +123,7 @@ def direction_deviation(
 
 
 @njit(cache=True, nogil=True)
-def _optimize_pose(T_start, points, pixels, inv_sigma2, fx, fy, cx, cy):
+def _optimize_pose(T_start, points, pixels, inv_sigma2, fx, fy, cx, cy, max_noise):
     n = points.shape[0]
     T = T_start.copy()
     inlier = np.zeros(n, np.bool_)
@@ -109,11 +134,15 @@ def _optimize_pose(T_start, points, pixels, inv_sigma2, fx, fy, cx, cy):
         sound[i] = np.isfinite(x + y + z + pixels[i, 0] + pixels[i, 1] + inv_sigma2[i])
         usable += sound[i]
     if usable < _MIN_POINTS or not np.isfinite(T_start.sum()):
-        return T, inlier
+        return T, inlier, 1.0
+    variance = 1.0
     active = sound.copy()
     for round_ in range(_ROUNDS):
         huber2 = CHI2_2DOF if round_ < _HUBER_ROUNDS else 0.0
         refine_pose(T, points, pixels, inv_sigma2, active, huber2, fx, fy, cx, cy)
+        if round_ == 0 and max_noise > 1.0:
+            variance = _relative_variance(T, points, pixels, inv_sigma2, sound, fx, fy, cx, cy, max_noise)
+            inv_sigma2 = inv_sigma2 / variance
         changed = _classify(T, points, pixels, inv_sigma2, sound, fx, fy, cx, cy, inlier)
         if inlier.sum() < _MIN_POINTS:
             break
@@ -121,7 +150,7 @@ def _optimize_pose(T_start, points, pixels, inv_sigma2, fx, fy, cx, cy):
             break
         active[:] = inlier
     orthonormalise(T)
-    return T, inlier
+    return T, inlier, np.sqrt(variance)
 
 
 @njit(cache=True, nogil=True)
@@ -231,14 +260,31 @@ def _classify(T, points, pixels, inv_sigma2, sound, fx, fy, cx, cy, inlier):
     """Mark the observations within chi-square in ``inlier``; number of changes."""
     changed = 0
     for i in range(points.shape[0]):
-        good = False
-        if sound[i]:
-            px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-            z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
-            if z > _MIN_DEPTH:
-                eu = fx * (T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]) / z + cx - pixels[i, 0]
-                ev = fy * (T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]) / z + cy - pixels[i, 1]
-                good = inv_sigma2[i] * (eu * eu + ev * ev) <= CHI2_2DOF
+        good = sound[i] and _chi2(T, points[i], pixels[i], inv_sigma2[i], fx, fy, cx, cy) <= CHI2_2DOF
         changed += good != inlier[i]
         inlier[i] = good
     return changed
+
+
+@njit(cache=True, nogil=True)
+def _relative_variance(T, points, pixels, inv_sigma2, sound, fx, fy, cx, cy, max_noise):
+    """Variance of this image's observations over that of ``inv_sigma2``, at least 1."""
+    chi2 = np.empty(points.shape[0], np.float64)
+    n = 0
+    for i in range(points.shape[0]):
+        if sound[i]:
+            chi2[n] = _chi2(T, points[i], pixels[i], inv_sigma2[i], fx, fy, cx, cy)
+            n += 1
+    return min(max(np.median(chi2[:n]) / _CHI2_MEDIAN, 1.0), max_noise * max_noise)
+
+
+@njit(cache=True, nogil=True)
+def _chi2(T, point, pixel, inv_sigma2, fx, fy, cx, cy):
+    """Squared error of a point in units of its variance; infinity behind the camera."""
+    px, py, pz = point[0], point[1], point[2]
+    z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+    if not z > _MIN_DEPTH:
+        return np.inf
+    eu = fx * (T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]) / z + cx - pixel[0]
+    ev = fy * (T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]) / z + cy - pixel[1]
+    return inv_sigma2 * (eu * eu + ev * ev)

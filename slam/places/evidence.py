@@ -12,6 +12,9 @@ from slam.places._evidence_kernels import look_for
 
 _COLUMNS = 8  # of the grid on which found and missing points are counted
 _CHANCE = 0.06  # share of the points of another place that are found by chance
+VIEW_IS_UNKNOWN = "view_is_unknown"
+"""The fault of a view that shows far more than it should: it is not known what it should show."""
+
 _TELLING = 2.0  # log-likelihood ratio from which a cell speaks for or against
 
 
@@ -48,11 +51,14 @@ class EvidenceBar:
         min_share: least share of the expected points that are found.
         max_contradicted: largest share of the expected points in parts of the image where they are missing.
         min_cells: fewest cells of the image, of 8 columns, in which found points speak for the place.
+        max_share: largest share of the expected points that are found. With more, no keyframe has seen the
+            place from near this view, so that it is not known what it should show.
     """
 
     min_share: float
     max_contradicted: float
     min_cells: int
+    max_share: float = np.inf
 
     def fault(self, seen: Support) -> str:
         """What speaks against the place.
@@ -61,13 +67,16 @@ class EvidenceBar:
             seen: what the view shows.
 
         Returns:
-            ``expected_points_missing``, ``contradicted`` or ``too_narrow``; empty if nothing does.
+            ``expected_points_missing``, ``contradicted``, ``too_narrow`` or ``view_is_unknown``; empty if
+            nothing does.
         """
         if seen.share < self.min_share:
             return "expected_points_missing"
         if seen.contradicted > self.max_contradicted:
             return "contradicted"
-        return "too_narrow" if seen.cells < self.min_cells else ""
+        if seen.cells < self.min_cells:
+            return "too_narrow"
+        return VIEW_IS_UNKNOWN if seen.share > self.max_share else ""
 
 
 def support(

@@ -11,12 +11,10 @@ from slam.core.geometry import camera_centre
 from slam.map.map import Map
 from slam.matching.guided import collect_local_map
 from slam.optimization.pose import direction_deviation
-from slam.places.evidence import EvidenceBar, support
+from slam.places.evidence import VIEW_IS_UNKNOWN, EvidenceBar, support
 from slam.tracking.doubt import Doubt
 from slam.tracking.reach import Reach
 from slam.tracking.tracker import Tracker, TrackingOutcome
-
-_UNKNOWN_VIEW = "view_is_unknown"
 
 
 @dataclass(frozen=True)
@@ -39,8 +37,6 @@ class ProbationConfig:
         max_deviation_deg: largest standard deviation of the camera's direction, as its points determine it,
             with which a frame says anything.
         min_sound: share of the frames that say something, one at least, that must speak for the place.
-        max_share: share of what is expected after ``far_s`` above which a frame does not speak for the place:
-            no keyframe has seen it from near this view, so that it is not known what it should show here.
         memory_s: time for which frames on an earlier probation count too: where one place was mistaken for
             another, it may be again. Those of one that this one goes on from count whatever their age.
     """
@@ -57,12 +53,11 @@ class ProbationConfig:
     far_share: float = 0.5
     far_max_s: float = 3.0
     far_bar: EvidenceBar = field(
-        default_factory=lambda: EvidenceBar(min_share=0.85, max_contradicted=0.2, min_cells=8)
+        default_factory=lambda: EvidenceBar(min_share=0.85, max_contradicted=0.1, min_cells=8, max_share=1.6)
     )
     min_expected: float = 40.0
     max_deviation_deg: float = 0.55
     min_sound: float = 0.75
-    max_share: float = 1.6
     memory_s: float = 8.0
 
 
@@ -181,7 +176,7 @@ class Probation:
             self.map_id,
             camera_centre(last.T_cam_map),
             last.features.stamp_s,
-            tuple((at_s, fault) for at_s, fault in self.faults if fault != _UNKNOWN_VIEW),
+            tuple((at_s, fault) for at_s, fault in self.faults if fault != VIEW_IS_UNKNOWN),
             self._inherited,
         )
 
@@ -209,8 +204,6 @@ class Probation:
         radius_px, bar = self._config.radius_px, self._config.far_bar if self._far else self._config.bar
         seen = support(m, points, frame.T_cam_map, frame.features, radius_px, near=self._far)
         fault = bar.fault(seen)
-        if self._far and not fault and seen.share > self._config.max_share:
-            fault = _UNKNOWN_VIEW
         is_telling = seen.expected >= self._config.min_expected or not (fault or self._far)
         if is_telling and self._deviation_deg(frame) <= self._config.max_deviation_deg:
             self.faults.append((frame.features.stamp_s, fault))

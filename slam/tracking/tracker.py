@@ -54,6 +54,8 @@ class TrackingConfig:
         cautious_s: for this time after a relocalization.
         min_share: share of inliers among the map matches, below which the frame is rejected; 0 for any.
         local_map_keyframes: most keyframes of the local map.
+        max_noise: how many times ``orb.noise_px`` the corners of a frame may be off where all of them are, as
+            in a smeared image; its own errors tell.
         keyframe_share: a keyframe is made when inliers fall below this share of the reference's points.
         keyframe_cover: one is made too when points are found in less than this share of the cells, 8 to a
             row of the image, that have keypoints: poses that hang on one side of the view wander.
@@ -76,6 +78,7 @@ class TrackingConfig:
     cautious_s: float = 1.0
     min_share: float = 0.0
     local_map_keyframes: int = 80
+    max_noise: float = 2.0
     keyframe_share: float = 0.9
     keyframe_cover: float = 0.6
     urgent_share: float = 0.5
@@ -190,9 +193,12 @@ class Tracker:
         return TrackingOutcome(True, inliers, matches)
 
     def _least_inliers(self, frame: Frame, usual: int) -> int:
-        """Inliers that a pose must have: ``usual``, or more where no frame just before supports it."""
+        """Inliers that a pose must have: ``usual``, or more where no frame just before supports it.
+
+        Those of a smeared image say less of its pose each, so that more are asked.
+        """
         alone = self._passed_over or frame.features.stamp_s < self._cautious_until_s
-        return max(usual, self.config.cautious_inliers) if alone else usual
+        return round((max(usual, self.config.cautious_inliers) if alone else usual) * frame.noise)
 
     def pass_over(self, frame: Frame) -> None:
         """Skip an unusable frame: the last pose is carried on by the motion model.
@@ -227,8 +233,8 @@ class Tracker:
             f.xy, f.octave, f.descriptors, f.cell_start, frame.point, 1.0, self.config.local_map_ratio, False,
         )  # fmt: skip
         matches = int((frame.point >= 0).sum())
-        inliers = optimize_frame(frame, m) if matches >= self.config.min_motion_inliers else 0
-        if inliers < self.config.min_inliers:
+        inliers = self.optimize(frame) if matches >= self.config.min_motion_inliers else 0
+        if inliers < self._least_inliers(frame, self.config.min_inliers):
             frame.T_cam_map = T_cam_map
         if not inliers:
             frame.point[:] = -1
@@ -249,6 +255,10 @@ class Tracker:
             return inliers < self.config.urgent_share * known
         held = inliers >= self.config.keyframe_share * known
         return not held or _covered_share(frame, self.map) < self.config.keyframe_cover
+
+    def optimize(self, frame: Frame) -> int:
+        """Refine a frame's pose by its matches and remove outliers; number of inliers."""
+        return optimize_frame(frame, self.map, self.config.max_noise)
 
     # -- steps -------------------------------------------------------------------------------------------
 
@@ -280,7 +290,7 @@ class Tracker:
         if count < self.config.min_motion_matches:
             return False
         frame.T_cam_map = predicted
-        return optimize_frame(frame, self.map) >= self.config.min_motion_inliers
+        return self.optimize(frame) >= self.config.min_motion_inliers
 
     def _track_across_gap(self, frame: Frame, last: Frame) -> bool:
         """Match the local map around the predicted pose and the last reference keyframe's.
@@ -315,7 +325,7 @@ class Tracker:
             f.xy, f.octave, f.descriptors, f.cell_start, frame.point, radius_px / 4.0,
             self.config.local_map_ratio, False,
         )  # fmt: skip
-        inliers = optimize_frame(frame, m) if count >= self.config.min_motion_matches else 0
+        inliers = self.optimize(frame) if count >= self.config.min_motion_matches else 0
         return inliers, frame.T_cam_map, frame.point
 
     def _match_last(self, frame: Frame, last: Frame, predicted: np.ndarray, radius_px: float) -> int:
@@ -345,7 +355,7 @@ class Tracker:
             return False
         frame.point[pairs[:, 1]] = points[pairs[:, 0]]
         frame.T_cam_map = last.T_cam_map.copy()
-        return optimize_frame(frame, self.map) >= self.config.min_motion_inliers
+        return self.optimize(frame) >= self.config.min_motion_inliers
 
     def _track_local_map(self, frame: Frame) -> tuple[int, int]:
         """Match the frame with its local map; (inliers, matches)."""
@@ -361,7 +371,7 @@ class Tracker:
             self.config.local_map_ratio, self.observing,
         )  # fmt: skip
         matches = int((frame.point >= 0).sum())
-        inliers = optimize_frame(frame, self.map)
+        inliers = self.optimize(frame)
         frame.reference_keyframe = int(keyframes[0])
         return inliers, matches
 
@@ -408,16 +418,22 @@ def _covered_share(frame: Frame, map_: Map) -> float:
     return float((seen & found).sum() / max(1, seen.sum()))
 
 
-def optimize_frame(frame: Frame, map_: Map) -> int:
-    """Refine a frame's pose by its map matches and remove outliers; number of inliers."""
+def optimize_frame(frame: Frame, map_: Map, max_noise: float = 1.0) -> int:
+    """Refine a frame's pose by its map matches and remove outliers; number of inliers.
+
+    Args:
+        frame: with a pose to start from and matches, of which the outliers are taken.
+        map_: of its points.
+        max_noise: how many times the noise of the map's keypoints its own may be; see :func:`optimize_pose`.
+    """
     rows = np.flatnonzero(frame.point >= 0)
     f, view = frame.features, map_.view
-    pose, inlier = optimize_pose(
+    pose, inlier, frame.noise = optimize_pose(
         frame.T_cam_map,
         map_.arrays.pt_xyz[frame.point[rows]],
         f.xy[rows],
         view.inv_sigma2[f.octave[rows]],
-        view.fx, view.fy, view.cx, view.cy,
+        view.fx, view.fy, view.cx, view.cy, max_noise,
     )  # fmt: skip
     frame.T_cam_map = pose
     frame.point[rows[~inlier]] = -1

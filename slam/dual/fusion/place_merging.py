@@ -33,6 +33,7 @@ class PlaceMerger:
         self._seed = seed
         self._searched = (-1, 0)  # a map, and its keyframes that need not be searched any more
         self._found: dict[tuple[int, int], list[Alignment]] = {}
+        self._judged: dict[tuple[int, int], list[tuple[Alignment, str]]] = {}
         self.refused: list[tuple[Alignment, str]] = []
 
     def skip(self, current: Map) -> None:
@@ -103,15 +104,26 @@ class PlaceMerger:
             if 2 * others > len(agreeing) + 1:
                 reason = "ambiguous"
             else:
-                reason = doubt(old, current, alignment, rng, self._config.place)
+                reason = self._judge(old, current, alignment, rng)
             if not reason:
                 return (*agreeing, alignment)
             self.refused.append((alignment, reason))
         return ()
 
+    def _judge(self, old: Map, current: Map, alignment: Alignment, rng: np.random.Generator) -> str:
+        """What speaks against an alignment, also what has spoken against the same one before."""
+        judged = self._judged.setdefault((old.map_id, current.map_id), [])
+        reason = doubt(old, current, alignment, rng, self._config.place)
+        judged.append((alignment, reason))
+        same = [r for a, r in judged if agree(old, a, alignment, self._config)]
+        if not reason and same.count("") < self._config.place.min_sound * len(same):
+            return next(r for r in reversed(same) if r)
+        return reason
+
     def reset_alignments(self) -> None:
         """Discard the alignments found so far: a map has changed."""
         self._found.clear()
+        self._judged.clear()
 
 
 def inverted(alignment: Alignment, new_map_id: int) -> Alignment:

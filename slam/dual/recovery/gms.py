@@ -12,7 +12,7 @@ from slam.dual.recovery.propagation import propagate
 from slam.mapping.local_mapping import LocalMapper
 from slam.matching.gms import GmsConfig, match_gms
 from slam.tracking.pnp import ransac_pnp
-from slam.tracking.tracker import Tracker, TrackingOutcome, optimize_frame
+from slam.tracking.tracker import Tracker, TrackingOutcome
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class GmsTracker(Tracker):
             return TrackingOutcome(False, 0, len(pairs), "no_pose_from_gms_matches")
         frame.T_cam_map, agree = found
         frame.point[rows[agree]] = seen[agree]
-        inliers, matches = optimize_frame(frame, m), len(pairs)
+        inliers, matches = self.optimize(frame), len(pairs)
         if inliers >= config.min_pose_inliers:
             inliers, matches = self._track_local_map(frame)
         if inliers < self._least_inliers(frame, config.min_inliers):

@@ -155,12 +155,12 @@ class TrackTracker(Tracker):
             )  # fmt: skip
             matched = np.flatnonzero(frame.point >= 0)
             matches = len(matched)
-            frame.T_cam_map, inlier = optimize_pose(
+            frame.T_cam_map, inlier, frame.noise = optimize_pose(
                 frame.T_cam_map,
                 np.concatenate([m.arrays.pt_xyz[frame.point[matched]], xyz]),
                 np.concatenate([f.xy[matched], tracked.xy[rows]]),
                 np.concatenate([m.view.inv_sigma2[f.octave[matched]], tracked.inv_sigma2[rows]]),
-                m.view.fx, m.view.fy, m.view.cx, m.view.cy,
+                m.view.fx, m.view.fy, m.view.cx, m.view.cy, self.config.max_noise,
             )  # fmt: skip
             frame.point[matched[~inlier[:matches]]] = -1
             agree = inlier[matches:]

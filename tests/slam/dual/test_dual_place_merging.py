@@ -8,6 +8,7 @@ from dual_scenes import RECOVERED, RECOVERY_ONLY, STEP_M, dual, of, scale_betwee
 from slam_scenes import blanked, errors_m, feed, kinds, rms, toy
 
 from slam.core.events import TrackingState
+from slam.dual.fusion import place_merging
 from slam.dual.fusion.fuse import FusionConfig
 from slam.dual.fusion.map_merger import MapMerger
 from slam.dual.recovery.interface import RecoveryConfig
@@ -68,6 +69,18 @@ def test_another_place_is_not_recognised():
     feed(system, blanked([*here[:56], *there[56:]], range(50, 56)), stamps_s, check=False)
     assert "fusion" not in kinds(system)
     assert sorted(system.maps()) == [0, 1]
+
+
+def test_what_spoke_against_a_place_counts_at_the_next_keyframe(monkeypatch):
+    """Refused three times, the same similarity needs five sound views before it is believed."""
+    said = iter(["contradicted"] * 3)
+    found = place_merging.doubt
+    monkeypatch.setattr(place_merging, "doubt", lambda *args: next(said, None) or found(*args))
+    images, stamps_s, _ = toy(130, 0, STEP_M)
+    system = dual(BY_PLACE)
+    feed(system, blanked(images, range(50, 56)), stamps_s)
+    reasons = [fusion.reason for fusion in of(system, "fusion")]
+    assert reasons == ["contradicted"] * 7 + [""]
 
 
 def test_place_merging_can_be_switched_off(fused_by_place):

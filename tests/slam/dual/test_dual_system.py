@@ -188,7 +188,7 @@ def test_poses_behind_the_seam_that_recovery_does_not_renew_are_withdrawn():
     assert kinds(system) == ["initialized", *RECOVERED[:-1], "poses_withdrawn", "fusion"]
     (gone,) = of(system, "poses_withdrawn")
     assert (gone.map_id, gone.reason, gone.last_frame) == (0, "passed_over_by_recovery", 49)
-    assert 40 <= gone.first_frame < 49 and gone.frames == 50 - gone.first_frame
+    assert 35 <= gone.first_frame < 49 and gone.frames == 50 - gone.first_frame
     (path,) = system.trajectories()
     missing = [*range(gone.first_frame, 56)]
     assert set(missing).isdisjoint(path.frames)

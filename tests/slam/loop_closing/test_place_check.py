@@ -93,9 +93,18 @@ def test_maps_far_apart_in_space_but_not_in_time_are_out_of_reach():
     assert doubt(*late, found(*late), rng(), reach) == ""
 
 
+def test_more_is_asked_of_maps_that_are_far_apart_in_time():
+    """Half a minute later the camera can be anywhere; half a second later it cannot."""
+    lax = replace(ANYWHERE.bar, min_share=0.0, max_contradicted=1.0, min_cells=0)
+    config = replace(ANYWHERE, bar=lax, far_bar=replace(lax, max_share=0.1))
+    for later, reason in ((56 + 15, ""), (56 + 30 * 30, "view_is_unknown")):
+        old, new = maps(later=later)
+        assert doubt(old, new, found(old, new), rng(), config) == reason
+
+
 def test_a_place_whose_double_is_in_reach_is_doubted():
     """The old map has met look-alikes: two places, or any others as far apart, may show the same."""
-    reach = PlaceCheckConfig(reach=ReachConfig(factor=0.3))
+    reach = PlaceCheckConfig(reach=ReachConfig(factor=0.3), far_bar=ANYWHERE.bar)
     for shift, reason in ((1.5, "look_alike_in_reach"), (1e5, "")):
         old, new = maps(later=56 + 30 * 30)
         A = rigid((shift, 0, 0), (0, 180, 0))

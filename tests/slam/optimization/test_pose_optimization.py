@@ -134,7 +134,7 @@ def test_refinement_reaches_the_cost_of_scipy(seed, huber2):
 
 def test_perfect_data_give_back_the_true_pose():
     truth, start, points, pixels, inv_sigma2 = problem(noise=0.0)
-    pose, inlier = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
+    pose, inlier, _ = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
     np.testing.assert_allclose(pose, truth, atol=1e-8)
     assert inlier.all()
 
@@ -144,22 +144,33 @@ def test_outliers_are_found_and_have_no_influence(seed):
     truth, start, points, pixels, inv_sigma2 = problem(seed, n=200, outliers=80)
     sigma = 1.0 / np.sqrt(inv_sigma2)
     pixels[:80] += np.sign(pixels[:80] - project(truth, points[:80])) * 3 * sigma[:80, None]
-    pose, inlier = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
+    pose, inlier, _ = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
     assert not inlier[:80].any()
     assert inlier[80:].mean() > 0.88
     np.testing.assert_allclose(pose, truth, atol=0.05)
 
 
+@pytest.mark.parametrize(("noise", "believed", "own"), [(1.0, 0.95, 0.95), (1.8, 0.6, 0.95), (6.0, 0.1, 0.3)])
+def test_the_noise_of_a_smeared_image_is_taken_from_its_errors(noise, believed, own):
+    """Most are inliers at up to twice the noise; outliers stay outliers, and more noise is not believed."""
+    _, start, points, pixels, inv_sigma2 = problem(n=400, noise=noise, outliers=80)
+    for max_noise, share in ((1.0, believed), (2.0, own)):
+        _, inlier, found = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS, max_noise)
+        assert inlier[80:].mean() == pytest.approx(share, abs=0.07)
+        assert inlier[:80].mean() < 0.15
+        assert found == pytest.approx(max(1.0, min(noise, max_noise)), rel=0.3)
+
+
 def test_inliers_are_within_chi_square_at_the_returned_pose():
     _, start, points, pixels, inv_sigma2 = problem(outliers=30)
-    pose, inlier = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
+    pose, inlier, _ = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
     chi2 = (whitened(pose, points, pixels, inv_sigma2) ** 2).sum(axis=1)
     np.testing.assert_array_equal(inlier, chi2 <= CHI2_2DOF)
 
 
 def test_the_last_rounds_are_plain_least_squares_on_the_inliers():
     _, start, points, pixels, inv_sigma2 = problem(n=200, outliers=40)
-    pose, inlier = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
+    pose, inlier, _ = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
     again = pose.copy()
     cost = refine_pose(again, points, pixels, inv_sigma2, inlier, 0.0, *INTRINSICS)
     reached = (whitened(pose, points, pixels, inv_sigma2)[inlier] ** 2).sum()
@@ -170,14 +181,14 @@ def test_points_behind_the_camera_are_outliers_without_influence():
     truth, start, points, pixels, inv_sigma2 = problem()
     mirrored = 2 * -(truth[:3, :3].T @ truth[:3, 3]) - points[:20]
     np.testing.assert_allclose(project(truth, mirrored), project(truth, points[:20]))
-    pose, inlier = optimize_pose(
+    pose, inlier, _ = optimize_pose(
         start,
         np.vstack([points, mirrored]),
         np.vstack([pixels, pixels[:20]]),
         np.concatenate([inv_sigma2, inv_sigma2[:20]]),
         *INTRINSICS,
     )
-    alone, inlier_alone = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
+    alone, inlier_alone, _ = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
     assert not inlier[-20:].any()
     np.testing.assert_array_equal(inlier[:-20], inlier_alone)
     np.testing.assert_allclose(pose, alone, atol=1e-5)
@@ -188,7 +199,7 @@ def test_accurate_octaves_have_more_weight():
     _, start, points, pixels, _ = problem(noise=0.0)
     pixels[:60] += 3.0
     inv_sigma2 = np.where(np.arange(120) < 60, 1 / 36.0, 1.0)
-    pose, _ = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
+    pose, _, _ = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
     error = np.abs(project(pose, points[60:]) - pixels[60:]).max()
     assert error < 0.3
 
@@ -196,7 +207,7 @@ def test_accurate_octaves_have_more_weight():
 @pytest.mark.parametrize("n", [0, 1, 2])
 def test_too_few_points_change_nothing(n):
     _, start, points, pixels, inv_sigma2 = problem()
-    pose, inlier = optimize_pose(start, points[:n], pixels[:n], inv_sigma2[:n], *INTRINSICS)
+    pose, inlier, _ = optimize_pose(start, points[:n], pixels[:n], inv_sigma2[:n], *INTRINSICS)
     np.testing.assert_array_equal(pose, start)
     assert inlier.shape == (n,) and not inlier.any()
 
@@ -204,9 +215,9 @@ def test_too_few_points_change_nothing(n):
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_non_finite_observations_are_left_out(bad):
     _, start, points, pixels, inv_sigma2 = problem()
-    expected, _ = optimize_pose(start, points[3:], pixels[3:], inv_sigma2[3:], *INTRINSICS)
+    expected, _, _ = optimize_pose(start, points[3:], pixels[3:], inv_sigma2[3:], *INTRINSICS)
     points[0, 1], pixels[1, 0], inv_sigma2[2] = bad, bad, bad
-    pose, inlier = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
+    pose, inlier, _ = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
     assert not inlier[:3].any()
     np.testing.assert_array_equal(pose, expected)
 
@@ -214,7 +225,7 @@ def test_non_finite_observations_are_left_out(bad):
 def test_a_non_finite_pose_is_returned_unchanged():
     _, start, points, pixels, inv_sigma2 = problem()
     start[0, 3] = np.nan
-    pose, inlier = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
+    pose, inlier, _ = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
     np.testing.assert_array_equal(pose, start)
     assert not inlier.any()
 
@@ -230,7 +241,7 @@ def test_degenerate_systems_stay_finite(case):
         pixels[:] = 2 * np.array([CX, CY]) - pixels
     else:
         points[:, 2] -= 100
-    pose, _ = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
+    pose, _, _ = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
     assert np.isfinite(pose).all()
     np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
 
@@ -238,8 +249,8 @@ def test_degenerate_systems_stay_finite(case):
 def test_input_is_unchanged_and_other_types_are_accepted():
     _, start, points, pixels, inv_sigma2 = problem()
     before = start.copy()
-    expected, _ = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
-    pose, _ = optimize_pose(
+    expected, _, _ = optimize_pose(start, points, pixels, inv_sigma2, *INTRINSICS)
+    pose, _, _ = optimize_pose(
         np.asfortranarray(start), points, pixels.astype(np.float32), inv_sigma2, *(int(v) for v in INTRINSICS)
     )
     np.testing.assert_array_equal(start, before)
@@ -251,7 +262,7 @@ def test_pose_stays_a_rotation_over_a_long_run():
     truth, start, points, pixels, inv_sigma2 = problem()
     pose, velocity = start, np.eye(4)
     for _ in range(300):
-        new, _ = optimize_pose(velocity @ pose, points, pixels, inv_sigma2, *INTRINSICS)
+        new, _, _ = optimize_pose(velocity @ pose, points, pixels, inv_sigma2, *INTRINSICS)
         pose, velocity = new, new @ np.linalg.inv(pose)
     np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-14)
     np.testing.assert_allclose(pose, truth, atol=0.1)

@@ -6,7 +6,7 @@ from slam_scenes import PointWorld, rigid, walk
 
 from slam.optimization.sim3 import sim3_matrix
 from slam.places._evidence_kernels import look_for
-from slam.places.evidence import support
+from slam.places.evidence import EvidenceBar, Support, support
 
 
 @pytest.fixture(scope="module")
@@ -93,3 +93,9 @@ def test_a_view_that_should_show_nothing_says_nothing(known):
     behind = rigid((0, 0, 0), (0, 180, 0)) @ walk(18)
     nothing = support(built, points, behind, sighting(world, walk(18)), 4.0)
     assert (nothing.expected, nothing.found, nothing.share, nothing.cells) == (0, 0, 0, 0)
+
+
+def test_a_view_that_shows_far_more_than_it_should_is_unknown():
+    seen = Support(50.0, 90, 20, 1.0, 0.0)
+    assert EvidenceBar(0.5, 0.2, 8).fault(seen) == ""
+    assert EvidenceBar(0.5, 0.2, 8, 1.7).fault(seen) == "view_is_unknown"

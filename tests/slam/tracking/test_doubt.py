@@ -170,8 +170,8 @@ def wandering(monkeypatch):
     """From the planted frame on, tracking finds poses moved round the scene, to either side in turn."""
     found = tracker.optimize_frame
 
-    def wrong(frame, map_):
-        inliers, index = found(frame, map_), frame.features.index
+    def wrong(frame, map_, max_noise=1.0):
+        inliers, index = found(frame, map_, max_noise), frame.features.index
         if PLANTED_AT <= index < PLANTED_AT + 30:
             frame.T_cam_map = orbit_in_map(map_, frame, 3.0 * (-1) ** index) @ frame.T_cam_map
         return inliers

@@ -381,7 +381,7 @@ def test_a_pose_with_too_many_outliers_is_refused_with_a_least_share(known, sigh
     off = 3.2 * known[0].view.scale[features.octave] * np.sin(np.arange(len(features)) * np.pi / 2)
     displaced = replace(features, xy=features.xy + np.stack([0 * off, off], axis=1))
     for share, reason in ((0.0, ""), (0.7, "too_many_outliers")):
-        tracker = started(known, sightings[0], np.eye(4), TrackingConfig(min_share=share))
+        tracker = started(known, sightings[0], np.eye(4), TrackingConfig(min_share=share, max_noise=1.0))
         outcome = tracker.track(Frame(displaced))
         assert (outcome.success, outcome.reason) == (not reason, reason)
         assert 30 <= outcome.inliers < 0.7 * outcome.matches
