@@ -24,6 +24,7 @@ COLUMNS = {
     "system": ("string", "name of the system"),
     "run": ("Int64", "number of the run, from 0"),
     "seed": ("Int64", "seed of the system"),
+    "folder": ("string", "its result folder, within that of the batch"),
     "first_frame": ("Int64", "first frame of the sequence that was given"),
     "frames": ("Int64", "frames that there were, those that were dropped included"),
     "dropped_frames": ("Int64", "frames that were too late to be given"),

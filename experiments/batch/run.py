@@ -138,21 +138,23 @@ def _jobs(
     for run in range(spec.runs):
         for number, source in enumerate(sources):
             for named, system in systems.items():
+                place = f"{RUNS_DIR}/{number:03d}-{Path(source).name}/{system.name}/{run:03d}"
                 about: Row = {
                     "source": source,
                     "sequence": Path(source).name,
                     "system": system.name,
                     "run": run,
                     "seed": spec.seed + (run if spec.vary == "seeds" else 0),
+                    "folder": place,
                     "first_frame": run * spec.skip_frames if spec.vary == "start" else 0,
                     "spec": spec.row_key,
                     "system_digest": digests[named],
                     "code": code,
                     "commit": head,
                 }
-                place = folder / RUNS_DIR / f"{number:03d}-{Path(source).name}" / system.name / f"{run:03d}"
                 alone = _needs_quiet(system, spec)
-                found.append(Job(spec, source, named, run, About(about), folders, place.absolute(), alone))
+                at = (folder / place).absolute()
+                found.append(Job(spec, source, named, run, About(about), folders, at, alone))
     return found
 
 

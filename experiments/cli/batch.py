@@ -33,24 +33,31 @@ def batch_command(
 
     SPEC.yaml names sequences (folders, patterns, scenarios), systems and the number of runs. Killed and
     started again, a batch goes on where it was. Systems that take frames in real time run alone, after the
-    others. Writes runs.parquet and runs.csv, a row per run, and the result folder of each run. For example:
+    others. Writes runs.parquet and runs.csv, a row per run, pairs.csv, in which every further system
+    stands beside the first one over the frames that both have placed, and the result folder of each run. For
+    example:
 
     `dslab batch kitti.yaml --workers 2 --out out/kitti`
     """
+    from experiments.batch.pairs import PAIRS_FILE, pairs
     from experiments.batch.run import CSV_FILE, run_batch
     from experiments.batch.spec import read_batch
     from experiments.batch.table import sums
     from experiments.runs.files import plain
+    from sim.io.folders import write_file
 
     spec, sources = read_batch(batch)
     with progress_bars() as show:
         rows = run_batch(spec, sources, out_dir, workers, systems_dir or (), show)
-    found = sums(rows)
+    found, beside = sums(rows), pairs(rows, out_dir)
+    write_file(out_dir / PAIRS_FILE, lambda path: beside.to_csv(path, index=False))
     if as_json:
-        print_json_line({"rows": plain(found.astype(object).where(found.notna(), None).to_dict("records"))})
+        print_json_line({"rows": plain(_records(found)), "pairs": plain(_records(beside))})
     else:
         print_table(_table(found))
-        out.print(f"every run  {out_dir / CSV_FILE}", soft_wrap=True)
+        if len(beside):
+            print_table(_beside(beside, rows.system.iloc[0]))
+        out.print(f"every run  {out_dir / CSV_FILE}, {out_dir / PAIRS_FILE}", soft_wrap=True)
     _check_made(rows)
 
 
@@ -65,6 +72,29 @@ def _check_made(rows: "pd.DataFrame") -> None:
         problem = f"{len(lacking)} of {len(rows)} runs could not be made: {first.ended_message}"
         remedy = "mend it and run the same command again"
         raise MachineError(f"{first.source}, {first.system}, run {first.run}", problem, remedy)
+
+
+def _records(table: "pd.DataFrame") -> list[dict]:
+    return table.astype(object).where(table.notna(), None).to_dict("records")
+
+
+def _beside(beside: "pd.DataFrame", first: str) -> Table:
+    """Every system over the first one: quantiles over the runs of all sequences."""
+    table = Table(title=f"over {first}, the same frames")
+    for name in ("", "runs", "median", "mean", "least", "largest"):
+        table.add_column(name, justify="right" if name else "left")
+    for system, own in beside.groupby("system", sort=False):
+        ratios = {
+            "frames in the main map": own.posed / own.first_posed,
+            "ATE on common frames": own.ate_m / own.first_ate_m,
+        }
+        table.add_section()
+        table.add_row(Text(str(system), "bold"))
+        for name, ratio in ratios.items():
+            known = ratio.replace([float("inf")], float("nan")).dropna()
+            figures = (known.median(), known.mean(), known.min(), known.max()) if len(known) else [None] * 4
+            table.add_row(name, str(len(known)), *(number(figure, 3) for figure in figures))
+    return table
 
 
 def _table(found: "pd.DataFrame") -> Table:

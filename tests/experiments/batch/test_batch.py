@@ -17,6 +17,7 @@ from slam_fakes import circle, make_sequence
 from system_programs import write_program
 
 from experiments.batch import run as batch_run
+from experiments.batch.pairs import pairs
 from experiments.batch.rows import COLUMNS
 from experiments.batch.run import CSV_FILE, ROWS_FILE, run_batch
 from experiments.batch.spec import BatchSpec, read_batch
@@ -64,6 +65,24 @@ def test_a_row_has_the_figures_of_its_run(folder, tmp_path, in_this_process):
     assert len(kept) == 2 and kept.system.tolist() == rows.system.tolist()
     (place,) = (tmp_path / "b" / "runs").glob("*/copy/000")
     assert {"trajectory.txt", "summary.json", "log.txt"} <= {path.name for path in place.iterdir()}
+
+
+def test_systems_stand_beside_the_first_one_on_the_frames_that_both_have_placed(
+    folder, tmp_path, in_this_process
+):
+    """The first one's path is cut after 40 frames, then emptied."""
+    sequence = make_sequence(FRAMES, segment=None)
+    description = write_program(tmp_path / "systems", sequence)
+    spec = spec_of(systems=(EXAMPLE, "copy"), runs=1)
+    rows = run_batch(spec, [str(folder)], tmp_path / "b", folders=[description.parent])
+    (place,) = (tmp_path / "b" / "runs").glob("*/ConstantVelocity/000/trajectory.txt")
+    place.write_text("\n".join(place.read_text().splitlines()[:41]) + "\n")
+    (row,) = pairs(rows, tmp_path / "b").to_dict("records")
+    assert (row["system"], row["posed"], row["first_posed"], row["common"]) == ("copy", FRAMES, 40, 40)
+    assert row["ate_m"] == pytest.approx(0, abs=1e-6) and row["first_ate_m"] > 0.1
+    place.write_text("# nothing\n")
+    (row,) = pairs(rows, tmp_path / "b").to_dict("records")
+    assert (row["first_posed"], row["common"], row["first_ate_m"]) == (0, 0, None)
 
 
 def test_the_start_varies_and_the_stress_lies_on_the_same_frames(folder, tmp_path, in_this_process):
