@@ -9,9 +9,11 @@ from slam.loop_closing.look_alikes import doubles
 from slam.loop_closing.map_alignment import Agreement, Alignment, AlignmentConfig, agree, align
 from slam.map.map import Map
 from slam.map.trajectory import keyframe_trajectory
-from slam.optimization.sim3 import sim3_inverse
+from slam.optimization.sim3 import sim3_decompose, sim3_inverse
 from slam.places.evidence import EvidenceBar, support
 from slam.tracking.reach import Reach, ReachConfig
+
+_SAME_WAY_DEG = 45.0
 
 
 @dataclass(frozen=True)
@@ -28,11 +30,16 @@ class PlaceCheckConfig:
         far_s: time between two maps beyond which more is asked: the longer a camera was lost, the more places
             there are where it can be, nearly alike among them.
         far_bar: what a view must show then, of points that keyframes have seen from near it.
+        far_share, far_max_s: least time over which the views of a map must show then where it is, as a share
+            of that between the maps, and its bound.
+        far_sound: share of these views that must show it.
+        double_sound: the same, over ``far_max_s``, where the camera can as well have come to a known double.
         min_sound: share of the views of either side that must show it.
         pairs: further pairs, of one of the two keyframes and a neighbour of the other, that are aligned on
             their own by the thresholds of ``alignment``.
         min_agreeing: share of the pairs that must give the same similarity.
         agreement: how near the similarities must be.
+        apart: beyond which two similarities put a map in two places.
         reach: between two maps, how far the camera can have come in the time between them.
     """
 
@@ -47,10 +54,17 @@ class PlaceCheckConfig:
     far_bar: EvidenceBar = field(
         default_factory=lambda: EvidenceBar(min_share=0.7, max_contradicted=0.2, min_cells=8, max_share=1.6)
     )
+    far_share: float = 0.5
+    far_max_s: float = 6.0
+    far_sound: float = 0.75
+    double_sound: float = 0.9
     min_sound: float = 0.6
     pairs: int = 4
     min_agreeing: float = 0.5
     agreement: Agreement = field(default_factory=Agreement)
+    apart: Agreement = field(
+        default_factory=lambda: Agreement(max_scale_change=0.2, max_rotation_deg=10.0, max_shift=0.3)
+    )
     alignment: AlignmentConfig = field(
         default_factory=lambda: AlignmentConfig(
             min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20
@@ -69,16 +83,13 @@ def doubt(old: Map, new: Map, found: Alignment, rng: np.random.Generator, config
         config: thresholds.
 
     Returns:
-        ``out_of_reach``, ``look_alike_in_reach``, a fault of :class:`EvidenceBar` or
-        ``neighbours_disagree``; empty if nothing does.
+        ``out_of_reach``, a fault of :class:`EvidenceBar` or ``neighbours_disagree``; empty if nothing does.
     """
     far = False
     if old is not new:
         far = _gap(keyframe_trajectory(old), keyframe_trajectory(new))[0] > config.far_s
-        if not _within_reach(old, new, found.S_old_new, config.reach):
+        if not within_reach(old, new, found.S_old_new, config.reach):
             return "out_of_reach"
-        if any(_within_reach(old, new, S, config.reach) for S in doubles(old, new, found.S_old_new)):
-            return "look_alike_in_reach"
     old_side = _side(old, found.old_keyframe, config.around)
     new_side = _side(new, found.new_keyframe, config.around)
     if old is new:
@@ -94,7 +105,57 @@ def doubt(old: Map, new: Map, found: Alignment, rng: np.random.Generator, config
     return ""
 
 
-def _within_reach(old: Map, new: Map, S_old_new: np.ndarray, config: ReachConfig) -> bool:
+def double_in_reach(old: Map, new: Map, S_old_new: np.ndarray, config: PlaceCheckConfig) -> bool:
+    """Return True if the camera can as well have come to a place that a map knows to look the same."""
+    return any(within_reach(old, new, S, config.reach) for S in doubles(old, new, S_old_new))
+
+
+def asked_span_s(old: Map, new: Map, config: PlaceCheckConfig) -> float:
+    """Time over which views must show that two maps are at one place, s; 0 if they are near in time."""
+    gap_s, _, _ = _gap(keyframe_trajectory(old), keyframe_trajectory(new))
+    return min(config.far_share * gap_s, config.far_max_s) if gap_s > config.far_s else 0.0
+
+
+def fault_of_view(
+    new: Map, keyframe: int, old: Map, S_old_new: np.ndarray, config: PlaceCheckConfig
+) -> str | None:
+    """What the view of one keyframe says against where an alignment puts it in another map, far in time.
+
+    Args:
+        new: map of the keyframe.
+        keyframe: row.
+        old: the other map.
+        S_old_new: (4, 4) similarity to it.
+        config: thresholds.
+
+    Returns:
+        The fault, empty for none; None if the view says nothing.
+    """
+    S_cam_old = new.T_cam_map(keyframe) @ sim3_inverse(S_old_new)
+    nearest = _nearest(old, S_cam_old)
+    if nearest < 0:
+        return None
+    points = np.unique(np.concatenate([old.observed_points(k) for k in _side(old, nearest, config.around)]))
+    points = points[points >= 0].astype(np.int32)
+    seen = support(old, points, S_cam_old, new.features(keyframe), config.radius_px, near=True)
+    return config.far_bar.fault(seen) if seen.expected >= config.min_expected else None
+
+
+def _nearest(map_: Map, S_cam_map: np.ndarray) -> int:
+    """The keyframe nearest to a camera of those that look its way; -1 for none."""
+    rows = map_.keyframes()
+    _, R, _ = sim3_decompose(S_cam_map)
+    T = map_.arrays.kf_T_cam_map[rows]
+    facing = T[:, 2, :3] @ R[2] > np.cos(np.deg2rad(_SAME_WAY_DEG))
+    if not facing.any():
+        return -1
+    centre = -np.linalg.inv(S_cam_map[:3, :3]) @ S_cam_map[:3, 3]
+    centres = -np.einsum("nji,nj->ni", T[:, :3, :3], T[:, :3, 3])
+    away = np.linalg.norm(centres - centre, axis=1)
+    return int(rows[facing][np.argmin(away[facing])])
+
+
+def within_reach(old: Map, new: Map, S_old_new: np.ndarray, config: ReachConfig) -> bool:
     """Return True if the camera can have come from one map to the other in the time between them."""
     before, after = keyframe_trajectory(old), keyframe_trajectory(new)
     after = replace(after, T_map_cam=S_old_new @ after.T_map_cam)

@@ -51,9 +51,9 @@ class ProbationConfig:
     )
     far_s: float = 2.0
     far_share: float = 0.5
-    far_max_s: float = 3.0
+    far_max_s: float = 6.0
     far_bar: EvidenceBar = field(
-        default_factory=lambda: EvidenceBar(min_share=0.85, max_contradicted=0.1, min_cells=8, max_share=1.6)
+        default_factory=lambda: EvidenceBar(min_share=0.85, max_contradicted=0.07, min_cells=8, max_share=1.6)
     )
     min_expected: float = 40.0
     max_deviation_deg: float = 0.55

@@ -6,8 +6,9 @@ from contextlib import AbstractContextManager
 import numpy as np
 
 from slam.core.seeds import rng_for
-from slam.dual.fusion.fuse import FusionConfig, confirms
-from slam.loop_closing.map_alignment import Alignment, agree, align
+from slam.dual.fusion.fuse import FusionConfig
+from slam.dual.fusion.hypotheses import Hypothesis, rival
+from slam.loop_closing.map_alignment import Alignment, align
 from slam.loop_closing.place_check import doubt
 from slam.map.map import Map
 from slam.optimization.sim3 import sim3_inverse
@@ -18,22 +19,25 @@ _WAITING = 3  # newest keyframes that are searched when the search was delayed
 
 
 class PlaceMerger:
-    """Recognises saved maps from keyframes of the current one, as in loop closing.
+    """Recognises saved maps from keyframes of the current one, as in loop closing, and more sceptically.
+
+    An alignment is a hypothesis of where a saved map lies. The views of later keyframes speak for or against
+    it; if the maps are far apart in time it takes some seconds of them, and no other hypothesis that does as
+    well and cannot hold too.
 
     Args:
         config: acceptance thresholds; ``max_time_gap_s`` is not used.
         seed: the system's.
 
     Attributes:
-        refused: alignments that were confirmed and yet refused in the last search, with the reasons.
+        refused: alignments that were refused in the last search, with the reasons.
     """
 
     def __init__(self, config: FusionConfig, seed: int) -> None:
         self._config = config
         self._seed = seed
         self._searched = (-1, 0)  # a map, and its keyframes that need not be searched any more
-        self._found: dict[tuple[int, int], list[Alignment]] = {}
-        self._judged: dict[tuple[int, int], list[tuple[Alignment, str]]] = {}
+        self._hypotheses: list[Hypothesis] = []
         self.refused: list[tuple[Alignment, str]] = []
 
     def skip(self, current: Map) -> None:
@@ -64,6 +68,9 @@ class PlaceMerger:
             there are too few.
         """
         self.refused = []
+        if self._searched[0] != current.map_id:
+            self._hypotheses.clear()
+        self._hypotheses = [h for h in self._hypotheses if any(h.old is m for m in saved)]
         for keyframe in range(self._next_of(current), current.n_keyframes):
             self._searched = (current.map_id, keyframe + 1)
             if current.arrays.kf_bad[keyframe]:
@@ -73,9 +80,12 @@ class PlaceMerger:
                 rng = rng_for(self._seed, "joining", current.frame_index(keyframe), old.map_id)
                 with lock:
                     candidates = database_of(old.map_id).relocalization_candidates(bow)
-                alignments = self._compare(current, keyframe, old, candidates[:_CANDIDATES], rng)
-                if alignments:
-                    return alignments
+                self._compare(current, keyframe, old, candidates[:_CANDIDATES], rng)
+            for hypothesis in self._hypotheses:
+                hypothesis.look(current, keyframe, self._config)
+            accepted = self._decided(current)
+            if accepted:
+                return accepted
         return ()
 
     def _next_of(self, current: Map) -> int:
@@ -85,45 +95,45 @@ class PlaceMerger:
 
     def _compare(
         self, current: Map, keyframe: int, old: Map, candidates: Sequence[int], rng: np.random.Generator
-    ) -> tuple[Alignment, ...]:
-        """Compare a new keyframe with keyframes of a saved map.
-
-        Returns:
-            Alignments at different keyframes that agree, the newest last; empty while there are too few.
-        """
-        known = self._found.setdefault((old.map_id, current.map_id), [])
+    ) -> None:
+        """Align a new keyframe with keyframes of a saved map, and note what speaks against it."""
+        config = self._config
         for candidate in candidates:
-            alignment, _, _ = align(old, current, candidate, keyframe, rng, self._config)
+            alignment, _, _ = align(old, current, candidate, keyframe, rng, config)
             if alignment is None:
                 continue
-            agreeing = tuple(a for a in known if confirms(old, a, alignment, self._config))
-            known.append(alignment)
-            if len(agreeing) + 1 < self._config.confirmations:
-                continue
-            others = sum(not agree(old, a, alignment, self._config) for a in known)
-            if 2 * others > len(agreeing) + 1:
-                reason = "ambiguous"
-            else:
-                reason = self._judge(old, current, alignment, rng)
-            if not reason:
-                return (*agreeing, alignment)
-            self.refused.append((alignment, reason))
-        return ()
+            reason = doubt(old, current, alignment, rng, config.place)
+            if reason:
+                self.refused.append((alignment, reason))
+            known = next((h for h in self._hypotheses if h.is_that_of(alignment, config)), None)
+            if known is None:
+                if reason == "out_of_reach":
+                    continue
+                known = Hypothesis(old, [])
+                self._hypotheses.append(known)
+            known.alignments.append(alignment)
+            known.verdicts[keyframe] = known.verdicts.get(keyframe) or reason
 
-    def _judge(self, old: Map, current: Map, alignment: Alignment, rng: np.random.Generator) -> str:
-        """What speaks against an alignment, also what has spoken against the same one before."""
-        judged = self._judged.setdefault((old.map_id, current.map_id), [])
-        reason = doubt(old, current, alignment, rng, self._config.place)
-        judged.append((alignment, reason))
-        same = [r for a, r in judged if agree(old, a, alignment, self._config)]
-        if not reason and same.count("") < self._config.place.min_sound * len(same):
-            return next(r for r in reversed(same) if r)
-        return reason
+    def _decided(self, current: Map) -> tuple[Alignment, ...]:
+        """The alignments of a hypothesis that has shown enough and has no rival that is as sound."""
+        config = self._config
+        for hypothesis in self._hypotheses:
+            accepted = hypothesis.accepted(current, config)
+            if not accepted:
+                continue
+            if not any(
+                other is not hypothesis
+                and other.is_nearly_as_good_as(hypothesis, config.place.far_sound)
+                and rival(hypothesis, other, config)
+                for other in self._hypotheses
+            ):
+                return accepted
+            self.refused.append((hypothesis.newest, "ambiguous"))
+        return ()
 
     def reset_alignments(self) -> None:
         """Discard the alignments found so far: a map has changed."""
-        self._found.clear()
-        self._judged.clear()
+        self._hypotheses.clear()
 
 
 def inverted(alignment: Alignment, new_map_id: int) -> Alignment:

@@ -9,7 +9,7 @@ from slam.dual.fusion.fuse import FusionConfig, confirms
 from slam.dual.recovery.common_points import align_all, pairs_close_in_time
 from slam.dual.recovery.interface import RecoveryTask
 from slam.loop_closing.map_alignment import Alignment, align
-from slam.loop_closing.place_check import doubt
+from slam.loop_closing.place_check import double_in_reach, doubt
 from slam.map.map import Map
 
 Doubt = Callable[[Map, Alignment], str]
@@ -87,6 +87,8 @@ class Overlap:
         if len(confirming) + 1 < self._config.confirmations:
             return False
         self._doubt = doubt(old, task.new_map, alignment, task.rng, self._config.place)
+        if not self._doubt and double_in_reach(old, task.new_map, alignment.S_old_new, self._config.place):
+            self._doubt = "look_alike_in_reach"
         if not self._doubt and self._doubt_more is not None:
             self._doubt = self._doubt_more(old, alignment)
         if self._doubt:

@@ -10,7 +10,7 @@ from slam.loop_closing.correction import Loop
 from slam.loop_closing.detection import LoopClosingConfig, LoopDetector
 from slam.loop_closing.look_alikes import look_alikes, note_look_alike
 from slam.loop_closing.map_alignment import Alignment, AlignmentConfig, align
-from slam.loop_closing.place_check import PlaceCheckConfig, doubt
+from slam.loop_closing.place_check import PlaceCheckConfig, double_in_reach, doubt
 from slam.map._map_kernels import median_depth
 from slam.optimization.sim3 import sim3_decompose, sim3_matrix
 from slam.places.recognition import KeyframeDatabase
@@ -102,18 +102,17 @@ def test_more_is_asked_of_maps_that_are_far_apart_in_time():
         assert doubt(old, new, found(old, new), rng(), config) == reason
 
 
-def test_a_place_whose_double_is_in_reach_is_doubted():
+def test_a_place_has_a_double_in_reach():
     """The old map has met look-alikes: two places, or any others as far apart, may show the same."""
-    reach = PlaceCheckConfig(reach=ReachConfig(factor=0.3), far_bar=ANYWHERE.bar)
-    for shift, reason in ((1.5, "look_alike_in_reach"), (1e5, "")):
+    reach = PlaceCheckConfig(reach=ReachConfig(factor=0.3))
+    for shift, in_reach in ((1.5, True), (1e5, False)):
         old, new = maps(later=56 + 30 * 30)
         A = rigid((shift, 0, 0), (0, 180, 0))
         S = old.T_cam_map(6) @ A @ np.linalg.inv(old.T_cam_map(1))
         old.look_alikes.append((1, 6, S))
         assert look_alikes(old)[0] == pytest.approx(A, abs=1e-9)
-        assert doubt(old, new, found(old, new), rng(), reach) == reason
-        backward = replace(found(new, old), old_map_id=new.map_id)
-        assert doubt(new, old, backward, rng(), reach) == reason
+        assert double_in_reach(old, new, found(old, new).S_old_new, reach) is in_reach
+        assert double_in_reach(new, old, found(new, old).S_old_new, reach) is in_reach
 
 
 # -- look-alikes ---------------------------------------------------------------------------------------------
