@@ -1,0 +1,105 @@
+"""Where a saved map may be: what views say over a time, and which hypotheses exclude each other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from slam_scenes import PointWorld, rigid, walk
+
+from slam.dual.fusion.fuse import FusionConfig
+from slam.dual.fusion.hypotheses import Hypothesis, rival
+from slam.loop_closing.map_alignment import AlignmentConfig, align
+from slam.loop_closing.place_check import PlaceCheckConfig
+from slam.tracking.reach import ReachConfig
+
+LAX = AlignmentConfig(min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20)
+LATER = 900  # frames, half a minute
+
+
+def config_of(asked_s=0.5, reach=1e9):
+    place = PlaceCheckConfig(far_max_s=asked_s, reach=ReachConfig(factor=reach))
+    return FusionConfig(confirmations=1, place=place)
+
+
+@pytest.fixture(scope="module")
+def two_maps():
+    """A path, and the same again half a minute later, every fifth frame a keyframe."""
+    world, rng = PointWorld(points=6000), np.random.default_rng(1)
+    built = []
+    for m in (0, 1):
+        seen = [world.see(m * LATER + i, walk(i), rng, noise_px=0.5, bits=6) for i in range(20 * m, 60, 5)]
+        made, _ = world.map_of(seen, rng, map_id=m)
+        points = made.points()
+        made.arrays.pt_visible[points], made.arrays.pt_found[points] = 10, 7
+        built.append(made)
+    return built
+
+
+def aligned(old, new):
+    alignment, _, _ = align(old, new, 4, 0, np.random.default_rng(0), LAX)
+    assert alignment is not None
+    return alignment
+
+
+def asked(hypothesis, new, config):
+    """Accepted alignments after the view of each keyframe, in turn."""
+    found = []
+    for k in range(new.n_keyframes):
+        hypothesis.look(new, k, config)
+        found.append(len(hypothesis.accepted(new, config)) if hypothesis.verdicts else 0)
+    return found
+
+
+def test_a_join_takes_the_sound_views_of_a_time(two_maps):
+    """Keyframes are a sixth of a second apart: half a second is four of them."""
+    old, new = two_maps
+    right = Hypothesis(old, [aligned(old, new)])
+    assert asked(right, new, config_of(0.5)) == [0, 0, 0, 1, 1, 1, 1, 1]
+    assert set(right.verdicts.values()) == {""}
+    assert not any(asked(Hypothesis(old, [aligned(old, new)]), new, config_of(9.0)))
+
+
+def test_views_speak_against_a_wrong_place(two_maps):
+    old, new = two_maps
+    right = aligned(old, new)
+    wrong = Hypothesis(old, [replace(right, S_old_new=rigid((0.6, 0, 0)) @ right.S_old_new)])
+    assert not any(asked(wrong, new, config_of(0.5)))
+    assert not wrong.is_sound(0.5) and "expected_points_missing" in wrong.verdicts.values()
+
+
+def test_what_spoke_against_it_before_counts(two_maps):
+    old, new = two_maps
+    burdened = Hypothesis(old, [aligned(old, new)], {0: "contradicted", 1: "contradicted"})
+    assert not any(asked(burdened, new, config_of(0.5))[:7])
+
+
+def test_two_places_of_one_map_are_rivals_and_a_place_is_none_of_itself(two_maps):
+    old, new = two_maps
+    right = aligned(old, new)
+    one, again = (
+        Hypothesis(old, [right]),
+        Hypothesis(old, [replace(right, S_old_new=rigid((0.1, 0, 0)) @ right.S_old_new)]),
+    )
+    away = Hypothesis(old, [replace(right, S_old_new=rigid((30.0, 0, 0)) @ right.S_old_new)])
+    assert not rival(one, again, config_of()) and rival(one, away, config_of())
+
+
+@pytest.mark.parametrize(("metres", "excluded"), [(0.0, False), (500.0, True)])
+def test_places_of_two_maps_are_rivals_if_the_camera_cannot_have_come_from_one_to_the_other(
+    two_maps, metres, excluded
+):
+    """Of two saved maps, the later begins where the earlier one ended, or far from there."""
+    old, new = two_maps
+    right = aligned(old, new)
+    other = old.copy()
+    other.map_id = 7
+    other.transform(1.0, np.eye(3), np.array([metres, 0.0, 0.0]))
+    there = replace(right, old_map_id=7)
+    assert rival(Hypothesis(old, [right]), Hypothesis(other, [there]), config_of(reach=1.25)) is excluded
+
+
+def test_a_rival_that_has_shown_much_less_does_not_count(two_maps):
+    old, new = two_maps
+    strong = Hypothesis(old, [aligned(old, new)], dict.fromkeys(range(8), ""))
+    weak = Hypothesis(old, [aligned(old, new)], dict.fromkeys(range(3), ""))
+    assert not weak.is_nearly_as_good_as(strong, 0.75) and strong.is_nearly_as_good_as(weak, 0.75)
