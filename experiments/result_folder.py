@@ -14,6 +14,7 @@ from experiments.runs.pacing import RealTime
 from experiments.runs.systems.command import CommandSystem, run_command
 from experiments.runs.systems.registry import OwnSystem, System, factory_with
 from sim.io.folders import Progress, new_directory
+from sim.io.truth import tum_poses_text
 from sim.sequence import Sequence
 from sim.unfinished import scratch_folder
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from experiments.recording import Recording
 
 SUMMARY_FILE = "summary.json"
+TRUTH_FILE = "groundtruth.txt"
 RECORDING_FILE = "recording.rrd"
 PICTURE_FILE = "trajectory.png"
 MAP_DIR = "map"
@@ -41,9 +43,10 @@ def run_systems(
     """Run systems over a sequence, one after the other, and write their results into a folder.
 
     The folder of a run holds trajectory.txt (the map with most frames), trajectory_map<k>.txt (every other
-    map), keyframes.txt (of the first), frames.csv, events.jsonl, summary.json, trajectory.png and, on
-    request, recording.rrd and the maps as COLMAP models in map. Several systems have a folder each, by their
-    names, and in common a trajectory.png and, on request, a recording.rrd.
+    map), keyframes.txt (of the first), groundtruth.txt (where there is one), frames.csv, events.jsonl,
+    summary.json, trajectory.png and, on request, recording.rrd and the maps as COLMAP models in map. Several
+    systems have a folder each, by their names, and in common a trajectory.png and, on request, a
+    recording.rrd.
 
     Args:
         sequence: the input.
@@ -161,6 +164,10 @@ def write_run(folder: Path, record: RunRecord, summary: dict, picture: bool = Tr
     for trajectory in record.trajectories[1:]:
         write_tum(folder / f"trajectory_map{trajectory.map_id}.txt", trajectory)
     write_tum(folder / "keyframes.txt", record.keyframes[0] if record.keyframes else None)
+    truth = record.sequence.T_world_cam
+    if truth is not None:
+        text = tum_poses_text(record.sequence.stamps_s, truth)
+        (folder / TRUTH_FILE).write_text(text, encoding="utf-8")
     write_frames_csv(folder / "frames.csv", record.results)
     write_events(folder / "events.jsonl", record.events)
     (folder / SUMMARY_FILE).write_text(to_json(summary, indent=2) + "\n", encoding="utf-8")

@@ -19,6 +19,7 @@ from experiments.cli import (
     warmup,
 )
 from experiments.cli.batch import batch_command
+from experiments.cli.compare import compare_command
 from experiments.cli.degrade import degrade_command
 from experiments.cli.export import export_command
 from experiments.cli.footage import footage_command
@@ -47,6 +48,7 @@ app.command("export")(export_command)
 app.command("run")(run.run_command)
 app.add_typer(systems.app, name="systems")
 app.command("batch")(batch_command)
+app.command("compare")(compare_command)
 app.command("footage")(footage_command)
 app.command("view")(view.view_command)
 app.add_typer(experiment.app, name="experiment")

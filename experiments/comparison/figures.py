@@ -1,0 +1,105 @@
+"""Figures of runs, by sequence and system, with intervals over the runs."""
+
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from experiments.comparison.left_runs import LeftRun
+from experiments.evaluation import metrics
+from experiments.evaluation.alignment import Undefined
+from experiments.evaluation.robustness import LEAST, MOST, robustness, share_within, step_errors
+
+FIGURES = {
+    "robustness": "robustness",
+    "completeness": "completeness",
+    "ate_m": "ATE, m",
+    "rpe_m": "RPE, m per s",
+    "breakages": "breakages",
+    "cpu_ms_median": "CPU, ms per frame",
+}
+"""Figures of a system and their labels."""
+THRESHOLDS = np.geomspace(LEAST / 3, MOST * 3, 61)
+_LEVEL = 0.95
+
+
+def comparison_content(runs: list[LeftRun]) -> dict[str, Any]:
+    """Everything that table and page show.
+
+    Returns:
+        Per sequence its name, true path and systems; per system its figures as mean, ends of the mean's 95 %
+        interval over its runs (Student's t; none for one run) and values, the path, errors and stages of the
+        run with the median robustness, and the share of the path within each of ``thresholds``, the mean over
+        the runs.
+    """
+    groups: dict[str, dict[str, list[LeftRun]]] = {}
+    for run in runs:
+        groups.setdefault(run.sequence, {}).setdefault(run.system, []).append(run)
+    sequences = []
+    for name, systems in groups.items():
+        first = next(iter(systems.values()))[0]
+        sequences.append(
+            {
+                "name": name,
+                "true_path_m": metrics.path_length_m(first.T_world_cam),
+                "truth": first.T_world_cam[:, :3, 3],
+                "systems": [_system(system, own) for system, own in systems.items()],
+            }
+        )
+    return {"sequences": sequences, "thresholds": THRESHOLDS}
+
+
+def _system(name: str, runs: list[LeftRun]) -> dict[str, Any]:
+    values: list[dict[str, float | None]] = [_figures(run) for run in runs]
+    scores = [own["robustness"] if own["robustness"] is not None else -1.0 for own in values]
+    shown = runs[int(np.argsort(scores, kind="stable")[(len(scores) - 1) // 2])]
+    within = [share_within(*step_errors(run.pairs, run.T_world_cam), THRESHOLDS) for run in runs]
+    return {
+        "name": name,
+        "runs": len(runs),
+        "figures": {figure: _spread([own[figure] for own in values]) for figure in FIGURES},
+        "within": np.mean(within, axis=0),
+        "stages": _stages_ms(shown.summary),
+        **_path(shown),
+    }
+
+
+def _stages_ms(summary: dict[str, Any]) -> dict[str, float]:
+    """CPU time of each stage, shared out to all frames: few frames start a map."""
+    frames = max(1, summary.get("frames", 1))
+    known = {k: t for k, t in summary["stages"].items() if t.get("cpu_ms_median") is not None}
+    return {stage: times["cpu_ms_median"] * times["frames"] / frames for stage, times in known.items()}
+
+
+def _figures(run: LeftRun) -> dict[str, float | None]:
+    summary = run.summary
+    says = summary.get("declares", "breakages") != "nothing"
+    return {
+        "robustness": robustness(run.pairs, run.T_world_cam),
+        "completeness": summary.get("path_share"),
+        "ate_m": summary.get("ate_m"),
+        "rpe_m": (summary.get("rpe") or {}).get("translation_rmse_m"),
+        "breakages": summary.get("breakages") if says else None,
+        "cpu_ms_median": summary.get("cpu_ms_median"),
+    }
+
+
+def _spread(values: list[float | None]) -> dict[str, Any]:
+    known = np.array([value for value in values if value is not None], float)
+    mean = float(known.mean()) if len(known) else None
+    low = high = None
+    if len(known) > 1 and mean is not None:
+        half = float(stats.t.ppf((1 + _LEVEL) / 2, len(known) - 1) * known.std(ddof=1) / np.sqrt(len(known)))
+        low, high = mean - half, mean + half
+    return {"mean": mean, "low": low, "high": high, "values": values}
+
+
+def _path(run: LeftRun) -> dict[str, Any]:
+    """Aligned positions and errors of all frames with truth, NaN without a pose."""
+    positions, errors_m = np.full((len(run.stamps_s), 3), np.nan), np.full(len(run.stamps_s), np.nan)
+    found = metrics.ate(run.pairs) if len(run.pairs) else Undefined("no pose")
+    if not isinstance(found, Undefined):
+        positions[run.pairs.frames] = found.alignment.points(run.pairs.T_map_cam[:, :3, 3])
+        errors_m[run.pairs.frames] = metrics.position_errors_m(run.pairs, found.alignment)
+    time_s = run.stamps_s - run.stamps_s[0]
+    return {"folder": str(run.folder), "time_s": time_s, "positions": positions, "errors_m": errors_m}

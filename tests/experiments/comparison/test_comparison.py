@@ -1,0 +1,97 @@
+"""Finished runs beside each other: known scores, intervals, a page, and what is no run."""
+
+import json
+
+import numpy as np
+import pytest
+from slam_fakes import FakeSystem, make_sequence
+
+from experiments.comparison.compare import FIGURES_FILE, PAGE_FILE, compare_runs
+from experiments.evaluation.metrics import PosePairs
+from experiments.evaluation.robustness import robustness, share_within, step_errors
+from experiments.result_folder import run_systems
+from scenarios.errors import InputError
+
+FRAMES = 60
+
+
+def arc(n=101):
+    """A half circle of 100 m."""
+    T = np.tile(np.eye(4), (n, 1, 1))
+    angle = np.linspace(0, np.pi, n)
+    T[:, 0, 3], T[:, 2, 3] = 100 / np.pi * np.cos(angle), 100 / np.pi * np.sin(angle)
+    return T
+
+
+def placed(truth, frames, off_m=0.0):
+    """Poses of frames, every other one off to either side so that no alignment takes it out."""
+    T = truth[frames].copy()
+    T[:, 1, 3] += off_m * np.where(np.arange(len(frames)) % 4 < 2, 1, -1)
+    return PosePairs(np.asarray(frames), T, truth[frames])
+
+
+@pytest.mark.parametrize(("off_m", "score"), [(0.0, 1.0), (0.1, 1.0), (1.0, 0.5), (10.0, 0.0)])
+def test_robustness_is_uniform_in_the_logarithm_of_the_error(off_m, score):
+    """Over a path of 100 m: .1 m is the least threshold, 10 m the largest, 1 m half way."""
+    truth = arc()
+    assert robustness(placed(truth, range(101), off_m), truth) == pytest.approx(score, abs=0.02)
+
+
+def test_getting_lost_early_is_not_rewarded():
+    truth = arc()
+    early, all_along = placed(truth, range(11), 0.1), placed(truth, range(101), 0.5)
+    assert robustness(early, truth) == pytest.approx(0.1, abs=0.01)
+    assert robustness(all_along, truth) > 0.6
+    assert robustness(placed(truth, []), truth) == 0.0 and robustness(placed(truth, [0]), truth[:1]) is None
+
+
+def test_the_score_is_the_area_under_the_shares_within_thresholds():
+    truth, rng = arc(), np.random.default_rng(0)
+    pairs = placed(truth, range(20, 90))
+    pairs.T_map_cam[:, :3, 3] += rng.normal(0, 0.8, (70, 3))
+    thresholds = np.geomspace(0.001, 0.1, 20001)
+    area = share_within(*step_errors(pairs, truth), thresholds).mean()
+    assert robustness(pairs, truth) == pytest.approx(area, abs=1e-3)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Two runs of a fake that says the truth, one of a fake that is lost half way."""
+    folder, sequence = tmp_path_factory.mktemp("runs"), make_sequence(FRAMES, segment=None)
+    for name, kind, breaks_at in (("a", "base", None), ("b", "base", None), ("c", "dual", FRAMES // 2)):
+        place = folder / name
+        place.mkdir()
+        fake = FakeSystem(sequence.T_world_cam, kind, starts_at=0, breaks_at=breaks_at, recovers=False)
+        run_systems(sequence, [kind], 0, place, build=lambda *_, fake=fake: fake)
+    return folder
+
+
+def test_runs_stand_side_by_side(runs, tmp_path):
+    content = compare_runs([runs], tmp_path / "page")
+    (sequence,) = content["sequences"]
+    base, dual = sequence["systems"]
+    assert (base["name"], base["runs"], dual["runs"]) == ("base", 2, 1)
+    score, lost = base["figures"]["robustness"], dual["figures"]["robustness"]
+    assert score["mean"] == pytest.approx(1, abs=1e-6) and score["low"] == pytest.approx(score["high"])
+    assert 0.3 < lost["mean"] < 0.6 and lost["low"] is None
+    assert json.loads((tmp_path / "page" / FIGURES_FILE).read_text()) == content
+    text = (tmp_path / "page" / PAGE_FILE).read_text()
+    assert text.count("<figure>") == 4 and "<script" not in text and sequence["name"] in text
+
+
+def test_the_command_prints_a_row_per_system(runs, tmp_path, dslab):
+    code, out, _ = dslab("compare", str(runs), "--out", str(tmp_path / "page"))
+    assert code == 0 and [word for word in out.split() if word in ("base", "dual")] == ["base", "dual"]
+    assert max(map(len, out.splitlines()[:6])) <= 80
+
+
+def test_what_is_no_run_is_one_line(runs, tmp_path, dslab):
+    (tmp_path / "empty").mkdir()
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    (broken / "summary.json").write_text('{"sequence": "s", "system": "base", "stages": {}}')
+    for folder, says in ((tmp_path / "empty", "holds no summary.json"), (broken, "holds no groundtruth.txt")):
+        code, _, err = dslab("compare", str(folder), "--out", str(tmp_path / "page"))
+        assert code == 2 and says in err and err.count("\n") == 1
+    with pytest.raises(InputError, match="empty"):
+        compare_runs([runs], runs)
