@@ -119,14 +119,29 @@ class SlamEngine:
         """
         self.timer.begin()
         self._check_input(image, stamp_s)
-        with self.timer("extract"):
-            extractor = self._initial_extractor if self.state is _SEEKING else self._extractor
-            features = extractor.extract(image)
-            built = FrameFeatures.build(self.frames, stamp_s, features, self.camera, self.view)
+        # A frame that is not offered for a start needs no more features than others.
+        dense = self.state is _SEEKING and not self.search.undecided
+        self._image = image
+        self.newest = Frame(self._features(self.frames, stamp_s, dense))
         self.frames += 1
-        self.newest, self._image = Frame(built), image
         self.backend.collect()
         return self.newest
+
+    def again(self, frame: Frame) -> Frame:
+        """The newest frame once more, without pose and matches, with as many features as tracked frames have.
+
+        Those by which a map is sought are many times more. They would show more of a place than is expected
+        of a frame, and more of a wrong one.
+        """
+        features = frame.features
+        if self.state is _SEEKING and not self.search.undecided:
+            features = self._features(features.index, features.stamp_s, dense=False)
+        return Frame(features)
+
+    def _features(self, index: int, stamp_s: float, dense: bool) -> FrameFeatures:
+        with self.timer("extract"):
+            extractor = self._initial_extractor if dense else self._extractor
+            return FrameFeatures.build(index, stamp_s, extractor.extract(self._image), self.camera, self.view)
 
     def initialize(self, frame: Frame) -> tuple[TrackingOutcome, InitialMap | None]:
         """Try to initialize a map."""

@@ -181,9 +181,12 @@ class DualSlam(MonocularSystem):
         Returns:
             The frame, with its pose if it was found, and the outcome.
         """
-        engine, again = self.engine, Frame(frame.features)  # its own: the frame is used otherwise meanwhile
+        engine, sought = self.engine, self._sought
+        if not sought:
+            return frame, outcome or TrackingOutcome(False, 0, 0, "no_candidates")
+        again = engine.again(frame)  # its own: the frame is used otherwise meanwhile
         leave = partial(engine.drop_map, reason="returned_to_saved_map") if outcome is not None else None
-        found = engine.relocalize(again, self._sought, leave)
+        found = engine.relocalize(again, sought, leave)
         if not found.success:
             return frame, outcome or found
         self._note_return()

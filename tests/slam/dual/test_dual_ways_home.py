@@ -99,3 +99,18 @@ def test_a_recovery_is_fused_into_a_map_that_has_been_tracked_on_since():
 def test_settings_are_checked():
     with pytest.raises(ValueError, match="workers must be 1 or more"):
         DualConfig(workers=0)
+
+
+def test_a_place_is_judged_by_as_many_features_as_in_the_base():
+    """While a map is sought a frame has many more, which would show more of any place."""
+    images, stamps_s, _ = toy(110, 0, STEP_M)
+    system, offered = dual(replace(RECOVERY_ONLY, relocalization=True)), []
+    offer = system.engine.search.offer
+    system.engine.search.offer = lambda frame, maps: (
+        offered.append(len(frame.features)),
+        offer(frame, maps),
+    )[1]
+    feed(system, blanked(images, BLANK), stamps_s, check=False)
+    usual = system.engine.config.orb.n_features
+    assert offered and max(offered) <= usual
+    assert of(system, "relocalized"), "found, and on the frames that were counted"
