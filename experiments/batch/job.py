@@ -16,6 +16,7 @@ from experiments.runs.execution import system_factory
 from experiments.runs.sources import open_sequence
 from experiments.runs.systems.registry import Registry
 from scenarios.errors import InputError
+from scenarios.input_files import is_folder
 from sim.degradations.recorded_sequences import degrade_sequence
 from sim.io.folders import new_directory
 from sim.sequence import Sequence
@@ -43,6 +44,12 @@ class Job:
     folders: tuple[Path, ...]
     folder: Path
     alone: bool
+
+    @property
+    def scene_seed(self) -> int | None:
+        """Seed of a scenario; None for its own, and for a folder."""
+        drawn = self.spec.vary == "scenes" and not is_folder(self.source)
+        return int(self.about.columns["seed"]) if drawn else None
 
 
 def run_job(job: Job) -> Row:
@@ -85,7 +92,7 @@ def sequence_of(job: Job, scratch: Path) -> Sequence:
         InputError: it cannot be read, or no frames are left.
     """
     spec = job.spec
-    sequence = open_sequence(job.source)
+    sequence = open_sequence(job.source, job.scene_seed)
     if spec.first_s is not None:
         sequence = sequence.only(np.flatnonzero(sequence.stamps_s - sequence.stamps_s[0] < spec.first_s))
     if spec.stress:

@@ -7,14 +7,13 @@ import numpy as np
 import pandas as pd
 
 from experiments.batch.rows import Row
+from experiments.comparison.left_runs import read_run
 from experiments.evaluation import metrics
 from experiments.evaluation.alignment import Undefined
 from experiments.evaluation.metrics import PosePairs
-from experiments.runs.sources import open_sequence
-from sim.io.truth import read_tum_poses
+from experiments.result_folder import TRUTH_FILE
 
 PAIRS_FILE = "pairs.csv"
-_TOLERANCE_S = 1e-3
 
 
 def pairs(rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
@@ -33,37 +32,19 @@ def pairs(rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
         has a truth.
     """
     found: list[Row] = []
-    for source, own in rows[rows.folder.notna()].groupby("source", sort=False):
-        first = own.system.iloc[0]
-        if own.system.nunique() < 2:
+    for (source, run), own in rows[rows.folder.notna()].groupby(["source", "run"], sort=False):
+        if own.system.nunique() < 2 or not all(
+            (folder / place / TRUTH_FILE).is_file() for place in own.folder
+        ):
             continue
-        sequence = open_sequence(str(source))
-        truth = sequence.T_world_cam
-        if truth is None:
-            continue
-        path_m = metrics.path_length_m(truth[np.isfinite(truth).all(axis=(1, 2))])
-        placed = {
-            (row.system, row.run): _placed(folder / row.folder, sequence.stamps_s, truth)
-            for row in own.itertuples()
-        }
+        first, *others = [(row.system, read_run(folder / row.folder)) for row in own.itertuples()]
+        path_m = metrics.path_length_m(first[1].T_world_cam)
         found += [
             {"source": source, "run": run, "system": system, "path_m": path_m}
-            | _compared(theirs, placed[first, run])
-            for (system, run), theirs in placed.items()
-            if system != first and (first, run) in placed
+            | _compared(other.pairs, first[1].pairs)
+            for system, other in others
         ]
     return pd.DataFrame(found)
-
-
-def _placed(run: Path, stamps_s: np.ndarray, truth: np.ndarray) -> PosePairs:
-    """What a run has placed in its main map, beside the truth."""
-    path = run / "trajectory.txt"
-    holds_poses = path.is_file() and any(not line.startswith("#") for line in path.open(encoding="utf-8"))
-    poses = read_tum_poses(path, stamps_s, _TOLERANCE_S) if holds_poses else None
-    if poses is None:
-        poses = np.full((len(stamps_s), 4, 4), np.nan)
-    frames = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)) & np.isfinite(truth).all(axis=(1, 2)))
-    return PosePairs(frames, poses[frames], truth[frames])
 
 
 def _compared(own: PosePairs, first: PosePairs) -> dict[str, Any]:

@@ -93,22 +93,22 @@ def run_batch(
 
 def _render(jobs: list[Job], workers: int, progress: Progress | None) -> None:
     """Render every scenario once, for several runs at a time would each do so."""
-    scenarios = sorted({job.source for job in jobs if not is_folder(job.source)})
-    calls = [(source, jobs[0].spec.limit_s) for source in scenarios]
+    scenarios = sorted({(job.source, job.scene_seed) for job in jobs if not is_folder(job.source)}, key=str)
+    calls = [(*scenario, jobs[0].spec.limit_s) for scenario in scenarios]
     for number, _ in enumerate(side_by_side(workers, _rendered, calls), 1):
         if progress is not None:
             progress("rendering", number, len(scenarios))
 
 
-def _rendered(source: str, time_s: float) -> None:
+def _rendered(source: str, seed: int | None, time_s: float) -> None:
     """Render a scenario into the cache; what is wrong with it shows in its runs."""
     with suppress(Exception):
-        call_in_process(_render_one, (source,), time_s)
+        call_in_process(_render_one, (source, seed), time_s)
 
 
-def _render_one(source: str) -> None:
+def _render_one(source: str, seed: int | None) -> None:
     load_plugins()
-    open_sequence(source)
+    open_sequence(source, seed)
 
 
 def _name(systems: dict[str, System], job: Job) -> str:
@@ -144,7 +144,7 @@ def _jobs(
                     "sequence": Path(source).name,
                     "system": system.name,
                     "run": run,
-                    "seed": spec.seed + (run if spec.vary == "seeds" else 0),
+                    "seed": spec.seed + (run if spec.vary in ("seeds", "scenes") else 0),
                     "folder": place,
                     "first_frame": run * spec.skip_frames if spec.vary == "start" else 0,
                     "spec": spec.row_key,

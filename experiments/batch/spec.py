@@ -30,8 +30,10 @@ class BatchSpec(Strict):
         min_length=1, description="names of `dslab systems list`, or module:Class"
     )
     runs: int = Field(10, ge=1, le=10_000, description="runs of each system over each sequence")
-    vary: Literal["seeds", "start", "nothing"] = Field(
-        "seeds", description="what differs from run to run: the system's seed, the first frame, or nothing"
+    vary: Literal["seeds", "scenes", "start", "nothing"] = Field(
+        "seeds",
+        description="what differs from run to run: the system's seed, that of scenarios too, the first "
+        "frame, or nothing",
     )
     skip_frames: int = Field(
         1, ge=1, description="frames that each further run leaves out, if the start varies"

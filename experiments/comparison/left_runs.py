@@ -51,11 +51,16 @@ def find_runs(folders: list[Path]) -> list[LeftRun]:
             remedy = "name result folders of `dslab run` or `dslab batch`"
             raise InputError(str(folder), f"holds no {SUMMARY_FILE}", remedy)
         for path in summaries:
-            found.setdefault(path.parent.resolve(), _read(path.parent))
+            found.setdefault(path.parent.resolve(), read_run(path.parent))
     return list(found.values())
 
 
-def _read(folder: Path) -> LeftRun:
+def read_run(folder: Path) -> LeftRun:
+    """Read a result folder.
+
+    Raises:
+        InputError: it is not complete, or has no ground truth.
+    """
     summary = _summary(folder / SUMMARY_FILE)
     truth_file = folder / TRUTH_FILE
     if not truth_file.is_file():

@@ -111,6 +111,21 @@ def test_seeds_vary_by_default(tmp_path, folder, in_this_process):
     assert rows.seed.tolist() == [4, 5] and rows.first_frame.tolist() == [0, 0]
 
 
+def test_scenes_vary_with_their_seeds_and_are_paired_by_run(tmp_path):
+    """Two systems meet the same scene in each run, another one in the next. In processes, for OpenGL."""
+    spec = spec_of(sequences=("small/room",), systems=("base", EXAMPLE), vary="scenes", seed=5, first_s=1)
+    rows = run_batch(spec, ["small/room"], tmp_path / "b")
+    assert set(rows.ended) == {"finished"}, rows.ended_message.tolist()
+    truths = {
+        (row.system, row.run): (tmp_path / "b" / row.folder / "groundtruth.txt").read_text()
+        for row in rows.itertuples()
+    }
+    assert truths["base", 0] == truths["ConstantVelocity", 0] != truths["base", 1]
+    assert sorted(rows.seed) == [5, 5, 6, 6]
+    found = pairs(rows, tmp_path / "b")
+    assert found.run.tolist() == [0, 1] and found.path_m.nunique() == 2
+
+
 def test_more_runs_and_systems_may_be_added_but_not_other_settings(tmp_path, in_this_process):
     def made():
         return (tmp_path / "made").read_text().split("\n")[:-1]
