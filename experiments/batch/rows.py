@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from experiments.evaluation import metrics
@@ -46,6 +47,10 @@ COLUMNS = {
     "rpe_deg": ("Float64", "RMSE of the rotation over one second"),
     "breakages": ("Int64", "breakages that the system declared"),
     "recoveries": ("Int64", "of them recovered"),
+    "recoveries_needed": ("Int64", "of them followed by a recovery"),
+    "recovered_by_first": ("Int64", "recovered by its first thread"),
+    "recovered_by_later": ("Int64", "by a later one"),
+    "recovery_s": ("Float64", "mean time from a breakage to the fusion that a recovery brought"),
     "relocalizations": ("Int64", "of them relocalized"),
     "maps": ("Int64", "maps in the end"),
     "ms_median": ("Float64", "tracking per frame, wall"),
@@ -99,6 +104,7 @@ class About:
             "rpe_m": rpe.get("translation_rmse_m"),
             "rpe_deg": rpe.get("rotation_rmse_deg"),
             "wall_s": record.wall_s,
+            **_recoveries(summary["breakage_list"]),
             **{f"{STAGE}{name}": times["cpu_ms_median"] for name, times in summary["stages"].items()},
         }
 
@@ -114,6 +120,18 @@ def typed(rows: list[Row]) -> pd.DataFrame:
     table = pd.DataFrame(rows, columns=list(types))
     table = table.astype(types).sort_values(list(KEY), kind="stable")
     return table.reset_index(drop=True)
+
+
+def _recoveries(breakages: list[dict]) -> Row:
+    """Recoveries that were needed, what brought them about, and how long they took."""
+    by = [b["thread"] for b in breakages if b["recovered"]]
+    took_s = [b["repair_time_s"] - b["time_s"] for b in breakages if b["recovered"]]
+    return {
+        "recoveries_needed": sum(b["recovery_threads"] > 0 for b in breakages),
+        "recovered_by_first": by.count(1),
+        "recovered_by_later": len(by) - by.count(1),
+        "recovery_s": float(np.mean(took_s)) if took_s else None,
+    }
 
 
 def _first_pose_s(record: RunRecord) -> float | None:

@@ -34,12 +34,13 @@ def batch_command(
     SPEC.yaml names sequences (folders, patterns, scenarios), systems and the number of runs. Killed and
     started again, a batch goes on where it was. Systems that take frames in real time run alone, after the
     others. Writes runs.parquet and runs.csv, a row per run, pairs.csv, in which every further system
-    stands beside the first one over the frames that both have placed, and the result folder of each run. For
-    example:
+    stands beside the first one over the frames that both have placed, tables in the layout of the paper's,
+    and the result folder of each run. For example:
 
     `dslab batch kitti.yaml --workers 2 --out out/kitti`
     """
     from experiments.batch.pairs import PAIRS_FILE, pairs
+    from experiments.batch.paper_tables import TABLES_DIR, write_tables
     from experiments.batch.run import CSV_FILE, run_batch
     from experiments.batch.spec import read_batch
     from experiments.batch.table import sums
@@ -51,6 +52,7 @@ def batch_command(
         rows = run_batch(spec, sources, out_dir, workers, systems_dir or (), show)
     found, beside = sums(rows), pairs(rows, out_dir)
     write_file(out_dir / PAIRS_FILE, lambda path: beside.to_csv(path, index=False))
+    write_tables(rows, out_dir)
     if as_json:
         print_json_line({"rows": plain(_records(found)), "pairs": plain(_records(beside))})
     else:
@@ -58,6 +60,7 @@ def batch_command(
         if len(beside):
             print_table(_beside(beside, rows.system.iloc[0]))
         out.print(f"every run  {out_dir / CSV_FILE}, {out_dir / PAIRS_FILE}", soft_wrap=True)
+        out.print(f"as in the paper  {out_dir / TABLES_DIR}", soft_wrap=True)
     _check_made(rows)
 
 

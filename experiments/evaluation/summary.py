@@ -248,6 +248,7 @@ def _breakage(outcome: BreakageOutcome, record: RunRecord) -> dict:
         "segment": None if index is None else record.sequence.segments[index].kind,
         "segment_index": index,
         "reinit_frame": outcome.reinit_frame,
+        "recovery_threads": len({end.thread for end in outcome.recoveries}),
         "recovered": outcome.recovered,
         "fusion_frame": outcome.fusion.frame if outcome.fusion else None,
         "relocalized_frame": outcome.relocalized.frame if outcome.relocalized else None,
