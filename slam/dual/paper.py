@@ -6,7 +6,6 @@ Source: paper, Sec. III; Mur-Artal, Montiel, Tardós, "ORB-SLAM", 2015.
 """
 
 from dataclasses import replace
-from math import inf
 
 from slam.config import SlamConfig, default_config
 from slam.core.camera import PinholeCamera
@@ -45,7 +44,7 @@ def paper_config(camera: PinholeCamera, plus: bool = False) -> SlamConfig:
             urgent_share=tracking.keyframe_share,
             keyframe_cover=0.0,
             max_noise=1.0,
-            crossing=replace(tracking.crossing, min_expected=inf),
+            crossing=replace(tracking.crossing, min_expected=1e6),
             doubt=replace(tracking.doubt, min_share=0.0, nearer=0.0, slower=0.0),
         ),
         self_calibration=replace(config.self_calibration, at_keyframes=()),

@@ -58,7 +58,7 @@ class EvidenceBar:
     min_share: float
     max_contradicted: float
     min_cells: int
-    max_share: float = np.inf
+    max_share: float = 1e6
 
     def fault(self, seen: Support) -> str:
         """What speaks against the place.

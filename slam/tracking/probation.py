@@ -30,7 +30,8 @@ class ProbationConfig:
         bar: what each frame must show.
         far_s: time since the loss beyond which more is asked: the longer a camera was lost, the more places
             there are where it can be, nearly alike among them.
-        far_share, far_max_s: least time of the frames then, as a share of that since the loss, and its bound.
+        far_share, far_max_s: least time of the frames then, from the first that says something on, as a share
+            of that since the loss, and its bound.
         far_bar: what each frame must show then, of points that keyframes have seen from near its view.
         min_expected: fewest expected points with which a frame may speak against the place, or, after
             ``far_s``, for it; those of a camera that leaves what it knows say nothing.
@@ -182,7 +183,10 @@ class Probation:
 
     def _decide(self) -> None:
         now_s = self.frames[-1].features.stamp_s
-        span_s = now_s - self.first.features.stamp_s
+        since_s = self.first.features.stamp_s
+        if self._far and self.faults:  # what says nothing confirms nothing, for as long as it goes on
+            since_s = self.faults[0][0]
+        span_s = now_s - since_s
         if len(self.frames) <= self._config.frames or span_s < self._span_s - 1e-6:
             return
         own = [fault for _, fault in self.faults]

@@ -417,3 +417,21 @@ def test_a_view_that_no_keyframe_has_been_near_does_not_speak_for_a_far_place(
     feed(system, images[88:], stamps_s[88:], check=False)
     assert kinds(system)[2] == ("relocalization_withdrawn" if reason else "relocalized")
     assert not reason or system.events[2].reason == reason
+
+
+def test_frames_that_say_nothing_do_not_confirm_a_far_place(recovered, there_and_back, monkeypatch):
+    """The time that is asked begins with the first frame that shows something of what is known."""
+    images, stamps_s, _ = there_and_back
+    found = {}
+    for silent in (0, 5):
+        system = recovered[2].restore()
+        reconfigure(system, probation=ProbationConfig(far_s=0.1, far_share=1e3, far_max_s=0.2))
+        expected = iter([0.0] * silent)
+        monkeypatch.setattr(
+            "slam.tracking.probation.support",
+            lambda *_, near, expected=expected: Support(next(expected, 100.0), 100, 20, 1.0, 0.0),
+        )
+        feed(system, images[88:], stamps_s[88:], check=False)
+        (event,) = [e for e in system.events if isinstance(e, Relocalized)]
+        found[silent] = event.frame
+    assert found[5] == found[0] + 5
