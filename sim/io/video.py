@@ -125,10 +125,12 @@ def _decode(
 
 @contextmanager
 def _opened(path: Path) -> "Iterator[cv2.VideoCapture]":
-    # What FFmpeg prints of a broken file would stand beside the one line.
+    # What OpenCV and FFmpeg print of a broken file would stand beside the one line.
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     import cv2
 
+    logging = cv2.utils.logging
+    level = logging.setLogLevel(logging.LOG_LEVEL_ERROR)
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     try:
         if not video.isOpened():
@@ -138,3 +140,4 @@ def _opened(path: Path) -> "Iterator[cv2.VideoCapture]":
         yield video
     finally:
         video.release()
+        logging.setLogLevel(level)
