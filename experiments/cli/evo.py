@@ -1,4 +1,4 @@
-"""``dslab evo``: errors of trajectories beside results of evo."""
+"""``dslab evo``: errors of finished runs beside results of evo."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -6,16 +6,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from experiments.cli.console import JsonOption, number, out, print_json_line, print_table, progress_bars
+from experiments.cli.console import JsonOption, number, out, print_json_line, print_table
 
 if TYPE_CHECKING:
     from experiments.evaluation.evo_result import EvoResult
-    from sim.sequence import Sequence
 
-_TRAJECTORY, _ZIP = "trajectory.txt", ".zip"
+_ZIP = ".zip"
 _SHOWN = ("rmse", "mean", "median", "std", "max")
-# As evo pairs stamps by default.
-_TOLERANCE_S = 0.01
 
 
 def evo_command(
@@ -23,108 +20,73 @@ def evo_command(
         list[Path],
         typer.Argument(
             metavar="SOURCE...",
-            help="Result folders, trajectories in TUM form, or result files of evo (.zip), in any mixture.",
+            help="Result folders of runs, folders that hold some, or result files of evo (.zip), mixed.",
         ),
     ],
-    truth: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SOURCE",
-            help="Sequence folder or scenario with the true poses of the folders and trajectories.",
-            show_default=False,
-        ),
-    ] = None,
-    seed: Annotated[
-        int | None, typer.Option(min=0, help="Root seed of a scenario; its own.", show_default=False)
-    ] = None,
     out_dir: Annotated[
         Path | None,
-        typer.Option("--out", help="Folder for a result file per folder or trajectory.", show_default=False),
+        typer.Option("--out", help="Folder for a result file of every run, for evo_res.", show_default=False),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare trajectories by ATE with results of evo, or write them as such.
+    """Show ATE of finished runs beside results of evo, or write it as such.
 
-    The errors are those of evo_ape tum -as: of the positions, after Sim(3) alignment. With --out the result
-    files can be given to evo_res.
+    The errors are those of evo_ape tum -as: of the positions, after Sim(3) alignment. For example:
 
-    For example:
+    `dslab evo out/mine theirs.zip`
 
-    `dslab evo out/mine --truth path/to/sequence --out out/evo`
-
-    `dslab evo out/mine theirs.zip --truth path/to/sequence`
+    `dslab evo out/batch --out out/evo`
     """
-    from experiments.evaluation.evo_result import read_evo_result, write_evo_result
-    from experiments.runs.sources import open_sequence
+    from experiments.comparison.left_runs import find_runs
+    from experiments.evaluation.alignment import Undefined
+    from experiments.evaluation.evo_result import ate_result, read_evo_result, write_evo_result
     from scenarios.errors import InputError
     from sim.io.folders import check_free, new_directory
 
-    own = [source for source in sources if source.suffix.lower() != _ZIP]
-    if own and truth is None:
-        problem = "has no true poses to be compared with"
-        raise InputError(str(own[0]), problem, "add --truth with its sequence folder or scenario")
+    zips = [source for source in sources if source.suffix.lower() == _ZIP]
+    folders = [source for source in sources if source not in zips]
     if out_dir is not None:
-        if not own:
+        if not folders:
             raise InputError("--out", "results of evo are there already", "leave it out, or name a folder")
         check_free(out_dir)
-    with progress_bars() as show:
-        sequence = open_sequence(truth, seed, show) if truth is not None and own else None
-    results: dict[str, EvoResult] = {}
-    for source in sources:
-        name = _name(source)
-        if name in results:
-            raise InputError(str(source), f"is a second one called {name}", "rename it")
-        if sequence is None or source not in own:
-            results[name] = read_evo_result(source)
-        else:
-            results[name] = _judged(source, name, sequence)
+    runs = find_runs(folders) if folders else []
+    places = [*(run.folder for run in runs), *(path.with_suffix("") for path in zips)]
+    names = _names(places)
+    own: dict[str, EvoResult] = {}
+    for name, run in zip(names, runs, strict=False):
+        result = ate_result(run.pairs, run.stamps_s[run.pairs.frames], name, run.sequence)
+        if isinstance(result, Undefined):
+            raise InputError(str(run.folder), f"has no ATE: {result.reason}", "leave it out")
+        own[name] = result
+    theirs = {name: read_evo_result(path) for name, path in zip(names[len(runs) :], zips, strict=True)}
     if out_dir is not None:
         with new_directory(out_dir) as folder:
-            for source in own:
-                write_evo_result(folder / f"{_name(source)}{_ZIP}", results[_name(source)])
+            for name, result in own.items():
+                write_evo_result(folder / f"{name}{_ZIP}", result)
+    results = own | theirs
     if as_json:
         print_json_line({name: {**r.stats, "poses": len(r.errors)} for name, r in results.items()})
         return
     print_table(_table(results))
     if out_dir is not None:
-        out.print(f"{out_dir}: for evo_res", soft_wrap=True)
+        out.print(f"evo_res {out_dir}/*{_ZIP}", soft_wrap=True)
 
 
-def _name(source: Path) -> str:
-    """Name of a result: of the folder, or of the file without its ending."""
-    path = source.resolve()
-    if path.name == _TRAJECTORY:
-        return path.parent.name
-    return path.name if path.is_dir() else path.stem
+def _names(places: list[Path]) -> list[str]:
+    """Names of results: the last parts of their paths, as many as tell them apart.
 
-
-def _judged(source: Path, name: str, sequence: "Sequence") -> "EvoResult":
-    """The errors of a trajectory or a result folder."""
-    import numpy as np
-
-    from experiments.evaluation.alignment import Undefined
-    from experiments.evaluation.evo_result import ate_result
-    from experiments.evaluation.metrics import PosePairs
+    Raises:
+        InputError: two are the same.
+    """
     from scenarios.errors import InputError
-    from scenarios.input_files import is_folder, is_given
-    from sim.io.truth import read_tum_poses
 
-    path = source / _TRAJECTORY if is_folder(source) else source
-    if not is_given(path):
-        raise InputError(str(path), "no such file", "give a result folder, a trajectory or a .zip of evo")
-    true = sequence.T_world_cam
-    if true is None:
-        raise InputError(
-            f"--truth: {sequence.name}", "has no true poses", "give a sequence with ground truth"
-        )
-    poses = read_tum_poses(path, sequence.stamps_s, _TOLERANCE_S)
-    assert poses is not None
-    frames = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)) & np.isfinite(true).all(axis=(1, 2)))
-    pairs = PosePairs(frames, poses[frames], true[frames])
-    result = ate_result(pairs, sequence.stamps_s[frames], name, sequence.name)
-    if isinstance(result, Undefined):
-        raise InputError(str(path), f"has no error: {result.reason}", "give more poses of this sequence")
-    return result
+    whole = [place.resolve().parts[1:] for place in places]
+    for count in range(1, max(map(len, whole)) + 1):
+        names = ["-".join(parts[-count:]) for parts in whole]
+        if len(set(names)) == len(names):
+            return names
+    double = next(place for place in places if whole.count(place.resolve().parts[1:]) > 1)
+    raise InputError(str(double), "is given twice", "name it once")
 
 
 def _table(results: "dict[str, EvoResult]") -> Table:
