@@ -42,11 +42,18 @@ SHOWN = {
     "rain": {"rate_mmph": 80},
     "defocus": {"diameter_px": 9},
     "lens_dirt": {"share": 0.35},
+    "shallow_focus": {"aperture_mm": 150, "focus_m": 4},
+    "lens_flare": {"veil": 0.2, "off_axis_deg": 12},
+    "cracked_lens": {"cracks": 12, "bend_deg": 0.8},
+    "vignetting": {"stops": 4},
     "covered_lens": {"transmission": 0.05},
+    "flicker": {"modulation": 0.6},
+    "day_to_night": {"stops": 8, "lamp": 0.02},
     "low_light": {"illumination": 0.05, "gain": 10},
     "over_exposure": {"stops": 2},
     "auto_exposure_lag": {"stops": 3, "time_constant_s": 2},
     "jpeg": {"quality": 3},
+    "bandwidth_loss": {"share": 0.25},
 }
 """Severities that can be seen; those of other kinds are drawn."""
 

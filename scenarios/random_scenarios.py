@@ -45,7 +45,22 @@ _SHOOT_SEVERITIES: dict[str, dict[str, Any]] = {
     "frame_drops": {"share": {"choice": [1.0, {"uniform": [0.1, 0.9]}]}},
     "time_jitter": {"sigma_s": {"log_uniform": [0.001, 0.2]}},
 }
-SEVERITIES = _SHOOT_SEVERITIES | _IMAGE_SEVERITIES
+# Kinds that came later have a lane of their own, from a stream of its own: what a seed draws besides stays.
+_LATER_SEVERITIES: dict[str, dict[str, Any]] = {
+    "shallow_focus": {"aperture_mm": {"log_uniform": [1, 100]}, "focus_m": {"log_uniform": [0.3, 10]}},
+    "lens_flare": {"veil": {"log_uniform": [0.01, 5]}, "off_axis_deg": {"uniform": [0, 60]}},
+    "cracked_lens": {"cracks": {"log_uniform": [1, 150]}, "bend_deg": {"uniform": [0, 3]}},
+    "vignetting": {"stops": {"uniform": [0, 14]}},
+    "flicker": {
+        "modulation": {"uniform": [0, 1]},
+        "readout_s": {"choice": [0.0, {"uniform": [0.005, 0.05]}]},
+    },
+    "day_to_night": {"stops": {"uniform": [0, 16]}, "lamp": {"choice": [0.0, {"log_uniform": [0.001, 0.2]}]}},
+    "bandwidth_loss": {"share": {"uniform": [0, 1]}},
+}
+_LATER_SHARE = 0.5
+_FIRST_SEVERITIES = _SHOOT_SEVERITIES | _IMAGE_SEVERITIES
+SEVERITIES = _FIRST_SEVERITIES | _LATER_SEVERITIES
 """Distributions of the severity of every kind of degradation."""
 
 
@@ -70,7 +85,7 @@ def random_scenario(seed: int) -> Scenario:
 
 
 def random_segments(seed: int, duration_s: float) -> list[dict[str, Any]]:
-    """Draw segments in one to three lanes, each a row of segments.
+    """Draw segments in one to four lanes, each a row of segments.
 
     A drawn kind that would overlap a segment of its own kind is left out.
     """
@@ -81,23 +96,40 @@ def random_segments(seed: int, duration_s: float) -> list[dict[str, Any]]:
     segments: list[dict[str, Any]] = []
     for lane in range(lanes):
         rng = rng_for(seed, "random", "lane", lane)
-        at_s = 0.0 if rng.random() < 0.5 else gap_s * rng.random()
-        while duration_s - at_s >= _MIN_SEGMENT_S:
-            length_s = min(_MIN_SEGMENT_S * 30.0 ** rng.random(), duration_s - at_s)
-            segment = _segment(rng, at_s, length_s)
-            if not any(_clash(segment, other) for other in segments):
-                segments.append(segment)
-            at_s = segment["start_s"] + segment["duration_s"]
-            if rng.random() < gap_share:
-                at_s += gap_s * rng.random()
+        _draw_lane(rng, _FIRST_SEVERITIES, segments, duration_s, gap_share, gap_s)
+    rng = rng_for(seed, "random", "later lane")
+    if rng.random() < _LATER_SHARE:
+        _draw_lane(rng, _LATER_SEVERITIES, segments, duration_s, gap_share, gap_s)
     return segments
 
 
-def _segment(rng: np.random.Generator, start_s: float, length_s: float) -> dict[str, Any]:
-    kind = list(SEVERITIES)[int(rng.integers(len(SEVERITIES)))]
+def _draw_lane(
+    rng: np.random.Generator,
+    severities: dict[str, dict[str, Any]],
+    segments: list[dict[str, Any]],
+    duration_s: float,
+    gap_share: float,
+    gap_s: float,
+) -> None:
+    """Add a row of segments of some kinds."""
+    at_s = 0.0 if rng.random() < 0.5 else gap_s * rng.random()
+    while duration_s - at_s >= _MIN_SEGMENT_S:
+        length_s = min(_MIN_SEGMENT_S * 30.0 ** rng.random(), duration_s - at_s)
+        segment = _segment(rng, severities, at_s, length_s)
+        if not any(_clash(segment, other) for other in segments):
+            segments.append(segment)
+        at_s = segment["start_s"] + segment["duration_s"]
+        if rng.random() < gap_share:
+            at_s += gap_s * rng.random()
+
+
+def _segment(
+    rng: np.random.Generator, severities: dict[str, dict[str, Any]], start_s: float, length_s: float
+) -> dict[str, Any]:
+    kind = list(severities)[int(rng.integers(len(severities)))]
     segment = {"kind": kind, "start_s": start_s, "duration_s": length_s}
-    segment |= {name: _drawn(node, rng) for name, node in SEVERITIES[kind].items()}
-    if kind in _IMAGE_SEVERITIES:
+    segment |= {name: _drawn(node, rng) for name, node in severities[kind].items()}
+    if kind not in _SHOOT_SEVERITIES:
         segment["ramp_s"] = length_s * _drawn(_RAMP_SHARE, rng)
     return segment
 

@@ -225,6 +225,66 @@ class Jpeg(ImageSegment):
     quality: float = Field(ge=0, le=100, description="libjpeg's scale; 100 stands for no encoder at all")
 
 
+class CrackedLens(ImageSegment):
+    """The glass before the lens is cracked: cracks scatter light, and the glass beside them bends it."""
+
+    kind: Literal["cracked_lens"]
+    cracks: float = Field(ge=0, le=200, description="how many run from the point of impact, with branches")
+    bend_deg: float = Field(0.5, ge=0, le=10, description="how far light beside a crack is bent")
+
+
+class LensFlare(ImageSegment):
+    """A light shines into the lens: glare about it, streaks, and ghosts on the other side of the view.
+
+    The light is far away and stays where it is; in recordings it turns with the camera.
+    """
+
+    kind: Literal["lens_flare"]
+    veil: float = Field(ge=0, le=20, description="light that it adds on average at the start; 1 is white")
+    off_axis_deg: float = Field(15.0, ge=0, le=80, description="from the view's middle at the start")
+
+
+class ShallowFocus(ImageSegment):
+    """A wide lens is in focus at one distance; all else is blurred. Recordings need depth images."""
+
+    kind: Literal["shallow_focus"]
+    aperture_mm: float = Field(ge=0, le=200, description="width of the lens's opening; 0 is sharp throughout")
+    focus_m: float = Field(1.0, gt=0.01, le=1000, description="distance of what is sharp")
+
+
+class Vignetting(ImageSegment):
+    """The view gets darker towards its corners."""
+
+    kind: Literal["vignetting"]
+    stops: float = Field(ge=0, le=16, description="light lost in the corners; each halves it")
+
+
+class DayToNight(ImageSegment):
+    """Daylight goes, over `ramp_s`; the camera amplifies what is left, and its noise."""
+
+    kind: Literal["day_to_night"]
+    stops: float = Field(ge=0, le=20, description="daylight lost; each halves it")
+    gain: float = Field(16.0, ge=1, le=1000, description="the most by which the camera amplifies")
+    lamp: float = Field(0.0, ge=0, le=1, description="light of a lamp on the camera, as a share of daylight")
+
+
+class Flicker(ImageSegment):
+    """Lamps flicker with the mains: bands over the rows, which are read one after the other."""
+
+    kind: Literal["flicker"]
+    modulation: float = Field(ge=0, le=1, description="share by which a row's light rises and falls")
+    rate_hz: float = Field(100.0, gt=0, le=1e5, description="of the light, twice that of the mains")
+    readout_s: float = Field(0.02, ge=0, le=1, description="from first row to last; 0 for no bands")
+
+
+class BandwidthLoss(ImageSegment):
+    """Packets of the coded video are lost: blocks are smeared from before them, or show another place."""
+
+    kind: Literal["bandwidth_loss"]
+    share: float = Field(ge=0, le=1, description="of the packets")
+    block_px: int = Field(16, ge=4, le=128, description="side of a block")
+
+
 SEGMENT_KINDS: Kinds[SegmentBase] = Kinds(
     "segment",
     (
@@ -241,11 +301,18 @@ SEGMENT_KINDS: Kinds[SegmentBase] = Kinds(
         Defocus,
         LensDirt,
         Rain,
+        ShallowFocus,
+        LensFlare,
+        CrackedLens,
+        Vignetting,
         CoveredLens,
+        DayToNight,
+        Flicker,
         LowLight,
         OverExposure,
         AutoExposureLag,
         Jpeg,
+        BandwidthLoss,
     ),
 )
 """The model of every kind of segment, by kind; ``sim.register_degradation`` adds one."""
@@ -265,11 +332,18 @@ if TYPE_CHECKING:
         | Defocus
         | LensDirt
         | Rain
+        | ShallowFocus
+        | LensFlare
+        | CrackedLens
+        | Vignetting
         | CoveredLens
+        | DayToNight
+        | Flicker
         | LowLight
         | OverExposure
         | AutoExposureLag
         | Jpeg
+        | BandwidthLoss
     )
 else:
     Segment = Annotated[SegmentBase, SEGMENT_KINDS]

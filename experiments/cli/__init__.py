@@ -13,6 +13,7 @@ def main() -> None:
     """Entry point: bad input is one line and exit code 2, a signal 128 + its number."""
     # OpenCV's own warnings would stand beside the one line.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     with safe_streams(), signals_as_interrupts() as received:
         try:
             # Imported here, so that a signal meanwhile is heeded too.

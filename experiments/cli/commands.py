@@ -21,6 +21,7 @@ from experiments.cli import (
 from experiments.cli.batch import batch_command
 from experiments.cli.compare import compare_command
 from experiments.cli.degrade import degrade_command
+from experiments.cli.evo import evo_command
 from experiments.cli.export import export_command
 from experiments.cli.footage import footage_command
 from experiments.cli.paper import paper_command
@@ -49,6 +50,7 @@ app.command("run")(run.run_command)
 app.add_typer(systems.app, name="systems")
 app.command("batch")(batch_command)
 app.command("compare")(compare_command)
+app.command("evo")(evo_command)
 app.command("footage")(footage_command)
 app.command("view")(view.view_command)
 app.add_typer(experiment.app, name="experiment")

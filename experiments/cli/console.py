@@ -32,6 +32,7 @@ class FormatChoice(StrEnum):
     TUM = "tum"
     KITTI = "kitti"
     EUROC = "euroc"
+    VSLAM_LAB = "vslam-lab"
 
 
 class ModeChoice(StrEnum):
@@ -69,6 +70,15 @@ SystemsOption = Annotated[
     ),
 ]
 SourceArgument = Annotated[str, typer.Argument(help="A sequence folder, a scenario's name or its YAML file.")]
+CameraOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--camera",
+        metavar="FILE",
+        help="camera.yaml of a folder of images without any list, or of a video file.",
+        show_default=False,
+    ),
+]
 FolderOption = Annotated[Path, typer.Option("--out", help="Output folder; absent or empty.")]
 ForceOption = Annotated[
     bool, typer.Option("--force", help="Begin even if the frames seem too many for the disk or the memory.")

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from experiments.cli.console import (
+    CameraOption,
     FolderOption,
     ForceOption,
     FormatChoice,
@@ -28,7 +29,9 @@ def _print_kinds(requested: bool) -> None:
 
 
 def degrade_command(
-    source: Annotated[Path, typer.Argument(help="A sequence folder, recorded or rendered.")],
+    source: Annotated[
+        Path, typer.Argument(help="A sequence folder, recorded or rendered; with --camera images or a video.")
+    ],
     segment: Annotated[
         list[str],
         typer.Option(
@@ -46,22 +49,24 @@ def degrade_command(
         FormatChoice | None,
         typer.Option(
             "--format",
-            help="Form to write; default: that of the folder, TUM for TUM-mono.",
+            help="Form to write; default: that of the folder, TUM where that is only read.",
             show_default=False,
         ),
     ] = None,
     seed: Annotated[
         int, typer.Option(min=0, callback=check_seed, help="Root seed of random effects in the segments.")
     ] = 0,
+    camera: CameraOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Degrade a folder in TUM, KITTI, EuRoC or TUM-mono form.
+    """Degrade a folder in TUM, KITTI, EuRoC, TUM-mono, VSLAM-LAB or TartanAir form, images or a video.
 
-    Writes the frames with ground truth and calibration, depth images (TUM form) and inertial readings (EuRoC
-    form) if present, and segments.json and frame_truth.csv with the true times and strengths of the segments.
-    Segments of different kinds may overlap; `dslab degrade --list` prints the kinds. Motion blur averages
-    light along the optical flow between the frames. Low texture fades detail and leaves shading and noise.
-    Fast rotation turns the images and the ground truth, and crops all frames to what every turn sees.
+    Writes the frames with ground truth and calibration, depth images (TUM and VSLAM-LAB form) and inertial
+    readings (EuRoC form) if present, and segments.json and frame_truth.csv with the true times and strengths
+    of the segments. Segments of different kinds may overlap; `dslab degrade --list` prints the kinds. Motion
+    blur averages light along the optical flow between the frames. Low texture fades detail and leaves shading
+    and noise. Fast rotation turns the images and the ground truth, and crops all frames to what every turn
+    sees.
 
     For example:
 
@@ -72,6 +77,13 @@ def degrade_command(
     `dslab degrade office --segment "covered_lens:start_s=5,duration_s=1,transmission=0"
     --segment "jpeg:start_s=4.5,duration_s=2,quality=8" --out out/office-hard`
 
+    `dslab degrade office --segment "cracked_lens:start_s=3,duration_s=9,cracks=12" --out out/cracked`
+
+    `dslab degrade street --segment "day_to_night:start_s=0,duration_s=60,stops=8,ramp_s=20,fall_s=0"
+    --segment "bandwidth_loss:start_s=30,duration_s=5,share=0.2" --out out/dusk`
+
+    `dslab degrade desk --segment "shallow_focus:start_s=2,duration_s=4,aperture_mm=20" --out out/near`
+
     `dslab degrade MH_01 --segment "rain:start_s=10,duration_s=20,rate_mmph=40,ramp_s=2" --out out/rainy`
     """
     from experiments.runs.sources import open_imu
@@ -80,15 +92,24 @@ def degrade_command(
     from sim.degradations.recorded_kinds import check_recorded_sequence
     from sim.degradations.recorded_sequences import degrade_sequence
     from sim.io.folders import check_free, scratch_beside
-    from sim.io.forms import Form, detect_form, load_sequence, sequence_folder, write_sequence
+    from sim.io.forms import (
+        READ_ONLY,
+        WITH_DEPTH,
+        Form,
+        detect_form,
+        load_sequence,
+        sequence_folder,
+        write_sequence,
+    )
     from sim.room import check_room, images_need
 
     segments = [parse_segment(text) for text in segment]
-    sequence = load_sequence(source)
+    with progress_bars() as show:
+        sequence = load_sequence(source, camera, show, force)
     check_recorded_sequence(sequence, segments)
-    found = detect_form(sequence_folder(source))
-    target = Form(form.value) if form else Form.TUM if found is Form.TUM_MONO else found
-    readings = open_imu(str(source), sequence.stamps_s) if target is Form.EUROC else None
+    found = Form.TUM if camera is not None else detect_form(sequence_folder(source))
+    target = Form(form.value) if form else Form.TUM if found in READ_ONLY else found
+    readings = open_imu(str(source), sequence.stamps_s) if found is target is Form.EUROC else None
     if readings and any(segment.kind == "fast_rotation" for segment in segments):
         problem = "fast_rotation turns the images, not the inertial readings of the folder"
         raise InputError(str(source), problem, "add --format tum, which has none")
@@ -101,7 +122,7 @@ def degrade_command(
     # Beside the result: the temporary disk may be too small.
     with scratch_beside(out_dir) as scratch, progress_bars() as show:
         degraded = degrade_sequence(sequence, segments, seed, scratch, show)
-        with_depth = target is Form.TUM and degraded.depths is not None
+        with_depth = target in WITH_DEPTH and degraded.depths is not None
         write_sequence(degraded, out_dir, target, readings, with_depth, show)
     print_segments(degraded.segments)
     out.print(

@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from experiments.cli.console import (
+    CameraOption,
     FolderOption,
     ForceOption,
     FormatChoice,
@@ -25,7 +26,7 @@ def export_command(
         bool | None,
         typer.Option(
             "--depth/--no-depth",
-            help="Depth images (TUM form); default: if the folder has them.",
+            help="Depth images (TUM and VSLAM-LAB form); default: if the folder has them.",
             show_default=False,
         ),
     ] = None,
@@ -37,11 +38,12 @@ def export_command(
             show_default=False,
         ),
     ] = None,
+    camera: CameraOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Write a sequence or scenario in TUM, KITTI or EuRoC form, with ground truth.
+    """Write a sequence or scenario in TUM, KITTI, EuRoC or VSLAM-LAB form, with ground truth.
 
-    Sequences are read in those forms and in TUM-mono form; `dslab run` takes any of them.
+    Sequences are read in those forms and in TUM-mono and TartanAir form; `dslab run` takes any of them.
 
     For example:
 
@@ -50,23 +52,30 @@ def export_command(
     `dslab export clean-room --depth --format tum --out out/room-rgbd`
 
     `dslab export path/to/mav --format tum --out out/mav`
+
+    `dslab export path/to/images --camera cam.yaml --format vslam-lab --out out/walk`
     """
     from experiments.runs.sources import open_imu, open_sequence
     from scenarios.errors import InputError
     from sim.io.folders import check_free
-    from sim.io.forms import Form, write_sequence
+    from sim.io.forms import WITH_DEPTH, Form, write_sequence
 
     if imu and form is not FormatChoice.EUROC:
         raise InputError("--imu", f"the form {form} has no inertial readings", "use --format euroc")
-    if depth and form is not FormatChoice.TUM:
+    if imu and camera is not None:
+        raise InputError("--imu", "images and videos have no inertial readings", "leave out --imu")
+    has_depth = Form(form.value) in WITH_DEPTH
+    if depth and not has_depth:
         raise InputError("--depth", f"the form {form} has no depth images", "use --format tum")
     check_free(out_dir)
     with progress_bars() as show:
-        sequence = open_sequence(source, seed, show, depth=bool(depth), out_dir=out_dir, force=force)
+        sequence = open_sequence(
+            source, seed, show, depth=bool(depth), out_dir=out_dir, force=force, camera=camera
+        )
         readings = None
-        if form is FormatChoice.EUROC:
+        if form is FormatChoice.EUROC and camera is None:
             readings = open_imu(source, sequence.stamps_s, seed, imu)
-        with_depth = form is FormatChoice.TUM and depth is not False and sequence.depths is not None
+        with_depth = has_depth and depth is not False and sequence.depths is not None
         if depth and not with_depth:
             raise InputError(f"--depth: {source}", "the folder has no depth images", "leave out --depth")
         write_sequence(sequence, out_dir, Form(form.value), readings, with_depth, show)

@@ -31,7 +31,8 @@ def render_command(
         FormatChoice, typer.Option("--format", help="Form to write; EuRoC includes the IMU of the scenario.")
     ] = FormatChoice.TUM,
     depth: Annotated[
-        bool, typer.Option("--depth", help="Also write depth images (TUM form, 16 bit, 5000/m).")
+        bool,
+        typer.Option("--depth", help="Also write depth images (TUM and VSLAM-LAB form, 16 bit, 5000/m)."),
     ] = False,
     renderer: RendererOption = None,
     no_cache: Annotated[
@@ -39,7 +40,7 @@ def render_command(
     ] = False,
     force: ForceOption = False,
 ) -> None:
-    """Render a scenario in TUM, KITTI or EuRoC form: frames, exact ground truth, segments.
+    """Render a scenario in TUM, KITTI, EuRoC or VSLAM-LAB form: frames, exact ground truth, segments.
 
     For example:
 
@@ -55,12 +56,12 @@ def render_command(
     from scenarios.errors import InputError
     from scenarios.loading import load_scenario
     from sim.io.folders import check_free, scratch_beside
-    from sim.io.forms import Form, write_sequence
+    from sim.io.forms import WITH_DEPTH, Form, write_sequence
     from sim.rendering.renderers import DEFAULT_RENDERER
     from sim.sequence_rendering import images_need_of, render_backend, render_sequence
 
     spec = load_scenario(scenario, seed)
-    if depth and form is not FormatChoice.TUM:
+    if depth and Form(form.value) not in WITH_DEPTH:
         raise InputError("--depth", f"the form {form} has no depth images", "use --format tum")
     backend = render_backend(renderer or DEFAULT_RENDERER)
     check_free(out_dir)

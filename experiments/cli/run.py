@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from experiments.cli.console import (
+    CameraOption,
     ForceOption,
     ModeChoice,
     ModeOption,
@@ -84,6 +85,7 @@ def run_command(
         ),
     ] = None,
     renderer: RendererOption = None,
+    camera: CameraOption = None,
     mode: ModeOption = ModeChoice.LOCKSTEP,
     real_time: RealTimeOption = False,
     maps: Annotated[
@@ -109,6 +111,8 @@ def run_command(
     `dslab run path/to/sequence --config slam.yaml --out out/sequence --json`
 
     `dslab run clean-room --mode threaded --real-time --map --out out/room`
+
+    `dslab run video.mp4 --camera cam.yaml --system dual --out out/video`
 
     `dslab run path/to/sequence --system base,orbslam3,my_slam:MySlam --out out/compared`
     """
@@ -136,7 +140,7 @@ def run_command(
     check_free(out_dir)
     single_threaded_opencv()
     with progress_bars() as show:
-        sequence = open_sequence(source, seed, show, renderer=renderer, force=force)
+        sequence = open_sequence(source, seed, show, renderer=renderer, force=force, camera=camera)
         if real_time:
             # Compiling and loading kernels would be taken for slowness.
             warm_up(show)

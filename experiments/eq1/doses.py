@@ -63,11 +63,18 @@ AXES = {
     "defocus": DoseAxis("diameter_px", 1.5, 60.0),
     "lens_dirt": DoseAxis("share", 0.05, 0.95),
     "rain": DoseAxis("rate_mmph", 1.0, 300.0),
+    "shallow_focus": DoseAxis("aperture_mm", 1.0, 200.0),
+    "lens_flare": DoseAxis("veil", 0.01, 20.0),
+    "cracked_lens": DoseAxis("cracks", 1.0, 200.0),
+    "vignetting": DoseAxis("stops", 0.25, 16.0),
     "covered_lens": DoseAxis("transmission", 0.7, 0.0005),
+    "flicker": DoseAxis("modulation", 0.05, 1.0),
+    "day_to_night": DoseAxis("stops", 0.25, 20.0),
     "low_light": DoseAxis("illumination", 0.7, 0.0005),
     "over_exposure": DoseAxis("stops", 0.25, 12.0),
     "auto_exposure_lag": DoseAxis("stops", 0.25, 12.0),
     "jpeg": DoseAxis("quality", 80.0, 1.0),
+    "bandwidth_loss": DoseAxis("share", 0.02, 1.0),
 }
 """The axis of every kind that comes with the lab."""
 

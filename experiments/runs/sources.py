@@ -8,6 +8,7 @@ import numpy as np
 
 from scenarios.errors import InputError
 from scenarios.input_files import is_folder, is_given
+from sim.io.video import is_video
 from sim.room import check_room, images_need
 from sim.sensors.imu import ImuReadings, ImuTruth
 from sim.sequence import Sequence
@@ -24,36 +25,40 @@ def open_sequence(
     renderer: str | None = None,
     out_dir: Path | None = None,
     force: bool = False,
+    camera: Path | None = None,
 ) -> Sequence:
-    """Load a sequence folder, or render a scenario or read it from the cache.
+    """Load a sequence folder, images or a video, or render a scenario or read it from the cache.
 
     Args:
-        source: a folder in TUM, KITTI, EuRoC or TUM-mono form, the name of a scenario, or the path of its
-            YAML file.
+        source: a folder of a form of ``sim.io.forms``, the name of a scenario, or the path of its YAML file;
+            with a camera a folder of images or a video file.
         seed: root seed of a scenario, with which it is also drawn; None for its own; unused for a folder.
         progress: called with (step, frames done, frames in all) while rendering.
         depth: render a scenario with depth images; no effect on a folder.
         renderer: renderer of a scenario, one of ``sim.rendering.renderers``; None for the default one.
         out_dir: where the caller will write the images, so that there is room; None for nowhere.
         force: begin even if disks and memory seem too small, or the frames are very many.
+        camera: camera.yaml of images or a video; None for a source that has its own.
 
     Raises:
         InputError: the source does not exist or is not valid, a renderer is named for a folder, or there is
             no room for the frames.
     """
     path = Path(source)
-    if is_folder(path):
+    if is_folder(path) or is_video(path) or camera is not None:
         if renderer is not None:
-            problem = "the folder's frames are already rendered"
+            problem = "the frames are already there"
             raise InputError(f"--renderer: {source}", problem, "name a scenario, or leave out --renderer")
         from sim.io.forms import load_sequence
 
-        sequence = load_sequence(path)
+        sequence = load_sequence(path, camera, progress, force)
         if out_dir is not None:
             size_px = sequence.camera.width_px, sequence.camera.height_px
             needs = [images_need(out_dir, len(sequence), size_px, sequence.depths is not None)]
             check_room(str(path), len(sequence), needs, force)
-        names = _image_names(path)
+        if camera is not None or is_video(path):
+            return sequence
+        names = sequence.image_names or _image_names(path)
         return replace(sequence, image_names=names) if len(names) == len(sequence) else sequence
     from scenarios.families import is_scenario_name
     from scenarios.loading import load_scenario

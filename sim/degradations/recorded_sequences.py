@@ -10,6 +10,7 @@ import numpy as np
 from scenarios.segments import LowTexture, Segment
 from sim.degradations.base import FramePlan, Stage, during, true_runs
 from sim.degradations.chain import ImageChain
+from sim.degradations.depth_holes import fill_narrow_holes
 from sim.degradations.image import USUAL_EXPOSURE_S
 from sim.degradations.recorded_kinds import check_recorded_sequence, view_of
 from sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
@@ -46,7 +47,7 @@ def degrade_sequence(
 
     Its earlier segments stay. So do its poses and its depth, unless the camera turns: they turn with it, and
     every frame is cropped to what all turns see (``TurnedView``). See ``Retake`` for the kinds that would
-    act before a frame is rendered.
+    act before a frame is rendered. Narrow holes of measured depth images count as filled.
 
     Args:
         sequence: any; its frames are read one by one.
@@ -68,10 +69,14 @@ def degrade_sequence(
     exposure_s = plan.exposure_s if known else np.maximum(plan.exposure_s, USUAL_EXPOSURE_S)
     chain = ImageChain(segments, view.camera, plan.stamps_s, plan.frame, seed, exposure_s=exposure_s)
     size, blur_px = (view.camera.height_px, view.camera.width_px), np.zeros(len(plan.frame))
+    exact_depth = "spec" in sequence.meta
     with RawWriter(scratch / "gray.npy", (len(plan.frame), *size), np.uint8) as grays:
         for index, frame in enumerate(plan.frame.tolist()):
             image, blur_px[index] = retake.image(frame)
-            grays.append(chain.apply(image, index, _STAGES, retake.depth(frame)))
+            depth_m = retake.depth(frame)
+            if depth_m is not None and not exact_depth:
+                depth_m = fill_narrow_holes(depth_m, view.camera)
+            grays.append(chain.apply(image, index, _STAGES, depth_m))
             if progress:
                 progress("degrading", index + 1, len(plan.frame))
     truths, columns = _truths(sequence, segments, plan, chain, blur_px)

@@ -12,15 +12,20 @@ from scenarios.extensions import note_extension
 from scenarios.kinds import kind_of
 from scenarios.segments import SEGMENT_KINDS, ImageSegment, SegmentBase
 from sim.degradations.auto_exposure_lag import AutoExposureLagDegradation
+from sim.degradations.bandwidth_loss import BandwidthLossDegradation
 from sim.degradations.base import Degradation, Stage
 from sim.degradations.covered_lens import CoveredLensDegradation
+from sim.degradations.cracked_lens import CrackedLensDegradation
+from sim.degradations.day_to_night import DayToNightDegradation
 from sim.degradations.defocus import DefocusDegradation
 from sim.degradations.fast_rotation import FastRotationDegradation
+from sim.degradations.flicker import FlickerDegradation
 from sim.degradations.fog import FogDegradation
 from sim.degradations.frame_drops import FrameDropsDegradation
 from sim.degradations.image import ImageDegradation
 from sim.degradations.jpeg import JpegDegradation
 from sim.degradations.lens_dirt import LensDirtDegradation
+from sim.degradations.lens_flare import LensFlareDegradation
 from sim.degradations.low_light import LowLightDegradation
 from sim.degradations.low_texture import LowTextureDegradation
 from sim.degradations.motion_blur import MotionBlurDegradation
@@ -30,7 +35,9 @@ from sim.degradations.pure_rotation import PureRotationDegradation
 from sim.degradations.rain import RainDegradation
 from sim.degradations.repeated_texture import RepeatedTextureDegradation
 from sim.degradations.rolling_shutter import RollingShutterDegradation
+from sim.degradations.shallow_focus import ShallowFocusDegradation
 from sim.degradations.time_jitter import TimeJitterDegradation
+from sim.degradations.vignetting import VignettingDegradation
 
 _ALL: tuple[Degradation[Any] | ImageDegradation[Any], ...] = (
     # A stop delays what follows on the path; a swing keeps its own time.
@@ -45,13 +52,20 @@ _ALL: tuple[Degradation[Any] | ImageDegradation[Any], ...] = (
     MovingObjectsDegradation(),
     RollingShutterDegradation(),
     RainDegradation(),
+    ShallowFocusDegradation(),
+    LensFlareDegradation(),
     DefocusDegradation(),
     LensDirtDegradation(),
+    CrackedLensDegradation(),
+    VignettingDegradation(),
     CoveredLensDegradation(),
+    FlickerDegradation(),
+    DayToNightDegradation(),
     LowLightDegradation(),
     OverExposureDegradation(),
     AutoExposureLagDegradation(),
     JpegDegradation(),
+    BandwidthLossDegradation(),
 )
 
 IMAGE_KINDS: dict[str, ImageDegradation[Any]] = {d.kind: d for d in _ALL if isinstance(d, ImageDegradation)}

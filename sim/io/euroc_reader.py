@@ -21,9 +21,9 @@ from sim.io.text import (
     check_present,
     check_words,
     number_at,
+    numbers_at,
     read_rows,
     to_nanoseconds,
-    to_number,
     to_numbers,
 )
 from sim.io.truth import (
@@ -141,14 +141,14 @@ def _read_camera(path: Path) -> tuple[Intrinsics, np.ndarray]:
         known = " or ".join(models)
         raise InputError(f"{path}: distortion_model", f"{name!r} is no lens model", f"use {known}")
     model = models[name]
-    width, height = _list(path, sensor, "resolution", (2,))
+    width, height = numbers_at(path, sensor, "resolution", (2,))
     if any(size != int(size) for size in (width, height)):
         problem = f"{width:g}x{height:g} is no image size"
         raise InputError(f"{path}: resolution", problem, "give whole pixels")
     full = len(DISTORTION_KEYS[model])
-    coefficients = _list(path, sensor, "distortion_coefficients", (4, full))
+    coefficients = numbers_at(path, sensor, "distortion_coefficients", (4, full))
     coefficients += [0.0] * (full - len(coefficients))
-    fx, fy, cx, cy = _list(path, sensor, "intrinsics", (4,))
+    fx, fy, cx, cy = numbers_at(path, sensor, "intrinsics", (4,))
     fps = number_at(path, sensor, "rate_hz")
     camera = Intrinsics(int(width), int(height), fx, fy, cx, cy, fps, tuple(coefficients), model)
     check_camera(path, camera)
@@ -185,24 +185,12 @@ def _sensor(path: Path, keys: str) -> dict[Any, Any]:
     return read_yaml(path, "sensor", example, f"add it with {example}").data
 
 
-def _list(path: Path, sensor: dict[Any, Any], key: str, lengths: tuple[int, ...]) -> list[float]:
-    """Numbers of a list with one of the allowed lengths."""
-    where = f"{path}: {key}"
-    if key not in sensor:
-        raise InputError(where, "is missing", "add it")
-    values = sensor[key]
-    if not isinstance(values, list) or len(values) not in lengths:
-        wanted = " or ".join(str(length) for length in sorted(set(lengths)))
-        raise InputError(where, f"{values!r} is no list of {wanted} numbers", "correct it")
-    return [to_number(where, value) for value in values]
-
-
 def _matrix(path: Path, sensor: dict[Any, Any]) -> np.ndarray:
     """(4, 4) T_BS: sensor to body."""
     mounting = sensor.get("T_BS")
     if not isinstance(mounting, dict):
         raise InputError(f"{path}: T_BS", "is missing", "add it with rows, cols and data")
-    T = np.reshape(_list(path, mounting, "data", (16,)), (4, 4))
+    T = np.reshape(numbers_at(path, mounting, "data", (16,)), (4, 4))
     R = T[:3, :3]
     if list(T[3]) != [0, 0, 0, 1] or not is_rotation(R):
         raise InputError(f"{path}: T_BS", "is no rigid transform", "give a rotation and a translation")

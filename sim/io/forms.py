@@ -5,12 +5,16 @@ from pathlib import Path
 
 from scenarios.errors import InputError
 from scenarios.input_files import is_folder, is_given
-from sim.io import euroc_layout, kitti, layout, tum_mono
+from sim.io import euroc_layout, kitti, layout, tartanair, tum_mono, vslam_lab_layout
 from sim.io.euroc_reader import load_euroc
 from sim.io.euroc_writer import write_euroc
 from sim.io.folders import Progress
+from sim.io.loose_images import load_images
 from sim.io.tum_reader import load_tum
 from sim.io.tum_writer import write_tum
+from sim.io.video import is_video, load_video
+from sim.io.vslam_lab_reader import load_vslam_lab
+from sim.io.vslam_lab_writer import write_vslam_lab
 from sim.sensors.imu import ImuReadings, ImuTruth
 from sim.sequence import Sequence
 
@@ -22,6 +26,14 @@ class Form(StrEnum):
     KITTI = "kitti"
     EUROC = "euroc"
     TUM_MONO = "tum-mono"
+    VSLAM_LAB = "vslam-lab"
+    TARTANAIR = "tartanair"
+
+
+READ_ONLY = (Form.TUM_MONO, Form.TARTANAIR)
+"""The forms that are not written."""
+WITH_DEPTH = (Form.TUM, Form.VSLAM_LAB)
+"""The forms that are written with depth images if wanted."""
 
 
 _LOADERS = {
@@ -29,6 +41,8 @@ _LOADERS = {
     Form.KITTI: kitti.load_kitti,
     Form.EUROC: load_euroc,
     Form.TUM_MONO: tum_mono.load_tum_mono,
+    Form.VSLAM_LAB: load_vslam_lab,
+    Form.TARTANAIR: tartanair.load_tartanair,
 }
 
 
@@ -42,6 +56,9 @@ def detect_form(folder: Path) -> Form:
         problem = "is no folder" if is_given(folder) else "no such folder"
         raise InputError(str(folder), problem, "give a folder with rgb.txt, camera.yaml and images")
     marks = {
+        Form.VSLAM_LAB: (vslam_lab_layout.FRAMES_FILE, vslam_lab_layout.IMAGES_DIR),
+        # Before the TUM form, as it may have a camera.yaml too.
+        Form.TARTANAIR: tuple(name for v in tartanair.VERSIONS for name in (v.images, v.poses)),
         Form.TUM: (layout.FRAMES_FILE, layout.CAMERA_FILE),
         Form.EUROC: (euroc_layout.CAMERA_DIR,),
         Form.KITTI: (kitti.IMAGES_DIR,),
@@ -52,7 +69,8 @@ def detect_form(folder: Path) -> Form:
             return form
     known = (
         "rgb.txt and camera.yaml (TUM), image_0 and times.txt (KITTI), mav0/cam0 (EuRoC), "
-        "or images and camera.txt (TUM-mono)"
+        "images and camera.txt (TUM-mono), rgb_0 and rgb.csv (VSLAM-LAB), or image_left (TartanAir); "
+        "or add --camera FILE for a folder of images"
     )
     raise InputError(str(folder), "holds no sequence of a known form", f"give a folder with {known}")
 
@@ -62,17 +80,32 @@ def sequence_folder(path: Path) -> Path:
     return path.parent if path.name == "mav0" and is_folder(path / "cam0") else path
 
 
-def load_sequence(path: str | Path) -> Sequence:
-    """Read a sequence from a folder of any form.
+def load_sequence(
+    path: str | Path,
+    camera: str | Path | None = None,
+    progress: Progress | None = None,
+    force: bool = False,
+) -> Sequence:
+    """Read a sequence from a folder of any form, or from images or a video with a camera.
 
     Args:
-        path: the folder; for the EuRoC form, ``mav0`` may be given too.
+        path: the folder; for the EuRoC form, ``mav0`` may be given too. With ``camera`` a folder of images
+            without any list, or a video file.
+        camera: a camera.yaml for images or a video; see ``sim.io.layout``.
+        progress: called with (step, frames done, frames in all) while a video is decoded.
+        force: decode a video even if its frames seem too many for the disk.
 
     Raises:
         InputError: the folder does not exist or has no known form, or a file of it is missing, empty, cut
             short, malformed or absurd. Reading a frame raises it too, if the image is unreadable or of
             another size.
     """
+    if camera is not None:
+        if is_video(path):
+            return load_video(Path(path), Path(camera), progress=progress, force=force)
+        return load_images(Path(path), Path(camera))
+    if is_video(path) and not is_folder(path):
+        raise InputError(str(path), "a video says nothing of its camera", "add its intrinsics: --camera FILE")
     folder = sequence_folder(Path(path))
     return _LOADERS[detect_form(folder)](folder)
 
@@ -90,9 +123,9 @@ def write_sequence(
     Args:
         sequence: what to write.
         directory: new or empty folder.
-        form: any but TUM-mono.
+        form: any but TUM-mono and TartanAir.
         imu: inertial readings, for the EuRoC form.
-        depth: write depth images too, in the TUM form; the sequence must have them.
+        depth: write depth images too, in the TUM and VSLAM-LAB forms; the sequence must have them.
         progress: called with step, frames done and frames in all.
 
     Raises:
@@ -101,13 +134,16 @@ def write_sequence(
     """
     if imu is not None and form is not Form.EUROC:
         raise InputError("--imu", f"the form {form} has no inertial readings", "use --format euroc")
-    if depth and form is not Form.TUM:
-        raise InputError("--depth", f"the form {form} has no depth images", "use --format tum")
+    if depth and form not in WITH_DEPTH:
+        problem = f"the form {form} has no depth images"
+        raise InputError("--depth", problem, f"use --format {' or '.join(WITH_DEPTH)}")
     if form is Form.TUM:
         write_tum(sequence, directory, depth, progress)
     elif form is Form.KITTI:
         kitti.write_kitti(sequence, directory, progress)
     elif form is Form.EUROC:
         write_euroc(sequence, directory, imu, progress)
+    elif form is Form.VSLAM_LAB:
+        write_vslam_lab(sequence, directory, depth, progress)
     else:
-        raise InputError("--format", f"{form} is read, not written", "use tum, kitti or euroc")
+        raise InputError("--format", f"{form} is read, not written", "use tum, kitti, euroc or vslam-lab")

@@ -104,10 +104,18 @@ class DepthFolder:
     Args:
         paths: the images, None for a frame without one.
         shape: (H, W) that every one must have.
+        per_m: codes per metre.
+        authority: file that states the shape, for the fault.
     """
 
-    def __init__(self, paths: list[Path | None], shape: tuple[int, int]) -> None:
-        self._paths, self._shape = paths, shape
+    def __init__(
+        self,
+        paths: list[Path | None],
+        shape: tuple[int, int],
+        per_m: float = DEPTH_PER_M,
+        authority: str = "camera.yaml",
+    ) -> None:
+        self._paths, self._shape, self._per_m, self._authority = paths, shape, per_m, authority
 
     def __len__(self) -> int:
         return len(self._paths)
@@ -117,10 +125,10 @@ class DepthFolder:
         path = self._paths[index]
         if path is None:
             return np.zeros(self._shape, np.float32)
-        code = read_raw(path, self._shape, "camera.yaml")
+        code = read_raw(path, self._shape, self._authority)
         if code.dtype != np.uint16 or code.ndim != 2:
             raise InputError(str(path), "is no 16-bit depth image", "write 16-bit gray PNG")
-        return code.astype(np.float32) / np.float32(DEPTH_PER_M)
+        return code.astype(np.float32) / np.float32(self._per_m)
 
 
 def read_raw(path: Path, shape: tuple[int, int], authority: str) -> np.ndarray:
@@ -139,25 +147,27 @@ def image_shape(path: Path) -> tuple[int, int]:
     return height, width
 
 
-def numbered_images(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
+def numbered_images(folder: Path, suffixes: tuple[str, ...], ending: str = "") -> list[Path]:
     """The images of a folder in the order of their numbers. Raises InputError as ``by_number``."""
     names = [name for name in file_names(folder) if name.endswith(suffixes)]
-    return [folder / name for name in by_number(names, str(folder))]
+    return [folder / name for name in by_number(names, str(folder), ending)]
 
 
-def by_number(names: Sequence[str], where: str) -> list[str]:
+def by_number(names: Sequence[str], where: str, ending: str = "") -> list[str]:
     """Names of images in the order of their numbers.
 
     Args:
         names: such as ``000017.png``, with any leading zeros or none, possibly in folders.
         where: folder or archive of them, for the fault.
+        ending: what follows the number in every name.
 
     Raises:
         InputError: a name is no number, a number occurs twice or is missing between others.
     """
     numbered: list[tuple[int, str]] = []
     for name in names:
-        numbered.append((to_frame_number(f"{where}: {name}", PurePosixPath(name).stem), name))
+        word = PurePosixPath(name).stem.removesuffix(ending)
+        numbered.append((to_frame_number(f"{where}: {name}", word), name))
     numbered.sort()
     for (before, _), (number, name) in pairwise(numbered):
         if number == before:

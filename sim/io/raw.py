@@ -14,8 +14,7 @@ from scenarios.input_files import open_file
 from sim.cache import CorruptEntryError
 from sim.unfinished import hold
 
-# What NumPy raises for files that are no array or archive of arrays, by the place of the damage.
-_UNREADABLE = (
+UNREADABLE = (
     EOFError,
     KeyError,
     OSError,
@@ -27,6 +26,7 @@ _UNREADABLE = (
     zipfile.BadZipFile,
     zlib.error,
 )
+"""What NumPy raises for files that are no array or archive of arrays, by the place of the damage."""
 
 
 class RawWriter:
@@ -102,7 +102,7 @@ def stored_array(path: Path, shape: tuple[int | None, ...], dtype: type) -> np.n
     """
     try:
         array = np.load(path, mmap_mode="r")
-    except _UNREADABLE as error:
+    except UNREADABLE as error:
         raise CorruptEntryError(f"{path.name} is no array: {error}") from None
     alike = len(array.shape) == len(shape) and all(
         b is None or a == b for a, b in zip(array.shape, shape, strict=True)
@@ -125,7 +125,7 @@ def stored_archive(path: Path) -> dict[str, np.ndarray]:
             raise ValueError("no archive")
         with archive:
             return {name: archive[name] for name in archive.files}
-    except (InputError, *_UNREADABLE) as error:
+    except (InputError, *UNREADABLE) as error:
         raise CorruptEntryError(f"{path.name} holds no arrays: {error}") from None
 
 

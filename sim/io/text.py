@@ -124,8 +124,20 @@ def to_number(where: str, value: Any) -> float:
     return float(number)
 
 
-def number_at(path: Path, values: dict[Any, Any], key: str) -> float:
+def number_at(path: Path | str, values: dict[Any, Any], key: str) -> float:
     """The finite number under a key of a YAML file. Raises InputError otherwise."""
     if key not in values:
         raise InputError(f"{path}: {key}", "is missing", "add it")
     return to_number(f"{path}: {key}", values[key])
+
+
+def numbers_at(where: Path | str, values: dict[Any, Any], key: str, lengths: tuple[int, ...]) -> list[float]:
+    """The numbers of a list under a key of a YAML file. Raises InputError unless it has an allowed length."""
+    place = f"{where}: {key}"
+    if key not in values:
+        raise InputError(place, "is missing", "add it")
+    listed = values[key]
+    if not isinstance(listed, list) or len(listed) not in lengths:
+        wanted = " or ".join(str(length) for length in sorted(set(lengths)))
+        raise InputError(place, f"{listed!r} is no list of {wanted} numbers", "correct it")
+    return [to_number(place, value) for value in listed]

@@ -40,11 +40,11 @@ def write_tum(
         write_sidecars(sequence, folder)
         _write_list(sequence, folder, "rgb", layout.FRAMES_FILE, sequence.frames, progress)
         if depth and sequence.depths is not None:
-            coded = _CodedDepth(sequence.depths)
+            coded = CodedDepth(sequence.depths)
             _write_list(sequence, folder, "depth", layout.DEPTH_FILE, coded, progress)
 
 
-class _CodedDepth:
+class CodedDepth:
     """Depth as 16-bit images; depth out of range becomes unknown."""
 
     def __init__(self, depths: FrameSource) -> None:

@@ -7,7 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from hostile_sequences import euroc, kitti, tum, tum_mono, tum_mono_zip, tum_with_lens
+from hostile_sequences import (
+    euroc,
+    evo_results,
+    images_and_video,
+    kitti,
+    tartanair,
+    tum,
+    tum_mono,
+    tum_mono_zip,
+    tum_with_lens,
+    vslam_lab,
+)
 from small_world import CAMERA, CORRIDOR
 
 from experiments.campaign.folder import claim_folder, export, write_spec
@@ -211,6 +222,32 @@ EXAMPLES: dict[str, Example] = {
             optional=("pcalib.txt", "vignette.png"),
             sparse=("groundtruthSync.txt",),
         ),
+        Example(
+            "vslam-lab",
+            vslam_lab,
+            ("export {in} --format vslam-lab --out {out}", *_EXPORTS),
+            optional=("frame_truth.csv",),
+            sparse=("groundtruth.csv", "segments.json"),
+            free=("meta.json",),
+        ),
+        Example(
+            "tartanair",
+            tartanair,
+            _EXPORTS,
+            optional=("depth_left",),
+            free=("pose_left.txt",),  # the poses have no stamps
+        ),
+        Example(
+            "images and a video",
+            images_and_video,
+            (
+                "export {in}/walk.avi --camera {in}/camera.yaml --format tum --out {out}",
+                "run {in}/images --camera {in}/camera.yaml --out {out}",
+            ),
+            sparse=("images",),
+            free=("walk.avi",),
+        ),
+        Example("evo results", evo_results, ("evo {in}/mine.zip",)),
         Example("scenario", _scenario, _DRAWN, sparse=("*",)),
         Example(
             "rendered scenario",

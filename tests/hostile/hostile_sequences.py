@@ -8,6 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from experiments.evaluation.evo_result import EvoResult, statistics, write_evo_result
+from sim.io.camera_file import write_camera
 from sim.io.forms import Form, write_sequence
 from sim.sensors.camera import Intrinsics
 from sim.sensors.imu import ImuModel, ImuReadings
@@ -55,6 +57,42 @@ def euroc(folder: Path) -> None:
     rates, forces = rng.normal(size=(2, len(stamps_s), 3))
     readings = ImuReadings(ImuModel(100.0, 1e-3, 1e-4, 1e-2, 1e-3), stamps_s, rates, forces)
     write_sequence(sequence(), folder, Form.EUROC, (readings, None))
+
+
+def vslam_lab(folder: Path) -> None:
+    write_sequence(sequence(), folder, Form.VSLAM_LAB, depth=True)
+
+
+def tartanair(folder: Path) -> None:
+    for name in ("image_left", "depth_left"):
+        (folder / name).mkdir(parents=True)
+    rng = np.random.default_rng(3)
+    for frame in range(FRAMES):
+        image = rng.integers(0, 256, SHAPE, dtype=np.uint8)
+        cv2.imwrite(str(folder / f"image_left/{frame:06d}_left.png"), image)
+        np.save(folder / f"depth_left/{frame:06d}_left_depth.npy", np.full(SHAPE, 2.5, np.float32))
+    rows = [f"{0.1 * frame} 0 0 0 0 0 1" for frame in range(FRAMES)]
+    (folder / "pose_left.txt").write_text("\n".join(rows) + "\n")
+    write_camera(sequence().camera, folder / "camera.yaml")
+
+
+def images_and_video(folder: Path) -> None:
+    (folder / "images").mkdir(parents=True)
+    writer = cv2.VideoWriter(
+        str(folder / "walk.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, SHAPE[::-1], False
+    )
+    for frame, image in enumerate(sequence().frames):
+        cv2.imwrite(str(folder / f"images/walk_{frame}.png"), image)
+        writer.write(image)
+    writer.release()
+    write_camera(sequence().camera, folder / "camera.yaml")
+
+
+def evo_results(folder: Path) -> None:
+    folder.mkdir()
+    errors = np.array([0.1, 0.2, 0.4])
+    info = {"title": "APE", "label": "APE (m)", "est_name": "mine", "ref_name": "truth"}
+    write_evo_result(folder / "mine.zip", EvoResult(info, statistics(errors), errors))
 
 
 def tum_mono(folder: Path) -> None:

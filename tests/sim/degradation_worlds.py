@@ -34,11 +34,18 @@ SEVERITIES = {
     "defocus": [{"diameter_px": d} for d in (0, 3, 6, 12, 24)],
     "rain": [{"rate_mmph": r} for r in (0, 5, 20, 80, 300)],
     "lens_dirt": [{"share": s} for s in (0, 0.2, 0.4, 0.6, 0.9)],
+    "shallow_focus": [{"aperture_mm": a, "focus_m": 0.3} for a in (0, 10, 20, 40, 80)],
+    "lens_flare": [{"veil": v} for v in (0, 0.1, 0.3, 0.8, 5)],
+    "cracked_lens": [{"cracks": c, "bend_deg": 2} for c in (0, 5, 20, 60, 200)],
+    "vignetting": [{"stops": s} for s in (0, 3, 6, 10, 16)],
+    "flicker": [{"modulation": m, "readout_s": 0.1} for m in (0, 0.4, 0.6, 0.8, 1)],
+    "day_to_night": [{"stops": s} for s in (0, 6, 9, 12, 15)],
     "covered_lens": [{"transmission": t} for t in (1, 0.1, 0.02, 0.005, 0)],
     "low_light": [{"illumination": i} for i in (1, 0.1, 0.02, 0.005, 0.0005)],
     "over_exposure": [{"stops": s} for s in (0, 1.5, 3, 4.5, 7)],
     "auto_exposure_lag": [{"stops": s, "time_constant_s": 1.0} for s in (0, 2, 4, 6, 9)],
     "jpeg": [{"quality": q} for q in (100, 20, 10, 5, 1)],
+    "bandwidth_loss": [{"share": s} for s in (0, 0.2, 0.4, 0.6, 0.9)],
 }
 """Severities of every kind, from no effect to the end of matching."""
 

@@ -45,7 +45,9 @@ class CommandSpec(Strict):
 
     about: str = Field("", description="one line")
     command: str = Field(min_length=1, description="command line with placeholders")
-    reads: Literal["tum", "kitti", "euroc"] = Field("tum", description="form of the folder {sequence}")
+    reads: Literal["tum", "kitti", "euroc", "vslam-lab"] = Field(
+        "tum", description="form of the folder {sequence}"
+    )
     trajectory: str = Field("trajectory.txt", description="file of the final poses, camera to map")
     trajectory_form: Literal["tum", "kitti", "euroc"] = Field("tum", description="form of its files of poses")
     live: str | None = Field(None, description="file of the poses as they were given, frame by frame")

@@ -25,7 +25,9 @@ from sim.sequence_rendering import render_sequence
 
 SEED = 4
 # Kinds that draw random numbers.
-RANDOM = {"low_light", "moving_objects", "lens_dirt", "rain", "frame_drops", "time_jitter"}
+RANDOM = {"low_light", "moving_objects", "lens_dirt", "rain", "frame_drops", "time_jitter"} | {
+    *("lens_flare", "cracked_lens", "flicker", "day_to_night", "bandwidth_loss")
+}
 # Every kind is rendered in one world, and every world with some kinds.
 WORLD_OF = {kind: list(WORLDS)[k % len(WORLDS)] for k, kind in enumerate(DEGRADATIONS)}
 

@@ -1,0 +1,100 @@
+"""``dslab evo``: errors of finished runs beside results of evo."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from experiments.cli.console import JsonOption, number, out, print_json_line, print_table
+
+if TYPE_CHECKING:
+    from experiments.evaluation.evo_result import EvoResult
+
+_ZIP = ".zip"
+_SHOWN = ("rmse", "mean", "median", "std", "max")
+
+
+def evo_command(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="SOURCE...",
+            help="Result folders of runs, folders that hold some, or result files of evo (.zip), mixed.",
+        ),
+    ],
+    out_dir: Annotated[
+        Path | None,
+        typer.Option("--out", help="Folder for a result file of every run, for evo_res.", show_default=False),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show ATE of finished runs beside results of evo, or write it as such.
+
+    The errors are those of evo_ape tum -as: of the positions, after Sim(3) alignment. For example:
+
+    `dslab evo out/mine theirs.zip`
+
+    `dslab evo out/batch --out out/evo`
+    """
+    from experiments.comparison.left_runs import find_runs
+    from experiments.evaluation.alignment import Undefined
+    from experiments.evaluation.evo_result import ate_result, read_evo_result, write_evo_result
+    from scenarios.errors import InputError
+    from sim.io.folders import check_free, new_directory
+
+    zips = [source for source in sources if source.suffix.lower() == _ZIP]
+    folders = [source for source in sources if source not in zips]
+    if out_dir is not None:
+        if not folders:
+            raise InputError("--out", "results of evo are there already", "leave it out, or name a folder")
+        check_free(out_dir)
+    runs = find_runs(folders) if folders else []
+    places = [*(run.folder for run in runs), *(path.with_suffix("") for path in zips)]
+    names = _names(places)
+    own: dict[str, EvoResult] = {}
+    for name, run in zip(names, runs, strict=False):
+        result = ate_result(run.pairs, run.stamps_s[run.pairs.frames], name, run.sequence)
+        if isinstance(result, Undefined):
+            raise InputError(str(run.folder), f"has no ATE: {result.reason}", "leave it out")
+        own[name] = result
+    theirs = {name: read_evo_result(path) for name, path in zip(names[len(runs) :], zips, strict=True)}
+    if out_dir is not None:
+        with new_directory(out_dir) as folder:
+            for name, result in own.items():
+                write_evo_result(folder / f"{name}{_ZIP}", result)
+    results = own | theirs
+    if as_json:
+        print_json_line({name: {**r.stats, "poses": len(r.errors)} for name, r in results.items()})
+        return
+    print_table(_table(results))
+    if out_dir is not None:
+        out.print(f"evo_res {out_dir}/*{_ZIP}", soft_wrap=True)
+
+
+def _names(places: list[Path]) -> list[str]:
+    """Names of results: the last parts of their paths, as many as tell them apart.
+
+    Raises:
+        InputError: two are the same.
+    """
+    from scenarios.errors import InputError
+
+    whole = [place.resolve().parts[1:] for place in places]
+    for count in range(1, max(map(len, whole)) + 1):
+        names = ["-".join(parts[-count:]) for parts in whole]
+        if len(set(names)) == len(names):
+            return names
+    double = next(place for place in places if whole.count(place.resolve().parts[1:]) > 1)
+    raise InputError(str(double), "is given twice", "name it once")
+
+
+def _table(results: "dict[str, EvoResult]") -> Table:
+    table = Table()
+    table.add_column("result")
+    for name in ("error", "poses", *_SHOWN):
+        table.add_column(name, justify="right")
+    for name, result in results.items():
+        figures = (number(result.stats[figure], 4) for figure in _SHOWN)
+        table.add_row(name, str(result.info.get("label", "")), str(len(result.errors)), *figures)
+    return table

@@ -1,0 +1,63 @@
+"""Day to night: daylight goes, and the camera amplifies what is left."""
+
+from typing import ClassVar
+
+import numpy as np
+
+from scenarios.segments import DayToNight
+from sim.degradations.base import Stage
+from sim.degradations.image import Filter, ImageDegradation, Streams, View
+from sim.degradations.tone import decode, encode
+from sim.sensors.camera import Intrinsics
+
+ONE_STOP = 1.0
+_BEAM_DEG = 18.0  # standard deviation of the lamp's beam
+_FULL_WELL_E, _READ_NOISE_E = 10000.0, 5.0
+
+
+class DayToNightDegradation(ImageDegradation[DayToNight]):
+    """Scales daylight, adds a lamp's beam, counts electrons and amplifies them.
+
+    The camera amplifies as much as the daylight has lost, up to its gain; from then on it gets dark. Shot
+    noise is approximated as normal.
+    """
+
+    kind: ClassVar[str] = "day_to_night"
+    stage: ClassVar[Stage] = Stage.SENSOR
+    measure_name: ClassVar[str] = "night_stops"
+
+    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
+        """Stops, uniform, and every second time a lamp."""
+        lamp = float(np.exp(rng.uniform(np.log(0.002), np.log(0.1)))) * float(rng.integers(2))
+        return {"stops": float(rng.uniform(2, 14)), "lamp": lamp}
+
+    def prepare(self, segment: DayToNight, camera: Intrinsics, streams: Streams) -> Filter:
+        """See ``ImageDegradation``."""
+        beam = _beam(camera)
+
+        def darken(image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
+            stops = view.strength * segment.stops
+            if stops == 0:
+                return image, 0.0
+            daylight = 2.0**-stops
+            gain = min(segment.gain, 1 / daylight)
+            # The lamp is switched on as daylight goes.
+            lit = np.float32(daylight) + np.float32(segment.lamp * (1 - daylight)) * beam
+            electrons = decode(image) * lit * np.float32(_FULL_WELL_E)
+            noise = streams(view.frame).standard_normal(image.shape, np.float32)
+            electrons += np.sqrt(electrons + np.float32(_READ_NOISE_E**2)) * noise
+            return encode(electrons * np.float32(gain / _FULL_WELL_E)), stops
+
+        return darken
+
+    def threshold(self, segment: DayToNight) -> float:
+        """One stop, or the segment's own stops if fewer."""
+        return min(ONE_STOP, segment.stops)
+
+
+def _beam(camera: Intrinsics) -> np.ndarray:
+    """(H, W) float32 light of a lamp on the camera, 1 in the middle of its beam."""
+    x = (np.arange(camera.width_px) - camera.cx) / camera.fx
+    y = (np.arange(camera.height_px) - camera.cy) / camera.fy
+    off_axis = np.arctan(np.hypot(x, y[:, None])) / np.radians(_BEAM_DEG)
+    return np.exp(-(off_axis**2) / 2).astype(np.float32)

@@ -1,0 +1,53 @@
+"""Flicker: lamps that rise and fall with the mains, seen row by row."""
+
+from typing import ClassVar
+
+import numpy as np
+
+from scenarios.segments import Flicker
+from sim.degradations.base import Stage
+from sim.degradations.image import Filter, ImageDegradation, Streams, View
+from sim.degradations.tone import decode, encode
+from sim.sensors.camera import Intrinsics
+
+FELT_MODULATION = 0.1
+
+
+class FlickerDegradation(ImageDegradation[Flicker]):
+    """Multiplies each row's light by that of the lamps at the row's own time.
+
+    ``1 + modulation cos(2 pi rate t + phase)``; the middle row is read at the frame's stamp. The modulation
+    is what the shutter leaves of the lamps' own: an exposure of whole periods would leave none.
+    """
+
+    kind: ClassVar[str] = "flicker"
+    stage: ClassVar[Stage] = Stage.SENSOR
+    measure_name: ClassVar[str] = "flicker_modulation"
+
+    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
+        """Modulation, uniform, at 50 or 60 Hz of the mains, and how fast the rows are read."""
+        return {
+            "modulation": float(rng.uniform(0.1, 1)),
+            "rate_hz": float(rng.choice([100.0, 120.0])),
+            "readout_s": float(rng.uniform(0.005, 0.03)),
+        }
+
+    def prepare(self, segment: Flicker, camera: Intrinsics, streams: Streams) -> Filter:
+        """See ``ImageDegradation``."""
+        phase = streams("phase").uniform(0, 2 * np.pi)
+        row_s = ((np.arange(camera.height_px) + 0.5) / camera.height_px - 0.5) * segment.readout_s
+
+        def flicker(image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
+            modulation = view.strength * segment.modulation
+            if modulation == 0:
+                return image, 0.0
+            lamps = 1 + modulation * np.cos(
+                2 * np.pi * segment.rate_hz * (view.stamp_s - segment.start_s + row_s) + phase
+            )
+            return encode(decode(image) * lamps.astype(np.float32)[:, None]), modulation
+
+        return flicker
+
+    def threshold(self, segment: Flicker) -> float:
+        """A tenth, or the segment's own modulation if smaller."""
+        return min(FELT_MODULATION, segment.modulation)

@@ -1,0 +1,59 @@
+"""Images in a folder without any list of them, with a camera.yaml from elsewhere."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from scenarios.errors import InputError
+from scenarios.input_files import file_names, is_folder, is_given
+from sim.io.camera_file import read_camera
+from sim.io.images import GrayFolder
+from sim.io.text import check_present
+from sim.sequence import Sequence
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm")
+"""Of the names of images, in either case."""
+
+
+def load_images(folder: Path, camera_file: Path) -> Sequence:
+    """Read the images of a folder in the order of their names, numbers in these by their value.
+
+    Frames count at the rate of the camera.
+
+    Args:
+        folder: its other files and its folders are left alone.
+        camera_file: a camera.yaml; see ``sim.io.layout``.
+
+    Raises:
+        InputError: the camera cannot be read, there is no such folder or no image in it, or one is empty.
+            Reading a frame raises it too, if the image is unreadable or of another size.
+    """
+    camera = read_camera(camera_file)
+    if not is_folder(folder):
+        problem = "is no folder" if is_given(folder) else "no such folder"
+        raise InputError(str(folder), problem, "give a folder of images, or a video file")
+    names = sorted((name for name in file_names(folder) if name.lower().endswith(SUFFIXES)), key=_order)
+    if not names:
+        raise InputError(str(folder), "holds no image", f"give a folder with {', '.join(SUFFIXES)}")
+    paths = [folder / name for name in names]
+    check_present(paths, str(folder))
+    frames = GrayFolder(paths, (camera.height_px, camera.width_px), str(camera_file))
+    frames[0]  # a wrong size shows in the first image already
+    return Sequence(
+        name=folder.resolve().name,
+        camera=camera,
+        stamps_s=np.arange(len(paths)) / camera.fps,
+        frames=frames,
+        T_world_cam=None,
+        depths=None,
+        segments=(),
+        meta={},
+        image_names=tuple(names),
+    )
+
+
+def _order(name: str) -> tuple[list[tuple[int, int, str]], str]:
+    """Key of a name: `frame9` comes before `frame10`."""
+    parts = re.findall(r"[0-9]+|[^0-9]+", name)
+    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts], name

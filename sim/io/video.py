@@ -1,0 +1,143 @@
+"""Video files, decoded once into the cache, with a camera.yaml from elsewhere."""
+
+import hashlib
+import os
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from scenarios.errors import InputError
+from scenarios.input_files import open_file
+from sim.cache import FolderCache, content_key
+from sim.io.camera_file import check_camera, read_camera
+from sim.io.raw import RawFrames, RawWriter
+from sim.room import Need, check_room
+from sim.sequence import Sequence
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import cv2
+
+SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mpg", ".mpeg")
+"""Of the names of video files, in either case."""
+_REMEDY = "give a video that FFmpeg decodes, or its images as a folder"
+_FRAMES, _STAMPS = "gray.npy", "stamps.npy"
+
+
+def is_video(path: str | Path) -> bool:
+    """Return True for the name of a video file."""
+    return str(path).lower().endswith(SUFFIXES)
+
+
+def load_video(
+    path: Path,
+    camera_file: Path,
+    cache_dir: Path | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+    force: bool = False,
+) -> Sequence:
+    """Read a video, gray, with the times that it gives its frames.
+
+    Args:
+        path: the file.
+        camera_file: a camera.yaml; see ``sim.io.layout``. Its rate counts only if the video has no times.
+        cache_dir: folder of the cache; None for the default one.
+        progress: called with (step, frames done, frames in all) while decoding.
+        force: begin even if the frames seem too many for the disk.
+
+    Raises:
+        InputError: the camera or the video cannot be read, the video has no frame or frames of another size
+            than the camera, there is no room for them.
+    """
+    camera = read_camera(camera_file)
+    with open_file(path) as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    size = (camera.height_px, camera.width_px)
+    store, key = FolderCache(cache_dir), content_key({"video": digest, "size": size, "fps": camera.fps})
+    if store.find(key) is None:
+        stamps_s = _read_stamps(path, camera_file, size, camera.fps)
+        what_bytes = len(stamps_s) * size[0] * size[1]
+        check_room(str(path), len(stamps_s), [Need(store.root, what_bytes)], force)
+        with store.create(key) as folder:
+            np.save(folder / _STAMPS, stamps_s)
+            _decode(path, folder / _FRAMES, (len(stamps_s), *size), progress)
+    folder = store.root / key
+    stamps_s = np.load(folder / _STAMPS)
+    if len(stamps_s) > 1:
+        # Stamps of a video are rounded.
+        camera = replace(camera, fps=round(1 / float(np.median(np.diff(stamps_s))), 4))
+        check_camera(path, camera)
+    return Sequence(
+        name=path.stem,
+        camera=camera,
+        stamps_s=stamps_s,
+        frames=RawFrames(folder / _FRAMES, (len(stamps_s), *size), np.uint8),
+        T_world_cam=None,
+        depths=None,
+        segments=(),
+        meta={},
+    )
+
+
+def _read_stamps(path: Path, camera_file: Path, size: tuple[int, int], fps: float) -> np.ndarray:
+    """(N,) times of the frames, seconds; by the rate where the video's own do not increase."""
+    import cv2
+
+    with _opened(path) as video:
+        found = tuple(
+            int(video.get(field)) for field in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+        )
+        if found != size[::-1]:
+            problem = f"is {found[0]}x{found[1]} pixels, {camera_file} says {size[1]}x{size[0]}"
+            raise InputError(str(path), problem, f"correct the size in {camera_file}, with the intrinsics")
+        stamps_ms: list[float] = []
+        while video.grab():
+            stamps_ms.append(video.get(cv2.CAP_PROP_POS_MSEC))
+    if not stamps_ms:
+        raise InputError(str(path), "holds no frame", _REMEDY)
+    stamps_s = np.array(stamps_ms) / 1000
+    return stamps_s if (np.diff(stamps_s) > 0).all() else np.arange(len(stamps_s)) / fps
+
+
+def _decode(
+    path: Path,
+    target: Path,
+    shape: tuple[int, int, int],
+    progress: Callable[[str, int, int], None] | None,
+) -> None:
+    """Write the gray frames of a video as a stack."""
+    import cv2
+
+    with _opened(path) as video, RawWriter(target, shape, np.uint8) as frames:
+        for index in range(shape[0]):
+            done, image = video.read()
+            if not done or image.shape[:2] != shape[1:]:
+                raise InputError(f"{path}: frame {index}", "cannot be decoded", _REMEDY)
+            frames.append(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
+            if progress:
+                progress("decoding", index + 1, shape[0])
+
+
+@contextmanager
+def _opened(path: Path) -> "Iterator[cv2.VideoCapture]":
+    # What OpenCV and FFmpeg print of a broken file would stand beside the one line.
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    import cv2
+
+    logging = cv2.utils.logging
+    level = logging.setLogLevel(logging.LOG_LEVEL_ERROR)
+    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    try:
+        if not video.isOpened():
+            raise InputError(str(path), "is no readable video", _REMEDY)
+        # The intrinsics are those of the frames as they are stored.
+        video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+        yield video
+    finally:
+        video.release()
+        logging.setLogLevel(level)

@@ -1,0 +1,117 @@
+"""Folders of images and video files, with a camera from elsewhere."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from scenarios.errors import InputError
+from sim.io.forms import load_sequence
+
+SIZE, FPS = (96, 64), 12.5
+CAMERA = "fx: 80\nfy: 80\ncx: 47.5\ncy: 31.5\nwidth: 96\nheight: 64\nfps: 20\n"
+
+
+@pytest.fixture
+def camera(tmp_path) -> Path:
+    (tmp_path / "cam.yaml").write_text(CAMERA)
+    return tmp_path / "cam.yaml"
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch) -> Path:
+    monkeypatch.setenv("DSLAB_CACHE_DIR", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def images(folder: Path, *names: str) -> Path:
+    folder.mkdir()
+    for index, name in enumerate(names):
+        cv2.imwrite(str(folder / name), np.full(SIZE[::-1], 10 * index + 5, np.uint8))
+    return folder
+
+
+def video(path: Path, code: str, count: int = 9, size: tuple[int, int] = SIZE) -> Path:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*code), FPS, size)
+    for index in range(count):
+        writer.write(np.full((*size[::-1], 3), 20 * index + 20, np.uint8))
+    writer.release()
+    return path
+
+
+def fault(path: Path, camera: Path | None, *expected: str) -> None:
+    with pytest.raises(InputError) as caught:
+        load_sequence(path, camera)
+    line = str(caught.value)
+    assert "\n" not in line and all(part in line for part in expected), line
+
+
+def test_images_come_in_the_order_of_the_numbers_in_their_names(tmp_path, camera):
+    folder = images(tmp_path / "walk", "img_2.png", "img_10.JPG", "img_100.png")
+    (folder / "notes.txt").write_text("not an image")
+    sequence = load_sequence(folder, camera)
+    assert sequence.image_names == ("img_2.png", "img_10.JPG", "img_100.png")
+    assert [int(sequence.frames[k].mean().round()) for k in range(3)] == [5, 15, 25]
+    np.testing.assert_allclose(sequence.stamps_s, [0, 0.05, 0.1])
+    assert sequence.T_world_cam is None and sequence.name == "walk"
+
+
+@pytest.mark.parametrize(("name", "code"), [("a.mp4", "mp4v"), ("b.AVI", "MJPG"), ("c.mkv", "FFV1")])
+def test_a_video_has_its_frames_and_its_times(tmp_path, camera, name, code):
+    path = video(tmp_path / name, code)
+    steps = []
+    sequence = load_sequence(path, camera, lambda *step: steps.append(step))
+    assert len(sequence) == 9 and sequence.camera.fps == pytest.approx(FPS)
+    np.testing.assert_allclose(sequence.stamps_s, np.arange(9) / FPS, atol=1e-3)
+    for index in (8, 0, 3):
+        assert abs(sequence.frames[index].mean() - (20 * index + 20)) < 5
+    assert steps[-1] == ("decoding", 9, 9)
+    # The second time it comes from the cache.
+    again = load_sequence(path, camera, lambda *step: steps.append(step))
+    np.testing.assert_array_equal(again.frames[5], sequence.frames[5])
+    assert len(steps) == 9
+
+
+def test_bad_input_is_one_line(tmp_path, camera):
+    fault(tmp_path / "no.mp4", camera, "no.mp4", "no such file")
+    fault(tmp_path / "no", camera, "no such folder")
+    path = video(tmp_path / "a.avi", "MJPG")
+    fault(path, None, "says nothing of its camera", "--camera FILE")
+    fault(path, tmp_path / "none.yaml", "none.yaml", "no such file")
+    camera.write_text(CAMERA.replace("96", "97"))
+    fault(path, camera, "a.avi", "is 96x64 pixels", "cam.yaml says 97x64")
+    camera.write_text(CAMERA)
+    path.write_bytes(b"no video at all" * 50)
+    fault(path, camera, "is no readable video", "FFmpeg")
+    fault(images(tmp_path / "empty"), camera, "holds no image", ".png")
+    small = images(tmp_path / "small", "0.png")
+    cv2.imwrite(str(small / "0.png"), np.zeros((40, 40), np.uint8))
+    fault(small, camera, "is 40x40 pixels", "cam.yaml")
+
+
+def test_an_unfinished_decoding_leaves_nothing(tmp_path, camera, cache):
+    path = video(tmp_path / "a.mp4", "mp4v")
+
+    def stop(step, done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        load_sequence(path, camera, stop)
+    assert [entry for entry in cache.iterdir() if any(entry.iterdir())] == []
+    assert len(load_sequence(path, camera)) == 9
+
+
+def test_the_command_takes_them(dslab, tmp_path, camera):
+    path = video(tmp_path / "walk.mp4", "mp4v")
+    code, _, err = dslab(
+        "export", path, "--camera", camera, "--format", "vslam-lab", "--out", tmp_path / "out"
+    )
+    assert code == 0, err
+    assert len(load_sequence(tmp_path / "out")) == 9
+    dark = "covered_lens:start_s=0.2,duration_s=0.2,transmission=0"
+    code, _, err = dslab("degrade", path, "--camera", camera, "--segment", dark, "--out", tmp_path / "dark")
+    assert code == 0, err
+    assert (load_sequence(tmp_path / "dark").frames[3] == 0).all()
+    code, _, err = dslab("run", path, "--out", tmp_path / "run")
+    assert code == 2 and "--camera FILE" in err and err.count("\n") == 1
