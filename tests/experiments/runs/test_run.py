@@ -36,8 +36,8 @@ def test_the_folder_holds_every_file_and_the_summary_every_figure(sequence, tmp_
     summary = run(sequence, tmp_path / "r", breaks_at=160, recovers=False)
     names = {p.name for p in (tmp_path / "r").iterdir()}
     assert names == {
-        "trajectory.txt", "trajectory_map1.txt", "keyframes.txt", "frames.csv", "events.jsonl",
-        "summary.json", "trajectory.png",
+        "trajectory.txt", "trajectory_map1.txt", "keyframes.txt", "groundtruth.txt", "frames.csv",
+        "events.jsonl", "summary.json", "trajectory.png",
     }  # fmt: skip
     assert set(REQUIRED) <= set(summary)
     assert json.loads((tmp_path / "r" / "summary.json").read_text()) == summary
