@@ -15,6 +15,7 @@ _DAMPING = 1e-4
 _LEAST_DAMPING = 1e-5
 _MOST_DAMPING = 1e5
 _STILL_PX = 0.01  # a smaller step of all keyframes is none
+_LEAST_GAIN = 1e-3  # share of the cost; a step that gains less is the last one
 _PATTERN = 8
 
 
@@ -55,14 +56,15 @@ def adjust(window: Window, photometric: PhotometricConfig, iterations: int | Non
         points.inverse_depth = np.where(moved > 0, moved, 0.5 * depths)
         there = model_of(window, points, taken, huber)
         cost_there = there.cost + _prior_cost(window, photometric)
-        if cost_there < cost:
+        gain = cost - cost_there
+        if gain > 0:
             model, cost, steps = there, cost_there, steps + 1
             damping = max(0.25 * damping, _LEAST_DAMPING)
         else:
             window.move_to(delta)
             points.inverse_depth = depths
             damping = min(100.0 * damping, _MOST_DAMPING)
-        if _is_still(window, step):
+        if _is_still(window, step) or 0 < gain < _LEAST_GAIN * cost:
             break
     _bound_outliers(window, model)
     alike = model.seen == 1

@@ -15,7 +15,7 @@ from slam.ldso.points import Active, Immature
 from slam.optimization._se3 import retract
 
 PARAMETERS = 8  # of a keyframe: translation, rotation, a, b
-_FIRST_OUTLIER_PX = 8.0  # residual, of 255, beyond which a new keyframe's patterns are outliers
+_FIRST_OUTLIER = 8.0  # residual, of 255, beyond which the first keyframe's patterns are outliers
 
 
 @dataclass
@@ -105,7 +105,7 @@ class Window:
         self.T_cam_map[slot] = self.T_first[slot] = keyframe.T_cam_map
         self.affine[slot] = self.affine_first[slot] = affine
         self.delta[slot], self.is_fixed[slot], self.gone[slot] = 0.0, False, 0
-        self.outlier[slot] = 8 * _FIRST_OUTLIER_PX**2 if outlier is None else outlier
+        self.outlier[slot] = 8 * _FIRST_OUTLIER**2 if outlier is None else outlier
         self.active.seen[:, slot] = 1
         return slot
 
