@@ -14,7 +14,7 @@ from slam.core.results import MapTrajectory
 from slam.direct.alignment import fan
 from slam.direct.pyramid import ImagePyramid
 from slam.ldso.activation import Activator
-from slam.ldso.adjustment import Adjusted, adjust
+from slam.ldso.adjustment import adjust
 from slam.ldso.brightness import composed, relative
 from slam.ldso.config import DsoConfig
 from slam.ldso.marginalisation import leaving, remove_keyframe, remove_points
@@ -52,7 +52,6 @@ class Odometry:
         window: keyframes that are adjusted.
         keyframes: all keyframes, in order of time.
         frames: all frames that were placed, by index.
-        last_adjustment: of the window.
     """
 
     def __init__(self, camera: PinholeCamera, intrinsics: np.ndarray, config: DsoConfig) -> None:
@@ -61,7 +60,6 @@ class Odometry:
         self.window = Window(camera, intrinsics, config.window)
         self.keyframes: list[Keyframe] = []
         self.frames: dict[int, PlacedFrame] = {}
-        self.last_adjustment: Adjusted | None = None
         self._camera = camera
         self._tracker = PhotometricTracker(config.photometric, config.tracking)
         self._activator = Activator()
@@ -143,7 +141,7 @@ class Odometry:
 
     # -- keyframes ---------------------------------------------------------------------------------------
 
-    def add_keyframe(self, frame: int, stamp_s: float, pyramid: ImagePyramid, tracked: Tracked) -> Adjusted:
+    def add_keyframe(self, frame: int, stamp_s: float, pyramid: ImagePyramid, tracked: Tracked) -> None:
         """Make a tracked frame a keyframe: activate points, adjust the window, marginalise."""
         w, config = self.window, self.config
         T = tracked.T_frame_ref @ w.T_cam_map[w.newest]
@@ -151,14 +149,12 @@ class Odometry:
         out = leaving(w, T, affine)
         self.insert(Keyframe(frame, stamp_s, T), pyramid, affine)
         self._activator.activate(w, config.immature, config.photometric)
-        adjusted = adjust(w, config.photometric)
+        adjust(w, config.photometric)
         self._cloud.append(remove_points(w, out, config.photometric))
         for slot in out:
             remove_keyframe(w, slot, config.photometric)
         self.refer(pyramid)
         self.select(pyramid)
-        self.last_adjustment = adjusted
-        return adjusted
 
     def insert(self, keyframe: Keyframe, pyramid: ImagePyramid, affine: np.ndarray) -> None:
         """Put a keyframe into the window."""
@@ -184,7 +180,7 @@ class Odometry:
         """Activate points of a window of two keyframes, at the start, and adjust it."""
         config = self.config
         self._activator.activate(self.window, config.immature, config.photometric)
-        self.last_adjustment = adjust(self.window, config.photometric, 3 * config.window.iterations)
+        adjust(self.window, config.photometric, 3 * config.window.iterations)
         self.window.drop_points(~(self.window.active.seen == 1).any(axis=1))
 
     # -- what is known -----------------------------------------------------------------------------------

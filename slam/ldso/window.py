@@ -43,6 +43,7 @@ class Window:
 
     Attributes:
         slots: (n,) slots in use, in order of time.
+        keyframes, pyramids: theirs, by slot.
         images: (S, H, W, 3) float32 finest levels of the keyframes, by slot.
         T_cam_map: (S, 4, 4) poses; T_first those at which Jacobians are taken.
         affine: (S, 2) brightness; affine_first likewise.
@@ -66,7 +67,6 @@ class Window:
         self.T_first = self.T_cam_map.copy()
         self.affine, self.affine_first = np.zeros((size, 2)), np.zeros((size, 2))
         self.delta = np.zeros((size, PARAMETERS))
-        self.is_fixed = np.zeros(size, bool)
         self.outlier = np.zeros(size)
         self.gone = np.zeros(size, int)
         self.active = Active.none(size)
@@ -104,7 +104,7 @@ class Window:
         self.images[slot] = pyramid.levels[0]
         self.T_cam_map[slot] = self.T_first[slot] = keyframe.T_cam_map
         self.affine[slot] = self.affine_first[slot] = affine
-        self.delta[slot], self.is_fixed[slot], self.gone[slot] = 0.0, False, 0
+        self.delta[slot], self.gone[slot] = 0.0, 0
         self.outlier[slot] = 8 * _FIRST_OUTLIER**2 if outlier is None else outlier
         self.active.seen[:, slot] = 1
         return slot
@@ -138,7 +138,6 @@ class Window:
         """Make the present estimate of a keyframe its first one, of which nothing marginalised depends."""
         self.T_first[slot], self.affine_first[slot] = self.T_cam_map[slot], self.affine[slot]
         self.delta[slot] = 0.0
-        self.is_fixed[slot] = True
 
     def drop_points(self, rows: np.ndarray) -> None:
         """Drop active points (mask)."""
