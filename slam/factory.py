@@ -6,11 +6,14 @@ from slam.config import SlamConfig, default_config
 from slam.core.camera import PinholeCamera
 from slam.dual.config import DualConfig
 from slam.dual.dual_slam import DualSlam
+from slam.ldso.config import DsoConfig
+from slam.ldso.system import DsoSlam
 from slam.runtime.backend import ExecutionMode
 from slam.system import MonocularSlam, MonocularSystem
 
-SYSTEMS = ("base", "dual", "dual+", "paper", "paper+")
+SYSTEMS = ("base", "dual", "dual+", "paper", "paper+", "dso")
 PAPERS = ("paper", "paper+")
+OwnSystem = MonocularSystem | DsoSlam
 
 
 def default_settings(kind: str, camera: PinholeCamera) -> tuple[SlamConfig, DualConfig]:
@@ -29,17 +32,17 @@ def build_system(
     config: SlamConfig | None = None,
     mode: ExecutionMode = ExecutionMode.LOCKSTEP,
     dual: DualConfig | None = None,
-) -> MonocularSystem:
+) -> OwnSystem:
     """Build a system by name.
 
     Args:
         kind: ``base``, ``dual``, ``dual+``, which is Dual-SLAM with initialisation by GMS, or ``paper`` and
-            ``paper+``: the same as the paper has them.
+            ``paper+``: the same as the paper has them; or ``dso``, direct sparse odometry.
         camera: intrinsics of the images to come.
         seed: root of every random stream.
         config, dual: settings; None for those of the kind, as of :func:`default_settings`. ``dual`` is
-            ignored by ``base``.
-        mode: how tracking, mapping and loop closing share time.
+            ignored by ``base``; ``dso`` takes from ``config`` what concerns the first map from two views.
+        mode: how tracking, mapping and loop closing share time; ``dso`` does all in turn.
 
     Raises:
         ValueError: on an unknown kind.
@@ -50,6 +53,8 @@ def build_system(
     config, dual = config or defaults[0], dual or defaults[1]
     if kind == "base":
         return MonocularSlam(camera, seed, config, mode)
+    if kind == "dso":
+        return DsoSlam(camera, seed, DsoConfig.starting_as(config))
     if kind == "dual+":
         config = replace(config, initialization=replace(config.initialization, matcher="gms"))
     return DualSlam(camera, seed, config, dual, mode)

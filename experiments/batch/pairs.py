@@ -32,7 +32,8 @@ def pairs(rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
         has a truth.
     """
     found: list[Row] = []
-    for (source, run), own in rows[rows.folder.notna()].groupby(["source", "run"], sort=False):
+    for _, own in rows[rows.folder.notna()].groupby(["source", "run"], sort=False):
+        source, run = own.source.iloc[0], int(own.run.iloc[0])
         if own.system.nunique() < 2 or not all(
             (folder / place / TRUTH_FILE).is_file() for place in own.folder
         ):

@@ -64,7 +64,8 @@ def table_2(rows: pd.DataFrame) -> pd.DataFrame:
 def table_3(rows: pd.DataFrame) -> pd.DataFrame:
     """Recoveries: trials that need one, how they end, by which thread, how long they take, per data set."""
     table = []
-    for (name, system), own in rows.groupby([rows.source.map(_data_set), "system"], sort=False):
+    for _, own in rows.groupby([rows.source.map(_data_set), "system"], sort=False):
+        name, system = _data_set(own.source.iloc[0]), own.system.iloc[0]
         needs = own[own.recoveries_needed.fillna(0) > 0]
         if not len(needs):
             continue

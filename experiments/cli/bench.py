@@ -117,8 +117,10 @@ def slam_command(
     from experiments.runs.sources import open_sequence
 
     check_real_time(real_time, mode)
-    if no_relocalization and system is SystemChoice.BASE:
-        raise InputError("--no-relocalization", "base has no saved maps", "add --system dual or dual+")
+    if no_relocalization and system in (SystemChoice.BASE, SystemChoice.DSO):
+        raise InputError(
+            "--no-relocalization", f"{system.value} never looks for saved maps", "add --system dual"
+        )
     if peer is not None:
         check_command(peer)
     runs = runs or (_RUNS if peer is None else _RUNS_WITH_PEER)

@@ -35,6 +35,7 @@ class SystemChoice(StrEnum):
     DUAL_PLUS = "dual+"
     PAPER = "paper"
     PAPER_PLUS = "paper+"
+    DSO = "dso"
 
 
 def run_command(
@@ -45,8 +46,8 @@ def run_command(
         typer.Option(
             metavar="NAMES",
             help="base: ORB-SLAM's method; dual: Dual-SLAM; dual+: with initialization by GMS; paper and "
-            "paper+: these as the paper has them; those of dslab systems list; a class of your own, as "
-            "module:Class; or several, such as base,dual.",
+            "paper+: these as the paper has them; dso: direct sparse odometry; those of dslab systems list; "
+            "a class of your own, as module:Class; or several, such as base,dual.",
         ),
     ] = "base",
     systems_dir: SystemsOption = None,
@@ -191,7 +192,7 @@ def _check_startable(chosen: "dict[str, System]", maps: bool) -> None:
     for system in chosen.values():
         if isinstance(system, CommandSystem):
             system.check()
-        if maps and not isinstance(system, OwnSystem):
+        if maps and (not isinstance(system, OwnSystem) or system.name == "dso"):
             raise InputError("--map", f"of {system.name} only poses are known", "leave out --map")
 
 
@@ -223,6 +224,6 @@ def _dual_options(
         except ValueError as error:
             remedy = "give kinds with commas between, such as orb,sift"
             raise InputError("--recovery", str(error), remedy) from None
-    if options and set(systems) <= {"base"}:
-        raise InputError("--system", "base has no recovery", "add --system dual or dual+")
+    if options and set(systems) <= {"base", "dso"}:
+        raise InputError("--system", f"{', '.join(systems)}: no recovery", "add --system dual or dual+")
     return options

@@ -146,4 +146,5 @@ _OURS = {
     "dual+": "Dual-SLAM with initialization by GMS",
     "paper": "Dual-SLAM as the paper has it",
     "paper+": "that with initialization by GMS",
+    "dso": "direct sparse odometry",
 }

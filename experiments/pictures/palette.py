@@ -2,7 +2,14 @@
 
 from collections.abc import Iterable
 
-_SYSTEMS = {"base": "#d9622b", "dual": "#7a4fb5", "dual+": "#1f6fb4", "paper": "#8a6d1f", "paper+": "#2c8a6d"}
+_SYSTEMS = {
+    "base": "#d9622b",
+    "dual": "#7a4fb5",
+    "dual+": "#1f6fb4",
+    "paper": "#8a6d1f",
+    "paper+": "#2c8a6d",
+    "dso": "#a03a6b",
+}
 _OTHER_SYSTEMS = ("#4a8a8a", "#8a6d3b", "#5b6770")
 _SEGMENTS = {"low_texture": "#e8cf8a", "motion_blur": "#c9b3e6", "fast_rotation": "#a9d5c5"}
 _OTHER_SEGMENTS = ("#f0b8b0", "#b9d3ee", "#d6d6c2", "#cfe3a5", "#e8c4de", "#f2d0a9", "#a8dde0", "#c8c8d8")

@@ -1,0 +1,230 @@
+"""Direct sparse odometry in one map: frames tracked, keyframes made.
+
+Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 3.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+
+from slam.core.camera import PinholeCamera
+from slam.core.results import MapTrajectory
+from slam.direct.alignment import fan
+from slam.direct.pyramid import ImagePyramid
+from slam.ldso.activation import Activator
+from slam.ldso.adjustment import adjust
+from slam.ldso.brightness import composed, relative
+from slam.ldso.config import DsoConfig
+from slam.ldso.marginalisation import leaving, remove_keyframe, remove_points
+from slam.ldso.points import Immature
+from slam.ldso.tracking import PhotometricTracker, Tracked, TrackingReference
+from slam.ldso.window import Keyframe, Window
+
+
+@dataclass(frozen=True)
+class PlacedFrame:
+    """A frame, placed relative to its reference keyframe.
+
+    Attributes:
+        frame: its index.
+        stamp_s: its time.
+        keyframe: row of the keyframe in the map.
+        T_cam_keyframe: (4, 4) keyframe's camera to frame's.
+    """
+
+    frame: int
+    stamp_s: float
+    keyframe: int
+    T_cam_keyframe: np.ndarray
+
+
+class Odometry:
+    """A map that grows with the camera.
+
+    Args:
+        camera: of the images.
+        intrinsics: (L, 4) of the levels of their pyramids.
+        config: settings.
+
+    Attributes:
+        window: keyframes that are adjusted.
+        keyframes: all keyframes, in order of time.
+        frames: all frames that were placed, by index.
+    """
+
+    def __init__(self, camera: PinholeCamera, intrinsics: np.ndarray, config: DsoConfig) -> None:
+        self.config = config
+        self.intrinsics = intrinsics
+        self.window = Window(camera, intrinsics, config.window)
+        self.keyframes: list[Keyframe] = []
+        self.frames: dict[int, PlacedFrame] = {}
+        self._camera = camera
+        self._tracker = PhotometricTracker(config.photometric, config.tracking)
+        self._activator = Activator()
+        self._cloud: list[np.ndarray] = []
+        self._reference: TrackingReference | None = None
+        self._first_error = np.nan  # of the first frame after the keyframe
+        self._last_error = np.inf
+        self._affine = np.zeros(2)  # of the last frame relative to the reference
+
+    # -- tracking ----------------------------------------------------------------------------------------
+
+    def track(self, pyramid: ImagePyramid) -> Tracked | None:
+        """Align a frame with the newest keyframe; None if they have too little in common."""
+        if self._reference is None:
+            raise RuntimeError("there is no keyframe yet")
+        usual = max(self.config.tracking.usual_error, self.config.tracking.good * self._last_error)
+        return self._tracker.track(self._reference, pyramid, self._guesses(), self._affine, usual)
+
+    def take(self, frame: int, stamp_s: float, pyramid: ImagePyramid, tracked: Tracked) -> bool:
+        """Take a tracked frame: narrow the depths of points by it; True if it should become a keyframe."""
+        self.place(frame, stamp_s, tracked.T_frame_ref)
+        self._affine, self._last_error = tracked.affine, tracked.error
+        if np.isnan(self._first_error):
+            self._first_error = max(tracked.error, 1.0)
+        T = tracked.T_frame_ref @ self.window.T_cam_map[self.window.newest]
+        affine = composed(tracked.affine, self.window.affine[self.window.newest])
+        self.search(pyramid, T, affine)
+        demand = tracked.demand(self._camera.width_px, self._camera.height_px, self.config.keyframes)
+        return demand > 1.0 or tracked.error > self.config.keyframes.most_error * self._first_error
+
+    def place(self, frame: int, stamp_s: float, T_cam_keyframe: np.ndarray) -> None:
+        """Keep the pose of a frame relative to the newest keyframe."""
+        self.frames[frame] = PlacedFrame(frame, stamp_s, len(self.keyframes) - 1, T_cam_keyframe)
+
+    def search(self, pyramid: ImagePyramid, T_cam_map: np.ndarray, affine: np.ndarray) -> None:
+        """Search points whose depth is not known yet in a view of known pose and brightness."""
+        w = self.window
+        motions = T_cam_map @ np.linalg.inv(w.T_cam_map)
+        affines = np.stack([relative(affine, own) for own in w.affine])
+        usual = float(np.median(w.active.inverse_depth)) if len(w.active) else 1.0
+        config = self.config
+        w.immature.search(
+            pyramid, self.intrinsics[0], motions, affines, usual, config.immature, config.photometric
+        )
+
+    def _guesses(self) -> Iterator[np.ndarray]:
+        """Motions from the newest keyframe that are tried: steady, double, half, none, and turned ones."""
+        last, before = self._newest_frames()
+        T_keyframe_map = self.window.T_cam_map[self.window.newest]
+        here = last @ np.linalg.inv(T_keyframe_map)
+        step = last @ np.linalg.inv(before)
+        half = np.eye(4)
+        half[:3, :3], half[:3, 3] = step[:3, :3], 0.5 * step[:3, 3]
+        ahead = step @ here
+        yield from (ahead, here, step @ ahead, half @ here, np.eye(4))
+        yield from fan(ahead, self.intrinsics)[1:]
+
+    def _newest_frames(self) -> tuple[np.ndarray, np.ndarray]:
+        """(4, 4) poses, map to camera, of the last frame and the one before."""
+        newest = [self.pose(index) for index in islice(reversed(self.frames), 2)]
+        return newest[0], newest[-1]
+
+    def pose(self, frame: int) -> np.ndarray:
+        """(4, 4) pose of a frame, map to camera."""
+        placed = self.frames[frame]
+        return placed.T_cam_keyframe @ self.keyframes[placed.keyframe].T_cam_map
+
+    def step_of(self, tracked: Tracked | None) -> np.ndarray:
+        """(4, 4) motion of a tracked frame since the last one."""
+        if tracked is None:
+            return np.eye(4)
+        last, _ = self._newest_frames()
+        return tracked.T_frame_ref @ self.window.T_cam_map[self.window.newest] @ np.linalg.inv(last)
+
+    @property
+    def depth(self) -> float:
+        """Usual depth of points in the newest keyframe."""
+        return self._reference.depth if self._reference is not None else 1.0
+
+    # -- keyframes ---------------------------------------------------------------------------------------
+
+    def add_keyframe(self, frame: int, stamp_s: float, pyramid: ImagePyramid, tracked: Tracked) -> None:
+        """Make a tracked frame a keyframe: activate points, adjust the window, marginalise."""
+        w, config = self.window, self.config
+        T = tracked.T_frame_ref @ w.T_cam_map[w.newest]
+        affine = composed(tracked.affine, w.affine[w.newest])
+        out = leaving(w, T, affine)
+        self.insert(Keyframe(frame, stamp_s, T), pyramid, affine)
+        self._activator.activate(w, config.immature, config.photometric)
+        adjust(w, config.photometric)
+        self._cloud.append(remove_points(w, out, config.photometric))
+        for slot in out:
+            remove_keyframe(w, slot, config.photometric)
+        self.refer(pyramid)
+        self.select(pyramid)
+
+    def insert(self, keyframe: Keyframe, pyramid: ImagePyramid, affine: np.ndarray) -> None:
+        """Put a keyframe into the window."""
+        self.keyframes.append(keyframe)
+        w = self.window
+        w.add(keyframe, pyramid, affine, float(w.outlier[w.newest]) if len(w) else None)
+        self.place(keyframe.frame, keyframe.stamp_s, np.eye(4))
+
+    def select(self, pyramid: ImagePyramid) -> None:
+        """Select points of the newest keyframe."""
+        w, config = self.window, self.config
+        more = Immature.selected(pyramid, w.newest, config.immature, config.photometric)
+        w.immature = w.immature.with_more(more)
+
+    def refer(self, pyramid: ImagePyramid) -> None:
+        """Track against the newest keyframe from now on."""
+        uv, inverse_depth, information = self.window.seen_from(self.window.newest)
+        weight = np.sqrt(information + 1e-3)
+        self._reference = TrackingReference(pyramid, self.intrinsics, uv, inverse_depth, weight)
+        self._affine, self._first_error = np.zeros(2), np.nan
+
+    def activate(self) -> None:
+        """Activate points of a window of two keyframes, at the start, and adjust it."""
+        config = self.config
+        self._activator.activate(self.window, config.immature, config.photometric)
+        adjust(self.window, config.photometric, 3 * config.window.iterations)
+        self.window.drop_points(~(self.window.active.seen == 1).any(axis=1))
+
+    # -- what is known -----------------------------------------------------------------------------------
+
+    def forget(self, frame: int) -> None:
+        """Forget the pose of a frame that is not tracked after all, and its keyframe if it has become one."""
+        self.frames.pop(frame, None)
+        if self.keyframes[-1].frame == frame:
+            self.keyframes.pop()
+
+    def close(self) -> None:
+        """End the map: its images are not needed any more."""
+        self._cloud = [self.points()]
+        self.window = Window(self._camera, self.intrinsics, self.config.window)
+        self._reference = None
+
+    def pixels(self, frame: int) -> np.ndarray:
+        """(N, 2) pixels of the ideal camera at which a placed frame shows some of the keyframe's points."""
+        if self._reference is None:
+            return np.empty((0, 2))
+        p, T = self._reference.patches, self.frames[frame].T_cam_keyframe
+        fx, fy, cx, cy = self.intrinsics[0]
+        rays = np.column_stack([(p.uv - [cx, cy]) / [fx, fy], np.ones(len(p.uv))])
+        X = rays @ T[:3, :3].T + T[:3, 3] * p.inverse_depth[:, None]
+        X = X[X[:, 2] > 1e-6]
+        uv = X[:, :2] / X[:, 2:] * [fx, fy] + [cx, cy]
+        return uv[((uv >= 0) & (uv < [self._camera.width_px, self._camera.height_px])).all(axis=1)]
+
+    def trajectory(self, map_id: int) -> MapTrajectory:
+        """Poses of the frames, by their keyframes as they are now."""
+        order = sorted(self.frames)
+        poses = np.linalg.inv(np.array([self.pose(k) for k in order]).reshape(-1, 4, 4))
+        return MapTrajectory(
+            map_id, np.array(order, int), np.array([self.frames[k].stamp_s for k in order]), poses
+        )
+
+    def keyframe_trajectory(self, map_id: int) -> MapTrajectory:
+        """Poses of the keyframes."""
+        poses = np.linalg.inv(np.array([k.T_cam_map for k in self.keyframes]).reshape(-1, 4, 4))
+        return MapTrajectory(
+            map_id, np.array([k.frame for k in self.keyframes], int),
+            np.array([k.stamp_s for k in self.keyframes]), poses,
+        )  # fmt: skip
+
+    def points(self) -> np.ndarray:
+        """(N, 3) points that were ever part of the window, in the map."""
+        return np.concatenate([*self._cloud, self.window.map_points()]).reshape(-1, 3)

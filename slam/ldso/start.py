@@ -1,0 +1,164 @@
+"""Start of a map: two views placed by features, then their pixels by intensities.
+
+The frames between the two views are tracked by intensities from the first one, so that the depths of its
+pixels are narrowed over growing baselines.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from slam.core.camera import PinholeCamera
+from slam.core.frame import Frame, FrameFeatures
+from slam.core.geometry import share_of_motion, view_geometry
+from slam.core.seeds import rng_for
+from slam.direct.pyramid import ImagePyramid
+from slam.features.orb import OrbExtractor
+from slam.initialization.initializer import Initializer, InitialMap
+from slam.ldso.brightness import composed
+from slam.ldso.config import DsoConfig
+from slam.ldso.odometry import Odometry
+from slam.ldso.points import Immature
+from slam.ldso.tracking import PhotometricTracker, TrackingReference
+from slam.ldso.window import Keyframe
+
+_PX_PER_FEATURE = 45.0  # an image has room for at most one feature in this many pixels
+_PATCH = np.stack(np.meshgrid(np.arange(-1.0, 2.0), np.arange(-1.0, 2.0)), axis=-1).reshape(-1, 2)
+_LEAST_POINTS = 150
+_MOST_ERROR = 12.0  # of a frame between the two views, of 255
+
+
+@dataclass(frozen=True)
+class Waiting:
+    """A frame since the first view.
+
+    Attributes:
+        frame: its index.
+        stamp_s: its time.
+        image: (H, W) uint8.
+    """
+
+    frame: int
+    stamp_s: float
+    image: np.ndarray
+
+
+@dataclass(frozen=True)
+class Started:
+    """Outcome of a frame offered for a start.
+
+    Attributes:
+        odometry: the map, if one has begun.
+        reason: why not.
+        matches: with the first view.
+        model: geometry that explained the two views.
+    """
+
+    odometry: Odometry | None
+    reason: str
+    matches: int
+    model: str = ""
+
+
+class Starter:
+    """Seeks two views from which a map can start.
+
+    Args:
+        camera: of the images.
+        intrinsics: (L, 4) of the levels of their pyramids.
+        pyramid_of: makes the pyramid of an image.
+        seed: root of the random streams.
+        config: settings.
+    """
+
+    def __init__(
+        self,
+        camera: PinholeCamera,
+        intrinsics: np.ndarray,
+        pyramid_of: Callable[[np.ndarray], ImagePyramid],
+        seed: int,
+        config: DsoConfig,
+    ) -> None:
+        self.config = config
+        self._camera, self._intrinsics, self._pyramid_of, self._seed = camera, intrinsics, pyramid_of, seed
+        orb, width, height = config.orb, camera.width_px, camera.height_px
+        self._view = view_geometry(camera, orb.n_levels, orb.scale_factor, orb.noise_px)
+        wanted = round(min(config.initial_features * orb.n_features, width * height / _PX_PER_FEATURE))
+        self._extractor = OrbExtractor(width, height, replace(orb, n_features=max(orb.n_features, wanted)))
+        self._initializer = Initializer(camera, self._view, config.initialization)
+        self._waiting: deque[Waiting] = deque(maxlen=config.initialization.max_between)
+
+    def reset(self) -> None:
+        """Forget the first view."""
+        self._initializer.reset()
+        self._waiting.clear()
+
+    def offer(self, frame: int, stamp_s: float, image: np.ndarray, map_id: int) -> Started:
+        """Try to start a map with this frame as its second view.
+
+        Args:
+            frame: its index.
+            stamp_s: its time.
+            image: (H, W) uint8.
+            map_id: id of the map.
+        """
+        features = self._extractor.extract(image)
+        built = FrameFeatures.build(frame, stamp_s, features, self._camera, self._view)
+        rng = rng_for(self._seed, "initialization", frame)
+        initial, reason, matches = self._initializer.offer(Frame(built), map_id, rng, self.config.mapping)
+        reference = self._initializer.reference
+        if reference is not None and reference.features.index == frame:
+            self._waiting.clear()
+        self._waiting.append(Waiting(frame, stamp_s, image.copy()))
+        if initial is None:
+            return Started(None, reason, matches)
+        odometry = self._begin(initial)
+        self.reset()
+        if odometry is None:
+            return Started(None, "images_do_not_fit", matches)
+        return Started(odometry, "", matches, initial.model)
+
+    def _begin(self, initial: InitialMap) -> Odometry | None:
+        """Map of the two views; None if the images do not fit to it."""
+        first, second = initial.first.features.index, initial.second.features.index
+        waiting = [w for w in self._waiting if w.frame >= first]
+        if not waiting or waiting[0].frame != first:
+            return None
+        odometry, config = Odometry(self._camera, self._intrinsics, self.config), self.config
+        pyramid = self._pyramid_of(waiting[0].image)
+        reference = self._reference_of(initial, pyramid)
+        odometry.insert(Keyframe(first, waiting[0].stamp_s, np.eye(4)), pyramid, np.zeros(2))
+        w = odometry.window
+        w.immature = Immature.selected(pyramid, w.newest, config.immature, config.photometric)
+        tracker = PhotometricTracker(config.photometric, config.tracking)
+        motion = initial.second.T_cam_map @ np.linalg.inv(initial.first.T_cam_map)
+        T, step, affine = np.eye(4), share_of_motion(motion, 1 / (second - first)), np.zeros(2)
+        for item in waiting[1:]:
+            pyramid = self._pyramid_of(item.image)
+            share = share_of_motion(motion, (item.frame - first) / (second - first))
+            guesses = [step @ T, share, T] if item.frame < second else [motion, step @ T]
+            found = tracker.track(reference, pyramid, guesses, affine, config.tracking.usual_error)
+            if found is None or found.error > _MOST_ERROR:
+                return None
+            step = found.T_frame_ref @ np.linalg.inv(T)
+            T, affine = found.T_frame_ref, found.affine
+            odometry.place(item.frame, item.stamp_s, T)
+            odometry.search(pyramid, T, composed(affine, w.affine[w.newest]))
+        odometry.insert(Keyframe(second, waiting[-1].stamp_s, T), pyramid, affine)
+        odometry.activate()
+        if len(w.active) < _LEAST_POINTS:
+            return None
+        odometry.refer(pyramid)
+        odometry.select(pyramid)
+        return odometry
+
+    def _reference_of(self, initial: InitialMap, pyramid: ImagePyramid) -> TrackingReference:
+        """The first view, with the depths of its map points in the pixels about them."""
+        m, T = initial.map, initial.first.T_cam_map
+        rows = np.flatnonzero(m.observed_points(0) >= 0)
+        depth = (m.arrays.pt_xyz[m.observed_points(0)[rows]] @ T[:3, :3].T + T[:3, 3])[:, 2]
+        uv = (initial.first.features.xy[rows][:, None] + _PATCH).reshape(-1, 2)
+        inverse_depth = np.repeat(1.0 / np.maximum(depth, 1e-6), len(_PATCH))
+        return TrackingReference(pyramid, self._intrinsics, uv, inverse_depth, np.ones(len(uv)))

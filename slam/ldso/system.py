@@ -1,0 +1,232 @@
+"""Direct sparse odometry as a system: images in, poses and events out.
+
+A lost camera starts a new map; the old one stays as it is, unless it is too young to be kept.
+"""
+
+from dataclasses import asdict
+from numbers import Real
+from typing import Self
+
+import numpy as np
+
+from slam.core import events as ev
+from slam.core.camera import PinholeCamera
+from slam.core.events import TrackingState
+from slam.core.results import MapTrajectory, TrackingResult
+from slam.core.snapshot import Snapshot
+from slam.core.timing import StageTimer
+from slam.direct.pyramid import ImagePyramid, Rectifier
+from slam.ldso.config import DsoConfig
+from slam.ldso.loss import LossRule
+from slam.ldso.odometry import Odometry
+from slam.ldso.start import Starter
+from slam.ldso.tracking import Tracked
+from slam.map.map import Map
+
+
+class DsoSlam:
+    """Direct sparse odometry.
+
+    Args:
+        camera: intrinsics of the images to come.
+        seed: root of every random stream.
+        config: settings.
+
+    Attributes:
+        camera: the camera.
+        config: settings.
+        events: all events so far.
+        state: of tracking.
+        frames: number of frames processed so far.
+        current_map_id: id of the current map, or of the one being initialized.
+    """
+
+    def __init__(self, camera: PinholeCamera, seed: int = 0, config: DsoConfig | None = None) -> None:
+        self.camera = camera
+        self.config = config or DsoConfig()
+        self.events: list[ev.Event] = []
+        self.state = TrackingState.NOT_INITIALIZED
+        self.frames = 0
+        self.current_map_id = 0
+        self._rectifier = Rectifier(camera)
+        self._starter = Starter(
+            camera, self._rectifier.intrinsics, self._rectifier.pyramid, seed, self.config
+        )
+        self._maps: dict[int, Odometry] = {}
+        self._loss = LossRule(self.config.loss)
+        self._timer = StageTimer()
+        self._mapping_ms = 0.0
+        self._last_stamp_s = -np.inf
+        self._sought_since = 0
+
+    # -- a frame -----------------------------------------------------------------------------------------
+
+    def process(self, image: np.ndarray, stamp_s: float) -> TrackingResult:
+        """Process one frame.
+
+        Args:
+            image: (H, W) uint8 grey image of the camera's size.
+            stamp_s: its time, later than the last one's.
+
+        Returns:
+            The outcome of the frame.
+
+        Raises:
+            ValueError: on misuse: wrong size or type of image, time not increasing. The content of an
+                image never raises.
+        """
+        self._timer.begin()
+        self._check_input(image, stamp_s)
+        index = self.frames
+        self.frames += 1
+        if self.state is TrackingState.TRACKING:
+            return self._track(index, stamp_s, image)
+        return self._start(index, stamp_s, image)
+
+    def _start(self, index: int, stamp_s: float, image: np.ndarray) -> TrackingResult:
+        with self._timer("initialize"):
+            found = self._starter.offer(index, stamp_s, image, self.current_map_id)
+        if found.odometry is None:
+            return self._result(index, stamp_s, None, found.matches, found.reason)
+        self._maps[self.current_map_id] = found.odometry
+        self.state = TrackingState.TRACKING
+        self._loss = LossRule(self.config.loss)
+        points = len(found.odometry.window.active)
+        self._emit(index, stamp_s, ev.Initialized, points=points, model=found.model)
+        if self.current_map_id:
+            taken = index - self._sought_since
+            self._emit(index, stamp_s, ev.ReinitDone, frames_taken=taken)
+        return self._result(index, stamp_s, found.odometry, points, "", True)
+
+    def _track(self, index: int, stamp_s: float, image: np.ndarray) -> TrackingResult:
+        odometry = self._maps[self.current_map_id]
+        with self._timer("pyramid"):
+            pyramid = self._rectifier.pyramid(image)
+        with self._timer("align"):
+            tracked = odometry.track(pyramid)
+        step = odometry.step_of(tracked)
+        reason = self._loss.reason(tracked, step, odometry.depth)
+        if tracked is None or reason:
+            self._break(index, stamp_s, odometry, reason)
+            return self._result(index, stamp_s, None, 0, reason)
+        self._loss.tracked(tracked, step, odometry.depth)
+        with self._timer("search"):
+            wanted = odometry.take(index, stamp_s, pyramid, tracked)
+        if wanted:
+            reason = self._map(index, stamp_s, odometry, pyramid, tracked)
+            if reason:
+                self._break(index, stamp_s, odometry, reason)
+                return self._result(index, stamp_s, None, 0, reason)
+        seen = round(tracked.visible * (1 - tracked.saturated) * len(odometry.window.active))
+        return self._result(index, stamp_s, odometry, seen, "", wanted)
+
+    def _map(
+        self, index: int, stamp_s: float, odometry: Odometry, pyramid: ImagePyramid, tracked: Tracked
+    ) -> str:
+        """Make a keyframe; why the map is lost with it, if it is."""
+        timer = StageTimer()
+        timer.begin()
+        with self._timer.apart(), timer("mapping"):
+            odometry.add_keyframe(index, stamp_s, pyramid, tracked)
+        self._mapping_ms = timer.cpu_ms["mapping"]
+        return "too_few_points" if len(odometry.window.active) < self.config.loss.least_points else ""
+
+    def _break(self, index: int, stamp_s: float, odometry: Odometry, reason: str) -> None:
+        """Declare the map broken and seek a new one."""
+        self._emit(index, stamp_s, ev.Breakage, reason=reason, inliers=0)
+        odometry.forget(index)
+        keyframes = len(odometry.keyframes)
+        if keyframes <= self.config.loss.min_keyframes:
+            self._emit(index, stamp_s, ev.MapDropped, reason="too_few_keyframes", keyframes=keyframes)
+            del self._maps[self.current_map_id]
+        else:
+            points = len(odometry.points())
+            self._emit(index, stamp_s, ev.MapSaved, keyframes=keyframes, points=points)
+            odometry.close()
+        self.current_map_id += 1
+        self.state = TrackingState.NOT_INITIALIZED
+        self._sought_since = index
+        self._starter.reset()
+        self._emit(index, stamp_s, ev.ReinitStart)
+
+    def _result(
+        self,
+        index: int,
+        stamp_s: float,
+        odometry: Odometry | None,
+        inliers: int,
+        reason: str,
+        is_keyframe: bool = False,
+    ) -> TrackingResult:
+        T = np.linalg.inv(odometry.pose(index)) if odometry is not None else None
+        keypoints, mask = np.empty((0, 2), np.float32), np.empty(0, bool)
+        if odometry is not None:
+            keypoints = self.camera.distort_points(odometry.pixels(index)).astype(np.float32)
+            mask = np.ones(len(keypoints), bool)
+        ms, cpu_ms = self._timer.read()
+        mapping_ms, self._mapping_ms = self._mapping_ms, 0.0
+        return TrackingResult(
+            frame=index,
+            stamp_s=stamp_s,
+            state=self.state,
+            T_map_cam=T,
+            map_id=self.current_map_id,
+            inliers=inliers,
+            matches=inliers,
+            reason=reason,
+            is_keyframe=is_keyframe,
+            keypoints_px=keypoints,
+            inlier_mask=mask,
+            cpu_ms=cpu_ms,
+            ms=ms,
+            mapping_cpu_ms=mapping_ms,
+        )
+
+    def _emit(self, index: int, stamp_s: float, kind: type[ev.Event], **fields) -> None:
+        self.events.append(kind(frame=index, stamp_s=stamp_s, map_id=self.current_map_id, **fields))
+
+    def _check_input(self, image: np.ndarray, stamp_s: float) -> None:
+        shape = (self.camera.height_px, self.camera.width_px)
+        if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.shape != shape:
+            got = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+            raise ValueError(f"frame {self.frames}: expected a uint8 image of shape {shape}, got {got}")
+        is_time = isinstance(stamp_s, Real) and np.isfinite(stamp_s)
+        if not is_time or not stamp_s > self._last_stamp_s:
+            raise ValueError(
+                f"frame {self.frames}: time {stamp_s} s is not after the last one, {self._last_stamp_s} s"
+            )
+        self._last_stamp_s = stamp_s
+
+    # -- what is seen from outside -----------------------------------------------------------------------
+
+    def finish(self) -> None:
+        """End the input; nothing is pending."""
+
+    def snapshot(self) -> Snapshot[Self]:
+        """Copy the whole state between two frames, to branch from any number of times."""
+        return Snapshot.of(self)
+
+    @property
+    def settings(self) -> dict:
+        """All settings, nested by component, to be saved with the results."""
+        return {"mode": "lockstep", **asdict(self.config)}
+
+    def maps(self) -> list[int]:
+        """Ids of the existing maps, the one with most tracked frames first."""
+        return sorted(self._maps, key=lambda k: (-len(self._maps[k].frames), k))
+
+    def map_points(self, map_id: int) -> np.ndarray:
+        """(n, 3) float64 points of a map, in its own frame."""
+        return self._maps[map_id].points()
+
+    def trajectories(self) -> list[MapTrajectory]:
+        """Poses of the tracked frames, relative to their keyframes as they are; see :meth:`maps`."""
+        return [self._maps[k].trajectory(k) for k in self.maps()]
+
+    def keyframe_trajectories(self) -> list[MapTrajectory]:
+        """Poses of the keyframes, in the order of :meth:`trajectories`."""
+        return [self._maps[k].keyframe_trajectory(k) for k in self.maps()]
+
+    def map(self, map_id: int) -> Map:
+        """Raises ValueError: its maps have no features, so they are none of the other systems' kind."""
+        raise ValueError(f"map {map_id} of direct sparse odometry has no features")

@@ -1,0 +1,212 @@
+"""Tracking of frames against the projected points of the newest keyframe, coarse to fine.
+
+Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 3.1.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.direct._alignment_kernels import PATTERN, likeness, sample_patterns
+from slam.direct.pyramid import ImagePyramid
+from slam.ldso._reference_kernels import gather, halved_sums, splat
+from slam.ldso._tracking_kernels import mean_squared_flow, refine, widened_cutoff
+from slam.ldso.config import KeyframeConfig, PhotometricConfig, TrackingConfig
+
+_ONE_PIXEL = np.zeros((1, 2))
+_MARGIN_PX = 3
+_STILL_PX = 0.05  # a smaller step is none
+_LEAST_PIXELS = 50
+_GRADIENT_SCALE = 50.0
+_PATCHES = 500  # by which likeness is judged
+_COARSE = (
+    2  # from this level on a pixel shares its depth with its direct neighbours, else with the diagonal ones
+)
+
+
+@dataclass(frozen=True)
+class LevelPixels:
+    """Pixels of known depth on one level of a keyframe.
+
+    Attributes:
+        uv: (N, 2) float64 pixels of the level.
+        inverse_depth: (N,) float64.
+        intensity, weight: (N, 1) float64.
+    """
+
+    uv: np.ndarray
+    inverse_depth: np.ndarray
+    intensity: np.ndarray
+    weight: np.ndarray
+
+
+class TrackingReference:
+    """A keyframe with the points projected into it, for every level of its pyramid.
+
+    Args:
+        pyramid: of the keyframe.
+        intrinsics: (L, 4) of its levels.
+        uv: (N, 2) pixels of the finest level where points are seen.
+        inverse_depth: (N,) theirs, in the keyframe.
+        weight: (N,) how much each counts where several share a pixel.
+
+    Attributes:
+        levels: pixels of every level.
+        patches: some pixels of the finest level with the pattern about each.
+        depth: usual depth.
+    """
+
+    def __init__(
+        self,
+        pyramid: ImagePyramid,
+        intrinsics: np.ndarray,
+        uv: np.ndarray,
+        inverse_depth: np.ndarray,
+        weight: np.ndarray,
+    ) -> None:
+        self.intrinsics = intrinsics
+        shape = pyramid.levels[0].shape[:2]
+        total, mass = np.zeros(shape), np.zeros(shape)
+        splat(np.ascontiguousarray(uv, float), inverse_depth, weight, total, mass)
+        levels = []
+        for number, level in enumerate(pyramid.levels):
+            if number:
+                total, mass = halved_sums(total), halved_sums(mass)
+            levels.append(_pixels(total, mass, level, number))
+        self.levels = tuple(levels)
+        self.patches = _patches(levels[0], pyramid.levels[0])
+        self.depth = 1.0 / float(np.median(inverse_depth)) if len(inverse_depth) else 1.0
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """Motion of a frame relative to a keyframe.
+
+    Attributes:
+        T_frame_ref: (4, 4) motion, keyframe's camera to frame's.
+        affine: (2,) its brightness relative to the keyframe's.
+        error: root of the mean Huber cost of a pixel on the finest level, of 255.
+        visible: share of the keyframe's pixels that the frame shows.
+        saturated: share of these whose residual is beyond the cutoff.
+        likeness: correlation of the two views within the patterns, -1 to 1, which no brightness can feign.
+        flow_px: root of the mean squared motion of the pixels by the translation alone, and by all of it.
+    """
+
+    T_frame_ref: np.ndarray
+    affine: np.ndarray
+    error: float
+    visible: float
+    saturated: float
+    likeness: float
+    flow_px: tuple[float, float]
+
+    def demand(self, width: int, height: int, config: KeyframeConfig) -> float:
+        """How much the view has changed: a keyframe is wanted beyond 1."""
+        alone, whole = self.flow_px
+        unit = (640 + 480) / (width + height)
+        return (config.translation * alone + config.whole * whole) * unit + config.brightness * abs(
+            float(self.affine[0])
+        )
+
+
+class PhotometricTracker:
+    """Aligns frames with a reference.
+
+    Args:
+        photometric, config: settings.
+    """
+
+    def __init__(self, photometric: PhotometricConfig, config: TrackingConfig) -> None:
+        self.config = config
+        self._photometric = photometric
+        self._prior = np.array(photometric.affine_prior)
+
+    def track(
+        self,
+        reference: TrackingReference,
+        pyramid: ImagePyramid,
+        guesses: Iterable[np.ndarray],
+        affine: np.ndarray,
+        usual_error: float,
+    ) -> Tracked | None:
+        """Align a frame, coarse to fine, from one guess after another until one explains the image.
+
+        Args:
+            reference: the keyframe.
+            pyramid: of the frame.
+            guesses: (4, 4) motions, keyframe to frame, the likeliest first.
+            affine: (2,) brightness at first.
+            usual_error: error up to which a result is taken without trying other guesses.
+
+        Returns:
+            The best alignment; None if the views have too little in common.
+        """
+        best = None
+        for T in guesses:
+            found = self._align(reference, pyramid, T, affine)
+            if found is not None and (best is None or _badness(found) < _badness(best)):
+                best = found
+            if best is not None and best.error <= usual_error and best.saturated < self.config.most_saturated:
+                break
+        return best
+
+    def _align(
+        self, reference: TrackingReference, pyramid: ImagePyramid, guess: np.ndarray, affine: np.ndarray
+    ) -> Tracked | None:
+        config, huber = self.config, self._photometric.huber
+        T, affine = np.array(guess, float), np.array(affine, float)
+        cost, seen, saturated = np.inf, 0, 0
+        for number in range(len(pyramid) - 1, -1, -1):
+            p, camera = reference.levels[number], reference.intrinsics[number]
+            if len(p.uv) < _LEAST_PIXELS:
+                continue
+            level = pyramid.levels[number]
+            pixels = p.uv, p.inverse_depth, _ONE_PIXEL, p.intensity, p.weight
+            most = config.cutoff * config.most_cutoff_factor
+            cutoff = widened_cutoff(
+                level, camera, *pixels, T, affine, huber, config.cutoff, config.most_saturated, most
+            )
+            cost, seen, saturated = refine(
+                level, camera, *pixels, T, affine, self._prior, huber, cutoff, config.iterations,
+                reference.depth, _STILL_PX / camera[0],
+            )  # fmt: skip
+        finest = reference.levels[0]
+        if seen < _LEAST_PIXELS or not np.isfinite(T).all():
+            return None
+        some = reference.patches
+        alike = likeness(
+            pyramid.levels[0], reference.intrinsics[0], some.uv, some.inverse_depth, PATTERN, some.intensity,
+            some.weight, T,
+        )  # fmt: skip
+        alone, whole = mean_squared_flow(reference.intrinsics[0], finest.uv, finest.inverse_depth, T)
+        return Tracked(
+            T,
+            affine,
+            float(np.sqrt(cost)),
+            seen / len(finest.uv),
+            saturated / seen,
+            float(alike),
+            (float(np.sqrt(alone)), float(np.sqrt(whole))),
+        )
+
+
+def _badness(found: Tracked) -> float:
+    """Error of an alignment; one that looks away from most of the points is worse."""
+    return found.error / max(found.visible, 1e-3)
+
+
+def _pixels(total: np.ndarray, mass: np.ndarray, level: np.ndarray, number: int) -> LevelPixels:
+    most = total.size
+    uv, inverse_depth, intensity = np.empty((most, 2)), np.empty(most), np.empty(most)
+    n = gather(total, mass, level, number < _COARSE, _MARGIN_PX, uv, inverse_depth, intensity)
+    return LevelPixels(uv[:n].copy(), inverse_depth[:n].copy(), intensity[:n, None].copy(), np.ones((n, 1)))
+
+
+def _patches(pixels: LevelPixels, level: np.ndarray) -> LevelPixels:
+    """Some of the pixels of a level, evenly chosen, with the pattern about each, (N, 8)."""
+    rows = np.unique(np.linspace(0, len(pixels.uv) - 1, min(_PATCHES, len(pixels.uv))).astype(int))
+    uv = np.ascontiguousarray(pixels.uv[rows])
+    intensity, weight = np.empty((len(uv), len(PATTERN))), np.empty((len(uv), len(PATTERN)))
+    sample_patterns(level, uv, PATTERN, _GRADIENT_SCALE, intensity, weight)
+    return LevelPixels(uv, pixels.inverse_depth[rows], intensity, weight)

@@ -1,0 +1,212 @@
+"""Window: derivatives, elimination against a dense solve, known answers, marginalisation."""
+
+import numpy as np
+import pytest
+from ldso_scenes import CONFIG, POSES, motion, smooth_level, window_of
+
+from slam.direct._alignment_kernels import PATTERN
+from slam.ldso.adjustment import adjust, gauge
+from slam.ldso.marginalisation import leaving, remove_keyframe, remove_points, without
+from slam.ldso.model import model_of
+
+PHOTOMETRIC = CONFIG.photometric
+
+
+def moved_by(window, step, depths):
+    window.move_to(step.reshape(window.size, 8))
+    window.active.inverse_depth = depths
+
+
+def smooth_window():
+    """Window whose images are exact for interpolation, in which residuals are large."""
+    window = window_of(POSES[:3], 60)
+    window.images[window.slots] = smooth_level()
+    window.outlier[:] = 1e12
+    p = window.active
+    at = p.uv.astype(int)
+    p.weight[:] = np.random.default_rng(5).uniform(0.5, 1.0, p.weight.shape)
+    own = smooth_level()[at[:, 1], at[:, 0], 0]
+    p.intensity = own[:, None] + np.random.default_rng(6).normal(0, 8, p.intensity.shape)
+    for slot in window.slots:
+        window.affine_first[slot] = window.affine[slot] = [0.05 * slot, 2.0 * slot]
+    return window
+
+
+def test_the_model_is_the_derivative_of_the_cost(monkeypatch):
+    """The pattern moves as one in the Jacobians, so that a pattern of equal pixels makes them exact."""
+    monkeypatch.setattr("slam.ldso.model.PATTERN", np.zeros((8, 2)))
+    window = smooth_window()
+    taken = window.active.seen >= 0
+    depths = window.active.inverse_depth.copy()
+    model = model_of(window, window.active, taken, PHOTOMETRIC.huber)
+
+    def cost(step, inverse_depth):
+        moved_by(window, step, inverse_depth)
+        return model_of(window, window.active, taken, PHOTOMETRIC.huber).cost
+
+    h, zero = 1e-6, np.zeros(8 * window.size)
+    for k in (8 * s + k for s in window.slots for k in range(8)):
+        e = np.zeros_like(zero)
+        e[k] = h
+        numeric = (cost(e, depths) - cost(-e, depths)) / (4 * h)
+        assert numeric == pytest.approx(model.b[k], rel=2e-4, abs=2e-4 * np.abs(model.b).max())
+    for i in range(0, len(depths), 7):
+        e = np.zeros_like(depths)
+        e[i] = h
+        numeric = (cost(zero, depths + e) - cost(zero, depths - e)) / (4 * h)
+        assert numeric == pytest.approx(model.gradient[i], rel=2e-4, abs=1.0)
+
+
+def test_costs_equal_their_twin():
+    window = window_of(points=60)
+    window.affine[window.slots[1]] = [0.1, -4.0]
+    window.outlier[:] = 8 * 6.0**2
+    p, (fx, fy, cx, cy) = window.active, window.intrinsics[0]
+    model = model_of(window, p, p.seen >= 0, PHOTOMETRIC.huber)
+    states = []
+    for i, s in np.argwhere(p.seen >= 0):
+        h = p.host[i]
+        T = window.T_cam_map[s] @ np.linalg.inv(window.T_cam_map[h])
+        gain = np.exp(window.affine[s, 0] - window.affine[h, 0])
+        rays = np.column_stack([(p.uv[i] + PATTERN - [cx, cy]) / [fx, fy], np.ones(8)])
+        X = rays @ T[:3, :3].T + T[:3, 3] * p.inverse_depth[i]
+        at = X[:, :2] / X[:, 2:] * [fx, fy] + [cx, cy]
+        size = np.array(window.images.shape[2:0:-1])
+        cost, state = 0.0, -1
+        if ((at >= 1) & (at < size - 2)).all():
+            low = np.floor(at).astype(int)
+            f = at - low
+            corner = window.images[s][low[:, 1, None, None] + [[0], [1]], low[:, 0, None, None] + [[0, 1]], 0]
+            weights = [np.stack([1 - q, q], axis=1) for q in (f[:, 1], f[:, 0])]
+            value = np.einsum("kyx,ky,kx->k", corner, *weights)
+            r = np.abs(value - window.affine[s, 1] - gain * (p.intensity[i] - window.affine[h, 1]))
+            k = PHOTOMETRIC.huber
+            cost, state = (p.weight[i] * np.where(r <= k, r**2, k * (2 * r - k))).sum(), 1
+            if cost > window.outlier[s]:
+                cost, state = window.outlier[s], 0
+        states.append(state)
+        assert model.seen[i, s] == state and model.energy[i, s] == pytest.approx(cost, rel=1e-5, abs=1e-6)
+    assert set(states) == {-1, 0, 1} and model.cost == pytest.approx(model.energy.sum())
+
+
+def test_elimination_of_depths_equals_a_dense_solve():
+    window = smooth_window()
+    seen = model_of(window, window.active, window.active.seen >= 0, PHOTOMETRIC.huber).information > 1
+    window.active = window.active.of(seen)
+    model = model_of(window, window.active, window.active.seen >= 0, PHOTOMETRIC.huber)
+    used = np.array([8 * s + k for s in window.slots[1:] for k in range(8)])
+    n = len(window.active)
+    dense = np.zeros((len(used) + n, len(used) + n))
+    ridge = 1e-3 * np.diag(model.H.diagonal())
+    H = model.H + ridge
+    dense[: len(used), : len(used)] = H[np.ix_(used, used)]
+    dense[len(used) :, : len(used)] = model.cross[:, used]
+    dense[: len(used), len(used) :] = model.cross[:, used].T
+    dense[len(used) :, len(used) :] = np.diag(model.information)
+    expected = -np.linalg.solve(dense, np.concatenate([model.b[used], model.gradient]))
+    off_H, off_b = model.eliminated()
+    step = np.zeros(len(model.b))
+    step[used] = -np.linalg.solve((H - off_H)[np.ix_(used, used)], (model.b - off_b)[used])
+    np.testing.assert_allclose(step[used], expected[: len(used)], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(model.depth_steps(step), expected[len(used) :], rtol=1e-6, atol=1e-9)
+
+
+def relative_errors(window, exact, scale):
+    """Errors of the motions to the first keyframe, after the scale is taken out."""
+    first = np.linalg.inv(window.T_cam_map[window.slots[0]])
+    out = []
+    for slot, T in zip(window.slots[1:], exact[1:], strict=True):
+        found = window.T_cam_map[slot] @ first
+        true = T @ np.linalg.inv(exact[0])
+        out.append(
+            [np.linalg.norm(found[:3, 3] * scale - true[:3, 3]), np.abs(found[:3, :3] - true[:3, :3]).max()]
+        )
+    return np.max(out, axis=0)
+
+
+def disturbed(points=800):
+    window = window_of(points=points)
+    rng = np.random.default_rng(7)
+    exact = window.active.inverse_depth.copy()
+    delta = window.delta.copy()
+    for slot in window.slots[1:]:
+        delta[slot, :6] = rng.normal(0, [0.006] * 3 + [0.002] * 3)
+    window.move_to(delta)
+    for slot in window.slots:
+        window.settle(slot)
+    window.active.inverse_depth = exact * rng.uniform(0.97, 1.03, len(exact))
+    return window, exact
+
+
+def test_poses_and_depths_of_an_exact_scene_are_found():
+    window, exact = disturbed()
+    before = relative_errors(window, POSES, 1.0)
+    adjusted = adjust(window, PHOTOMETRIC, 12)
+    kept = (window.active.seen == 1).sum(axis=1) >= 2
+    assert kept.mean() > 0.7 and adjusted.after < 0.5 * adjusted.before and adjusted.error < 2
+    ratio = window.active.inverse_depth / exact
+    scale = float(np.median(ratio[kept]))
+    after = relative_errors(window, POSES, scale)
+    assert (after < [1e-3, 4e-4]).all() and (after < 0.25 * before).all()
+    assert np.median(np.abs(ratio / scale - 1)[kept]) < 2e-3
+
+
+def test_a_step_moves_nothing_that_no_image_determines():
+    window = window_of()
+    free = gauge(window)
+    np.testing.assert_allclose(free.T @ free, np.eye(7), atol=1e-12)
+    before = model_of(window, window.active, window.active.seen >= 0, PHOTOMETRIC.huber).cost
+    rigid = motion([0.3, -0.2, 0.1, 0.05, 0.1, -0.02])
+    window.T_cam_map[window.slots] = window.T_cam_map[window.slots] @ rigid
+    window.T_cam_map[:, :3, 3] *= 1.7
+    window.active.inverse_depth = window.active.inverse_depth / 1.7
+    after = model_of(window, window.active, window.active.seen >= 0, PHOTOMETRIC.huber).cost
+    assert after == pytest.approx(before, rel=1e-6)
+    window.T_first[:] = window.T_cam_map
+    model = model_of(window, window.active, window.active.seen >= 0, PHOTOMETRIC.huber)
+    off_H, _ = model.eliminated()
+    pull = np.abs((model.H - off_H) @ gauge(window)).max()
+    assert pull < 1e-3 * model.H.diagonal().max()
+
+
+def test_what_is_minimised_out_leaves_the_rest_of_the_solution():
+    rng = np.random.default_rng(8)
+    J = rng.normal(size=(60, 12))
+    H, b = J.T @ J, rng.normal(size=12)
+    rows = np.array([2, 3, 7])
+    rest = np.setdiff1d(np.arange(12), rows)
+    reduced, g = without(H, b, rows)
+    assert not reduced[rows].any() and not g[rows].any()
+    found = np.linalg.solve(reduced[np.ix_(rest, rest)], g[rest])
+    np.testing.assert_allclose(found, np.linalg.solve(H, b)[rest], rtol=1e-9)
+
+
+def test_a_marginalised_keyframe_holds_the_others_where_they_were():
+    """The prior's minimum is where all residuals together had theirs."""
+    window, _ = disturbed()
+    for _ in range(3):
+        adjust(window, PHOTOMETRIC, 12)
+    there = window.T_cam_map.copy()
+    slot = window.slots[0]
+    remove_points(window, [slot], PHOTOMETRIC)
+    remove_keyframe(window, slot, PHOTOMETRIC)
+    assert slot not in window.slots and not (window.active.host == slot).any()
+    assert (
+        window.prior_H.any()
+        and np.linalg.eigvalsh(window.prior_H).min() > -1e-6 * np.abs(window.prior_H).max()
+    )
+    adjust(window, PHOTOMETRIC, 6)
+    for s in window.slots:
+        assert np.abs(window.T_cam_map[s] - there[s]).max() < 2e-3
+
+
+def test_a_keyframe_without_points_leaves_first():
+    window = window_of([motion([0.03 * k, 0, 0, 0, 0, 0]) for k in range(7)], 350)
+    new = motion([0.3, 0, 0, 0, 0, 0])
+    out = leaving(window, new, np.zeros(2))
+    assert len(out) == 1 and out[0] != window.newest
+    few = window.slots[2]
+    rows = window.active.host == few
+    window.drop_points(rows)
+    assert leaving(window, new, np.zeros(2)) == [few]
+    assert leaving(window, new, np.array([1.5, 0.0]))[0] == window.slots[0]
