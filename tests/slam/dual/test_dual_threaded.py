@@ -15,6 +15,7 @@ from slam.runtime.backend import ExecutionMode
 
 BLANK = range(50, 56)
 PATIENCE_S = 60.0
+MAPPING_S = 5.0
 
 
 class Waiting(OrbRecovery):
@@ -48,13 +49,13 @@ def threaded(threads, **config):
 
 
 def feed_in_time(system, first, last, until=None):
-    """Feed frames of the toy sequence, waiting for mapping after each."""
+    """Feed frames of the toy sequence, waiting for mapping after each; a fusion is taken over by the next."""
     images, stamps_s, _ = toy(150, 0, STEP_M)
     images = blanked(images, BLANK)
     results = []
     for i in range(first, last):
         results.append(system.process(images[i], float(stamps_s[i])))
-        give_up_s = time.monotonic() + PATIENCE_S
+        give_up_s = time.monotonic() + MAPPING_S
         while not system.engine.backend.idle and time.monotonic() < give_up_s:
             time.sleep(0.002)
         if until is not None and until():
