@@ -8,6 +8,7 @@ from slam_scenes import PointWorld, rigid, walk
 
 from slam.dual.fusion.fuse import FusionConfig
 from slam.dual.fusion.hypotheses import Hypothesis, rival
+from slam.dual.fusion.place_merging import PlaceMerger
 from slam.loop_closing.map_alignment import AlignmentConfig, align
 from slam.loop_closing.place_check import PlaceCheckConfig
 from slam.tracking.reach import ReachConfig
@@ -103,3 +104,18 @@ def test_a_rival_that_has_shown_much_less_does_not_count(two_maps):
     strong = Hypothesis(old, [aligned(old, new)], dict.fromkeys(range(8), ""))
     weak = Hypothesis(old, [aligned(old, new)], dict.fromkeys(range(3), ""))
     assert not weak.is_nearly_as_good_as(strong, 0.75) and strong.is_nearly_as_good_as(weak, 0.75)
+
+
+@pytest.mark.parametrize(("views", "accepted"), [(6, False), (2, True)])
+def test_a_join_with_a_rival_that_does_nearly_as_well_is_ambiguous(two_maps, views, accepted):
+    old, new = two_maps
+    right = aligned(old, new)
+    away = replace(right, S_old_new=rigid((30.0, 0, 0)) @ right.S_old_new)
+    merger = PlaceMerger(config_of(0.5), 0)
+    merger._hypotheses = [
+        Hypothesis(old, [right], dict.fromkeys(range(8), "")),
+        Hypothesis(old, [away], dict.fromkeys(range(views), "")),
+    ]
+    merger._hypotheses[1].verdicts[7] = "contradicted"
+    assert bool(merger._decided(new)) is accepted
+    assert [reason for _, reason in merger.refused] == ([] if accepted else ["ambiguous"])
