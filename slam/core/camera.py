@@ -10,7 +10,8 @@ import numpy as np
 # OpenCV's default of five iterations leaves pixels of error at the corners of a wide-angle lens.
 _UNDISTORT_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
 _MOST_UNDISTORT_ERROR_PX = 0.5
-Residual = tuple[float, float]
+Residual = tuple[float, float, float, float]
+NO_RESIDUAL: Residual = (0.0, 0.0, 0.0, 0.0)
 _RESIDUAL_ITERATIONS = 8
 _COEFFICIENTS = {"radtan": 5, "equidistant": 4}
 
@@ -19,9 +20,10 @@ _COEFFICIENTS = {"radtan": 5, "equidistant": 4}
 class PinholeCamera:
     """Intrinsics in pixels; integer pixel coordinates are pixel centres, as in OpenCV.
 
-    ``residual`` is what the distortion leaves: coefficients (k1, k2) by which an ideal point at radius r, in
-    units of the focal length, lies 1 + k1 r² + k2 r⁴ times as far from the centre in the undistorted image.
-    It is not calibrated but estimated, see :mod:`slam.optimization.lens`.
+    ``residual`` is what the distortion leaves: coefficients (k1, k2, p1, p2), radial and decentring, by which
+    an ideal point (x, y) at radius r, in units of the focal length, lies in the undistorted image at
+    x (1 + k1 r² + k2 r⁴) + 2 p1 x y + p2 (r² + 2 x²), and y likewise (Brown's model, as in OpenCV). It is not
+    calibrated but estimated, see :mod:`slam.optimization.lens`.
 
     ``distortion`` follows OpenCV: (k1, k2, p1, p2, k3) for the model ``radtan``, (k1, k2, k3, k4) for the
     model ``equidistant`` (OpenCV's fisheye).
@@ -40,7 +42,7 @@ class PinholeCamera:
     fps: float
     distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
     model: Literal["radtan", "equidistant"] = "radtan"
-    residual: Residual = (0.0, 0.0)
+    residual: Residual = NO_RESIDUAL
 
     def __post_init__(self) -> None:
         """Check every field."""
@@ -166,8 +168,8 @@ def distort_residual(xy: np.ndarray, residual: Residual, intrinsics: np.ndarray)
         (N, 2) float64 px.
     """
     rays = (xy - intrinsics[2:]) / intrinsics[:2]
-    r2 = (rays**2).sum(axis=1, keepdims=True)
-    return rays * (1.0 + r2 * (residual[0] + r2 * residual[1])) * intrinsics[:2] + intrinsics[2:]
+    stretch, shift = _residual_at(rays, residual)
+    return (rays * stretch + shift) * intrinsics[:2] + intrinsics[2:]
 
 
 def undistort_residual(xy: np.ndarray, residual: Residual, intrinsics: np.ndarray) -> np.ndarray:
@@ -178,6 +180,14 @@ def undistort_residual(xy: np.ndarray, residual: Residual, intrinsics: np.ndarra
     seen = (xy - intrinsics[2:]) / intrinsics[:2]
     rays = seen
     for _ in range(_RESIDUAL_ITERATIONS):
-        r2 = (rays**2).sum(axis=1, keepdims=True)
-        rays = seen / (1.0 + r2 * (residual[0] + r2 * residual[1]))
+        stretch, shift = _residual_at(rays, residual)
+        rays = (seen - shift) / stretch
     return rays * intrinsics[:2] + intrinsics[2:]
+
+
+def _residual_at(rays: np.ndarray, residual: Residual) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 1) factor and (N, 2) shift by which a residual distortion moves image points (N, 2)."""
+    k1, k2, p1, p2 = residual
+    r2 = (rays**2).sum(axis=1, keepdims=True)
+    shift = 2 * rays[:, :1] * rays[:, 1:] * [p1, p2] + (r2 + 2 * rays**2) * [p2, p1]
+    return 1.0 + r2 * (k1 + r2 * k2), shift

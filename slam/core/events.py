@@ -216,9 +216,9 @@ class CameraRefined(Event):
     """The lens was found to distort more than its calibration says, and the map was adjusted to it.
 
     Attributes:
-        k1, k2: residual distortion from now on, see ``PinholeCamera``.
+        k1, k2, p1, p2: residual distortion from now on, see ``PinholeCamera``.
         shift_px: root mean square shift of the map's keypoints by this change.
-        significance: of the change, chi-square with 2 degrees of freedom.
+        significance: of the change, chi-square with 4 degrees of freedom.
         keyframes: keyframes of the map.
         cpu_ms: CPU milliseconds of the estimate.
     """
@@ -226,6 +226,8 @@ class CameraRefined(Event):
     kind: ClassVar[str] = "camera_refined"
     k1: float
     k2: float
+    p1: float
+    p2: float
     shift_px: float
     significance: float
     keyframes: int

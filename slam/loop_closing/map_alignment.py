@@ -7,12 +7,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slam.core.frame import Frame
 from slam.loop_closing._alignment_kernels import match_across
 from slam.map import _map_kernels as kernels
 from slam.map.map import Map
 from slam.matching.brute_force import match_brute_force, rotation_consistent
 from slam.matching.guided import NEAR
-from slam.optimization.sim3 import optimize_sim3, ransac_sim3, sim3_decompose, sim3_inverse, sim3_matrix
+from slam.optimization.sim3 import (
+    Sim3Result,
+    optimize_sim3,
+    ransac_sim3,
+    sim3_decompose,
+    sim3_inverse,
+    sim3_matrix,
+)
 
 
 @dataclass(frozen=True)
@@ -99,9 +107,8 @@ def align(
         rng,
         min_inliers=config.min_inliers,
     )
-    inliers = int(solution.inliers.sum()) if solution.success else 0
-    if inliers < config.min_inliers or inliers < config.min_share * len(old_rows):
-        return None, "sim3", inliers
+    if not _holds(solution, len(old_rows), config):
+        return None, "sim3", int(solution.inliers.sum()) if solution.success else 0
     keep = solution.inliers
     guess = (solution.s, solution.R, solution.t)
     old_rows, new_rows = _extended(
@@ -130,6 +137,51 @@ def align(
         "",
         int(keep.sum()),
     )
+
+
+def align_relocalized(
+    old: Map,
+    new: Map,
+    frame: Frame,
+    new_keyframe: int,
+    rng: np.random.Generator,
+    config: AlignmentConfig,
+) -> Alignment | None:
+    """Estimate the similarity between two maps from a keyframe of one that is relocalized in the other.
+
+    A view may find more points of the old map than any one of its keyframes shares with the new one.
+    Keypoints with a point in both maps give the 3D-3D matches; then as in :func:`align`.
+
+    Args:
+        old, new: the maps.
+        frame: the features of the keyframe, relocalized in the old map.
+        new_keyframe: row of the keyframe.
+        rng: stream of the RANSAC.
+        config: thresholds.
+    """
+    new_points = new.observed_points(new_keyframe)
+    seen = (frame.point >= 0) & (new_points >= 0)
+    old_points, new_points = frame.point[seen], new_points[seen]
+    if len(old_points) < config.min_candidates:
+        return None
+    T_cam_old, T_cam_new = frame.T_cam_map, new.T_cam_map(new_keyframe)
+    pixels = frame.features.xy[seen]
+    variances = 1.0 / new.view.inv_sigma2[frame.features.octave[seen]]
+    both = (
+        _moved(T_cam_old, old.arrays.pt_xyz[old_points]),
+        _moved(T_cam_new, new.arrays.pt_xyz[new_points]),
+        pixels, pixels, variances, variances,
+    )  # fmt: skip
+    found = ransac_sim3(*both, *_intrinsics(old), rng, min_inliers=config.min_inliers)
+    if not _holds(found, len(old_points), config):
+        return None
+    found = optimize_sim3(found.s, found.R, found.t, *both, *_intrinsics(old))
+    keep = found.inliers
+    if int(keep.sum()) < config.min_matches:
+        return None
+    S_old_new = np.linalg.inv(T_cam_old) @ sim3_matrix(found.s, found.R, found.t) @ T_cam_new
+    pair = frame.reference_keyframe, new_keyframe
+    return Alignment(S_old_new, float(found.s), old.map_id, *pair, old_points[keep], new_points[keep])
 
 
 def agree(old: Map, first: Alignment, second: Alignment, config: Agreement) -> bool:
@@ -167,11 +219,19 @@ def _in_cameras(
     """Points in their keyframe's camera frame, pixels and variances of matched keypoints, old before new."""
     sides = []
     for m, k, rows in ((old, old_keyframe, old_rows), (new, new_keyframe, new_rows)):
-        T = m.T_cam_map(k)
-        xyz = m.arrays.pt_xyz[m.arrays.kp_point[rows]] @ T[:3, :3].T + T[:3, 3]
+        xyz = _moved(m.T_cam_map(k), m.arrays.pt_xyz[m.arrays.kp_point[rows]])
         sides.append((xyz, m.arrays.kp_xy[rows], 1.0 / m.view.inv_sigma2[m.arrays.kp_octave[rows]]))
     (xyz_1, px_1, var_1), (xyz_2, px_2, var_2) = sides
     return xyz_1, xyz_2, px_1, px_2, var_1, var_2
+
+
+def _moved(T: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+    return xyz @ T[:3, :3].T + T[:3, 3]
+
+
+def _holds(solution: Sim3Result, matches: int, config: AlignmentConfig) -> bool:
+    inliers = int(solution.inliers.sum())
+    return solution.success and inliers >= max(config.min_inliers, config.min_share * matches)
 
 
 def _intrinsics(m: Map) -> tuple[float, float, float, float]:

@@ -70,15 +70,15 @@ def _camera(camera: PinholeCamera) -> pycolmap.Camera:
     elif not any(camera.distortion) and not any(camera.residual):
         model, params = "PINHOLE", focal
     elif camera.distortion[4] == 0:
-        model, params = "OPENCV", [*focal, *_radial(camera), *camera.distortion[2:4]]
+        model, params = "OPENCV", [*focal, *_coefficients(camera)]
     else:
-        model, params = "FULL_OPENCV", [*focal, *_radial(camera), *camera.distortion[2:], 0.0, 0.0, 0.0]
+        model, params = "FULL_OPENCV", [*focal, *_coefficients(camera), camera.distortion[4], 0.0, 0.0, 0.0]
     return pycolmap.Camera(
         camera_id=1, model=model, width=camera.width_px, height=camera.height_px, params=params
     )
 
 
-def _radial(camera: PinholeCamera) -> list[float]:
+def _coefficients(camera: PinholeCamera) -> list[float]:
     """First coefficients of the lens, residual distortion included: exact if there is no other."""
     return [own + left for own, left in zip(camera.distortion, camera.residual, strict=False)]
 

@@ -18,12 +18,12 @@ class SelfCalibrationConfig:
 
     Attributes:
         at_keyframes: numbers of keyframes of the first map at which the lens is estimated; none: never.
-        min_significance: least significance of the first change that is applied: chi-square with 2 degrees
-            of freedom, 13.8 by chance once in a thousand. Those after it need none: the lens is known to
+        min_significance: least significance of the first change that is applied: chi-square with 4 degrees
+            of freedom, 18.5 by chance once in a thousand. Those after it need none: the lens is known to
             be off, and the newest estimate is the best.
         min_shift_px: least root mean square shift of the keypoints by the first change.
         min_further_shift_px: the same of the changes after it.
-        max_share: largest shift of a point at the image's corner over its distance from the centre; a larger
+        max_share: largest shift of a point over the distance of the image's corner from the centre; a larger
             one is no residual of a calibration, and is not applied.
         usual_shift_px: root mean square shift of the keypoints by which calibrations are usually off. On a
             straight way a change of the lens looks much like a drift of scale: without this, the estimate
@@ -31,7 +31,7 @@ class SelfCalibrationConfig:
     """
 
     at_keyframes: tuple[int, ...] = (20, 30, 40, 60, 80, 120, 160, 240, 320)
-    min_significance: float = 13.8
+    min_significance: float = 18.5
     min_shift_px: float = 0.2
     min_further_shift_px: float = 0.05
     max_share: float = 0.05
@@ -125,13 +125,11 @@ class SelfCalibration:
     def _is_residual(self, found: LensEstimate, map_: Map) -> bool:
         """Return True if the distortion is small all over the image, corners included."""
         view = map_.view
-        corner = np.hypot(
-            max(view.x_max - view.cx, view.cx - view.x_min) / view.fx,
-            max(view.y_max - view.cy, view.cy - view.y_min) / view.fy,
-        )
-        r2 = np.linspace(0.0, corner, 20) ** 2
-        shares = np.abs(r2 * (found.residual[0] + r2 * found.residual[1]))
-        return bool(np.all(shares <= self.config.max_share))
+        x, y = np.meshgrid(np.linspace(view.x_min, view.x_max, 21), np.linspace(view.y_min, view.y_max, 21))
+        xy = np.column_stack([x.ravel(), y.ravel()])
+        shift = np.linalg.norm(distort_residual(xy, found.residual, view.intrinsics) - xy, axis=1)
+        corner = np.linalg.norm(xy - view.intrinsics[2:], axis=1).max()
+        return bool(shift.max() <= self.config.max_share * corner)
 
 
 def _retaken(xy: np.ndarray, before: Residual, after: Residual, view: ViewGeometry) -> np.ndarray:

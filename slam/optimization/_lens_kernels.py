@@ -1,7 +1,7 @@
-"""Kernels of bundle adjustment with two coefficients of radial distortion that all cameras share.
+"""Kernels of bundle adjustment with four coefficients of lens distortion that all cameras share.
 
-Names as in the bundle adjustment kernels; ``k`` (2,) the coefficients. ``D`` (2, 2), ``B_c`` (F, 6, 2),
-``B_p`` (P, 3, 2) are the blocks of the coefficients with themselves, the cameras and the points.
+Names as in the bundle adjustment kernels; ``k`` (4,) the coefficients k1, k2, p1, p2. ``D`` (4, 4), ``B_c``
+(F, 6, 4), ``B_p`` (P, 3, 4) are the blocks of the coefficients with themselves, the cameras and the points.
 """
 
 import numpy as np
@@ -13,6 +13,22 @@ from slam.optimization._schur import back_substitute, eliminate_points, skyline
 from slam.optimization._se3 import retract
 
 _BEHIND_CHI2 = 1e4
+_N = 4  # coefficients
+_LEAST_DETERMINANT = 1e-16  # of their information, over the product of its diagonal
+
+
+@njit(cache=True, nogil=True, inline="always")
+def distorted(x, y, k):
+    """Where the lens shows the ideal image point (x, y), in units of the focal length.
+
+    Source: Brown, "Decentering Distortion of Lenses", 1966.
+    """
+    r2 = x * x + y * y
+    stretch = 1.0 + r2 * (k[0] + r2 * k[1])
+    return (
+        x * stretch + 2.0 * k[2] * x * y + k[3] * (r2 + 2.0 * x * x),
+        y * stretch + k[2] * (r2 + 2.0 * y * y) + 2.0 * k[3] * x * y,
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -31,10 +47,8 @@ def cost(T, points, start, camera, pixels, weights, intrinsics, k, huber2):
             if z > MIN_DEPTH:
                 x = (pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * pz + pose[0, 3]) / z
                 y = (pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * pz + pose[1, 3]) / z
-                r2 = x * x + y * y
-                stretch = 1.0 + r2 * (k[0] + r2 * k[1])
-                eu = fx * x * stretch + cx - pixels[i, 0]
-                ev = fy * y * stretch + cy - pixels[i, 1]
+                u, v = distorted(x, y, k)
+                eu, ev = fx * u + cx - pixels[i, 0], fy * v + cy - pixels[i, 1]
                 chi2 = weights[i] * (eu * eu + ev * ev)
             total += 2.0 * np.sqrt(huber2 * chi2) - huber2 if chi2 > huber2 else chi2
     return total
@@ -51,7 +65,7 @@ def linearise(
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     J = np.zeros((2, 6))  # of the pixel, by the camera's twist
     A = np.zeros((2, 3))  # by the point
-    L = np.zeros((2, 2))  # by the coefficients
+    L = np.zeros((2, _N))  # by the coefficients
     C = np.zeros((2, 6))
     e = np.zeros(2)
     for p in range(points.shape[0]):
@@ -69,7 +83,8 @@ def linearise(
             y = (pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * pz + pose[1, 3]) * inv_z
             r2 = x * x + y * y
             stretch, slope = 1.0 + r2 * (k[0] + r2 * k[1]), 2.0 * (k[0] + 2.0 * r2 * k[1])
-            e[0], e[1] = fx * x * stretch + cx - pixels[i, 0], fy * y * stretch + cy - pixels[i, 1]
+            u, v = distorted(x, y, k)
+            e[0], e[1] = fx * u + cx - pixels[i, 0], fy * v + cy - pixels[i, 1]
             weight = weights[i]
             chi2 = weight * (e[0] * e[0] + e[1] * e[1])
             if chi2 > huber2:
@@ -79,8 +94,9 @@ def linearise(
             C[0, 3], C[0, 4], C[0, 5] = -x * y, 1.0 + x * x, -y
             C[1, 1], C[1, 2] = inv_z, -y * inv_z
             C[1, 3], C[1, 4], C[1, 5] = -(1.0 + y * y), x * y, x
-            uu, uv = fx * (stretch + x * x * slope), fx * x * y * slope
-            vu, vv = fy * x * y * slope, fy * (stretch + y * y * slope)
+            across = x * y * slope + 2.0 * (k[2] * x + k[3] * y)
+            uu, uv = fx * (stretch + x * x * slope + 2.0 * k[2] * y + 6.0 * k[3] * x), fx * across
+            vu, vv = fy * across, fy * (stretch + y * y * slope + 6.0 * k[2] * y + 2.0 * k[3] * x)
             for c in range(6):
                 J[0, c], J[1, c] = uu * C[0, c] + uv * C[1, c], vu * C[0, c] + vv * C[1, c]
             for c in range(3):
@@ -88,16 +104,18 @@ def linearise(
                 A[0, c], A[1, c] = uu * ax + uv * ay, vu * ax + vv * ay
             L[0, 0], L[0, 1] = fx * x * r2, fx * x * r2 * r2
             L[1, 0], L[1, 1] = fy * y * r2, fy * y * r2 * r2
+            L[0, 2], L[0, 3] = fx * 2.0 * x * y, fx * (r2 + 2.0 * x * x)
+            L[1, 2], L[1, 3] = fy * (r2 + 2.0 * y * y), fy * 2.0 * x * y
             for d in range(2):
                 for r in range(3):
                     gradient_p[p, r] += weight * A[d, r] * e[d]
                     for c in range(r + 1):
                         V[p, r, c] += weight * A[d, r] * A[d, c]
-                    for c in range(2):
+                    for c in range(_N):
                         B_p[p, r, c] += weight * A[d, r] * L[d, c]
-                for r in range(2):
+                for r in range(_N):
                     gradient_k[r] += weight * L[d, r] * e[d]
-                    for c in range(2):
+                    for c in range(_N):
                         D[r, c] += weight * L[d, r] * L[d, c]
                 if f < 0:
                     continue
@@ -107,7 +125,7 @@ def linearise(
                         U[f, r, c] += weight * J[d, r] * J[d, c]
                     for c in range(3):
                         W[i, r, c] += weight * J[d, r] * A[d, c]
-                    for c in range(2):
+                    for c in range(_N):
                         B_c[f, r, c] += weight * J[d, r] * L[d, c]
 
 
@@ -122,11 +140,11 @@ def eliminate_lens(
             its solution.
 
     Returns:
-        information (2, 2), right-hand side (2,), and (6 F, 2) steps of the cameras per unit of each.
+        information (4, 4), right-hand side (4,), and (6 F, 4) steps of the cameras per unit of each.
     """
     n = len(reduced)
     information, right = D.copy(), -gradient_k
-    B = np.zeros((n, 2))
+    B = np.zeros((n, _N))
     for f in range(n // 6):
         B[6 * f : 6 * f + 6] = B_c[f]
     for p in range(start.shape[0] - 1):
@@ -139,8 +157,8 @@ def eliminate_lens(
             f = slot[camera[i]]
             if f >= 0:
                 B[6 * f : 6 * f + 6] -= W[i] @ Y
-    steps = np.empty((n, 2))
-    for c in range(2):
+    steps = np.empty((n, _N))
+    for c in range(_N):
         column = B[:, c].copy()
         solve(S, first, column)
         steps[:, c] = column
@@ -154,17 +172,17 @@ def eliminate_lens(
 def spread_of_scores(
     T, points, start, camera, pixels, weights, intrinsics, k, huber2, slot, V_inv, held, steps
 ):
-    """(2, 2) sum over the points of the outer product of each one's pull on the coefficients.
+    """(4, 4) sum over the points of the outer product of each one's pull on the coefficients.
 
-    ``steps`` (6 F, 2) as returned by :func:`eliminate_lens`.
+    ``steps`` (6 F, 4) as returned by :func:`eliminate_lens`.
     """
     most = 0
     for p in range(len(points)):
         most = max(most, start[p + 1] - start[p])
     U, V, W = np.empty((most, 6, 6)), np.empty((1, 3, 3)), np.empty((most, 6, 3))
-    gradient_c, gradient_p, gradient_k = np.empty((most, 6)), np.empty((1, 3)), np.empty(2)
-    D, B_c, B_p = np.empty((2, 2)), np.empty((most, 6, 2)), np.empty((1, 3, 2))
-    spread, own = np.zeros((2, 2)), np.zeros(2, np.int64)
+    gradient_c, gradient_p, gradient_k = np.empty((most, 6)), np.empty((1, 3)), np.empty(_N)
+    D, B_c, B_p = np.empty((_N, _N)), np.empty((most, 6, _N)), np.empty((1, 3, _N))
+    spread, own = np.zeros((_N, _N)), np.zeros(2, np.int64)
     views, own_T = np.arange(most).astype(camera.dtype), np.empty((most, 4, 4))
     own_slot = np.empty(most, np.int64)
     for p in range(len(points)):
@@ -196,17 +214,17 @@ def adjust(T, points, start, camera, pixels, weights, intrinsics, k, slot, n_fre
     """Minimise the cost over ``T``, ``points`` and ``k`` by Levenberg-Marquardt, in place.
 
     Args:
-        prior: (2, 2) information on ``k`` about 0 beside that of the observations.
+        prior: (4, 4) information on ``k`` about 0 beside that of the observations.
 
     Returns:
-        information (2, 2) of the observations on ``k`` once poses and points are eliminated, and the spread
-        (2, 2) of the points' pulls on it; both 0 where there is no solution.
+        information (4, 4) of the observations on ``k`` once poses and points are eliminated, and the spread
+        (4, 4) of the points' pulls on it; both 0 where there is no solution.
     """
     n_points, m = points.shape[0], camera.shape[0]
     U, V = np.empty((n_free, 6, 6)), np.empty((n_points, 3, 3))
     W, V_inv = np.empty((m, 6, 3)), np.zeros((n_points, 3, 3))
-    gradient_c, gradient_p, gradient_k = np.empty((n_free, 6)), np.empty((n_points, 3)), np.empty(2)
-    D, B_c, B_p = np.empty((2, 2)), np.empty((n_free, 6, 2)), np.empty((n_points, 3, 2))
+    gradient_c, gradient_p, gradient_k = np.empty((n_free, 6)), np.empty((n_points, 3)), np.empty(_N)
+    D, B_c, B_p = np.empty((_N, _N)), np.empty((n_free, 6, _N)), np.empty((n_points, 3, _N))
     S, step_c = np.empty((6 * n_free, 6 * n_free)), np.empty(6 * n_free)
     step_p, held = np.empty((n_points, 3)), np.zeros(n_points, np.bool_)
     first = skyline(start, camera, slot, n_free)
@@ -229,7 +247,7 @@ def adjust(T, points, start, camera, pixels, weights, intrinsics, k, slot, n_fre
         information, right, steps = eliminate_lens(
             S, first, W, V_inv, held, start, camera, slot, D, B_c, B_p, gradient_k, gradient_p, step_c
         )
-        if not np.linalg.det(information) > 1e-12 * information[0, 0] * information[1, 1]:
+        if not np.linalg.det(information) > _LEAST_DETERMINANT * np.prod(np.diag(information)):
             break
         step_k = np.linalg.solve(information, right)
         step_c -= steps @ step_k
@@ -261,7 +279,7 @@ def adjust(T, points, start, camera, pixels, weights, intrinsics, k, slot, n_fre
         U, V, W, gradient_c, gradient_p, start, camera, slot, 1e-9, first, V_inv, held, S, step_c
     )
     if not factor(S, first):
-        return np.zeros((2, 2)), np.zeros((2, 2))
+        return np.zeros((_N, _N)), np.zeros((_N, _N))
     information, _, steps = eliminate_lens(
         S, first, W, V_inv, held, start, camera, slot, D, B_c, B_p, gradient_k, gradient_p, step_c
     )

@@ -1,4 +1,4 @@
-"""Self-calibration: the radial distortion that a calibration has left, from a map's own observations.
+"""Self-calibration: the distortion that a calibration has left, from a map's own observations.
 
 A camera's images are undistorted with the calibration that came with them. What it leaves shows in a map: the
 same points move from the middle of the image, where they are first seen, to its edge.
@@ -12,22 +12,23 @@ from slam.optimization import _ba_kernels, _lens_kernels
 from slam.optimization._se3 import orthonormalise
 from slam.optimization.pose import CHI2_2DOF
 
+Coefficients = tuple[float, float, float, float]
+
 
 @dataclass(frozen=True)
 class LensEstimate:
     """Estimate of the residual distortion, with the map adjusted to it.
 
     Attributes:
-        residual: (k1, k2): a point at radius r, in units of the focal length, is seen 1 + k1 r² + k2 r⁴ times
-            as far from the centre.
+        residual: (k1, k2, p1, p2), see :class:`slam.core.camera.PinholeCamera`.
         T_cam_map: (C, 4, 4) poses; fixed ones are the input's.
         points: (P, 3).
         significance: squared change of the coefficients, in units of its covariance over the points: errors
-            of one point's observations may depend on each other in any way. Chi-square with 2 degrees of
+            of one point's observations may depend on each other in any way. Chi-square with 4 degrees of
             freedom by chance.
     """
 
-    residual: tuple[float, float]
+    residual: Coefficients
     T_cam_map: np.ndarray
     points: np.ndarray
     significance: float
@@ -42,11 +43,11 @@ def estimate_lens(
     pixels: np.ndarray,
     inv_sigma2: np.ndarray,
     intrinsics: np.ndarray,
-    residual: tuple[float, float] = (0.0, 0.0),
+    residual: Coefficients = (0.0, 0.0, 0.0, 0.0),
     iterations: int = 12,
     usual_shift_px: float = np.inf,
 ) -> LensEstimate:
-    """Bundle-adjust poses, points and the two coefficients of the residual distortion.
+    """Bundle-adjust poses, points and the four coefficients of the residual distortion.
 
     Args:
         T_cam_map: (C, 4, 4) poses.
@@ -86,12 +87,13 @@ def estimate_lens(
         # What the observations alone ask for: at the estimate they pull against the prior.
         pull = information @ change + prior @ k
         significance = float(pull @ np.linalg.solve(spread, pull))
-    return LensEstimate((float(k[0]), float(k[1])), T, xyz, significance)
+    return LensEstimate((float(k[0]), float(k[1]), float(k[2]), float(k[3])), T, xyz, significance)
 
 
 def _shift_of(pixels: np.ndarray, K: np.ndarray) -> np.ndarray:
-    """(2, 2) form that gives the mean square shift of keypoints (M, 2) by two coefficients, px²."""
-    rays = (pixels - K[2:]) / K[:2]
-    r2 = (rays**2).sum(axis=1)
-    per_unit = np.sqrt(((K[:2] * rays) ** 2).sum(axis=1))[:, None] * np.column_stack([r2, r2**2])
-    return per_unit.T @ per_unit / max(len(pixels), 1)
+    """(4, 4) form that gives the mean square shift of keypoints (M, 2) by the coefficients, px²."""
+    x, y = ((pixels - K[2:]) / K[:2]).T
+    r2 = x * x + y * y
+    u = K[0] * np.column_stack([x * r2, x * r2**2, 2 * x * y, r2 + 2 * x * x])
+    v = K[1] * np.column_stack([y * r2, y * r2**2, r2 + 2 * y * y, 2 * x * y])
+    return (u.T @ u + v.T @ v) / max(len(pixels), 1)

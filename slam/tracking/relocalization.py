@@ -3,6 +3,7 @@
 Source: Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, section V-C.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -100,7 +101,11 @@ class Relocalizer:
         self._database = database
 
     def relocalize(
-        self, frame: Frame, rng: np.random.Generator, reach: Reach | None = None
+        self,
+        frame: Frame,
+        rng: np.random.Generator,
+        reach: Reach | None = None,
+        similar: Sequence[int] | None = None,
     ) -> RelocalizationOutcome:
         """Try the most similar keyframes; of several places, take the one that fits clearly best.
 
@@ -109,11 +114,14 @@ class Relocalizer:
                 on failure.
             rng: stream of the RANSAC.
             reach: where the camera can be; None for anywhere.
+            similar: keyframes that are tried, the most similar first; None to look them up.
         """
         bow = self._database.vocabulary.transform(frame.features.descriptors)
         farthest = RelocalizationOutcome(False, -1, 0, 0, "no_candidates")
         places: list[_Place] = []
-        for keyframe in self._database.relocalization_candidates(bow)[: self.config.candidates]:
+        if similar is None:
+            similar = self._database.relocalization_candidates(bow)
+        for keyframe in similar[: self.config.candidates]:
             outcome = self._try(frame, bow, keyframe, rng)
             if (
                 outcome.success

@@ -120,7 +120,7 @@ class MapMerger:
             self._corrections = engine.corrections
             places.reset_alignments()
         current, saved = store.current, [store[k] for k in store.saved]
-        alignments = places.search(current, saved, lambda k: store.places(k).database, engine.backend.lock)
+        alignments = places.search(current, saved, store.places, engine.backend.lock)
         self._searching, refused = False, tuple(places.refused)
         if not (alignments or refused):
             return None

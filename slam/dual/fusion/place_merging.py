@@ -5,14 +5,16 @@ from contextlib import AbstractContextManager
 
 import numpy as np
 
+from slam.core.frame import Frame
 from slam.core.seeds import rng_for
 from slam.dual.fusion.fuse import FusionConfig
 from slam.dual.fusion.hypotheses import Hypothesis, rival
-from slam.loop_closing.map_alignment import Alignment, align
+from slam.loop_closing.map_alignment import Alignment, align, align_relocalized
 from slam.loop_closing.place_check import doubt
 from slam.map.map import Map
+from slam.map_store import Places
 from slam.optimization.sim3 import sim3_inverse
-from slam.places.recognition import KeyframeDatabase, shipped_vocabulary
+from slam.places.recognition import shipped_vocabulary
 
 _CANDIDATES = 2  # most similar keyframes of a saved map that are compared with a new keyframe
 _WAITING = 3  # newest keyframes that are searched when the search was delayed
@@ -52,7 +54,7 @@ class PlaceMerger:
         self,
         current: Map,
         saved: Sequence[Map],
-        database_of: Callable[[int], KeyframeDatabase],
+        places_of: Callable[[int], Places],
         lock: AbstractContextManager,
     ) -> tuple[Alignment, ...]:
         """Search the saved maps for the current map's newest keyframes.
@@ -60,7 +62,7 @@ class PlaceMerger:
         Args:
             current: the map of the keyframes, which gains and loses none meanwhile.
             saved: saved maps; none of them grows.
-            database_of: keyframe database of a map, by its id.
+            places_of: place recognition in a map, by its id.
             lock: held while a database is used: tracking looks for lost frames in it.
 
         Returns:
@@ -78,9 +80,11 @@ class PlaceMerger:
             bow = shipped_vocabulary().transform(current.features(keyframe).descriptors)
             for old in saved:
                 rng = rng_for(self._seed, "joining", current.frame_index(keyframe), old.map_id)
+                places = places_of(old.map_id)
                 with lock:
-                    candidates = database_of(old.map_id).relocalization_candidates(bow)
-                self._compare(current, keyframe, old, candidates[:_CANDIDATES], rng)
+                    similar = places.database.relocalization_candidates(bow)
+                for alignment in self._alignments(current, keyframe, old, places, similar, rng):
+                    self._note(current, keyframe, old, alignment, rng)
             for hypothesis in self._hypotheses:
                 hypothesis.look(current, keyframe, self._config)
             accepted = self._decided(current)
@@ -93,26 +97,42 @@ class PlaceMerger:
         map_id, searched = self._searched
         return max(searched if map_id == current.map_id else 0, current.n_keyframes - _WAITING)
 
-    def _compare(
-        self, current: Map, keyframe: int, old: Map, candidates: Sequence[int], rng: np.random.Generator
+    def _alignments(
+        self,
+        current: Map,
+        keyframe: int,
+        old: Map,
+        places: Places,
+        similar: Sequence[int],
+        rng: np.random.Generator,
+    ) -> list[Alignment]:
+        """Align a new keyframe with similar ones of a saved map, or else with all that it finds of it."""
+        pairs = (align(old, current, k, keyframe, rng, self._config)[0] for k in similar[:_CANDIDATES])
+        found = [alignment for alignment in pairs if alignment is not None]
+        if found or not similar:
+            return found
+        frame = Frame(current.features(keyframe))
+        if not places.relocalizer.relocalize(frame, rng, similar=similar).success:
+            return []
+        alignment = align_relocalized(old, current, frame, keyframe, rng, self._config)
+        return [alignment] if alignment is not None else []
+
+    def _note(
+        self, current: Map, keyframe: int, old: Map, alignment: Alignment, rng: np.random.Generator
     ) -> None:
-        """Align a new keyframe with keyframes of a saved map, and note what speaks against it."""
+        """Note an alignment of a new keyframe with a saved map, and what speaks against it."""
         config = self._config
-        for candidate in candidates:
-            alignment, _, _ = align(old, current, candidate, keyframe, rng, config)
-            if alignment is None:
-                continue
-            reason = doubt(old, current, alignment, rng, config.place)
-            if reason:
-                self.refused.append((alignment, reason))
-            known = next((h for h in self._hypotheses if h.is_that_of(alignment, config)), None)
-            if known is None:
-                if reason == "out_of_reach":
-                    continue
-                known = Hypothesis(old, [])
-                self._hypotheses.append(known)
-            known.alignments.append(alignment)
-            known.verdicts[keyframe] = known.verdicts.get(keyframe) or reason
+        reason = doubt(old, current, alignment, rng, config.place)
+        if reason:
+            self.refused.append((alignment, reason))
+        known = next((h for h in self._hypotheses if h.is_that_of(alignment, config)), None)
+        if known is None:
+            if reason == "out_of_reach":
+                return
+            known = Hypothesis(old, [])
+            self._hypotheses.append(known)
+        known.alignments.append(alignment)
+        known.verdicts[keyframe] = known.verdicts.get(keyframe) or reason
 
     def _decided(self, current: Map) -> tuple[Alignment, ...]:
         """The alignments of a hypothesis that has shown enough and has no rival that is as sound."""

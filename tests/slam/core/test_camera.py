@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slam.core.camera import PinholeCamera, distort_residual
+from slam.core.camera import NO_RESIDUAL, PinholeCamera, distort_residual
 
 CAMERA = PinholeCamera(640, 480, 500.0, 510.0, 318.0, 242.0, 30.0)
 LENSES = {
@@ -144,9 +144,13 @@ def test_bad_fisheyes_are_refused(change, message):
         replace(FISHEYE, **change)
 
 
-def test_a_residual_distortion_is_inverted_to_a_hundredth_of_a_pixel():
+def test_a_residual_distortion_is_that_of_opencv_and_inverted_to_a_hundredth_of_a_pixel():
     xy = np.random.default_rng(0).uniform([0, 0], [1242, 375], (500, 2)).astype(np.float32)
-    camera = PinholeCamera(1242, 375, 721.5, 721.5, 609.6, 172.9, 10.0, residual=(0.02, -0.006))
+    camera = PinholeCamera(
+        1242, 375, 721.5, 721.5, 609.6, 172.9, 10.0, residual=(0.02, -0.006, 0.001, -0.002)
+    )
     ideal = camera.undistort_points(xy)
     assert np.abs(ideal - xy).max() > 3
+    own = replace(camera, residual=NO_RESIDUAL, distortion=(*camera.residual, 0.0))
+    assert distort(own, ideal) == pytest.approx(camera.distort_points(ideal), abs=1e-3)
     assert np.abs(distort_residual(ideal, camera.residual, camera.intrinsics) - xy).max() < 0.01

@@ -12,7 +12,7 @@ LENSES = {
     "equidistant": PinholeCamera(
         160, 120, 120.0, 120.0, 79.5, 59.5, 30.0, (0.03, -0.01, 0.0, 0.0), "equidistant"
     ),
-    "residual": PinholeCamera(160, 120, 150.0, 150.0, 79.5, 59.5, 30.0, residual=(0.02, 0.01)),
+    "residual": PinholeCamera(160, 120, 150.0, 150.0, 79.5, 59.5, 30.0, residual=(0.02, 0.01, 0.001, 0.002)),
 }
 
 

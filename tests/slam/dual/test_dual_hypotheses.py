@@ -1,10 +1,11 @@
 """Where a saved map may be: what views say over a time, and which hypotheses exclude each other."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_scenes import PointWorld, rigid, walk
+from slam_scenes import PointWorld, rigid, tracked_in, walk
 
 from slam.dual.fusion.fuse import FusionConfig
 from slam.dual.fusion.hypotheses import Hypothesis, rival
@@ -12,6 +13,7 @@ from slam.dual.fusion.place_merging import PlaceMerger
 from slam.loop_closing.map_alignment import AlignmentConfig, align
 from slam.loop_closing.place_check import PlaceCheckConfig
 from slam.tracking.reach import ReachConfig
+from slam.tracking.relocalization import RelocalizationOutcome
 
 LAX = AlignmentConfig(min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20)
 LATER = 900  # frames, half a minute
@@ -119,3 +121,36 @@ def test_a_join_with_a_rival_that_does_nearly_as_well_is_ambiguous(two_maps, vie
     merger._hypotheses[1].verdicts[7] = "contradicted"
     assert bool(merger._decided(new)) is accepted
     assert [reason for _, reason in merger.refused] == ([] if accepted else ["ambiguous"])
+
+
+class FoundByOneView:
+    """Place recognition that knows of a keyframe which shares nothing, and places a view nevertheless."""
+
+    def __init__(self, placed):
+        self.database = self.relocalizer = self
+        self._placed = placed
+
+    def relocalization_candidates(self, bow):
+        return [0]
+
+    def relocalize(self, frame, rng, similar):
+        assert similar == [0]
+        frame.point[:], frame.T_cam_map = self._placed.point, self._placed.T_cam_map
+        frame.reference_keyframe = self._placed.reference_keyframe
+        return RelocalizationOutcome(True, 0, 50, 50)
+
+
+def test_a_view_finds_a_map_that_none_of_its_keyframes_aligns_with():
+    world, rng = PointWorld(points=6000), np.random.default_rng(1)
+    old, of_old = world.map_of([world.see(i, walk(i), rng, noise_px=0.5) for i in range(0, 300, 5)], rng)
+    seen = [world.see(LATER + i, walk(i), rng, noise_px=0.5) for i in (295, 299)]
+    new, _ = world.map_of(seen, rng, map_id=1)
+    new.transform(2.0, np.eye(3), np.array([1.0, 0.0, 0.0]))
+    for k in range(2):
+        assert align(old, new, 0, k, rng, LAX)[0] is None
+    placed = tracked_in(old, of_old, seen[0], 59)
+    merger = PlaceMerger(replace(config_of(0.0), min_matches=20), 0)
+    merger.search(new, [old], lambda _: FoundByOneView(placed), nullcontext())
+    found = merger._hypotheses[0].alignments[0]
+    assert found.scale == pytest.approx(0.5, rel=0.02) and found.old_keyframe == 59
+    assert found.S_old_new @ [1.0, 0.0, 0.0, 1.0] == pytest.approx([0, 0, 0, 1], abs=0.2)

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 from slam.config import default_config
-from slam.core.camera import undistort_residual
+from slam.core.camera import Residual, undistort_residual
 from slam.dual.dual_slam import DualSlam
 from slam.factory import build_system
 from slam.mapping.self_calibration import SelfCalibrationConfig
 from slam.runtime.backend import ExecutionMode
 from slam.warmup import CAMERA, toy_frames
 
-PLANTED = (0.06, 0.0)
+PLANTED = (0.06, 0.0, 0.0, 0.0)
 CONFIG = replace(default_config(CAMERA), self_calibration=SelfCalibrationConfig(at_keyframes=(12,)))
 
 
-def through_lens(residual: tuple[float, float], count: int = 75) -> Iterator[tuple[np.ndarray, float]]:
+def through_lens(residual: Residual, count: int = 75) -> Iterator[tuple[np.ndarray, float]]:
     """Toy frames as a lens with a residual distortion shows them."""
     rows, cols = np.mgrid[: CAMERA.height_px, : CAMERA.width_px]
     seen = np.stack([cols.ravel(), rows.ravel()], axis=1).astype(float)
