@@ -48,7 +48,7 @@ def boundary_command(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="System that fails: any of `dslab systems list`, or module:Class; default: that of the spec.",
+            help="System that fails: of `dslab systems list`, or module:Class; default: that of the spec.",
         ),
     ] = None,
     systems_dir: SystemsOption = None,

@@ -27,7 +27,7 @@ FAILURES: dict[FailureName, str] = {
 }
 """What a search can be of; with all threads of the spec."""
 OF_ANY: tuple[FailureName, ...] = ("base", "system", "mission")
-"""Those that a system without recovery threads has too: it breaks, does not come back, or its mission fails."""
+"""Those of a system without recovery threads: it breaks, does not come back, or its mission fails."""
 _CREEPING, _PREFIX = "-creeping", "boundary-"
 _ONE_UNIT_PER_WORLD: dict[str, Any] = {
     "sequences_per_world": 1,

@@ -335,7 +335,7 @@ def _confirmatory_faults(spec: ExperimentSpec, file: YamlFile) -> Iterator[Input
     ]
     for number, cell in enumerate(spec.confirmatory):
         if cell not in known:
-            remedy = f"use {guess(cell, known)}one of {', '.join(known)}"
+            remedy = f"use {guess(cell, known)}one of {', '.join(known)}" if known else "leave it out"
             yield InputError(
                 file.where(("confirmatory", number)),
                 f"{cell} is no cell with a dose and recovery threads",

@@ -52,11 +52,14 @@ class PairedDifference:
     """How much more often one system fails than another, of the units that both completed.
 
     Attributes:
-        first, second, failure, world: which; failures by their names in SystemShares, silent ones of all units.
+        first, second, world: which.
+        failure: by its name in SystemShares; silent ones of all units.
         image: the condition; empty for the mean over all with a dose.
         worlds, units: their numbers.
         left_out: units that only one of the two completed.
-        difference: share of the first minus that of the second; None with a single world.
+        only_first, only_second: units in which only that one failed.
+        difference: share of the first minus that of the second, worlds weighted alike.
+        interval: of the difference; None with a single world, or where all worlds are alike.
         p: two-sided, that worlds tell no system from the other, by Holm; None for a single condition, which
             is not tested.
     """
@@ -69,7 +72,10 @@ class PairedDifference:
     worlds: int
     units: int
     left_out: int
-    difference: Interval | None
+    only_first: int
+    only_second: int
+    difference: float
+    interval: Interval | None
     p: float | None = None
 
 
@@ -107,7 +113,7 @@ def compare_systems(
     single: list[PairedDifference] = []
     names, worlds = (dict.fromkeys(of) for of in (systems.values(), (cell.world for cell in cells)))
     for world, (first, second), failure in product(worlds, combinations(names, 2), columns):
-        about = PairedDifference(first, second, failure, world, "", 0, 0, 0, None)
+        about = PairedDifference(first, second, failure, world, "", 0, 0, 0, 0, 0, 0.0, None)
         pairs = []
         for image in dict.fromkeys(images[cell.name] for cell in cells):
             both = [
@@ -211,12 +217,15 @@ def _by_world(pairs: Sequence[pd.DataFrame]) -> pd.Series:
 
 
 def _difference(about: PairedDifference, pairs: Sequence[pd.DataFrame]) -> PairedDifference:
-    by_world = _by_world(pairs)
-    several = len(by_world) > 1
+    by_world = _by_world(pairs).to_numpy(float)
+    units = pd.concat(pairs)
     return replace(
         about,
         worlds=len(by_world),
-        units=sum(int(pair.difference.notna().sum()) for pair in pairs),
-        left_out=sum(int((pair.completed_1 != pair.completed_2).sum()) for pair in pairs),
-        difference=difference_interval(Figure.mean(by_world.to_numpy(float))) if several else None,
+        units=int(units.difference.notna().sum()),
+        left_out=int((units.completed_1 != units.completed_2).sum()),
+        only_first=int((units.difference > 0).sum()),
+        only_second=int((units.difference < 0).sum()),
+        difference=float(by_world.mean()),
+        interval=difference_interval(Figure.mean(by_world)) if np.ptp(by_world) > 0 else None,
     )

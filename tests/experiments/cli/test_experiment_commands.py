@@ -66,6 +66,14 @@ def test_a_run_can_be_read_and_made_longer(dslab, smoke, plain):
     assert code == 0 and [cell["units"] for cell in status["cells"]] == [4, 4]
 
 
+def test_an_unknown_system_is_one_line_before_anything_runs(dslab, smoke, plain, tmp_path):
+    path = tmp_path / "own.yaml"
+    path.write_text(plain.read_text().replace("- dual\n", "- dual\n- orbslam33\n"))
+    code, _, err = dslab("experiment", "run", path, "--out", tmp_path / "own")
+    assert code == 2 and err.count("\n") == 1 and "there is no system 'orbslam33'" in err
+    assert not (tmp_path / "own").exists()
+
+
 def test_shams_are_units_but_not_of_the_shares_that_a_run_prints(tmp_path):
     spec = load_spec("smoke").model_copy(update={"repeats": 1})
     pool = partial(LocalPool, partial(unit_record, made_up_unit))
