@@ -6,7 +6,7 @@ import pandas as pd
 
 from experiments.eq1.records import Outcome
 from experiments.eq1.units import RECOVERING, system_label
-from experiments.report.outcomes import completed
+from experiments.report.outcomes import completed, rows_where
 from experiments.report.plain_data import as_data, counted
 from experiments.statistics.systems import compare_systems
 
@@ -40,15 +40,19 @@ def beside_each_other(spec: "ExperimentSpec", table: pd.DataFrame) -> dict[str, 
     names = list(dict.fromkeys(systems.values()))
     if len(names) == 1 and all(map(asks_eq1, spec.cells.values())):
         return None
-    table = table[table["cell"].isin(list(systems))]
+    table = rows_where(table, table["cell"].isin(list(systems)))
     images = {name: cell.image for name, cell in spec.cells.items()}
     found = compare_systems(table, len(spec.threads), systems, images)
     of = table["cell"].map(systems)
-    return {"names": names, **as_data(found), "about": [_about(name, table[of == name]) for name in names]}
+    return {
+        "names": names,
+        **as_data(found),
+        "about": [_about(name, rows_where(table, of == name)) for name in names],
+    }
 
 
 def _about(name: str, rows: pd.DataFrame) -> dict[str, Any]:
-    done, void = completed(rows), rows[rows["outcome"] == Outcome.VOID]
+    done, void = completed(rows), rows_where(rows, rows["outcome"] == Outcome.VOID)
     return {
         "system": name,
         "declares": counted(rows["declares"]),

@@ -128,7 +128,7 @@ def compare_systems(
                 if both[0].kind != SHAM:
                     pairs.append(pair)
         if pairs:
-            p = exchange_test(np.asarray(_by_world(pairs)), rng)
+            p = exchange_test(_by_world(pairs), rng)
             pooled.append((_difference(about, pairs), p))
     corrected = holm([p for _, p in pooled])
     return Systems(
@@ -210,14 +210,15 @@ def _paired(both: Sequence[HomogeneousCell], column: str) -> pd.DataFrame:
     return joined
 
 
-def _by_world(pairs: Sequence[pd.DataFrame]) -> pd.Series:
-    """Mean difference of each world: over conditions, then sequences, then replicates, weighted alike."""
+def _by_world(pairs: Sequence[pd.DataFrame]) -> Floats:
+    """(W,) mean difference of each world: over conditions, sequences and replicates, weighted alike."""
     means = [pair.groupby(["world", "sequence"]).difference.mean() for pair in pairs]
-    return pd.concat([m.groupby("world").mean() for m in means]).groupby("world").mean().dropna()
+    by_world = pd.concat([mean.groupby("world").mean() for mean in means]).groupby("world").mean()
+    return by_world.dropna().to_numpy(float)
 
 
 def _difference(about: PairedDifference, pairs: Sequence[pd.DataFrame]) -> PairedDifference:
-    by_world = _by_world(pairs).to_numpy(float)
+    by_world = _by_world(pairs)
     units = pd.concat(pairs)
     return replace(
         about,
