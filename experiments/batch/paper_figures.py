@@ -3,6 +3,7 @@
 Source: Huang et al., "Dual-SLAM: A framework for robust single camera navigation", IROS 2020.
 """
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -237,7 +238,8 @@ def _add_seconds(axes: Axes, own: pd.DataFrame) -> None:
     if len(known):
         steps = (known.frames_to_initialise - 1).astype(float)
         frame_s = float((known.time_to_initialise_s.astype(float) / steps).median())
-        seconds = axes.secondary_yaxis("right", functions=(lambda f: f * frame_s, lambda s: s / frame_s))
+        both_ways = partial(np.multiply, frame_s), partial(np.multiply, 1 / frame_s)
+        seconds = axes.secondary_yaxis("right", functions=both_ways)
         seconds.set_ylabel("s", fontsize=9)
 
 

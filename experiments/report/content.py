@@ -46,7 +46,7 @@ def report_content(
     scenarios = {cell: spec.unit(cell, 0).scenario for cell in cells}
     whole = _in_order_of_cells(table, cells)
     # Eq. 1 is about systems with recovery threads; all others stand beside them.
-    table = whole[whole["cell"].isin(list(systems)) | ~whole["cell"].isin(cells)]
+    table = outcomes.rows_where(whole, whole["cell"].isin(list(systems)))
     threads = len(spec.threads)
     kinds = [thread.kind for thread in spec.threads]
     letter = kinds.index(PAPER_THREAD) + 1 if PAPER_THREAD in kinds else None
@@ -120,9 +120,9 @@ def _warnings(units: dict[str, Any], table: pd.DataFrame) -> list[str]:
             f"{plural(len(codes), 'state')} of the code that made the records is not that of this report: "
             "replays may differ."
         )
-    for name, digests in table.groupby("system")["system_digest"]:
-        if digests.nunique() > 1:
-            warnings.append(f"{name} was changed between records: they may not be comparable.")
+    digests = table.groupby("system")["system_digest"].nunique()
+    changed = [str(name) for name, count in digests.items() if int(count) > 1]
+    warnings += [f"{name} was changed between records: they may not be comparable." for name in changed]
     dirty = sum(str(commit).endswith("-dirty") for commit in table["commit"].dropna())
     if dirty:
         warnings.append(f"{dirty} records are of a work tree with uncommitted changes.")
