@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -181,18 +181,22 @@ def run_experiment(
         progress: called as each unit ends.
 
     Raises:
-        InputError: the spec is not valid, or the folder holds something else.
+        InputError: the spec is not valid, a system is unknown or cannot run so, or the folder holds something
+            else.
     """
     from experiments.campaign.clusters import open_worker_pool
     from experiments.campaign.runner import run_experiment as run_units
+    from experiments.campaign.system_checks import check_workers, digests_of, find_systems
     from experiments.campaign.worker_pool import WorkerPoolSettings
     from experiments.eq1.spec import load_spec
     from experiments.eq1.trial import run_unit
 
     load_plugins()
     spec = load_spec(experiment) if isinstance(experiment, str | Path) else experiment
-    settings = WorkerPoolSettings(workers=workers)
-    return run_units(spec, Path(folder), lambda: open_worker_pool(settings, run_unit), show=progress)
+    settings, systems = WorkerPoolSettings(workers=workers), find_systems(spec)
+    check_workers(spec, systems, settings)
+    pool = partial(open_worker_pool, settings, run_unit)
+    return run_units(spec, Path(folder), pool, show=progress, digests=digests_of(systems))
 
 
 def _opened(sequence: Sequence | Scenario | str | Path, seed: int | None) -> Sequence:

@@ -31,7 +31,7 @@ def table_1(rows: pd.DataFrame) -> pd.DataFrame:
     systems = list(dict.fromkeys(rows.system))
     table = []
     for source, own in rows.groupby("source", sort=False):
-        line = {"sequence": _short(str(source))}
+        line = {"sequence": short_name(str(source))}
         line |= {system: _rmse(own[own.system == system]) for system in systems}
         published = next((row for row in TABLE_1 if row.name.endswith(f" {_number(str(source))}")), None)
         for name, field in _PAPER_SYSTEMS.items():
@@ -154,7 +154,7 @@ def _text(value: float) -> str:
     return "" if pd.isna(value) else f"{value:.2f}"
 
 
-def _short(source: str) -> str:
+def short_name(source: str) -> str:
     """A name of a sequence: its folder's, or the scenario's."""
     return Path(source).name if Path(source).exists() else source
 

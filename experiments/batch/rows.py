@@ -8,6 +8,7 @@ import pandas as pd
 
 from experiments.evaluation import metrics
 from experiments.evaluation.alignment import Undefined
+from experiments.evaluation.end_alignment import end_alignment_error_m
 from experiments.evaluation.intact_map import judge_intact
 from experiments.evaluation.summary import is_tracked
 from experiments.runs.execution import RunRecord
@@ -39,9 +40,11 @@ COLUMNS = {
     "completeness": ("Float64", "share of the frames that have a pose in the main map in the end"),
     "share_tracked": ("Float64", "share of the frames that had a pose live"),
     "path_share": ("Float64", "share of the true path between frames of the main map"),
+    "frames_to_initialise": ("Int64", "frames up to the first live pose"),
     "time_to_initialise_s": ("Float64", "from the first frame to the first live pose"),
     "ate_keyframes_m": ("Float64", "RMSE of the keyframes of the main map after Sim(3) alignment"),
     "ate_frames_m": ("Float64", "RMSE of its frames"),
+    "end_alignment_m": ("Float64", "RMS between the path aligned to its start and to its end"),
     "ate_reason": ("string", "why there is none"),
     "rpe_m": ("Float64", "RMSE of the translation over one second"),
     "rpe_deg": ("Float64", "RMSE of the rotation over one second"),
@@ -52,6 +55,7 @@ COLUMNS = {
     "recovered_by_later": ("Int64", "by a later one"),
     "recovery_s": ("Float64", "mean time from a breakage to the fusion that a recovery brought"),
     "relocalizations": ("Int64", "of them relocalized"),
+    "relocalization_s": ("Float64", "mean time from a breakage to its relocalization"),
     "maps": ("Int64", "maps in the end"),
     "ms_median": ("Float64", "tracking per frame, wall"),
     "cpu_ms_median": ("Float64", "tracking per frame, CPU of its thread"),
@@ -67,8 +71,8 @@ COLUMNS = {
 }
 _OF_SUMMARY = (
     "dropped_frames", "ended", "ended_message", "declares", "live_poses", "path_share",
-    "time_to_initialise_s", "breakages", "recoveries", "relocalizations", "maps", "ms_median",
-    "cpu_ms_median", "cpu_ms_p95", "mapping_cpu_ms_median", "loop_cpu_ms_median", "peak_rss_mb",
+    "frames_to_initialise", "time_to_initialise_s", "breakages", "recoveries", "relocalizations", "maps",
+    "ms_median", "cpu_ms_median", "cpu_ms_p95", "mapping_cpu_ms_median", "loop_cpu_ms_median", "peak_rss_mb",
     "commit", "ate_reason",
 )  # fmt: skip
 
@@ -101,6 +105,7 @@ class About:
             "share_tracked": summary["tracked"] / frames,
             "ate_keyframes_m": _ate_keyframes_m(record),
             "ate_frames_m": summary["ate_m"],
+            "end_alignment_m": _end_alignment_m(record),
             "rpe_m": rpe.get("translation_rmse_m"),
             "rpe_deg": rpe.get("rotation_rmse_deg"),
             "wall_s": record.wall_s,
@@ -123,14 +128,16 @@ def typed(rows: list[Row]) -> pd.DataFrame:
 
 
 def _recoveries(breakages: list[dict]) -> Row:
-    """Recoveries that were needed, what brought them about, and how long they took."""
+    """Recoveries that were needed, what brought them about, how long they and relocalizations took."""
     by = [b["thread"] for b in breakages if b["recovered"]]
+    lost_s = [b["lost_s"] for b in breakages if b["lost_s"] is not None]
     took_s = [b["repair_time_s"] - b["time_s"] for b in breakages if b["recovered"]]
     return {
         "recoveries_needed": sum(b["recovery_threads"] > 0 for b in breakages),
         "recovered_by_first": by.count(1),
         "recovered_by_later": len(by) - by.count(1),
         "recovery_s": float(np.mean(took_s)) if took_s else None,
+        "relocalization_s": float(np.mean(lost_s)) if lost_s else None,
     }
 
 
@@ -138,6 +145,14 @@ def _first_pose_s(record: RunRecord) -> float | None:
     live = [result.stamp_s for result in record.results if is_tracked(result)]
     first = [float(path.stamps_s[0]) for path in record.trajectories if len(path.stamps_s)]
     return min([*live[:1], *first], default=None)
+
+
+def _end_alignment_m(record: RunRecord) -> float | None:
+    sequence = record.sequence
+    if sequence.T_world_cam is None or not record.trajectories:
+        return None
+    error_m = end_alignment_error_m(record.trajectories[0], sequence.stamps_s, sequence.T_world_cam)
+    return None if isinstance(error_m, Undefined) else error_m
 
 
 def _ate_keyframes_m(record: RunRecord) -> float | None:

@@ -17,12 +17,9 @@ from experiments.runs.processes import call_in_process, side_by_side
 from experiments.runs.provenance import code_hash, commit
 from experiments.runs.sources import open_sequence
 from experiments.runs.systems.command import CommandSystem
-from experiments.runs.systems.own_class import ClassSystem
-from experiments.runs.systems.registry import Registry, System
+from experiments.runs.systems.registry import Registry, System, system_digest
 from scenarios.errors import InputError
-from scenarios.extensions import source_digest
 from scenarios.input_files import is_folder
-from sim.cache import content_key
 from sim.io.folders import unwritable, write_file
 
 ROWS_FILE, CSV_FILE, RUNS_DIR = "runs.parquet", "runs.csv", "runs"
@@ -134,7 +131,7 @@ def _jobs(
 ) -> list[Job]:
     """Every run, so that the first runs of all come first."""
     code, head, found = code_hash(), commit(), []
-    digests = {name: _digest(system) for name, system in systems.items()}
+    digests = {name: system_digest(system) for name, system in systems.items()}
     for run in range(spec.runs):
         for number, source in enumerate(sources):
             for named, system in systems.items():
@@ -160,14 +157,8 @@ def _jobs(
 
 def _needs_quiet(system: System, spec: BatchSpec) -> bool:
     if isinstance(system, CommandSystem):
-        return system.spec.pace == "real_time"
+        return system.takes_real_time
     return spec.real_time
-
-
-def _digest(system: System) -> str:
-    if isinstance(system, CommandSystem):
-        return content_key(system.spec.model_dump(mode="json"))
-    return source_digest(system.make) if isinstance(system, ClassSystem) else ""
 
 
 def _made(jobs: list[Job], workers: int, task: RunJob) -> Iterator[Row]:

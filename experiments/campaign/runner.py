@@ -5,7 +5,7 @@ their records in order decide which units are run (see :mod:`experiments.campaig
 """
 
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,6 +68,7 @@ def run_experiment(
     rerun_damaged: bool = False,
     show: Show | None = None,
     order: Callable[[Experiment, Sequence[Record]], UnitOrder] = Schedule,
+    digests: Mapping[str, str] | None = None,
 ) -> Tally:
     """Run all units of an experiment that its folder lacks.
 
@@ -79,6 +80,7 @@ def run_experiment(
         rerun_damaged: drop damaged rows of the ledger and run their units again.
         show: called with the progress, at least after each unit.
         order: makes what decides which unit comes next, from the experiment and the existing records.
+        digests: of the systems that are not ours, by name, whose records must be of the same.
 
     Raises:
         InputError: the folder holds something else or is in use, or the disk is full. The ledger keeps its
@@ -95,6 +97,7 @@ def run_experiment(
             if retry_errors and ledger.forget_errors():
                 rows = ledger.rows()
             check_units(experiment, rows, folder)
+            check_digests(rows, digests or {}, folder)
             run = _Run(ledger, order(experiment, rows), experiment, show)
             if not run.schedule.complete:
                 with open_worker_pool() as pool:
@@ -120,6 +123,19 @@ def check_units(experiment: Experiment, rows: Sequence[Record], folder: Path) ->
                 f"the code now makes {row['cell']}:{row['index']} another unit, {unit.unit_id}",
                 f"choose a new folder, or go back to commit {row['commit']}",
             )
+
+
+def check_digests(rows: Sequence[Record], digests: Mapping[str, str], folder: Path) -> None:
+    """Check that the rows of systems that are not ours are of these systems as they are now.
+
+    Raises:
+        InputError: a system was changed since.
+    """
+    for row in rows:
+        now = digests.get(row["system"], "")
+        if row["system_digest"] and now and row["system_digest"] != now:
+            problem = f"{row['system']} was changed since it ran here"
+            raise InputError(str(folder), problem, "choose a new folder, or undo the change")
 
 
 class _Run:

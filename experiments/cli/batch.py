@@ -27,6 +27,9 @@ def batch_command(
     out_dir: Annotated[Path, typer.Option("--out", help="Folder of the results; resumed if it exists.")],
     workers: Annotated[int, typer.Option(min=1, help="Number of runs at a time.")] = 1,
     systems_dir: SystemsOption = None,
+    figures: Annotated[
+        bool, typer.Option("--figures", help="Draw Figures 6 to 9 of the paper too, of these runs.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Run systems over many sequences, several times each, and print a table.
@@ -35,11 +38,14 @@ def batch_command(
     started again, a batch goes on where it was. Systems that take frames in real time run alone, after the
     others. Writes runs.parquet and runs.csv, a row per run, pairs.csv, in which every further system
     stands beside the first one over the frames that both have placed, tables in the layout of the paper's,
-    and the result folder of each run. For example:
+    its figures on request, and the result folder of each run. For example:
 
     `dslab batch kitti.yaml --workers 2 --out out/kitti`
+
+    `dslab batch kitti.yaml --out out/kitti --figures`
     """
     from experiments.batch.pairs import PAIRS_FILE, pairs
+    from experiments.batch.paper_figures import FIGURES_DIR, write_figures
     from experiments.batch.paper_tables import TABLES_DIR, write_tables
     from experiments.batch.run import CSV_FILE, run_batch
     from experiments.batch.spec import read_batch
@@ -53,6 +59,7 @@ def batch_command(
     found, beside = sums(rows), pairs(rows, out_dir)
     write_file(out_dir / PAIRS_FILE, lambda path: beside.to_csv(path, index=False))
     write_tables(rows, out_dir)
+    drawn = write_figures(rows, out_dir) if figures else []
     if as_json:
         print_json_line({"rows": plain(_records(found)), "pairs": plain(_records(beside))})
     else:
@@ -60,7 +67,8 @@ def batch_command(
         if len(beside):
             print_table(_beside(beside, rows.system.iloc[0]))
         out.print(f"every run  {out_dir / CSV_FILE}, {out_dir / PAIRS_FILE}", soft_wrap=True)
-        out.print(f"as in the paper  {out_dir / TABLES_DIR}", soft_wrap=True)
+        places = [out_dir / TABLES_DIR, *([out_dir / FIGURES_DIR] if drawn else [])]
+        out.print(f"as in the paper  {', '.join(map(str, places))}", soft_wrap=True)
     _check_made(rows)
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from experiments.cli.console import JsonOption, check_seed, err, out, print_json_line
+from experiments.cli.console import JsonOption, SystemsOption, check_seed, err, out, print_json_line
 from experiments.cli.experiment_progress import experiment_progress
 
 if TYPE_CHECKING:
@@ -44,6 +44,14 @@ def boundary_command(
     base: Annotated[
         str | None, typer.Option(help="Base of it: kind of world and of motion; default: the first.")
     ] = None,
+    system: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="System that fails: of `dslab systems list`, or module:Class; default: that of the spec.",
+        ),
+    ] = None,
+    systems_dir: SystemsOption = None,
     trials: Annotated[int, typer.Option(min=2, help="Number of trials, each in a world of its own.")] = 60,
     sham: Annotated[int, typer.Option(min=1, help="Of these, trials without stress, which come first.")] = 8,
     batch: Annotated[
@@ -87,9 +95,14 @@ def boundary_command(
     `dslab experiment boundary low_texture --of mission --fail 0.25 --base room --trials 100 --out out/room`
 
     `dslab experiment boundary defocus-creeping --of dual --fail 0.5 --strongest 30 --out out/defocus`
+
+    `dslab experiment boundary motion_blur --of base --fail 0.5 --system orbslam3 --out out/orbslam3`
     """
+    from functools import partial
+
     from experiments.campaign.clusters import open_worker_pool
     from experiments.campaign.runner import run_experiment
+    from experiments.campaign.system_checks import check_workers, digests_of, find_systems, takes_real_time
     from experiments.campaign.worker_pool import WorkerPoolSettings
     from experiments.eq1.boundary_plan import boundary_plan
     from experiments.eq1.doses import dose_axis
@@ -109,19 +122,25 @@ def boundary_command(
         batch=batch,
         seed=seed,
         axis=dose_axis(kind.removesuffix("-creeping"), dose, weakest, strongest),
+        system=system,
     )
-    settings = WorkerPoolSettings(workers or usable_cores(), None, timeout, memory or None)
+    folders = tuple(folder.absolute() for folder in systems_dir or ())
+    systems = find_systems(plan.spec, folders)
+    workers = workers or (1 if takes_real_time(systems) else usable_cores())
+    settings = WorkerPoolSettings(workers, None, timeout, memory or None)
+    check_workers(plan.spec, systems, settings)
     order = _Estimating(plan)
     try:
         with experiment_progress(f"{kind}, {of.value} {fail:g}", order.text) as show:
             tally = run_experiment(
                 plan.spec,
                 out_dir,
-                lambda: open_worker_pool(settings, run_unit),
+                lambda: open_worker_pool(settings, partial(run_unit, folders=folders)),
                 retry_errors,
                 rerun_damaged,
                 show,
                 order.schedule,
+                digests_of(systems),
             )
     except KeyboardInterrupt:
         err.print(

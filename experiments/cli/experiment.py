@@ -8,6 +8,7 @@ import typer
 from experiments.cli.boundary import boundary_command
 from experiments.cli.console import (
     JsonOption,
+    SystemsOption,
     err,
     number,
     out,
@@ -52,6 +53,7 @@ def run_command(
     worlds: Annotated[
         int | None, typer.Option(min=1, help="Worlds of every cell instead of those of the spec.")
     ] = None,
+    systems_dir: SystemsOption = None,
     timeout: TimeoutOption = _TIMEOUT_S,
     memory: MemoryOption = _MEMORY_MB,
     retry_errors: Annotated[
@@ -66,6 +68,9 @@ def run_command(
 ) -> None:
     """Run or resume an experiment; units that the folder already holds are not run again.
 
+    Systems of other people run the free arm, on the same frames as ours; with one that takes frames in real
+    time, units run one at a time.
+
     It may be interrupted at any time, also by `kill -9`: only running units are lost. The rows are the same
     for any number of workers. The exit code is 1 if the run stops for a fault of the machine, or if every
     unit was given up; units given up among others are counted in the last line. For example:
@@ -76,8 +81,11 @@ def run_command(
 
     `dslab experiment run eq1-full --out out/full --scheduler tcp://10.0.0.1:8786`
     """
+    from functools import partial
+
     from experiments.campaign.clusters import open_worker_pool
     from experiments.campaign.runner import run_experiment
+    from experiments.campaign.system_checks import check_workers, digests_of, find_systems, takes_real_time
     from experiments.campaign.worker_pool import WorkerPoolSettings
     from experiments.eq1.spec import load_spec
     from experiments.eq1.trial import run_unit
@@ -86,21 +94,25 @@ def run_command(
     spec = load_spec(experiment)
     if worlds is not None:
         spec = spec.model_copy(update={"worlds": worlds})
+    folders = tuple(folder.absolute() for folder in systems_dir or ())
+    systems = find_systems(spec, folders)
     settings = WorkerPoolSettings(
-        workers=workers or usable_cores(),
+        workers=workers or (1 if takes_real_time(systems) else usable_cores()),
         scheduler=scheduler,
         timeout_s=timeout,
         memory_mb=memory or None,
     )
+    check_workers(spec, systems, settings)
     try:
         with experiment_progress(spec.name) as show:
             tally = run_experiment(
                 spec,
                 out_dir,
-                lambda: open_worker_pool(settings, run_unit),
+                lambda: open_worker_pool(settings, partial(run_unit, folders=folders)),
                 retry_errors,
                 rerun_damaged,
                 show,
+                digests=digests_of(systems),
             )
     except KeyboardInterrupt:
         err.print(f"{out_dir} keeps the finished units: run the same command again to resume", soft_wrap=True)
@@ -265,6 +277,7 @@ def replay_command(
     rerun: Annotated[
         Path | None, typer.Option(metavar="FILE.rrd", help="Save a recording for `dslab view`.")
     ] = None,
+    systems_dir: SystemsOption = None,
     timeout: TimeoutOption = _TIMEOUT_S,
     memory: MemoryOption = _MEMORY_MB,
     as_json: JsonOption = False,
@@ -277,6 +290,8 @@ def replay_command(
 
     `dslab experiment replay out/smoke low_texture/2:7 --rerun unit.rrd`
     """
+    from functools import partial
+
     from experiments.campaign.replay import replay
     from experiments.campaign.worker_pool import WorkerPoolSettings
     from experiments.eq1.trial import run_unit
@@ -285,7 +300,9 @@ def replay_command(
     settings = WorkerPoolSettings(timeout_s=timeout, memory_mb=memory or None)
     with progress_bars() as show:
         show(f"unit {unit}", 0, 1)
-        done = replay(folder, unit, run_unit, settings, None if rerun is None else rerun.absolute())
+        folders = tuple(folder.absolute() for folder in systems_dir or ())
+        job = partial(run_unit, folders=folders)
+        done = replay(folder, unit, job, settings, None if rerun is None else rerun.absolute())
     _note_digests(folder)
     if as_json:
         print_json_line(

@@ -14,7 +14,7 @@ import numpy as np
 from experiments.eq1.unit_settings import unit_settings
 from experiments.eq1.units import UnitSpec
 from experiments.evaluation.breakages import EXPOSURE_GRACE_S
-from experiments.runs.execution import RunRecord, SystemKind, record_of, slam_camera, without_features
+from experiments.runs.execution import RunRecord, record_of, slam_camera, without_features
 from experiments.runs.slam_settings import SlamSettings, factory_of
 from sim.sequence import SegmentTruth, Sequence
 from slam.core.events import Breakage, RecoveryStart
@@ -213,7 +213,7 @@ def settings_of(unit: UnitSpec) -> SlamSettings:
 
 
 def run_lead_in(
-    unit: UnitSpec, sequence: Sequence, exposure: Exposure, clock: CpuClock, kind: SystemKind | None = None
+    unit: UnitSpec, sequence: Sequence, exposure: Exposure, clock: CpuClock, kind: str | None = None
 ) -> BranchRun:
     """Run the lead-in, which all arms share: the frames before the onset; ``kind``: None for the unit's."""
     camera = slam_camera(sequence.camera)
@@ -223,7 +223,7 @@ def run_lead_in(
     return branch
 
 
-PLAIN: dict[str, SystemKind] = {"dual+": "dual", "paper+": "paper"}
+PLAIN: dict[str, str] = {"dual+": "dual", "paper+": "paper"}
 """Systems beside which the base is that of another one, without its initialisation."""
 
 

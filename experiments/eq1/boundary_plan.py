@@ -13,7 +13,7 @@ from experiments.eq1.doses import DoseAxis, dose_axis
 from experiments.eq1.records import dual_column, failure_column, thread_column
 from experiments.eq1.spec import ExperimentSpec
 from experiments.eq1.spec_parts import Degradation
-from experiments.eq1.units import ArmName
+from experiments.eq1.units import RECOVERING, ArmName, system_label
 from scenarios.errors import InputError
 from scenarios.faults import all_faults, guess
 
@@ -26,6 +26,8 @@ FAILURES: dict[FailureName, str] = {
     "recovery": "the first thread does not cross the segment, whether or not tracking breaks (R_1)",
 }
 """What a search can be of; with all threads of the spec."""
+OF_ANY: tuple[FailureName, ...] = ("base", "system", "mission")
+"""Those of a system without recovery threads: it breaks, does not come back, or its mission fails."""
 _CREEPING, _PREFIX = "-creeping", "boundary-"
 _ONE_UNIT_PER_WORLD: dict[str, Any] = {
     "sequences_per_world": 1,
@@ -57,6 +59,11 @@ class BoundaryPlan:
     axis: DoseAxis
     shams: int
     batch: int
+
+    @property
+    def system(self) -> str:
+        """Name of the system that fails."""
+        return system_label(self.spec.systems[0])
 
     @property
     def trials(self) -> int:
@@ -103,6 +110,7 @@ def boundary_plan(
     batch: int = 4,
     seed: int = 0,
     axis: DoseAxis | None = None,
+    system: str | None = None,
 ) -> BoundaryPlan:
     """Plan a search in one base of an experiment.
 
@@ -118,11 +126,14 @@ def boundary_plan(
         batch: number of trials whose doses are chosen together.
         seed: root of every stream: worlds, paths, noise.
         axis: the doses; None for those of the kind.
+        system: that fails; None for the first of the experiment.
 
     Raises:
         InputError: no such kind, base or failure, the level is none, or a scenario is not valid.
     """
     _check(of, level, trials, shams)
+    system = system or spec.systems[0]
+    _check_system(of, system)
     name, axis = _base(spec, base), axis or dose_axis(kind.removesuffix(_CREEPING))
     design = {
         # All that decides the doses, so that no other search goes on with the ledger. The level does not.
@@ -132,7 +143,7 @@ def boundary_plan(
         "bases": {name: spec.bases[name]},
         "degradations": (_stress(spec, kind, axis, name),),
         "worlds": trials,
-        **_fewest_runs(spec, of),
+        **_fewest_runs(spec, of, system),
         **_ONE_UNIT_PER_WORLD,
     }
     try:
@@ -161,12 +172,23 @@ def _check(of: str, level: float, trials: int, shams: int) -> None:
         raise InputError("--trials", problem, "give more trials or fewer --sham")
 
 
-def _fewest_runs(spec: ExperimentSpec, of: FailureName) -> dict[str, Any]:
+def _check_system(of: FailureName, system: str) -> None:
+    """Check that a system can fail so.
+
+    Raises:
+        InputError: the failure is one of recovery threads, which it does not have.
+    """
+    if system not in RECOVERING and of not in OF_ANY:
+        problem = f"{of} is a failure of recovery threads, which {system_label(system)} does not have"
+        raise InputError("--of", problem, f"use one of {', '.join(OF_ANY)}")
+
+
+def _fewest_runs(spec: ExperimentSpec, of: FailureName, system: str) -> dict[str, Any]:
     """System, threads and arms on which the failure depends."""
     arms: tuple[ArmName, ...] = ("crossing",) if of == "recovery" else ("free",)
     # B does not depend on the threads, R_1 on the first alone.
     threads = spec.threads[:1] if of in ("base", "recovery") else spec.threads
-    return {"systems": spec.systems[:1], "threads": threads, "arms": arms}
+    return {"systems": (system,), "threads": threads, "arms": arms}
 
 
 def is_search(spec: ExperimentSpec) -> bool:

@@ -22,16 +22,16 @@ from experiments.runs.execution import RunRecord
 def judge_free(arm: FreeArm, reference: Reference) -> dict[str, Any]:
     """The columns of base and dual and, after a breakage, of every recovery thread."""
     exposure = reference.exposure
-    first, base_first = _first_exposed(arm.dual, reference), _first_exposed(arm.base, reference)
-    loss = _loss(arm.dual, exposure, first)
+    first, base_first = (first_exposed(record, exposure, reference.kind) for record in (arm.dual, arm.base))
+    loss = true_loss(arm.dual, exposure, first)
     silent = None if loss is None else first is None and loss.true_loss_frame is not None
     row = {
         "breakage": first is not None,
         "silent_failure": silent,
         "base_breakage": base_first is not None,
         "base_failure": base_first is not None and base_first.relocalized is None,
-        **_accuracy(arm.base, "base", exposure),
-        **_accuracy(arm.dual, "dual", exposure),
+        **accuracy_columns(arm.base, "base", exposure),
+        **accuracy_columns(arm.dual, "dual", exposure),
         **declared_columns(arm.base, "base", ("loops", "relocalizations")),
         **declared_columns(arm.dual, "dual", ("loops", "relocalizations", "fusions", "joins")),
     }
@@ -52,7 +52,8 @@ def judge_free(arm: FreeArm, reference: Reference) -> dict[str, Any]:
             "free_frames_to_cross": recovery.frames_from((breakage.frame if lost is None else lost) - 1),
             **recovery.columns,
         }
-    return row | _dual_failures(arm, reference, first, recovery) | _base_mission(arm, exposure, base_first)
+    failures = _dual_failures(arm, reference, first, recovery, silent_frame(loss, first is not None))
+    return row | failures | _base_mission(arm, exposure, base_first)
 
 
 def judge_crossing(branch: BranchRun, reference: Reference) -> dict[str, Any]:
@@ -87,6 +88,7 @@ def _dual_failures(
     reference: Reference,
     broke: BreakageOutcome | None,
     recovery: Recovery | None,
+    silent: int | None,
 ) -> dict[str, Any]:
     """D_J, S_J and M_J for the first 1 to n threads, and the first cause with all of them.
 
@@ -98,7 +100,7 @@ def _dual_failures(
         [recovery is not None and recovery.columns[thread_column("free", j, name)] is True for j in numbers]
         for name in ("failed", "declared")
     )
-    faults = _audited_faults(arm.dual, reference.exposure, broke)
+    faults = audited_faults(arm.dual, reference.exposure, silent)
     threads, system = system_failures(broke is not None, failed, declared)
     row: dict[str, Any] = {}
     for n in numbers:
@@ -131,39 +133,47 @@ def system_failures(
 
 
 def _base_mission(arm: FreeArm, exposure: Exposure, broke: BreakageOutcome | None) -> dict[str, Any]:
-    faults = _audited_faults(arm.base, exposure, broke)
+    loss = true_loss(arm.base, exposure, broke)
+    faults = audited_faults(arm.base, exposure, silent_frame(loss, broke is not None))
     if broke is not None and broke.relocalized is None:
         faults.append(Fault.declared(broke.breakage.frame, "base_failure"))
     return {"base_mission_failure": bool(faults), "base_mission_cause": first_cause(faults)}
 
 
-def _audited_faults(record: RunRecord, exposure: Exposure, broke: BreakageOutcome | None) -> list[Fault]:
-    """All that only the truth shows: a silent failure, false declarations, a final pose out of bounds."""
+def audited_faults(record: RunRecord, exposure: Exposure, silent: int | None) -> list[Fault]:
+    """All that only the truth shows: a silent failure, false declarations, a final pose out of bounds.
+
+    Args:
+        record: a run.
+        exposure: the exposed segment.
+        silent: frame of a true loss that was not declared; None for none.
+    """
     faults = [*false_declarations(audit_declared(record)), *final_pose_faults(record, exposure)]
-    loss = _loss(record, exposure, broke)
-    if broke is None and loss is not None and loss.true_loss_frame is not None:
-        faults.append(Fault.audited(loss.true_loss_frame, "silent_failure"))
-    return faults
+    return faults if silent is None else [*faults, Fault.audited(silent, "silent_failure")]
 
 
-# -- base and dual -------------------------------------------------------------------------------------------
+def silent_frame(loss: LossAudit | None, broke: bool) -> int | None:
+    """Frame of the true loss if there was no breakage; None for none."""
+    return None if loss is None or broke else loss.true_loss_frame
 
 
-def _first_exposed(record: RunRecord, reference: Reference) -> BreakageOutcome | None:
-    """The first breakage in the exposed segment."""
-    segments = [reference.exposure.as_segment(reference.kind)]
-    outcomes = breakage_outcomes(record.events, segments, list(record.sequence.stamps_s))
+# -- of any run ----------------------------------------------------------------------------------------------
+
+
+def first_exposed(record: RunRecord, exposure: Exposure, kind: str) -> BreakageOutcome | None:
+    """The first breakage that was declared in the exposed segment, of this kind of degradation."""
+    outcomes = breakage_outcomes(record.events, [exposure.as_segment(kind)], list(record.sequence.stamps_s))
     return next((o for o in outcomes if o.segment is not None), None)
 
 
-def _loss(record: RunRecord, exposure: Exposure, first: BreakageOutcome | None) -> LossAudit | None:
+def true_loss(record: RunRecord, exposure: Exposure, first: BreakageOutcome | None) -> LossAudit | None:
     """True loss of the pose, up to the declaration; None if it cannot be judged."""
     end = exposure.last_frame if first is None else first.breakage.frame
     audit = audit_loss_in(record, exposure.onset_frame, end)
     return None if isinstance(audit, Undefined) else audit
 
 
-def _accuracy(record: RunRecord, name: str, exposure: Exposure) -> dict[str, Any]:
+def accuracy_columns(record: RunRecord, name: str, exposure: Exposure) -> dict[str, Any]:
     """ATE and coverage of the largest map, end-point error of the map that holds the lead-in."""
     truth, pairs = record.sequence.T_world_cam, main_map_pairs(record)
     assert truth is not None

@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
-from experiments.eq1.units import UnitSpec
+from experiments.eq1.units import UnitSpec, system_label
 from scenarios.errors import InputError
 
 ColumnType = Literal["bool", "int", "float", "text"]
@@ -48,6 +48,7 @@ UNIT_COLUMNS: dict[str, tuple[Domain, str]] = {
     "experiment": ("name", "name of the experiment"),
     "cell": ("name", "name of the cell"),
     "base": ("name", "name of its base: one kind of world and of motion"),
+    "system": ("name", "name of the system"),
     "kind": ("name", "kind of the degradation"),
     "severity": ("float", "its dose"),
     "index": ("count", "number of the unit in its cell"),
@@ -60,6 +61,7 @@ UNIT_COLUMNS: dict[str, tuple[Domain, str]] = {
     "start_frame": ("count", "first frame of the scenario that was fed; frames count from it"),
     "code": ("text", "hash of the sources of sim, scenarios and slam"),
     "commit": ("text", "commit of the code"),
+    "system_digest": ("text", "hash of the class or the description of a system that is not ours"),
     "outcome": ("name", "completed, void or infrastructure_error"),
     "message": ("text", "of an infrastructure error"),
     "attempts": ("count", "number of tries, above 1 only after infrastructure errors"),
@@ -68,17 +70,30 @@ UNIT_COLUMNS: dict[str, tuple[Domain, str]] = {
     "exposed_s": ("amount", "its length"),
     "onset_frame": ("count", "first frame of the exposed segment"),
     "end_frame": ("count", "last frame of the exposed segment"),
-    # Base, and the dual up to the breakage.
-    "breakage": ("bool", "B: tracking was declared lost in the exposed segment"),
+    "declares": ("name", "what the system says of itself: events, losses or nothing"),
+    "ended": ("name", "how its run ended: finished, or what went wrong in a system that is not ours"),
+    "ended_message": ("text", "a line about that"),
+    # Base, and the dual up to the breakage; any other system.
+    "breakage": (
+        "bool",
+        "B: tracking was declared lost in the exposed segment; of a system that declares nothing: truly lost",
+    ),
     "breakage_frame": ("count", "frame of the declaration"),
     "breakage_reason": ("text", "as declared"),
     "declaration_delay_s": ("float", "from the true loss to the declaration"),
-    "silent_failure": ("bool", "the segment corrupted the map and no breakage was declared"),
+    "silent_failure": (
+        "bool",
+        "the segment corrupted the map and no breakage was declared; null for a system that declares nothing",
+    ),
     "view_overlap": ("share", "largest view overlap of usable frames on either side of the stress"),
     "rescuable": ("bool", "it is enough for a recovery by images; never shown to the SLAM"),
     # The base; beside a system with initialisation by GMS the plain one, with a map of its own.
     "base_breakage": ("bool", "it declared tracking lost in the exposed segment"),
-    "relocalized": ("bool", "given its breakage: it relocalized, before the next one"),
+    "relocalized": (
+        "bool",
+        "given its breakage: it relocalized, before the next one; of a system without recovery threads: it "
+        "came back",
+    ),
     "base_failure": ("bool", "it broke and did not relocalize"),
     "base_mission_failure": ("bool", "the same, or silent, false, or its final pose is off"),
     "base_mission_cause": ("text", "which of these was first"),
@@ -94,10 +109,8 @@ UNIT_COLUMNS: dict[str, tuple[Domain, str]] = {
     "reinit": ("bool", "given B: a new map was initialized before the end"),
     "reinit_frame": ("count", "its frame"),
     "free_frames_to_cross": ("int", "frames from the old map's last correct pose to the new map's first"),
-    "dual_share_tracked": (
-        "share",
-        "share of frames with a final pose in the main map, with all its threads",
-    ),
+    # Dual-SLAM with all its threads; any other system.
+    "dual_share_tracked": ("share", "share of frames with a final pose in the main map"),
     "dual_ate_m": ("amount", "ATE of its largest map"),
     "dual_keyframe_ate_m": ("amount", "the same over its keyframes"),
     "dual_path_share": ("share", "share of the path that this map covers"),
@@ -154,7 +167,11 @@ FAILURES = {
     "s": "B and, of the first n threads, none declared success or the first to do so was false: S_J",
     "m": "S_J, or silent, or a false declaration, or a final pose out of bounds: M_J",
 }
-"""Failures of Dual-SLAM with the first n threads (bool), named ``d1`` … ``dn``, ``s1`` …, ``m1`` …."""
+"""Failures of Dual-SLAM with the first n threads (bool), named ``d1`` … ``dn``, ``s1`` …, ``m1`` ….
+
+Of a system without recovery threads S is B without coming back. S and M are then the same for every n, and D
+is null.
+"""
 
 
 NEVER_NULL = frozenset(
@@ -185,6 +202,7 @@ _ADDED_COLUMNS = frozenset(
         *(f"{system}_{name}" for system in ("base", "dual") for name in _LATER),
         *("base", "sequence", "repeat", "sequence_seed", "repeat_seed", "start_frame"),
         *("view_overlap", "rescuable", "mission_cause"),
+        *("system", "system_digest", "declares", "ended", "ended_message"),
         *("base_breakage", "base_mission_failure", "base_mission_cause"),
     }
 )
@@ -254,6 +272,7 @@ def empty_record(unit: UnitSpec) -> dict[str, Any]:
         "unit_id": unit.unit_id,
         "experiment": unit.experiment,
         "cell": unit.cell,
+        "system": system_label(unit.system),
         "kind": unit.kind,
         "severity": unit.severity,
         "base": unit.base or None,

@@ -19,12 +19,12 @@ def overlap_columns(unit: UnitSpec, sequence: Sequence, cache_dir: Path | None =
     behind it.
 
     Args:
-        unit: its spec; a sham has no stress, and null columns.
+        unit: its spec; null columns for a sham, which has no stress, and a system without recovery.
         sequence: its frames.
         cache_dir: folder of rendered sequences; None for the default one.
     """
     acting = [segment for segment in sequence.segments if segment.first_frame >= 0]
-    if not acting or sequence.T_world_cam is None:
+    if not acting or sequence.T_world_cam is None or not unit.recovers:
         return {"view_overlap": None, "rescuable": None}
     _, dual = settings_of(unit).of(unit.system, slam_camera(sequence.camera))
     first = min(segment.first_frame for segment in acting)

@@ -10,7 +10,7 @@ from typing import Any
 from experiments.eq1.arms import CpuClock, Exposure, SavedBranch, run_lead_in
 from experiments.eq1.lead_in import lead_in_fault
 from experiments.eq1.units import UnitSpec, content_hash
-from experiments.runs.execution import SystemKind, slam_camera
+from experiments.runs.execution import slam_camera
 from sim.sequence import Sequence
 from slam.core.results import MapTrajectory
 
@@ -37,7 +37,7 @@ _kept: dict[str, LeadIn] = {}
 
 
 def lead_in_of(
-    unit: UnitSpec, sequence: Sequence, exposure: Exposure, clock: CpuClock, system: SystemKind | None = None
+    unit: UnitSpec, sequence: Sequence, exposure: Exposure, clock: CpuClock, system: str | None = None
 ) -> LeadIn:
     """The lead-in of a unit, run now unless that of the same replicate in another cell is at hand.
 
@@ -49,7 +49,7 @@ def lead_in_of(
         system: None for the unit's own.
     """
     system = system or unit.system
-    key = _key(unit, sequence, exposure, system)
+    key = lead_in_key(unit, sequence, exposure, system)
     found = _kept.pop(key, None) or _run(unit, sequence, exposure, clock, system)
     _kept[key] = found
     while len(_kept) > KEPT:
@@ -59,7 +59,7 @@ def lead_in_of(
     return replace(found, branch=replace(found.branch, sequence=sequence, clock=clock))
 
 
-def _run(unit: UnitSpec, sequence: Sequence, exposure: Exposure, clock: CpuClock, kind: SystemKind) -> LeadIn:
+def _run(unit: UnitSpec, sequence: Sequence, exposure: Exposure, clock: CpuClock, kind: str) -> LeadIn:
     branch = run_lead_in(unit, sequence, exposure, clock, kind)
     system = branch.system
     fault = lead_in_fault(branch.results, system.events, sequence, exposure.onset_frame)
@@ -73,7 +73,7 @@ def _run(unit: UnitSpec, sequence: Sequence, exposure: Exposure, clock: CpuClock
     return LeadIn(branch.save(), path, "")
 
 
-def _key(unit: UnitSpec, sequence: Sequence, exposure: Exposure, system: SystemKind) -> str:
+def lead_in_key(unit: UnitSpec, sequence: Sequence, exposure: Exposure, system: str) -> str:
     """Hash of all that a lead-in depends on: its frames, their times and truth, the system and its seed."""
     onset = exposure.onset_frame
     images = hashlib.sha256()

@@ -1,9 +1,9 @@
 """The spec of an experiment: cells, units and seeds as typed and validated data.
 
 A cell is a scenario base, one kind of world and of motion, with one dose of one degradation, run by one
-system. Its units have a clean lead-in, an exposed segment in part of which the degradation acts, and a clean
-tail. They are replicates of sequences in worlds. Index ``i`` has the same world, path and noise in every
-cell: two cells differ only in what their names state.
+system, ours or any other. Its units have a clean lead-in, an exposed segment in part of which the
+degradation acts, and a clean tail. They are replicates of sequences in worlds. Index ``i`` has the same
+world, path and noise in every cell: two cells differ only in what their names state.
 """
 
 from collections.abc import Callable, Iterator
@@ -19,7 +19,14 @@ from experiments.eq1.records import SHAM
 from experiments.eq1.spec_parts import Base, Degradation, Threads
 from experiments.eq1.unit_drawing import Cell, Place, draw_scenario, written_base
 from experiments.eq1.unit_settings import unit_settings
-from experiments.eq1.units import ArmName, ThreadChoice, UnitSpec, content_hash
+from experiments.eq1.units import (
+    RECOVERING,
+    ArmName,
+    ThreadChoice,
+    UnitSpec,
+    content_hash,
+    system_label,
+)
 from scenarios.distributions import NotationError
 from scenarios.errors import InputError, collect
 from scenarios.families import distributions_in, in_order_of_lines, load_family
@@ -33,7 +40,6 @@ PRESET_DIR = Path(__file__).parent / "presets"
 SPEC_VERSION = 2
 START_WITHIN_S = 1.0
 """Replicates start within this time of the lead-in, or within half of it."""
-SystemName = Literal["dual", "dual+", "paper", "paper+"]
 LevelName = Literal["sequences", "worlds"]
 _NAME = r"^[a-z0-9][a-z0-9_-]*$"
 _SEED_END = 2**53  # exact in JSON and in every table
@@ -50,7 +56,12 @@ class ExperimentSpec(Grown):
     root_seed: int = Field(0, ge=0, lt=_SEED_END)
     bases: dict[Annotated[str, Field(pattern=_NAME)], Base] = Field(min_length=1)
     degradations: tuple[Degradation, ...] = Field(min_length=1)
-    systems: tuple[SystemName, ...] = Field(("dual",), min_length=1)
+    systems: tuple[Annotated[str, Field(min_length=1)], ...] = Field(
+        ("dual",),
+        min_length=1,
+        description="names of `dslab systems list`, or module:Class; those without recovery threads run the "
+        "free arm alone",
+    )
     threads: Threads = Field((ThreadChoice(kind="orb"), ThreadChoice(kind="sift")), min_length=1)
     settings: dict[str, Any] = Field(
         default_factory=dict, description="of the systems, as in a settings file of `dslab run`"
@@ -89,10 +100,13 @@ class ExperimentSpec(Grown):
     def _check_consistency(self) -> "ExperimentSpec":
         for name in ("systems", "arms", "degradations"):
             items = getattr(self, name)
-            named = [getattr(item, "label", item) for item in items]
+            named = [getattr(item, "label", None) or system_label(item) for item in items]
             twice = next((item for i, item in enumerate(named) if item in named[:i]), None)
             if twice is not None:
                 raise ValueError(f"{name} names {twice} twice, keep one of them")
+        alone = [system_label(system) for system in self.systems if system not in RECOVERING]
+        if alone and "free" not in self.arms:
+            raise ValueError(f"{alone[0]} has no recovery threads to cross with, add free to arms")
         for thread in self.threads:
             if thread.kind not in RECOVERY_KINDS:
                 known = " or ".join(sorted(RECOVERY_KINDS))
@@ -130,7 +144,7 @@ class ExperimentSpec(Grown):
                 image = f"{place}/{stress}" if len(named) > 1 else stress
                 for system in self.systems:
                     cell = Cell(image, name, written, number, dose, system)
-                    found[f"{image}/{system}" if len(self.systems) > 1 else image] = cell
+                    found[f"{image}/{system_label(system)}" if len(self.systems) > 1 else image] = cell
         return found
 
     def model_copy(self, **options: Any) -> Self:
@@ -213,7 +227,7 @@ class ExperimentSpec(Grown):
             threads=self.threads,
             settings=self.settings,
             system=of_cell.system,
-            arms=self.arms,
+            arms=self.arms if of_cell.system in RECOVERING else ("free",),
         )
 
     def _cell(self, name: str) -> Cell:
@@ -315,12 +329,18 @@ def _mixtures(spec: ExperimentSpec, file: YamlFile) -> Iterator[InputError]:
 
 
 def _confirmatory_faults(spec: ExperimentSpec, file: YamlFile) -> Iterator[InputError]:
-    """Names of cells to confirm that are none."""
+    """Names of cells to confirm that are none, or whose system Eq. 1 is not about."""
+    known = [
+        name for name, of in spec.cells.items() if of.degradation is not None and of.system in RECOVERING
+    ]
     for number, cell in enumerate(spec.confirmatory):
-        if cell not in spec.cells or spec.cells[cell].degradation is None:
-            known = [name for name, of in spec.cells.items() if of.degradation is not None]
-            remedy = f"use {guess(cell, known)}one of {', '.join(known)}"
-            yield InputError(file.where(("confirmatory", number)), f"{cell} is no cell with a dose", remedy)
+        if cell not in known:
+            remedy = f"use {guess(cell, known)}one of {', '.join(known)}" if known else "leave it out"
+            yield InputError(
+                file.where(("confirmatory", number)),
+                f"{cell} is no cell with a dose and recovery threads",
+                remedy,
+            )
 
 
 def _members(base: Base) -> tuple[str | None, ...]:

@@ -9,26 +9,38 @@ import numpy as np
 
 from experiments.eq1.arms import PLAIN, CpuClock, Exposure, run_crossing, run_free, settings_of
 from experiments.eq1.conditioning import judge_pairs
+from experiments.eq1.free_judging import ending_columns, judge_system
+from experiments.eq1.free_systems import run_free_system
 from experiments.eq1.judging import judge_crossing, judge_free
 from experiments.eq1.records import Outcome, empty_record, error_message
 from experiments.eq1.recovery_judging import Reference
 from experiments.eq1.rescuable import overlap_columns
 from experiments.eq1.shared_lead_ins import lead_in_of
 from experiments.eq1.units import UnitSpec
+from experiments.runs.ending import FINISHED, Declares
 from experiments.runs.execution import RunRecord, execute
 from experiments.runs.memory import peak_rss_mb, reset_peak
 from experiments.runs.provenance import code_hash, commit
 from experiments.runs.slam_settings import factory_of
+from experiments.runs.systems.command import CommandSystem, run_command
+from experiments.runs.systems.registry import Registry, System, factory_with, system_digest
 from sim.sequence import Sequence
+from sim.unfinished import scratch_folder
 
 
-def run_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict[str, Any]:
+def run_unit(
+    unit: UnitSpec,
+    cache_dir: Path | None = None,
+    recording: Path | None = None,
+    folders: tuple[Path, ...] = (),
+) -> dict[str, Any]:
     """Run one unit: a pure function of its spec, except for the measured times. Never raises.
 
     Args:
         unit: everything that determines the record.
         cache_dir: folder of rendered sequences; None for the default one.
-        recording: file for a recording of base and Dual-SLAM, which takes two more runs.
+        recording: file for a recording of the base and the unit's system, which takes two more runs.
+        folders: of descriptions of systems, beside ours and those of ``DSLAB_SYSTEMS``.
 
     Returns:
         The columns of ``experiments.eq1.records``. An error in the programs gives the outcome
@@ -41,12 +53,14 @@ def run_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | No
     try:
         cv2.setNumThreads(1)
         record |= {"code": code_hash(), "commit": commit()}
+        system = Registry.open(folders).find(unit.system)
+        record["system_digest"] = system_digest(system) or None
         with render.running():
             sequence = _render(unit, cache_dir)
             record |= overlap_columns(unit, sequence, cache_dir)
-        record |= _judged(unit, sequence, slam)
+        record |= _judged(unit, system, sequence, slam)
         if recording is not None:
-            record_runs(unit, sequence, recording)
+            record_runs(unit, system, sequence, recording)
     except Exception as error:  # a broken unit must not end the experiment
         record |= {"outcome": Outcome.INFRASTRUCTURE_ERROR.value, "message": error_message(error)}
     return record | {
@@ -58,16 +72,20 @@ def run_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | No
     }
 
 
-def record_runs(unit: UnitSpec, sequence: Sequence, path: Path) -> list[RunRecord]:
-    """Run and record base and Dual-SLAM from the start; they behave as in the unit."""
+def record_runs(unit: UnitSpec, system: System, sequence: Sequence, path: Path) -> list[RunRecord]:
+    """Run and record the base and the unit's system from the start; ours behave as in the unit."""
     from experiments.recording import Recording
 
-    kinds = ("base", unit.system)
-    build = factory_of(settings_of(unit))
-    with Recording(path, sequence, kinds) as recorded:
-        runs = [
-            execute(sequence, kind, unit.repeat_seed, recorded.watch(kind), build=build) for kind in kinds
-        ]
+    kinds = list(dict.fromkeys(("base", system.name)))
+    build = factory_with({system.name: system}, factory_of(settings_of(unit)))
+    runs = []
+    with Recording(path, sequence, kinds) as recorded, scratch_folder() as scratch:
+        for kind in kinds:
+            watcher = recorded.watch(kind)
+            if kind == system.name and isinstance(system, CommandSystem):
+                runs.append(run_command(system, sequence, unit.repeat_seed, scratch, scratch, watcher))
+            else:
+                runs.append(execute(sequence, kind, unit.repeat_seed, watcher, build=build))
         recorded.finish(runs)
     return runs
 
@@ -79,7 +97,7 @@ def _render(unit: UnitSpec, cache_dir: Path | None) -> Sequence:
     return whole.only(np.arange(unit.start_frame, len(whole))) if unit.start_frame else whole
 
 
-def _judged(unit: UnitSpec, sequence: Sequence, clock: CpuClock) -> dict[str, Any]:
+def _judged(unit: UnitSpec, system: System, sequence: Sequence, clock: CpuClock) -> dict[str, Any]:
     exposure = Exposure.of(unit, sequence)
     row: dict[str, Any] = {
         "onset_s": exposure.onset_s,
@@ -87,6 +105,14 @@ def _judged(unit: UnitSpec, sequence: Sequence, clock: CpuClock) -> dict[str, An
         "onset_frame": exposure.onset_frame,
         "end_frame": exposure.end_frame,
     }
+    if not unit.recovers:
+        run = run_free_system(unit, system, sequence, exposure, clock)
+        row |= ending_columns(run.record)
+        if run.fault:
+            return row | {"outcome": Outcome.VOID.value, "void_reason": run.fault}
+        judged = judge_system(run.record, exposure, unit.kind, len(unit.threads))
+        return row | judged | {"outcome": Outcome.COMPLETED.value}
+    row |= {"declares": Declares.EVENTS.value, "ended": FINISHED.kind.value}
     lead_in = lead_in_of(unit, sequence, exposure, clock)
     of_base = PLAIN.get(unit.system) if "free" in unit.arms else None
     plain = None if of_base is None else lead_in_of(unit, sequence, exposure, clock, of_base)

@@ -11,6 +11,13 @@ from scenarios.strict import Grown
 from slam.dual.recovery.registry import RECOVERY_KINDS
 
 ArmName = Literal["free", "crossing", "pairs"]
+RECOVERING = ("dual", "dual+", "paper", "paper+")
+"""Systems with recovery threads: Eq. 1 is about them. All others run the free arm alone."""
+
+
+def system_label(system: str) -> str:
+    """Name of a system in cells and records: of ``module:Class`` the class."""
+    return system.rpartition(":")[2]
 
 
 class ThreadChoice(Grown):
@@ -42,7 +49,8 @@ class UnitSpec(Grown):
         start_frame: first frame of the scenario that is fed to the systems.
         onset_s, exposed_s: the exposed segment; None for that of the scenario's first injected segment.
         threads: the recovery threads, in order; n of Eq. 1 is their number.
-        system: the system run in the free arm besides the base, and in the crossing arm.
+        system: as the experiment names it. One with recovery threads is run in the free arm besides the
+            base, and in the crossing arm; any other one in the free arm alone.
         settings: of base and system, as in a settings file of ``dslab run``.
         arms: the arms to run; ``pairs`` measures pose error against baseline in the lead-in, without a SLAM.
     """
@@ -65,9 +73,14 @@ class UnitSpec(Grown):
     onset_s: float | None = Field(None, ge=0)
     exposed_s: float | None = Field(None, gt=0)
     threads: tuple[ThreadChoice, ...] = Field(min_length=1)
-    system: Literal["dual", "dual+", "paper", "paper+"] = "dual"
+    system: str = "dual"
     settings: dict[str, Any] = Field(default_factory=dict)
     arms: tuple[ArmName, ...] = ("free", "crossing")
+
+    @property
+    def recovers(self) -> bool:
+        """True if its system has recovery threads."""
+        return self.system in RECOVERING
 
     @property
     def unit_id(self) -> str:

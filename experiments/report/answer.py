@@ -45,6 +45,11 @@ def answer(results: dict[str, Any]) -> Answer:
     """
     analysis = results["analysis"]
     told = confirmed(analysis["cells"])
+    if not results["asks_eq1"]:
+        told = (
+            "Eq. 1 is about recovery threads, which none of these systems has: they stand beside each other."
+        )
+        return Answer("Not asked: no system has recovery threads.", [told], [])
     asked = [_asked(), _tried(results)]
     if not told:
         return Answer("No result yet: no trial is completed.", asked, [])

@@ -11,6 +11,7 @@ from experiments.campaign.boundary_schedule import BoundarySchedule
 from experiments.campaign.folder import read_rows
 from experiments.eq1.boundary_plan import FAILURES, BoundaryPlan
 from experiments.eq1.records import Outcome
+from experiments.eq1.units import RECOVERING
 from experiments.report.conditions import describe_label
 from experiments.report.plots.boundary import draw_boundary
 from experiments.report.plots.draw import rendered
@@ -70,6 +71,7 @@ def boundary_content(schedule: BoundarySchedule) -> dict[str, Any]:
         "kind": plan.kind,
         "world": plan.spec.unit(plan.sham_cell, 0).scenario.world.kind,
         "base": next(iter(plan.spec.bases)),
+        "system": plan.system,
         "of": plan.of,
         "failure": FAILURES[plan.of],
         "column": plan.column,
@@ -104,7 +106,8 @@ def status_of(found: Boundary, plan: BoundaryPlan) -> str:
 def answer_text(found: Boundary, plan: BoundaryPlan) -> str:
     """The answer in one line."""
     base, axis = next(iter(plan.spec.bases)), plan.axis
-    of = f"{describe_label(plan.kind)}, {base}: {plan.of} failure"
+    who = "" if plan.spec.systems[0] in RECOVERING else f"{plan.system}, "
+    of = f"{describe_label(plan.kind)}, {base}: {who}{plan.of} failure"
     ends = [_dose_within(plan, u) for u in (found.low, found.high)]
     status = status_of(found, plan)
     if status == "reached":

@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from experiments.eq1.records import SHAM
+from experiments.eq1.units import system_label
 from experiments.report.describe import listed
 from scenarios.describe import describe_field, describe_kind, label_and_unit, plain
 
@@ -19,14 +20,14 @@ def conditions(spec: "ExperimentSpec") -> list[dict[str, Any]]:
     Returns:
         Per cell its ``number`` from 1 and name, the ``kind`` of degradation, the ``dose`` in words, as
         ``value`` and its ``field``, the ``axis`` label of such doses, the ``severity`` that stands for
-        the dose in the records, and the ``name`` of all that.
+        the dose in the records, the ``name`` of all that, and the same without the system as ``stress``.
     """
     return [_condition(spec, number, name) for number, name in enumerate(spec.cells, 1)]
 
 
 def _condition(spec: "ExperimentSpec", number: int, name: str) -> dict[str, Any]:
     cell = spec.cells[name]
-    system = str(cell.system) if name != cell.image else None
+    system = system_label(cell.system) if name != cell.image else None
     if cell.degradation is None or cell.dose is None:
         *base, _ = cell.image.split("/")
         named = ", ".join([*base, "no stress"])
@@ -39,6 +40,7 @@ def _condition(spec: "ExperimentSpec", number: int, name: str) -> dict[str, Any]
             "value": 0.0,
             "axis": "",
             "severity": 0.0,
+            "stress": named,
             "name": f"{named} ({system})" if system else named,
         }
     degradation = spec.degradations[cell.degradation]
@@ -60,6 +62,7 @@ def _condition(spec: "ExperimentSpec", number: int, name: str) -> dict[str, Any]
         "value": value,
         "axis": f"{label} ({unit.strip()})" if unit and label != unit.strip() else label,
         "severity": degradation.severities_of(cell.base)[cell.dose],
+        "stress": named,
         "name": f"{named} ({system})" if system else named,
     }
 

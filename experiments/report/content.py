@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from experiments.eq1.records import failure_column
+from experiments.eq1.units import system_label
 from experiments.report import outcomes, reproductions
 from experiments.report.answer import answer
 from experiments.report.conditioning import conditioning
 from experiments.report.conditions import conditions
 from experiments.report.describe import plural
 from experiments.report.plain_data import as_data
+from experiments.report.systems import asks_eq1, beside_each_other, labels
 from experiments.runs import provenance
 from experiments.statistics.analysis import analyse
 
@@ -38,24 +40,28 @@ def report_content(
         Dicts, lists and Python scalars; floats unrounded; null for an end of an interval that is unbounded.
     """
     cells = spec.cell_names()
-    families = {name: cell.image.split("/")[0] for name, cell in spec.cells.items()}
-    systems = {name: str(cell.system) for name, cell in spec.cells.items()}
+    families = {name: cell.image.split("/")[0] for name, cell in spec.cells.items() if asks_eq1(cell)}
+    systems = {name: system_label(cell.system) for name, cell in spec.cells.items() if asks_eq1(cell)}
     # All units of a cell have the same frame rate and duration.
     scenarios = {cell: spec.unit(cell, 0).scenario for cell in cells}
-    table = _in_order_of_cells(table, cells)
+    whole = _in_order_of_cells(table, cells)
+    # Eq. 1 is about systems with recovery threads; all others stand beside them.
+    table = outcomes.rows_where(whole, whole["cell"].isin(list(systems)))
     threads = len(spec.threads)
     kinds = [thread.kind for thread in spec.threads]
     letter = kinds.index(PAPER_THREAD) + 1 if PAPER_THREAD in kinds else None
     analysis = as_data(analyse(table, threads, spec.confirmatory, letter, permutations=permutations))
     table = table.assign(dual_failure=table[failure_column("s", threads)])
-    units = outcomes.unit_counts(table, {cell: spec.units_of(cell) for cell in cells})
+    units = outcomes.unit_counts(whole, {cell: spec.units_of(cell) for cell in cells})
     results = {
         "format": FORMAT,
         "experiment": _about(spec),
         "reanalysed": bool((table.groupby("cell")["world"].nunique() > 1).any()),
+        "asks_eq1": bool(systems),
         "conditions": conditions(spec),
         "units": units,
-        "warnings": _warnings(units, table),
+        "warnings": _warnings(units, whole),
+        "systems": beside_each_other(spec, whole),
         "analysis": analysis,
         "lengths": _lengths(table),
         "conditioning": conditioning(analysis, table),
@@ -72,10 +78,10 @@ def report_content(
         ),
         "end_errors": reproductions.end_errors(table),
         "taxonomy": outcomes.taxonomy(table, threads),
-        "failures": outcomes.failures(table, threads, folder),
-        "set_aside": outcomes.set_aside(table, systems),
-        "costs": outcomes.costs(table),
-        "sources": outcomes.sources(table) | {"report_commit": provenance.commit()},
+        "failures": outcomes.failures(whole, threads, folder),
+        "set_aside": outcomes.set_aside(whole, labels(spec)),
+        "costs": outcomes.costs(whole),
+        "sources": outcomes.sources(whole) | {"report_commit": provenance.commit()},
         "versions": provenance.versions(),
     }
     return {"answer": as_data(answer(results)), **results}
@@ -114,6 +120,9 @@ def _warnings(units: dict[str, Any], table: pd.DataFrame) -> list[str]:
             f"{plural(len(codes), 'state')} of the code that made the records is not that of this report: "
             "replays may differ."
         )
+    digests = table.groupby("system")["system_digest"].nunique()
+    changed = [str(name) for name, count in digests.items() if int(count) > 1]
+    warnings += [f"{name} was changed between records: they may not be comparable." for name in changed]
     dirty = sum(str(commit).endswith("-dirty") for commit in table["commit"].dropna())
     if dirty:
         warnings.append(f"{dirty} records are of a work tree with uncommitted changes.")

@@ -88,7 +88,9 @@ class LocalPool:
         return ended
 
 
-def made_up_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict:
+def made_up_unit(
+    unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None, **_: object
+) -> dict:
     """Do what the cell says, up to the given number of tries; return a record drawn from the unit's seed."""
     what, *arguments = unit.cell.split("-")
     tries = _count_try(unit, cache_dir)
@@ -122,13 +124,17 @@ def imports_of_a_unit(_: object) -> bool:
     return import_module("experiments.eq1.trial") is not None
 
 
-def slow_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict:
+def slow_unit(
+    unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None, **_: object
+) -> dict:
     """Return a record after a moment, in every cell."""
     time.sleep(0.05)
     return made_up_record(unit)
 
 
-def rendered_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict:
+def rendered_unit(
+    unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None, **_: object
+) -> dict:
     """Render a small scenario and return the hash of its frames in the record."""
     import hashlib
 
@@ -142,7 +148,9 @@ def rendered_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path
     return made_up_record(unit) | {"outcome": "void", "void_reason": digest}
 
 
-def planted_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict:
+def planted_unit(
+    unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None, **_: object
+) -> dict:
     """A system that breaks ever more often: in half of the units at an exposure of 0.1 s, a contrast of 0.1.
 
     No recovery thread succeeds. One unit in ten is void. The machine fails in the unit whose index is in
@@ -162,7 +170,9 @@ def planted_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path 
     return record | {"outcome": "completed", "breakage": broke} | columns
 
 
-def slow_planted_unit(unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None) -> dict:
+def slow_planted_unit(
+    unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None, **_: object
+) -> dict:
     """The same after a moment."""
     time.sleep(0.2)
     return planted_unit(unit)

@@ -17,6 +17,7 @@ from experiments.report.plots.doses import draw_doses
 from experiments.report.plots.formulas import draw_formulas
 from experiments.report.plots.paths import draw_paths
 from experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
+from experiments.report.plots.systems import draw_systems
 from experiments.report.plots.trials import draw_end_errors, draw_timeline
 
 _PNG_DPI = 110
@@ -77,6 +78,10 @@ def draw_plots(report: dict[str, Any], folder: Path) -> dict[str, Plot]:
         "doses": (
             "Shares of breakages, failures of threads and dual failures against the dose, with intervals.",
             partial(draw_doses, report),
+        ),
+        "systems": (
+            "Shares of breakages and of failed missions of every system against the dose, with intervals.",
+            partial(draw_systems, report),
         ),
         "conditioning": (
             "Error of rotation and of direction against baseline, medians per gap as in the table below.",

@@ -43,6 +43,11 @@ class CommandSystem:
     spec: CommandSpec
     file: Path
 
+    @property
+    def takes_real_time(self) -> bool:
+        """True if it takes frames in real time: what runs beside it changes what it does."""
+        return self.spec.pace == "real_time"
+
     def check(self) -> list[str]:
         """Check that it could be started; returns the words of its command, with placeholders.
 

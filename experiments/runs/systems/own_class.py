@@ -101,9 +101,11 @@ def _module(name: str) -> Any:
 
 def _file_module(name: str) -> Any:
     path = Path(name)
-    spec = importlib.util.spec_from_file_location(path.stem, path)
+    # Under its place: its name may be that of any other module.
+    spec = importlib.util.spec_from_file_location(str(path.absolute()), path)
     if spec is None or spec.loader is None or not path.is_file():
         raise ImportError(f"no such file: {path}")
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # where its source is looked for
     spec.loader.exec_module(module)
     return module

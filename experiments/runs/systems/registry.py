@@ -18,8 +18,10 @@ from experiments.runs.systems.own_class import (
     is_class_name,
 )
 from scenarios.errors import InputError
+from scenarios.extensions import source_digest
 from scenarios.faults import guess
 from scenarios.input_files import file_names, is_folder
+from sim.cache import content_key
 from slam.core.camera import PinholeCamera
 from slam.factory import SYSTEMS
 
@@ -115,6 +117,13 @@ class Registry:
             if name in self.names():
                 raise InputError(str(file), f"the name {name} is taken", "rename the file")
             self.files[name] = file
+
+
+def system_digest(system: System) -> str:
+    """Hash of a class or a description, which changes with it; empty for our systems."""
+    if isinstance(system, CommandSystem):
+        return content_key(system.spec.model_dump(mode="json"))
+    return source_digest(system.make) if isinstance(system, ClassSystem) else ""
 
 
 def split_names(names: str) -> list[str]:

@@ -59,6 +59,16 @@ def test_the_same_command_goes_on_or_says_the_same_again(search, tmp_path):
     assert [(tmp_path / "b" / n).read_bytes() for n in ("boundary.json", "boundary.png")] == files
 
 
+def test_the_boundary_of_another_system_is_searched_by_its_name(search, tmp_path):
+    blur = ("experiment", "boundary", "motion_blur", "--fail", "0.5", "--spec", "smoke", "--trials", 12)
+    code, out, err = search(*blur, "--of", "mission", "--system", "dso")
+    assert code == 0 and out.startswith("motion blur, corridor: dso, mission failure ")
+    assert {row["system"] for row in read_rows(tmp_path / "b")[1]} == {"dso"}
+    for of, system, says in (("dual", "dso", "recovery threads"), ("base", "dsoo", "no system 'dsoo'")):
+        code, _, err = search(*blur, "--of", of, "--system", system)
+        assert code == 2 and says in err and err.count("\n") == 1
+
+
 def test_less_contrast_is_stronger(search, tmp_path):
     arguments = (
         "experiment",

@@ -5,6 +5,7 @@ import shutil
 import sqlite3
 from contextlib import nullcontext
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -64,6 +65,14 @@ def test_a_run_can_be_read_and_made_longer(dslab, smoke, plain):
     code, out, _ = dslab("experiment", "status", smoke, "--json")
     status = json.loads(out)
     assert code == 0 and [cell["units"] for cell in status["cells"]] == [4, 4]
+
+
+def test_an_unknown_system_is_one_line_before_anything_runs(dslab, smoke, plain, tmp_path):
+    path = tmp_path / "own.yaml"
+    path.write_text(plain.read_text().replace("- dual\n", "- dual\n- orbslam33\n"))
+    code, _, err = dslab("experiment", "run", path, "--out", tmp_path / "own")
+    assert code == 2 and err.count("\n") == 1 and "there is no system 'orbslam33'" in err
+    assert not (tmp_path / "own").exists()
 
 
 def test_shams_are_units_but_not_of_the_shares_that_a_run_prints(tmp_path):
@@ -361,3 +370,23 @@ def test_progress_shows_pace_and_estimates():
     assert estimates_text(tally) == "p0 0.40 (4/10), dual failures 0.10 (1/10), 1 void, 1 errors"
     none = Tally(0, 20, 0, 0, 0, 0, 0, 0, 0, workers=0)
     assert pace_text(none, 1.0) == "waiting for workers" and "p0 - (0/0)" in estimates_text(none)
+
+
+@pytest.mark.slow
+def test_the_example_of_a_class_runs_through_experiment_and_report(dslab, tmp_path):
+    """It never looks, so that its lead-in is void: as the page says, beside the base on the same frames."""
+    example = Path(__file__).parents[3] / "examples" / "own_slam.py"
+    spec = load_spec("smoke").model_copy(
+        update={"systems": ("base", f"{example}:ConstantVelocity"), "arms": ("free",), "worlds": 1}
+    )
+    path = tmp_path / "two.yaml"
+    path.write_text(spec.model_copy(update={"repeats": 1, "sham": False}).as_yaml())
+    assert dslab("experiment", "run", path, "--out", tmp_path / "x", "--workers", 1)[0] == 0
+    rows = read_experiment(tmp_path / "x")[1].set_index("cell")
+    assert set(rows.outcome[rows.system == "ConstantVelocity"]) == {"void"}
+    assert set(rows.outcome[rows.system == "base"]) == {"completed"}
+    assert dslab("experiment", "replay", tmp_path / "x", f"{rows.index[-1]}:0")[0] == 0
+    code, out, _ = dslab("experiment", "report", tmp_path / "x")
+    assert code == 0 and out.startswith("Not asked: no system has recovery threads.")
+    page = (tmp_path / "x" / "report.html").read_text()
+    assert "Systems beside each other" in page and "the lead-in cannot be judged" in page

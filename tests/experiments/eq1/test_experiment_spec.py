@@ -271,7 +271,9 @@ def test_a_family_may_be_used_by_member_or_as_a_whole(tmp_path):
             ":27: settings.dual.exhaustive: is set by",
         ),
         ("family: clean-room", "family: clean-rome", ":7: bases.hall: there is no family clean-rome"),
-        ("systems: [dual, dual+]", "systems: [base]", ":21: systems[0]: 'base' is not valid"),
+        ("systems: [dual, dual+]", "systems: [dual, a:Own, b:Own]", "systems names Own twice"),
+        ("systems: [dual, dual+]", "systems: [dual, dso]\narms: [crossing]", "dso has no recovery threads"),
+        ("blur/1/dual]", "blur/1/dso]", "blur/1/dso is no cell with a dose and recovery threads"),
         ("repeats: 3", "repeats: 0", ":28: repeats: 0 is not valid"),
     ],
 )
@@ -311,3 +313,13 @@ def test_the_schema_refuses_what_the_loader_refuses():
                      ("kind: motion_blur", "kind: mud"), ("begins_s: {uniform: [0, 1]}", "begins_s: soon"),
                      ("threads: [orb,", "threads: [gps,")):  # fmt: skip
         assert not VALIDATOR.is_valid(yaml.safe_load(SPEC.replace(old, new, 1)))
+
+
+def test_a_system_without_recovery_threads_has_cells_of_its_own_in_the_free_arm(tmp_path):
+    spec = load(tmp_path, SPEC.replace("[dual, dual+]", '[dual, "own/slam.py:Own"]'))
+    unit = spec.unit("passage/motion_blur/1/Own", 3)
+    assert (unit.system, unit.arms, unit.recovers) == ("own/slam.py:Own", ("free",), False)
+    beside = spec.unit("passage/motion_blur/1/dual", 3)
+    assert beside.arms == ("free", "crossing")
+    frames = ("scenario", "start_frame", "onset_s", "exposed_s", "repeat_seed")
+    assert [getattr(unit, name) for name in frames] == [getattr(beside, name) for name in frames]

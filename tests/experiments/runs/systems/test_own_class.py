@@ -14,7 +14,7 @@ from experiments.runs.ending import Declares, EndKind
 from experiments.runs.execution import execute
 from experiments.runs.systems import own_class
 from experiments.runs.systems.own_class import ClassSystem, class_system
-from experiments.runs.systems.registry import Registry, factory_with
+from experiments.runs.systems.registry import Registry, factory_with, system_digest
 from scenarios.errors import InputError
 from slam.core.events import Breakage
 
@@ -184,3 +184,12 @@ def test_python_takes_it_by_its_name_too(sequence):
 
     ran = experiments.run(sequence, f"{EXAMPLE}:ConstantVelocity")
     assert ran.system == "ConstantVelocity" and ran.metrics["share_posed"] == 1.0
+
+
+def test_the_digest_of_a_class_in_a_file_changes_with_the_file_alone(tmp_path):
+    path = tmp_path / "own.py"
+    path.write_text(EXAMPLE.read_text())
+    named = f"{path}:ConstantVelocity"
+    first, again = (system_digest(class_system(named)) for _ in range(2))
+    path.write_text(EXAMPLE.read_text() + "\n# changed\n")
+    assert first == again != system_digest(class_system(named))

@@ -1,0 +1,92 @@
+"""Plot of the systems beside each other: breakages and failed missions against the dose."""
+
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from experiments.report.conditions import describe_label
+from experiments.report.plots.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    NARROW_IN,
+    ORANGE,
+    PURPLE,
+    SKY,
+    bars,
+    legend_above,
+    legend_mark,
+    new_figure,
+    percent_axis,
+)
+from scenarios.describe import plain
+
+_STYLES = ((BLUE, "o"), (ORANGE, "^"), (GREEN, "s"), (PURPLE, "D"), (SKY, "v"), (GREY, "P"))
+_FAILURES = {"breakage": "breaks", "mission_failure": "mission fails"}
+_WIDTH = 0.6
+
+
+def draw_systems(report: dict[str, Any], width_in: float) -> Figure | None:
+    """Draw a row per kind of degradation, base and kind of world: breakages, and failed missions."""
+    if report["systems"] is None or not any(point["units"] for point in report["systems"]["shares"]):
+        return None
+    named = {condition["cell"]: condition for condition in report["conditions"]}
+    points = [point | named[point["cell"]] for point in report["systems"]["shares"]]
+    names = report["systems"]["names"]
+    shown = list(dict.fromkeys(_row(point) for point in points if point["field"]))
+    columns = len(_FAILURES) if width_in > NARROW_IN else 1
+    figure = new_figure(0.7 + 2.0 * len(shown) * len(_FAILURES) / columns, width_in)
+    panels = figure.subplots(len(shown) * len(_FAILURES) // columns, columns, squeeze=False, sharey=True)
+    each = [(row, failure) for row in shown for failure in _FAILURES]
+    for axes, (row, failure) in zip(panels.ravel(), each, strict=True):
+        own = [p for p in points if _row(p) == row]
+        sham = [p for p in points if not p["field"] and _place(p) == row[1:]]
+        _draw(axes, [*sham, *own], failure, names)
+        kind, base, world = row
+        where = world if base in ("", world) else f"{base}, {world}"
+        axes.set_title(
+            f"{describe_label(kind)}, {where.replace('_', ' ')}: {_FAILURES[failure]}", fontsize=9, loc="left"
+        )
+        axes.set_xlabel(own[-1]["axis"], fontsize=9)
+    legend_above(
+        figure, [legend_mark(*_style(i)[:1], name, _style(i)[1]) for i, name in enumerate(names)], 4, width_in
+    )
+    return figure
+
+
+def _place(point: dict[str, Any]) -> tuple[str, str]:
+    """Base, where there are several, and kind of world of a point."""
+    parts = point["image"].split("/")
+    return "" if parts[0] == point["kind"] else parts[0], point["world"]
+
+
+def _row(point: dict[str, Any]) -> tuple[str, str, str]:
+    return point["kind"], *_place(point)
+
+
+def _style(number: int) -> tuple[str, str]:
+    return _STYLES[number % len(_STYLES)]
+
+
+def _draw(axes: Axes, points: list[dict[str, Any]], failure: str, names: list[str]) -> None:
+    images = list(dict.fromkeys(point["image"] for point in points))
+    for number, name in enumerate(names):
+        own = [p for p in points if p["system"] == name and p["shares"].get(failure)]
+        beside = _WIDTH * ((number + 0.5) / len(names) - 0.5)
+        places = [images.index(point["image"]) + beside for point in own]
+        shares = [point["shares"][failure] for point in own]
+        colour, mark = _style(number)
+        axes.plot(places, [s["value"] for s in shares], color=colour, linewidth=0.8, alpha=0.6)
+        for place, share in zip(places, shares, strict=True):
+            ends = bars(share["value"], share["low"], share["high"])
+            axes.errorbar(
+                place, share["value"], yerr=ends, fmt=mark, color=colour, markersize=4.5, elinewidth=1
+            )
+    values = {point["image"]: plain(point["value"]) if point["field"] else "none" for point in points}
+    axes.set_xticks(range(len(images)), [values[image] for image in images], fontsize=8)
+    axes.set_xlim(-0.5, len(images) - 0.5)
+    axes.set_ylim(-0.03, 1.03)
+    percent_axis(axes.yaxis)
+    axes.tick_params(axis="y", labelsize=8, labelleft=True)
+    axes.grid(visible=False, axis="x")
