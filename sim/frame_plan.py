@@ -15,6 +15,7 @@ from sim.degradations.chain import ImageChain
 from sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
 from sim.degradations.repeated_texture import with_repeated_texture
 from sim.degradations.scattering import Scattering
+from sim.exposed_frames import ExposedFrames
 from sim.io.raw import RawWriter
 from sim.motion import plan_motion
 from sim.motion.base import Motion
@@ -215,6 +216,7 @@ def expose_frames(
     chain: ImageChain,
     depth: bool,
     progress: Progress,
+    known: ExposedFrames | None = None,
 ) -> np.ndarray:
     """Expose, degrade and write every frame.
 
@@ -227,6 +229,7 @@ def expose_frames(
         chain: the image-space segments.
         depth: write depth images too.
         progress: called after every frame.
+        known: frames that need not be rendered again; none with ``depth`` or segments before the lens.
 
     Returns:
         (N,) float64 median length of each frame's motion blur, pixels.
@@ -245,15 +248,23 @@ def expose_frames(
             else None
         )
         for index, frame in enumerate(plan.frame.tolist()):
-            image, depth_m = clean_frames(frame, T_world_mid[index])
-            image = chain.apply(image, index, (Stage.SCENE,), depth_m, plan.motion)
-            image, blur_px[index] = expose(image, depth_m, ideal, T_mid_open[index], T_mid_close[index])
-            image = chain.apply(image, index, (Stage.READOUT,), depth_m, plan.motion)
-            if lens:
-                image, depth_m = lens.distort(image), lens.distort_depth(depth_m)
+            poses = T_world_mid[index], T_mid_open[index], T_mid_close[index]
+            key = known.key(*poses) if known else b""
+            found = known.find(key) if known else None
+            if found:
+                image, blur_px[index] = found.image, found.blur_px
+            else:
+                image, depth_m = clean_frames(frame, poses[0])
+                image = chain.apply(image, index, (Stage.SCENE,), depth_m, plan.motion)
+                image, blur_px[index] = expose(image, depth_m, ideal, *poses[1:])
+                image = chain.apply(image, index, (Stage.READOUT,), depth_m, plan.motion)
+                if lens:
+                    image, depth_m = lens.distort(image), lens.distort_depth(depth_m)
+                if depths:
+                    depths.append(depth_m)
+                if known:
+                    known.keep(key, image, blur_px[index])
             grays.append(sense(image, index, frame, chain, sensor))
-            if depths:
-                depths.append(depth_m)
             progress("exposing", index + 1, count)
     return blur_px
 

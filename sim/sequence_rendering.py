@@ -18,6 +18,7 @@ from sim.degradations.base import FramePlan, Stage
 from sim.degradations.chain import ImageChain
 from sim.degradations.registry import DEGRADATIONS, in_order_of_action
 from sim.degradations.truths import truths_of
+from sim.exposed_frames import ExposedFrames
 from sim.frame_plan import (
     Progress,
     RenderBackend,
@@ -126,11 +127,9 @@ def _stacks_bytes(scenario: Scenario, depth: bool) -> int:
 
 
 def _keeps_exposed_frames(scenario: Scenario) -> bool:
-    """Return True if noise has its own seed, or segments act only on what the lens has let through."""
-    if scenario.noise_seed is not None:
-        return True
+    """Return True if noise has its own seed, or segments on images, and these act behind the lens only."""
     stages = [DEGRADATIONS[s.kind].stage for s in scenario.segments if isinstance(s, ImageSegment)]
-    return bool(stages) and min(stages) >= Stage.LENS
+    return all(stage >= Stage.LENS for stage in stages) and (bool(stages) or scenario.noise_seed is not None)
 
 
 def _render_into(
@@ -141,8 +140,12 @@ def _render_into(
     backend: RenderBackend,
     store: FolderCache,
     progress: Progress,
+    shared: str = "",
 ) -> FramePlan:
-    """Write the frames and the truth of a sequence into a folder of the cache; return its plan."""
+    """Write the frames and the truth of a sequence into a folder of the cache; return its plan.
+
+    With ``shared``, the key of a sequence without image segments that has other segments, they share frames.
+    """
     camera, own = scenario.camera, taking_intrinsics(scenario.camera)
     exposed = world = None
     if _keeps_exposed_frames(scenario) and not depth:
@@ -167,7 +170,8 @@ def _render_into(
         assert world is not None
         with rendered_clean_frames(world, camera, backend) as clean_frames:
             sensor = Sensor(camera, noise_seed(scenario, seed))
-            blur_px = expose_frames(folder, plan, clean_frames, camera, sensor, chain, depth, progress)
+            known = ExposedFrames(shared, plan) if shared else None
+            blur_px = expose_frames(folder, plan, clean_frames, camera, sensor, chain, depth, progress, known)
     _write_truth(folder, scenario, plan, chain, blur_px)
     return plan
 
@@ -220,11 +224,12 @@ def _exposed_frames_of(
         }
     )
     key = entry_key(bare, seed, backend, exposed_frames=True)
+    plain = entry_key(bare.model_copy(update={"segments": ()}), seed, backend, exposed_frames=True)
     read = partial(_read_exposed_frames, scenario=bare)
     found = store.load(key, read)
     if found is None:
         with store.create(key) as folder:
-            plan = _render_into(folder, bare, seed, False, backend, store, progress)
+            plan = _render_into(folder, bare, seed, False, backend, store, progress, f"{store.root} {plain}")
             np.save(folder / _VIEW_SHARE, plan.view_share)
         found = read(store.root / key)
     return found

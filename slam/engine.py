@@ -17,6 +17,7 @@ from slam.core.results import TrackingResult
 from slam.core.seeds import rng_for
 from slam.core.timing import StageTimer
 from slam.features.orb import OrbExtractor
+from slam.features.remembered import Remembered
 from slam.initialization.initializer import Initializer, InitialMap, frames_between
 from slam.map.adjustment import apply_adjustment
 from slam.map.relation import loop_relation, relocalization_relation
@@ -137,6 +138,11 @@ class SlamEngine:
         if self.state is _SEEKING and not self.search.undecided:
             features = self._features(features.index, features.stamp_s, dense=False)
         return Frame(features)
+
+    def remember_features(self, images: int) -> None:
+        """Keep the features of so many images, for copies that see the same ones."""
+        for extractor in (self._extractor, self._initial_extractor):
+            extractor.remembered = Remembered(images)
 
     def _features(self, index: int, stamp_s: float, dense: bool) -> FrameFeatures:
         with self.timer("extract"):

@@ -215,9 +215,13 @@ def settings_of(unit: UnitSpec) -> SlamSettings:
 def run_lead_in(
     unit: UnitSpec, sequence: Sequence, exposure: Exposure, clock: CpuClock, kind: str | None = None
 ) -> BranchRun:
-    """Run the lead-in, which all arms share: the frames before the onset; ``kind``: None for the unit's."""
+    """Run the lead-in, which all arms share: the frames before the onset; ``kind``: None for the unit's.
+
+    Its arms, and those of the cells that share it, see most images again: their features are kept.
+    """
     camera = slam_camera(sequence.camera)
     system = factory_of(settings_of(unit))(kind or unit.system, camera, unit.repeat_seed)
+    system.engine.remember_features(2 * len(sequence))
     branch = BranchRun(system, sequence, clock)
     branch.feed(exposure.onset_frame)
     return branch

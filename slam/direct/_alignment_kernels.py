@@ -10,18 +10,25 @@ Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 2.2 and 2.3
 import numpy as np
 from numba import njit
 
+from slam.direct._outer_products import SIZE, add_outer_products
+from slam.optimization._se3 import retract
+
 PATTERN = np.array(
     [[0, -2], [-1, -1], [1, -1], [-2, 0], [0, 0], [2, 0], [-1, 1], [0, 2]], np.float64
 )  # (8, 2) right, down
-_PARAMETERS = 8  # translation, rotation, a, b
+_ONE = np.uint64(1)
+_BLOCK = 256  # pixels projected at once
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _bilinear(level, u, v, channel):
-    x, y = int(u), int(v)
+    x, y = np.int32(u), np.int32(v)
     fx, fy = u - x, v - y
-    return (1.0 - fy) * ((1.0 - fx) * level[y, x, channel] + fx * level[y, x + 1, channel]) + fy * (
-        (1.0 - fx) * level[y + 1, x, channel] + fx * level[y + 1, x + 1, channel]
+    # Unsigned: Numba need not look whether they count from the end.
+    left, top = np.uint64(x), np.uint64(y)
+    right, below = left + _ONE, top + _ONE
+    return (1.0 - fy) * ((1.0 - fx) * level[top, left, channel] + fx * level[top, right, channel]) + fy * (
+        (1.0 - fx) * level[below, left, channel] + fx * level[below, right, channel]
     )
 
 
@@ -46,7 +53,30 @@ def sample_patterns(level, uv, pattern, gradient_scale, intensity, weight):
                 intensity[i, k], weight[i, k] = value, c2 / (c2 + square)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _project(camera, uv, inverse_depth, pattern, T, scale_x, scale_y, first, last, seen_x, seen_y, depth):
+    """Write where pixels of points ``first`` to ``last`` are seen at depth one, scaled, and at what depth.
+
+    It has no branches, so that it is vectorised; what is behind the camera means nothing.
+    """
+    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
+    right, down = pattern[:, 0].copy(), pattern[:, 1].copy()
+    T_00, T_01, T_02, T_03 = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
+    T_10, T_11, T_12, T_13 = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
+    T_20, T_21, T_22, T_23 = T[2, 0], T[2, 1], T[2, 2], T[2, 3]
+    for i in range(first, last):
+        u, v, d = uv[i, 0], uv[i, 1], inverse_depth[i]
+        for k in range(np.uint64(len(right))):
+            x = (u + right[k] - cx) / fx
+            y = (v + down[k] - cy) / fy
+            z = T_20 * x + T_21 * y + T_22 + T_23 * d
+            at = np.uint64(len(right) * (i - first)) + k
+            depth[at] = z
+            seen_x[at] = scale_x * (T_00 * x + T_01 * y + T_02 + T_03 * d) / z
+            seen_y[at] = scale_y * (T_10 * x + T_11 * y + T_12 + T_13 * d) / z
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def residual_energy(level, camera, uv, inverse_depth, pattern, intensity, weight, T, affine, huber, cutoff):
     """Energy of an alignment.
 
@@ -54,24 +84,25 @@ def residual_energy(level, camera, uv, inverse_depth, pattern, intensity, weight
         Sum of weighted Huber costs, in which a residual beyond ``cutoff`` counts as ``cutoff``; number of
         pixels compared; of these, beyond the cutoff.
     """
-    height, width = level.shape[0], level.shape[1]
+    right, bottom = level.shape[1] - 1.0, level.shape[0] - 1.0
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     gain, offset = np.exp(affine[0]), affine[1]
     most = huber * (2.0 * cutoff - huber) if cutoff > huber else cutoff * cutoff
+    count = pattern.shape[0]
+    points = _BLOCK // count
+    seen_x, seen_y, depth = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
     energy, seen, saturated = 0.0, 0, 0
     for i in range(uv.shape[0]):
-        d = inverse_depth[i]
-        for k in range(pattern.shape[0]):
-            if weight[i, k] <= 0.0:
+        start = i % points
+        if start == 0:
+            last = min(i + points, uv.shape[0])
+            _project(camera, uv, inverse_depth, pattern, T, fx, fy, i, last, seen_x, seen_y, depth)
+        for k in range(count):
+            at = count * start + k
+            if weight[i, k] <= 0.0 or depth[at] <= 1e-6:
                 continue
-            x = (uv[i, 0] + pattern[k, 0] - cx) / fx
-            y = (uv[i, 1] + pattern[k, 1] - cy) / fy
-            pz = T[2, 0] * x + T[2, 1] * y + T[2, 2] + T[2, 3] * d
-            if pz <= 1e-6:
-                continue
-            u = fx * (T[0, 0] * x + T[0, 1] * y + T[0, 2] + T[0, 3] * d) / pz + cx
-            v = fy * (T[1, 0] * x + T[1, 1] * y + T[1, 2] + T[1, 3] * d) / pz + cy
-            if not (0.0 <= u < width - 1 and 0.0 <= v < height - 1):
+            u, v = seen_x[at] + cx, seen_y[at] + cy
+            if not (0.0 <= u < right and 0.0 <= v < bottom):
                 continue
             size = abs(_bilinear(level, u, v, 0) - gain * intensity[i, k] - offset)
             if size <= cutoff:
@@ -84,7 +115,7 @@ def residual_energy(level, camera, uv, inverse_depth, pattern, intensity, weight
     return energy, seen, saturated
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def linearise(
     level, camera, uv, inverse_depth, pattern, intensity, weight, T, affine, huber, cutoff, H, gradient
 ):  # fmt: skip
@@ -96,25 +127,27 @@ def linearise(
     """
     most = huber * (2.0 * cutoff - huber) if cutoff > huber else cutoff * cutoff
     energy, seen, saturated = 0.0, 0, 0
-    height, width = level.shape[0], level.shape[1]
+    right, bottom = level.shape[1] - 1.0, level.shape[0] - 1.0
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     gain, offset = np.exp(affine[0]), affine[1]
-    H[:], gradient[:] = 0.0, 0.0
-    J = np.empty(_PARAMETERS)
+    count = pattern.shape[0]
+    points = _BLOCK // count
+    seen_x, seen_y, depth = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
+    J, weights, residuals = np.empty((_BLOCK, SIZE)), np.empty(_BLOCK), np.empty(_BLOCK)
+    sums, rows = np.zeros((SIZE + 1, SIZE)), 0
     for i in range(uv.shape[0]):
-        d = inverse_depth[i]
-        for k in range(pattern.shape[0]):
-            if weight[i, k] <= 0.0:
+        start = i % points
+        if start == 0:
+            add_outer_products(J, weights, residuals, rows, sums)
+            rows, last = 0, min(i + points, uv.shape[0])
+            _project(camera, uv, inverse_depth, pattern, T, 1.0, 1.0, i, last, seen_x, seen_y, depth)
+        for k in range(count):
+            at = count * start + k
+            if weight[i, k] <= 0.0 or depth[at] <= 1e-6:
                 continue
-            x = (uv[i, 0] + pattern[k, 0] - cx) / fx
-            y = (uv[i, 1] + pattern[k, 1] - cy) / fy
-            pz = T[2, 0] * x + T[2, 1] * y + T[2, 2] + T[2, 3] * d
-            if pz <= 1e-6:
-                continue
-            px = (T[0, 0] * x + T[0, 1] * y + T[0, 2] + T[0, 3] * d) / pz
-            py = (T[1, 0] * x + T[1, 1] * y + T[1, 2] + T[1, 3] * d) / pz
+            px, py = seen_x[at], seen_y[at]
             u, v = fx * px + cx, fy * py + cy
-            if not (0.0 <= u < width - 1 and 0.0 <= v < height - 1):
+            if not (0.0 <= u < right and 0.0 <= v < bottom):
                 continue
             r = _bilinear(level, u, v, 0) - gain * intensity[i, k] - offset
             size = abs(r)
@@ -128,23 +161,85 @@ def linearise(
                 continue
             energy += weight[i, k] * (size * size if size <= huber else huber * (2.0 * size - huber))
             seen += 1
-            near = d / pz  # inverse depth in the target
+            near = inverse_depth[i] / depth[at]  # inverse depth in the target
             along = gx * px + gy * py
-            J[0], J[1], J[2] = near * gx, near * gy, -near * along
-            J[3] = -gy - py * along
-            J[4] = gx + px * along
-            J[5] = gy * px - gx * py
-            J[6], J[7] = -gain * intensity[i, k], -1.0
-            w = weight[i, k] * (1.0 if size <= huber else huber / size)
-            for m in range(_PARAMETERS):
-                wj = w * J[m]
-                gradient[m] += wj * r
-                for n in range(m, _PARAMETERS):
-                    H[m, n] += wj * J[n]
-    for m in range(_PARAMETERS):
-        for n in range(m):
-            H[m, n] = H[n, m]
+            row = J[rows]
+            row[0], row[1], row[2] = near * gx, near * gy, -near * along
+            row[3], row[4], row[5] = -gy - py * along, gx + px * along, gy * px - gx * py
+            row[6], row[7] = -gain * intensity[i, k], -1.0
+            weights[rows] = weight[i, k] * (1.0 if size <= huber else huber / size)
+            residuals[rows] = r
+            rows += 1
+    add_outer_products(J, weights, residuals, rows, sums)
+    gradient[:] = sums[SIZE]
+    for m in range(SIZE):
+        for n in range(SIZE):
+            H[m, n] = sums[min(m, n), max(m, n)]
     return energy, seen, saturated
+
+
+@njit(cache=True, nogil=True)
+def mean_costs(
+    level, camera, uv, inverse_depth, pattern, intensity, weight, T, affine, huber, cutoff, prior, least
+):  # fmt: skip
+    """(S,) mean cost of a pixel with the prior of the brightness; infinite with fewer pixels than ``least``.
+
+    Args:
+        T, affine: (S, 4, 4) and (S, 2), of several alignments.
+        prior: (2,) information on ``affine``.
+    """
+    costs = np.empty(len(T))
+    for i in range(len(T)):
+        energy, seen, _ = residual_energy(
+            level, camera, uv, inverse_depth, pattern, intensity, weight, T[i], affine[i], huber, cutoff
+        )
+        costs[i] = _mean(energy, seen, affine[i], prior, least)
+    return costs
+
+
+@njit(cache=True, nogil=True)
+def mean_cost_model(
+    level, camera, uv, inverse_depth, pattern, intensity, weight, T, affine, huber, cutoff, prior, least,
+    H, gradient,
+):  # fmt: skip
+    """Mean cost as of :func:`mean_costs`, with the Gauss-Newton model of half of its sum."""
+    energy, seen, _ = linearise(
+        level, camera, uv, inverse_depth, pattern, intensity, weight, T, affine, huber, cutoff, H, gradient
+    )
+    for m in range(2):
+        H[6 + m, 6 + m] += prior[m]
+        gradient[6 + m] += prior[m] * affine[m]
+    return _mean(energy, seen, affine, prior, least)
+
+
+@njit(cache=True, nogil=True)
+def model_of_step(
+    level, camera, uv, inverse_depth, pattern, intensity, weight, T, affine, step, huber, cutoff, prior,
+    least, T_there, affine_there, H, gradient,
+):  # fmt: skip
+    """Mean cost and model after a step (8,); writes the alignment there, the last row of T_there excepted."""
+    retract(T, step[:6], T_there)
+    affine_there[:] = affine + step[6:]
+    return mean_cost_model(
+        level, camera, uv, inverse_depth, pattern, intensity, weight, T_there, affine_there, huber, cutoff,
+        prior, least, H, gradient,
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def damped_system(H, gradient, scale, damping, least, A, b):
+    """Write the system (8, 8), (8,) of a damped step in units of ``scale`` (8,)."""
+    for i in range(SIZE):
+        for j in range(SIZE):
+            A[i, j] = H[i, j] * scale[j] * scale[i]
+        A[i, i] += damping * H[i, i] * (scale[i] * scale[i]) + least
+        b[i] = gradient[i] * scale[i]
+
+
+@njit(cache=True, nogil=True)
+def _mean(energy, seen, affine, prior, least):
+    # NumPy's product, to its last bit.
+    return (energy + np.dot(prior, affine**2)) / seen if seen >= least else np.inf
 
 
 @njit(cache=True, nogil=True)

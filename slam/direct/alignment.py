@@ -6,12 +6,22 @@ Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018.
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
-from slam.direct._alignment_kernels import PATTERN, likeness, linearise, residual_energy, sample_patterns
+from slam.direct._alignment_kernels import (
+    PATTERN,
+    damped_system,
+    likeness,
+    mean_cost_model,
+    mean_costs,
+    model_of_step,
+    residual_energy,
+    sample_patterns,
+)
 from slam.direct.pyramid import ImagePyramid
 from slam.optimization._se3 import retract
 
@@ -51,7 +61,7 @@ class AlignmentConfig:
     offset_sigma: float = 20.0
     tried: int = 3
 
-    @property
+    @cached_property
     def affine_prior(self) -> np.ndarray:
         """(2,) information on a and b in units of the residuals' variance."""
         return self.huber**2 / np.array([self.gain_sigma, self.offset_sigma]) ** 2
@@ -71,6 +81,16 @@ class Patterns:
     inverse_depth: np.ndarray
     intensity: np.ndarray
     weight: np.ndarray
+
+    @cached_property
+    def known(self) -> int:
+        """Number of pixels that the reference shows."""
+        return int((self.weight > 0).sum())
+
+    @property
+    def least_pixels(self) -> float:
+        """Fewest pixels that both views must have: an alignment that looks away from most has low costs."""
+        return max(100.0, 0.1 * self.known)
 
 
 class Reference:
@@ -233,11 +253,34 @@ def fan(T_target_ref: np.ndarray, intrinsics: np.ndarray) -> list[np.ndarray]:
 
 
 class _Model(NamedTuple):
-    """Mean cost of an alignment, and half of its sum as a quadratic form of a step."""
+    """Half of the summed costs of an alignment as a quadratic form of a step: (8, 8) and (8,)."""
 
-    cost: float
     H: np.ndarray
     gradient: np.ndarray
+
+    @classmethod
+    def empty(cls) -> "_Model":
+        return cls(np.empty((8, 8)), np.empty(8))
+
+
+class _Level(NamedTuple):
+    """One level of a view and its reference, in the order of the kernels' arguments."""
+
+    image: np.ndarray
+    intrinsics: np.ndarray
+    uv: np.ndarray
+    inverse_depth: np.ndarray
+    pattern: np.ndarray
+    intensity: np.ndarray
+    weight: np.ndarray
+
+    @classmethod
+    def of(cls, reference: Reference, target: ImagePyramid, level: int) -> "_Level":
+        p = reference.levels[level]
+        return cls(
+            target.levels[level], reference.intrinsics[level], p.uv, p.inverse_depth, PATTERN, p.intensity,
+            p.weight,
+        )  # fmt: skip
 
 
 def _first_brightness(reference: Reference, target: ImagePyramid) -> np.ndarray:
@@ -252,33 +295,25 @@ class _State:
         self.T = T
         self.affine = affine
 
-    def energy(
-        self, reference: Reference, target: ImagePyramid, level: int, cutoff: float
-    ) -> tuple[float, int, int]:
-        """Sum of costs, number of pixels, number of those beyond the cutoff."""
-        p, config = reference.levels[level], reference.config
-        return residual_energy(
-            target.levels[level], reference.intrinsics[level], p.uv, p.inverse_depth, PATTERN, p.intensity,
-            p.weight, self.T, self.affine, config.huber, cutoff,
-        )  # fmt: skip
-
     def refine(self, reference: Reference, target: ImagePyramid, level: int) -> None:
         """Levenberg steps on one level."""
-        config = reference.config
-        cutoff = self._cutoff(reference, target, level)
+        config, views = reference.config, _Level.of(reference, target, level)
+        costs = (config.huber, self._cutoff(reference, views), config.affine_prior)
+        least = reference.levels[level].least_pixels
         scale = np.append(np.full(3, reference.depth), np.ones(5))  # steps of position are in depths
         still = _STILL_PX / reference.intrinsics[level][0]
-        model, damping = self.model(reference, target, level, cutoff), _DAMPING
+        model, there, system = _Model.empty(), _Model.empty(), _Model.empty()
+        cost, damping = mean_cost_model(*views, self.T, self.affine, *costs, least, *model), _DAMPING
         for _ in range(config.iterations):
-            step = -np.linalg.solve(
-                model.H * scale * scale[:, None]
-                + np.diag(damping * model.H.diagonal() * scale**2 + _LEAST_INFORMATION),
-                model.gradient * scale,
+            damped_system(*model, scale, damping, _LEAST_INFORMATION, *system)
+            step = -np.linalg.solve(*system)
+            T, affine = np.eye(4), np.empty(2)
+            cost_there = model_of_step(
+                *views, self.T, self.affine, step * scale, *costs, least, T, affine, *there
             )
-            moved = self._moved(step * scale)
-            there = moved.model(reference, target, level, cutoff)
-            if there.cost < model.cost:
-                self.T, self.affine, model = moved.T, moved.affine, there
+            if cost_there < cost:
+                self.T, self.affine, cost = T, affine, cost_there
+                model, there = there, model
                 damping = max(damping / 4, _LEAST_DAMPING)
                 if np.abs(step[:6]).max() < still:
                     break
@@ -287,75 +322,50 @@ class _State:
             else:
                 damping *= 8
 
-    def model(self, reference: Reference, target: ImagePyramid, level: int, cutoff: float) -> "_Model":
-        """Mean cost and its Gauss-Newton model."""
-        p, config = reference.levels[level], reference.config
-        H, gradient = np.empty((8, 8)), np.empty(8)
-        energy, seen, _ = linearise(
-            target.levels[level], reference.intrinsics[level], p.uv, p.inverse_depth, PATTERN, p.intensity,
-            p.weight, self.T, self.affine, config.huber, cutoff, H, gradient,
-        )  # fmt: skip
-        H[[6, 7], [6, 7]] += config.affine_prior
-        gradient[6:] += config.affine_prior * self.affine
-        return _Model(self._mean(reference, level, energy, seen), H, gradient)
-
-    def _moved(self, step: np.ndarray) -> "_State":
-        T = np.eye(4)
-        retract(self.T, step[:6], T)
-        return _State(T, self.affine + step[6:])
-
-    def _cutoff(self, reference: Reference, target: ImagePyramid, level: int) -> float:
+    def _cutoff(self, reference: Reference, views: _Level) -> float:
         """The cutoff, doubled while too many residuals are beyond it."""
         config = reference.config
         cutoff = config.cutoff
         while cutoff < config.cutoff * config.most_cutoff_factor:
-            _, seen, saturated = self.energy(reference, target, level, cutoff)
+            _, seen, saturated = residual_energy(*views, self.T, self.affine, config.huber, cutoff)
             if saturated <= config.most_saturated * seen:
                 break
             cutoff *= 2.0
         return cutoff
 
-    def mean_cost(self, reference: Reference, target: ImagePyramid, level: int, cutoff: float) -> float:
-        """Mean cost of a pixel with the prior of the brightness; infinite with too few pixels."""
-        energy, seen, _ = self.energy(reference, target, level, cutoff)
-        return self._mean(reference, level, energy, seen)
-
-    def _mean(self, reference: Reference, level: int, energy: float, seen: int) -> float:
-        prior = float(reference.config.affine_prior @ self.affine**2)
-        return (energy + prior) / seen if seen >= _least_pixels(reference, level) else np.inf
-
     def result(self, reference: Reference, target: ImagePyramid, level: int) -> Aligned:
-        p, config = reference.levels[level], reference.config
-        energy, seen, saturated = self.energy(reference, target, level, config.cutoff)
-        H = self.model(reference, target, level, config.cutoff).H
-        alike = likeness(
-            target.levels[level], reference.intrinsics[level], p.uv, p.inverse_depth, PATTERN, p.intensity,
-            p.weight, self.T,
-        )  # fmt: skip
-        known = int((p.weight > 0).sum())
+        config, patterns = reference.config, reference.levels[level]
+        views, costs = _Level.of(reference, target, level), (config.huber, config.cutoff)
+        energy, seen, saturated = residual_energy(*views, self.T, self.affine, *costs)
+        H, gradient = _Model.empty()
+        prior, least = config.affine_prior, patterns.least_pixels
+        mean_cost_model(*views, self.T, self.affine, *costs, prior, least, H, gradient)
         inner = H[6:, 6:] + 1e-9 * np.eye(2)
         information = H[:6, :6] - H[:6, 6:] @ np.linalg.solve(inner, H[6:, :6])
         return Aligned(
             self.T,
             self.affine,
             float(np.sqrt(energy / max(1, seen))),
-            seen / max(1, known),
+            seen / max(1, patterns.known),
             saturated / max(1, seen),
-            float(alike),
+            float(likeness(*views, self.T)),
             information,
         )
-
-
-def _least_pixels(reference: Reference, level: int) -> float:
-    """Fewest pixels that both views must have: an alignment that looks away from most has low costs."""
-    return max(100.0, 0.1 * float((reference.levels[level].weight > 0).sum()))
 
 
 def _best(
     reference: Reference, target: ImagePyramid, states: list[_State], level: int, most: int
 ) -> list[_State]:
     """The states of least mean cost, those without enough pixels left out."""
-    cutoff = reference.config.cutoff * reference.config.most_cutoff_factor
-    costs = [state.mean_cost(reference, target, level, cutoff) for state in states]
+    config = reference.config
+    costs = mean_costs(
+        *_Level.of(reference, target, level),
+        np.array([state.T for state in states]).reshape(-1, 4, 4),
+        np.array([state.affine for state in states]).reshape(-1, 2),
+        config.huber,
+        config.cutoff * config.most_cutoff_factor,
+        config.affine_prior,
+        reference.levels[level].least_pixels,
+    )
     order = [i for i in np.argsort(costs, kind="stable") if np.isfinite(costs[i])]
     return [states[i] for i in order[:most]]

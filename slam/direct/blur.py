@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from slam.direct._blur_kernels import line_of_light
 from slam.direct.alignment import Aligned, Reference, align
 from slam.direct.pyramid import ImagePyramid, Rectifier
 
@@ -78,23 +79,12 @@ def sharpness(pyramid: ImagePyramid) -> float:
 def _blurred(image: np.ndarray, direction: np.ndarray, length: float) -> np.ndarray:
     """The image (H, W) float32 averaged along a line; what is unknown stays so."""
     size = int(np.ceil(length)) | 1
-    middle = size // 2
-    kernel = np.zeros((size, size), np.float32)
-    for at in np.linspace(-length / 2, length / 2, 4 * size):
-        x, y = middle + at * direction
-        c, r = int(np.floor(x)), int(np.floor(y))
-        for i, j, share in (
-            (r, c, (1 - x + c) * (1 - y + r)), (r, c + 1, (x - c) * (1 - y + r)),
-            (r + 1, c, (1 - x + c) * (y - r)), (r + 1, c + 1, (x - c) * (y - r)),
-        ):  # fmt: skip
-            if 0 <= i < size and 0 <= j < size:
-                kernel[i, j] += share
+    kernel = line_of_light(direction, np.linspace(-length / 2, length / 2, 4 * size), size)
+    kernel /= kernel.sum()
     known = np.isfinite(image)
     filled = np.where(known, image, np.float32(0))
-    out = cv2.filter2D(filled, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE)
+    out = cv2.filter2D(filled, -1, kernel, borderType=cv2.BORDER_REPLICATE)
     if known.all():
         return out
-    weight = cv2.filter2D(
-        known.astype(np.float32), -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE
-    )
+    weight = cv2.filter2D(known.astype(np.float32), -1, kernel, borderType=cv2.BORDER_REPLICATE)
     return np.where(known, out / np.maximum(weight, 1e-6), np.float32(np.nan)).astype(np.float32)

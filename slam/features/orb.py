@@ -10,6 +10,7 @@ from slam.core.frame import Features
 from slam.features._fast_kernels import corner_contrast, refine_corners, select_corners
 from slam.features._orb_kernels import BORDER_PX, descriptors, orientations
 from slam.features._spread_kernels import spread_corners
+from slam.features.remembered import Remembered
 
 # The blur of OpenCV's ORB: rounding differs from cv2.GaussianBlur at some pixels; it takes half the time.
 _BLUR = cv2.getGaussianKernel(7, 2)
@@ -78,13 +79,20 @@ class OrbExtractor:
     An instance owns its buffers: use one per thread. Returned features are never overwritten.
     """
 
-    def __init__(self, width_px: int, height_px: int, config: OrbConfig | None = None) -> None:
+    def __init__(
+        self,
+        width_px: int,
+        height_px: int,
+        config: OrbConfig | None = None,
+        remembered: Remembered[Features] | None = None,
+    ) -> None:
         """Allocate the buffers.
 
         Args:
             width_px: width of the images.
             height_px: height of the images.
             config: defaults to ``OrbConfig()``.
+            remembered: features of earlier images, found by an extractor like this one; None for none.
 
         Raises:
             ValueError: the image is too small to hold the neighbourhood of one feature.
@@ -95,12 +103,13 @@ class OrbExtractor:
                 f"image of {width_px}x{height_px} px is too small for ORB: least is {least}x{least}"
             )
         self.config = config or OrbConfig()
+        self.remembered = remembered
         self._shape = (height_px, width_px)
         self._levels = [self._allocate(scale) for scale in self.config.scales]
 
     def __deepcopy__(self, memo: dict) -> "OrbExtractor":
         """Return a new extractor with the same settings: buffers keep no state between images."""
-        return OrbExtractor(self._shape[1], self._shape[0], self.config)
+        return OrbExtractor(self._shape[1], self._shape[0], self.config, self.remembered)
 
     def _allocate(self, scale: float) -> _Level:
         height, width = (max(round(size / scale), 1) for size in self._shape)
@@ -126,6 +135,9 @@ class OrbExtractor:
             ValueError: the image has another shape or type.
         """
         self._check(image)
+        return self._found(image) if self.remembered is None else self.remembered.of(image, self._found)
+
+    def _found(self, image: np.ndarray) -> Features:
         self._build_pyramid(image)
         n_corners = [self._detect(level) for level in self._levels]
         quotas = share_out(self.config.n_features, self.config.scale_factor, n_corners)

@@ -207,6 +207,57 @@ def test_another_noise_seed_draws_only_the_noise_anew(tmp_path, rendered):
     assert abs(apart.mean()) < 0.2
 
 
+def test_frames_that_no_segment_touches_are_rendered_once(tmp_path):
+    """Whatever was rendered before, the frames are those of a rendering alone."""
+    times = []
+
+    class Counted(FakeRenderer):
+        def render(self, T_world_cam):
+            times.append(T_world_cam)
+            return super().render(T_world_cam)
+
+    def frames(folder, *numbers):
+        segments = tuple(SCENARIO.segments[k] for k in numbers)
+        scenario = SCENARIO.model_copy(update={"segments": segments, "noise_seed": 5})
+        backend = replace(fake_backend(), renderer=Counted)
+        times.clear()
+        found = render_sequence(scenario, 1, cache_dir=tmp_path / folder, backend=backend)
+        return digest(found), found.frame_truth["blur_px"].tolist(), len(times)
+
+    low, blur, swing = range(3)
+    for folder, *segments in (
+        ("plain",),
+        ("blur", blur),
+        ("low", low),
+        ("swing", swing),
+        ("both", blur, swing),
+    ):
+        *alone, rendered = frames(folder, *segments)
+        *beside, anew = frames("shared", *segments)
+        assert beside == alone and rendered == 40
+        if folder in ("plain", "low"):
+            assert anew == 40  # faded surfaces are faded in every frame
+        else:
+            assert anew == {"blur": 5, "swing": pytest.approx(8, abs=2), "both": 0}[folder]
+
+
+@pytest.mark.parametrize(
+    "segment",
+    [
+        {"kind": "fog", "extinction_per_m": 0.5},
+        {"kind": "rolling_shutter", "readout_s": 0.03},
+        {"kind": "jpeg", "quality": 5},
+    ],
+)
+def test_segments_on_images_act_with_a_noise_seed_of_its_own(tmp_path, segment):
+    plain = Scenario.model_validate({**SPEC, "segments": []})
+    acting = Scenario.model_validate({**SPEC, "segments": [{**segment, "start_s": 1, "duration_s": 1}]})
+    options = {"cache_dir": tmp_path, "backend": fake_backend()}
+    own = {"noise_seed": 1}
+    same, seen = (render_sequence(s.model_copy(update=own), 1, **options) for s in (plain, acting))
+    assert digest(seen) == digest(render_sequence(acting, 1, **options)) != digest(same)
+
+
 def test_a_corrupt_entry_is_rendered_again(tmp_path, rendered, caplog):
     before = digest(rendered)
     stack = next((tmp_path / "cache").glob("*/gray.npy"))

@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from unit_scenes import END, FRAMES, ONSET, run, synthetic, unit
 
-from experiments.eq1 import trial
+from experiments.eq1 import shared_lead_ins, trial
 from experiments.eq1.arms import CpuClock, Exposure, run_crossing, run_free, run_lead_in, settings_of
 from experiments.eq1.records import columns, decided, thread_column
 from experiments.runs.execution import execute
 from experiments.runs.slam_settings import factory_of
 from scenarios.errors import InputError
 from slam.core.events import RecoveryEnd
+from slam.engine import SlamEngine
+from slam.features.orb import OrbExtractor
 from slam.features.sift_detector import SiftDetector
 
 BROKEN = synthetic(range(85, 91))
@@ -167,6 +169,19 @@ def test_two_runs_give_the_same_record_except_for_times(broken, monkeypatch):
     again = run(monkeypatch, BROKEN, unit("orb,sift"))
     assert decided(again) == decided(broken)
     assert decided(broken).keys() < broken.keys()
+
+
+def test_features_kept_between_arms_change_no_record(broken, monkeypatch):
+    found, find = [], OrbExtractor._found
+    monkeypatch.setattr(OrbExtractor, "_found", lambda self, image: found.append(1) or find(self, image))
+    monkeypatch.setattr(shared_lead_ins, "_kept", {})
+    run(monkeypatch, BROKEN, unit("orb,sift"))
+    kept = len(found)
+    monkeypatch.setattr(SlamEngine, "remember_features", lambda *_: None)
+    monkeypatch.setattr(shared_lead_ins, "_kept", {})
+    record = run(monkeypatch, BROKEN, unit("orb,sift"))
+    assert decided(record) == decided(broken)
+    assert kept < 0.8 * (len(found) - kept)
 
 
 def test_every_record_has_the_same_columns_of_plain_values(broken, monkeypatch):

@@ -3,9 +3,20 @@
 import cv2
 import numpy as np
 import pytest
+from numba import njit
 
 from slam.core.camera import PinholeCamera
-from slam.direct._alignment_kernels import PATTERN, linearise, residual_energy, sample_patterns
+from slam.direct._alignment_kernels import (
+    PATTERN,
+    damped_system,
+    linearise,
+    mean_costs,
+    model_of_step,
+    residual_energy,
+    sample_patterns,
+)
+from slam.direct._blur_kernels import line_of_light
+from slam.direct._outer_products import add_outer_products
 from slam.direct.alignment import Reference, align, fan
 from slam.direct.pyramid import ImagePyramid, Rectifier
 from slam.direct.selection import select
@@ -109,6 +120,67 @@ def test_kernels_equal_their_twins(level):
     # It needs no gradients, which are unknown one pixel farther in from what is unknown itself.
     assert 0 <= alone[1] - found[1] < 0.05 * found[1]
     np.testing.assert_allclose(alone[0] / alone[1], found[0] / found[1], rtol=0.05)
+
+
+@njit
+def outer_products(J, w, r, count, sums):
+    add_outer_products(J, w, r, count, sums)
+
+
+def test_outer_products_have_the_bits_of_plain_loops():
+    rng, count = np.random.default_rng(4), 50
+    J, w, r = rng.normal(0, 30, (count + 3, 8)), rng.random(count + 3), rng.normal(0, 9, count + 3)
+    sums, expected = np.ones((9, 8)), np.ones((9, 8))
+    outer_products(J, w, r, count, sums)
+    for i in range(count):
+        for m in range(8):
+            expected[8, m] += w[i] * J[i, m] * r[i]
+            for n in range(8):
+                expected[m, n] += w[i] * J[i, m] * J[i, n]
+    np.testing.assert_array_equal(sums, expected)
+
+
+def test_a_step_is_the_damped_minimum_of_the_model_and_its_cost_that_of_the_moved_alignment():
+    ref, rng = reference(), np.random.default_rng(5)
+    target, p = RECTIFIER.pyramid(view(motion([0.02, 0, 0, 0, 0.01, 0]))[0]), ref.levels[1]
+    views = (target.levels[1], ref.intrinsics[1], p.uv, p.inverse_depth, PATTERN, p.intensity, p.weight)
+    T, affine, step, prior = np.eye(4), np.array([0.1, -2.0]), rng.normal(0, 0.01, 8), np.array([900.0, 0.2])
+    there, affine_there, H, gradient = np.eye(4), np.empty(2), np.empty((8, 8)), np.empty(8)
+    cost = model_of_step(*views, T, affine, step, HUBER, 25.0, prior, 100.0, there, affine_there, H, gradient)
+    np.testing.assert_allclose(there, motion(step[:6]), atol=1e-12)
+    np.testing.assert_array_equal(affine_there, affine + step[6:])
+    H_alone, gradient_alone = np.empty((8, 8)), np.empty(8)
+    energy, seen, _ = linearise(*views, there, affine_there, HUBER, 25.0, H_alone, gradient_alone)
+    np.testing.assert_allclose(cost, (energy + prior @ affine_there**2) / seen, rtol=1e-12)
+    np.testing.assert_allclose(H - H_alone, np.diag([0.0] * 6 + [900.0, 0.2]), atol=1e-6)
+    np.testing.assert_allclose(gradient - gradient_alone, [0.0] * 6 + list(prior * affine_there), atol=1e-6)
+    scale, A, b = rng.random(8), np.empty((8, 8)), np.empty(8)
+    damped_system(H, gradient, scale, 0.3, 1e-9, A, b)
+    D = np.diag(scale)
+    np.testing.assert_allclose(A, D @ (H + 0.3 * np.diag(H.diagonal())) @ D + 1e-9 * np.eye(8), rtol=1e-12)
+    np.testing.assert_allclose(b, scale * gradient, rtol=1e-12)
+
+
+def test_mean_costs_are_infinite_where_too_little_is_in_view():
+    ref = reference()
+    target, p = RECTIFIER.pyramid(view(np.eye(4))[0]), ref.levels[2]
+    views = (target.levels[2], ref.intrinsics[2], p.uv, p.inverse_depth, PATTERN, p.intensity, p.weight)
+    T = np.array([np.eye(4), motion([0, 0, 0, 0, 1.5, 0])])
+    affine, prior = np.array([[0.2, 1.0], [0.2, 1.0]]), np.array([900.0, 0.2])
+    costs = mean_costs(*views, T, affine, HUBER, 25.0, prior, p.least_pixels)
+    energy, seen, _ = residual_energy(*views, T[0], affine[0], HUBER, 25.0)
+    np.testing.assert_allclose(costs, [(energy + prior @ affine[0] ** 2) / seen, np.inf], rtol=1e-12)
+
+
+@pytest.mark.parametrize("direction", [[1.0, 0.0], [0.6, -0.8]])
+def test_a_line_of_light_holds_all_of_it_about_the_middle(direction):
+    light = line_of_light(np.array(direction), np.linspace(-3.0, 3.0, 28), 9)
+    y, x = np.mgrid[-4:5, -4:5]
+    assert light.dtype == np.float32
+    np.testing.assert_allclose(light.sum(), 28, rtol=1e-6)
+    np.testing.assert_allclose([(light * x).sum(), (light * y).sum()], [0, 0], atol=1e-4)
+    on_line = np.abs(x * direction[1] - y * direction[0]) < np.sqrt(2)
+    assert (light[~on_line] == 0).all() and (light[on_line] > 0).sum() >= 7
 
 
 def test_the_gradient_is_the_derivative_of_the_energy():

@@ -1,4 +1,5 @@
 from concurrent.futures import ThreadPoolExecutor
+from copy import deepcopy
 from dataclasses import FrozenInstanceError, fields
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from slam.core.frame import Features
 from slam.features.orb import OrbConfig, OrbExtractor, share_out
+from slam.features.remembered import Remembered
 from slam.matching.brute_force import match_brute_force
 
 WIDTH, HEIGHT = 640, 480
@@ -306,3 +308,25 @@ def test_other_levels_take_over_the_share_of_a_blurred_level():
     features = extract(np.clip(120 + 2 * (smooth - 120), 0, 255).astype(np.uint8))
     assert (features.octave == 0).sum() < 150  # of 217 in the series
     assert len(features) >= 900  # 831 if each level kept to its own share
+
+
+def test_features_are_remembered_by_content_and_shared_by_copies():
+    images, found = [np.full((8, 8), v, np.uint8) for v in range(3)], []
+    remembered = Remembered(2)
+    same = deepcopy(remembered)
+    for v in (0, 1, 0, 2, 0, 1):
+        result = same.of(images[v].copy(), lambda image: found.append(int(image[0, 0])) or image.sum())
+        assert result == 64 * v
+    # Of two, the one used longest ago is forgotten: 1 is found anew, 0 is not; an empty result counts too.
+    assert found == [0, 1, 2, 1]
+    assert same is remembered and remembered.of(images[1], lambda image: -1) == 64
+
+
+def test_an_extractor_that_remembers_finds_the_same():
+    rng = np.random.default_rng(8)
+    image = cv2.GaussianBlur(rng.integers(0, 256, (240, 320), dtype=np.uint8), (0, 0), 2.0)
+    plain, again = OrbExtractor(320, 240), OrbExtractor(320, 240, remembered=Remembered(4))
+    first = again.extract(image)
+    assert deepcopy(again).extract(image) is first
+    for name in ("xy", "octave", "angle_deg", "response", "descriptors"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(plain.extract(image), name))
