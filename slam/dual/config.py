@@ -15,6 +15,8 @@ class DualConfig:
         buffer_cap_s: the most that it grows to before recovery starts. Beyond it the oldest frames leave;
             once the last saved map's newest keyframe has left, recovery has nothing to reach and says so.
         start_keyframes: keyframes of the new map when recovery starts: enough for a sound first geometry.
+        max_start_noise: largest median noise of the new map's frames, over the usual, when recovery starts. A
+            map begun from smeared frames alone is dropped, and another one begun: its scale wanders unseen.
         recovery_threads: the recoveries of a breakage, each a thread; n of Eq. 1 is their number. The first
             in this order that succeeds counts.
         workers: recovery threads that run at the same time, of one breakage or of several.
@@ -27,6 +29,7 @@ class DualConfig:
     buffer_s: float = 10.0
     buffer_cap_s: float = 60.0
     start_keyframes: int = 5
+    max_start_noise: float = 1.5
     recovery_threads: tuple[ThreadSpec, ...] = (ThreadSpec("orb"), ThreadSpec("sift"))
     workers: int = 2
     exhaustive: bool = False
@@ -38,3 +41,5 @@ class DualConfig:
         """Check the settings."""
         if self.workers < 1:
             raise ValueError(f"workers must be 1 or more, is {self.workers}")
+        if not self.max_start_noise >= 1:
+            raise ValueError(f"max_start_noise must be 1 or more, is {self.max_start_noise}")

@@ -5,7 +5,7 @@ Source: paper, Sec. II and III, Fig. 3.
 
 from collections.abc import Iterable, Sequence
 from copy import deepcopy
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import partial
 
 import numpy as np
@@ -38,6 +38,7 @@ class Restart:
         recoverable: the buffer reaches a saved map, so that a recovery is due once the new map is fit.
         held: no map is sought until :meth:`DualSlam.restart`.
         new: the new map, once it is initialized.
+        noise: of the frames tracked in it, see :class:`slam.core.frame.Frame`.
         starting: its recovery is about to start.
     """
 
@@ -45,6 +46,7 @@ class Restart:
     recoverable: bool
     held: bool = False
     new: NewMap | None = None
+    noise: list[float] = field(default_factory=list)
     starting: bool = False
 
 
@@ -91,6 +93,8 @@ class DualSlam(MonocularSystem):
                 self._start_anew(frame)
             elif self._is_new_and_small:
                 frame, outcome = self._find_back(frame, outcome)
+            if outcome.success and self._is_begun_smeared(frame):
+                outcome, is_keyframe = self._begin_again(frame, outcome), False
         elif self._restart is not None and self._restart.held:
             outcome = TrackingOutcome(False, 0, 0, "held")
         else:
@@ -157,6 +161,26 @@ class DualSlam(MonocularSystem):
         self.buffer.frozen = recoverable
         if not held:
             self.engine.emit(frame, ev.ReinitStart)
+
+    def _is_begun_smeared(self, frame: Frame) -> bool:
+        """True if a recovery would start from a new map whose frames, up to this one, were all smeared."""
+        restart = self._restart
+        if restart is None or restart.new is None or restart.starting or not restart.recoverable:
+            return False
+        restart.noise.append(frame.noise)
+        return self._fit_for_recovery() and float(np.median(restart.noise)) > self.dual.max_start_noise
+
+    def _begin_again(self, frame: Frame, outcome: TrackingOutcome) -> TrackingOutcome:
+        """Drop a map begun from smeared frames, and seek another one for the same recovery."""
+        engine, restart = self.engine, self._restart
+        engine.backend.drain()
+        if restart is None or self._restart is not restart:  # joined meanwhile
+            return outcome
+        engine.drop_map(frame, "smeared")
+        engine.emit(frame, ev.ReinitStart)
+        restart.new = None
+        restart.noise.clear()
+        return TrackingOutcome(False, outcome.inliers, outcome.matches, "smeared")
 
     @property
     def _sought(self) -> list[int]:

@@ -12,6 +12,7 @@ from slam.core.events import TrackingState
 from slam.dual.dual_slam import DualSlam
 from slam.dual.recovery.interface import RecoveryConfig
 from slam.dual.recovery.orb import OrbRecovery
+from slam.engine import SlamEngine
 from slam.factory import build_system
 from slam.warmup import CAMERA
 
@@ -258,3 +259,26 @@ def test_a_first_map_with_too_few_keyframes_is_dropped_as_in_the_base():
     assert kinds(system) == ["initialized", "breakage", "map_dropped", "reinit_start", *RECOVERED[3:5]]
     assert of(system, "map_dropped")[0].reason == "too_few_keyframes"
     assert system.maps() == [1]
+
+
+def test_a_map_begun_from_smeared_frames_is_dropped_before_its_recovery(monkeypatch):
+    """The frames to the 70th do not fit; the map that is begun then is recovered from, over all of them."""
+    track = SlamEngine.track
+
+    def smeared(engine, frame):
+        outcome, is_keyframe = track(engine, frame)
+        frame.noise = 2.0 if 56 <= frame.features.index < 70 else 1.0
+        return outcome, is_keyframe
+
+    monkeypatch.setattr(SlamEngine, "track", smeared)
+    system, _, T_world_cam = play(140, range(50, 56))
+    again = ["map_dropped", "reinit_start", "initialized", "reinit_done"]
+    found = kinds(system)
+    assert found[:6] == ["initialized", *RECOVERED[:5]]
+    assert found[6:10] == again and found[-3:] == RECOVERED[-3:]
+    dropped = of(system, "map_dropped")
+    assert {e.reason for e in dropped} == {"smeared"} and dropped[-1].frame < 75
+    assert of(system, "recovery_start")[0].map_id == dropped[-1].map_id + 1
+    assert system.maps() == [0]
+    (path,) = system.trajectories()
+    assert rms(errors_m(path, T_world_cam)[0]) < 0.05
