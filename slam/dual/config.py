@@ -16,7 +16,7 @@ class DualConfig:
             once the last saved map's newest keyframe has left, recovery has nothing to reach and says so.
         start_keyframes: keyframes of the new map when recovery starts: enough for a sound first geometry.
         max_start_noise: largest median noise of the new map's frames, over the usual, when recovery starts. A
-            map begun from smeared frames alone is dropped, and another one begun: its scale wanders unseen.
+            map begun from smeared frames is dropped, and another one begun: its scale wanders unseen.
         recovery_threads: the recoveries of a breakage, each a thread; n of Eq. 1 is their number. The first
             in this order that succeeds counts.
         workers: recovery threads that run at the same time, of one breakage or of several.

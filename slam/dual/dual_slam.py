@@ -163,7 +163,7 @@ class DualSlam(MonocularSystem):
             self.engine.emit(frame, ev.ReinitStart)
 
     def _is_begun_smeared(self, frame: Frame) -> bool:
-        """True if a recovery would start from a new map whose frames, up to this one, were all smeared."""
+        """Note a frame of a new map; True if a recovery would start from a map whose frames are smeared."""
         restart = self._restart
         if restart is None or restart.new is None or restart.starting or not restart.recoverable:
             return False
@@ -171,7 +171,7 @@ class DualSlam(MonocularSystem):
         return self._fit_for_recovery() and float(np.median(restart.noise)) > self.dual.max_start_noise
 
     def _begin_again(self, frame: Frame, outcome: TrackingOutcome) -> TrackingOutcome:
-        """Drop a map begun from smeared frames, and seek another one for the same recovery."""
+        """Drop a map begun from smeared frames, and seek another one for the recovery that was due."""
         engine, restart = self.engine, self._restart
         engine.backend.drain()
         if restart is None or self._restart is not restart:  # joined meanwhile
