@@ -17,12 +17,12 @@ class SelfCalibrationConfig:
     """Settings of self-calibration.
 
     Attributes:
-        at_keyframes: numbers of keyframes of the first map at which the lens is estimated; none: never.
+        at_keyframes: numbers of keyframes of the first map at which the lens is estimated; none: never. The
+            estimate adjusts the whole map, which takes drift out of it too: once the lens is known to be
+            off, each one is applied.
         min_significance: least significance of the first change that is applied: chi-square with 4 degrees
-            of freedom, 18.5 by chance once in a thousand. Those after it need none: the lens is known to
-            be off, and the newest estimate is the best.
+            of freedom, 18.5 by chance once in a thousand. Those after it need none.
         min_shift_px: least root mean square shift of the keypoints by the first change.
-        min_further_shift_px: the same of the changes after it.
         max_share: largest shift of a point over the distance of the image's corner from the centre; a larger
             one is no residual of a calibration, and is not applied.
         usual_shift_px: root mean square shift of the keypoints by which calibrations are usually off. On a
@@ -30,10 +30,9 @@ class SelfCalibrationConfig:
             may be several times too large there.
     """
 
-    at_keyframes: tuple[int, ...] = (20, 30, 40, 60, 80, 120, 160, 240, 320)
+    at_keyframes: tuple[int, ...] = (20, 25, 30, 40, 50, 60, 75, 95, 120, 150, 190, 240, 300, 370, 460)
     min_significance: float = 18.5
     min_shift_px: float = 0.2
-    min_further_shift_px: float = 0.05
     max_share: float = 0.05
     usual_shift_px: float = 2.0
 
@@ -118,9 +117,8 @@ class SelfCalibration:
         return Refinement(residual, found.residual, adjustment, found.significance, shift_px)
 
     def _is_worth_it(self, found: LensEstimate, shift_px: float, first: bool) -> bool:
-        if not first:
-            return shift_px >= self.config.min_further_shift_px
-        return found.significance >= self.config.min_significance and shift_px >= self.config.min_shift_px
+        significant = found.significance >= self.config.min_significance
+        return not first or (significant and shift_px >= self.config.min_shift_px)
 
     def _is_residual(self, found: LensEstimate, map_: Map) -> bool:
         """Return True if the distortion is small all over the image, corners included."""
