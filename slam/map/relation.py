@@ -33,25 +33,22 @@ def loop_relation(map_: Map, keyframe: int, loop_keyframe: int, S_cam_map: np.nd
 
 
 def fusion_relation(
-    old: Map,
-    new: Map,
-    old_keyframe: int,
-    new_keyframe: int,
-    S_old_new: np.ndarray,
-    last_frame: int | None = None,
+    fused: Map, first_new: int, old_keyframe: int, new_keyframe: int, last_frame: int | None = None
 ) -> Relation:
-    """Relation asserted by the alignment of two maps, before they are fused.
+    """Relation asserted by a fusion, as soon as the two maps are one.
 
     Args:
-        old, new: the maps, not fused yet.
+        fused: the map.
+        first_new: first of the rows that come from the new map.
         old_keyframe, new_keyframe: rows of the aligned keyframes.
-        S_old_new: (4, 4) similarity from the new map to the old one.
         last_frame: last frame of the trusted part of the old map; None for all of it.
     """
     end = np.inf if last_frame is None else last_frame
-    distrusted = {int(k) for k in old.keyframes() if old.frame_index(int(k)) > end}
-    old_side, new_side = _side(old, old_keyframe, without=distrusted), _side(new, new_keyframe)
-    return Relation(_placed(old, old_side), _placed(new, new_side, S_old_new), _depth(old, old_keyframe))
+    rows = [int(k) for k in fused.keyframes()]
+    new, old = {k for k in rows if k >= first_new}, {k for k in rows if k < first_new}
+    distrusted = {k for k in old if fused.frame_index(k) > end}
+    old_side, new_side = _side(fused, old_keyframe, new | distrusted), _side(fused, new_keyframe, old)
+    return Relation(_placed(fused, old_side), _placed(fused, new_side), _depth(fused, old_keyframe))
 
 
 def relocalization_relation(map_: Map, frames: Sequence[Frame]) -> Relation:

@@ -64,7 +64,9 @@ def fuse(
     """Fuse the new map into the old one, whose frame is kept.
 
     The last alignment places the new map. If there are more, the essential graph over the seam is optimised
-    with all of them; the old keyframes are fixed.
+    with all of them. Then all new keyframes are bundle-adjusted, not only those at the seam: a map that was
+    carried through a breakage may have lost some of its scale there, and the old map's points that it now
+    shares give it back. The old keyframes are fixed.
 
     Args:
         old: changed in place.
@@ -87,7 +89,8 @@ def fuse(
         kernels.replace_points(old.arrays, theirs, alignment.old_points, scale)
     factor = _optimize_seam(old, alignments, keyframes)
     _fuse_seam(old, accepted.old_keyframe, accepted.new_keyframe + keyframes)
-    LocalMapper(old, mapping).adjust(accepted.new_keyframe + keyframes)
+    is_new = ~old.arrays.kf_bad[: old.n_keyframes] & (np.arange(old.n_keyframes) >= keyframes)
+    LocalMapper(old, mapping).adjust_keyframes(is_new)
     return Fused(keyframes, points, factor)
 
 

@@ -53,11 +53,11 @@ class PreparedFusion:
             seam_only: the relation asserts nothing of the old map after the seam.
         """
         accepted, last = alignments[-1], seam_frame(old, alignments) if seam_only else None
-        relation = fusion_relation(
-            old, new, accepted.old_keyframe, accepted.new_keyframe, accepted.S_old_new, last
-        )
         map_ = old.copy()
         fused = fuse(map_, new, alignments, mapping, renewed_until)
+        relation = fusion_relation(
+            map_, fused.keyframes, accepted.old_keyframe, accepted.new_keyframe + fused.keyframes, last
+        )
         vocabulary = shipped_vocabulary()
         bows = {
             int(k): vocabulary.transform(map_.features(int(k)).descriptors)

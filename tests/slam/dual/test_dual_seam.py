@@ -57,7 +57,7 @@ def changed(old, alignment, scale, shift):
 @pytest.fixture
 def without_adjustment(monkeypatch):
     """Fusion without bundle adjustment, which would correct the errors under test."""
-    monkeypatch.setattr(fusion.LocalMapper, "adjust", lambda self, keyframe: None)
+    monkeypatch.setattr(fusion.LocalMapper, "adjust_keyframes", lambda self, free: None)
     monkeypatch.setattr(fusion, "_fuse_seam", lambda *args: None)
 
 
