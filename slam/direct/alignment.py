@@ -306,11 +306,10 @@ class _State:
         progress[0] = mean_cost_model(*views, self.T, self.affine, *costs, least, *model)
         damped_system(*model, scale, _DAMPING, _LEAST_INFORMATION, *system)
         bounds = (_LEAST_DAMPING, _LEAST_INFORMATION, still)
+        there, results = (self.T, self.affine), (progress, *model, *system)
         for _ in range(config.iterations):
             solution = np.linalg.solve(*system)
-            if advance(
-                *views, self.T, self.affine, solution, *costs, least, scale, *bounds, progress, *model, *system
-            ):
+            if advance(*views, *there, solution, *costs, least, scale, *bounds, *results):
                 break
 
     def _cutoff(self, reference: Reference, views: _Level) -> float:

@@ -1,10 +1,11 @@
 """Sums of small products over the camera blocks of normal equations, in vector registers.
 
-Numba leaves them to scalar instructions. Each number is computed by the same operations in the same order as in
-the plain loops, so that it has the same bits.
+Numba leaves them to scalar instructions. Each number is computed by the same operations in the same order as
+in the plain loops, so that it has the same bits.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 from llvmlite import ir
 from numba import types
@@ -41,7 +42,7 @@ class _Block:
             for c, n in _WIDTHS
         ]
 
-    def row(self, row: int) -> list[ir.Value]:
+    def row(self, row: int) -> list[Any]:
         """The two vectors of a row of six."""
         return [self._builder.load(vector, align=8) for vector in self.vectors(_SIZE, row)]
 
@@ -114,9 +115,7 @@ def _add_outer_products(typingctx, U, f, Ju, Jv, weight):
         target = _Block(builder, _at(context, builder, signature, args, 0, args[1], zero, zero)[0])
         u, v = (_Block(builder, _at(context, builder, signature, args, k, zero)[0]) for k in (2, 3))
         row_u, row_v = u.row(0), v.row(0)
-        scaled = [
-            [builder.fmul(args[4], block.scalar(r)) for block in (u, v)] for r in range(_SIZE)
-        ]
+        scaled = [[builder.fmul(args[4], block.scalar(r)) for block in (u, v)] for r in range(_SIZE)]
         for r in range(_SIZE):
             w_u, w_v = (_spread(builder, number) for number in scaled[r])
             for half, place in enumerate(target.vectors(_SIZE, r)):
