@@ -29,7 +29,7 @@ class _Block:
         """One number."""
         return self._builder.load(self._builder.gep(self._address, [_LANE(number)]))
 
-    def vectors(self, stride: ir.Value | int, row: int) -> list[ir.Value]:
+    def vectors(self, stride: ir.Value | int, row: int) -> list[Any]:
         """Addresses of the two vectors of a row, rows being ``stride`` numbers apart."""
         builder = self._builder
         if isinstance(stride, int):
