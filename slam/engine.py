@@ -67,6 +67,7 @@ class SlamEngine:
         frames: number of frames processed so far.
         newest: the newest frame.
         corrections: number of times that mapped keyframes were moved by loop closing.
+        remembered: what recovery threads have found in images; None unless it is kept.
     """
 
     def __init__(self, camera: PinholeCamera, seed: int, config: SlamConfig, mode: ExecutionMode) -> None:
@@ -80,6 +81,7 @@ class SlamEngine:
         self.store = MapStore(config)
         self.frames = self.corrections = 0
         self.newest: Frame | None = None
+        self.remembered: Remembered | None = None
         self._self_calibration = SelfCalibration(config.self_calibration)
         self.backend = Backend(self._apply, mode, self._self_calibration)
         self.search = PlaceSearch(self.store, seed, config, self.timer, self.backend.lock, self.emit_at)
@@ -141,6 +143,7 @@ class SlamEngine:
 
     def remember_features(self, images: int) -> None:
         """Keep the features of so many images, for copies that see the same ones."""
+        self.remembered = Remembered(2 * images)
         for extractor in (self._extractor, self._initial_extractor):
             extractor.remembered = Remembered(images)
 

@@ -142,7 +142,7 @@ THREAD_COLUMNS: dict[str, tuple[Domain, str]] = {
     "frames_covered": ("count", "number of frames that it went back"),
     "scale_error": ("float", "given declared: scale over the true one, minus 1"),
     "seam_error_m": ("amount", "given declared: position error of the new map in the old one"),
-    "cpu_ms": ("amount", "its CPU time; less in an arm that runs later and reuses features"),
+    "cpu_ms": ("amount", "its CPU time, with that of features found before"),
     "inliers": ("count", "of its alignment"),
 }
 """Per arm and thread, named ``free_r1_failed``, ``cross_r2_cpu_ms`` and so on; ``free_`` only given B."""

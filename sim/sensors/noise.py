@@ -1,5 +1,7 @@
 """Sensor noise from a precomputed bank."""
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 
@@ -24,12 +26,11 @@ class SensorNoise:
     def __init__(self, shape: tuple[int, int], sigma: float, seed: int, shot: float = 0.0) -> None:
         self._shape, self._sigma, self._seed, self._shot = shape, sigma, seed, shot
         size = max(_BANK_SIZE, 2 * shape[0] * shape[1])
-        normals = rng_for(seed, "noise", "bank").standard_normal(size, np.float32)
         if shot:
             variance = sigma**2 + shot**2 * np.arange(256) / 255
-            self._normals, self._sigma_of = normals, np.sqrt(variance).astype(np.float32)
-            return
-        self._bank = np.clip(np.rint(sigma * normals), -127, 127).astype(np.int8)
+            self._normals, self._sigma_of = _normals(size, seed), np.sqrt(variance).astype(np.float32)
+        elif sigma:
+            self._bank = _levels(size, seed, sigma)
 
     def apply(self, image: np.ndarray, frame: int) -> np.ndarray:
         """The (H, W) uint8 image with the noise of one frame index."""
@@ -43,3 +44,24 @@ class SensorNoise:
             return cv2.add(image, normals * cv2.LUT(image, self._sigma_of), dtype=cv2.CV_8U)
         piece = self._bank[start : start + pixels].reshape(self._shape)
         return cv2.add(image, piece, dtype=cv2.CV_8U)
+
+
+# Sequences that share their noise follow each other.
+@lru_cache(maxsize=1)
+def _levels(size: int, seed: int, sigma: float) -> np.ndarray:
+    """(size,) int8 noise in whole grey levels, read only."""
+    levels = np.clip(np.rint(sigma * _drawn(size, seed)), -127, 127).astype(np.int8)
+    levels.flags.writeable = False
+    return levels
+
+
+@lru_cache(maxsize=1)
+def _normals(size: int, seed: int) -> np.ndarray:
+    """(size,) float32 normal numbers, read only."""
+    normals = _drawn(size, seed)
+    normals.flags.writeable = False
+    return normals
+
+
+def _drawn(size: int, seed: int) -> np.ndarray:
+    return rng_for(seed, "noise", "bank").standard_normal(size, np.float32)

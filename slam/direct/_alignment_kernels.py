@@ -227,6 +227,44 @@ def model_of_step(
 
 
 @njit(cache=True, nogil=True)
+def advance(
+    level, camera, uv, inverse_depth, pattern, intensity, weight, T, affine, solution, huber, cutoff, prior,
+    least, scale, least_damping, least_information, still, progress, H, gradient, A, b,
+):  # fmt: skip
+    """Try a Levenberg step, keep it if the cost falls, and prepare the next one.
+
+    Args:
+        T, affine: (4, 4) and (2,), the alignment; moved by a step that is kept.
+        solution: (8,) of the system, minus the step in units of ``scale``.
+        scale: (8,) units of a step.
+        least_damping, least_information: see :func:`damped_system`.
+        still: a smaller step of translation and rotation is none.
+        progress: (2,) cost and damping, written.
+        H, gradient: model there, written with a step that is kept.
+        A, b: (8, 8) and (8,) system of the next step, written.
+
+    Returns:
+        True at the end: the step was hardly any.
+    """
+    step = -solution
+    T_there, affine_there = np.eye(4), np.empty(2)
+    H_there, gradient_there = np.empty((SIZE, SIZE)), np.empty(SIZE)
+    cost = model_of_step(
+        level, camera, uv, inverse_depth, pattern, intensity, weight, T, affine, step * scale, huber, cutoff,
+        prior, least, T_there, affine_there, H_there, gradient_there,
+    )  # fmt: skip
+    kept = cost < progress[0]
+    if kept:
+        T[:], affine[:], H[:], gradient[:] = T_there, affine_there, H_there, gradient_there
+        progress[0] = cost
+    if (np.abs(step[:6]) < still).all():
+        return True
+    progress[1] = max(progress[1] / 4, least_damping) if kept else 8 * progress[1]
+    damped_system(H, gradient, scale, progress[1], least_information, A, b)
+    return False
+
+
+@njit(cache=True, nogil=True)
 def damped_system(H, gradient, scale, damping, least, A, b):
     """Write the system (8, 8), (8,) of a damped step in units of ``scale`` (8,)."""
     for i in range(SIZE):

@@ -14,11 +14,11 @@ import numpy as np
 
 from slam.direct._alignment_kernels import (
     PATTERN,
+    advance,
     damped_system,
     likeness,
     mean_cost_model,
     mean_costs,
-    model_of_step,
     residual_energy,
     sample_patterns,
 )
@@ -302,25 +302,15 @@ class _State:
         least = reference.levels[level].least_pixels
         scale = np.append(np.full(3, reference.depth), np.ones(5))  # steps of position are in depths
         still = _STILL_PX / reference.intrinsics[level][0]
-        model, there, system = _Model.empty(), _Model.empty(), _Model.empty()
-        cost, damping = mean_cost_model(*views, self.T, self.affine, *costs, least, *model), _DAMPING
+        model, system, progress = _Model.empty(), _Model.empty(), np.array([np.inf, _DAMPING])
+        progress[0] = mean_cost_model(*views, self.T, self.affine, *costs, least, *model)
+        damped_system(*model, scale, _DAMPING, _LEAST_INFORMATION, *system)
+        bounds = (_LEAST_DAMPING, _LEAST_INFORMATION, still)
+        there, results = (self.T, self.affine), (progress, *model, *system)
         for _ in range(config.iterations):
-            damped_system(*model, scale, damping, _LEAST_INFORMATION, *system)
-            step = -np.linalg.solve(*system)
-            T, affine = np.eye(4), np.empty(2)
-            cost_there = model_of_step(
-                *views, self.T, self.affine, step * scale, *costs, least, T, affine, *there
-            )
-            if cost_there < cost:
-                self.T, self.affine, cost = T, affine, cost_there
-                model, there = there, model
-                damping = max(damping / 4, _LEAST_DAMPING)
-                if np.abs(step[:6]).max() < still:
-                    break
-            elif np.abs(step[:6]).max() < still:
+            solution = np.linalg.solve(*system)
+            if advance(*views, *there, solution, *costs, least, scale, *bounds, *results):
                 break
-            else:
-                damping *= 8
 
     def _cutoff(self, reference: Reference, views: _Level) -> float:
         """The cutoff, doubled while too many residuals are beyond it."""

@@ -79,18 +79,23 @@ class BufferedImages:
 
     def __init__(self, packed: dict[int, bytes]) -> None:
         self._packed = packed
+        self._last: tuple[int, np.ndarray] | None = None
 
     def __call__(self, index: int) -> np.ndarray:
-        """The (H, W) uint8 image of a frame.
+        """The (H, W) uint8 image of a frame, not to be changed.
 
         Raises:
             KeyError: the image is not held.
         """
+        last = self._last
+        if last is not None and last[0] == index:
+            return last[1]
         if index not in self._packed:
             raise KeyError(f"frame {index} is not held as an image")
         image = cv2.imdecode(np.frombuffer(self._packed[index], np.uint8), cv2.IMREAD_GRAYSCALE)
         if image is None:
             raise ValueError(f"the image of frame {index} cannot be decoded")
+        self._last = index, image
         return image
 
 

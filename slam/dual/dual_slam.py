@@ -279,7 +279,7 @@ class DualSlam(MonocularSystem):
         self._restart, self.buffer.frozen = None, False
         older = [k for k in store.saved if k < new.map.map_id]
         if copies.old:
-            self.jobs.start(newest, new, copies, self.buffer, engine.camera)
+            self.jobs.start(newest, new, copies, self.buffer, engine.camera, engine.remembered)
         elif older:
             self.jobs.give_up(newest, new.map, store[older[0]])
 

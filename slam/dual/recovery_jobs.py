@@ -17,6 +17,7 @@ from slam.dual.config import DualConfig
 from slam.dual.recovery.interface import RecoveryResult, RecoveryTask
 from slam.dual.recovery.registry import build_thread
 from slam.dual.recovery.scheduler import RecoveryRun, build_scheduler
+from slam.features.remembered import Remembered
 from slam.loop_closing.map_alignment import Alignment
 from slam.map.map import Map
 from slam.runtime.backend import ExecutionMode
@@ -131,7 +132,13 @@ class RecoveryJobs:
         return Copies(tuple(m.copy() for m in old_maps), starts, new.map.n_keyframes, new.map.n_points)
 
     def start(
-        self, frame: Frame, new: NewMap, copies: Copies, buffer: FeatureBuffer, camera: PinholeCamera
+        self,
+        frame: Frame,
+        new: NewMap,
+        copies: Copies,
+        buffer: FeatureBuffer,
+        camera: PinholeCamera,
+        remembered: Remembered | None = None,
     ) -> None:
         """Start the threads.
 
@@ -141,6 +148,7 @@ class RecoveryJobs:
             copies: of it and of the saved maps, not to be used afterwards.
             buffer: the frames over which the threads go backward.
             camera: of these frames.
+            remembered: what threads of copies of the system have found in images.
         """
         backward, images = tuple(buffer.backward_from(new.first.features.index)), buffer.images()
         sizes = (copies.keyframes, copies.points)
@@ -149,8 +157,9 @@ class RecoveryJobs:
         for number, ((thread, seed), (own, start, step)) in enumerate(threads, start=1):
             rng = rng_for(self._seed, "recovery", number, seed, new.since)
             task = RecoveryTask(
-                own, start, backward, copies.old, step, rng, camera, images, system=self._system
-            )
+                own, start, backward, copies.old, step, rng, camera, images,
+                system=self._system, remembered=remembered,
+            )  # fmt: skip
             job.runs.append(RecoveryRun(number, thread, task, frame.features.stamp_s))
             self._scheduler.submit(job.runs[-1])
         self.running.append(job)

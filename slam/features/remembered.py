@@ -1,6 +1,6 @@
 """What was found in an image, kept for the next time that the same image comes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from hashlib import blake2b
 from typing import Generic, TypeVar
 
@@ -17,16 +17,22 @@ class Remembered(Unchanging, Generic[Found]):
     Copies of a system share it, as what it returns is what would be found anew.
 
     Args:
-        most: number of images; the one used longest ago is forgotten first.
+        most: number of results; the one used longest ago is forgotten first.
     """
 
     def __init__(self, most: int) -> None:
         self._most = most
-        self._kept: dict[bytes, Found] = {}
+        self._kept: dict[tuple[bytes, Hashable], Found] = {}
 
-    def of(self, image: np.ndarray, find: Callable[[np.ndarray], Found]) -> Found:
-        """What ``find`` returns for an image, whose result depends on the image alone."""
-        key = blake2b(np.ascontiguousarray(image), digest_size=16).digest()
+    def of(self, image: np.ndarray, find: Callable[[np.ndarray], Found], kind: Hashable = None) -> Found:
+        """What ``find`` returns for an image.
+
+        Args:
+            image: any array of bytes.
+            find: its result, which nobody may change, depends on image and kind alone.
+            kind: what is sought, with all its settings.
+        """
+        key = blake2b(np.ascontiguousarray(image), digest_size=16).digest(), kind
         found = self._kept.pop(key, None)
         if found is None:
             found = find(image)

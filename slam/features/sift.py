@@ -7,7 +7,7 @@ import numpy as np
 from slam.core.camera import PinholeCamera
 from slam.core.frame import Frame
 from slam.features._sift_matching import nearest
-from slam.features.sift_detector import SIGMA0_PX, SiftDetector
+from slam.features.sift_detector import SIGMA0_PX, SiftFeatures
 from slam.features.tracks import TrackedFrame
 
 
@@ -22,16 +22,14 @@ class SiftFrame(TrackedFrame):
     descriptors: np.ndarray
 
 
-def detect(image: np.ndarray, frame: Frame, camera: PinholeCamera, detector: SiftDetector) -> SiftFrame:
-    """Detect the SIFT features of an image.
+def sift_frame(found: SiftFeatures, frame: Frame, camera: PinholeCamera) -> SiftFrame:
+    """The SIFT features of a frame.
 
     Args:
-        image: (H, W) uint8.
-        frame: the frame of the image.
+        found: as detected in its image.
+        frame: the frame.
         camera: the camera of the image.
-        detector: with its settings.
     """
-    found = detector.detect(image)
     xy = camera.undistort_points(found.xy.astype(np.float32)).astype(np.float64)
     return SiftFrame(frame, xy, (SIGMA0_PX / found.sigma_px) ** 2, found.descriptors)
 

@@ -10,6 +10,7 @@ of a camera among the free ones, -1 where fixed; ``intrinsics`` (4,) fx, fy, cx,
 import numpy as np
 from numba import njit
 
+from slam.optimization._block_sums import add_outer_products
 from slam.optimization._cholesky import factor, solve
 from slam.optimization._schur import back_substitute, eliminate_points, predicted_gain, skyline
 from slam.optimization._se3 import retract
@@ -140,10 +141,9 @@ def normal_equations(
             for r in range(6):
                 wu, wv = weight * Ju[r], weight * Jv[r]
                 gradient_c[f, r] += wu * eu + wv * ev
-                for c in range(r + 1):
-                    U[f, r, c] += wu * Ju[c] + wv * Jv[c]
                 for c in range(3):
                     W[i, r, c] = wu * Au[c] + wv * Av[c]
+            add_outer_products(U, f, Ju, Jv, weight)
 
 
 @njit(cache=True, nogil=True)

@@ -7,6 +7,8 @@ camera against point, observations sorted by point.
 import numpy as np
 from numba import njit
 
+from slam.optimization._block_sums import subtract_products
+
 
 @njit(cache=True, nogil=True)
 def skyline(start, camera, slot, n_free):
@@ -67,31 +69,43 @@ def eliminate_points(
                 S[6 * f + r, 6 * f + c] = U[f, r, c]
             S[6 * f + r, 6 * f + r] += damping * U[f, r, r] + floor
             reduced[6 * f + r] = -gradient_c[f, r]
-    Y = np.empty((6, 3), np.float64)
+    most = _most_observations(start)
+    Y, turned, free = np.empty((3, 6)), np.empty((most, 3, 6)), np.empty(most, np.int64)
     for p in range(start.shape[0] - 1):
         held[p] = start[p + 1] - start[p] < 2 or not _invert_3x3(V[p], damping, V_inv[p])
         if held[p]:
             continue
-        inverse = V_inv[p]
+        n = 0
         for i in range(start[p], start[p + 1]):
             f = slot[camera[i]]
             if f < 0:
                 continue
+            free[n] = f
             for r in range(6):
-                w0, w1, w2 = W[i, r, 0], W[i, r, 1], W[i, r, 2]
                 for c in range(3):
-                    Y[r, c] = w0 * inverse[0, c] + w1 * inverse[1, c] + w2 * inverse[2, c]
-                reduced[6 * f + r] += (
-                    Y[r, 0] * gradient_p[p, 0] + Y[r, 1] * gradient_p[p, 1] + Y[r, 2] * gradient_p[p, 2]
-                )
-            for j in range(start[p], start[p + 1]):
-                g = slot[camera[j]]
-                if g < 0 or g > f:
-                    continue
+                    turned[n, c, r] = W[i, r, c]
+            n += 1
+        for a in range(n):
+            f = free[a]
+            for c in range(3):
+                in_0, in_1, in_2 = V_inv[p, 0, c], V_inv[p, 1, c], V_inv[p, 2, c]
                 for r in range(6):
-                    y0, y1, y2 = Y[r, 0], Y[r, 1], Y[r, 2]
-                    for c in range(6):
-                        S[6 * f + r, 6 * g + c] -= y0 * W[j, c, 0] + y1 * W[j, c, 1] + y2 * W[j, c, 2]
+                    Y[c, r] = turned[a, 0, r] * in_0 + turned[a, 1, r] * in_1 + turned[a, 2, r] * in_2
+            for r in range(6):
+                reduced[6 * f + r] += (
+                    Y[0, r] * gradient_p[p, 0] + Y[1, r] * gradient_p[p, 1] + Y[2, r] * gradient_p[p, 2]
+                )
+            for b in range(n):
+                if free[b] <= f:
+                    subtract_products(S, 6 * f, 6 * free[b], Y, turned, b)
+
+
+@njit(cache=True, nogil=True)
+def _most_observations(start):
+    most = 0
+    for p in range(start.shape[0] - 1):
+        most = max(most, start[p + 1] - start[p])
+    return most
 
 
 @njit(cache=True, nogil=True)

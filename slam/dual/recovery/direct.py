@@ -23,7 +23,7 @@ from slam.direct.blur import sharpness
 from slam.direct.location import locate_on_lines, locate_points
 from slam.direct.placement import PlacementConfig, guesses_ahead, place
 from slam.direct.pyramid import ImagePyramid, Rectifier
-from slam.direct.selection import SelectionConfig, select
+from slam.direct.selection import Selection, SelectionConfig, select
 from slam.dual.recovery.appearance import LooksCheck, LooksConfig
 from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
 from slam.dual.recovery.propagation import propagate
@@ -134,7 +134,7 @@ class DirectTracker(TrackTracker):
         self, frame: Frame, pyramid: ImagePyramid, xy: np.ndarray, inv_sigma2: np.ndarray
     ) -> DirectFrame:
         """The frame with points located in it (k, 2) and new ones where these leave room."""
-        found = select(pyramid, self._direct_config.selection)
+        found = self._selected(frame, pyramid)
         taken = _cells(xy)
         free = np.flatnonzero(~np.isin(_cells(found.xy), taken))
         room = max(0, self._direct_config.selection.points - len(xy))
@@ -146,6 +146,10 @@ class DirectTracker(TrackTracker):
             np.concatenate([inv_sigma2, 0.25 ** found.scale[free]]),
             pyramid,
         )
+
+    def _selected(self, frame: Frame, pyramid: ImagePyramid) -> Selection:
+        config, camera = self._direct_config.selection, self._task.camera
+        return self._task.found_in(frame.features.index, lambda _: select(pyramid, config), (config, camera))
 
     def _place(self, frame: Frame, pyramid: ImagePyramid, reference: DirectFrame) -> TrackingOutcome:
         config, rectifier = self._direct_config, self._rectifier

@@ -3,9 +3,10 @@
 Source: paper, Sec. III-B and Algorithm 1.
 """
 
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Protocol, Self
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -13,11 +14,14 @@ from slam.config import SlamConfig
 from slam.core.camera import PinholeCamera
 from slam.core.frame import Frame, FrameFeatures
 from slam.dual.fusion.fuse import FusionConfig
+from slam.features.remembered import Remembered
 from slam.loop_closing.map_alignment import Alignment
 from slam.map.map import Map
 from slam.mapping.local_mapping import LocalMappingConfig
 from slam.tracking.doubt import DoubtConfig
 from slam.tracking.tracker import TrackingConfig
+
+Found = TypeVar("Found")
 
 
 @dataclass
@@ -25,6 +29,13 @@ class Cancellation:
     """Request to a recovery thread to end: nothing depends on its result any more."""
 
     requested: bool = False
+
+
+@dataclass
+class Spared:
+    """CPU time that a run did not take as it found what others had found in images before."""
+
+    cpu_ms: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -43,6 +54,9 @@ class RecoveryTask:
             are available to a thread that declares ``needs_images``.
         cancellation: asked for between frames by a thread that can be ended early.
         system: settings of the system, for all that the thread's own leave open.
+        remembered: what threads have found in images, with the time it took, shared by copies of the system;
+            None for nothing.
+        spared: what this run was spared by that.
     """
 
     new_map: Map
@@ -55,6 +69,22 @@ class RecoveryTask:
     image_of: Callable[[int], np.ndarray]
     cancellation: Cancellation = field(default_factory=Cancellation)
     system: SlamConfig = field(default_factory=SlamConfig)
+    remembered: Remembered[tuple[Any, float]] | None = None
+    spared: Spared = field(default_factory=Spared)
+
+    def found_in(self, index: int, find: Callable[[np.ndarray], Found], kind: Hashable) -> Found:
+        """What ``find`` returns for the image of a frame; see :class:`Remembered`."""
+        is_new = False
+
+        def timed(image: np.ndarray) -> tuple[Found, float]:
+            nonlocal is_new
+            is_new, started_s = True, time.thread_time()
+            return find(image), 1e3 * (time.thread_time() - started_s)
+
+        image = self.image_of(index)
+        found, cpu_ms = timed(image) if self.remembered is None else self.remembered.of(image, timed, kind)
+        self.spared.cpu_ms += 0.0 if is_new else cpu_ms
+        return found
 
 
 @dataclass

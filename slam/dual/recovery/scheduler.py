@@ -30,7 +30,7 @@ class RecoveryRun:
         submitted_s: time from which it may run.
         started_s: time at which it was given a worker; None while it waits for one.
         result: what the thread returned; None before.
-        cpu_ms: CPU milliseconds that took.
+        cpu_ms: CPU milliseconds that took, what it was spared included.
     """
 
     number: int
@@ -47,7 +47,7 @@ class RecoveryRun:
             timer = StageTimer()
             with timer("recovery"):
                 result = self.thread.run(self.task)
-            self.cpu_ms = timer.cpu_ms["recovery"]
+            self.cpu_ms = timer.cpu_ms["recovery"] + self.task.spared.cpu_ms
             self.result = result  # last: whoever sees it sees the rest
         return self.result
 

@@ -12,7 +12,7 @@ from slam.core.frame import Frame
 from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
 from slam.dual.recovery.propagation import propagate
 from slam.dual.recovery.tracks import TrackRecoveryConfig, TrackTracker
-from slam.features.sift import SiftFrame, detect, match
+from slam.features.sift import SiftFrame, match, sift_frame
 from slam.features.sift_detector import SiftDetector
 from slam.tracking.pnp import ransac_pnp
 from slam.tracking.tracker import TrackingOutcome
@@ -83,8 +83,10 @@ class SiftTracker(TrackTracker):
         return outcome
 
     def _detect(self, frame: Frame) -> SiftFrame:
-        image = self._task.image_of(frame.features.index)
-        return detect(image, frame, self._task.camera, self._detector)
+        config = self._sift_config
+        kind = ("sift", config.n_features, config.contrast, config.octaves, config.most_pixels)
+        found = self._task.found_in(frame.features.index, self._detector.detect, kind)
+        return sift_frame(found, frame, self._task.camera)
 
     def _place(self, sift: SiftFrame, reference: SiftFrame) -> TrackingOutcome:
         config = self._sift_config

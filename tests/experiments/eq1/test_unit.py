@@ -172,16 +172,23 @@ def test_two_runs_give_the_same_record_except_for_times(broken, monkeypatch):
 
 
 def test_features_kept_between_arms_change_no_record(broken, monkeypatch):
-    found, find = [], OrbExtractor._found
-    monkeypatch.setattr(OrbExtractor, "_found", lambda self, image: found.append(1) or find(self, image))
+    found = []
+
+    def count(owner, method, kind):
+        find = getattr(owner, method)
+        monkeypatch.setattr(owner, method, lambda self, image: found.append(kind) or find(self, image))
+
+    count(OrbExtractor, "_found", "orb")
+    count(SiftDetector, "detect", "sift")
     monkeypatch.setattr(shared_lead_ins, "_kept", {})
     run(monkeypatch, BROKEN, unit("orb,sift"))
-    kept = len(found)
+    kept = found.copy()
     monkeypatch.setattr(SlamEngine, "remember_features", lambda *_: None)
     monkeypatch.setattr(shared_lead_ins, "_kept", {})
     record = run(monkeypatch, BROKEN, unit("orb,sift"))
     assert decided(record) == decided(broken)
-    assert kept < 0.8 * (len(found) - kept)
+    for kind in ("orb", "sift"):
+        assert kept.count(kind) < 0.8 * (found.count(kind) - kept.count(kind))
 
 
 def test_every_record_has_the_same_columns_of_plain_values(broken, monkeypatch):

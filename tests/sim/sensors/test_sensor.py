@@ -6,6 +6,7 @@ from small_world import CAMERA, CORRIDOR
 
 from scenarios.cameras import Camera
 from scenarios.spec import Scenario
+from sim.sensors import noise
 from sim.sensors.noise import SensorNoise
 from sim.sensors.sensor import Sensor
 from sim.sequence_rendering import render_sequence
@@ -65,3 +66,15 @@ def test_a_calibration_error_is_in_the_frames_and_not_in_the_camera(tmp_path):
     for frame in range(len(off)):
         np.testing.assert_array_equal(off.frames[frame], known.frames[frame])
         assert (off.frames[frame] != plain.frames[frame]).any()
+
+
+def test_the_noise_of_a_seed_is_drawn_once_and_none_where_there_is_none(monkeypatch):
+    drawn, draw = [], noise._drawn
+    monkeypatch.setattr(noise, "_drawn", lambda size, seed: drawn.append(seed) or draw(size, seed))
+    gray = np.full((64, 96), 128, np.uint8)
+    for shot in (0.0, 2.0):
+        first = SensorNoise((64, 96), 2.0, 41, shot).apply(gray, 5)
+        np.testing.assert_array_equal(SensorNoise((64, 96), 2.0, 41, shot).apply(gray, 5), first)
+        assert not np.array_equal(SensorNoise((64, 96), 2.0, 42, shot).apply(gray, 5), first)
+    SensorNoise((64, 96), 0.0, 43).apply(gray, 5)
+    assert drawn == [41, 42, 41, 42]

@@ -8,10 +8,11 @@ from slam_scenes import CAMERA, FPS, PointWorld, make_frame, pose_error, rigid, 
 
 from slam.core.frame import Frame
 from slam.dual.fusion.fuse import FusionConfig
-from slam.dual.recovery.interface import RecoveryConfig, RecoveryTask
+from slam.dual.recovery.interface import RecoveryConfig, RecoveryTask, Spared
 from slam.dual.recovery.orb import OrbRecovery, OrbRecoveryConfig
 from slam.dual.recovery.overlap import Overlap
 from slam.dual.recovery_jobs import placed_keyframes
+from slam.features.remembered import Remembered
 from slam.map.invariants import check_map
 from slam.optimization.sim3 import sim3_decompose
 from slam.tracking.tracker import CrossingConfig, TrackingConfig
@@ -332,3 +333,25 @@ def test_keyframes_are_compared_by_time_whatever_the_frame_rate(
     overlap = Overlap(task(start_map, sightings, [saved], []), FusionConfig())
     overlap.attempt(Frame(features), 0)
     assert overlap.tried == compared
+
+
+# -- what is found in images ---------------------------------------------------------------------------------
+
+
+def test_a_run_is_spared_what_another_has_found_in_an_image_and_the_time_is_told(start_map, sightings, saved):
+    images, found = [np.full((8, 8), v, np.uint8) for v in (1, 2)], []
+
+    def find(image):
+        found.append(int(image[0, 0]))
+        return [len(found)]
+
+    plain = task(start_map, sightings, [saved], ())
+    plain = replace(plain, image_of=images.__getitem__)
+    assert [plain.found_in(0, find, "a"), plain.found_in(0, find, "a")] == [[1], [2]]
+    remembered = Remembered(8)
+    one, two = (replace(plain, remembered=remembered, spared=Spared()) for _ in range(2))
+    first = one.found_in(0, find, "a")
+    assert two.found_in(0, find, "a") is first and found == [1, 1, 1]
+    assert one.spared.cpu_ms == 0 < two.spared.cpu_ms
+    assert two.found_in(0, find, "b") is not first and two.found_in(1, find, "a") is not first
+    assert found == [1, 1, 1, 1, 2]

@@ -140,7 +140,7 @@ def test_ambiguous_features_are_not_matched():
 def test_a_blank_image_has_no_features():
     frame = make_frame(0, np.random.default_rng(0), n=5)
     detector = SiftDetector(100, 0.04, 4, 640 * 480)
-    nothing = sift.detect(np.full((480, 640), 90, np.uint8), frame, CAMERA, detector)
+    nothing = sift.sift_frame(detector.detect(np.full((480, 640), 90, np.uint8)), frame, CAMERA)
     assert nothing.xy.shape == (0, 2) and nothing.descriptors.shape == (0, 128)
     assert nothing.depth == 0.0
     a, _, _ = random_views(np.random.default_rng(3))
@@ -152,7 +152,8 @@ def test_features_are_undistorted_and_limited_in_number():
     image = cv2.resize(toy(20, 0, STEP_M)[0][0], (640, 480))
     frame = make_frame(0, np.random.default_rng(0), n=5)
     detector = SiftDetector(200, 0.005, 4, 640 * 480)
-    plain, undone = (sift.detect(image, frame, camera, detector) for camera in (CAMERA, bent))
+    found = detector.detect(image)
+    plain, undone = (sift.sift_frame(found, frame, camera) for camera in (CAMERA, bent))
     assert 200 <= len(plain.xy) <= 260 and (plain.inv_sigma2 <= 1).all()
     np.testing.assert_allclose(undone.xy, bent.undistort_points(plain.xy.astype(np.float32)), atol=1e-3)
 

@@ -320,6 +320,7 @@ def test_features_are_remembered_by_content_and_shared_by_copies():
     # Of two, the one used longest ago is forgotten: 1 is found anew, 0 is not; an empty result counts too.
     assert found == [0, 1, 2, 1]
     assert same is remembered and remembered.of(images[1], lambda image: -1) == 64
+    assert remembered.of(images[1], lambda image: -1, "another kind") == -1
 
 
 def test_an_extractor_that_remembers_finds_the_same():
