@@ -70,8 +70,7 @@ class CornerMap:
             features.descriptors, features.cell_start, 0, config.radius_px, False,
         )  # fmt: skip
         hit = keypoint >= 0
-        off = np.abs(depth * inverse_depth[keypoint] - 1) if len(features) else np.zeros(0)
-        hit &= ~(off > config.agreeing)  # an unknown depth does not disagree
+        hit[hit] = ~(np.abs(depth[hit] * inverse_depth[keypoint[hit]] - 1) > config.agreeing)  # NaN agrees
         m.arrays.pt_visible[found] += 1
         m.arrays.pt_found[found[hit]] += 1
         found, at, keypoint = found[hit], at[hit], keypoint[hit]

@@ -90,8 +90,9 @@ def described(
     x, y = np.ascontiguousarray(xy[:, 0]), np.ascontiguousarray(xy[:, 1])
     angles = orientations(image, x, y)
     ideal = xy.astype(float)
+    taken = camera.distort_points(ideal) if len(xy) else ideal
     return FrameFeatures(
-        frame, stamp_s, camera.distort_points(ideal).astype(np.float32), ideal,
+        frame, stamp_s, taken.astype(np.float32), ideal,
         np.full(len(xy), _OWN_LEVEL, np.int32), angles, descriptors(blurred, x, y, angles), cell_start,
     )  # fmt: skip
 

@@ -78,10 +78,11 @@ def test_misuse_raises():
             system.process(bad, stamp_s)
 
 
-def test_no_image_raises():
+@pytest.mark.parametrize("kind", ["dso", "ldso"])
+def test_no_image_raises(kind):
     """Noise, blank images, a mirrored one and a jump, in a map that has begun."""
     rng, shape = np.random.default_rng(5), (CAMERA.height_px, CAMERA.width_px)
-    system = build_system("dso", CAMERA)
+    system = build_system(kind, CAMERA)
     frames = [image for image, _, _ in toy_frames(40, step_m=0.05)]
     blank = np.zeros(shape, np.uint8)
     stripes = np.tile(np.uint8([0, 255]), (shape[0], shape[1] // 2))
