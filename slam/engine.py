@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
-from numbers import Real
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from slam.core import events as ev
 from slam.core.camera import PinholeCamera
 from slam.core.events import TrackingState
 from slam.core.frame import Frame, FrameFeatures
+from slam.core.frame_input import check_frame
 from slam.core.geometry import view_geometry
 from slam.core.results import TrackingResult
 from slam.core.seeds import rng_for
@@ -121,7 +121,8 @@ class SlamEngine:
             ValueError: wrong size or type of image, time not increasing.
         """
         self.timer.begin()
-        self._check_input(image, stamp_s)
+        check_frame(image, stamp_s, self.camera, self.frames, self._last_stamp_s)
+        self._last_stamp_s = stamp_s
         # A frame that is not offered for a start needs no more features than others.
         dense = self.state is _SEEKING and not self.search.undecided
         self._image = image
@@ -472,15 +473,3 @@ class SlamEngine:
             matches=refusal.matches,
             reason=refusal.reason,
         )
-
-    def _check_input(self, image: np.ndarray, stamp_s: float) -> None:
-        shape = (self.camera.height_px, self.camera.width_px)
-        if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.shape != shape:
-            got = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
-            raise ValueError(f"frame {self.frames}: expected a uint8 image of shape {shape}, got {got}")
-        is_time = isinstance(stamp_s, Real) and np.isfinite(stamp_s)
-        if not is_time or not stamp_s > self._last_stamp_s:
-            raise ValueError(
-                f"frame {self.frames}: time {stamp_s} s is not after the last one, {self._last_stamp_s} s"
-            )
-        self._last_stamp_s = stamp_s

@@ -11,7 +11,8 @@ from slam.ldso.system import DsoSlam
 from slam.runtime.backend import ExecutionMode
 from slam.system import MonocularSlam, MonocularSystem
 
-SYSTEMS = ("base", "dual", "dual+", "paper", "paper+", "dso")
+SYSTEMS = ("base", "dual", "dual+", "paper", "paper+", "dso", "ldso")
+DIRECT = ("dso", "ldso")
 PAPERS = ("paper", "paper+")
 OwnSystem = MonocularSystem | DsoSlam
 
@@ -32,17 +33,20 @@ def build_system(
     config: SlamConfig | None = None,
     mode: ExecutionMode = ExecutionMode.LOCKSTEP,
     dual: DualConfig | None = None,
+    dso: DsoConfig | None = None,
 ) -> OwnSystem:
     """Build a system by name.
 
     Args:
         kind: ``base``, ``dual``, ``dual+``, which is Dual-SLAM with initialisation by GMS, or ``paper`` and
-            ``paper+``: the same as the paper has them; or ``dso``, direct sparse odometry.
+            ``paper+``: the same as the paper has them; or ``dso``, direct sparse odometry, and ``ldso``, the
+            same with loops.
         camera: intrinsics of the images to come.
         seed: root of every random stream.
-        config, dual: settings; None for those of the kind, as of :func:`default_settings`. ``dual`` is
-            ignored by ``base``; ``dso`` takes from ``config`` what concerns the first map from two views.
-        mode: how tracking, mapping and loop closing share time; ``dso`` does all in turn.
+        config, dual, dso: settings; None for those of the kind, as of :func:`default_settings`. Only
+            Dual-SLAM reads ``dual``, only ``dso`` and ``ldso`` read ``dso``; these take from ``config`` what
+            concerns the first map from two views and loops.
+        mode: how tracking, mapping and loop closing share time; ``dso`` and ``ldso`` do all in turn.
 
     Raises:
         ValueError: on an unknown kind.
@@ -53,8 +57,8 @@ def build_system(
     config, dual = config or defaults[0], dual or defaults[1]
     if kind == "base":
         return MonocularSlam(camera, seed, config, mode)
-    if kind == "dso":
-        return DsoSlam(camera, seed, DsoConfig.starting_as(config))
+    if kind in DIRECT:
+        return DsoSlam(camera, seed, config, dso, loops=kind == "ldso")
     if kind == "dual+":
         config = replace(config, initialization=replace(config.initialization, matcher="gms"))
     return DualSlam(camera, seed, config, dual, mode)

@@ -91,7 +91,7 @@ def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
     threads = parse_threads("orb,sift,direct")
     every = DualConfig(recovery_threads=threads, exhaustive=True, relocalization=False)
     config = replace(default_config(CAMERA), self_calibration=SelfCalibrationConfig(at_keyframes=(3,)))
-    counts = {"dual": 110, "base": 75, "dual+": 10, "dso": 45}
+    counts = {"dual": 110, "base": 75, "dual+": 10, "ldso": 45}
     done, total = 0, sum(counts.values())
     for kind, count in counts.items():
         system = build_system(kind, CAMERA, seed=0, config=config, dual=every)

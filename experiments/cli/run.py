@@ -36,6 +36,7 @@ class SystemChoice(StrEnum):
     PAPER = "paper"
     PAPER_PLUS = "paper+"
     DSO = "dso"
+    LDSO = "ldso"
 
 
 def run_command(
@@ -46,8 +47,8 @@ def run_command(
         typer.Option(
             metavar="NAMES",
             help="base: ORB-SLAM's method; dual: Dual-SLAM; dual+: with initialization by GMS; paper and "
-            "paper+: these as the paper has them; dso: direct sparse odometry; those of dslab systems list; "
-            "a class of your own, as module:Class; or several, such as base,dual.",
+            "paper+: these as the paper has them; dso: direct sparse odometry; ldso: that with loops; those "
+            "of dslab systems list; a class of your own, as module:Class; or several, such as base,dual.",
         ),
     ] = "base",
     systems_dir: SystemsOption = None,
@@ -188,11 +189,12 @@ def _check_startable(chosen: "dict[str, System]", maps: bool) -> None:
     from experiments.runs.systems.command import CommandSystem
     from experiments.runs.systems.registry import OwnSystem
     from scenarios.errors import InputError
+    from slam.factory import DIRECT
 
     for system in chosen.values():
         if isinstance(system, CommandSystem):
             system.check()
-        if maps and (not isinstance(system, OwnSystem) or system.name == "dso"):
+        if maps and (not isinstance(system, OwnSystem) or system.name in DIRECT):
             raise InputError("--map", f"of {system.name} only poses are known", "leave out --map")
 
 
@@ -212,6 +214,7 @@ def _dual_options(
     """The fields of the settings of Dual-SLAM that options give."""
     from scenarios.errors import InputError
     from slam.dual.recovery.registry import parse_threads
+    from slam.factory import DIRECT
 
     options: dict[str, Any] = {}
     if exhaustive:
@@ -224,6 +227,6 @@ def _dual_options(
         except ValueError as error:
             remedy = "give kinds with commas between, such as orb,sift"
             raise InputError("--recovery", str(error), remedy) from None
-    if options and set(systems) <= {"base", "dso"}:
+    if options and set(systems) <= {"base", *DIRECT}:
         raise InputError("--system", f"{', '.join(systems)}: no recovery", "add --system dual or dual+")
     return options

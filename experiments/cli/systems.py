@@ -147,4 +147,5 @@ _OURS = {
     "paper": "Dual-SLAM as the paper has it",
     "paper+": "that with initialization by GMS",
     "dso": "direct sparse odometry",
+    "ldso": "that with loops",
 }

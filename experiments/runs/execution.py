@@ -20,7 +20,7 @@ from slam.core.results import MapTrajectory, TrackingResult
 from slam.dual.config import DualConfig
 from slam.map.map import Map
 
-SystemKind = Literal["base", "dual", "dual+", "paper", "paper+", "dso"]
+SystemKind = Literal["base", "dual", "dual+", "paper", "paper+", "dso", "ldso"]
 """Our systems, see ``slam.factory``; a plug-in goes by any other name."""
 Mode = Literal["lockstep", "threaded"]
 """Schedule of tracking, mapping and loop closing: ``slam.runtime.backend.ExecutionMode`` by name."""

@@ -26,10 +26,11 @@ from slam.dual.config import DualConfig
 from slam.dual.recovery.interface import RecoveryConfig
 from slam.dual.recovery.registry import RECOVERY_KINDS, ThreadSpec
 from slam.factory import build_system, default_settings
+from slam.ldso.config import DsoConfig
 from slam.runtime.backend import ExecutionMode
 
 _SUMMARY_KEY = "config"
-_DUAL, _MODE = "dual", "mode"
+_DUAL, _DSO, _MODE = "dual", "dso", "mode"
 # Names of earlier versions, with what to use now.
 _RENAMED = {
     "max_frame_gap": "max_time_gap_s, in seconds: 5 frames at 30 Hz are 0.17",
@@ -48,12 +49,14 @@ class SlamSettings:
     Attributes:
         written: fields of :class:`SlamConfig` as written.
         written_dual: fields of :class:`DualConfig` as written.
+        written_dso: fields of :class:`DsoConfig` as written.
         dual_options: fields of :class:`DualConfig` that go before what is written.
         mode: how tracking and mapping share time; None where nothing is said of it.
     """
 
     written: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     written_dual: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    written_dso: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     dual_options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     mode: Mode | None = None
 
@@ -63,6 +66,11 @@ class SlamSettings:
         config = _overlaid(config, self.written, (), _unlocated)
         dual = _overlaid(dual, self.written_dual, (_DUAL,), _unlocated, base=config)
         return config, replace(dual, **self.dual_options)
+
+    @property
+    def dso(self) -> DsoConfig:
+        """The settings of direct sparse odometry."""
+        return _overlaid(DsoConfig(), self.written_dso, (_DSO,), _unlocated)
 
 
 def read_slam_settings(path: Path) -> SlamSettings:
@@ -91,14 +99,16 @@ def parse_slam_settings(data: Any, at: Location, locate: Callable[[Location], st
     """
     if not isinstance(data, Mapping):
         raise InputError(locate(at), "is no mapping", "start from `dslab config show`")
-    own = {key: value for key, value in data.items() if key not in (_DUAL, _MODE)}
-    base = _overlaid(SlamConfig(), own, at, locate, extra=(_DUAL, _MODE))
+    own = {key: value for key, value in data.items() if key not in (_DUAL, _DSO, _MODE)}
+    base = _overlaid(SlamConfig(), own, at, locate, extra=(_DUAL, _DSO, _MODE))
     dual = data.get(_DUAL) or {}
     _overlaid(DualConfig(), dual, (*at, _DUAL), locate, base=base)
+    dso = data.get(_DSO) or {}
+    _overlaid(DsoConfig(), dso, (*at, _DSO), locate)
     mode: Mode | None = None
     if _MODE in data:
         mode = _checked(data[_MODE], Mode, (*at, _MODE), locate)
-    return SlamSettings(own, dual, mode=mode)
+    return SlamSettings(own, dual, dso, mode=mode)
 
 
 def factory_of(settings: SlamSettings, mode: Mode = "lockstep") -> SystemFactory:
@@ -107,7 +117,7 @@ def factory_of(settings: SlamSettings, mode: Mode = "lockstep") -> SystemFactory
 
     def build(kind: str, camera: PinholeCamera, seed: int) -> SlamSystem:
         config, dual = settings.of(kind, camera)
-        return build_system(kind, camera, seed, config, execution_mode, dual)
+        return build_system(kind, camera, seed, config, execution_mode, dual, settings.dso)
 
     return build
 
@@ -117,6 +127,7 @@ def settings_yaml() -> str:
     lines = ["# Settings of the base; orb.n_features is 2000 for images wider than 640x480."]
     lines += _described(SlamConfig(), 0)
     lines += ["", "# Settings of Dual-SLAM.", f"{_DUAL}:", *_described(DualConfig(), 1)]
+    lines += ["", "# Settings of direct sparse odometry.", f"{_DSO}:", *_described(DsoConfig(), 1)]
     return "\n".join(lines) + "\n"
 
 
@@ -124,6 +135,7 @@ def settings_schema() -> dict[str, Any]:
     """The JSON Schema of a settings file."""
     schema = _schema_of(SlamConfig())
     schema["properties"][_DUAL] = _schema_of(DualConfig())
+    schema["properties"][_DSO] = _schema_of(DsoConfig())
     schema["properties"][_MODE] = {"enum": list(get_args(Mode)), "description": "how the stages share time"}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 

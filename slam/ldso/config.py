@@ -1,13 +1,8 @@
 """Settings of direct sparse odometry."""
 
 from dataclasses import dataclass, field
-from typing import Self
 
-from slam.config import SlamConfig
 from slam.direct.selection import SelectionConfig
-from slam.features.orb import OrbConfig
-from slam.initialization.initializer import InitializationConfig
-from slam.mapping.local_mapping import LocalMappingConfig
 
 
 @dataclass(frozen=True)
@@ -135,6 +130,29 @@ class WindowConfig:
 
 
 @dataclass(frozen=True)
+class CornerConfig:
+    """Settings of the points that are recognised.
+
+    Attributes:
+        window_px: side of the window over which gradients are summed.
+        least_gradient: change of intensity per pixel that a corner has at least in every direction.
+        apart_px: side of the window in which it is the strongest.
+        noise_px: standard deviation of a corner found again.
+        radius_px: half side of the window in which a point is looked for in a later keyframe.
+        around: keyframes, nearest in time, whose points are looked for.
+        agreeing: largest relative difference of two depths of one corner.
+    """
+
+    window_px: int = 5
+    least_gradient: float = 4.0
+    apart_px: int = 5
+    noise_px: float = 1.0
+    radius_px: float = 2.0
+    around: int = 10
+    agreeing: float = 0.1
+
+
+@dataclass(frozen=True)
 class LossConfig:
     """Settings of the rule by which a loss of tracking is declared.
 
@@ -167,7 +185,7 @@ class LossConfig:
 
 @dataclass(frozen=True)
 class DsoConfig:
-    """Settings of direct sparse odometry.
+    """Settings of direct sparse odometry; its first map from two views and its loops have those of the base.
 
     Attributes:
         photometric: residuals.
@@ -176,8 +194,7 @@ class DsoConfig:
         immature: points whose depth is being searched.
         window: bundle adjustment and marginalisation.
         loss: when tracking is lost.
-        orb, initialization, mapping: of the first map from two views.
-        initial_features: features of a frame while a map is sought, of ``orb.n_features``.
+        corners: points that are recognised, with loops only.
     """
 
     photometric: PhotometricConfig = field(default_factory=PhotometricConfig)
@@ -186,17 +203,4 @@ class DsoConfig:
     immature: ImmatureConfig = field(default_factory=ImmatureConfig)
     window: WindowConfig = field(default_factory=WindowConfig)
     loss: LossConfig = field(default_factory=LossConfig)
-    orb: OrbConfig = field(default_factory=OrbConfig)
-    initialization: InitializationConfig = field(default_factory=InitializationConfig)
-    mapping: LocalMappingConfig = field(default_factory=LocalMappingConfig)
-    initial_features: float = 2.0
-
-    @classmethod
-    def starting_as(cls, base: SlamConfig) -> Self:
-        """The defaults, with the first map from two views made as another system makes it."""
-        return cls(
-            orb=base.orb,
-            initialization=base.initialization,
-            mapping=base.mapping,
-            initial_features=base.initial_features,
-        )
+    corners: CornerConfig = field(default_factory=CornerConfig)

@@ -56,16 +56,15 @@ def _farthest(window: Window, slots: list[int], T_cam_map: np.ndarray) -> int:
     return max(slots[:-1], key=score)
 
 
-def remove_points(window: Window, out: list[int], photometric: PhotometricConfig) -> np.ndarray:
+def remove_points(window: Window, out: list[int], photometric: PhotometricConfig) -> None:
     """Marginalise or drop the points of leaving keyframes and those that are out of view.
+
+    Keyframes keep their points that are marginalised.
 
     Args:
         window: changed.
         out: slots of the keyframes that leave.
         photometric: settings.
-
-    Returns:
-        (M, 3) those that were marginalised, in the map.
     """
     p = window.active
     good = (p.seen == 1).sum(axis=1)
@@ -78,9 +77,8 @@ def remove_points(window: Window, out: list[int], photometric: PhotometricConfig
     kept_as_prior &= p.information > window.config.margin_information
     if kept_as_prior.any():
         _marginalise_points(window, kept_as_prior, photometric)
-    points = window.map_points(kept_as_prior)
+    window.keep_points(kept_as_prior)
     window.drop_points(useless | removed)
-    return points
 
 
 def _marginalise_points(window: Window, rows: np.ndarray, photometric: PhotometricConfig) -> None:

@@ -4,23 +4,27 @@ Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 3.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
 
 from slam.core.camera import PinholeCamera
+from slam.core.geometry import ViewGeometry
 from slam.core.results import MapTrajectory
 from slam.direct.alignment import fan
 from slam.direct.pyramid import ImagePyramid
+from slam.direct.selection import select
 from slam.ldso.activation import Activator
 from slam.ldso.adjustment import adjust
 from slam.ldso.brightness import composed, relative
 from slam.ldso.config import DsoConfig
+from slam.ldso.corners import described, with_corners
 from slam.ldso.marginalisation import leaving, remove_keyframe, remove_points
 from slam.ldso.points import Immature
 from slam.ldso.tracking import PhotometricTracker, Tracked, TrackingReference
 from slam.ldso.window import Keyframe, Window
+from slam.optimization.sim3 import sim3_decompose
 
 
 @dataclass(frozen=True)
@@ -47,23 +51,32 @@ class Odometry:
         camera: of the images.
         intrinsics: (L, 4) of the levels of their pyramids.
         config: settings.
+        view: of the corners by which places are recognised; None if they are not.
 
     Attributes:
         window: keyframes that are adjusted.
         keyframes: all keyframes, in order of time.
         frames: all frames that were placed, by index.
+        left: rows of the keyframes that have left the window with the newest one.
     """
 
-    def __init__(self, camera: PinholeCamera, intrinsics: np.ndarray, config: DsoConfig) -> None:
+    def __init__(
+        self,
+        camera: PinholeCamera,
+        intrinsics: np.ndarray,
+        config: DsoConfig,
+        view: ViewGeometry | None = None,
+    ) -> None:
         self.config = config
         self.intrinsics = intrinsics
         self.window = Window(camera, intrinsics, config.window)
         self.keyframes: list[Keyframe] = []
         self.frames: dict[int, PlacedFrame] = {}
+        self.left: list[int] = []
         self._camera = camera
         self._tracker = PhotometricTracker(config.photometric, config.tracking)
         self._activator = Activator()
-        self._cloud: list[np.ndarray] = []
+        self._corner_view = view
         self._reference: TrackingReference | None = None
         self._first_error = np.nan  # of the first frame after the keyframe
         self._last_error = np.inf
@@ -150,7 +163,8 @@ class Odometry:
         self.insert(Keyframe(frame, stamp_s, T), pyramid, affine)
         self._activator.activate(w, config.immature, config.photometric)
         adjust(w, config.photometric)
-        self._cloud.append(remove_points(w, out, config.photometric))
+        remove_points(w, out, config.photometric)
+        self.left = self.rows_of(out)
         for slot in out:
             remove_keyframe(w, slot, config.photometric)
         self.refer(pyramid)
@@ -164,9 +178,16 @@ class Odometry:
         self.place(keyframe.frame, keyframe.stamp_s, np.eye(4))
 
     def select(self, pyramid: ImagePyramid) -> None:
-        """Select points of the newest keyframe."""
+        """Select points of the newest keyframe, and describe the corners among them if there are loops."""
         w, config = self.window, self.config
-        more = Immature.selected(pyramid, w.newest, config.immature, config.photometric)
+        found = select(pyramid, config.immature.selection)
+        if self._corner_view is not None:
+            level, keyframe = pyramid.levels[0], self.keyframes[-1]
+            found, corner = with_corners(found, level, config.corners)
+            keyframe.corners = described(
+                level, found.xy[corner], keyframe.frame, keyframe.stamp_s, self._camera, self._corner_view
+            )
+        more = Immature.at(pyramid, w.newest, found.xy.astype(float), found.scale, config.photometric)
         w.immature = w.immature.with_more(more)
 
     def refer(self, pyramid: ImagePyramid) -> None:
@@ -191,9 +212,37 @@ class Odometry:
         if self.keyframes[-1].frame == frame:
             self.keyframes.pop()
 
+    def rows_of(self, slots: list[int]) -> list[int]:
+        """Rows of keyframes of the window."""
+        row = {id(keyframe): k for k, keyframe in enumerate(self.keyframes)}
+        return [row[id(self.window.keyframes[slot])] for slot in slots]
+
+    def move_keyframes(self, S_cam_map: np.ndarray) -> np.ndarray:
+        """Move the keyframes that have left the window, with their points and frames.
+
+        Args:
+            S_cam_map: (K, 4, 4) similarities; rows of keyframes of the window are not read.
+
+        Returns:
+            (K,) scale change of lengths around each keyframe.
+        """
+        factor, held = np.ones(len(self.keyframes)), set(self.rows_of(self.window.slots))
+        for row, keyframe in enumerate(self.keyframes):
+            if row in held:
+                continue
+            s, R, t = sim3_decompose(S_cam_map[row])
+            keyframe.T_cam_map[:3, :3], keyframe.T_cam_map[:3, 3] = R, t / s
+            keyframe.inverse_depth = keyframe.inverse_depth * s
+            factor[row] = 1.0 / s
+        for frame, placed in self.frames.items():
+            T = placed.T_cam_keyframe.copy()
+            T[:3, 3] *= factor[placed.keyframe]
+            self.frames[frame] = replace(placed, T_cam_keyframe=T)
+        return factor
+
     def close(self) -> None:
         """End the map: its images are not needed any more."""
-        self._cloud = [self.points()]
+        self.window.keep_points(np.ones(len(self.window.active), bool))
         self.window = Window(self._camera, self.intrinsics, self.config.window)
         self._reference = None
 
@@ -227,4 +276,5 @@ class Odometry:
 
     def points(self) -> np.ndarray:
         """(N, 3) points that were ever part of the window, in the map."""
-        return np.concatenate([*self._cloud, self.window.map_points()]).reshape(-1, 3)
+        gone = [k.map_points(self.intrinsics[0]) for k in self.keyframes]
+        return np.concatenate([*gone, self.window.map_points()]).reshape(-1, 3)

@@ -7,7 +7,6 @@ import numpy as np
 
 from slam.direct._alignment_kernels import PATTERN, sample_patterns
 from slam.direct.pyramid import ImagePyramid
-from slam.direct.selection import select
 from slam.ldso._epipolar_kernels import ALONG_EDGE, CERTAIN, GOOD, NEW, OUTLIER, OUTSIDE, search
 from slam.ldso.config import ImmatureConfig, PhotometricConfig
 
@@ -70,14 +69,6 @@ class Immature(Pixels):
             np.empty(0, np.int32), np.empty((0, 3)), np.empty(0), np.empty(0), np.empty(0),
             np.empty(0, np.int64), np.empty(0),
         )  # fmt: skip
-
-    @classmethod
-    def selected(
-        cls, pyramid: ImagePyramid, host: int, config: ImmatureConfig, photometric: PhotometricConfig
-    ) -> Self:
-        """Pixels of a keyframe that tell where they are, of which no depth is known."""
-        found = select(pyramid, config.selection)
-        return cls.at(pyramid, host, found.xy.astype(float), found.scale, photometric)
 
     @classmethod
     def at(

@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from slam.config import SlamConfig
 from slam.core.camera import PinholeCamera
 from slam.core.frame import Frame, FrameFeatures
-from slam.core.geometry import share_of_motion, view_geometry
+from slam.core.geometry import ViewGeometry, share_of_motion, view_geometry
 from slam.core.seeds import rng_for
 from slam.direct.pyramid import ImagePyramid
 from slam.features.orb import OrbExtractor
@@ -20,7 +21,6 @@ from slam.initialization.initializer import Initializer, InitialMap
 from slam.ldso.brightness import composed
 from slam.ldso.config import DsoConfig
 from slam.ldso.odometry import Odometry
-from slam.ldso.points import Immature
 from slam.ldso.tracking import PhotometricTracker, TrackingReference
 from slam.ldso.window import Keyframe
 
@@ -70,7 +70,9 @@ class Starter:
         intrinsics: (L, 4) of the levels of their pyramids.
         pyramid_of: makes the pyramid of an image.
         seed: root of the random streams.
-        config: settings.
+        config: settings of the two views.
+        dso: settings of what follows.
+        view: of the corners by which places are recognised; None without loops.
     """
 
     def __init__(
@@ -79,10 +81,13 @@ class Starter:
         intrinsics: np.ndarray,
         pyramid_of: Callable[[np.ndarray], ImagePyramid],
         seed: int,
-        config: DsoConfig,
+        config: SlamConfig,
+        dso: DsoConfig,
+        view: ViewGeometry | None = None,
     ) -> None:
-        self.config = config
+        self.config = dso
         self._camera, self._intrinsics, self._pyramid_of, self._seed = camera, intrinsics, pyramid_of, seed
+        self._mapping, self._corner_view = config.mapping, view
         orb, width, height = config.orb, camera.width_px, camera.height_px
         self._view = view_geometry(camera, orb.n_levels, orb.scale_factor, orb.noise_px)
         wanted = round(min(config.initial_features * orb.n_features, width * height / _PX_PER_FEATURE))
@@ -107,7 +112,7 @@ class Starter:
         features = self._extractor.extract(image)
         built = FrameFeatures.build(frame, stamp_s, features, self._camera, self._view)
         rng = rng_for(self._seed, "initialization", frame)
-        initial, reason, matches = self._initializer.offer(Frame(built), map_id, rng, self.config.mapping)
+        initial, reason, matches = self._initializer.offer(Frame(built), map_id, rng, self._mapping)
         reference = self._initializer.reference
         if reference is not None and reference.features.index == frame:
             self._waiting.clear()
@@ -126,12 +131,13 @@ class Starter:
         waiting = [w for w in self._waiting if w.frame >= first]
         if not waiting or waiting[0].frame != first:
             return None
-        odometry, config = Odometry(self._camera, self._intrinsics, self.config), self.config
+        config = self.config
+        odometry = Odometry(self._camera, self._intrinsics, config, self._corner_view)
         pyramid = self._pyramid_of(waiting[0].image)
         reference = self._reference_of(initial, pyramid)
         odometry.insert(Keyframe(first, waiting[0].stamp_s, np.eye(4)), pyramid, np.zeros(2))
         w = odometry.window
-        w.immature = Immature.selected(pyramid, w.newest, config.immature, config.photometric)
+        odometry.select(pyramid)
         tracker = PhotometricTracker(config.photometric, config.tracking)
         motion = initial.second.T_cam_map @ np.linalg.inv(initial.first.T_cam_map)
         T, step, affine = np.eye(4), share_of_motion(motion, 1 / (second - first)), np.zeros(2)

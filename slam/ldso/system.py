@@ -4,24 +4,30 @@ A lost camera starts a new map; the old one stays as it is, unless it is too you
 """
 
 from dataclasses import asdict
-from numbers import Real
 from typing import Self
 
 import numpy as np
 
+from slam.config import SlamConfig
 from slam.core import events as ev
 from slam.core.camera import PinholeCamera
 from slam.core.events import TrackingState
+from slam.core.frame_input import check_frame
 from slam.core.results import MapTrajectory, TrackingResult
+from slam.core.seeds import rng_for
 from slam.core.snapshot import Snapshot
 from slam.core.timing import StageTimer
 from slam.direct.pyramid import ImagePyramid, Rectifier
 from slam.ldso.config import DsoConfig
+from slam.ldso.corners import corner_view
+from slam.ldso.loops import LoopCloser
 from slam.ldso.loss import LossRule
 from slam.ldso.odometry import Odometry
 from slam.ldso.start import Starter
 from slam.ldso.tracking import Tracked
 from slam.map.map import Map
+
+_USED = ("orb", "initial_features", "initialization", "mapping", "loops")  # of the settings of the base
 
 
 class DsoSlam:
@@ -30,32 +36,45 @@ class DsoSlam:
     Args:
         camera: intrinsics of the images to come.
         seed: root of every random stream.
-        config: settings.
+        config: settings of the base, of which the first map from two views and the loops have theirs.
+        dso: settings of the odometry.
+        loops: whether places are recognised and loops closed.
 
     Attributes:
         camera: the camera.
-        config: settings.
+        config, dso: settings.
         events: all events so far.
         state: of tracking.
         frames: number of frames processed so far.
         current_map_id: id of the current map, or of the one being initialized.
     """
 
-    def __init__(self, camera: PinholeCamera, seed: int = 0, config: DsoConfig | None = None) -> None:
+    def __init__(
+        self,
+        camera: PinholeCamera,
+        seed: int = 0,
+        config: SlamConfig | None = None,
+        dso: DsoConfig | None = None,
+        loops: bool = False,
+    ) -> None:
         self.camera = camera
-        self.config = config or DsoConfig()
+        self.config, self.dso = config or SlamConfig(), dso or DsoConfig()
         self.events: list[ev.Event] = []
         self.state = TrackingState.NOT_INITIALIZED
         self.frames = 0
         self.current_map_id = 0
         self._rectifier = Rectifier(camera)
+        self._corner_view = corner_view(camera, self.dso.corners) if loops else None
         self._starter = Starter(
-            camera, self._rectifier.intrinsics, self._rectifier.pyramid, seed, self.config
-        )
+            camera, self._rectifier.intrinsics, self._rectifier.pyramid, seed, self.config, self.dso,
+            self._corner_view,
+        )  # fmt: skip
         self._maps: dict[int, Odometry] = {}
-        self._loss = LossRule(self.config.loss)
+        self._closers: dict[int, LoopCloser] = {}
+        self._seed = seed
+        self._loss = LossRule(self.dso.loss)
         self._timer = StageTimer()
-        self._mapping_ms = 0.0
+        self._mapping_ms = self._loop_ms = 0.0
         self._last_stamp_s = -np.inf
         self._sought_since = 0
 
@@ -76,7 +95,8 @@ class DsoSlam:
                 image never raises.
         """
         self._timer.begin()
-        self._check_input(image, stamp_s)
+        check_frame(image, stamp_s, self.camera, self.frames, self._last_stamp_s)
+        self._last_stamp_s = stamp_s
         index = self.frames
         self.frames += 1
         if self.state is TrackingState.TRACKING:
@@ -89,8 +109,12 @@ class DsoSlam:
         if found.odometry is None:
             return self._result(index, stamp_s, None, found.matches, found.reason)
         self._maps[self.current_map_id] = found.odometry
+        if self._corner_view is not None:
+            self._closers[self.current_map_id] = LoopCloser(
+                found.odometry, self.current_map_id, self._corner_view, self.config.loops, self.dso.corners
+            )
         self.state = TrackingState.TRACKING
-        self._loss = LossRule(self.config.loss)
+        self._loss = LossRule(self.dso.loss)
         points = len(found.odometry.window.active)
         self._emit(index, stamp_s, ev.Initialized, points=points, model=found.model)
         if self.current_map_id:
@@ -129,16 +153,36 @@ class DsoSlam:
         with self._timer.apart(), timer("mapping"):
             odometry.add_keyframe(index, stamp_s, pyramid, tracked)
         self._mapping_ms = timer.cpu_ms["mapping"]
-        return "too_few_points" if len(odometry.window.active) < self.config.loss.least_points else ""
+        if len(odometry.window.active) < self.dso.loss.least_points:
+            return "too_few_points"
+        if self._corner_view is not None:
+            with self._timer.apart():
+                for row in odometry.left:
+                    self._close_loop(index, stamp_s, odometry, row)
+        return ""
+
+    def _close_loop(self, index: int, stamp_s: float, odometry: Odometry, row: int) -> None:
+        """Recognise the place of a keyframe that has left the window."""
+        rng = rng_for(self._seed, "loop", odometry.keyframes[row].frame)
+        timer = StageTimer()
+        timer.begin()
+        with timer("loop"):
+            closed, refused = self._closers[self.current_map_id].offer(row, rng)
+        self._loop_ms += timer.cpu_ms["loop"]
+        for loop in refused:
+            self._emit(index, stamp_s, ev.LoopRefused, **vars(loop))
+        if closed is not None:
+            self._emit(index, stamp_s, ev.LoopClosed, **vars(closed), cpu_ms=timer.cpu_ms["loop"])
 
     def _break(self, index: int, stamp_s: float, odometry: Odometry, reason: str) -> None:
         """Declare the map broken and seek a new one."""
         self._emit(index, stamp_s, ev.Breakage, reason=reason, inliers=0)
         odometry.forget(index)
         keyframes = len(odometry.keyframes)
-        if keyframes <= self.config.loss.min_keyframes:
+        if keyframes <= self.dso.loss.min_keyframes:
             self._emit(index, stamp_s, ev.MapDropped, reason="too_few_keyframes", keyframes=keyframes)
             del self._maps[self.current_map_id]
+            self._closers.pop(self.current_map_id, None)
         else:
             points = len(odometry.points())
             self._emit(index, stamp_s, ev.MapSaved, keyframes=keyframes, points=points)
@@ -164,7 +208,8 @@ class DsoSlam:
             keypoints = self.camera.distort_points(odometry.pixels(index)).astype(np.float32)
             mask = np.ones(len(keypoints), bool)
         ms, cpu_ms = self._timer.read()
-        mapping_ms, self._mapping_ms = self._mapping_ms, 0.0
+        mapping_ms, loop_ms = self._mapping_ms, self._loop_ms
+        self._mapping_ms = self._loop_ms = 0.0
         return TrackingResult(
             frame=index,
             stamp_s=stamp_s,
@@ -180,22 +225,11 @@ class DsoSlam:
             cpu_ms=cpu_ms,
             ms=ms,
             mapping_cpu_ms=mapping_ms,
+            loop_cpu_ms=loop_ms,
         )
 
     def _emit(self, index: int, stamp_s: float, kind: type[ev.Event], **fields) -> None:
         self.events.append(kind(frame=index, stamp_s=stamp_s, map_id=self.current_map_id, **fields))
-
-    def _check_input(self, image: np.ndarray, stamp_s: float) -> None:
-        shape = (self.camera.height_px, self.camera.width_px)
-        if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.shape != shape:
-            got = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
-            raise ValueError(f"frame {self.frames}: expected a uint8 image of shape {shape}, got {got}")
-        is_time = isinstance(stamp_s, Real) and np.isfinite(stamp_s)
-        if not is_time or not stamp_s > self._last_stamp_s:
-            raise ValueError(
-                f"frame {self.frames}: time {stamp_s} s is not after the last one, {self._last_stamp_s} s"
-            )
-        self._last_stamp_s = stamp_s
 
     # -- what is seen from outside -----------------------------------------------------------------------
 
@@ -209,7 +243,8 @@ class DsoSlam:
     @property
     def settings(self) -> dict:
         """All settings, nested by component, to be saved with the results."""
-        return {"mode": "lockstep", **asdict(self.config)}
+        used = {name: value for name, value in asdict(self.config).items() if name in _USED}
+        return {"mode": "lockstep", **used, "dso": asdict(self.dso)}
 
     def maps(self) -> list[int]:
         """Ids of the existing maps, the one with most tracked frames first."""

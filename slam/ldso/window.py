@@ -3,11 +3,12 @@
 Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 2.3 and 3.1.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from slam.core.camera import PinholeCamera
+from slam.core.frame import FrameFeatures
 from slam.direct.pyramid import ImagePyramid
 from slam.ldso.brightness import relative_of_all
 from slam.ldso.config import WindowConfig
@@ -18,19 +19,36 @@ PARAMETERS = 8  # of a keyframe: translation, rotation, a, b
 _FIRST_OUTLIER = 8.0  # residual, of 255, beyond which the first keyframe's patterns are outliers
 
 
-@dataclass
+@dataclass(eq=False)
 class Keyframe:
-    """A keyframe of a map, kept for its pose when it has left the window.
+    """A keyframe of a map, kept with its points when it has left the window.
 
     Attributes:
         frame: index of its frame.
         stamp_s: time of it.
         T_cam_map: (4, 4) map to camera.
+        uv, inverse_depth: (N, 2) pixels and (N,) inverse depths of its points that have left the window.
+        corners: features of its corners; None without loops.
     """
 
     frame: int
     stamp_s: float
     T_cam_map: np.ndarray
+    uv: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    inverse_depth: np.ndarray = field(default_factory=lambda: np.empty(0))
+    corners: FrameFeatures | None = None
+
+    def keep(self, points: Active) -> None:
+        """Keep points of it that leave the window."""
+        self.uv = np.concatenate([self.uv, points.uv])
+        self.inverse_depth = np.concatenate([self.inverse_depth, points.inverse_depth])
+
+    def map_points(self, intrinsics: np.ndarray) -> np.ndarray:
+        """(N, 3) its points that have left the window, in the map."""
+        fx, fy, cx, cy = intrinsics
+        rays = np.column_stack([(self.uv - [cx, cy]) / [fx, fy], np.ones(len(self.uv))])
+        R, t = self.T_cam_map[:3, :3], self.T_cam_map[:3, 3]
+        return (rays / self.inverse_depth[:, None] - t) @ R
 
 
 class Window:
@@ -139,14 +157,19 @@ class Window:
         self.T_first[slot], self.affine_first[slot] = self.T_cam_map[slot], self.affine[slot]
         self.delta[slot] = 0.0
 
+    def keep_points(self, rows: np.ndarray) -> None:
+        """Keep active points (mask) with their keyframes."""
+        for slot in self.slots:
+            self.keyframes[slot].keep(self.active.of(rows & (self.active.host == slot)))
+
     def drop_points(self, rows: np.ndarray) -> None:
         """Drop active points (mask)."""
         np.add.at(self.gone, self.active.host[rows], 1)
         self.active = self.active.of(~rows)
 
-    def map_points(self, rows: np.ndarray | None = None) -> np.ndarray:
-        """(N, 3) active points, all or those of a mask, in the map."""
-        points = self.active if rows is None else self.active.of(rows)
+    def map_points(self) -> np.ndarray:
+        """(N, 3) active points in the map."""
+        points = self.active
         fx, fy, cx, cy = self.intrinsics[0]
         rays = np.column_stack([(points.uv - [cx, cy]) / [fx, fy], np.ones(len(points))])
         T = np.linalg.inv(self.T_cam_map)[points.host]

@@ -5,7 +5,8 @@ import numpy as np
 
 from slam.core.camera import PinholeCamera
 from slam.direct.pyramid import Rectifier
-from slam.ldso.config import DsoConfig, ImmatureConfig, WindowConfig
+from slam.direct.selection import select
+from slam.ldso.config import DsoConfig, WindowConfig
 from slam.ldso.points import Active, Immature
 from slam.ldso.window import Keyframe, Window
 from slam.optimization._se3 import retract
@@ -63,6 +64,12 @@ POSES = [
 ]
 
 
+def selected(pyramid, host):
+    """Selected pixels of a keyframe, of unknown depth."""
+    found = select(pyramid, CONFIG.immature.selection)
+    return Immature.at(pyramid, host, found.xy.astype(float), found.scale, CONFIG.photometric)
+
+
 def window_of(poses=POSES, points=300, seed=0):
     """Window whose poses and depths are exact; its points are of all keyframes."""
     window = Window(CAMERA, INTRINSICS, WindowConfig())
@@ -73,7 +80,7 @@ def window_of(poses=POSES, points=300, seed=0):
         depths.append(depth)
     rng = np.random.default_rng(seed)
     for slot in window.slots:
-        found = Immature.selected(window.pyramids[slot], slot, ImmatureConfig(), CONFIG.photometric)
+        found = selected(window.pyramids[slot], slot)
         found = found.of(np.sort(rng.choice(len(found), points // len(poses), replace=False)))
         xy = found.uv.astype(int)
         n = len(found)
@@ -95,3 +102,48 @@ def smooth_level():
     level[..., 0] = 20 + 0.3 * x + 0.4 * y + 0.002 * x * y
     level[..., 1], level[..., 2] = 0.3 + 0.002 * y, 0.4 + 0.002 * x
     return level
+
+
+def round_room(angles, seed=0, radius=3.0, track=1.5, height=1.3):
+    """Frames of a camera that goes round in a round room and looks outward; walls, floor, ceiling differ.
+
+    Yields:
+        image (H, W) uint8, T_world_cam (4, 4).
+    """
+    rng = np.random.default_rng(seed)
+    textures = [cv2.GaussianBlur(rng.normal(size=(900, 2300)).astype(np.float32), (0, 0), 4) for _ in "wfc"]
+    textures = [120 + 40 * t / t.std() for t in textures]
+    y, x = np.mgrid[:HEIGHT, :WIDTH].astype(float)
+    rays = np.stack([(x - CAMERA.cx) / CAMERA.fx, (y - CAMERA.cy) / CAMERA.fy, np.ones_like(x)], axis=-1)
+    for a in angles:
+        T = np.eye(4)
+        T[:3, :3] = np.array([[np.sin(a), 0, np.cos(a)], [-np.cos(a), 0, np.sin(a)], [0, -1, 0]])
+        T[:3, 3] = track * np.cos(a), track * np.sin(a), 0.1 * np.sin(3 * a)
+        d, c = rays @ T[:3, :3].T, T[:3, 3]
+        A, B = (d[..., :2] ** 2).sum(-1), d[..., :2] @ c[:2]
+        wall = (-B + np.sqrt(B * B + A * (radius**2 - c[:2] @ c[:2]))) / A
+        flat = (np.where(d[..., 2] > 0, height, -height) - c[2]) / np.where(d[..., 2] == 0, 1e-9, d[..., 2])
+        at = c + np.minimum(wall, flat)[..., None] * d
+        around = np.arctan2(at[..., 1], at[..., 0]) * 2290 / (2 * np.pi) + 1145
+        image = _shown(textures[0], around, at[..., 2] * 300 + 450)
+        for texture, part in ((textures[1], d[..., 2] > 0), (textures[2], d[..., 2] <= 0)):
+            level = _shown(texture, at[..., 0] * 140 + 450, at[..., 1] * 140 + 450)
+            image = np.where((flat < wall) & part, level, image)
+        yield np.clip(image + rng.normal(0, 1.0, image.shape), 0, 255).astype(np.uint8), T
+
+
+def _shown(texture, x, y):
+    return cv2.remap(
+        texture, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR, None, cv2.BORDER_WRAP
+    )
+
+
+def position_error(path, centres):
+    """Root mean squared error over the length of the path, after alignment."""
+    found, true = path.T_map_cam[:, :3, 3], centres[path.frames]
+    a, b = found - found.mean(0), true - true.mean(0)
+    u, s, vt = np.linalg.svd(b.T @ a)
+    sign = np.diag([1, 1, np.sign(np.linalg.det(u @ vt))])
+    scale = (s * sign.diagonal()).sum() / (a**2).sum()
+    error = b - scale * a @ (u @ sign @ vt).T
+    return np.sqrt((error**2).sum(1).mean()) / np.linalg.norm(np.diff(true, axis=0), axis=1).sum()

@@ -22,5 +22,5 @@ def test_the_warmup_runs_three_recovery_threads_a_fusion_and_a_relocalization(mo
     assert [e.accepted for e in dual if e.kind == "fusion"] == [True]
     assert "relocalized" in [e.kind for e in built["base"].events]
     assert "initialized" in [e.kind for e in built["dual+"].events]
-    assert "initialized" in [e.kind for e in built["dso"].events]
+    assert "initialized" in [e.kind for e in built["ldso"].events]
     assert told[-1][1:] == (len(told) - 1, len(told) - 1)

@@ -19,6 +19,7 @@ from slam.dual.paper import PAPER, paper_config
 from slam.dual.recovery.orb import OrbRecoveryConfig
 from slam.dual.recovery.registry import ThreadSpec
 from slam.factory import build_system
+from slam.ldso.config import WindowConfig
 from slam.tracking.tracker import TrackingConfig
 
 CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
@@ -123,3 +124,14 @@ def test_the_command_takes_the_settings(dslab, tmp_path):
     (tmp_path / "bad.yaml").write_text("orbs: {}\n")
     code, _, err = dslab("run", "clean-room", "--config", tmp_path / "bad.yaml", "--out", tmp_path / "o")
     assert code == 2 and "orbs: unknown key" in err and not (tmp_path / "o").exists()
+
+
+@pytest.mark.parametrize("kind", ["dso", "ldso"])
+def test_settings_reach_direct_sparse_odometry(tmp_path, kind):
+    text = "loops: {min_gap: 7}\ndso: {window: {points: 900}, immature: {selection: {points: 700}}}\n"
+    system = factory_of(read(tmp_path, text))(kind, CAMERA, 0)
+    assert system.config.loops.min_gap == 7
+    assert system.dso.window.points == 900 and system.dso.immature.selection.points == 700
+    assert system.dso.window.most == WindowConfig().most
+    again = read(tmp_path, to_json({"sequence": "x", "config": system.settings}))
+    assert factory_of(again)(kind, CAMERA, 0).settings == system.settings

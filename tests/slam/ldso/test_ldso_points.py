@@ -1,12 +1,11 @@
 """Points without depth: their search against exact depths and a slow twin; activation."""
 
 import numpy as np
-from ldso_scenes import CONFIG, INTRINSICS, POSES, RECTIFIER, depth_of, motion, view, window_of
+from ldso_scenes import CONFIG, INTRINSICS, POSES, RECTIFIER, depth_of, motion, selected, view, window_of
 
 from slam.direct._alignment_kernels import PATTERN
 from slam.ldso._activation_kernels import refine_depths, spread
 from slam.ldso._epipolar_kernels import ALONG_EDGE, CERTAIN, GOOD
-from slam.ldso.points import Immature
 
 HUBER = CONFIG.photometric.huber
 
@@ -14,7 +13,7 @@ HUBER = CONFIG.photometric.huber
 def searched(*twists, affine=(0.0, 0.0)):
     """Points of the first view after a search in others, and their exact inverse depths."""
     image, depth = view(np.eye(4))
-    points = Immature.selected(RECTIFIER.pyramid(image), 0, CONFIG.immature, CONFIG.photometric)
+    points = selected(RECTIFIER.pyramid(image), 0)
     for twist in twists:
         seen, _ = view(motion(twist), np.exp(affine[0]), affine[1])
         points.search(

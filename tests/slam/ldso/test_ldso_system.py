@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from ldso_scenes import position_error
 
 from slam.core import events as ev
 from slam.core.events import TrackingState
@@ -21,17 +22,6 @@ def run():
         centres.append(T_world_cam[:3, 3])
     system.finish()
     return system, results, np.array(centres)
-
-
-def position_error(path, centres):
-    """Root mean squared error over the length of the path, after alignment."""
-    found, true = path.T_map_cam[:, :3, 3], centres[path.frames]
-    a, b = found - found.mean(0), true - true.mean(0)
-    u, s, vt = np.linalg.svd(b.T @ a)
-    sign = np.diag([1, 1, np.sign(np.linalg.det(u @ vt))])
-    scale = (s * sign.diagonal()).sum() / (a**2).sum()
-    error = b - scale * a @ (u @ sign @ vt).T
-    return np.sqrt((error**2).sum(1).mean()) / np.linalg.norm(np.diff(true, axis=0), axis=1).sum()
 
 
 def test_the_path_is_found(run):
@@ -88,10 +78,11 @@ def test_misuse_raises():
             system.process(bad, stamp_s)
 
 
-def test_no_image_raises():
+@pytest.mark.parametrize("kind", ["dso", "ldso"])
+def test_no_image_raises(kind):
     """Noise, blank images, a mirrored one and a jump, in a map that has begun."""
     rng, shape = np.random.default_rng(5), (CAMERA.height_px, CAMERA.width_px)
-    system = build_system("dso", CAMERA)
+    system = build_system(kind, CAMERA)
     frames = [image for image, _, _ in toy_frames(40, step_m=0.05)]
     blank = np.zeros(shape, np.uint8)
     stripes = np.tile(np.uint8([0, 255]), (shape[0], shape[1] // 2))
