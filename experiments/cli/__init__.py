@@ -14,6 +14,8 @@ def main() -> None:
     # OpenCV's own warnings would stand beside the one line.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    # With several threads, linear algebra adds up in another order, and workers contend for the cores.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with safe_streams(), signals_as_interrupts() as received:
         try:
             # Imported here, so that a signal meanwhile is heeded too.
