@@ -80,26 +80,6 @@ def test_the_crossing_arm_crosses_all_of_the_segment(broken):
         )
 
 
-def test_the_crossing_arm_pays_for_its_own_detection(monkeypatch):
-    """The free arm has detected SIFT features in these frames already."""
-    detected, detect = {"free": 0, "cross": 0}, SiftDetector.detect
-    arm = "free"
-
-    def counted(self, image):
-        detected[arm] += 1
-        return detect(self, image)
-
-    def crossing(*arguments):
-        nonlocal arm
-        arm = "cross"
-        return run_crossing(*arguments)
-
-    monkeypatch.setattr(SiftDetector, "detect", counted)
-    monkeypatch.setattr(trial, "run_crossing", crossing)
-    record = run(monkeypatch, BROKEN, unit("sift"))
-    assert detected == {a: told(record, a, 1, "frames_covered")[0] + 1 for a in ("free", "cross")}
-
-
 def test_without_a_breakage_the_columns_of_the_free_arm_are_null(monkeypatch):
     record = run(monkeypatch, synthetic())
     assert (record["breakage"], record["silent_failure"], record["base_failure"]) == (False, False, False)

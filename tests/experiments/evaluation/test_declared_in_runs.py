@@ -13,6 +13,7 @@ from experiments.runs.execution import execute, system_factory
 from sim.sequence import Sequence
 from slam.core.frame import Frame
 from slam.dual.config import DualConfig
+from slam.dual.fusion import fuse
 from slam.dual.fusion.prepared import PreparedFusion
 from slam.dual.recovery.registry import ThreadSpec
 from slam.loop_closing.detection import LoopClosingConfig, LoopDetector
@@ -159,10 +160,17 @@ def test_a_true_fusion_is_right_and_a_displaced_one_false(sequence, monkeypatch,
     assert found.audit.position_error_m < 0.5 * found.audit.position_bound_m
     real = PreparedFusion.of
 
+    # Without points in common, by which the adjustment would take the new map back to its place.
+    none = np.empty(0, np.int32)
+
     def displaced(old, new, alignments, *rest):
-        return real(old, new, [replace(a, S_old_new=shifted(a.S_old_new)) for a in alignments], *rest)
+        aside = {"old_points": none, "new_points": none}
+        return real(
+            old, new, [replace(a, S_old_new=shifted(a.S_old_new), **aside) for a in alignments], *rest
+        )
 
     monkeypatch.setattr(PreparedFusion, "of", displaced)
+    monkeypatch.setattr(fuse, "_fuse_seam", lambda *_: None)
     audit = declared(sequence, "dual", dual)
     assert getattr(audit, kind)[0].audit.false is True
     assert audit.false_counts[f"false_{kind}"] == 1

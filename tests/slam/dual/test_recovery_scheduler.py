@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from slam.dual.recovery.interface import Cancellation, RecoveryCost, RecoveryResult
+from slam.dual.recovery.interface import Cancellation, RecoveryCost, RecoveryResult, Spared
 from slam.dual.recovery.scheduler import RecoveryRun, build_scheduler
 from slam.runtime.backend import ExecutionMode
 
@@ -29,7 +29,7 @@ class Thread:
 
 
 def run(thread, number=1, at_s=0.0):
-    return RecoveryRun(number, thread, SimpleNamespace(cancellation=Cancellation()), at_s)
+    return RecoveryRun(number, thread, SimpleNamespace(cancellation=Cancellation(), spared=Spared()), at_s)
 
 
 def names(runs):
