@@ -42,10 +42,12 @@ def paper_config(camera: PinholeCamera, plus: bool = False) -> SlamConfig:
         tracking=replace(
             tracking,
             urgent_share=tracking.keyframe_share,
+            urgent_inliers=0,
             keyframe_cover=0.0,
             max_noise=1.0,
             crossing=replace(tracking.crossing, min_expected=1e6),
             doubt=replace(tracking.doubt, min_share=0.0, nearer=0.0, slower=0.0),
         ),
+        mapping=replace(config.mapping, min_parallax_deg=1.15, depth_around=0),
         self_calibration=replace(config.self_calibration, at_keyframes=()),
     )

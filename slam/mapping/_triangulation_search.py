@@ -7,6 +7,8 @@ from slam.features._hamming import hamming256
 from slam.matching.guided import NEAR
 from slam.optimization._triangulation import triangulate
 
+_LEAST_SIGMAS = 2.0  # of their noise, by which two rays must differ
+
 
 @njit(cache=True, nogil=True)
 def fundamental(T_1, T_2, view):
@@ -21,14 +23,71 @@ def fundamental(T_1, T_2, view):
 
 
 @njit(cache=True, nogil=True)
-def new_points(m, view, keyframe, neighbour, min_depth, min_parallax_cosine, ratio):
+def surrounding_depths(m, keyframe, around):
+    """Depth at which a new point is to be expected at each keypoint of a keyframe.
+
+    Args:
+        m: MapArrays.
+        keyframe: row.
+        around: number of keypoints with points, nearest in the image, whose median inverse depth counts.
+
+    Returns:
+        (n_keypoints,) float64; 0 at keypoints that have a point, and at all of a keyframe without any.
+    """
+    start, size = m.kf_start[keyframe], m.kf_start[keyframe + 1] - m.kf_start[keyframe]
+    T = m.kf_T_cam_map[keyframe]
+    expected = np.zeros(size, np.float64)
+    at = np.empty((size, 2), np.float64)
+    inverse = np.empty(size, np.float64)
+    n = 0
+    for e in range(start, start + size):
+        p = m.kp_point[e]
+        if p < 0:
+            continue
+        x = m.pt_xyz[p]
+        depth = T[2, 0] * x[0] + T[2, 1] * x[1] + T[2, 2] * x[2] + T[2, 3]
+        if depth > 1e-9:
+            at[n, 0], at[n, 1], inverse[n] = m.kp_xy[e, 0], m.kp_xy[e, 1], 1.0 / depth
+            n += 1
+    around = min(around, n)
+    if around == 0:
+        return expected
+    nearest = np.empty(around, np.float64)
+    value = np.empty(around, np.float64)
+    for i in range(size):
+        if m.kp_point[start + i] >= 0:
+            continue
+        x, y = m.kp_xy[start + i, 0], m.kp_xy[start + i, 1]
+        nearest[:] = np.inf
+        for j in range(n):
+            dx, dy = at[j, 0] - x, at[j, 1] - y
+            squared = dx * dx + dy * dy
+            if squared >= nearest[-1]:
+                continue
+            place = around - 1
+            while place > 0 and nearest[place - 1] > squared:
+                nearest[place], value[place] = nearest[place - 1], value[place - 1]
+                place -= 1
+            nearest[place], value[place] = squared, inverse[j]
+        expected[i] = 1.0 / np.median(value)
+    return expected
+
+
+@njit(cache=True, nogil=True)
+def new_points(m, view, keyframe, neighbour, min_depth, expected_depth, min_parallax_cosine, ratio):
     """Match free keypoints of two keyframes along epipolar lines and triangulate them.
+
+    A least parallax that is asked of the measured rays lets in, of the points around that bound, those whose
+    noise happens to enlarge it: points that come out too near, from which the scale of a drive shrinks. So
+    it is asked at an expected depth, and of the measured rays only that they differ beyond their noise.
 
     Args:
         m: MapArrays.
         view: ViewGeometry.
         keyframe, neighbour: rows.
         min_depth: least depth of a point in ``keyframe``.
+        expected_depth: (n_keypoints,) float64 as of :func:`surrounding_depths`; where it is 0, the least
+            parallax is asked of the measured rays.
         min_parallax_cosine: rays with a larger cosine are not triangulated.
         ratio: largest ratio of best to second best descriptor distance.
 
@@ -71,6 +130,9 @@ def new_points(m, view, keyframe, neighbour, min_depth, min_parallax_cosine, rat
         dz = R_21[2, 0] * xn + R_21[2, 1] * yn + R_21[2, 2]
         if dz < 1e-3:
             continue
+        expected = expected_depth[a - m.kf_start[keyframe]]
+        if expected > 0 and _parallax_cosine(dx, dy, dz, t_21, expected) > min_parallax_cosine:
+            continue
         # The segment of the epipolar line between the least depth and infinity.
         near = max(min_depth, (1e-3 * min_depth - t_21[2]) / dz)
         nz = near * dz + t_21[2]
@@ -84,13 +146,22 @@ def new_points(m, view, keyframe, neighbour, min_depth, min_parallax_cosine, rat
         if found < 0:
             continue
         b = first + found
-        ok, px, py, pz = _triangulated(m, view, T_1, T_2, centre_1, centre_2, a, b, min_parallax_cosine)
+        ok, px, py, pz = _triangulated(
+            m, view, T_1, T_2, centre_1, centre_2, a, b, 1.0 if expected > 0 else min_parallax_cosine
+        )
         if ok:
             used[found] = True
             rows_1[n], rows_2[n] = a, b
             points[n, 0], points[n, 1], points[n, 2] = px, py, pz
             n += 1
     return rows_1[:n].copy(), rows_2[:n].copy(), points[:n].copy()
+
+
+@njit(cache=True, nogil=True)
+def _parallax_cosine(dx, dy, dz, t_21, depth):
+    """Cosine between the two rays to a point at a depth along the ray (dx, dy, dz), in the second camera."""
+    x, y, z = depth * dx + t_21[0], depth * dy + t_21[1], depth * dz + t_21[2]
+    return (dx * x + dy * y + dz * z) / np.sqrt((dx * dx + dy * dy + dz * dz) * (x * x + y * y + z * z))
 
 
 @njit(cache=True, nogil=True)
@@ -155,6 +226,9 @@ def _triangulated(m, view, T_1, T_2, centre_1, centre_2, a, b, min_parallax_cosi
         dot += ray_1 * ray_2
     cosine = dot / np.sqrt((xn1 * xn1 + yn1 * yn1 + 1) * (xn2 * xn2 + yn2 * yn2 + 1))
     if cosine > min_parallax_cosine or cosine <= 0:
+        return False, 0.0, 0.0, 0.0
+    noise = 1 / view.inv_sigma2[m.kp_octave[a]] + 1 / view.inv_sigma2[m.kp_octave[b]]
+    if 2.0 * (1.0 - cosine) * view.fx * view.fx < _LEAST_SIGMAS * _LEAST_SIGMAS * noise:
         return False, 0.0, 0.0, 0.0
     px, py, pz = triangulate(T_1, T_2, xn1, yn1, xn2, yn2)
     if not (np.isfinite(px) and np.isfinite(py) and np.isfinite(pz)):

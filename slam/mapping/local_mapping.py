@@ -10,7 +10,7 @@ from slam.core.geometry import camera_centre
 from slam.map import _map_kernels as kernels
 from slam.map.map import MIN_OBSERVATIONS, Map
 from slam.mapping._local_problem import local_problem
-from slam.mapping._triangulation_search import new_points
+from slam.mapping._triangulation_search import new_points, surrounding_depths
 from slam.matching.guided import fuse_into_keyframe
 from slam.optimization.bundle_adjustment import local_bundle_adjust
 
@@ -23,7 +23,9 @@ class LocalMappingConfig:
         neighbours: covisible keyframes used for triangulation and fusion.
         min_baseline: least baseline over median depth for triangulation.
         min_depth: least depth of a new point over the median depth.
-        min_parallax_deg: least angle between the rays of a new point.
+        min_parallax_deg: least angle between the rays of a new point at the depth of the points around it.
+        depth_around: number of points around it that say this depth; 0: the measured angle counts, as in
+            ORB-SLAM.
         descriptor_ratio: best over second best descriptor distance along the epipolar line.
         window: keyframes that local bundle adjustment moves, the new one included.
         fixed: most fixed keyframes around them.
@@ -35,7 +37,8 @@ class LocalMappingConfig:
     neighbours: int = 10
     min_baseline: float = 0.01
     min_depth: float = 0.1
-    min_parallax_deg: float = 1.15
+    min_parallax_deg: float = 0.8
+    depth_around: int = 7
     descriptor_ratio: float = 0.8
     window: int = 20
     fixed: int = 40
@@ -133,13 +136,15 @@ class LocalMapper:
     def _create_points(self, keyframe: int) -> None:
         """Triangulate matches with covisible keyframes."""
         nearest = self.config.min_depth * kernels.median_depth(self.map.arrays, keyframe)
+        with self.lock:
+            expected = surrounding_depths(self.map.arrays, keyframe, self.config.depth_around)
         created = []
         for neighbour in self.map.neighbours(keyframe, self.config.neighbours):
             with self.lock:
-                created.append(self._triangulate(keyframe, int(neighbour), nearest))
+                created.append(self._triangulate(keyframe, int(neighbour), nearest, expected))
         self._young = np.concatenate([self._young, *created])
 
-    def _triangulate(self, keyframe: int, neighbour: int, nearest: float) -> np.ndarray:
+    def _triangulate(self, keyframe: int, neighbour: int, nearest: float, expected: np.ndarray) -> np.ndarray:
         """Rows of the points triangulated between two keyframes."""
         m, a, config = self.map, self.map.arrays, self.config
         baseline = np.linalg.norm(
@@ -150,7 +155,7 @@ class LocalMapper:
             return np.empty(0, np.int64)
         cosine = float(np.cos(np.deg2rad(config.min_parallax_deg)))
         own, theirs, xyz = new_points(
-            a, m.view, keyframe, neighbour, nearest, cosine, config.descriptor_ratio
+            a, m.view, keyframe, neighbour, nearest, expected, cosine, config.descriptor_ratio
         )
         first = m.reserve_points(len(own))
         kernels.create_points(m.arrays, first, xyz, own, theirs, m.view.scale)

@@ -18,6 +18,7 @@ from slam.optimization._se3 import retract
 MIN_DEPTH = 1e-6
 # Cost of an observation behind its camera: a hundred sigma, so that no step gains by moving it there.
 _BEHIND_CHI2 = 1e4
+_MOST_APPROACH = 0.9  # share of its inverse depth that a point may lose in one step
 
 
 @njit(cache=True, nogil=True)
@@ -147,6 +148,33 @@ def normal_equations(
 
 
 @njit(cache=True, nogil=True)
+def move_points(points, step, T, start, camera, moved):
+    """Move points by a step that is taken in inverse depth, as seen from their first camera.
+
+    The image of a point depends on its depth by the inverse: a step along the ray that is linear in it
+    arrives where one linear in the depth falls short, or goes on through the camera.
+    """
+    for p in range(points.shape[0]):
+        for k in range(3):
+            moved[p, k] = points[p, k] + step[p, k]
+        if start[p + 1] - start[p] < 2:
+            continue
+        pose = T[camera[start[p]]]
+        z, dz = pose[2, 3], 0.0
+        for k in range(3):
+            z += pose[2, k] * points[p, k]
+            dz += pose[2, k] * step[p, k]
+        if not z > MIN_DEPTH:
+            continue
+        grown = 1.0 / (1.0 - min(dz / z, _MOST_APPROACH))
+        # Of the camera's axes, the rays turn as they do by the linear step; the depth is multiplied.
+        for k in range(3):
+            centre = -(pose[0, k] * pose[0, 3] + pose[1, k] * pose[1, 3] + pose[2, k] * pose[2, 3])
+            ray = points[p, k] - centre
+            moved[p, k] = centre + grown * (ray + step[p, k] - ray * dz / z)
+
+
+@njit(cache=True, nogil=True)
 def adjust(T, points, start, camera, pixels, weights, intrinsics, slot, n_free, iterations, huber2):
     """Minimise the cost over ``T`` and ``points`` by Levenberg-Marquardt, in place.
 
@@ -186,7 +214,7 @@ def adjust(T, points, start, camera, pixels, weights, intrinsics, slot, n_free, 
             for k in range(T.shape[0]):
                 if slot[k] >= 0:
                     retract(T[k], step_c[6 * slot[k] : 6 * slot[k] + 6], trial_T[k])
-            trial_points[:] = points + step_p
+            move_points(points, step_p, T, start, camera, trial_points)
             trial_cost = robust_cost(
                 trial_T, trial_points, start, camera, pixels, weights, intrinsics, huber2
             )

@@ -61,6 +61,7 @@ class TrackingConfig:
             row of the image, that have keypoints: poses that hang on one side of the view wander.
         urgent_share: share of points, as ``keyframe_share``, below which the frame right behind a keyframe
             becomes one too, though it adds little to it.
+        urgent_inliers: number of inliers below which it does in any case, as tracking is near its end.
         keyframe_interval_s: least time between keyframes.
         crossing: what a frame behind a gap must show.
         doubt: bounds of a motion that is believed.
@@ -82,6 +83,7 @@ class TrackingConfig:
     keyframe_share: float = 0.9
     keyframe_cover: float = 0.6
     urgent_share: float = 0.5
+    urgent_inliers: int = 100
     keyframe_interval_s: float = 0.1
     crossing: CrossingConfig = field(default_factory=CrossingConfig)
     doubt: DoubtConfig = field(default_factory=DoubtConfig)
@@ -252,7 +254,7 @@ class Tracker:
         last = self._last_keyframe
         right_behind = last is not None and abs(frame.features.index - last.index) == 1
         if right_behind:
-            return inliers < self.config.urgent_share * known
+            return inliers < max(self.config.urgent_share * known, self.config.urgent_inliers)
         held = inliers >= self.config.keyframe_share * known
         return not held or _covered_share(frame, self.map) < self.config.keyframe_cover
 

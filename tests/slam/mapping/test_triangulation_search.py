@@ -6,7 +6,7 @@ from scipy.optimize import least_squares
 from slam_scenes import VIEW, PointWorld, rigid, world_ids
 
 from slam.map import _map_kernels as kernels
-from slam.mapping._triangulation_search import fundamental, new_points
+from slam.mapping._triangulation_search import fundamental, new_points, surrounding_depths
 from slam.matching.guided import NEAR
 
 PARALLAX = float(np.cos(np.deg2rad(1.15)))
@@ -22,8 +22,9 @@ def two_views(rng, noise_px=0.0, bits=0, keep=0.3, second=None):
     return world, sightings, built
 
 
-def search(built, min_depth=0.5, parallax=PARALLAX, ratio=0.8):
-    return new_points(built.arrays, VIEW, 1, 0, min_depth, parallax, ratio)
+def search(built, min_depth=0.5, parallax=PARALLAX, ratio=0.8, around=0):
+    expected = surrounding_depths(built.arrays, 1, around)
+    return new_points(built.arrays, VIEW, 1, 0, min_depth, expected, parallax, ratio)
 
 
 def shown(sightings, rows):
@@ -92,6 +93,9 @@ def passes_reference(T_1, T_2, xyz, xy_1, xy_2, octaves, parallax):
         distance.append(np.linalg.norm(T[:3, :3] @ xyz + T[:3, 3]))
     cosine = rays[0] @ rays[1] / np.linalg.norm(rays[0]) / np.linalg.norm(rays[1])
     if not 0 < cosine <= parallax:
+        return False
+    noise = VIEW.scale[list(octaves)] / VIEW.fx
+    if np.sqrt(2 * (1 - cosine)) < 2 * np.linalg.norm(noise):
         return False
     moved = (distance[1] / distance[0]) / (VIEW.scale[octaves[0]] / VIEW.scale[octaves[1]])
     return 1 / (1.5 * 1.2) <= moved <= 1.5 * 1.2
@@ -254,6 +258,39 @@ def test_no_point_has_less_parallax_than_the_threshold():
         counts.append(len(own))
     assert counts == sorted(counts, reverse=True)
     assert counts[0] > counts[1] > counts[2] > counts[3] == 0
+
+
+def test_the_expected_depth_is_the_median_inverse_depth_of_the_nearest_points():
+    _, _, built = two_views(np.random.default_rng(10), keep=0.3)
+    a, T = built.arrays, built.T_cam_map(1)
+    known = built.observed_points(1) >= 0
+    xy = a.kp_xy[built.keypoints(1)]
+    depth = a.pt_xyz[built.observed_points(1)[known]] @ T[2, :3] + T[2, 3]
+    expected = surrounding_depths(a, 1, 7)
+    assert (expected[known] == 0).all()
+    for i in np.flatnonzero(~known)[::10]:
+        nearest = np.argsort(((xy[known] - xy[i]) ** 2).sum(1))[:7]
+        assert expected[i] == pytest.approx(1 / np.median(1 / depth[nearest]))
+    assert not surrounding_depths(a, 1, 0).any()
+
+
+def test_points_around_the_least_parallax_are_not_too_near():
+    """Of a small step half the points are around the bound: asked of measured rays, noise lets the near in."""
+    rng = np.random.default_rng(11)
+    bias = {}
+    for around in (0, 7):
+        errors = []
+        for _ in range(4):
+            world, sightings, built = two_views(rng, noise_px=1.0, second=rigid((-0.13, 0.0, 0.0)))
+            own, theirs, xyz = search(built, around=around)
+            ids = shown(sightings, own)
+            right = ids == shown(sightings, theirs)
+            errors.append(1 / xyz[right, 2] - 1 / world.xyz[ids[right], 2])
+        errors = np.concatenate(errors) / np.median(1 / world.xyz[:, 2])
+        assert len(errors) > 300
+        bias[around] = errors.mean()
+    assert bias[0] > 0.05
+    assert abs(bias[7]) < 0.02
 
 
 def test_no_point_is_nearer_than_the_least_depth():

@@ -172,6 +172,37 @@ def test_a_step_through_the_schur_complement_is_the_dense_step(delta):
     assert gain == pytest.approx(-2 * g @ step - step @ H @ step, rel=1e-4)
 
 
+def test_a_point_far_beyond_its_depth_comes_back():
+    """A step linear in the depth would take it through the camera: damping then slows all others too."""
+    truth, start = scene(noise=0.0, spread=0.0)
+    centre = -truth.T[0][:3, :3].T @ truth.T[0][:3, 3]
+    start = replace(start, points=centre + 3.0 * (truth.points - centre))
+    slot = np.full(len(truth.T), -1)
+    first, order = _ba_kernels.sort_by_point(len(truth.points), start.point)
+    points = start.points.copy()
+    _ba_kernels.adjust(
+        truth.T.copy(), points, first, start.camera[order], start.pixels[order], start.inv_sigma2[order],
+        np.array(INTRINSICS), slot, 0, 5, 0.0,
+    )  # fmt: skip
+    np.testing.assert_allclose(points, truth.points, atol=1e-3)
+
+
+def test_a_small_move_of_points_is_the_step():
+    truth, start = scene()
+    first, order = _ba_kernels.sort_by_point(len(start.points), start.point)
+    camera = start.camera[order]
+    step = np.random.default_rng(3).normal(0, 1e-6, start.points.shape)
+    moved_points = np.empty_like(start.points)
+    _ba_kernels.move_points(start.points, step, start.T, first, camera, moved_points)
+    np.testing.assert_allclose(moved_points - start.points, step, atol=1e-11)
+    # Far beyond infinity and behind the camera are no places to go.
+    pose = start.T[camera[first[:-1]]]
+    away = 5.0 * pose[:, 2, :3] * (pose[:, 2, 3] + (pose[:, 2, :3] * start.points).sum(1))[:, None]
+    for step in (away, -away):
+        _ba_kernels.move_points(start.points, step, start.T, first, camera, moved_points)
+        assert ((pose[:, 2, :3] * moved_points).sum(1) + pose[:, 2, 3] > 0).all()
+
+
 def test_skyline_covers_exactly_the_cameras_that_share_points():
     """Cameras 0-1 and 1-3 share a point; 2 stands alone."""
     start, order = _ba_kernels.sort_by_point(3, np.array([0, 0, 1, 1, 2], np.int32))

@@ -301,7 +301,7 @@ def test_a_keyframe_is_requested_with_few_known_points_and_not_too_soon(known, s
 
 
 def test_a_frame_right_behind_a_keyframe_becomes_one_only_in_need(known, sightings):
-    config = TrackingConfig(keyframe_interval_s=0.0)
+    config = TrackingConfig(keyframe_interval_s=0.0, urgent_inliers=0)
     for number, due in ((21, config.urgent_share), (22, config.keyframe_share), (19, config.urgent_share)):
         tracker = started(known, sightings[20], config=config)
         frame = sightings[number].again()
@@ -309,6 +309,10 @@ def test_a_frame_right_behind_a_keyframe_becomes_one_only_in_need(known, sightin
         points = count_observed(tracker.map.arrays, frame.reference_keyframe, 3)
         assert tracker.wants_keyframe(frame, int(due * points) - 1)
         assert not tracker.wants_keyframe(frame, int(due * points) + 1)
+    tracker = started(known, sightings[20], config=replace(config, urgent_inliers=10**5))
+    frame = sightings[21].again()
+    assert tracker.track(frame).success
+    assert tracker.wants_keyframe(frame, 10**5 - 1) and not tracker.wants_keyframe(frame, 10**5)
 
 
 def test_a_keyframe_is_requested_where_points_are_found_on_one_side_only(known, sightings):
