@@ -225,10 +225,9 @@ def _triangulated(m, view, T_1, T_2, centre_1, centre_2, a, b, min_parallax_cosi
         ray_2 = T_2[0, r] * xn2 + T_2[1, r] * yn2 + T_2[2, r]
         dot += ray_1 * ray_2
     cosine = dot / np.sqrt((xn1 * xn1 + yn1 * yn1 + 1) * (xn2 * xn2 + yn2 * yn2 + 1))
-    if cosine > min_parallax_cosine or cosine <= 0:
-        return False, 0.0, 0.0, 0.0
-    noise = 1 / view.inv_sigma2[m.kp_octave[a]] + 1 / view.inv_sigma2[m.kp_octave[b]]
-    if 2.0 * (1.0 - cosine) * view.fx * view.fx < _LEAST_SIGMAS * _LEAST_SIGMAS * noise:
+    noise_px2 = 1 / view.inv_sigma2[m.kp_octave[a]] + 1 / view.inv_sigma2[m.kp_octave[b]]
+    within_noise = 2.0 * (1.0 - cosine) * view.fx * view.fx < _LEAST_SIGMAS * _LEAST_SIGMAS * noise_px2
+    if cosine > min_parallax_cosine or cosine <= 0 or within_noise:
         return False, 0.0, 0.0, 0.0
     px, py, pz = triangulate(T_1, T_2, xn1, yn1, xn2, yn2)
     if not (np.isfinite(px) and np.isfinite(py) and np.isfinite(pz)):

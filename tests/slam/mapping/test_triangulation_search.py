@@ -275,7 +275,7 @@ def test_the_expected_depth_is_the_median_inverse_depth_of_the_nearest_points():
 
 
 def test_points_around_the_least_parallax_are_not_too_near():
-    """Of a small step half the points are around the bound: asked of measured rays, noise lets the near in."""
+    """After a small step half of them are; asked of measured rays, noise lets the near ones in."""
     rng = np.random.default_rng(11)
     bias = {}
     for around in (0, 7):

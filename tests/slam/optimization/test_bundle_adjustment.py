@@ -188,7 +188,7 @@ def test_a_point_far_beyond_its_depth_comes_back():
 
 
 def test_a_small_move_of_points_is_the_step():
-    truth, start = scene()
+    _, start = scene()
     first, order = _ba_kernels.sort_by_point(len(start.points), start.point)
     camera = start.camera[order]
     step = np.random.default_rng(3).normal(0, 1e-6, start.points.shape)
