@@ -85,11 +85,11 @@ def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
     from slam.factory import build_system
     from slam.mapping.self_calibration import SelfCalibrationConfig
 
-    # Dual-SLAM: a saved map, a breakage, a recovery by three threads and a fusion, which relocalization would
-    # prevent. The base: a relocalization. Dual-SLAM+: its matcher, up to the first map. DSO: a window
-    # that keyframes leave.
+    # Dual-SLAM: a saved map, a breakage, a recovery by three threads and a fusion, which relocalization
+    # or a place found would prevent. The base: a relocalization. Dual-SLAM+: its matcher, up to the first
+    # map. DSO: a window that keyframes leave.
     threads = parse_threads("orb,sift,direct")
-    every = DualConfig(recovery_threads=threads, exhaustive=True, relocalization=False)
+    every = DualConfig(recovery_threads=threads, exhaustive=True, relocalization=False, place_merging=None)
     config = replace(default_config(CAMERA), self_calibration=SelfCalibrationConfig(at_keyframes=(3,)))
     counts = {"dual": 110, "base": 75, "dual+": 10, "ldso": 45}
     done, total = 0, sum(counts.values())

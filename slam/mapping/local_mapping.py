@@ -135,27 +135,32 @@ class LocalMapper:
 
     def _create_points(self, keyframe: int) -> None:
         """Triangulate matches with covisible keyframes."""
-        nearest = self.config.min_depth * kernels.median_depth(self.map.arrays, keyframe)
         with self.lock:
-            expected = surrounding_depths(self.map.arrays, keyframe, self.config.depth_around)
+            nearest = self.config.min_depth * kernels.median_depth(self.map.arrays, keyframe)
+            expected = self._expected_depths(keyframe)
         created = []
         for neighbour in self.map.neighbours(keyframe, self.config.neighbours):
             with self.lock:
-                created.append(self._triangulate(keyframe, int(neighbour), nearest, expected))
+                depth = kernels.median_depth(self.map.arrays, int(neighbour))
+                created.append(self._triangulate(keyframe, int(neighbour), depth, nearest, expected))
         self._young = np.concatenate([self._young, *created])
 
-    def _triangulate(self, keyframe: int, neighbour: int, nearest: float, expected: np.ndarray) -> np.ndarray:
-        """Rows of the points triangulated between two keyframes."""
+    def _expected_depths(self, keyframe: int) -> np.ndarray:
+        return surrounding_depths(self.map.arrays, keyframe, self.config.depth_around)
+
+    def _triangulate(
+        self, keyframe: int, other: int, depth: float, nearest: float, expected: np.ndarray
+    ) -> np.ndarray:
+        """Rows of the points triangulated between two keyframes; none if they are too close for ``depth``."""
         m, a, config = self.map, self.map.arrays, self.config
         baseline = np.linalg.norm(
-            camera_centre(a.kf_T_cam_map[neighbour]) - camera_centre(a.kf_T_cam_map[keyframe])
+            camera_centre(a.kf_T_cam_map[other]) - camera_centre(a.kf_T_cam_map[keyframe])
         )
-        depth = kernels.median_depth(a, neighbour)
         if depth <= 0 or baseline < config.min_baseline * depth:
             return np.empty(0, np.int64)
         cosine = float(np.cos(np.deg2rad(config.min_parallax_deg)))
         own, theirs, xyz = new_points(
-            a, m.view, keyframe, neighbour, nearest, expected, cosine, config.descriptor_ratio
+            a, m.view, keyframe, other, nearest, expected, cosine, config.descriptor_ratio
         )
         first = m.reserve_points(len(own))
         kernels.create_points(m.arrays, first, xyz, own, theirs, m.view.scale)

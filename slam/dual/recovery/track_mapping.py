@@ -12,7 +12,6 @@ from slam.features.tracks import TrackedFrame
 from slam.map import _map_kernels as kernels
 from slam.map.map import MIN_OBSERVATIONS, Map
 from slam.mapping._local_problem import local_problem
-from slam.mapping._triangulation_search import new_points
 from slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
 from slam.optimization.bundle_adjustment import local_bundle_adjust
 
@@ -100,26 +99,16 @@ class TrackMapper(LocalMapper):
         for old in list(self._views)[: -self._kept]:
             del self._views[old]
         super()._create_points(keyframe)
+        # These need not share points with it, and it need not have any.
         depth = self._views[keyframe].depth
+        nearest, expected = self.config.min_depth * depth, self._expected_depths(keyframe)
+        if self.config.depth_around > 0:
+            expected = np.where(expected > 0, expected, depth)
         covisible = set(self.map.neighbours(keyframe, self.config.neighbours).tolist())
         for other in list(self._views)[-1 - self._paired : -1]:
             if other not in covisible and not self.map.arrays.kf_bad[other]:
-                created = self._triangulate_at(keyframe, other, depth)
+                created = self._triangulate(keyframe, other, depth, nearest, expected)
                 self._young = np.concatenate([self._young, created])
-
-    def _triangulate_at(self, keyframe: int, other: int, depth: float) -> np.ndarray:
-        """Rows of the points triangulated between two keyframes, which need not have any, near ``depth``."""
-        m, config = self.map, self.config
-        between = m.T_cam_map(keyframe) @ np.linalg.inv(m.T_cam_map(other))
-        if depth <= 0 or np.linalg.norm(between[:3, 3]) < config.min_baseline * depth:
-            return np.empty(0, np.int64)
-        own, theirs, xyz = new_points(
-            m.arrays, m.view, keyframe, other, config.min_depth * depth,
-            float(np.cos(np.deg2rad(config.min_parallax_deg))), config.descriptor_ratio,
-        )  # fmt: skip
-        first = m.reserve_points(len(own))
-        kernels.create_points(m.arrays, first, xyz, own, theirs, m.view.scale)
-        return np.arange(first, first + len(own))
 
     def _track_problem(self, cameras: np.ndarray) -> "_TrackProblem":
         """Bundle adjustment terms of the tracked features seen from ``cameras`` (C,), keyframe rows."""

@@ -73,14 +73,14 @@ def test_another_place_is_not_recognised():
 
 def test_what_spoke_against_a_place_counts_at_the_next_keyframe(monkeypatch):
     """Contradicted at two keyframes, the same similarity needs three sound ones before it is believed."""
-    said = iter(["contradicted"] * 4)
+    said = iter(["contradicted"] * 2)
     found = place_merging.doubt
     monkeypatch.setattr(place_merging, "doubt", lambda *args: next(said, None) or found(*args))
     images, stamps_s, _ = toy(130, 0, STEP_M)
     system = dual(BY_PLACE)
     feed(system, blanked(images, range(50, 56)), stamps_s)
     reasons = [fusion.reason for fusion in of(system, "fusion")]
-    assert reasons == ["contradicted"] * 4 + [""]
+    assert reasons == ["contradicted"] * 2 + [""]
     assert of(system, "fusion")[-1].frame > of(system, "fusion")[-2].frame + 5
 
 
