@@ -146,9 +146,8 @@ def new_points(m, view, keyframe, neighbour, min_depth, expected_depth, min_para
         if found < 0:
             continue
         b = first + found
-        ok, px, py, pz = _triangulated(
-            m, view, T_1, T_2, centre_1, centre_2, a, b, 1.0 if expected > 0 else min_parallax_cosine
-        )
+        most_cosine, sigmas = (1.0, _LEAST_SIGMAS) if expected > 0 else (min_parallax_cosine, 0.0)
+        ok, px, py, pz = _triangulated(m, view, T_1, T_2, centre_1, centre_2, a, b, most_cosine, sigmas)
         if ok:
             used[found] = True
             rows_1[n], rows_2[n] = a, b
@@ -215,7 +214,7 @@ def _best_on_line(
 
 
 @njit(cache=True, nogil=True)
-def _triangulated(m, view, T_1, T_2, centre_1, centre_2, a, b, min_parallax_cosine):
+def _triangulated(m, view, T_1, T_2, centre_1, centre_2, a, b, min_parallax_cosine, least_sigmas):
     """Triangulate one match; True if it passes all checks, and the point."""
     xn1, yn1 = (m.kp_xy[a, 0] - view.cx) / view.fx, (m.kp_xy[a, 1] - view.cy) / view.fy
     xn2, yn2 = (m.kp_xy[b, 0] - view.cx) / view.fx, (m.kp_xy[b, 1] - view.cy) / view.fy
@@ -226,7 +225,7 @@ def _triangulated(m, view, T_1, T_2, centre_1, centre_2, a, b, min_parallax_cosi
         dot += ray_1 * ray_2
     cosine = dot / np.sqrt((xn1 * xn1 + yn1 * yn1 + 1) * (xn2 * xn2 + yn2 * yn2 + 1))
     noise_px2 = 1 / view.inv_sigma2[m.kp_octave[a]] + 1 / view.inv_sigma2[m.kp_octave[b]]
-    within_noise = 2.0 * (1.0 - cosine) * view.fx * view.fx < _LEAST_SIGMAS * _LEAST_SIGMAS * noise_px2
+    within_noise = 2.0 * (1.0 - cosine) * view.fx * view.fx < least_sigmas * least_sigmas * noise_px2
     if cosine > min_parallax_cosine or cosine <= 0 or within_noise:
         return False, 0.0, 0.0, 0.0
     px, py, pz = triangulate(T_1, T_2, xn1, yn1, xn2, yn2)

@@ -94,9 +94,6 @@ def passes_reference(T_1, T_2, xyz, xy_1, xy_2, octaves, parallax):
     cosine = rays[0] @ rays[1] / np.linalg.norm(rays[0]) / np.linalg.norm(rays[1])
     if not 0 < cosine <= parallax:
         return False
-    noise = VIEW.scale[list(octaves)] / VIEW.fx
-    if np.sqrt(2 * (1 - cosine)) < 2 * np.linalg.norm(noise):
-        return False
     moved = (distance[1] / distance[0]) / (VIEW.scale[octaves[0]] / VIEW.scale[octaves[1]])
     return 1 / (1.5 * 1.2) <= moved <= 1.5 * 1.2
 
@@ -291,6 +288,23 @@ def test_points_around_the_least_parallax_are_not_too_near():
         bias[around] = errors.mean()
     assert bias[0] > 0.05
     assert abs(bias[7]) < 0.02
+
+
+def test_rays_that_differ_by_no_more_than_their_noise_give_no_point():
+    least = {}
+    for around in (0, 7):
+        rng = np.random.default_rng(12)
+        _, sightings, built = two_views(rng, noise_px=1.0, second=rigid((-0.05, 0.0, 0.0)))
+        found = search(built, parallax=float(np.cos(np.deg2rad(0.1))), around=around)[:2]
+        rays, noise = [], []
+        for rows, seen in zip(found, sightings[::-1], strict=True):
+            ray = np.column_stack([built.arrays.kp_xy[rows], np.ones(len(rows))]) @ np.linalg.inv(K).T
+            rays.append(ray / np.linalg.norm(ray, axis=1, keepdims=True) @ seen.T_cam_world[:3, :3])
+            noise.append(VIEW.scale[built.arrays.kp_octave[rows]] / VIEW.fx)
+        angle = np.linalg.norm(np.cross(*rays), axis=1)
+        least[around] = (angle / np.hypot(*noise)).min()
+    assert least[0] < 1.0
+    assert least[7] > 1.99
 
 
 def test_no_point_is_nearer_than_the_least_depth():
