@@ -11,7 +11,8 @@ from slam.optimization.sim3 import sim3_decompose
 from slam.places._evidence_kernels import look_for
 
 _COLUMNS = 8  # of the grid on which found and missing points are counted
-_CHANCE = 0.06  # share of the points of another place that are found by chance
+_CHANCE = 0.06  # to find by chance a point of another place
+_MOST_CERTAIN = 0.95  # chance to find a point of this place, of which no more is believed
 VIEW_IS_UNKNOWN = "view_is_unknown"
 """The fault of a view that shows far more than it should: it is not known what it should show."""
 
@@ -89,8 +90,9 @@ def support(
 ) -> Support:
     """Count what a view shows of the points of a map, given its supposed place.
 
-    A cell of the image speaks for the place if its found and missing points are more likely at the mean rate
-    of the whole view than at that of chance, and against it if less likely, both by a likelihood ratio.
+    A cell of the image speaks for the place if its found and missing points are more likely each with its own
+    chance to be found, times the mean rate of the whole view, than by chance, and against it if less likely,
+    both by a likelihood ratio.
 
     Args:
         map_: the map.
@@ -108,18 +110,19 @@ def support(
         features.xy, features.octave, features.descriptors, features.cell_start, 0, radius_px, near,
     )  # fmt: skip
     cell = cells_of(map_.view, pixels)
+    is_found = keypoint >= 0
     expected = np.bincount(cell, weights=likely)
-    found = np.bincount(cell, weights=keypoint >= 0)
-    total = float(expected.sum())
+    total, found = float(expected.sum()), int(is_found.sum())
     if total <= 0:
         return Support(0.0, 0, 0, 0.0, 0.0)
-    rate = float(np.clip(found.sum() / total, 2 * _CHANCE, 0.95))
-    hits = np.minimum(found, expected)
-    for_place = hits * np.log(rate / _CHANCE) + (expected - hits) * np.log((1 - rate) / (1 - _CHANCE))
+    rate = float(np.clip(found / total, 2 * _CHANCE, 1.0))
+    here = np.clip(rate * likely, _CHANCE, _MOST_CERTAIN)
+    ratio = np.where(is_found, np.log(here / _CHANCE), np.log((1 - here) / (1 - _CHANCE)))
+    for_place = np.bincount(cell, weights=ratio)
     speaks = for_place > _TELLING
     supported = float(expected[speaks].sum()) / total
     contradicted = float(expected[for_place < -_TELLING].sum()) / total
-    return Support(total, int(found.sum()), int(speaks.sum()), supported, contradicted)
+    return Support(total, found, int(speaks.sum()), supported, contradicted)
 
 
 def cells_of(view: ViewGeometry, pixels: np.ndarray) -> np.ndarray:

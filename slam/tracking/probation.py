@@ -27,12 +27,12 @@ class ProbationConfig:
         around: keyframes whose points are expected, those that share most with the frame: others may see
             points that something hides here.
         radius_px: half side of the window in which an expected point is searched, level 0.
-        bar: what each frame must show.
+        bar: what each frame must show, of points that keyframes have seen from near its view.
         far_s: time since the loss beyond which more is asked: the longer a camera was lost, the more places
             there are where it can be, nearly alike among them.
         far_share, far_max_s: least time of the frames then, from the first that says something on, as a share
             of that since the loss, and its bound.
-        far_bar: what each frame must show then, of points that keyframes have seen from near its view.
+        far_bar: what each frame must show then.
         min_expected: fewest expected points with which a frame may speak against the place, or, after
             ``far_s``, for it; those of a camera that leaves what it knows say nothing.
         max_deviation_deg: largest standard deviation of the camera's direction, as its points determine it,
@@ -48,13 +48,13 @@ class ProbationConfig:
     around: int = 10
     radius_px: float = 4.0
     bar: EvidenceBar = field(
-        default_factory=lambda: EvidenceBar(min_share=0.5, max_contradicted=0.2, min_cells=8)
+        default_factory=lambda: EvidenceBar(min_share=0.75, max_contradicted=0.2, min_cells=8)
     )
     far_s: float = 2.0
     far_share: float = 0.5
     far_max_s: float = 6.0
     far_bar: EvidenceBar = field(
-        default_factory=lambda: EvidenceBar(min_share=0.85, max_contradicted=0.07, min_cells=8, max_share=1.6)
+        default_factory=lambda: EvidenceBar(min_share=0.85, max_contradicted=0.08, min_cells=8, max_share=1.6)
     )
     min_expected: float = 40.0
     max_deviation_deg: float = 0.55
@@ -206,7 +206,7 @@ class Probation:
         m: Map = self.tracker.map
         _, points = collect_local_map(m.arrays, m.n_keyframes, m.n_points, frame.point, self._config.around)
         radius_px, bar = self._config.radius_px, self._config.far_bar if self._far else self._config.bar
-        seen = support(m, points, frame.T_cam_map, frame.features, radius_px, near=self._far)
+        seen = support(m, points, frame.T_cam_map, frame.features, radius_px, near=True)
         fault = bar.fault(seen)
         is_telling = seen.expected >= self._config.min_expected or not (fault or self._far)
         if is_telling and self._deviation_deg(frame) <= self._config.max_deviation_deg:

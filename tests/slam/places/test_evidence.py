@@ -6,7 +6,7 @@ from slam_scenes import PointWorld, rigid, walk
 
 from slam.optimization.sim3 import sim3_matrix
 from slam.places._evidence_kernels import look_for
-from slam.places.evidence import EvidenceBar, Support, support
+from slam.places.evidence import EvidenceBar, Support, cells_of, support
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +74,38 @@ def test_a_part_of_the_view_that_shows_something_else_contradicts(known):
     found = support(built, points, walk(18), changed, 4.0)
     assert 0.2 < found.contradicted < 0.6
     assert found.supported < 0.8 and found.supported + found.contradicted <= 1 + 1e-9
+
+
+@pytest.mark.parametrize(("chance", "against"), [(0.9, True), (0.3, False)])
+def test_a_few_points_that_are_rarely_found_contradict_nothing(known, chance, against):
+    """Three missing points of a cell: as likely as not by chance .3 (.7 cubed over .94 cubed), not by .9."""
+    world, built, points = known
+    built = built.copy()
+    f = sighting(world, walk(18))
+    rows, pixels, _, _, keypoint = look_for(
+        built.arrays,
+        built.view,
+        walk(18),
+        1.0,
+        points,
+        f.xy,
+        f.octave,
+        f.descriptors,
+        f.cell_start,
+        0,
+        4.0,
+        False,
+    )
+    cell = cells_of(built.view, pixels)
+    found, missing = rows[keypoint >= 0], rows[keypoint < 0]
+    alone = next(c for c in np.unique(cell) if (cell[keypoint < 0] == c).sum() >= 3)
+    few = missing[cell[keypoint < 0] == alone][:3]
+    kept = np.concatenate([few, found[cell[keypoint >= 0] != alone]])
+    a = built.arrays
+    a.pt_visible[kept], a.pt_found[kept] = 998, 899
+    a.pt_found[few] = round(chance * 1000) - 1
+    seen = support(built, kept, walk(18), f, 4.0)
+    assert (seen.contradicted > 0) == against
 
 
 def test_a_similarity_gives_what_the_scaled_map_gives(known):

@@ -275,7 +275,7 @@ def test_frames_that_show_little_of_what_is_known_say_nothing(
     def leaving(*_, near):
         n = next(shown)
         cells = 8 if n == 58 else 2
-        return Support(float(n), round(0.6 * n), cells, 0.5, 0.0)
+        return Support(float(n), round(0.8 * n), cells, 0.5, 0.0)
 
     monkeypatch.setattr("slam.tracking.probation.support", leaving)
     feed(system, images[88:], stamps_s[88:], check=False)
