@@ -12,8 +12,6 @@ from slam.core.frame import Frame
 from slam.core.geometry import ViewGeometry
 from slam.ldso.config import CornerConfig
 from slam.ldso.window import Keyframe
-from slam.loop_closing.correction import move_points
-from slam.map import _map_kernels as kernels
 from slam.map.map import Map
 from slam.places._evidence_kernels import look_for
 
@@ -104,16 +102,3 @@ def depths_of(keyframe: Keyframe) -> np.ndarray:
         return np.empty(0)
     known = {(int(x), int(y)): d for (x, y), d in zip(keyframe.uv, keyframe.inverse_depth, strict=True)}
     return np.array([known.get((int(x), int(y)), np.nan) for x, y in keyframe.corners.xy])
-
-
-def moved(map_: Map, S_cam_map: np.ndarray) -> np.ndarray:
-    """Move all keyframes of a map to similarities (n_keyframes, 4, 4), with their points.
-
-    Returns:
-        (n_keyframes,) scale change of lengths around each keyframe.
-    """
-    before = map_.arrays.kf_T_cam_map[: map_.n_keyframes].copy()
-    move_points(map_, before, S_cam_map)
-    factor = map_.move_keyframes(S_cam_map)
-    kernels.refresh_geometries(map_.arrays, map_.points(), map_.view.scale)
-    return factor

@@ -14,9 +14,9 @@ import numpy as np
 from slam.core.geometry import ViewGeometry
 from slam.core.relation import Relation
 from slam.ldso.config import CornerConfig
-from slam.ldso.corner_map import CornerMap, moved
+from slam.ldso.corner_map import CornerMap
 from slam.ldso.odometry import Odometry
-from slam.loop_closing.correction import Loop
+from slam.loop_closing.correction import Loop, move_map
 from slam.loop_closing.detection import LoopClosingConfig, LoopDetector, Refusal
 from slam.loop_closing.judgement import judge
 from slam.map.relation import loop_relation
@@ -116,7 +116,7 @@ class LoopCloser:
         """
         m, S = self.corners.map, self._distributed(loop)
         corrected = m.copy()
-        factor = moved(corrected, S[self.corners.rows])
+        factor = move_map(corrected, S[self.corners.rows])
         reason = judge(m, corrected, loop).fault(self._config.judgement, adjusted=False)
         if reason:
             return reason

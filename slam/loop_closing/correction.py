@@ -62,11 +62,8 @@ def correct_loop(map_: Map, loop: Loop, loop_points: np.ndarray) -> np.ndarray:
     edges = _new_edges(map_, group, before, loop)
     a.kf_T_cam_map[:n] = T_before
     S = optimize_essential_graph(map_, S_start, edges, loop.loop_keyframe)
-    move_points(map_, S_start, S, moved)
-    factor = map_.move_keyframes(S)
     map_.loop_edges += [(int(i), int(j)) for i, j in edges]
-    kernels.refresh_geometries(a, map_.points(), map_.view.scale)
-    return factor
+    return move_map(map_, S, S_start, moved)
 
 
 def _move_group(map_: Map, group: np.ndarray, loop: Loop) -> np.ndarray:
@@ -124,22 +121,32 @@ def _new_edges(map_: Map, group: np.ndarray, before: np.ndarray, loop: Loop) -> 
     return np.array(sorted(set(pairs)), np.int32)
 
 
-def move_points(map_: Map, S_start: np.ndarray, S: np.ndarray, moved: np.ndarray | None = None) -> None:
-    """Move each point with its reference keyframe.
+def move_map(
+    map_: Map, S: np.ndarray, S_start: np.ndarray | None = None, moved: np.ndarray | None = None
+) -> np.ndarray:
+    """Move all keyframes of a map to similarities, and each point with its reference keyframe.
 
     Args:
-        map_: points are changed in place.
-        S_start, S: (n_keyframes, 4, 4) similarities of the keyframes before and after.
+        map_: changed in place.
+        S: (n_keyframes, 4, 4) similarities from the map to the cameras.
+        S_start: (n_keyframes, 4, 4) those from which the points move; None for the keyframes' poses.
         moved: (n_points,) keyframe that a point follows instead, -1 for none.
+
+    Returns:
+        (n_keyframes,) scale change of lengths around each keyframe.
     """
-    a = map_.arrays
-    points = map_.points()
+    a, rows, points = map_.arrays, map_.keyframes(), map_.points()
+    if S_start is None:
+        S_start = a.kf_T_cam_map
     reference = np.array([map_.live(int(k)) for k in a.pt_reference[points]], int)
     if moved is not None:
         instead = moved[points] >= 0
         reference[instead] = moved[points[instead]]
-    by_reference = invert_sim3(S[map_.keyframes()]) @ S_start[map_.keyframes()]
+    by_reference = invert_sim3(S[rows]) @ S_start[rows]
     slot = np.full(map_.n_keyframes, -1)
-    slot[map_.keyframes()] = np.arange(len(by_reference))
+    slot[rows] = np.arange(len(rows))
     D = by_reference[slot[reference]]
     a.pt_xyz[points] = np.einsum("nij,nj->ni", D[:, :3, :3], a.pt_xyz[points]) + D[:, :3, 3]
+    factor = map_.move_keyframes(S)
+    kernels.refresh_geometries(a, points, map_.view.scale)
+    return factor

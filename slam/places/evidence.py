@@ -12,6 +12,7 @@ from slam.places._evidence_kernels import look_for
 
 _COLUMNS = 8  # of the grid on which found and missing points are counted
 _CHANCE = 0.06  # to find by chance a point of another place
+_LEAST_RATE = 0.35  # at which what is expected at a right place is found, from wherever it is seen
 _MOST_CERTAIN = 0.95  # chance to find a point of this place, of which no more is believed
 VIEW_IS_UNKNOWN = "view_is_unknown"
 """The fault of a view that shows far more than it should: it is not known what it should show."""
@@ -115,7 +116,7 @@ def support(
     total, found = float(expected.sum()), int(is_found.sum())
     if total <= 0:
         return Support(0.0, 0, 0, 0.0, 0.0)
-    rate = float(np.clip(found / total, 2 * _CHANCE, 1.0))
+    rate = float(np.clip(found / total, _LEAST_RATE, 1.0))
     here = np.clip(rate * likely, _CHANCE, _MOST_CERTAIN)
     ratio = np.where(is_found, np.log(here / _CHANCE), np.log((1 - here) / (1 - _CHANCE)))
     for_place = np.bincount(cell, weights=ratio)

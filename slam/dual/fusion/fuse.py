@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slam.loop_closing.correction import move_points
+from slam.loop_closing.correction import move_map
 from slam.loop_closing.essential_graph import essential_edges
 from slam.loop_closing.map_alignment import Agreement, Alignment, AlignmentConfig, agree
 from slam.loop_closing.place_check import PlaceCheckConfig
@@ -133,10 +133,7 @@ def _optimize_seam(fused: Map, alignments: Sequence[Alignment], first_new: int) 
     )
     S = T[: fused.n_keyframes].copy()
     S[rows] = result.S_cam_map
-    move_points(fused, T[: fused.n_keyframes].copy(), S)
-    factor = fused.move_keyframes(S)
-    kernels.refresh_geometries(fused.arrays, fused.points(), fused.view.scale)
-    return factor
+    return move_map(fused, S)
 
 
 def _fuse_seam(fused: Map, old_keyframe: int, new_keyframe: int) -> None:

@@ -20,10 +20,11 @@ from slam.core import events as ev
 from slam.core.seeds import rng_for
 from slam.direct.selection import select
 from slam.factory import build_system
-from slam.ldso.corner_map import CornerMap, depths_of, moved
+from slam.ldso.corner_map import CornerMap, depths_of
 from slam.ldso.corners import corner_view, corners_of, described, with_corners
 from slam.ldso.loops import distributed
 from slam.ldso.window import Keyframe
+from slam.loop_closing.correction import move_map
 from slam.loop_closing.map_alignment import AlignmentConfig, align
 from slam.optimization.sim3 import sim3_matrix
 from slam.optimization.sim3_algebra import invert_sim3, scales
@@ -107,7 +108,7 @@ def test_a_moved_map_keeps_what_its_keyframes_see():
         return X[:, :2] / X[:, 2:]
 
     before = pixels()
-    factor = moved(m, m.arrays.kf_T_cam_map[:2] @ np.linalg.inv(DRIFT))
+    factor = move_map(m, m.arrays.kf_T_cam_map[:2] @ np.linalg.inv(DRIFT))
     np.testing.assert_allclose(factor, 1.2)
     np.testing.assert_allclose(pixels(), before, atol=1e-9)
 
