@@ -1,6 +1,7 @@
 """The command line: help, exit codes, one line per error, JSON on the last line."""
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -53,6 +54,20 @@ def test_help_loads_nothing_heavy():
     assert time.process_time() - started < 1
     heavy = {"numpy", "scipy", "cv2", "numba", "mujoco", "rerun", "pyarrow", "matplotlib", "pydantic"}
     assert not heavy & set(loaded.stdout.split())
+
+
+def test_linear_algebra_has_one_thread():
+    """Sums have other bits with other numbers of threads, and BLAS reads its number when it is loaded."""
+    script = (
+        "import os, sys; from experiments.cli import main; early = 'numpy' in sys.modules\n"
+        "try: sys.argv = ['dslab', '--version']; main()\n"
+        "finally: print(early, os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    unset = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    ended = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, env=unset, check=True
+    )
+    assert ended.stdout.split()[-2:] == ["False", "1"]
 
 
 def test_run_prints_the_summary_as_the_last_line(dslab, synthetic, tmp_path):

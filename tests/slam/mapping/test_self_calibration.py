@@ -59,3 +59,18 @@ def test_a_calibrated_lens_is_left_alone():
     assert len(system.current_map.keyframes()) >= 12
     assert [e.kind for e in system.events] == ["initialized"]
     assert system.camera == CAMERA
+
+
+def test_once_known_to_be_off_a_lens_follows_every_estimate():
+    """The first estimate must be worth it; those that follow change less than the first one had to."""
+
+    def shifts_px(least_px: float) -> list[float]:
+        always = SelfCalibrationConfig(at_keyframes=(6, 10), min_significance=0.0, min_shift_px=least_px)
+        system = build_system("base", CAMERA, config=replace(CONFIG, self_calibration=always))
+        for image, stamp_s in through_lens(PLANTED):
+            system.process(image, stamp_s)
+        return [e.shift_px for e in system.events if e.kind == "camera_refined"]
+
+    first, later = shifts_px(0.0)
+    assert later < first
+    assert shifts_px((first + later) / 2) == [first, later]
