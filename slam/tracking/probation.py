@@ -46,7 +46,7 @@ class ProbationConfig:
     span_s: float = 0.1
     patience_s: float = 0.5
     around: int = 10
-    radius_px: float = 4.0
+    radius_px: float = 10.0
     bar: EvidenceBar = field(
         default_factory=lambda: EvidenceBar(min_share=0.75, max_contradicted=0.2, min_cells=8)
     )
@@ -54,7 +54,7 @@ class ProbationConfig:
     far_share: float = 0.5
     far_max_s: float = 6.0
     far_bar: EvidenceBar = field(
-        default_factory=lambda: EvidenceBar(min_share=0.85, max_contradicted=0.08, min_cells=8, max_share=1.6)
+        default_factory=lambda: EvidenceBar(min_share=0.85, max_contradicted=0.06, min_cells=8, max_share=1.7)
     )
     min_expected: float = 40.0
     max_deviation_deg: float = 0.55
