@@ -197,10 +197,14 @@ class Tracker:
     def _least_inliers(self, frame: Frame, usual: int) -> int:
         """Inliers that a pose must have: ``usual``, or more where no frame just before supports it.
 
-        Those of a smeared image say less of its pose each, so that more are asked.
+        Those of a smeared image say less of its pose each, so that more are asked. Behind a gap both hold;
+        a relocalized camera is on probation besides.
         """
-        alone = self._passed_over or frame.features.stamp_s < self._cautious_until_s
-        return round((max(usual, self.config.cautious_inliers) if alone else usual) * frame.noise)
+        cautious = self.config.cautious_inliers
+        if self._passed_over:
+            return round(max(usual, cautious) * frame.noise)
+        least = round(usual * frame.noise)
+        return max(least, cautious) if frame.features.stamp_s < self._cautious_until_s else least
 
     def pass_over(self, frame: Frame) -> None:
         """Skip an unusable frame: the last pose is carried on by the motion model.

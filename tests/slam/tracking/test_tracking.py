@@ -389,3 +389,19 @@ def test_a_pose_with_too_many_outliers_is_refused_with_a_least_share(known, sigh
         outcome = tracker.track(Frame(displaced))
         assert (outcome.success, outcome.reason) == (not reason, reason)
         assert 30 <= outcome.inliers < 0.7 * outcome.matches
+
+
+def test_after_a_relocalization_noise_and_caution_are_asked_for_once(known, world, sightings):
+    """A frame of twice the usual noise needs 2 x 30 inliers there, behind a gap 2 x 50."""
+    noisy = world.see(11, walk(11), np.random.default_rng(4), noise_px=2.5, bits=8, share=0.065)
+    for is_resumed, success in ((True, True), (False, False)):
+        tracker = started(known, sightings[10], np.eye(4))
+        if is_resumed:
+            tracker.resume(tracker.last)
+        else:
+            tracker.pass_over(nothing(10))
+        frame = noisy.again()
+        outcome = tracker.track(frame)
+        assert 60 < outcome.inliers < 50 * frame.noise
+        assert outcome.success == success
+    assert outcome.reason == "too_few_local_map_inliers"
