@@ -92,11 +92,17 @@ def settings_text(camera: dict, settings: dict) -> str:
     lines += [f"Camera1.{key}: {float(value)!r}" for key, value in intrinsics.items()]
     lines += [f"Camera.{key}: {int(camera[key])}" for key in ("width", "height")]
     lines += [f"Camera.fps: {round(camera['fps'])}", "Camera.RGB: 0"]
-    lines += [f"ORBextractor.nFeatures: {int(settings['features'])}"]
+    lines += [f"ORBextractor.nFeatures: {features_of(camera, settings)}"]
     lines += [f"ORBextractor.{key}: {value}" for key, value in _EXTRACTOR.items()]
     lines += [f"Viewer.{key}: {value}" for key, value in _VIEWER.items()]
     lines += [] if settings["loops"] else ["loopClosing: 0"]
     return "\n".join(lines) + "\n"
+
+
+def features_of(camera: dict, settings: dict) -> int:
+    """Features per image; by themselves those of ORB-SLAM3's settings for TUM and EuRoC, or for KITTI."""
+    wide = camera["width"] * camera["height"] > 1.2 * 640 * 480
+    return int(settings["features"] or (2000 if wide else 1000))
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -189,6 +190,21 @@ def test_the_driver_of_orbslam3_keeps_the_poses_of_tracked_frames_only(tmp_path)
     assert np.loadtxt(tmp_path / "out" / "keyframes.txt")[1] == 5
     states = [line.split(",")[1] for line in (tmp_path / "out" / "frames.csv").read_text().splitlines()[1:]]
     assert states[7] == "RECENTLY_LOST" and len(states) == 12
+
+
+@pytest.mark.parametrize(
+    ("size", "asked", "features"),
+    [((640, 480), None, 1000), ((1242, 375), None, 2000), ((1242, 375), 1500, 1500)],
+)
+def test_orbslam3_has_the_features_of_its_own_settings(monkeypatch, size, asked, features):
+    monkeypatch.syspath_prepend(str(DRIVERS))
+    monkeypatch.setitem(sys.modules, "pyorbslam3", ModuleType("pyorbslam3"))
+    settings_text = runpy.run_path(str(DRIVERS / "orbslam3_driver.py"))["settings_text"]
+    camera = dict(zip(("width", "height"), size, strict=True)) | dict.fromkeys(
+        ("fx", "fy", "cx", "cy", "fps"), 30
+    )
+    text = settings_text(camera, {"features": asked, "loops": True})
+    assert f"nFeatures: {features}\n" in text
 
 
 @pytest.mark.slow
