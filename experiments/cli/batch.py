@@ -1,5 +1,6 @@
 """``dslab batch``."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -63,7 +64,10 @@ def batch_command(
     if as_json:
         print_json_line({"rows": plain(_records(found)), "pairs": plain(_records(beside))})
     else:
-        print_table(_table(found))
+        out.print("medians over the runs")
+        for table in _tables(found):
+            out.print()
+            print_table(table)
         if len(beside):
             print_table(_beside(beside, rows.system.iloc[0]))
         out.print(f"every run  {out_dir / CSV_FILE}, {out_dir / PAIRS_FILE}", soft_wrap=True)
@@ -108,18 +112,18 @@ def _beside(beside: "pd.DataFrame", first: str) -> Table:
     return table
 
 
-def _table(found: "pd.DataFrame") -> Table:
-    table = Table(title="medians over the runs")
-    table.add_column("")
+def _tables(found: "pd.DataFrame") -> Iterator[Table]:
+    """A table per sequence, with the same columns."""
     columns = (
-        "intact\nmap", "ended\nbadly", "break-\nages", "ATE m,\nkeyframes", "ATE m,\nframes", "RPE m\nper s",
-        "complete", "CPU ms\nper frame",
+        "intact\nmap", "ended\nbadly", "break-\nages", "ATE m,\nkeyfr.", "ATE m,\nframes", "RPE m\nper s",
+        "com-\nplete", "CPU ms/\nframe",
     )  # fmt: skip
-    for column in columns:
-        table.add_column(column, justify="right")
-    for _, own in found.astype(object).where(found.notna(), None).groupby("source", sort=False):
-        table.add_section()
-        table.add_row(Text(own.sequence.iloc[0], "bold"))
+    known = found.astype(object).where(found.notna(), None)
+    for _, own in known.groupby("source", sort=False):
+        table = Table(title=Text(own.sequence.iloc[0], "bold"), padding=(0, 1, 0, 0))
+        table.add_column("")
+        for column in columns:
+            table.add_column(column, justify="right")
         for row in own.itertuples():
             figures = (row.ate_keyframes_m, row.ate_frames_m, row.rpe_m)
             table.add_row(
@@ -131,4 +135,4 @@ def _table(found: "pd.DataFrame") -> Table:
                 share(row.completeness),
                 number(row.cpu_ms_median, 1),
             )
-    return table
+        yield table
