@@ -28,6 +28,10 @@ class DoubtConfig:
         min_share: share of unsteady frames in the window from which the map is doubted; 0 never doubts.
         nearer, slower: the map is doubted too if, on points made since, median depth and speed in map units
             have fallen by more than these factors; 0 never doubts.
+        shrunk: both have fallen by more than this one is enough behind frames whose points leave the camera's
+            direction as uncertain as ``loose_deg``.
+        loose_deg: standard deviation of the direction, see
+            :func:`slam.optimization.pose.direction_deviation`.
     """
 
     window_s: float = 1.0
@@ -38,6 +42,8 @@ class DoubtConfig:
     min_share: float = 0.5
     nearer: float = 2.0
     slower: float = 8.0
+    shrunk: float = 2.0
+    loose_deg: float = 0.12
 
 
 class Motion(NamedTuple):
@@ -52,6 +58,7 @@ class Motion(NamedTuple):
         depth: median depth of the points, map units.
         speed: map units per second.
         born_s: median time at which the points were made.
+        deviation: standard deviation of the camera's direction, as the points determine it, rad.
     """
 
     frame: int
@@ -61,9 +68,12 @@ class Motion(NamedTuple):
     depth: float
     speed: float
     born_s: float
+    deviation: float
 
 
-_FRAME, _STAMP_S, _HIDDEN, _SPEED = (Motion._fields.index(n) for n in ("frame", "stamp_s", "hidden", "speed"))
+_FRAME, _STAMP_S, _HIDDEN, _SPEED, _DEVIATION = (
+    Motion._fields.index(n) for n in ("frame", "stamp_s", "hidden", "speed", "deviation")
+)
 
 
 def hidden_motion(points: np.ndarray, T_cam_map: np.ndarray, T_other_map: np.ndarray) -> tuple[float, float]:
@@ -92,7 +102,7 @@ class Doubt:
 
     Or it takes all motion for a turn. New points are then triangulated over next to no baseline, ever nearer:
     the map shrinks, and speed and depth with it. A camera that really stops before something near makes no
-    new points there, as it has no parallax.
+    new points there, as it has no parallax. Where the view has just hung on one side, a smaller fall tells.
 
     Few unsteady frames are forgiven, but not the last ones before a loss.
 
@@ -121,7 +131,13 @@ class Doubt:
         return new
 
     def note(
-        self, frame: Frame, last: Frame, T_predicted_map: np.ndarray, points: np.ndarray, born_s: float
+        self,
+        frame: Frame,
+        last: Frame,
+        T_predicted_map: np.ndarray,
+        points: np.ndarray,
+        born_s: float,
+        deviation: float,
     ) -> None:
         """Take note of a tracked frame.
 
@@ -131,6 +147,7 @@ class Doubt:
             T_predicted_map: (4, 4) pose of the frame as expected before.
             points: (N, 3) its points, frame map.
             born_s: median time at which they were made.
+            deviation: standard deviation of the camera's direction, as they determine it, rad.
         """
         if len(points) < _MIN_POINTS:
             return
@@ -140,7 +157,9 @@ class Doubt:
         depth = float(np.median(points @ T[2, :3] + T[2, 3]))
         path = float(np.linalg.norm(camera_centre(T) - camera_centre(T_last)))
         speed = path / abs(stamp_s - last.features.stamp_s)
-        self._motions.append(Motion(frame.features.index, stamp_s, step, hidden, depth, speed, born_s))
+        self._motions.append(
+            Motion(frame.features.index, stamp_s, step, hidden, depth, speed, born_s, deviation)
+        )
         self._forget(stamp_s)
         self._judge(stamp_s)
 
@@ -166,12 +185,15 @@ class Doubt:
             self._declare("motion_beyond_prediction", recent[unsteady[0], _FRAME])
 
     def _judge_scale(self, motions: np.ndarray, recent: np.ndarray, usual: Motion) -> None:
-        now = Motion(*np.median(motions[recent], axis=0))
-        is_near = 0 < self.config.nearer * now.depth < usual.depth
-        is_slow = 0 < self.config.slower * now.speed < usual.speed
+        config, now = self.config, Motion(*np.median(motions[recent], axis=0))
         before_s = motions[~recent][-1, _STAMP_S]
         is_new = (now.born_s - before_s) * (now.stamp_s - before_s) > 0  # in either direction of time
-        if is_near and is_slow and is_new:
+        if not is_new or min(now.depth, now.speed, config.nearer, config.slower) <= 0:
+            return
+        nearer, slower = usual.depth / now.depth, usual.speed / now.speed
+        is_loose = motions[:, _DEVIATION].max() > np.deg2rad(config.loose_deg)
+        has_shrunk = is_loose and min(nearer, slower) > config.shrunk
+        if has_shrunk or (nearer > config.nearer and slower > config.slower):
             usually = np.flatnonzero(motions[:, _SPEED] >= 0.5 * usual.speed)
             self._declare("scale_of_new_points", motions[min(usually[-1] + 1, len(motions) - 1), _FRAME])
 

@@ -10,7 +10,7 @@ from slam.core.timing import StageTimer
 from slam.map._map_kernels import count_observed, resolve_points
 from slam.map.map import Map
 from slam.matching import guided
-from slam.optimization.pose import optimize_pose
+from slam.optimization.pose import direction_deviation, optimize_pose
 from slam.places.evidence import EvidenceBar, cells_of, support
 from slam.places.recognition import match_by_bow, shipped_vocabulary
 from slam.tracking.doubt import Doubt, DoubtConfig
@@ -408,12 +408,15 @@ class Tracker:
         self.last = frame
 
     def _note_motion(self, frame: Frame, last: Frame) -> None:
-        m, points = self.map, frame.point[frame.point >= 0]
+        m, matched = self.map, frame.point >= 0
+        points = frame.point[matched]
         if self.velocity is None or not self._in_motion or not len(points):
             return
         made = m.features(int(np.median(m.arrays.pt_first_keyframe[points])))
-        predicted = self.velocity @ last.T_cam_map
-        self.doubt.note(frame, last, predicted, m.arrays.pt_xyz[points], made.stamp_s)
+        predicted, xyz = self.velocity @ last.T_cam_map, m.arrays.pt_xyz[points]
+        information = m.view.inv_sigma2[frame.features.octave[matched]]
+        deviation = direction_deviation(frame.T_cam_map, xyz, information, m.view.fx, m.view.fy)
+        self.doubt.note(frame, last, predicted, xyz, made.stamp_s, deviation)
 
 
 def _covered_share(frame: Frame, map_: Map) -> float:

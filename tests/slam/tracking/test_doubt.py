@@ -78,7 +78,7 @@ def doubted(wall, at, seconds=8.0, begin_turn=None, new_points=True, direction=1
             before, last = frames[-3].T_cam_map, frames[-2].T_cam_map
             predicted = last @ np.linalg.inv(before) @ last
             born = i - 2 if new_points else min(i, begin_turn or i) - 5
-            doubt.note(frames[-1], frames[-2], predicted, seen, direction * born / FPS)
+            doubt.note(frames[-1], frames[-2], predicted, seen, direction * born / FPS, deviation=0.0)
         if doubt.reason:
             break
     return doubt
@@ -117,6 +117,26 @@ def test_a_map_that_shrinks_is_doubted_from_the_onset(wall, direction):
     doubt = doubted(wall, still, begin_turn=PLANTED_AT, direction=direction)
     assert doubt.reason == "scale_of_new_points"
     assert doubt.first_frame == PLANTED_AT
+
+
+@pytest.mark.parametrize(("loose_deg", "shrunk", "reason"), [
+    (0.2, 2.0, "scale_of_new_points"), (0.05, 2.0, ""), (0.2, 4.0, ""),
+])  # fmt: skip
+def test_a_map_that_has_shrunk_behind_a_loose_stretch_is_doubted(wall, loose_deg, shrunk, reason):
+    """New points at a third of the depth, and steps of a third, behind a few frames on one side."""
+    doubt, x, last, before = Doubt(DoubtConfig(shrunk=shrunk)), 0.0, None, None
+    for i in range(PLANTED_AT + 30):
+        size = 1.0 if i < PLANTED_AT else 1 / 3
+        x += size * STEP_M
+        frame = posed(i, rigid((-x, 0, 0)))
+        if before is not None:
+            predicted = last.T_cam_map @ np.linalg.inv(before.T_cam_map) @ last.T_cam_map
+            deviation = np.deg2rad(loose_deg if PLANTED_AT - 5 <= i < PLANTED_AT else 0.03)
+            doubt.note(frame, last, predicted, size * wall + (x, 0, 0), (i - 2) / FPS, deviation)
+        before, last = last, frame
+    assert doubt.reason == reason
+    if reason:
+        assert doubt.first_frame == PLANTED_AT
 
 
 def test_a_camera_that_stops_and_turns_to_something_near_is_believed(wall):
