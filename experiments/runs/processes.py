@@ -90,8 +90,10 @@ def side_by_side(workers: int, function: Callable[..., Any], calls: list[tuple[A
                 yield future.result()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
-            # A thread may be about to start another process.
-            while wait(running, _KILL_AGAIN_S).not_done:
+            # A thread may be about to start another process. Of a future that was never begun, wait() says
+            # that it is not done, though it is cancelled.
+            begun = [future for future in running if not future.cancelled()]
+            while wait(begun, _KILL_AGAIN_S).not_done:
                 _kill_others_than(before)
             raise
 
