@@ -283,6 +283,19 @@ def test_frames_that_show_little_of_what_is_known_say_nothing(
     assert not reason or system.events[2].reason == reason
 
 
+def test_a_place_is_known_by_what_was_seen_from_near_it(recovered, there_and_back, monkeypatch):
+    """Of all points a right place shows .42 to .6 on recorded footage, of those seen from near .83 and more."""
+    images, stamps_s, _ = there_and_back
+    system = recovered[2].restore()
+
+    def as_recorded(*_, near):
+        return Support(100.0, 83 if near else 60, 20, 0.8, 0.1)
+
+    monkeypatch.setattr("slam.tracking.probation.support", as_recorded)
+    feed(system, images[88:98], stamps_s[88:98], check=False)
+    assert kinds(system)[2] == "relocalized"
+
+
 @pytest.mark.parametrize(("uncertain", "frames"), [(0, 4), (2, 2), (6, 1), (99, None)])
 def test_a_frame_that_does_not_determine_its_pose_says_nothing_and_gets_none(
     recovered, there_and_back, monkeypatch, uncertain, frames
