@@ -284,7 +284,7 @@ def test_frames_that_show_little_of_what_is_known_say_nothing(
 
 
 def test_a_place_is_known_by_what_was_seen_from_near_it(recovered, there_and_back, monkeypatch):
-    """Of all points a right place shows .42 to .6 on recorded footage, of those seen from near .83 and more."""
+    """On recorded footage a right place shows .42 to .6 of all points, and .83 of those seen from near."""
     images, stamps_s, _ = there_and_back
     system = recovered[2].restore()
 
