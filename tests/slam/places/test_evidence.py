@@ -78,24 +78,14 @@ def test_a_part_of_the_view_that_shows_something_else_contradicts(known):
 
 @pytest.mark.parametrize(("chance", "against"), [(0.9, True), (0.3, False)])
 def test_a_few_points_that_are_rarely_found_contradict_nothing(known, chance, against):
-    """Three missing points of a cell: as likely as not by chance .3 (.7 cubed over .94 cubed), not by .9."""
+    """Three points of a cell are missing: of those found three times in ten that is usual, of others not."""
     world, built, points = known
     built = built.copy()
     f = sighting(world, walk(18))
     rows, pixels, _, _, keypoint = look_for(
-        built.arrays,
-        built.view,
-        walk(18),
-        1.0,
-        points,
-        f.xy,
-        f.octave,
-        f.descriptors,
-        f.cell_start,
-        0,
-        4.0,
-        False,
-    )
+        built.arrays, built.view, walk(18), 1.0, points,
+        f.xy, f.octave, f.descriptors, f.cell_start, 0, 4.0, False,
+    )  # fmt: skip
     cell = cells_of(built.view, pixels)
     found, missing = rows[keypoint >= 0], rows[keypoint < 0]
     alone = next(c for c in np.unique(cell) if (cell[keypoint < 0] == c).sum() >= 3)
