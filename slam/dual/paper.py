@@ -48,6 +48,6 @@ def paper_config(camera: PinholeCamera, plus: bool = False) -> SlamConfig:
             crossing=replace(tracking.crossing, min_expected=1e6),
             doubt=replace(tracking.doubt, min_share=0.0, nearer=0.0, slower=0.0),
         ),
-        mapping=replace(config.mapping, min_parallax_deg=1.15, depth_around=0),
+        mapping=replace(config.mapping, min_parallax_deg=1.15, depth_around=0, robust_iterations=5),
         self_calibration=replace(config.self_calibration, at_keyframes=()),
     )

@@ -29,6 +29,8 @@ class LocalMappingConfig:
         descriptor_ratio: best over second best descriptor distance along the epipolar line.
         window: keyframes that local bundle adjustment moves, the new one included.
         fixed: most fixed keyframes around them.
+        robust_iterations: most steps of local bundle adjustment before outliers are taken out; ORB-SLAM tries
+            5, which leaves the poses along a wall that fills the view where tracking has put them.
         min_found_share: a young point found in less than this share of the frames that should see it is
             culled.
         redundancy: a keyframe is culled when more than this share of its points is well seen elsewhere.
@@ -42,6 +44,7 @@ class LocalMappingConfig:
     descriptor_ratio: float = 0.8
     window: int = 20
     fixed: int = 40
+    robust_iterations: int = 50
     min_found_share: float = 0.25
     redundancy: float = 0.9
 
@@ -108,7 +111,7 @@ class LocalMapper:
         result, good = local_bundle_adjust(
             T_cam_map, fixed, xyz, obs_camera, obs_point,
             a.kp_xy[obs_keypoint], view.inv_sigma2[a.kp_octave[obs_keypoint]],
-            view.fx, view.fy, view.cx, view.cy,
+            view.fx, view.fy, view.cx, view.cy, self.config.robust_iterations,
         )  # fmt: skip
         with self.lock:
             a.kf_T_cam_map[cameras[~fixed]] = result.T_cam_map[~fixed]

@@ -9,7 +9,6 @@ from slam.optimization._se3 import orthonormalise
 from slam.optimization.pose import CHI2_2DOF
 
 _HUBER_DELTA = float(np.sqrt(CHI2_2DOF))
-_ROBUST_ITERATIONS = 5
 _FINAL_ITERATIONS = 10
 
 
@@ -93,10 +92,18 @@ def local_bundle_adjust(
     fy: float,
     cx: float,
     cy: float,
+    robust_iterations: int = 50,
 ) -> tuple[BundleResult, np.ndarray]:
     """Bundle-adjust with a robust loss on all observations, then without on the inliers.
 
-    Arguments and errors as :func:`bundle_adjust`.
+    Along a wall that fills the view, turn and step look alike to a pixel, and the robust loss converges
+    slowly. Stopped early, it leaves the poses where tracking has put them, the observations that contradict
+    them are dropped, new points follow, and the map slides into another motion.
+
+    Arguments and errors as :func:`bundle_adjust`; besides:
+
+    Args:
+        robust_iterations: most steps tried with the robust loss; it ends once they gain nothing.
 
     Returns:
         The result, whose ``chi2`` and ``positive_depth`` cover all observations and whose costs are those
@@ -108,7 +115,7 @@ def local_bundle_adjust(
     problem = _Problem.checked(
         T_cam_map, fixed, points, obs_cam, obs_point, pixels, inv_sigma2, fx, fy, cx, cy
     )
-    robust = problem.adjusted(problem.finite(), _ROBUST_ITERATIONS, _HUBER_DELTA)
+    robust = problem.adjusted(problem.finite(), robust_iterations, _HUBER_DELTA)
     problem.T, problem.points = robust.T_cam_map, robust.points
     result = problem.adjusted(robust.chi2 <= CHI2_2DOF, _FINAL_ITERATIONS, 0.0)
     return result, result.chi2 <= CHI2_2DOF

@@ -61,7 +61,8 @@ class TrackingConfig:
             row of the image, that have keypoints: poses that hang on one side of the view wander.
         urgent_share: share of points, as ``keyframe_share``, below which the frame right behind a keyframe
             becomes one too, though it adds little to it.
-        urgent_inliers: number of inliers below which it does in any case, as tracking is near its end.
+        urgent_inliers: number of inliers below which it does in any case, as tracking is near its end; of few
+            frames per second, every one is needed.
         keyframe_interval_s: least time between keyframes.
         crossing: what a frame behind a gap must show.
         doubt: bounds of a motion that is believed.
@@ -83,7 +84,7 @@ class TrackingConfig:
     keyframe_share: float = 0.9
     keyframe_cover: float = 0.6
     urgent_share: float = 0.5
-    urgent_inliers: int = 100
+    urgent_inliers: int = 150
     keyframe_interval_s: float = 0.1
     crossing: CrossingConfig = field(default_factory=CrossingConfig)
     doubt: DoubtConfig = field(default_factory=DoubtConfig)

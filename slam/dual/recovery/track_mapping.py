@@ -79,7 +79,7 @@ class TrackMapper(LocalMapper):
             np.concatenate([obs_point, len(points) + tracks.point]),
             np.concatenate([a.kp_xy[obs_keypoint], tracks.xy]),
             np.concatenate([view.inv_sigma2[a.kp_octave[obs_keypoint]], tracks.inv_sigma2]),
-            view.fx, view.fy, view.cx, view.cy,
+            view.fx, view.fy, view.cx, view.cy, self.config.robust_iterations,
         )  # fmt: skip
         a.kf_T_cam_map[cameras[~fixed]] = result.T_cam_map[~fixed]
         a.pt_xyz[points] = result.points[: len(points)]

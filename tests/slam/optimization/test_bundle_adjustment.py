@@ -341,6 +341,24 @@ def test_non_finite_observations_and_points_are_left_out():
     assert not keep[start.point == 7].any() and keep.any()
 
 
+def test_the_robust_stage_ends_where_it_gains_nothing_more():
+    truth, start = scene(2, cameras=8, n_points=120)
+    rng = np.random.default_rng(2)
+    T = np.stack([rigid([-0.03 * k, 0, 0], [0, 0, 0]) for k in range(8)])  # near to each other
+    pixels = truth.reprojection(T, truth.points) + rng.normal(0, 0.5, truth.pixels.shape)
+    outliers = rng.random(len(pixels)) < 0.05
+    pixels[outliers] += rng.normal(0, 8, (outliers.sum(), 2))
+    turned = [rigid([0, 0, 0], [0, 0.005 * k * (k > 1), 0]) @ T[k] for k in range(8)]
+    points = truth.points * np.exp(rng.normal(0, 0.3, (len(truth.points), 1)))
+    near = replace(start, T=np.stack(turned), points=points, pixels=pixels, inv_sigma2=np.ones(len(pixels)))
+    minimum, _ = local_bundle_adjust(*near.arguments(), robust_iterations=1000)
+    result, _ = local_bundle_adjust(*near.arguments())
+    early, _ = local_bundle_adjust(*near.arguments(), robust_iterations=5)
+    # Where the outliers are taken out.
+    assert result.cost_initial == pytest.approx(minimum.cost_initial, rel=1e-6)
+    assert early.cost_initial > 1.003 * minimum.cost_initial
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_local_adjustment_drops_outliers_and_recovers(seed):
     _, start = scene(seed, n_points=80, noise=0.3)
