@@ -10,7 +10,7 @@ from slam.config import SlamConfig
 from slam.core import events as ev
 from slam.core.camera import PinholeCamera
 from slam.core.events import TrackingState
-from slam.core.frame import Frame, FrameFeatures
+from slam.core.frame import Frame, FrameFeatures, twist_between
 from slam.core.frame_input import check_frame
 from slam.core.geometry import view_geometry
 from slam.core.results import TrackingResult
@@ -151,7 +151,9 @@ class SlamEngine:
     def _features(self, index: int, stamp_s: float, dense: bool) -> FrameFeatures:
         with self.timer("extract"):
             extractor = self._initial_extractor if dense else self._extractor
-            return FrameFeatures.build(index, stamp_s, extractor.extract(self._image), self.camera, self.view)
+            features = extractor.extract(self._image)
+            twist = self.tracker.twist if self.state is TrackingState.TRACKING else None
+            return FrameFeatures.build(index, stamp_s, features, self.camera, self.view, twist)
 
     def initialize(self, frame: Frame) -> tuple[TrackingOutcome, InitialMap | None]:
         """Try to initialize a map."""
@@ -172,7 +174,10 @@ class SlamEngine:
     def track(self, frame: Frame) -> tuple[TrackingOutcome, bool]:
         """Track the frame in the current map; the outcome, and True if it has become a keyframe."""
         with self.backend.lock:
+            before, twist = self.tracker.last, self.tracker.twist
             outcome = self.tracker.track(frame)
+            if outcome.success and before is not None:
+                self._note_twist(before, (twist + self.tracker.twist) / 2)
             doubt = self.tracker.doubt
             if outcome.success and doubt.reason:
                 outcome = TrackingOutcome(False, outcome.inliers, outcome.matches, doubt.reason)
@@ -296,10 +301,23 @@ class SlamEngine:
         self.enter(initial.map.map_id)
         self.tracker.start(initial.second, 1)
         store.poses.add(store.current_id, initial.first)
-        for frame in frames_between(initial, self.config.tracking):
+        between = frames_between(initial, self.config.tracking)
+        for frame in between:
             store.poses.add(store.current_id, frame)
+        self._note_twists([initial.second, *between, initial.first])
         self.state = TrackingState.TRACKING
         self.emit(initial.second, ev.Initialized, points=initial.points, model=initial.model)
+
+    def _note_twists(self, frames: list[Frame]) -> None:
+        """Note how the camera moved in both keyframes of a new map, from its first frames, newest first."""
+        for keyframe, pair in zip((frames[-1], frames[0]), (frames[:-3:-1], frames[1::-1]), strict=True):
+            self._note_twist(keyframe, twist_between(*pair, depth=1.0))
+
+    def _note_twist(self, frame: Frame, twist: np.ndarray) -> None:
+        """Note how the camera moved in a frame, if it is a keyframe, once the next one is known."""
+        m, k = self.store.current, frame.reference_keyframe
+        if m.frame_index(k) == frame.features.index and not m.arrays.kf_bad[k]:
+            m.take_features(k, m.features(k).moving(twist))
 
     def _map(self, frame: Frame) -> None:
         """Run local mapping on a new keyframe, then loop closing and, when it is due, self-calibration."""
@@ -309,10 +327,10 @@ class SlamEngine:
             self._rescue.keep(m, frame, self._image)
         rng = rng_for(self.seed, "loop", frame.features.index)
         due = self._may_refine_camera() and self._self_calibration.is_due(m)
-        residual = self.camera.residual if due else None
+        camera = self.camera if due else None
         loops = self.store.places(m.map_id).loops
         with self.timer.apart():
-            self.backend.submit(KeyframeTask(frame, self.mapper, loops, rng, residual))
+            self.backend.submit(KeyframeTask(frame, self.mapper, loops, rng, camera))
 
     def _rescued(self, rescue: Rescue, frame: Frame, outcome: TrackingOutcome) -> TrackingOutcome:
         """Before a breakage is declared, try to place the frame by intensities; the outcome then."""
@@ -436,7 +454,7 @@ class SlamEngine:
         found, m = change.refinement, change.task.mapper.map
         if found is None or self.state is not TrackingState.TRACKING or not self._may_refine_camera():
             return
-        self.camera = replace(self.camera, residual=found.residual)
+        self.camera = found.camera
         found.apply(m)
         for frame in self._frames_in_work():
             frame.features = frame.features.seen_by(self.camera)
@@ -446,7 +464,8 @@ class SlamEngine:
             change.task.frame,
             ev.CameraRefined,
             m.map_id,
-            **dict(zip(("k1", "k2", "p1", "p2"), found.residual, strict=True)),
+            **dict(zip(("k1", "k2", "p1", "p2"), found.camera.residual, strict=True)),
+            readout_s=found.camera.readout_s,
             shift_px=found.shift_px,
             significance=found.significance,
             keyframes=len(found.adjustment.keyframes),

@@ -23,7 +23,8 @@ class PinholeCamera:
     ``residual`` is what the distortion leaves: coefficients (k1, k2, p1, p2), radial and decentring, by which
     an ideal point (x, y) at radius r, in units of the focal length, lies in the undistorted image at
     x (1 + k1 r² + k2 r⁴) + 2 p1 x y + p2 (r² + 2 x²), and y likewise (Brown's model, as in OpenCV). It is not
-    calibrated but estimated, see :mod:`slam.optimization.lens`.
+    calibrated but estimated, see :mod:`slam.optimization.lens`. So is ``readout_s``, the time in which a rolling
+    shutter reads the image from its first row to its last; 0 for a global one.
 
     ``distortion`` follows OpenCV: (k1, k2, p1, p2, k3) for the model ``radtan``, (k1, k2, k3, k4) for the
     model ``equidistant`` (OpenCV's fisheye).
@@ -43,6 +44,7 @@ class PinholeCamera:
     distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
     model: Literal["radtan", "equidistant"] = "radtan"
     residual: Residual = NO_RESIDUAL
+    readout_s: float = 0.0
 
     def __post_init__(self) -> None:
         """Check every field."""
@@ -106,6 +108,43 @@ class PinholeCamera:
             return np.asarray(points, float)
         rays = np.column_stack([(points - self.intrinsics[2:]) / self.intrinsics[:2], np.ones(len(points))])
         return self._projected(rays)
+
+    def ideal_points(self, xy_image: np.ndarray, twist: np.ndarray) -> np.ndarray:
+        """Undistort image points, and take each to where it is at the time of the middle row.
+
+        Args:
+            xy_image: (N, 2) float32 pixels of the image as taken.
+            twist: (6,) how the scene moves past the camera, in its frame: velocity over the median depth of what
+                it sees, 1/s, and angular velocity, rad/s.
+
+        Returns:
+            (N, 2) float64 pixels of the ideal camera ``K``.
+        """
+        xy = self.undistort_points(xy_image).astype(np.float64)
+        if self.readout_s and len(xy):
+            xy -= self.readout_s * self.row_shifts(xy_image, xy, twist)
+        return xy
+
+    def row_shifts(self, xy_image: np.ndarray, xy: np.ndarray, twist: np.ndarray) -> np.ndarray:
+        """(N, 2) shift of points per second of read-out time, px/s, as their rows are read before or after the
+        middle one. All points are taken to be at the median depth: before a wall, where a turn and a movement
+        look alike, both together are right, however the two are mistaken for each other.
+
+        Args:
+            xy_image: (N, 2) pixels of the image as taken.
+            xy: (N, 2) the same, undistorted.
+            twist: as for :meth:`ideal_points`.
+        """
+        x, y = ((xy - self.intrinsics[2:]) / self.intrinsics[:2]).T
+        v, w = twist[:3], twist[3:]
+        flow = np.column_stack(
+            [
+                v[0] - x * v[2] + w[1] * (1 + x * x) - w[2] * y - w[0] * x * y,
+                v[1] - y * v[2] + w[1] * x * y + w[2] * x - w[0] * (1 + y * y),
+            ]
+        )
+        since = (xy_image[:, 1:].astype(np.float64) + 0.5) / self.height_px - 0.5
+        return since * flow * self.intrinsics[:2]
 
     def _undistorted(self, xy: np.ndarray) -> np.ndarray:
         K = self.K

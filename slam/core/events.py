@@ -213,12 +213,13 @@ class MapAdjusted(Event):
 
 @dataclass(frozen=True, kw_only=True)
 class CameraRefined(Event):
-    """The lens was found to distort more than its calibration says, and the map was adjusted to it.
+    """Lens or shutter were found to be other than the calibration says, and the map was adjusted to it.
 
     Attributes:
         k1, k2, p1, p2: residual distortion from now on, see ``PinholeCamera``.
+        readout_s: time in which the rows of an image are read, 0 for a global shutter.
         shift_px: root mean square shift of the map's keypoints by this change.
-        significance: of the change, chi-square with 4 degrees of freedom.
+        significance: of the change, chi-square with 5 degrees of freedom, with 4 for a global shutter.
         keyframes: keyframes of the map.
         cpu_ms: CPU milliseconds of the estimate.
     """
@@ -228,6 +229,7 @@ class CameraRefined(Event):
     k2: float
     p1: float
     p2: float
+    readout_s: float
     shift_px: float
     significance: float
     keyframes: int

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from slam.core._frame_kernels import sort_into_cells
 from slam.core.camera import PinholeCamera
@@ -45,6 +46,9 @@ class FrameFeatures(Unchanging):
         angle_deg: (N,) float32 orientation.
         descriptors: (N, 4) uint64 ORB descriptors.
         cell_start: (cols * rows + 1,) int32, first keypoint of each grid cell, row-major.
+        camera: by which ``xy`` are undistorted.
+        twist: (6,) how the scene moves past the camera, by which ``xy`` are those of the middle row's time, see
+            :meth:`slam.core.camera.PinholeCamera.ideal_points`.
     """
 
     index: int
@@ -55,6 +59,8 @@ class FrameFeatures(Unchanging):
     angle_deg: np.ndarray
     descriptors: np.ndarray
     cell_start: np.ndarray
+    camera: PinholeCamera
+    twist: np.ndarray = field(default_factory=lambda: np.zeros(6))
 
     def __len__(self) -> int:
         return len(self.octave)
@@ -67,7 +73,14 @@ class FrameFeatures(Unchanging):
 
     def seen_by(self, camera: PinholeCamera) -> "FrameFeatures":
         """Return the same features undistorted with another camera; cells and order stay as they are."""
-        return replace(self, xy=camera.undistort_points(self.xy_image).astype(np.float64))
+        return replace(self, xy=camera.ideal_points(self.xy_image, self.twist), camera=camera)
+
+    def moving(self, twist: np.ndarray) -> "FrameFeatures":
+        """Return the same features of a camera that moves otherwise; with a global shutter ``xy`` stay."""
+        if not self.camera.readout_s:
+            return replace(self, twist=twist)
+        xy = self.camera.ideal_points(self.xy_image, twist)
+        return replace(self, xy=xy, twist=twist)
 
     def emptied(self) -> "FrameFeatures":
         """Index and time stamp of the frame, without its features."""
@@ -80,14 +93,21 @@ class FrameFeatures(Unchanging):
             self.angle_deg[:0].copy(),
             self.descriptors[:0].copy(),
             self.cell_start[:0].copy(),
+            self.camera,
         )
 
     @staticmethod
     def build(
-        index: int, stamp_s: float, features: Features, camera: PinholeCamera, view: ViewGeometry
+        index: int,
+        stamp_s: float,
+        features: Features,
+        camera: PinholeCamera,
+        view: ViewGeometry,
+        twist: np.ndarray | None = None,
     ) -> "FrameFeatures":
         """Undistort extracted features and order them by grid cell."""
-        xy = camera.undistort_points(features.xy).astype(np.float64)
+        twist = np.zeros(6) if twist is None else twist
+        xy = camera.ideal_points(features.xy, twist)
         order, cell_start = sort_into_cells(xy, view)
         return FrameFeatures(
             index,
@@ -98,7 +118,24 @@ class FrameFeatures(Unchanging):
             features.angle_deg[order],
             features.descriptors[order],
             cell_start,
+            camera,
+            twist,
         )
+
+
+def twist_between(before: "Frame", after: "Frame", depth: float) -> np.ndarray:
+    """(6,) how the scene moves past the camera between two frames with poses.
+
+    Args:
+        before, after: the frames.
+        depth: median depth of what is seen.
+
+    Returns:
+        Velocity over the depth, 1/s, and angular velocity, rad/s, in the camera's frame.
+    """
+    T = after.T_cam_map @ np.linalg.inv(before.T_cam_map)
+    turn = Rotation.from_matrix(T[:3, :3]).as_rotvec()
+    return np.concatenate([T[:3, 3] / depth, turn]) / (after.features.stamp_s - before.features.stamp_s)
 
 
 @dataclass

@@ -79,6 +79,11 @@ class Map:
         """Features of the frame that became this keyframe; empty once it is culled."""
         return self._features[keyframe]
 
+    def take_features(self, keyframe: int, features: FrameFeatures) -> None:
+        """Take over a keyframe's features as another camera sees them; its order and matches stay."""
+        self._features[keyframe] = features
+        self.arrays.kp_xy[self.keypoints(keyframe)] = features.xy
+
     def frame_index(self, keyframe: int) -> int:
         """Index of the frame that became this keyframe."""
         return self._features[keyframe].index

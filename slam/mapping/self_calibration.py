@@ -1,11 +1,10 @@
-"""Self-calibration: residual lens distortion, estimated from a map and taken out of it."""
+"""Self-calibration: residual lens distortion and rolling shutter, estimated from a map and taken out of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slam.core.camera import Residual, distort_residual, undistort_residual
-from slam.core.geometry import ViewGeometry
+from slam.core.camera import PinholeCamera, distort_residual, undistort_residual
 from slam.map.adjustment import MapAdjustment, apply_adjustment
 from slam.map.map import Map
 from slam.mapping._local_problem import local_problem
@@ -23,6 +22,10 @@ class SelfCalibrationConfig:
         min_significance: least significance of the first change that is applied: chi-square with 4 degrees
             of freedom, 18.5 by chance once in a thousand. Those after it need none.
         min_shift_px: least root mean square shift of the keypoints by the first change.
+        min_readout_s: least read-out time with which the shutter is first known to roll.
+        min_readout_significance: least significance of it; chi-square with 1 degree of freedom. Far more than by
+            chance: as all points are taken to be at the median depth, a global shutter is estimated at up to 4
+            ms on a drive, with a significance of up to 60, and rolling ones have several hundreds.
         max_share: largest shift of a point over the distance of the image's corner from the centre; a larger
             one is no residual of a calibration, and is not applied.
         usual_shift_px: root mean square shift of the keypoints by which calibrations are usually off. On a
@@ -33,23 +36,24 @@ class SelfCalibrationConfig:
     at_keyframes: tuple[int, ...] = (20, 25, 30, 40, 50, 60, 75, 95, 120, 150, 190, 240, 300, 370, 460)
     min_significance: float = 18.5
     min_shift_px: float = 0.2
+    min_readout_s: float = 0.005
+    min_readout_significance: float = 100.0
     max_share: float = 0.05
     usual_shift_px: float = 2.0
 
 
 @dataclass(frozen=True)
 class Refinement:
-    """A change of the lens, and a map adjusted to it.
+    """A change of the camera, and a map adjusted to it.
 
     Attributes:
-        before, residual: the coefficients before and after.
+        camera: from now on.
         adjustment: of the map.
         significance: of the change.
         shift_px: root mean square shift of the map's observations.
     """
 
-    before: Residual
-    residual: Residual
+    camera: PinholeCamera
     adjustment: MapAdjustment
     significance: float
     shift_px: float
@@ -60,8 +64,8 @@ class Refinement:
         Args:
             map_: the one that was adjusted, which may have grown since.
         """
-        a, end = map_.arrays, map_.arrays.kf_start[map_.n_keyframes]
-        a.kp_xy[:end] = _retaken(a.kp_xy[:end], self.before, self.residual, map_.view)
+        for k in map_.keyframes():
+            map_.take_features(k, map_.features(k).seen_by(self.camera))
         apply_adjustment(map_, self.adjustment)
 
 
@@ -84,12 +88,12 @@ class SelfCalibration:
             self._pending.pop(0)
         return due
 
-    def refine(self, map_: Map, residual: Residual) -> Refinement | None:
-        """Estimate the lens from a map, which is left as it is.
+    def refine(self, map_: Map, camera: PinholeCamera) -> Refinement | None:
+        """Estimate lens and shutter from a map, which is left as it is.
 
         Args:
             map_: must not be changed meanwhile.
-            residual: the coefficients so far.
+            camera: the one so far.
 
         Returns:
             The change if it is to be applied, else None.
@@ -100,21 +104,39 @@ class SelfCalibration:
             a, map_.n_keyframes, map_.n_points, free, 0
         )
         intrinsics = view.intrinsics
-        xy = a.kp_xy[obs_keypoint]
-        found = estimate_lens(
-            a.kf_T_cam_map[cameras], np.arange(len(cameras)) == 0, a.pt_xyz[points], obs_camera, obs_point,
-            distort_residual(xy, residual, intrinsics), view.inv_sigma2[a.kp_octave[obs_keypoint]],
-            intrinsics, residual, usual_shift_px=self.config.usual_shift_px,
-        )  # fmt: skip
+        xy, rows = a.kp_xy[obs_keypoint], _row_shifts(map_, camera)[obs_keypoint]
+        seen = distort_residual(xy + camera.readout_s * rows, camera.residual, intrinsics)
+
+        def estimate(row_shifts: np.ndarray | None) -> LensEstimate:
+            return estimate_lens(
+                a.kf_T_cam_map[cameras], np.arange(len(cameras)) == 0, a.pt_xyz[points], obs_camera, obs_point,
+                seen, view.inv_sigma2[a.kp_octave[obs_keypoint]], intrinsics, camera.residual,
+                camera.readout_s, row_shifts, usual_shift_px=self.config.usual_shift_px,
+            )  # fmt: skip
+
+        found = estimate(rows)
+        if not self._is_rolling(found, camera):
+            found = estimate(None)
+        refined = replace(camera, residual=found.residual, readout_s=found.readout_s)
         if not self._is_residual(found, map_):
             return None
-        shift = _retaken(xy, residual, found.residual, view) - xy
+        shift = undistort_residual(seen, found.residual, intrinsics) - found.readout_s * rows - xy
         shift_px = float(np.sqrt((shift**2).sum(axis=1).mean()))
-        if not self._is_worth_it(found, shift_px, first=not any(residual)):
+        is_first = not any(camera.residual) and not camera.readout_s
+        if not self._is_worth_it(found, shift_px, is_first):
             return None
         none = np.empty((0, 2), np.int64), np.empty(0, np.int32)
         adjustment = MapAdjustment(cameras, found.T_cam_map, points, found.points, *none)
-        return Refinement(residual, found.residual, adjustment, found.significance, shift_px)
+        return Refinement(refined, adjustment, found.significance, shift_px)
+
+    def _is_rolling(self, found: LensEstimate, camera: PinholeCamera) -> bool:
+        """Return True if the shutter is known to roll, and reads an image before it takes the next one."""
+        config = self.config
+        is_significant = found.readout_significance >= config.min_readout_significance
+        is_known = bool(camera.readout_s) or (
+            is_significant and abs(found.readout_s) >= config.min_readout_s
+        )
+        return is_known and abs(found.readout_s) * camera.fps <= 1.0
 
     def _is_worth_it(self, found: LensEstimate, shift_px: float, first: bool) -> bool:
         significant = found.significance >= self.config.min_significance
@@ -130,6 +152,11 @@ class SelfCalibration:
         return bool(shift.max() <= self.config.max_share * corner)
 
 
-def _retaken(xy: np.ndarray, before: Residual, after: Residual, view: ViewGeometry) -> np.ndarray:
-    """(N, 2) pixels undistorted with one residual, as another one undistorts them."""
-    return undistort_residual(distort_residual(xy, before, view.intrinsics), after, view.intrinsics)
+def _row_shifts(map_: Map, camera: PinholeCamera) -> np.ndarray:
+    """(n, 2) shift of each keypoint of the map per second of read-out time; 0 for those of culled keyframes."""
+    a = map_.arrays
+    shifts = np.zeros((a.kf_start[map_.n_keyframes], 2))
+    for k in map_.keyframes():
+        own, f = map_.keypoints(k), map_.features(k)
+        shifts[own] = camera.row_shifts(f.xy_image, a.kp_xy[own], f.twist)
+    return shifts

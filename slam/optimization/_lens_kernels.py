@@ -1,7 +1,9 @@
-"""Kernels of bundle adjustment with four coefficients of lens distortion that all cameras share.
+"""Kernels of bundle adjustment with coefficients of lens and shutter that all cameras share.
 
-Names as in the bundle adjustment kernels; ``k`` (4,) the coefficients k1, k2, p1, p2. ``D`` (4, 4), ``B_c``
-(F, 6, 4), ``B_p`` (P, 3, 4) are the blocks of the coefficients with themselves, the cameras and the points.
+Names as in the bundle adjustment kernels; ``k`` (5,) the coefficients k1, k2, p1, p2 of the lens and the time
+in which a rolling shutter reads the image, s; ``drift`` (M, 2) how far each observation is moved per second of
+it, px/s. ``D`` (5, 5), ``B_c`` (F, 6, 5), ``B_p`` (P, 3, 5) are the blocks of the coefficients with themselves,
+the cameras and the points.
 """
 
 import numpy as np
@@ -13,7 +15,7 @@ from slam.optimization._schur import back_substitute, eliminate_points, skyline
 from slam.optimization._se3 import retract
 
 _BEHIND_CHI2 = 1e4
-_N = 4  # coefficients
+_N = 5  # coefficients
 _LEAST_DETERMINANT = 1e-16  # of their information, over the product of its diagonal
 
 
@@ -32,7 +34,7 @@ def distorted(x, y, k):
 
 
 @njit(cache=True, nogil=True)
-def cost(T, points, start, camera, pixels, weights, intrinsics, k, huber2):
+def cost(T, points, start, camera, pixels, weights, drift, intrinsics, k, huber2):
     """Sum of the (Huber) squared errors over the points with two observations or more."""
     total = 0.0
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
@@ -48,7 +50,8 @@ def cost(T, points, start, camera, pixels, weights, intrinsics, k, huber2):
                 x = (pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * pz + pose[0, 3]) / z
                 y = (pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * pz + pose[1, 3]) / z
                 u, v = distorted(x, y, k)
-                eu, ev = fx * u + cx - pixels[i, 0], fy * v + cy - pixels[i, 1]
+                eu = fx * u + cx + k[4] * drift[i, 0] - pixels[i, 0]
+                ev = fy * v + cy + k[4] * drift[i, 1] - pixels[i, 1]
                 chi2 = weights[i] * (eu * eu + ev * ev)
             total += 2.0 * np.sqrt(huber2 * chi2) - huber2 if chi2 > huber2 else chi2
     return total
@@ -56,7 +59,7 @@ def cost(T, points, start, camera, pixels, weights, intrinsics, k, huber2):
 
 @njit(cache=True, nogil=True)
 def linearise(
-    T, points, start, camera, pixels, weights, intrinsics, k, huber2, slot,
+    T, points, start, camera, pixels, weights, drift, intrinsics, k, huber2, slot,
     U, V, W, gradient_c, gradient_p, D, gradient_k, B_c, B_p,
 ):  # fmt: skip
     """Compute the Gauss-Newton model of half the cost, in blocks."""
@@ -84,7 +87,8 @@ def linearise(
             r2 = x * x + y * y
             stretch, slope = 1.0 + r2 * (k[0] + r2 * k[1]), 2.0 * (k[0] + 2.0 * r2 * k[1])
             u, v = distorted(x, y, k)
-            e[0], e[1] = fx * u + cx - pixels[i, 0], fy * v + cy - pixels[i, 1]
+            e[0] = fx * u + cx + k[4] * drift[i, 0] - pixels[i, 0]
+            e[1] = fy * v + cy + k[4] * drift[i, 1] - pixels[i, 1]
             weight = weights[i]
             chi2 = weight * (e[0] * e[0] + e[1] * e[1])
             if chi2 > huber2:
@@ -106,6 +110,7 @@ def linearise(
             L[1, 0], L[1, 1] = fy * y * r2, fy * y * r2 * r2
             L[0, 2], L[0, 3] = fx * 2.0 * x * y, fx * (r2 + 2.0 * x * x)
             L[1, 2], L[1, 3] = fy * (r2 + 2.0 * y * y), fy * 2.0 * x * y
+            L[0, 4], L[1, 4] = drift[i, 0], drift[i, 1]
             for d in range(2):
                 for r in range(3):
                     gradient_p[p, r] += weight * A[d, r] * e[d]
@@ -140,7 +145,7 @@ def eliminate_lens(
             its solution.
 
     Returns:
-        information (4, 4), right-hand side (4,), and (6 F, 4) steps of the cameras per unit of each.
+        information (5, 5), right-hand side (5,), and (6 F, 5) steps of the cameras per unit of each.
     """
     n = len(reduced)
     information, right = D.copy(), -gradient_k
@@ -170,11 +175,11 @@ def eliminate_lens(
 
 @njit(cache=True, nogil=True)
 def spread_of_scores(
-    T, points, start, camera, pixels, weights, intrinsics, k, huber2, slot, V_inv, held, steps
+    T, points, start, camera, pixels, weights, drift, intrinsics, k, huber2, slot, V_inv, held, steps
 ):
-    """(4, 4) sum over the points of the outer product of each one's pull on the coefficients.
+    """(5, 5) sum over the points of the outer product of each one's pull on the coefficients.
 
-    ``steps`` (6 F, 4) as returned by :func:`eliminate_lens`.
+    ``steps`` (6 F, 5) as returned by :func:`eliminate_lens`.
     """
     most = 0
     for p in range(len(points)):
@@ -194,8 +199,9 @@ def spread_of_scores(
             own_T[i] = T[camera[a + i]]
             own_slot[i] = i if slot[camera[a + i]] >= 0 else -1
         linearise(
-            own_T[:n], points[p : p + 1], own, views[:n], pixels[a : a + n], weights[a : a + n], intrinsics,
-            k, huber2, own_slot[:n], U[:n], V, W[:n], gradient_c[:n], gradient_p, D, gradient_k, B_c[:n], B_p,
+            own_T[:n], points[p : p + 1], own, views[:n], pixels[a : a + n], weights[a : a + n],
+            drift[a : a + n], intrinsics, k, huber2, own_slot[:n], U[:n], V, W[:n], gradient_c[:n],
+            gradient_p, D, gradient_k, B_c[:n], B_p,
         )  # fmt: skip
         pull, coupling = gradient_k.copy(), B_p[0].copy()
         for i in range(n):
@@ -210,15 +216,17 @@ def spread_of_scores(
 
 
 @njit(cache=True, nogil=True)
-def adjust(T, points, start, camera, pixels, weights, intrinsics, k, slot, n_free, iterations, huber2, prior):
+def adjust(
+    T, points, start, camera, pixels, weights, drift, intrinsics, k, slot, n_free, iterations, huber2, prior
+):
     """Minimise the cost over ``T``, ``points`` and ``k`` by Levenberg-Marquardt, in place.
 
     Args:
-        prior: (4, 4) information on ``k`` about 0 beside that of the observations.
+        prior: (5, 5) information on ``k`` about 0 beside that of the observations.
 
     Returns:
-        information (4, 4) of the observations on ``k`` once poses and points are eliminated, and the spread
-        (4, 4) of the points' pulls on it; both 0 where there is no solution.
+        information (5, 5) of the observations on ``k`` once poses and points are eliminated, and the spread
+        (5, 5) of the points' pulls on it; both 0 where there is no solution.
     """
     n_points, m = points.shape[0], camera.shape[0]
     U, V = np.empty((n_free, 6, 6)), np.empty((n_points, 3, 3))
@@ -229,11 +237,11 @@ def adjust(T, points, start, camera, pixels, weights, intrinsics, k, slot, n_fre
     step_p, held = np.empty((n_points, 3)), np.zeros(n_points, np.bool_)
     first = skyline(start, camera, slot, n_free)
     trial_T, trial_points = T.copy(), points.copy()
-    best = cost(T, points, start, camera, pixels, weights, intrinsics, k, huber2) + k @ prior @ k
+    best = cost(T, points, start, camera, pixels, weights, drift, intrinsics, k, huber2) + k @ prior @ k
     damping = 1e-6
     for _ in range(iterations):
         linearise(
-            T, points, start, camera, pixels, weights, intrinsics, k, huber2, slot,
+            T, points, start, camera, pixels, weights, drift, intrinsics, k, huber2, slot,
             U, V, W, gradient_c, gradient_p, D, gradient_k, B_c, B_p,
         )  # fmt: skip
         D += prior
@@ -259,8 +267,10 @@ def adjust(T, points, start, camera, pixels, weights, intrinsics, k, slot, n_fre
                 retract(T[c], step_c[6 * slot[c] : 6 * slot[c] + 6], trial_T[c])
         trial_points[:] = points + step_p
         trial_k = k + step_k
-        trial = cost(trial_T, trial_points, start, camera, pixels, weights, intrinsics, trial_k, huber2)
-        trial += trial_k @ prior @ trial_k
+        trial = trial_k @ prior @ trial_k
+        trial += cost(
+            trial_T, trial_points, start, camera, pixels, weights, drift, intrinsics, trial_k, huber2
+        )
         if trial <= best:
             T[:], points[:] = trial_T, trial_points
             k[:] = trial_k
@@ -272,7 +282,7 @@ def adjust(T, points, start, camera, pixels, weights, intrinsics, k, slot, n_fre
         else:
             damping *= 100.0
     linearise(
-        T, points, start, camera, pixels, weights, intrinsics, k, huber2, slot,
+        T, points, start, camera, pixels, weights, drift, intrinsics, k, huber2, slot,
         U, V, W, gradient_c, gradient_p, D, gradient_k, B_c, B_p,
     )  # fmt: skip
     eliminate_points(
@@ -284,5 +294,5 @@ def adjust(T, points, start, camera, pixels, weights, intrinsics, k, slot, n_fre
         S, first, W, V_inv, held, start, camera, slot, D, B_c, B_p, gradient_k, gradient_p, step_c
     )
     return information, spread_of_scores(
-        T, points, start, camera, pixels, weights, intrinsics, k, huber2, slot, V_inv, held, steps
+        T, points, start, camera, pixels, weights, drift, intrinsics, k, huber2, slot, V_inv, held, steps
     )

@@ -15,7 +15,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from slam.core.camera import Residual
+from slam.core.camera import PinholeCamera
 from slam.core.frame import Frame
 from slam.core.timing import StageTimer
 from slam.loop_closing.correction import Loop, correct_loop
@@ -44,7 +44,7 @@ class KeyframeTask:
         frame: as tracked; mapping works on a copy of it.
         mapper, detector: of its map.
         rng: stream of loop detection.
-        residual: the coefficients so far, if the lens is to be estimated from the map; else None.
+        camera: the one so far, if lens and shutter are to be estimated from the map; else None.
         keyframe: its row in the map, -1 while it waits for mapping.
     """
 
@@ -52,7 +52,7 @@ class KeyframeTask:
     mapper: LocalMapper
     detector: LoopDetector
     rng: np.random.Generator
-    residual: Residual | None = None
+    camera: PinholeCamera | None = None
     keyframe: int = -1
 
     def rebase(self, detector: LoopDetector, keyframes: int) -> None:
@@ -252,8 +252,8 @@ class Backend:
 
     def _work_on_whole_map(self, task: KeyframeTask) -> None:
         self._close_loop(task, task.keyframe)
-        if task.residual is not None and self._calibration is not None:
-            self._calibrate(task, task.residual, self._calibration)
+        if task.camera is not None and self._calibration is not None:
+            self._calibrate(task, task.camera, self._calibration)
         self.in_work.remove(task)
 
     def _prepare(self, prepare: Callable[[], TakeOver | None], stage: str) -> None:
@@ -293,13 +293,13 @@ class Backend:
             self._hand_over(Corrected(task, loop, corrected, factor, cpu_ms), wait=True)
             self._hand_over(Adjusted(task, loop, adjustment, timer.cpu_ms["adjust"]), wait=True)
 
-    def _calibrate(self, task: KeyframeTask, residual: Residual, calibration: SelfCalibration) -> None:
+    def _calibrate(self, task: KeyframeTask, camera: PinholeCamera, calibration: SelfCalibration) -> None:
         """Estimate the lens from a copy of the map."""
         timer = StageTimer()
         with timer("calibrate"):
             with self._gate:
                 copied = self._copy_of(task.mapper.map)
-            refinement = calibration.refine(copied, residual)
+            refinement = calibration.refine(copied, camera)
         with self._gate:
             self._hand_over(Calibrated(task, refinement, timer.cpu_ms["calibrate"]), wait=True)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slam.core.frame import Frame, FrameFeatures
+from slam.core.frame import Frame, FrameFeatures, twist_between
 from slam.core.timing import StageTimer
 from slam.map._map_kernels import count_observed, resolve_points
 from slam.map.map import Map
@@ -107,6 +107,7 @@ class Tracker:
         observing: count in the map how often its points are seen; else tracking leaves the map unchanged.
         last: the last tracked frame.
         velocity: T_cam_last of the last step, None where unknown.
+        twist: (6,) how the scene moves past the camera, see ``twist_between``; 0 where unknown.
         doubt: of the motion since the start.
     """
 
@@ -117,6 +118,7 @@ class Tracker:
         self.observing = True
         self.last: Frame | None = None
         self.velocity: np.ndarray | None = None
+        self.twist = np.zeros(6)
         self._local_points = np.empty(0, np.int32)
         self.doubt = Doubt(config.doubt)
         self._in_motion = False  # the velocity is that of a tracked step
@@ -137,6 +139,7 @@ class Tracker:
     def resume(self, frame: Frame) -> None:
         """Continue from a relocalized frame, with zero velocity."""
         self.last, self.velocity, self._in_motion = frame, np.eye(4), False
+        self.twist = np.zeros(6)
         self._passed_over = 0
         self._last_keyframe = frame.features
         self._cautious_until_s = frame.features.stamp_s + self.config.cautious_s
@@ -403,10 +406,16 @@ class Tracker:
         frame.T_cam_reference = frame.T_cam_map @ np.linalg.inv(self.map.T_cam_map(frame.reference_keyframe))
         if not self._passed_over:
             self._note_motion(frame, last)
+            if (frame.point >= 0).any():
+                self.twist = twist_between(last, frame, self._median_depth(frame))
             self.velocity = frame.T_cam_map @ np.linalg.inv(last.T_cam_map)
             self._in_motion = True
         self._passed_over = 0
         self.last = frame
+
+    def _median_depth(self, frame: Frame) -> float:
+        points = self.map.arrays.pt_xyz[frame.point[frame.point >= 0]]
+        return float(np.median(points @ frame.T_cam_map[2, :3] + frame.T_cam_map[2, 3]))
 
     def _note_motion(self, frame: Frame, last: Frame) -> None:
         m, matched = self.map, frame.point >= 0

@@ -301,7 +301,10 @@ def test_events_are_in_order_of_time(run_events):
     at = {"frame": 60, "stamp_s": 2.0, "map_id": 0}
     refused = ev.LoopRefused(**at, keyframe=60, loop_keyframe=3, matches=40, reason="contradicted")
     refined = ev.CameraRefined(
-        **at, k1=0.01, k2=0.0, p1=0.0, p2=0.0, shift_px=1.0, significance=20.0, keyframes=21, cpu_ms=1.0
+        **at,
+        **dict.fromkeys(("k1", "k2", "p1", "p2", "readout_s", "shift_px", "significance"), 0.0),
+        keyframes=21,
+        cpu_ms=1.0,
     )
     later = replace(breakage, frame=63, stamp_s=2.1)
     check_events([run_events[0], later, refused, refined])  # the end of what a keyframe has started

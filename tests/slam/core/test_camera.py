@@ -3,6 +3,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from slam.core.camera import NO_RESIDUAL, PinholeCamera, distort_residual
 
@@ -154,3 +155,24 @@ def test_a_residual_distortion_is_that_of_opencv_and_inverted_to_a_hundredth_of_
     own = replace(camera, residual=NO_RESIDUAL, distortion=(*camera.residual, 0.0))
     assert distort(own, ideal) == pytest.approx(camera.distort_points(ideal), abs=1e-3)
     assert np.abs(distort_residual(ideal, camera.residual, camera.intrinsics) - xy).max() < 0.01
+
+
+def test_rows_read_one_after_the_other_are_taken_to_the_middle_one():
+    """Points before a camera that moves and turns: each is seen where it is when its row is read."""
+    camera = replace(CAMERA, readout_s=0.02)
+    rng = np.random.default_rng(0)
+    twist, depth = np.array([0.2, -0.3, 0.4, 0.5, -0.6, 0.7]), 3.0
+    points = np.column_stack([rng.uniform(-1.5, 1.5, 200), rng.uniform(-1.2, 1.2, 200), np.full(200, depth)])
+
+    def pixels(t_s):
+        turn = Rotation.from_rotvec(t_s[:, None] * twist[3:])
+        moved = turn.apply(points) + t_s[:, None] * twist[:3] * depth
+        return moved[:, :2] / moved[:, 2:] * camera.intrinsics[:2] + camera.intrinsics[2:]
+
+    ideal = pixels(np.zeros(200))
+    seen = ideal
+    for _ in range(10):  # the row decides the time, and the time the row
+        seen = pixels(camera.readout_s * ((seen[:, 1] + 0.5) / camera.height_px - 0.5))
+    assert np.abs(seen - ideal).max() > 3.0
+    assert camera.ideal_points(seen.astype(np.float32), twist) == pytest.approx(ideal, abs=0.1)
+    assert camera.ideal_points(seen.astype(np.float32), np.zeros(6)) == pytest.approx(seen, abs=1e-3)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from slam.config import default_config
 from slam.core.camera import Residual, undistort_residual
@@ -74,3 +75,33 @@ def test_once_known_to_be_off_a_lens_follows_every_estimate():
     first, later = shifts_px(0.0)
     assert later < first
     assert shifts_px((first + later) / 2) == [first, later]
+
+
+def shaken(readout_s: float, count: int = 75) -> Iterator[tuple[np.ndarray, float]]:
+    """Toy frames of a camera that is shaken, read row by row."""
+    rows, cols = np.mgrid[: CAMERA.height_px, : CAMERA.width_px]
+    rays = np.stack([(cols - CAMERA.cx) / CAMERA.fx, (rows - CAMERA.cy) / CAMERA.fy, np.ones(rows.shape)], axis=2)
+    since_s = readout_s * ((np.arange(CAMERA.height_px) + 0.5) / CAMERA.height_px - 0.5)
+    for image, stamp_s, _ in toy_frames(count, step_m=0.05):
+        t = stamp_s + since_s
+        turn = np.stack([0.03 * np.sin(11 * t), 0.04 * np.sin(8 * t), 0.06 * np.sin(6.5 * t)], axis=1)
+        R = Rotation.from_rotvec(turn).as_matrix().astype(np.float32)
+        seen = np.einsum("rij,rcj->rci", R, rays.astype(np.float32))
+        x = seen[..., 0] / seen[..., 2] * CAMERA.fx + CAMERA.cx
+        y = seen[..., 1] / seen[..., 2] * CAMERA.fy + CAMERA.cy
+        yield cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT), stamp_s
+
+
+@pytest.mark.parametrize("readout_s", [0.025, 0.0])
+def test_a_rolling_shutter_is_found_where_there_is_one(readout_s: float):
+    at = SelfCalibrationConfig(at_keyframes=(12,))
+    system = build_system("base", CAMERA, config=replace(default_config(CAMERA), self_calibration=at))
+    for image, stamp_s in shaken(readout_s):
+        assert system.process(image, stamp_s).frame == 0 or not system.maps() or system.state == "tracking"
+    assert system.camera.readout_s == pytest.approx(readout_s, rel=0.2)
+    m = system.current_map
+    for k in m.keyframes():
+        f = m.features(int(k))
+        assert m.arrays.kp_xy[m.keypoints(int(k))] == pytest.approx(
+            system.camera.ideal_points(f.xy_image, f.twist), abs=0.01
+        )

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_scenes import FPS, PointWorld, Sighting, pose_error, rigid, tracked_in, walk
+from slam_scenes import CAMERA, FPS, PointWorld, Sighting, pose_error, rigid, tracked_in, walk
 
 from slam.core.frame import Frame, FrameFeatures
 from slam.core.timing import StageTimer
@@ -59,7 +59,7 @@ def nothing(index):
     return Frame(
         FrameFeatures(
             index, index / FPS, empty, empty.astype(float), np.empty(0, np.int32), np.empty(0, np.float32),
-            np.empty((0, 4), np.uint64), cells,
+            np.empty((0, 4), np.uint64), cells, CAMERA,
         )
     )  # fmt: skip
 
@@ -202,7 +202,7 @@ def test_too_few_points_in_the_local_map_have_their_own_reason(known, sightings)
         cells = np.searchsorted(rows, f.cell_start).astype(np.int32)
         few = FrameFeatures(
             1, 1 / FPS, f.xy_image[rows], f.xy[rows], f.octave[rows], f.angle_deg[rows],
-            f.descriptors[rows], cells,
+            f.descriptors[rows], cells, f.camera,
         )  # fmt: skip
         outcome = started(known, sightings[0], step_between(sightings[0], whole)).track(Frame(few))
         assert outcome.success is success
