@@ -186,6 +186,8 @@ class Tracker:
                 found = self._track_reference_keyframe(frame, last)
         if not found:
             return TrackingOutcome(False, 0, int((frame.point >= 0).sum()), "too_few_matches_with_last_frame")
+        if not self._passed_over and (frame.point >= 0).any():
+            frame.features = frame.features.moving(twist_between(last, frame, self._median_depth(frame)))
         with self.timer("local_map"):
             inliers, matches = self._track_local_map(frame)
         if inliers < self._least_inliers(frame, self.config.min_inliers):
