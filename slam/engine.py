@@ -19,6 +19,7 @@ from slam.core.timing import StageTimer
 from slam.features.orb import OrbExtractor
 from slam.features.remembered import Remembered
 from slam.initialization.initializer import Initializer, InitialMap, frames_between
+from slam.initialization.second_motion import SecondMotion
 from slam.map.adjustment import apply_adjustment
 from slam.map.relation import loop_relation, relocalization_relation
 from slam.map.withdrawal import cull_since
@@ -67,6 +68,7 @@ class SlamEngine:
         frames: number of frames processed so far.
         newest: the newest frame.
         corrections: number of times that mapped keyframes were moved by loop closing.
+        second_motion: the other motion that the current map's start may have had, None once it is ruled out.
         remembered: what recovery threads have found in images; None unless it is kept.
     """
 
@@ -93,6 +95,7 @@ class SlamEngine:
         self._initializer = Initializer(camera, self.view, config.initialization)
         self._tracker: Tracker | None = None
         self._mapper: LocalMapper | None = None
+        self.second_motion: SecondMotion | None = None
         self._rescue = Rescue(camera, config.rescue) if config.rescue.max_s > 0 else None
         self._image = np.empty((0, 0), np.uint8)  # of the newest frame
         self._mapping_cpu_ms = self._loop_cpu_ms = 0.0
@@ -181,6 +184,8 @@ class SlamEngine:
             doubt = self.tracker.doubt
             if outcome.success and doubt.reason:
                 outcome = TrackingOutcome(False, outcome.inliers, outcome.matches, doubt.reason)
+            if outcome.success:
+                self._judge_start(frame)
             wanted = outcome.success and self.tracker.wants_keyframe(frame, outcome.inliers)
             if self._rescue is not None:
                 outcome = self._rescued(self._rescue, frame, outcome)
@@ -226,6 +231,19 @@ class SlamEngine:
         self.search.start()
 
     @property
+    def is_begun_wrong(self) -> bool:
+        """True if the frames that followed show that the current map was begun from the wrong motion."""
+        return self.second_motion is not None and self.second_motion.verdict == "second"
+
+    def drop_wrong_map(self, frame: Frame, outcome: TrackingOutcome) -> TrackingOutcome:
+        """Drop the current map, begun from the wrong motion, with all its poses; the outcome then."""
+        self.backend.drain()
+        if not self.is_begun_wrong:  # joined meanwhile
+            return outcome
+        self.drop_map(frame, "second_motion")
+        return TrackingOutcome(False, outcome.inliers, outcome.matches, "second_motion")
+
+    @property
     def is_young(self) -> bool:
         """True if the current map has too few keyframes to be kept."""
         return len(self.store.current.keyframes()) <= self.config.min_map_keyframes
@@ -240,6 +258,7 @@ class SlamEngine:
     def seek_new_map(self) -> None:
         """Seek a new map from the next frame on."""
         self.store.next_map()
+        self.second_motion = None
         self._initializer.reset()
         self.state = _SEEKING
 
@@ -294,11 +313,13 @@ class SlamEngine:
         m = self.store.current
         self._mapper = LocalMapper(m, self.config.mapping, self.backend.lock)
         self._tracker = Tracker(m, self.config.tracking, self.timer)
+        self.second_motion = None
 
     def _start_map(self, initial: InitialMap) -> None:
         store = self.store
         store.add(initial.map)
         self.enter(initial.map.map_id)
+        self.second_motion = initial.second_motion
         self.tracker.start(initial.second, 1)
         store.poses.add(store.current_id, initial.first)
         between = frames_between(initial, self.config.tracking)
@@ -318,6 +339,15 @@ class SlamEngine:
         m, k = self.store.current, frame.reference_keyframe
         if m.frame_index(k) == frame.features.index and not m.arrays.kf_bad[k]:
             m.take_features(k, m.features(k).moving(twist))
+
+    def _judge_start(self, frame: Frame) -> None:
+        """Judge the motion that the current map was begun from by a tracked frame, while there is another."""
+        if self.second_motion is None:
+            return
+        with self.timer("second_motion"):
+            self.second_motion.note(frame)
+        if self.second_motion.verdict == "first":
+            self.second_motion = None
 
     def _map(self, frame: Frame) -> None:
         """Run local mapping on a new keyframe, then loop closing and, when it is due, self-calibration."""
@@ -478,8 +508,8 @@ class SlamEngine:
         return list({id(frame): frame for frame in frames if frame is not None}.values())
 
     def _may_refine_camera(self) -> bool:
-        """Return True while there is one map, in which tracking was never lost."""
-        return self.store.is_one_unbroken
+        """Return True while there is one map, its start beyond doubt, in which tracking was never lost."""
+        return self.store.is_one_unbroken and self.second_motion is None
 
     def _report_refusal(self, change: Refused) -> None:
         m, refusal = change.task.mapper.map, change.refusal

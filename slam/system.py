@@ -156,7 +156,9 @@ class MonocularSlam(MonocularSystem):
             is_keyframe = initial is not None
         elif engine.state is TrackingState.TRACKING:
             outcome, is_keyframe = engine.track(frame)
-            if not outcome.success:
+            if engine.is_begun_wrong:
+                outcome, is_keyframe = engine.drop_wrong_map(frame, outcome), False
+            elif not outcome.success:
                 engine.declare_breakage(frame, outcome)
                 if engine.is_young:
                     engine.drop_map(frame, "too_few_keyframes")

@@ -238,7 +238,7 @@ class CameraRefined(Event):
 
 @dataclass(frozen=True, kw_only=True)
 class MapDropped(Event):
-    """A map too small to be kept was dropped."""
+    """A map was dropped: too small to be kept, or not fit to be gone on with."""
 
     kind: ClassVar[str] = "map_dropped"
     reason: str
@@ -299,7 +299,8 @@ class RecoveryEnd(Event):
     """A recovery thread ended; ``stage`` is the failed stage: propagation, overlap or sim3, or empty.
 
     It is ``cancelled`` if the thread was ended because nothing depended on it any more: for the reason
-    ``not_needed`` another thread had succeeded, for ``maps_are_joined`` a place was recognised meanwhile.
+    ``not_needed`` another thread had succeeded, for ``maps_are_joined`` a place was recognised meanwhile, for
+    ``map_dropped`` the new map turned out to be begun from the wrong motion.
 
     Attributes:
         placed: on success, the keyframes that the new map had when the recovery started, as refined by it

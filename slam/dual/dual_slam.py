@@ -87,7 +87,9 @@ class DualSlam(MonocularSystem):
         frame = engine.receive(image, stamp_s)
         if engine.state is TrackingState.TRACKING:
             outcome, is_keyframe = engine.track(frame)
-            if not outcome.success:
+            if engine.is_begun_wrong:
+                outcome, is_keyframe = self._drop_wrong_map(frame, outcome), False
+            elif not outcome.success:
                 engine.declare_breakage(frame, outcome)
                 self._save_or_drop_map(frame)
                 self._start_anew(frame)
@@ -177,10 +179,27 @@ class DualSlam(MonocularSystem):
         if restart is None or self._restart is not restart:  # joined meanwhile
             return outcome
         engine.drop_map(frame, "smeared")
-        engine.emit(frame, ev.ReinitStart)
-        restart.new = None
-        restart.noise.clear()
+        self._seek_another(frame, restart)
         return TrackingOutcome(False, outcome.inliers, outcome.matches, "smeared")
+
+    def _drop_wrong_map(self, frame: Frame, outcome: TrackingOutcome) -> TrackingOutcome:
+        """Drop a map begun from the wrong motion, and seek another one for the recovery that goes with it."""
+        engine = self.engine
+        outcome = engine.drop_wrong_map(frame, outcome)
+        if outcome.success:
+            return outcome
+        self.jobs.cancel(frame, lambda job: job.new_id not in engine.store, "map_dropped")
+        if self._restart is not None:
+            self._seek_another(frame, self._restart)
+        elif engine.store.saved:
+            self._start_anew(frame)
+        return outcome
+
+    def _seek_another(self, frame: Frame, restart: Restart) -> None:
+        """Seek another new map for the same recovery."""
+        self.engine.emit(frame, ev.ReinitStart)
+        restart.new, restart.starting = None, False
+        restart.noise.clear()
 
     @property
     def _sought(self) -> list[int]:

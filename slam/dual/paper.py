@@ -38,6 +38,7 @@ def paper_config(camera: PinholeCamera, plus: bool = False) -> SlamConfig:
             max_octave=0,
             max_between=0,
             two_view=replace(start.two_view, min_lead_sigmas=0.0, homography_share=0.45),
+            second_motion=replace(start.second_motion, max_views=0),
         ),
         tracking=replace(
             tracking,

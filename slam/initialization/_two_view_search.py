@@ -10,7 +10,7 @@ _SAMPLE = 200
 _DIRECTIONS = 16
 _AROUND = 8
 _SAME_DEG = 2.0
-_MOST = 6
+_MOST = 10
 """Minima that are refined to convergence; all others explain far less."""
 
 _MIN_SCALE = 1.0 / np.sqrt(12.0)
@@ -45,7 +45,8 @@ def search_motions(
     for direction in _directions(_DIRECTIONS):
         T = T_best.copy()
         T[:3, 3] = direction
-        rough.append(refined(T, *sample, widest=8.0, iterations=10))
+        turned = refined(T, *sample, widest=8.0, iterations=5, turn_only=True)
+        rough.append(refined(turned.T_2_1, *sample, widest=4.0, iterations=15))
     minima = distinct([refined(m.T_2_1, rays_1, rays_2, sigma) for m in distinct(rough)[:_MOST]])
     scale = _noise(minima[0])
     return distinct([refined(m.T_2_1, rays_1, rays_2, sigma * scale, widest=2.0) for m in minima]), scale

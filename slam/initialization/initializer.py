@@ -10,7 +10,8 @@ from slam.core.camera import PinholeCamera
 from slam.core.frame import Frame
 from slam.core.geometry import ViewGeometry, share_of_motion
 from slam.core.timing import StageTimer
-from slam.initialization.two_view import TwoViewConfig, two_view_reconstruction
+from slam.initialization.second_motion import SecondMotion, SecondMotionConfig
+from slam.initialization.two_view import TwoViewConfig, TwoViewResult, two_view_reconstruction
 from slam.map import _map_kernels as kernels
 from slam.map.map import Map
 from slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
@@ -35,6 +36,7 @@ class InitializationConfig:
         min_points: fewest map points left after the first bundle adjustment.
         max_between: most frames kept between the two views, to be tracked once the map is initialized.
         two_view: settings of the geometry.
+        second_motion: how a second motion that explains the two views is judged by those that follow.
     """
 
     min_keypoints: int = 100
@@ -47,6 +49,7 @@ class InitializationConfig:
     min_points: int = 50
     max_between: int = 100
     two_view: TwoViewConfig = field(default_factory=TwoViewConfig)
+    second_motion: SecondMotionConfig = field(default_factory=SecondMotionConfig)
 
     def __post_init__(self) -> None:
         known = get_args(MatcherKind)
@@ -64,6 +67,7 @@ class InitialMap:
         between: the last frames between them, features only, oldest first.
         model: the geometry that explained the two views.
         points: number of map points.
+        second_motion: the other motion that explains the two views nearly as well, if there is one.
     """
 
     map: Map
@@ -72,6 +76,7 @@ class InitialMap:
     between: tuple[Frame, ...]
     model: str
     points: int
+    second_motion: SecondMotion | None = None
 
 
 class Initializer:
@@ -145,7 +150,16 @@ class Initializer:
         first = _tracked(built, self.reference, 0)
         second = _tracked(built, frame, 1)
         self.reset()
-        return InitialMap(built, first, second, tuple(self._between), geometry.model, points), "", count
+        judged = self._second_motion(geometry, first, second)
+        initial = InitialMap(built, first, second, tuple(self._between), geometry.model, points, judged)
+        return initial, "", count
+
+    def _second_motion(self, geometry: TwoViewResult, first: Frame, second: Frame) -> SecondMotion | None:
+        config, rival = self.config.second_motion, geometry.T_2_1_rival
+        if rival is None or config.max_views == 0 or geometry.lead_sigmas >= config.sure_lead_sigmas:
+            return None
+        T_2_1 = second.T_cam_map @ np.linalg.inv(first.T_cam_map)
+        return SecondMotion(self.view, first, second, T_2_1, rival, config)
 
     def _take_reference(self, frame: Frame) -> None:
         self.reference = frame

@@ -78,6 +78,9 @@ class TwoViewResult:
         triangulated: (N,) bool.
         parallax_deg: parallax reached by ``min_points`` of the matches.
         score_h, score_e: scores of homography and essential matrix, higher is better.
+        T_2_1_rival: (4, 4) the clearly different motion over which the lead of ``T_2_1`` is least, None
+            without any.
+        lead_sigmas: that lead; errors that matches have in common make it seem more certain than it is.
     """
 
     success: bool
@@ -89,6 +92,8 @@ class TwoViewResult:
     parallax_deg: float
     score_h: float
     score_e: float
+    T_2_1_rival: np.ndarray | None = None
+    lead_sigmas: float = np.inf
 
 
 def two_view_reconstruction(
@@ -176,18 +181,19 @@ def _best_motion(
         best.T_2_1, pixels_1, pixels_2, inliers, K, _MAX_ERROR_SIGMAS * sigma_px, config.far_parallax_deg
     )
     parallax_deg = float(np.sort(tried.parallax_deg[inliers])[-config.min_points])
+    lead, rival = _least_lead(best, others, config)
     reason: Reason = ""
     if parallax_deg < config.min_parallax_deg:
         reason = "low_parallax"
     elif tried.triangulated.sum() < config.min_points:
         reason = "few_points"
-    elif any(_rivals(best, other, config) for other in others):
+    elif lead < config.min_lead_sigmas:
         reason = "ambiguous"
     elif _in_line(pixels_1[inliers], config) or _in_line(pixels_2[inliers], config):
         reason = "ill_conditioned"
     else:
         around = motions_around(best, config.rival_angle_deg, rays_1, rays_2, noise * sigma)
-        if any(_rivals(best, other, config) for other in around):
+        if _least_lead(best, around, config)[0] < config.min_lead_sigmas:
             reason = "ill_conditioned"
     if reason:
         return replace(failure, reason=reason, parallax_deg=parallax_deg)
@@ -198,6 +204,8 @@ def _best_motion(
         points=tried.points,
         triangulated=tried.triangulated,
         parallax_deg=parallax_deg,
+        T_2_1_rival=None if np.isinf(lead) else rival.T_2_1,
+        lead_sigmas=lead,
     )
 
 
@@ -206,20 +214,33 @@ def _in_line(pixels: np.ndarray, config: TwoViewConfig) -> bool:
     return bool(scatter < _LINE_SIGMAS * config.sigma_px)
 
 
-def _rivals(best: RefinedMotion, other: RefinedMotion, config: TwoViewConfig) -> bool:
-    """Return True if a clearly different motion explains the matches about as well.
+def _least_lead(
+    best: RefinedMotion, others: list[RefinedMotion], config: TwoViewConfig
+) -> tuple[float, RefinedMotion]:
+    """Least lead of the best motion, in sigmas, and the clearly different motion over which it is so.
 
-    The best motion's lead is compared with the scatter of the single matches' cost differences, which is
-    measured and so valid for any noise, and with the noise itself if they all agree.
+    Without any, the lead is infinite and the motion the best one.
+    """
+    same = np.cos(np.deg2rad(config.rival_angle_deg)) + _ROUNDING
+    rivals = [m for m in others if best.T_2_1[:3, 3] @ m.T_2_1[:3, 3] <= same]
+    leads = [lead_sigmas(m.costs - best.costs, config.min_lead_sigmas) for m in rivals]
+    return min(zip(leads, rivals, strict=True), key=lambda found: found[0], default=(np.inf, best))
+
+
+def lead_sigmas(lead: np.ndarray, min_scatter: float) -> float:
+    """Standard deviations by which one of two motions explains what is seen better than the other.
+
+    The lead is compared with the scatter of its single contributions, which is measured and so valid for any
+    noise, and with the noise itself if they all agree.
+
+    Args:
+        lead: (N,) cost under the other motion less that under the first, in units of the variance.
+        min_scatter: least scatter of the sum.
 
     Source: Vuong, "Likelihood ratio tests for model selection and non-nested hypotheses", 1989.
     """
-    cosine = best.T_2_1[:3, 3] @ other.T_2_1[:3, 3]
-    if cosine > np.cos(np.deg2rad(config.rival_angle_deg)) + _ROUNDING:
-        return False
-    lead = other.costs - best.costs
-    scatter = max(np.sqrt(len(lead)) * lead.std(), config.min_lead_sigmas)
-    return bool(lead.sum() < config.min_lead_sigmas * scatter)
+    scatter = max(np.sqrt(len(lead)) * lead.std(), min_scatter, _ROUNDING)
+    return float(lead.sum() / scatter)
 
 
 def _failure(n: int) -> TwoViewResult:

@@ -20,6 +20,7 @@ from slam.core.results import MapTrajectory
 from slam.dual.config import DualConfig
 from slam.dual.recovery.registry import ThreadSpec
 from slam.factory import build_system
+from slam.initialization.initializer import Initializer
 from slam.map import _map_kernels as kernels
 from slam.map.invariants import check_map
 from slam.map.map import Map
@@ -372,3 +373,25 @@ def reconfigure(system, **changes):
     engine = system.engine
     engine.config = replace(engine.config, **changes)
     engine.search._config = engine.store._config = engine.config
+
+
+# -- starts --------------------------------------------------------------------------------------------------
+
+
+class Accuser:
+    """A second motion that is found right at a frame; see :class:`slam.initialization.second_motion`."""
+
+    def __init__(self, at):
+        self.at, self.verdict = at, ""
+
+    def note(self, frame):
+        self.verdict = "second" if frame.features.index >= self.at else ""
+
+
+def accuse(monkeypatch, begun, at):
+    """Let maps whose second view is one of the frames ``begun`` turn out wrong at frame ``at``."""
+
+    def second_motion(_, geometry, first, second):
+        return Accuser(at) if second.features.index in begun else None
+
+    monkeypatch.setattr(Initializer, "_second_motion", second_motion)

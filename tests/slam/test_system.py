@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from slam_scenes import (
+    accuse,
     blanked,
     check_maps,
     digest_of_run,
@@ -23,6 +24,7 @@ from slam_scenes import (
 from slam.config import SlamConfig
 from slam.core.events import TrackingState
 from slam.factory import build_system
+from slam.mapping.self_calibration import SelfCalibrationConfig
 from slam.warmup import CAMERA
 
 COUNT, STEP_M = 100, 0.05
@@ -137,7 +139,8 @@ def test_every_stage_is_timed(run):
     for r in results:
         tracked = {"initialize"} if r.frame <= start else {"predict", "local_map"}
         expected = {"extract", "other"} | tracked
-        assert set(r.ms) == set(r.cpu_ms) == expected
+        assert set(r.ms) == set(r.cpu_ms)
+        assert expected <= set(r.ms) <= expected | {"second_motion"}
         assert all(0 <= r.cpu_ms[s] < 10_000 and r.ms[s] > 0 for s in expected)
         assert (r.mapping_cpu_ms > 0) is (r.is_keyframe and r.frame > start)
 
@@ -200,12 +203,14 @@ def test_the_same_seed_gives_the_same_run_bit_by_bit(run, sequence):
     assert fingerprint(again) == fingerprint(run[0])
 
 
-def test_another_seed_gives_another_run(sequence, snapshots):
+def test_another_seed_gives_another_run(sequence):
+    """The start of ``paper`` is that of its RANSAC; the search for all motions finds the same from any."""
     images, stamps_s, _ = sequence
-    system = build_system("base", CAMERA, 1)
-    feed(system, images[:30], stamps_s[:30], check=False)
-    assert len(system.trajectories()) == 1
-    assert fingerprint(system) != fingerprint(snapshots[30].restore())
+    systems = [build_system("paper", CAMERA, seed) for seed in (0, 1)]
+    for system in systems:
+        feed(system, images[:30], stamps_s[:30], check=False)
+        assert len(system.trajectories()) == 1
+    assert fingerprint(systems[0]) != fingerprint(systems[1])
 
 
 @pytest.mark.slow
@@ -277,3 +282,32 @@ def test_corners_between_the_pixels_and_less_noise_give_a_better_path(sequence):
     whole, between, finer = ate_m(subpixel=False, noise_px=1.0), ate_m(noise_px=1.0), ate_m()
     assert between < 0.9 * whole
     assert finer < 0.75 * between
+
+
+# -- starts --------------------------------------------------------------------------------------------------
+
+
+def test_a_map_begun_from_the_wrong_motion_is_dropped_with_its_poses_and_begun_again(sequence, monkeypatch):
+    images, stamps_s, T_world_cam = sequence
+    accuse(monkeypatch, range(10), at=25)
+    system = base()
+    results = feed(system, images, stamps_s)
+    check_maps(system)
+    assert kinds(system)[:3] == ["initialized", "map_dropped", "initialized"]
+    dropped = system.events[1]
+    assert (dropped.frame, dropped.map_id, dropped.reason) == (25, 0, "second_motion")
+    assert results[24].state is TrackingState.TRACKING
+    assert results[25].state is TrackingState.NOT_INITIALIZED and results[25].reason == "second_motion"
+    (path,) = system.trajectories()
+    assert path.map_id == 1 and path.frames[0] > 25 and path.frames[-1] == COUNT - 1
+    assert rms(errors_m(path, T_world_cam)[0]) < 0.04
+
+
+def test_the_camera_is_not_refined_by_a_map_whose_start_is_in_doubt(sequence, monkeypatch):
+    images, stamps_s, _ = sequence
+    config = replace(SlamConfig(), self_calibration=SelfCalibrationConfig((3,), 0.0, 0.0))
+    for in_doubt in (range(10), range(0)):
+        accuse(monkeypatch, in_doubt, at=COUNT)
+        system = build_system("base", CAMERA, 0, config)
+        feed(system, images[:40], stamps_s[:40])
+        assert ("camera_refined" in kinds(system)) == (not in_doubt)

@@ -208,6 +208,7 @@ class MapMerger:
         tasks = [task for task in engine.backend.in_work if task.mapper is engine.mapper]
         waiting = [task.frame for task in tasks if task.keyframe < 0]
         rebase_tracking(engine.tracker, engine.mapper, old, fused, prepared.accepted.scale, waiting)
+        engine.second_motion = None  # the start is the old map's
         for task in tasks:
             task.rebase(engine.store.places(old.map_id).loops, fused.keyframes)
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from dual_scenes import CONFIG, RECOVERED, RECOVERY_ONLY, STEP_M, of, play, scale_between, with_threads
-from slam_scenes import blanked, check_maps, errors_m, feed, kinds, rms, toy
+from slam_scenes import accuse, blanked, check_maps, errors_m, feed, kinds, rms, toy
 
 from slam.core.events import TrackingState
 from slam.dual.dual_slam import DualSlam
@@ -282,3 +282,25 @@ def test_a_map_begun_from_smeared_frames_is_dropped_before_its_recovery(monkeypa
     assert system.maps() == [0]
     (path,) = system.trajectories()
     assert rms(errors_m(path, T_world_cam)[0]) < 0.05
+
+
+@pytest.mark.parametrize(("at", "cancelled"), [(62, 0), (76, 1)])
+def test_the_map_after_one_begun_from_the_wrong_motion_is_recovered_from(monkeypatch, at, cancelled):
+    """It is found wrong before its own recovery starts, or while it runs."""
+    accuse(monkeypatch, range(50, 62), at)
+    system, _, T_world_cam = play(130, range(50, 56))
+    check_maps(system)
+    found = kinds(system)
+    again = ["reinit_start", "initialized", "reinit_done", *RECOVERED[-3:]]
+    assert [k for k in found[6:] if k != "map_dropped"][-6:] == again
+    assert [(e.frame, e.map_id, e.reason) for e in of(system, "map_dropped")] == [(at, 1, "second_motion")]
+    assert sum(e.reason == "map_dropped" for e in of(system, "recovery_end")) == cancelled
+    assert system.maps() == [0]
+    (path,) = system.trajectories()
+    assert rms(errors_m(path, T_world_cam)[0]) < 0.05
+
+
+def test_a_map_joined_before_its_start_was_found_wrong_is_kept(monkeypatch):
+    accuse(monkeypatch, range(50, 62), at=100)
+    system, _, _ = play(110, range(50, 56))
+    assert kinds(system) == ["initialized", *RECOVERED] and system.maps() == [0]

@@ -5,7 +5,7 @@ import pytest
 from two_view_scenes import K, direction_error_deg, project, rigid, rotation_error_deg, scene
 
 from slam.initialization._two_view_refinement import RefinedMotion
-from slam.initialization.two_view import TwoViewConfig, _rivals, two_view_reconstruction
+from slam.initialization.two_view import TwoViewConfig, _least_lead, two_view_reconstruction
 
 
 def reconstruct(pixels_1, pixels_2, config=None, seed=1):
@@ -162,7 +162,8 @@ class TestRivals:
         return RefinedMotion(T, np.zeros((len(costs), 2)), np.asarray(costs, float), np.eye(5))
 
     def rivals(self, angle_deg, best, other):
-        return _rivals(self.motion(0.0, best), self.motion(angle_deg, other), self.CONFIG)
+        lead, _ = _least_lead(self.motion(0.0, best), [self.motion(angle_deg, other)], self.CONFIG)
+        return lead < self.CONFIG.min_lead_sigmas
 
     def test_an_equally_good_motion_is_a_rival_unless_it_is_the_same(self):
         costs = np.random.default_rng(0).chisquare(1, 200)
