@@ -16,7 +16,7 @@ _TEXTS = {
     "loop_refused": "loop in map {map_id} refused, {matches} matches: {reason}",
     "loop_closed": "loop closed in map {map_id}, scale corrected by {scale:.3f}",
     "map_adjusted": "map {map_id} adjusted as a whole: {keyframes} keyframes, {points} points",
-    "camera_refined": "lens refined from the map: keypoints moved by {shift_px:.1f} px rms",
+    "camera_refined": "lens and shutter refined: keypoints moved by {shift_px:.1f} px rms",
     "map_dropped": "map {map_id} dropped: {reason}",
     "map_saved": "map {map_id} saved: {keyframes} keyframes, {points} points",
     "map_cut": "map {map_id} cut on request",

@@ -23,8 +23,8 @@ class PinholeCamera:
     ``residual`` is what the distortion leaves: coefficients (k1, k2, p1, p2), radial and decentring, by which
     an ideal point (x, y) at radius r, in units of the focal length, lies in the undistorted image at
     x (1 + k1 r² + k2 r⁴) + 2 p1 x y + p2 (r² + 2 x²), and y likewise (Brown's model, as in OpenCV). It is not
-    calibrated but estimated, see :mod:`slam.optimization.lens`. So is ``readout_s``, the time in which a rolling
-    shutter reads the image from its first row to its last; 0 for a global one.
+    calibrated but estimated, see :mod:`slam.optimization.lens`. So is ``readout_s``, the time in which a
+    rolling shutter reads the image from its first row to its last; 0 for a global one.
 
     ``distortion`` follows OpenCV: (k1, k2, p1, p2, k3) for the model ``radtan``, (k1, k2, k3, k4) for the
     model ``equidistant`` (OpenCV's fisheye).
@@ -114,8 +114,8 @@ class PinholeCamera:
 
         Args:
             xy_image: (N, 2) float32 pixels of the image as taken.
-            twist: (6,) how the scene moves past the camera, in its frame: velocity over the median depth of what
-                it sees, 1/s, and angular velocity, rad/s.
+            twist: (6,) how the scene moves past the camera, in its frame: velocity over the median depth of
+                what it sees, 1/s, and angular velocity, rad/s.
 
         Returns:
             (N, 2) float64 pixels of the ideal camera ``K``.
@@ -126,14 +126,18 @@ class PinholeCamera:
         return xy
 
     def row_shifts(self, xy_image: np.ndarray, xy: np.ndarray, twist: np.ndarray) -> np.ndarray:
-        """(N, 2) shift of points per second of read-out time, px/s, as their rows are read before or after the
-        middle one. All points are taken to be at the median depth: before a wall, where a turn and a movement
-        look alike, both together are right, however the two are mistaken for each other.
+        """Shift of points per second of read-out time, as their rows are read before or after the middle one.
+
+        All points are taken to be at the median depth: before a wall, where a turn and a movement look alike,
+        both together are right, however the two are mistaken for each other.
 
         Args:
             xy_image: (N, 2) pixels of the image as taken.
             xy: (N, 2) the same, undistorted.
             twist: as for :meth:`ideal_points`.
+
+        Returns:
+            (N, 2) px/s.
         """
         x, y = ((xy - self.intrinsics[2:]) / self.intrinsics[:2]).T
         v, w = twist[:3], twist[3:]

@@ -47,8 +47,8 @@ class FrameFeatures(Unchanging):
         descriptors: (N, 4) uint64 ORB descriptors.
         cell_start: (cols * rows + 1,) int32, first keypoint of each grid cell, row-major.
         camera: by which ``xy`` are undistorted.
-        twist: (6,) how the scene moves past the camera, by which ``xy`` are those of the middle row's time, see
-            :meth:`slam.core.camera.PinholeCamera.ideal_points`.
+        twist: (6,) how the scene moves past the camera, by which ``xy`` are those of the middle row's time,
+            see :meth:`slam.core.camera.PinholeCamera.ideal_points`.
     """
 
     index: int

@@ -93,7 +93,8 @@ def described(
     taken = camera.distort_points(ideal) if len(xy) else ideal
     return FrameFeatures(
         frame, stamp_s, taken.astype(np.float32), ideal,
-        np.full(len(xy), _OWN_LEVEL, np.int32), angles, descriptors(blurred, x, y, angles), cell_start, camera,
+        np.full(len(xy), _OWN_LEVEL, np.int32), angles, descriptors(blurred, x, y, angles), cell_start,
+        camera,
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Self-calibration: residual lens distortion and rolling shutter, estimated from a map and taken out of it."""
+"""Self-calibration: residual lens distortion and rolling shutter, estimated from a map and taken out."""
 
 from dataclasses import dataclass, replace
 
@@ -23,9 +23,9 @@ class SelfCalibrationConfig:
             of freedom, 18.5 by chance once in a thousand. Those after it need none.
         min_shift_px: least root mean square shift of the keypoints by the first change.
         min_readout_s: least read-out time with which the shutter is first known to roll.
-        min_readout_significance: least significance of it; chi-square with 1 degree of freedom. Far more than by
-            chance: as all points are taken to be at the median depth, a global shutter is estimated at up to 4
-            ms on a drive, with a significance of up to 60, and rolling ones have several hundreds.
+        min_readout_significance: least significance of it; chi-square with 1 degree of freedom. Far more than
+            by chance: as all points are taken to be at the median depth, a global shutter is estimated at up
+            to 4 ms on a drive, with a significance of up to 60; rolling ones have several hundreds.
         max_share: largest shift of a point over the distance of the image's corner from the centre; a larger
             one is no residual of a calibration, and is not applied.
         usual_shift_px: root mean square shift of the keypoints by which calibrations are usually off. On a
@@ -109,8 +109,8 @@ class SelfCalibration:
 
         def estimate(row_shifts: np.ndarray | None) -> LensEstimate:
             return estimate_lens(
-                a.kf_T_cam_map[cameras], np.arange(len(cameras)) == 0, a.pt_xyz[points], obs_camera, obs_point,
-                seen, view.inv_sigma2[a.kp_octave[obs_keypoint]], intrinsics, camera.residual,
+                a.kf_T_cam_map[cameras], np.arange(len(cameras)) == 0, a.pt_xyz[points], obs_camera,
+                obs_point, seen, view.inv_sigma2[a.kp_octave[obs_keypoint]], intrinsics, camera.residual,
                 camera.readout_s, row_shifts, usual_shift_px=self.config.usual_shift_px,
             )  # fmt: skip
 
@@ -133,9 +133,7 @@ class SelfCalibration:
         """Return True if the shutter is known to roll, and reads an image before it takes the next one."""
         config = self.config
         is_significant = found.readout_significance >= config.min_readout_significance
-        is_known = bool(camera.readout_s) or (
-            is_significant and abs(found.readout_s) >= config.min_readout_s
-        )
+        is_known = bool(camera.readout_s) or (is_significant and abs(found.readout_s) >= config.min_readout_s)
         return is_known and abs(found.readout_s) * camera.fps <= 1.0
 
     def _is_worth_it(self, found: LensEstimate, shift_px: float, first: bool) -> bool:
@@ -153,7 +151,7 @@ class SelfCalibration:
 
 
 def _row_shifts(map_: Map, camera: PinholeCamera) -> np.ndarray:
-    """(n, 2) shift of each keypoint of the map per second of read-out time; 0 for those of culled keyframes."""
+    """(n, 2) shift of each keypoint of the map per second of read-out time, 0 for culled keyframes."""
     a = map_.arrays
     shifts = np.zeros((a.kf_start[map_.n_keyframes], 2))
     for k in map_.keyframes():

@@ -1,9 +1,9 @@
 """Kernels of bundle adjustment with coefficients of lens and shutter that all cameras share.
 
 Names as in the bundle adjustment kernels; ``k`` (5,) the coefficients k1, k2, p1, p2 of the lens and the time
-in which a rolling shutter reads the image, s; ``drift`` (M, 2) how far each observation is moved per second of
-it, px/s. ``D`` (5, 5), ``B_c`` (F, 6, 5), ``B_p`` (P, 3, 5) are the blocks of the coefficients with themselves,
-the cameras and the points.
+in which a rolling shutter reads the image, s; ``drift`` (M, 2) how far each observation is moved per second
+of it, px/s. ``D`` (5, 5), ``B_c`` (F, 6, 5), ``B_p`` (P, 3, 5) are the blocks of the coefficients with
+themselves, the cameras and the points.
 """
 
 import numpy as np

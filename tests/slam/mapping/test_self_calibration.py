@@ -80,7 +80,8 @@ def test_once_known_to_be_off_a_lens_follows_every_estimate():
 def shaken(readout_s: float, count: int = 75) -> Iterator[tuple[np.ndarray, float]]:
     """Toy frames of a camera that is shaken, read row by row."""
     rows, cols = np.mgrid[: CAMERA.height_px, : CAMERA.width_px]
-    rays = np.stack([(cols - CAMERA.cx) / CAMERA.fx, (rows - CAMERA.cy) / CAMERA.fy, np.ones(rows.shape)], axis=2)
+    across, down = (cols - CAMERA.cx) / CAMERA.fx, (rows - CAMERA.cy) / CAMERA.fy
+    rays = np.stack([across, down, np.ones(rows.shape)], axis=2)
     since_s = readout_s * ((np.arange(CAMERA.height_px) + 0.5) / CAMERA.height_px - 0.5)
     for image, stamp_s, _ in toy_frames(count, step_m=0.05):
         t = stamp_s + since_s
