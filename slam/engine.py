@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from dataclasses import replace
 
 import numpy as np
 
@@ -16,12 +15,12 @@ from slam.core.geometry import view_geometry
 from slam.core.results import TrackingResult
 from slam.core.seeds import rng_for
 from slam.core.timing import StageTimer
-from slam.features.orb import OrbExtractor
+from slam.features.finder import FeatureFinder
 from slam.features.remembered import Remembered
+from slam.handover import report_refusal, take_adjustment, take_correction, take_refinement
 from slam.initialization.initializer import Initializer, InitialMap, frames_between
 from slam.initialization.second_motion import SecondMotion
-from slam.map.adjustment import apply_adjustment
-from slam.map.relation import loop_relation, relocalization_relation
+from slam.map.relation import relocalization_relation
 from slam.map.withdrawal import cull_since
 from slam.map_store import Loss, MapStore
 from slam.mapping.local_mapping import LocalMapper
@@ -43,7 +42,6 @@ from slam.tracking.probation import Probation
 from slam.tracking.rescue import Rescue
 from slam.tracking.tracker import Tracker, TrackingOutcome
 
-_PX_PER_FEATURE = 45.0  # an image has room for at most one feature in this many pixels
 _SEEKING = TrackingState.NOT_INITIALIZED
 
 
@@ -87,11 +85,7 @@ class SlamEngine:
         self._self_calibration = SelfCalibration(config.self_calibration)
         self.backend = Backend(self._apply, mode, self._self_calibration)
         self.search = PlaceSearch(self.store, seed, config, self.timer, self.backend.lock, self.emit_at)
-        width, height, orb = camera.width_px, camera.height_px, config.orb
-        self._extractor = OrbExtractor(width, height, orb)
-        wanted = min(config.initial_features * orb.n_features, width * height / _PX_PER_FEATURE)
-        more = replace(orb, n_features=max(orb.n_features, round(wanted)))
-        self._initial_extractor = OrbExtractor(width, height, more)
+        self._finder = FeatureFinder(camera, config.orb, config.initial_features)
         self._initializer = Initializer(camera, self.view, config.initialization)
         self._tracker: Tracker | None = None
         self._mapper: LocalMapper | None = None
@@ -148,13 +142,11 @@ class SlamEngine:
     def remember_features(self, images: int) -> None:
         """Keep the features of so many images, for copies that see the same ones."""
         self.remembered = Remembered(2 * images)
-        for extractor in (self._extractor, self._initial_extractor):
-            extractor.remembered = Remembered(images)
+        self._finder.remember(images)
 
     def _features(self, index: int, stamp_s: float, dense: bool) -> FrameFeatures:
         with self.timer("extract"):
-            extractor = self._initial_extractor if dense else self._extractor
-            features = extractor.extract(self._image)
+            features = self._finder.find(self._image, dense)
             twist = self.tracker.twist if self.state is TrackingState.TRACKING else None
             return FrameFeatures.build(index, stamp_s, features, self.camera, self.view, twist)
 
@@ -435,72 +427,23 @@ class SlamEngine:
         elif isinstance(change, Searched):
             self._loop_cpu_ms += change.cpu_ms
         elif isinstance(change, Corrected):
-            self._apply_correction(change)
+            self._loop_cpu_ms += change.cpu_ms
+            self.corrections += 1
+            take_correction(change, self.store, self.tracker, self.emit_at)
         elif isinstance(change, Refused):
-            self._report_refusal(change)
+            report_refusal(change, self.emit_at)
         elif isinstance(change, Calibrated):
-            self._apply_refinement(change)
+            self._mapping_cpu_ms += change.cpu_ms
+            if self.state is TrackingState.TRACKING and self._may_refine_camera():  # not broken meanwhile
+                refined = take_refinement(change, self._frames_in_work(), self.emit_at)
+                self.camera = refined or self.camera
         elif isinstance(change, Prepared):
             with self.timer(change.stage) if change.stage else nullcontext():
                 change.take_over()
         else:
             self._loop_cpu_ms += change.cpu_ms
             self.corrections += 1
-            m = change.task.mapper.map
-            apply_adjustment(m, change.adjustment)
-            self.emit_at(
-                change.task.frame,
-                ev.MapAdjusted,
-                m.map_id,
-                keyframes=len(change.adjustment.keyframes),
-                points=len(change.adjustment.points),
-                cpu_ms=change.cpu_ms,
-            )
-
-    def _apply_correction(self, change: Corrected) -> None:
-        """Apply a loop closure to the map, its frames and the tracker."""
-        m, loop, frame = change.task.mapper.map, change.loop, change.task.frame
-        self._loop_cpu_ms += change.cpu_ms
-        relation = loop_relation(m, loop.keyframe, loop.loop_keyframe, loop.S_cam_map)
-        m.adopt(change.corrected_map)
-        self.corrections += 1
-        self.store.poses.rescale(m.map_id, change.factor)
-        self.tracker.corrected(change.factor)
-        self.emit_at(
-            frame,
-            ev.LoopClosed,
-            m.map_id,
-            keyframe=m.frame_index(loop.keyframe),
-            loop_keyframe=m.frame_index(loop.loop_keyframe),
-            scale=float(change.factor[loop.keyframe]),
-            matches=len(loop.points),
-            cpu_ms=change.cpu_ms,
-            relation=relation,
-        )
-
-    def _apply_refinement(self, change: Calibrated) -> None:
-        """Go on with the refined camera, if there is one and the map has not broken meanwhile."""
-        self._mapping_cpu_ms += change.cpu_ms
-        found, m = change.refinement, change.task.mapper.map
-        if found is None or self.state is not TrackingState.TRACKING or not self._may_refine_camera():
-            return
-        self.camera = found.camera
-        found.apply(m)
-        for frame in self._frames_in_work():
-            frame.features = frame.features.seen_by(self.camera)
-            if frame.reference_keyframe >= 0:
-                frame.T_cam_map = frame.T_cam_reference @ m.T_cam_map(frame.reference_keyframe)
-        self.emit_at(
-            change.task.frame,
-            ev.CameraRefined,
-            m.map_id,
-            **dict(zip(("k1", "k2", "p1", "p2"), found.camera.residual, strict=True)),
-            readout_s=found.camera.readout_s,
-            shift_px=found.shift_px,
-            significance=found.significance,
-            keyframes=len(found.adjustment.keyframes),
-            cpu_ms=change.cpu_ms,
-        )
+            take_adjustment(change, self.emit_at)
 
     def _frames_in_work(self) -> list[Frame]:
         """Frames whose features are still to be used."""
@@ -510,15 +453,3 @@ class SlamEngine:
     def _may_refine_camera(self) -> bool:
         """Return True while there is one map, its start beyond doubt, in which tracking was never lost."""
         return self.store.is_one_unbroken and self.second_motion is None
-
-    def _report_refusal(self, change: Refused) -> None:
-        m, refusal = change.task.mapper.map, change.refusal
-        self.emit_at(
-            change.task.frame,
-            ev.LoopRefused,
-            m.map_id,
-            keyframe=m.frame_index(refusal.keyframe),
-            loop_keyframe=m.frame_index(refusal.loop_keyframe),
-            matches=refusal.matches,
-            reason=refusal.reason,
-        )

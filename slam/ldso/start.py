@@ -6,7 +6,7 @@ pixels are narrowed over growing baselines.
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from slam.core.frame import Frame, FrameFeatures
 from slam.core.geometry import ViewGeometry, share_of_motion, view_geometry
 from slam.core.seeds import rng_for
 from slam.direct.pyramid import ImagePyramid
-from slam.features.orb import OrbExtractor
+from slam.features.finder import FeatureFinder
 from slam.initialization.initializer import Initializer, InitialMap
 from slam.ldso.brightness import composed
 from slam.ldso.config import DsoConfig
@@ -24,7 +24,6 @@ from slam.ldso.odometry import Odometry
 from slam.ldso.tracking import PhotometricTracker, TrackingReference
 from slam.ldso.window import Keyframe
 
-_PX_PER_FEATURE = 45.0  # an image has room for at most one feature in this many pixels
 _PATCH = np.stack(np.meshgrid(np.arange(-1.0, 2.0), np.arange(-1.0, 2.0)), axis=-1).reshape(-1, 2)
 _LEAST_POINTS = 150
 _MOST_ERROR = 12.0  # of a frame between the two views, of 255
@@ -88,10 +87,9 @@ class Starter:
         self.config = dso
         self._camera, self._intrinsics, self._pyramid_of, self._seed = camera, intrinsics, pyramid_of, seed
         self._mapping, self._corner_view = config.mapping, view
-        orb, width, height = config.orb, camera.width_px, camera.height_px
+        orb = config.orb
         self._view = view_geometry(camera, orb.n_levels, orb.scale_factor, orb.noise_px)
-        wanted = round(min(config.initial_features * orb.n_features, width * height / _PX_PER_FEATURE))
-        self._extractor = OrbExtractor(width, height, replace(orb, n_features=max(orb.n_features, wanted)))
+        self._finder = FeatureFinder(camera, orb, config.initial_features)
         self._initializer = Initializer(camera, self._view, config.initialization)
         self._waiting: deque[Waiting] = deque(maxlen=config.initialization.max_between)
 
@@ -109,7 +107,7 @@ class Starter:
             image: (H, W) uint8.
             map_id: id of the map.
         """
-        features = self._extractor.extract(image)
+        features = self._finder.find(image, dense=True)
         built = FrameFeatures.build(frame, stamp_s, features, self._camera, self._view)
         rng = rng_for(self._seed, "initialization", frame)
         initial, reason, matches = self._initializer.offer(Frame(built), map_id, rng, self._mapping)
