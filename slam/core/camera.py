@@ -7,12 +7,13 @@ from typing import Literal
 import cv2
 import numpy as np
 
+from slam.core import _camera_kernels as kernels
+
 # OpenCV's default of five iterations leaves pixels of error at the corners of a wide-angle lens.
 _UNDISTORT_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
 _MOST_UNDISTORT_ERROR_PX = 0.5
 Residual = tuple[float, float, float, float]
 NO_RESIDUAL: Residual = (0.0, 0.0, 0.0, 0.0)
-_RESIDUAL_ITERATIONS = 8
 _COEFFICIENTS = {"radtan": 5, "equidistant": 4}
 
 
@@ -139,16 +140,9 @@ class PinholeCamera:
         Returns:
             (N, 2) px/s.
         """
-        x, y = ((xy - self.intrinsics[2:]) / self.intrinsics[:2]).T
-        v, w = twist[:3], twist[3:]
-        flow = np.column_stack(
-            [
-                v[0] - x * v[2] + w[1] * (1 + x * x) - w[2] * y - w[0] * x * y,
-                v[1] - y * v[2] + w[1] * x * y + w[2] * x - w[0] * (1 + y * y),
-            ]
-        )
-        since = (xy_image[:, 1:].astype(np.float64) + 0.5) / self.height_px - 0.5
-        return since * flow * self.intrinsics[:2]
+        rows = np.ascontiguousarray(xy_image[:, 1], np.float64)
+        at = np.ascontiguousarray(xy, np.float64)
+        return kernels.row_shifts(rows, at, np.asarray(twist, float), self.intrinsics, float(self.height_px))
 
     def _undistorted(self, xy: np.ndarray) -> np.ndarray:
         K = self.K
@@ -220,12 +214,7 @@ def undistort_residual(xy: np.ndarray, residual: Residual, intrinsics: np.ndarra
 
     It converges where the distortion is small, as a residual one is.
     """
-    seen = (xy - intrinsics[2:]) / intrinsics[:2]
-    rays = seen
-    for _ in range(_RESIDUAL_ITERATIONS):
-        stretch, shift = _residual_at(rays, residual)
-        rays = (seen - shift) / stretch
-    return rays * intrinsics[:2] + intrinsics[2:]
+    return kernels.undistort_residual(np.ascontiguousarray(xy, np.float64), np.array(residual), intrinsics)
 
 
 def _residual_at(rays: np.ndarray, residual: Residual) -> tuple[np.ndarray, np.ndarray]:

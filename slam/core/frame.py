@@ -3,9 +3,8 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from slam.core._frame_kernels import sort_into_cells
+from slam.core._frame_kernels import motion_between, sort_into_cells
 from slam.core.camera import PinholeCamera
 from slam.core.geometry import ViewGeometry
 from slam.core.snapshot import Unchanging
@@ -133,9 +132,9 @@ def twist_between(before: "Frame", after: "Frame", depth: float) -> np.ndarray:
     Returns:
         Velocity over the depth, 1/s, and angular velocity, rad/s, in the camera's frame.
     """
-    T = after.T_cam_map @ np.linalg.inv(before.T_cam_map)
-    turn = Rotation.from_matrix(T[:3, :3]).as_rotvec()
-    return np.concatenate([T[:3, 3] / depth, turn]) / (after.features.stamp_s - before.features.stamp_s)
+    motion = motion_between(*(np.ascontiguousarray(f.T_cam_map, np.float64) for f in (before, after)))
+    motion[:3] /= depth
+    return motion / (after.features.stamp_s - before.features.stamp_s)
 
 
 @dataclass
