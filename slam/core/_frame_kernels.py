@@ -36,9 +36,13 @@ def sort_into_cells(xy, view):
 @njit(cache=True, nogil=True)
 def motion_between(T_before, T_after):
     """Translation and rotation vector (6,) of a small motion from one pose (4, 4) to another."""
-    R = T_after[:3, :3] @ T_before[:3, :3].T
-    motion = np.empty(6)
-    motion[:3] = T_after[:3, 3] - R @ T_before[:3, 3]
+    R, motion = np.zeros((3, 3)), np.empty(6)
+    for r in range(3):
+        motion[r] = T_after[r, 3]
+        for c in range(3):
+            for k in range(3):
+                R[r, c] += T_after[r, k] * T_before[c, k]
+            motion[r] -= R[r, c] * T_before[c, 3]
     motion[3], motion[4], motion[5] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
     sine = 0.5 * np.sqrt(motion[3] ** 2 + motion[4] ** 2 + motion[5] ** 2)
     angle = np.arctan2(sine, 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0))
