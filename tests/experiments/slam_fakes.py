@@ -18,9 +18,9 @@ CAMERA = Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5, 30.0)
 
 
 def simulated_camera(camera: PinholeCamera) -> Intrinsics:
-    """The simulator's camera of an estimator's; it has no residual distortion."""
+    """The simulator's camera of an estimator's; it has neither residual distortion nor a rolling shutter."""
     fields = asdict(camera)
-    del fields["residual"]
+    del fields["residual"], fields["readout_s"]
     return Intrinsics(**fields)
 
 
