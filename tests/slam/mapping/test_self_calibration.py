@@ -97,9 +97,14 @@ def shaken(readout_s: float, count: int = 75) -> Iterator[tuple[np.ndarray, floa
 def test_a_rolling_shutter_is_found_where_there_is_one(readout_s: float):
     at = SelfCalibrationConfig(at_keyframes=(12,))
     system = build_system("base", CAMERA, config=replace(default_config(CAMERA), self_calibration=at))
+    off_rad_s = []
     for image, stamp_s in shaken(readout_s):
         assert system.process(image, stamp_s).frame == 0 or not system.maps() or system.state == "tracking"
+        if system.camera.readout_s:
+            tracker = system.tracker
+            off_rad_s.append(np.abs(tracker.last.features.twist - tracker.twist)[3:].max())
     assert system.camera.readout_s == pytest.approx(readout_s, rel=0.2)
+    assert np.median(off_rad_s or 0.0) < 0.055  # by a frame's own motion; by that of the one before .075
     m = system.current_map
     for k in m.keyframes():
         f = m.features(int(k))
