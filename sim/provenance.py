@@ -25,18 +25,19 @@ _PACKAGES = (
 )
 
 
-def entry_key(scenario: Scenario, seed: int, backend: RenderBackend, **what: bool) -> str:
+def entry_key(scenario: Scenario, seed: int, backend: RenderBackend, **what: Any) -> str:
     """Key of what is cached of a scenario.
 
     Args:
         scenario: what happens.
         seed: root seed.
         backend: worlds and renderer.
-        what: tells apart what is kept of it, for example ``depth=True``.
+        what: tells apart what is kept of it, for example ``depth=True``; None for nothing.
     """
     # Inertial readings change no frame.
     frames = provenance(scenario.model_copy(update={"imu": None}), seed, backend)
-    return content_key({**what, "sources": sources(), **frames})
+    told = {name: value for name, value in what.items() if value is not None}
+    return content_key({**told, "sources": sources(), **frames})
 
 
 def provenance(scenario: Scenario, seed: int, backend: RenderBackend) -> dict[str, Any]:

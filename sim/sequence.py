@@ -161,6 +161,10 @@ class Sequence:
             image_names=tuple(self.image_names[i] for i in kept) if self.image_names else (),
         )
 
+    def first(self, time_s: float) -> "Sequence":
+        """The sequence reduced to the frames less than ``time_s`` after the first one."""
+        return self.only(np.flatnonzero(self.stamps_s - self.stamps_s[0] < time_s))
+
     def kinds_at(self, frame: int) -> tuple[str, ...]:
         """Kinds of the segments whose frame range contains a frame, by onset."""
         inside = [s for s in self.segments if 0 <= s.first_frame <= frame <= s.last_frame]

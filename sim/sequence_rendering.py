@@ -1,6 +1,7 @@
 """From a scenario and a seed to a sequence: frames and truth."""
 
 import json
+import math
 from collections.abc import Sequence as Many
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -63,6 +64,7 @@ def render_sequence(
     out_dir: Path | None = None,
     cache_dir: Path | None = None,
     depth: bool = False,
+    first_s: float | None = None,
     progress: Progress | None = None,
     backend: RenderBackend | None = None,
     needs: Many[Need] = (),
@@ -80,6 +82,7 @@ def render_sequence(
         out_dir: also write the sequence there as a TUM-form folder.
         cache_dir: folder of the cache; None for the default one.
         depth: render and keep depth images too, four times as large as the frames.
+        first_s: render only the frames of the first seconds, as they are in the whole; None for all.
         progress: called after every frame.
         backend: worlds and renderer; None for MuJoCo.
         needs: what the caller will write of the sequence, so that its room is checked beforehand too.
@@ -97,18 +100,22 @@ def render_sequence(
         needs = [*needs, images_need_of(scenario, out_dir, depth)]
     meta = provenance(scenario, seed, backend)
     store = FolderCache(cache_dir)
-    keys = {kept: entry_key(scenario, seed, backend, depth=kept) for kept in (depth, True)}
+    begun_s = None if first_s is None or first_s >= scenario.duration_s else first_s
+    key = entry_key(scenario, seed, backend, depth=depth, first_s=begun_s)
     opened = partial(_open, scenario=scenario, meta=meta, depth=depth)
-    # An entry with depth has the same frames.
-    found = (store.load(key, opened) for key in keys.values())
+    # An entry of the whole, or with depth, has the same frames.
+    keys = [key, *(entry_key(scenario, seed, backend, depth=kept) for kept in (depth, True))]
+    found = (store.load(known, opened) for known in dict.fromkeys(keys))
     sequence = next((sequence for sequence in found if sequence is not None), None)
     if sequence is None:
-        needs = [*needs, Need(store.root, _stacks_bytes(scenario, depth))]
-    check_room(scenario.name, scenario.frame_count, needs, force)
+        needs = [*needs, Need(store.root, _stacks_bytes(scenario, depth, begun_s))]
+    check_room(scenario.name, _frames_within(scenario, begun_s), needs, force)
     if sequence is None:
-        with store.create(keys[depth]) as folder:
-            _render_into(folder, scenario, seed, depth, backend, store, progress)
-        sequence = opened(store.root / keys[depth])
+        with store.create(key) as folder:
+            _render_into(folder, scenario, seed, depth, backend, store, progress, first_s=begun_s)
+        sequence = opened(store.root / key)
+    if first_s is not None:
+        sequence = sequence.first(first_s)
     if out_dir is not None:
         write_tum(sequence, out_dir, depth=depth, progress=progress)
     return sequence
@@ -120,10 +127,18 @@ def images_need_of(scenario: Scenario, out_dir: Path, depth: bool = False) -> Ne
     return images_need(out_dir, scenario.frame_count, (camera.width_px, camera.height_px), depth)
 
 
-def _stacks_bytes(scenario: Scenario, depth: bool) -> int:
+def _frames_within(scenario: Scenario, first_s: float | None) -> int:
+    """The most frames in the first seconds, or in all."""
+    count = scenario.frame_count
+    return count if first_s is None else min(count, math.ceil(first_s * scenario.camera.fps) + 1)
+
+
+def _stacks_bytes(scenario: Scenario, depth: bool, first_s: float | None) -> int:
     """Size of the stacks of frames in the cache."""
-    per_pixel = 5 if depth else 2 if _keeps_exposed_frames(scenario) else 1
-    return per_pixel * scenario.frame_count * scenario.camera.width_px * scenario.camera.height_px
+    frames, pixels = _frames_within(scenario, first_s), scenario.camera.width_px * scenario.camera.height_px
+    if _keeps_exposed_frames(scenario) and not depth:
+        return (frames + scenario.frame_count) * pixels
+    return (5 if depth else 1) * frames * pixels
 
 
 def _keeps_exposed_frames(scenario: Scenario) -> bool:
@@ -141,6 +156,7 @@ def _render_into(
     store: FolderCache,
     progress: Progress,
     shared: str = "",
+    first_s: float | None = None,
 ) -> FramePlan:
     """Write the frames and the truth of a sequence into a folder of the cache; return its plan.
 
@@ -154,6 +170,8 @@ def _render_into(
         plan = plan_in_world(scenario, seed, backend, view_share.shape[1], lambda plan: view_share)
     else:
         plan, world = plan_frames(scenario, seed, backend, progress)
+    if first_s is not None:
+        plan = plan.first(first_s)
     chain = ImageChain(
         scenario.segments,
         own,

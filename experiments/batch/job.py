@@ -92,9 +92,7 @@ def sequence_of(job: Job, scratch: Path) -> Sequence:
         InputError: it cannot be read, or no frames are left.
     """
     spec = job.spec
-    sequence = open_sequence(job.source, job.scene_seed)
-    if spec.first_s is not None:
-        sequence = sequence.only(np.flatnonzero(sequence.stamps_s - sequence.stamps_s[0] < spec.first_s))
+    sequence = open_sequence(job.source, job.scene_seed, first_s=spec.first_s)
     if spec.stress:
         sequence = degrade_sequence(sequence, spec.segments, spec.seed, scratch)  # type: ignore[arg-type]
     first = int(job.about.columns["first_frame"])

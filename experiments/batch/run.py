@@ -91,21 +91,21 @@ def run_batch(
 def _render(jobs: list[Job], workers: int, progress: Progress | None) -> None:
     """Render every scenario once, for several runs at a time would each do so."""
     scenarios = sorted({(job.source, job.scene_seed) for job in jobs if not is_folder(job.source)}, key=str)
-    calls = [(*scenario, jobs[0].spec.limit_s) for scenario in scenarios]
+    calls = [(*scenario, jobs[0].spec.first_s, jobs[0].spec.limit_s) for scenario in scenarios]
     for number, _ in enumerate(side_by_side(workers, _rendered, calls), 1):
         if progress is not None:
             progress("rendering", number, len(scenarios))
 
 
-def _rendered(source: str, seed: int | None, time_s: float) -> None:
+def _rendered(source: str, seed: int | None, first_s: float | None, time_s: float) -> None:
     """Render a scenario into the cache; what is wrong with it shows in its runs."""
     with suppress(Exception):
-        call_in_process(_render_one, (source, seed), time_s)
+        call_in_process(_render_one, (source, seed, first_s), time_s)
 
 
-def _render_one(source: str, seed: int | None) -> None:
+def _render_one(source: str, seed: int | None, first_s: float | None) -> None:
     load_plugins()
-    open_sequence(source, seed)
+    open_sequence(source, seed, first_s=first_s)
 
 
 def _name(systems: dict[str, System], job: Job) -> str:

@@ -26,6 +26,7 @@ def open_sequence(
     out_dir: Path | None = None,
     force: bool = False,
     camera: Path | None = None,
+    first_s: float | None = None,
 ) -> Sequence:
     """Load a sequence folder, images or a video, or render a scenario or read it from the cache.
 
@@ -39,6 +40,7 @@ def open_sequence(
         out_dir: where the caller will write the images, so that there is room; None for nowhere.
         force: begin even if disks and memory seem too small, or the frames are very many.
         camera: camera.yaml of images or a video; None for a source that has its own.
+        first_s: only the frames of the first seconds, of a scenario these alone are rendered; None for all.
 
     Raises:
         InputError: the source does not exist or is not valid, a renderer is named for a folder, or there is
@@ -56,10 +58,10 @@ def open_sequence(
             size_px = sequence.camera.width_px, sequence.camera.height_px
             needs = [images_need(out_dir, len(sequence), size_px, sequence.depths is not None)]
             check_room(str(path), len(sequence), needs, force)
-        if camera is not None or is_video(path):
-            return sequence
-        names = sequence.image_names or _image_names(path)
-        return replace(sequence, image_names=names) if len(names) == len(sequence) else sequence
+        if camera is None and not is_video(path):
+            names = sequence.image_names or _image_names(path)
+            sequence = replace(sequence, image_names=names) if len(names) == len(sequence) else sequence
+        return sequence if first_s is None else sequence.first(first_s)
     from scenarios.families import is_scenario_name
     from scenarios.loading import load_scenario
 
@@ -73,7 +75,13 @@ def open_sequence(
     scenario = load_scenario(source, seed)
     needs = [] if out_dir is None else [images_need_of(scenario, out_dir, depth)]
     return render_sequence(
-        scenario, depth=depth, progress=progress, backend=backend, needs=needs, force=force
+        scenario,
+        depth=depth,
+        first_s=first_s,
+        progress=progress,
+        backend=backend,
+        needs=needs,
+        force=force,
     )
 
 

@@ -89,6 +89,11 @@ class FramePlan:
             seen = self.view_share.max(axis=0) > 0
             object.__setattr__(self, "moment_s", np.where(seen, moment_s, np.nan))
 
+    def first(self, time_s: float) -> "FramePlan":
+        """The plan of the frames whose written stamps lie less than ``time_s`` after the first one's."""
+        written_s = self.stamps_s + self.stamp_error_s
+        return self.only(written_s - written_s[0] < time_s)
+
     def only(self, kept: np.ndarray) -> "FramePlan":
         """The plan reduced to the frames ``kept``, (N,) bool."""
         names = ("stamps_s", "exposure_s", "view_share", "frame", "stamp_error_s")

@@ -172,6 +172,34 @@ def test_depth_is_kept_on_request_only_and_serves_both(tmp_path):
     assert list(tmp_path.iterdir()) == [with_depth]
 
 
+@pytest.mark.parametrize("noise_seed", [None, 5])
+def test_the_first_seconds_alone_are_those_of_the_whole(tmp_path, noise_seed):
+    segments = [
+        *SPEC["segments"],
+        {"kind": "time_jitter", "start_s": 0.2, "duration_s": 3.5, "sigma_s": 0.02},
+        {"kind": "frame_drops", "start_s": 0.3, "duration_s": 1.5, "share": 0.4},
+    ]
+    scenario = Scenario.model_validate({**SPEC, "segments": segments, "noise_seed": noise_seed})
+    whole = render_sequence(scenario, 1, cache_dir=tmp_path / "whole", backend=fake_backend()).first(1.9)
+    begun = render_sequence(scenario, 1, cache_dir=tmp_path / "begun", backend=fake_backend(), first_s=1.9)
+
+    assert 10 < len(begun) < 19
+    assert digest(begun) == digest(whole)
+    np.testing.assert_array_equal(begun.stamps_s, whole.stamps_s)
+    np.testing.assert_array_equal(begun.T_world_cam, whole.T_world_cam)
+    assert set(begun.frame_truth) == set(whole.frame_truth)
+    for name, column in whole.frame_truth.items():
+        np.testing.assert_array_equal(begun.frame_truth[name], column, name)
+    ranges = [[(s.first_frame, s.last_frame) for s in sequence.segments] for sequence in (begun, whole)]
+    assert ranges[0] == ranges[1]
+
+
+def test_the_first_seconds_of_a_cached_whole_are_not_rendered_again(tmp_path, rendered):
+    idle = replace(fake_backend(), renderer=None)
+    begun = render_sequence(SCENARIO, 1, cache_dir=tmp_path / "cache", backend=idle, first_s=2.0)
+    assert len(begun) == 20
+
+
 def test_another_severity_behind_the_lens_renders_nothing_again(tmp_path):
     def forbidden(*_):
         raise AssertionError("rendered again")
