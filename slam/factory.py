@@ -43,9 +43,10 @@ def build_system(
             same with loops.
         camera: intrinsics of the images to come.
         seed: root of every random stream.
-        config, dual, dso: settings; None for those of the kind, as of :func:`default_settings`. Only
-            Dual-SLAM reads ``dual``, only ``dso`` and ``ldso`` read ``dso``; these take from ``config`` what
-            concerns the first map from two views and loops.
+        config: settings; None for those of the kind, as of :func:`default_settings`. ``dso`` and ``ldso``
+            take from it what concerns the first map from two views and loops.
+        dual: likewise; only Dual-SLAM reads them.
+        dso: likewise; only ``dso`` and ``ldso`` read them.
         mode: how tracking, mapping and loop closing share time; ``dso`` and ``ldso`` do all in turn.
 
     Raises:

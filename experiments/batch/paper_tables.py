@@ -9,6 +9,7 @@ from pathlib import Path
 import pandas as pd
 
 from experiments.batch.rows import ERROR
+from experiments.eq1.units import RECOVERING
 from experiments.report.paper_figures import TABLE_1
 from experiments.statistics.paper import TABLE_II, TABLE_III
 from sim.io.folders import write_file
@@ -64,11 +65,12 @@ def table_2(rows: pd.DataFrame) -> pd.DataFrame:
 def table_3(rows: pd.DataFrame) -> pd.DataFrame:
     """Recoveries: trials that need one, how they end, by which thread, how long they take, per data set."""
     table = []
+    needed = rows.recoveries_needed.fillna(0) > 0
+    able = {*RECOVERING, *rows.system[needed]}
+    rows = rows.loc[rows.system.isin(able)]
     for _, own in rows.groupby([rows.source.map(_data_set), "system"], sort=False):
         name, system = _data_set(own.source.iloc[0]), own.system.iloc[0]
-        needs = own[own.recoveries_needed.fillna(0) > 0]
-        if not len(needs):
-            continue
+        needs = own[needed[own.index]]
         recovered = needs.recovered_by_first + needs.recovered_by_later
         table.append(
             {
@@ -135,7 +137,8 @@ def _rmse(trials: pd.DataFrame) -> str:
     known = trials.ate_keyframes_m.fillna(trials.ate_frames_m).dropna()
     if not len(known):
         return NO_MAP
-    return f"{known.median():.2f}{' ' + UNSTABLE if _failures(trials) else ''}"
+    median = known.median()
+    return f"{median:.{2 if median >= 0.1 else 3}f}{' ' + UNSTABLE if _failures(trials) else ''}"
 
 
 def _failures(trials: pd.DataFrame) -> int:

@@ -118,9 +118,11 @@ def _tables(found: "pd.DataFrame") -> Iterator[Table]:
         "intact\nmap", "ended\nbadly", "break-\nages", "ATE m,\nkeyfr.", "ATE m,\nframes", "RPE m\nper s",
         "com-\nplete", "CPU ms/\nframe",
     )  # fmt: skip
+    from experiments.batch.paper_tables import short_name
+
     known = found.astype(object).where(found.notna(), None)
-    for _, own in known.groupby("source", sort=False):
-        table = Table(title=Text(own.sequence.iloc[0], "bold"), padding=(0, 1, 0, 0))
+    for source, own in known.groupby("source", sort=False):
+        table = Table(title=Text(short_name(str(source)), "bold"), padding=(0, 1, 0, 0))
         table.add_column("")
         for column in columns:
             table.add_column(column, justify="right")
