@@ -28,10 +28,11 @@ class DoubtConfig:
         min_share: share of unsteady frames in the window from which the map is doubted; 0 never doubts.
         nearer, slower: the map is doubted too if, on points made since, median depth and speed in map units
             have fallen by more than these factors; 0 never doubts.
-        shrunk: both have fallen by more than this one is enough behind frames whose points leave the camera's
-            direction as uncertain as ``loose_deg``.
+        shrunk: a fall of both by more than this one is enough since a frame whose points leave the camera's
+            direction as uncertain as ``loose_deg``, against the motion before that frame.
         loose_deg: standard deviation of the direction, see
             :func:`slam.optimization.pose.direction_deviation`.
+        loose_memory_s: time for which such a frame is remembered.
     """
 
     window_s: float = 1.0
@@ -44,6 +45,7 @@ class DoubtConfig:
     slower: float = 8.0
     shrunk: float = 2.0
     loose_deg: float = 0.12
+    loose_memory_s: float = 15.0
 
 
 class Motion(NamedTuple):
@@ -70,10 +72,26 @@ class Motion(NamedTuple):
     born_s: float
     deviation: float
 
+    def falls_to(self, now: "Motion") -> tuple[float, float]:
+        """By which factors depth and speed fall to those of a later motion."""
+        return self.depth / now.depth, self.speed / now.speed
 
-_FRAME, _STAMP_S, _HIDDEN, _SPEED, _DEVIATION = (
-    Motion._fields.index(n) for n in ("frame", "stamp_s", "hidden", "speed", "deviation")
-)
+
+_FRAME, _STAMP_S, _HIDDEN, _SPEED = (Motion._fields.index(n) for n in ("frame", "stamp_s", "hidden", "speed"))
+
+
+class Loose(NamedTuple):
+    """A frame whose points hardly hold the camera's direction.
+
+    Attributes:
+        frame: its index.
+        stamp_s: its time.
+        before: the usual motion before it.
+    """
+
+    frame: int
+    stamp_s: float
+    before: Motion
 
 
 def hidden_motion(points: np.ndarray, T_cam_map: np.ndarray, T_other_map: np.ndarray) -> tuple[float, float]:
@@ -102,7 +120,8 @@ class Doubt:
 
     Or it takes all motion for a turn. New points are then triangulated over next to no baseline, ever nearer:
     the map shrinks, and speed and depth with it. A camera that really stops before something near makes no
-    new points there, as it has no parallax. Where the view has just hung on one side, a smaller fall tells.
+    new points there, as it has no parallax. Once the view has hung on one side, a smaller fall tells, and it
+    may come step by step: from there on the scale is handed on by what was then in view.
 
     Few unsteady frames are forgiven, but not the last ones before a loss.
 
@@ -117,6 +136,7 @@ class Doubt:
         self.first_frame = -1
         self._motions: deque[Motion] = deque()
         self._steady = np.inf
+        self._loose: Loose | None = None
 
     def lose(self) -> None:
         """Tracking is lost: the last frames before that are doubted as far back as they were unsteady."""
@@ -129,6 +149,10 @@ class Doubt:
         new = type(self)(self.config)
         new._motions.extend(m for m in self._motions if m.frame < self.first_frame)
         return new
+
+    def tie_scale(self) -> None:
+        """A loop has given the map its scale back: what the view hung on before tells no more."""
+        self._loose = None
 
     def note(
         self,
@@ -160,8 +184,18 @@ class Doubt:
         self._motions.append(
             Motion(frame.features.index, stamp_s, step, hidden, depth, speed, born_s, deviation)
         )
+        self._note_loose()
         self._forget(stamp_s)
         self._judge(stamp_s)
+
+    def _note_loose(self) -> None:
+        newest, config = self._motions[-1], self.config
+        if self._loose and abs(newest.stamp_s - self._loose.stamp_s) > config.loose_memory_s:
+            self._loose = None
+        earlier = list(self._motions)[:-1]
+        is_loose = newest.deviation > np.deg2rad(config.loose_deg)
+        if is_loose and not self._loose and len(earlier) >= config.min_frames:
+            self._loose = Loose(newest.frame, newest.stamp_s, Motion(*np.median(earlier, axis=0)))
 
     def _forget(self, stamp_s: float) -> None:
         span_s = self.config.window_s + self.config.memory_s
@@ -186,16 +220,21 @@ class Doubt:
 
     def _judge_scale(self, motions: np.ndarray, recent: np.ndarray, usual: Motion) -> None:
         config, now = self.config, Motion(*np.median(motions[recent], axis=0))
-        before_s = motions[~recent][-1, _STAMP_S]
-        is_new = (now.born_s - before_s) * (now.stamp_s - before_s) > 0  # in either direction of time
-        if not is_new or min(now.depth, now.speed, config.nearer, config.slower) <= 0:
+        if min(now.depth, now.speed, config.nearer, config.slower) <= 0:
             return
-        nearer, slower = usual.depth / now.depth, usual.speed / now.speed
-        is_loose = motions[:, _DEVIATION].max() > np.deg2rad(config.loose_deg)
-        has_shrunk = is_loose and min(nearer, slower) > config.shrunk
-        if has_shrunk or (nearer > config.nearer and slower > config.slower):
+        nearer, slower = usual.falls_to(now)
+        is_new = _is_made_since(motions[~recent][-1, _STAMP_S], now)
+        if is_new and nearer > config.nearer and slower > config.slower:
             usually = np.flatnonzero(motions[:, _SPEED] >= 0.5 * usual.speed)
             self._declare("scale_of_new_points", motions[min(usually[-1] + 1, len(motions) - 1), _FRAME])
+        loose = self._loose
+        if loose and _is_made_since(loose.stamp_s, now) and min(loose.before.falls_to(now)) > config.shrunk:
+            self._declare("scale_of_new_points", loose.frame)
 
     def _declare(self, reason: str, first_frame: float) -> None:
         self.reason, self.first_frame = reason, int(first_frame)
+
+
+def _is_made_since(stamp_s: float, now: Motion) -> bool:
+    """Return True if the points in view were made since a time, in either direction of time."""
+    return (now.born_s - stamp_s) * (now.stamp_s - stamp_s) > 0

@@ -155,6 +155,7 @@ class Tracker:
             self.velocity = self.velocity.copy()
             self.velocity[:3, 3] *= own
         self._refreshed_last()
+        self.doubt.tie_scale()
 
     def keyframe_made(self, frame: Frame, keyframe: int) -> None:
         """Take over that ``frame`` has become ``keyframe``, with the points that mapping created in it."""

@@ -119,24 +119,39 @@ def test_a_map_that_shrinks_is_doubted_from_the_onset(wall, direction):
     assert doubt.first_frame == PLANTED_AT
 
 
-@pytest.mark.parametrize(("loose_deg", "shrunk", "reason"), [
-    (0.2, 2.0, "scale_of_new_points"), (0.05, 2.0, ""), (0.2, 4.0, ""),
-])  # fmt: skip
-def test_a_map_that_has_shrunk_behind_a_loose_stretch_is_doubted(wall, loose_deg, shrunk, reason):
-    """New points at a third of the depth, and steps of a third, behind a few frames on one side."""
-    doubt, x, last, before = Doubt(DoubtConfig(shrunk=shrunk)), 0.0, None, None
-    for i in range(PLANTED_AT + 30):
-        size = 1.0 if i < PLANTED_AT else 1 / 3
-        x += size * STEP_M
+def shrinking(wall, size, loose_deg, seconds=9.0, loop_at_s=None, **config):
+    """Doubt where new points and steps have the size ``size(s)``, ``s`` seconds behind five loose frames."""
+    doubt, x, last, before = Doubt(DoubtConfig(**config)), 0.0, None, None
+    for i in range(PLANTED_AT + round(seconds * FPS)):
+        now = size((i - PLANTED_AT) / FPS) if i >= PLANTED_AT else 1.0
+        if i == PLANTED_AT + round((loop_at_s or -1) * FPS):
+            doubt.tie_scale()
+        x += now * STEP_M
         frame = posed(i, rigid((-x, 0, 0)))
         if before is not None:
             predicted = last.T_cam_map @ np.linalg.inv(before.T_cam_map) @ last.T_cam_map
             deviation = np.deg2rad(loose_deg if PLANTED_AT - 5 <= i < PLANTED_AT else 0.03)
-            doubt.note(frame, last, predicted, size * wall + (x, 0, 0), (i - 2) / FPS, deviation)
+            doubt.note(frame, last, predicted, now * wall + (x, 0, 0), (i - 2) / FPS, deviation)
         before, last = last, frame
-    assert doubt.reason == reason
-    if reason:
-        assert doubt.first_frame == PLANTED_AT
+        if doubt.reason:
+            break
+    return doubt
+
+
+@pytest.mark.parametrize("size", [lambda s: 1 / 3, lambda s: 0.88**s], ids=["at once", "step by step"])
+def test_a_map_that_has_shrunk_since_the_view_was_loose_is_doubted_from_there(wall, size):
+    doubt = shrinking(wall, size, loose_deg=0.2)
+    assert doubt.reason == "scale_of_new_points"
+    assert doubt.first_frame == PLANTED_AT - 5
+
+
+@pytest.mark.parametrize("settings", [
+    {"loose_deg": 0.05}, {"loose_deg": 0.2, "shrunk": 4.0}, {"loose_deg": 0.2, "loose_memory_s": 4.0},
+    {"loose_deg": 0.2, "loop_at_s": 2.0},
+])  # fmt: skip
+def test_a_slow_fall_is_believed(wall, settings):
+    """Where the view held the camera, long after it did not, and once a loop has given the scale back."""
+    assert shrinking(wall, lambda s: 0.88**s, **settings).reason == ""
 
 
 def test_a_camera_that_stops_and_turns_to_something_near_is_believed(wall):
