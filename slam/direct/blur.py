@@ -1,6 +1,6 @@
 """Alignment of a sharp view with one that is blurred by motion: the sharper one is blurred too."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
@@ -45,18 +45,25 @@ def align_through_blur(
         return None
     view, images = reference.coarser(), (source.levels[1][..., 0], target.levels[1][..., 0])
     blur_target = sharpness(target) > sharpness(source)
-    best = None
-    for length in _LENGTHS:
-        if length > _MOST_OF_WIDTH * images[0].shape[1]:
-            break
+
+    def aligned(length: float) -> Aligned | None:
         blurred = rectifier.pyramid_of(_blurred(images[blur_target], direction, length), 1)
         if blur_target:
-            found = align(view, blurred, guesses)
-        else:
-            found = align(view.seen_in(blurred), ImagePyramid(target.levels[1:]), guesses)
-        if found is not None and (best is None or found.error < best.error):
-            best = found
-    return best
+            return align(view, blurred, guesses)
+        return align(view.seen_in(blurred), ImagePyramid(target.levels[1:]), guesses)
+
+    return _least_error(aligned, [x for x in _LENGTHS if x <= _MOST_OF_WIDTH * images[0].shape[1]])
+
+
+def _least_error(aligned: Callable[[float], Aligned | None], lengths: Sequence[float]) -> Aligned | None:
+    """The alignment of least error: over every third length, then over those beside the best of them."""
+    found = {i: aligned(lengths[i]) for i in range(1, len(lengths), 3)}
+    errors = {i: each.error for i, each in found.items() if each is not None}
+    if not errors:
+        return None
+    best = min(errors, key=errors.__getitem__)
+    beside = [aligned(lengths[i]) for i in (best - 1, best + 1) if i < len(lengths)]
+    return min((each for each in (found[best], *beside) if each is not None), key=lambda each: each.error)
 
 
 def _flow(xyz: np.ndarray, velocity: np.ndarray, intrinsics: np.ndarray) -> np.ndarray | None:
