@@ -114,12 +114,12 @@ def _beside(beside: "pd.DataFrame", first: str) -> Table:
 
 def _tables(found: "pd.DataFrame") -> Iterator[Table]:
     """A table per sequence, with the same columns."""
+    from experiments.batch.paper_tables import short_name
+
     columns = (
         "intact\nmap", "ended\nbadly", "break-\nages", "ATE m,\nkeyfr.", "ATE m,\nframes", "RPE m\nper s",
         "com-\nplete", "CPU ms/\nframe",
     )  # fmt: skip
-    from experiments.batch.paper_tables import short_name
-
     known = found.astype(object).where(found.notna(), None)
     for source, own in known.groupby("source", sort=False):
         table = Table(title=Text(short_name(str(source)), "bold"), padding=(0, 1, 0, 0))

@@ -192,6 +192,8 @@ def test_the_first_seconds_alone_are_those_of_the_whole(tmp_path, noise_seed):
         np.testing.assert_array_equal(begun.frame_truth[name], column, name)
     ranges = [[(s.first_frame, s.last_frame) for s in sequence.segments] for sequence in (begun, whole)]
     assert ranges[0] == ranges[1]
+    kept = [min(f.stat().st_size for f in tmp_path.glob(f"{of}/*/gray.npy")) for of in ("begun", "whole")]
+    assert kept[0] < kept[1] / 2
 
 
 def test_the_first_seconds_of_a_cached_whole_are_not_rendered_again(tmp_path, rendered):
