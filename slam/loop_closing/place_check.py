@@ -48,11 +48,13 @@ class PlaceCheckConfig:
     radius_px: float = 10.0
     min_expected: float = 20.0
     bar: EvidenceBar = field(
-        default_factory=lambda: EvidenceBar(min_share=0.35, max_contradicted=0.2, min_cells=8)
+        default_factory=lambda: EvidenceBar(min_share=0.35, max_contradicted=0.2, min_extent=0.16)
     )
     far_s: float = 2.0
     far_bar: EvidenceBar = field(
-        default_factory=lambda: EvidenceBar(min_share=0.7, max_contradicted=0.2, min_cells=8, max_share=1.6)
+        default_factory=lambda: EvidenceBar(
+            min_share=0.7, max_contradicted=0.2, min_extent=0.16, max_share=1.6
+        )
     )
     far_share: float = 0.5
     far_max_s: float = 6.0

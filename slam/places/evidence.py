@@ -28,14 +28,14 @@ class Support:
         expected: number of points that the view should show, each counted by the share of the frames in
             which it was found so far.
         found: number of those that it shows.
-        cells: cells of the image, of 8 columns, in which the found points speak for the place.
+        extent: share of the image covered by the cells in which the found points speak for the place.
         supported: share of ``expected`` in these cells.
         contradicted: share of ``expected`` in cells in which far fewer points are found than elsewhere.
     """
 
     expected: float
     found: int
-    cells: int
+    extent: float
     supported: float
     contradicted: float
 
@@ -52,14 +52,15 @@ class EvidenceBar:
     Attributes:
         min_share: least share of the expected points that are found.
         max_contradicted: largest share of the expected points in parts of the image where they are missing.
-        min_cells: fewest cells of the image, of 8 columns, in which found points speak for the place.
+        min_extent: least share of the image covered by the cells in which found points speak for the place:
+            as much of it in a wide image as in any other.
         max_share: largest share of the expected points that are found. With more, no keyframe has seen the
             place from near this view, so that it is not known what it should show.
     """
 
     min_share: float
     max_contradicted: float
-    min_cells: int
+    min_extent: float
     max_share: float = 1e6
 
     def fault(self, seen: Support) -> str:
@@ -76,7 +77,7 @@ class EvidenceBar:
             return "expected_points_missing"
         if seen.contradicted > self.max_contradicted:
             return "contradicted"
-        if seen.cells < self.min_cells:
+        if seen.extent < self.min_extent:
             return "too_narrow"
         return VIEW_IS_UNKNOWN if seen.share > self.max_share else ""
 
@@ -115,7 +116,7 @@ def support(
     expected = np.bincount(cell, weights=likely)
     total, found = float(expected.sum()), int(is_found.sum())
     if total <= 0:
-        return Support(0.0, 0, 0, 0.0, 0.0)
+        return Support(0.0, 0, 0.0, 0.0, 0.0)
     rate = float(np.clip(found / total, _LEAST_RATE, 1.0))
     here = np.clip(rate * likely, _CHANCE, _MOST_CERTAIN)
     ratio = np.where(is_found, np.log(here / _CHANCE), np.log((1 - here) / (1 - _CHANCE)))
@@ -123,12 +124,23 @@ def support(
     speaks = for_place > _TELLING
     supported = float(expected[speaks].sum()) / total
     contradicted = float(expected[for_place < -_TELLING].sum()) / total
-    return Support(total, found, int(speaks.sum()), supported, contradicted)
+    return Support(total, found, _extent(map_.view, np.flatnonzero(speaks)), supported, contradicted)
 
 
 def cells_of(view: ViewGeometry, pixels: np.ndarray) -> np.ndarray:
     """(n,) cell of each pixel (n, 2) of the view; cells are square, 8 to a row."""
-    side = (view.x_max - view.x_min) / _COLUMNS
+    side = _side_px(view)
     column = np.clip((pixels[:, 0] - view.x_min) / side, 0, _COLUMNS - 1).astype(int)
     row = np.maximum((pixels[:, 1] - view.y_min) / side, 0).astype(int)
     return row * _COLUMNS + column
+
+
+def _side_px(view: ViewGeometry) -> float:
+    return (view.x_max - view.x_min) / _COLUMNS
+
+
+def _extent(view: ViewGeometry, cells: np.ndarray) -> float:
+    """Share of the view that these cells cover; the last row of cells may reach beyond it."""
+    side, height = _side_px(view), view.y_max - view.y_min
+    rows_px = np.minimum(side, height - cells // _COLUMNS * side)
+    return float(rows_px.sum()) / (_COLUMNS * height)

@@ -48,13 +48,15 @@ class ProbationConfig:
     around: int = 10
     radius_px: float = 10.0
     bar: EvidenceBar = field(
-        default_factory=lambda: EvidenceBar(min_share=0.75, max_contradicted=0.2, min_cells=8)
+        default_factory=lambda: EvidenceBar(min_share=0.75, max_contradicted=0.2, min_extent=0.16)
     )
     far_s: float = 2.0
     far_share: float = 0.5
     far_max_s: float = 6.0
     far_bar: EvidenceBar = field(
-        default_factory=lambda: EvidenceBar(min_share=0.85, max_contradicted=0.06, min_cells=8, max_share=1.7)
+        default_factory=lambda: EvidenceBar(
+            min_share=0.85, max_contradicted=0.06, min_extent=0.16, max_share=1.7
+        )
     )
     min_expected: float = 40.0
     max_deviation_deg: float = 0.55

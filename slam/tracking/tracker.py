@@ -30,7 +30,7 @@ class CrossingConfig:
     """
 
     bar: EvidenceBar = field(
-        default_factory=lambda: EvidenceBar(min_share=0.25, max_contradicted=0.3, min_cells=8)
+        default_factory=lambda: EvidenceBar(min_share=0.25, max_contradicted=0.3, min_extent=0.16)
     )
     around: int = 10
     radius_px: float = 10.0

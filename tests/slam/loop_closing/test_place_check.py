@@ -76,7 +76,7 @@ def test_surroundings_that_differ_in_part_are_doubted():
 @pytest.mark.parametrize(
     ("config", "reason"),
     [
-        ({"bar": replace(ANYWHERE.bar, min_cells=1000)}, "too_narrow"),
+        ({"bar": replace(ANYWHERE.bar, min_extent=2.0)}, "too_narrow"),
         ({"min_agreeing": 1.1}, "neighbours_disagree"),
     ],
 )
@@ -95,7 +95,7 @@ def test_maps_far_apart_in_space_but_not_in_time_are_out_of_reach():
 
 def test_more_is_asked_of_maps_that_are_far_apart_in_time():
     """Half a minute later the camera can be anywhere; half a second later it cannot."""
-    lax = replace(ANYWHERE.bar, min_share=0.0, max_contradicted=1.0, min_cells=0)
+    lax = replace(ANYWHERE.bar, min_share=0.0, max_contradicted=1.0, min_extent=0.0)
     config = replace(ANYWHERE, bar=lax, far_bar=replace(lax, max_share=0.1))
     for later, reason in ((56 + 15, ""), (56 + 30 * 30, "view_is_unknown")):
         old, new = maps(later=later)

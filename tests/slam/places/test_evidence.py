@@ -35,14 +35,14 @@ def test_the_right_place_is_supported_all_over_the_view(known):
     T = rigid((0.05, -0.05, 0.1), (0, 3, 0)) @ walk(18)
     found = support(built, points, T, sighting(world, T), 4.0)
     assert found.expected > 100 and 0.8 < found.share < 1.2
-    assert found.cells > 20 and found.supported > 0.9 and found.contradicted < 0.03
+    assert found.extent > 0.4 and found.supported > 0.9 and found.contradicted < 0.03
 
 
 def test_another_place_and_another_world_are_not_supported(known):
     world, built, points = known
     away = support(built, points, walk(18), sighting(world, rigid((1.0, 0, 0)) @ walk(18)), 4.0)
     other = support(built, points, walk(18), sighting(PointWorld(seed=9, points=6000), walk(18)), 4.0)
-    assert max(away.share, other.share) < 0.25 and max(away.cells, other.cells) < 3
+    assert max(away.share, other.share) < 0.25 and max(away.extent, other.extent) < 0.06
 
 
 @pytest.mark.parametrize("aside_m", [0.0, 0.6, 1.2])
@@ -98,6 +98,17 @@ def test_a_few_points_that_are_rarely_found_contradict_nothing(known, chance, ag
     assert (seen.contradicted > 0) == against
 
 
+def test_a_wide_image_needs_no_larger_part_of_it_to_speak(known):
+    """Points in the left half of the image speak for as much of a strip of it as of all of it."""
+    world, built, points = known
+    f = sighting(world, walk(18))
+    left = points[(built.arrays.pt_xyz[points] @ walk(18)[:3, :3].T + walk(18)[:3, 3])[:, 0] < 0]
+    strip, height = built.copy(), built.view.y_max - built.view.y_min
+    strip.view = built.view._replace(y_max=built.view.y_min + 0.4 * height)
+    whole, wide = (support(m, left, walk(18), f, 4.0).extent for m in (built, strip))
+    assert 0.35 < whole < 0.6 and wide == pytest.approx(whole, abs=0.1)
+
+
 def test_a_similarity_gives_what_the_scaled_map_gives(known):
     world, built, points = known
     features = sighting(world, walk(18))
@@ -106,7 +117,7 @@ def test_a_similarity_gives_what_the_scaled_map_gives(known):
     larger.transform(2.0, np.eye(3), np.zeros(3))
     S = walk(18) @ sim3_matrix(0.5, np.eye(3), np.zeros(3))
     scaled = support(larger, points, S, features, 4.0)
-    assert (scaled.found, scaled.cells) == (same.found, same.cells)
+    assert (scaled.found, scaled.extent) == (same.found, same.extent)
     assert scaled.expected == pytest.approx(same.expected)
 
 
@@ -114,10 +125,10 @@ def test_a_view_that_should_show_nothing_says_nothing(known):
     world, built, points = known
     behind = rigid((0, 0, 0), (0, 180, 0)) @ walk(18)
     nothing = support(built, points, behind, sighting(world, walk(18)), 4.0)
-    assert (nothing.expected, nothing.found, nothing.share, nothing.cells) == (0, 0, 0, 0)
+    assert (nothing.expected, nothing.found, nothing.share, nothing.extent) == (0, 0, 0, 0)
 
 
 def test_a_view_that_shows_far_more_than_it_should_is_unknown():
-    seen = Support(50.0, 90, 20, 1.0, 0.0)
-    assert EvidenceBar(0.5, 0.2, 8).fault(seen) == ""
-    assert EvidenceBar(0.5, 0.2, 8, 1.7).fault(seen) == "view_is_unknown"
+    seen = Support(50.0, 90, 0.4, 1.0, 0.0)
+    assert EvidenceBar(0.5, 0.2, 0.16).fault(seen) == ""
+    assert EvidenceBar(0.5, 0.2, 0.16, 1.7).fault(seen) == "view_is_unknown"

@@ -238,7 +238,7 @@ def test_the_frames_that_follow_must_have_more_inliers_for_some_time(
     [
         ({"min_share": 1.5}, "expected_points_missing"),
         ({"max_contradicted": -0.1}, "contradicted"),
-        ({"min_cells": 1000}, "too_narrow"),
+        ({"min_extent": 2.0}, "too_narrow"),
     ],
 )
 def test_a_place_that_the_views_contradict_is_withdrawn_and_leaves_nothing(
@@ -274,8 +274,8 @@ def test_frames_that_show_little_of_what_is_known_say_nothing(
 
     def leaving(*_, near):
         n = next(shown)
-        cells = 8 if n == 58 else 2
-        return Support(float(n), round(0.8 * n), cells, 0.5, 0.0)
+        extent = 0.2 if n == 58 else 0.05
+        return Support(float(n), round(0.8 * n), extent, 0.5, 0.0)
 
     monkeypatch.setattr("slam.tracking.probation.support", leaving)
     feed(system, images[88:], stamps_s[88:], check=False)
