@@ -50,6 +50,5 @@ class SlamConfig:
 
 
 def default_config(camera: PinholeCamera) -> SlamConfig:
-    """Published settings: 1,000 features up to 640x480, 2,000 for wider images such as KITTI's."""
-    wide = camera.width_px * camera.height_px > 1.2 * 640 * 480
-    return replace(SlamConfig(), orb=OrbConfig(n_features=2000 if wide else 1000))
+    """Published settings: 1,000 features up to 640x480, 2,000 for larger images such as KITTI's."""
+    return replace(SlamConfig(), orb=OrbConfig(n_features=2000 if camera.is_large else 1000))

@@ -187,7 +187,11 @@ class SlamEngine:
         return outcome, is_keyframe
 
     def relocalize(
-        self, frame: Frame, map_ids: Sequence[int], leave: Callable[[Frame], None] | None = None
+        self,
+        frame: Frame,
+        map_ids: Sequence[int],
+        leave: Callable[[Frame], None] | None = None,
+        begin: bool = True,
     ) -> TrackingOutcome:
         """Search maps, in their order, for a frame; success once it is confirmed: tracking goes on there.
 
@@ -195,8 +199,9 @@ class SlamEngine:
             frame: without a pose, and no other frame of the tracker.
             map_ids: of the maps.
             leave: leaves the map that is tracked meanwhile, if one is.
+            begin: begin a probation if none is under way.
         """
-        outcome, confirmed = self.search.offer(frame, map_ids)
+        outcome, confirmed = self.search.offer(frame, map_ids, begin)
         if confirmed is None:
             return outcome
         if leave is not None:

@@ -53,8 +53,15 @@ class PlaceSearch:
         """Begin a new search, at a loss of tracking."""
         self._withdrawn = ()
 
-    def offer(self, frame: Frame, map_ids: Sequence[int]) -> tuple[TrackingOutcome, Probation | None]:
+    def offer(
+        self, frame: Frame, map_ids: Sequence[int], begin: bool = True
+    ) -> tuple[TrackingOutcome, Probation | None]:
         """Search the maps for a frame, in their order.
+
+        Args:
+            frame: to be placed.
+            map_ids: of the maps.
+            begin: begin a probation if none is under way.
 
         Returns:
             The outcome of the frame, and the probation that it has confirmed, if any.
@@ -64,7 +71,7 @@ class PlaceSearch:
             outcome, confirmed = self._on_probation(self.probation, frame, map_ids)
             if confirmed is not None:
                 return outcome, confirmed
-        if self.probation is None:
+        if begin and self.probation is None:
             for map_id in map_ids:
                 outcome = self._begin_probation(frame, map_id)
                 if self.probation is not None:

@@ -70,6 +70,11 @@ class PinholeCamera:
             self._check_invertible()
 
     @property
+    def is_large(self) -> bool:
+        """True for images larger than about 640x480, such as KITTI's."""
+        return self.width_px * self.height_px > 1.2 * 640 * 480
+
+    @property
     def K(self) -> np.ndarray:
         """(3, 3) float64 camera matrix."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], float)

@@ -93,7 +93,7 @@ class DualSlam(MonocularSystem):
                 engine.declare_breakage(frame, outcome)
                 self._save_or_drop_map(frame)
                 self._start_anew(frame)
-            elif self._is_new_and_small:
+            elif self._is_new_and_small or engine.search.probation is not None:
                 frame, outcome = self._find_back(frame, outcome)
             if outcome.success and self._is_begun_smeared(frame):
                 outcome, is_keyframe = self._begin_again(frame, outcome), False
@@ -218,21 +218,23 @@ class DualSlam(MonocularSystem):
 
         Args:
             frame: the newest frame.
-            outcome: of tracking it in a small new map, which is dropped if the frame is found; None if no map
-                is tracked.
+            outcome: of tracking it in a new map, which is dropped if the frame is found; None if no map is
+                tracked. Once the map is fit for recovery, no more than a probation under way is completed.
 
         Returns:
             The frame, with its pose if it was found, and the outcome.
         """
         engine, sought = self.engine, self._sought
-        if not sought:
+        if not sought and engine.search.probation is None:
             return frame, outcome or TrackingOutcome(False, 0, 0, "no_candidates")
         again = engine.again(frame)  # its own: the frame is used otherwise meanwhile
         leave = partial(engine.drop_map, reason="returned_to_saved_map") if outcome is not None else None
-        found = engine.relocalize(again, sought, leave)
+        begin = outcome is None or self._is_new_and_small
+        found = engine.relocalize(again, sought, leave, begin)
         if not found.success:
             return frame, outcome or found
         self._note_return()
+        self.jobs.cancel(frame, lambda job: job.new_id not in engine.store, "returned_to_saved_map")
         return again, found
 
     def _note_return(self) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slam.core.camera import PinholeCamera
 from slam.core.frame import Frame
 from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
 from slam.dual.recovery.propagation import propagate
@@ -26,7 +27,8 @@ class SiftRecoveryConfig(TrackRecoveryConfig):
         n_features: most SIFT keypoints per frame, strongest first.
         contrast: least contrast of a keypoint, in the sense of OpenCV, whose usual value is .04.
         octaves: most octaves in which keypoints are sought.
-        most_pixels: a larger image is reduced to this number of pixels for it.
+        most_pixels: a larger image is reduced to this number of pixels for it. 0 for 76,800, and 500,000 of
+            one larger than 640x480, as on a drive: what is in view still behind a gap is far and small there.
         ratio: best over second best descriptor distance of a SIFT match.
         ransac_iterations, ransac_error_px: of the pose RANSAC.
     """
@@ -34,10 +36,13 @@ class SiftRecoveryConfig(TrackRecoveryConfig):
     n_features: int = 600
     contrast: float = 0.005
     octaves: int = 4
-    most_pixels: int = 76_800
+    most_pixels: int = 0
     ratio: float = 0.8
     ransac_iterations: int = 300
     ransac_error_px: float = 3.0
+
+
+_MOST_PIXELS = (76_800, 500_000)  # of an image up to 640x480, of a larger one
 
 
 class SiftRecovery:
@@ -57,6 +62,12 @@ class SiftRecovery:
         return propagate(task, self.config, tracker, tracker.mapper(task))
 
 
+def detector(config: SiftRecoveryConfig, camera: PinholeCamera) -> SiftDetector:
+    """Detector of the thread for the images of a camera."""
+    most_pixels = config.most_pixels or _MOST_PIXELS[camera.is_large]
+    return SiftDetector(config.n_features, config.contrast, config.octaves, most_pixels)
+
+
 class SiftTracker(TrackTracker):
     """Places frames by SIFT matches and PnP."""
 
@@ -66,7 +77,7 @@ class SiftTracker(TrackTracker):
     def __init__(self, task: RecoveryTask, config: SiftRecoveryConfig) -> None:
         self._sift_config = config
         self._task = task
-        self._detector = SiftDetector(config.n_features, config.contrast, config.octaves, config.most_pixels)
+        self._detector = detector(config, task.camera)
         super().__init__(task, config, self._detect(task.first))
 
     def track(self, frame: Frame) -> TrackingOutcome:

@@ -27,7 +27,7 @@ class TrackRecoveryConfig(RecoveryConfig):
         young_points: points with three observations, below which the map around a keyframe counts as young.
         min_parallax_deg: least angle between the rays that triangulate a feature.
         depth_radius_px: largest distance to a map point's keypoint at which a feature takes its depth, until
-            it is triangulated.
+            it is triangulated; in images wider than 640 px larger in proportion.
         adjusted_keyframes: number of newest keyframes whose features are in bundle adjustment.
         paired_keyframes: number of them matched for new points even without covisibility.
     """
@@ -58,6 +58,7 @@ class TrackTracker(Tracker):
     def __init__(self, task: RecoveryTask, config: TrackRecoveryConfig, first: TrackedFrame) -> None:
         super().__init__(task.new_map, config.tracking_in(task), StageTimer())
         self._thread_config = config
+        self._radius_px = config.depth_radius_px * max(1.0, task.camera.width_px / 640)
         self._placed: list[Frame] = []
         self._tracks = 0
         self.latest = self.keyframe_view = first
@@ -210,7 +211,7 @@ class TrackTracker(Tracker):
             frame.features.xy[rows],
             frame.T_cam_map,
             m.view,
-            self._thread_config.depth_radius_px,
+            self._radius_px,
         )
         self.latest = tracked
 

@@ -100,7 +100,7 @@ def test_the_older_map_absorbs_the_newer_when_the_older_is_tracked():
     system = dual(replace(BY_PLACE, place_merging=None, relocalization=True))
     relocalize = system.engine.relocalize
     # Once two maps are saved, only the first is searched.
-    system.engine.relocalize = lambda frame, map_ids, leave=None: relocalize(frame, map_ids[1:], leave)
+    system.engine.relocalize = lambda frame, map_ids, *rest: relocalize(frame, map_ids[1:], *rest)
     shown = blanked([images[i] for i in order], range(50, 56), range(97, 100))
     for i, (image, stamp_s) in enumerate(zip(shown, stamps_s, strict=True)):
         if i == 100:  # before, the two maps would have been fused

@@ -12,7 +12,7 @@ from slam_scenes import CAMERA, VIEW, make_frame, rigid, toy
 from slam.core.frame import Frame
 from slam.dual.recovery.interface import RecoveryConfig
 from slam.dual.recovery.registry import ThreadSpec, build_thread
-from slam.dual.recovery.sift import SiftRecoveryConfig, SiftTracker
+from slam.dual.recovery.sift import SiftRecoveryConfig, SiftTracker, detector
 from slam.features import sift, tracks
 from slam.features.sift import SiftFrame
 from slam.features.sift_detector import SiftDetector
@@ -135,6 +135,15 @@ def test_ambiguous_features_are_not_matched():
     pairs = sift.match(a, twice, 0.8)
     assert not np.isin(pairs[:, 1], (0, len(b.xy))).any()
     assert len(pairs) == 59
+
+
+@pytest.mark.parametrize(("width_px", "height_px", "finest_px"), [(640, 480, 3.2), (1240, 376, 1.6)])
+def test_fine_things_count_in_a_large_image(width_px, height_px, finest_px):
+    """As on a drive, where all that is in view still behind a gap is far."""
+    camera = replace(CAMERA, width_px=width_px, height_px=height_px, cx=width_px / 2, cy=height_px / 2)
+    noise = np.random.default_rng(0).integers(0, 256, (height_px, width_px), np.uint8)
+    found = detector(SiftRecoveryConfig(), camera).detect(noise)
+    assert finest_px <= np.percentile(found.sigma_px, 1) < 1.5 * finest_px
 
 
 def test_a_blank_image_has_no_features():

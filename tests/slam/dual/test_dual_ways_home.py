@@ -23,14 +23,14 @@ def there_and_back(turn):
     return [images[i] for i in order], np.arange(len(order)) / 30.0, T_world_cam[order]
 
 
-def beside_a_new_scene():
-    """Two scenes side by side: first one is lit, on the way back the other, then both."""
+def beside_a_new_scene(both=68):
+    """Two scenes side by side: first one is lit, on the way back the other, from frame ``both`` on both."""
     (here, _, T_world_cam), (there, _, _) = toy(70, 0, STEP_M), toy(70, 7, STEP_M)
     order, images = [*range(56), *range(60, 19, -1)], []
     half = here[0].shape[1] // 3
     for n, i in enumerate(order):
         image = np.full_like(here[i], 120)
-        if n < 56 or n >= 68:
+        if n < 56 or n >= both:
             image[:, half:] = here[i][:, half:]
         if n >= 56:
             image[:, :half] = there[i][:, :half]
@@ -55,6 +55,19 @@ def test_a_small_new_map_is_dropped_where_a_saved_one_is_found_again(relocalizat
     assert system.engine.store.saved == [] and not system.buffer.frozen
     (path,) = system.trajectories()
     assert path.frames[-1] == len(images) - 1 and rms(errors_m(path, truth)[0]) < 0.05
+
+
+def test_a_place_that_is_all_but_confirmed_counts_though_a_recovery_has_begun_meanwhile():
+    """The recovery would fail: the scene of the new map was not lit before."""
+    images, stamps_s, _ = beside_a_new_scene(both=65)
+    system = with_own_threads([Lasting(200)], relocalization=True, start_keyframes=4)
+    feed(system, images, stamps_s)
+    (start,), (end,), (dropped,), (back,) = (
+        of(system, k) for k in ("recovery_start", "recovery_end", "map_dropped", "relocalized")
+    )
+    assert back.first_frame < start.frame < back.frame == dropped.frame == end.frame
+    assert (end.stage, end.reason) == ("cancelled", dropped.reason) == ("cancelled", "returned_to_saved_map")
+    assert system.maps() == [0] and not system.engine.store.saved and not system.buffer.frozen
 
 
 @pytest.mark.parametrize("exhaustive", [False, True])
@@ -83,7 +96,7 @@ def test_a_recovery_is_fused_into_a_map_that_has_been_tracked_on_since():
     system.dual = replace(system.dual, relocalization=True)
     reconfigure(system, probation=ProbationConfig(far_s=10.0))
     relocalize = system.engine.relocalize
-    system.engine.relocalize = lambda frame, ids, leave=None: relocalize(frame, [0], leave)
+    system.engine.relocalize = lambda frame, ids, *rest: relocalize(frame, [0], *rest)
     feed(system, shown[100:], stamps_s[100:])
     (start,), (back,), (fused,) = (of(system, k) for k in ("recovery_start", "relocalized", "fusion"))
     assert back.map_id == 0 and start.frame < back.frame < fused.frame
@@ -106,9 +119,9 @@ def test_a_place_is_judged_by_as_many_features_as_in_the_base():
     images, stamps_s, _ = toy(110, 0, STEP_M)
     system, offered = dual(replace(RECOVERY_ONLY, relocalization=True)), []
     offer = system.engine.search.offer
-    system.engine.search.offer = lambda frame, maps: (
+    system.engine.search.offer = lambda frame, *rest: (
         offered.append(len(frame.features)),
-        offer(frame, maps),
+        offer(frame, *rest),
     )[1]
     feed(system, blanked(images, BLANK), stamps_s, check=False)
     usual = system.engine.config.orb.n_features
