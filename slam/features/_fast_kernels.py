@@ -93,6 +93,18 @@ def _suppress_row(above, row, below, threshold, out):
 
 
 @njit(cache=True, nogil=True)
+def _strongest(kept, out):
+    for x in range(np.uint64(kept.size)):
+        out[x] = max(out[x], kept[x])
+
+
+@njit(cache=True, nogil=True)
+def _drop_weak(kept, thresholds):
+    for x in range(np.uint64(kept.size)):
+        kept[x] = kept[x] if kept[x] > thresholds[x] else np.uint8(0)
+
+
+@njit(cache=True, nogil=True)
 def _collect_row(kept, border, y, xs, ys, contrasts, count):
     words = kept.view(np.uint64)  # most rows are nearly empty: test eight pixels at once
     for w in range(words.size):
@@ -141,30 +153,33 @@ def select_corners(
         return 0
     n_cells = max(n // cell_px, 1)
     n_bands = max(rows // cell_px, 1)
-    strong = np.empty(n_cells, np.bool_)
-    kept = np.zeros((n + 7) // 8 * 8, np.uint8)
+    padded = (n + 7) // 8 * 8
+    kept = np.zeros((rows // n_bands + 1, padded), np.uint8)
+    strongest = np.empty(padded, np.uint8)
+    thresholds = np.zeros(padded, np.uint8)
     count = 0
     for band in range(n_bands):
-        first = count
-        for y in range(border + rows * band // n_bands, border + rows * (band + 1) // n_bands):
+        first, end = border + rows * band // n_bands, border + rows * (band + 1) // n_bands
+        strongest[:] = 0
+        for y in range(first, end):
             i = y * width + border - 1
             _suppress_row(
                 contrast[i - width : i - width + n + 2],
                 contrast[i : i + n + 2],
                 contrast[i + width : i + width + n + 2],
                 min_threshold,
-                kept[:n],
+                kept[y - first, :n],
             )
-            count = _collect_row(kept, border, y, xs, ys, contrasts, count)
-        strong[:] = False
-        for k in range(first, count):
-            if contrasts[k] > threshold:
-                strong[(xs[k] - border) * n_cells // n] = True
-        end, count = count, first
-        for k in range(first, end):
-            if contrasts[k] > threshold or not strong[(xs[k] - border) * n_cells // n]:
-                xs[count], ys[count], contrasts[count] = xs[k], ys[k], contrasts[k]
-                count += 1
+            _strongest(kept[y - first], strongest)
+        for cell in range(n_cells):  # column x lies in cell x * n_cells // n
+            left, right = (cell * n + n_cells - 1) // n_cells, ((cell + 1) * n + n_cells - 1) // n_cells
+            most = np.uint8(0)
+            for x in range(left, right):
+                most = max(most, strongest[x])
+            thresholds[left:right] = threshold if most > threshold else min_threshold
+        for y in range(first, end):
+            _drop_weak(kept[y - first], thresholds)
+            count = _collect_row(kept[y - first], border, y, xs, ys, contrasts, count)
     return count
 
 
