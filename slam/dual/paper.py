@@ -30,7 +30,7 @@ def paper_config(camera: PinholeCamera, plus: bool = False) -> SlamConfig:
     start, tracking = config.initialization, config.tracking
     return replace(
         config,
-        orb=replace(config.orb, subpixel=False, noise_px=1.0),
+        orb=replace(config.orb, subpixel=False, noise_px=1.0, faint_share=0.0),
         initial_features=2.0,
         initialization=replace(
             start,

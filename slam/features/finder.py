@@ -24,7 +24,8 @@ class FeatureFinder:
     def __init__(self, camera: PinholeCamera, config: OrbConfig, initial_features: float) -> None:
         width, height = camera.width_px, camera.height_px
         wanted = min(initial_features * config.n_features, width * height / _PX_PER_FEATURE)
-        more = replace(config, n_features=max(config.n_features, round(wanted)))
+        # A map begun from faint corners, in the middle of a blur say, is hardly one.
+        more = replace(config, n_features=max(config.n_features, round(wanted)), faint_share=0.0)
         self._usual, self._dense = (OrbExtractor(width, height, c) for c in (config, more))
 
     def find(self, image: np.ndarray, dense: bool) -> Features:

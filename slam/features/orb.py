@@ -10,6 +10,7 @@ from slam.core.frame import Features
 from slam.features._fast_kernels import corner_contrast, refine_corners, select_corners
 from slam.features._orb_kernels import BORDER_PX, descriptors, orientations
 from slam.features._spread_kernels import spread_corners
+from slam.features.faint import amplified
 from slam.features.remembered import Remembered
 
 # The blur of OpenCV's ORB: rounding differs from cv2.GaussianBlur at some pixels; it takes half the time.
@@ -30,6 +31,9 @@ class OrbConfig:
         subpixel: find corners between the pixels of their level; False: at whole pixels, as in ORB-SLAM.
         noise_px: standard deviation of a corner, in pixels of its level; all that is allowed of reprojection
             errors is a multiple of it. ORB-SLAM's is 1.
+        faint_share: share of ``n_features`` that is made up with faint corners, if there are fewer others: in
+            the image amplified as far as its noise allows, in cells without other corners. 0: never, as in
+            ORB-SLAM.
     """
 
     n_features: int = 1000
@@ -40,6 +44,7 @@ class OrbConfig:
     cell_px: int = 30
     subpixel: bool = True
     noise_px: float = 0.5
+    faint_share: float = 1.0
 
     def __post_init__(self) -> None:
         """Raise ValueError naming the first field that is out of range."""
@@ -51,6 +56,7 @@ class OrbConfig:
             "fast_min_threshold": 1 <= self.fast_min_threshold <= self.fast_threshold,
             "cell_px": self.cell_px >= 4,
             "noise_px": 0 < self.noise_px <= 10,
+            "faint_share": 0 <= self.faint_share <= 1,
         }
         for name, holds in checks.items():
             if not holds:
@@ -106,6 +112,7 @@ class OrbExtractor:
         self.remembered = remembered
         self._shape = (height_px, width_px)
         self._levels = [self._allocate(scale) for scale in self.config.scales]
+        self._faint_levels: list[_Level] | None = None  # most images need none
 
     def __deepcopy__(self, memo: dict) -> "OrbExtractor":
         """Return a new extractor with the same settings: buffers keep no state between images."""
@@ -138,14 +145,58 @@ class OrbExtractor:
         return self._found(image) if self.remembered is None else self.remembered.of(image, self._found)
 
     def _found(self, image: np.ndarray) -> Features:
+        config = self.config
         self._build_pyramid(image)
-        n_corners = [self._detect(level) for level in self._levels]
-        quotas = share_out(self.config.n_features, self.config.scale_factor, n_corners)
-        parts = [
-            self._describe(octave, level, n, quota)
-            for octave, (level, n, quota) in enumerate(zip(self._levels, n_corners, quotas, strict=True))
-        ]
+        n_corners = [self._detect(level, config.fast_threshold) for level in self._levels]
+        parts = self._chosen(self._levels, n_corners, config.n_features)
+        missing = round(config.faint_share * config.n_features) - sum(n_corners)
+        if missing > 0:
+            faint = self._faint(image, n_corners, missing)
+            parts = [part for octave in zip(parts, faint, strict=True) for part in octave]
         return Features(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+    def _chosen(self, levels: list[_Level], n_corners: list[int], most: int) -> list[tuple[np.ndarray, ...]]:
+        """Choose among the corners of each level, and describe them."""
+        quotas = share_out(most, self.config.scale_factor, n_corners)
+        return [
+            self._describe(octave, level, n, quota)
+            for octave, (level, n, quota) in enumerate(zip(levels, n_corners, quotas, strict=True))
+        ]
+
+    def _faint(self, image: np.ndarray, n_corners: list[int], most: int) -> list[tuple[np.ndarray, ...]]:
+        """Corners of the amplified image in cells where the image itself has none."""
+        if self._faint_levels is None:
+            self._faint_levels = [self._allocate(scale) for scale in self.config.scales]
+        least = self.config.fast_min_threshold
+        sizes = [level.image.shape for level in self._levels]
+        for level, brighter in zip(self._faint_levels, amplified(image, sizes, least), strict=True):
+            np.copyto(level.image, brighter)
+        left = []
+        for level, faint, n in zip(self._levels, self._faint_levels, n_corners, strict=True):
+            found = self._detect(faint, least)
+            free = ~self._cells(level, level.xs[:n], level.ys[:n])
+            here = self._cell_of(faint, faint.xs[:found], faint.ys[:found])
+            kept = np.flatnonzero(free[here])
+            for column in (faint.xs, faint.ys, faint.contrasts):
+                column[: len(kept)] = column[kept]
+            left.append(len(kept))
+        return self._chosen(self._faint_levels, left, most)
+
+    def _cell_of(self, level: _Level, xs: np.ndarray, ys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Row and column of the cells in which corners lie."""
+        inner = np.array(level.image.shape) - 2 * BORDER_PX
+        rows, columns = self._n_cells(level)
+        return (ys - BORDER_PX) * rows // inner[0], (xs - BORDER_PX) * columns // inner[1]
+
+    def _cells(self, level: _Level, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
+        """(rows, columns) bool: cells in which there are corners."""
+        taken = np.zeros(self._n_cells(level), np.bool_)
+        taken[self._cell_of(level, xs, ys)] = True
+        return taken
+
+    def _n_cells(self, level: _Level) -> tuple[int, int]:
+        height, width = (max((size - 2 * BORDER_PX) // self.config.cell_px, 1) for size in level.image.shape)
+        return height, width
 
     def _check(self, image: np.ndarray) -> None:
         if not isinstance(image, np.ndarray) or image.dtype != np.uint8:
@@ -161,7 +212,7 @@ class OrbExtractor:
             height, width = coarser.image.shape
             cv2.resize(finer.image, (width, height), dst=coarser.image, interpolation=cv2.INTER_LINEAR)
 
-    def _detect(self, level: _Level) -> int:
+    def _detect(self, level: _Level, threshold: int) -> int:
         height, width = level.image.shape
         corner_contrast(level.image, BORDER_PX - 1, level.contrast)
         return select_corners(
@@ -169,7 +220,7 @@ class OrbExtractor:
             height,
             width,
             BORDER_PX,
-            np.uint8(self.config.fast_threshold),
+            np.uint8(threshold),
             np.uint8(self.config.fast_min_threshold),
             self.config.cell_px,
             level.xs,

@@ -11,7 +11,9 @@ from experiments.evaluation.declared_audit import audit_declared
 from experiments.runs.execution import record_of, slam_camera
 from scenarios.loading import load_scenario
 from sim.sequence_rendering import render_sequence
+from slam.config import SlamConfig
 from slam.factory import build_system
+from slam.features.orb import OrbConfig
 
 pytestmark = pytest.mark.slow
 
@@ -87,3 +89,17 @@ def test_after_a_covered_lens_it_relocalizes_within_a_second():
     assert all(f.audit.position_error_m < 0.7 * f.audit.position_bound_m for f in found.loops)
     assert found.relocalizations[0].largest_error_m < 0.7 * found.relocalizations[0].position_bound_m
     assert np.isfinite(system.trajectories()[0].T_map_cam).all()
+
+
+def test_walls_of_a_few_grey_levels_are_passed_by_their_faint_corners():
+    sequence = rendered("stressed", 8105, duration_s=9.0)
+
+    def passes(faint_share):
+        config = SlamConfig(orb=OrbConfig(faint_share=faint_share))
+        system = build_system("base", slam_camera(sequence.camera), 0, config)
+        feed(system, images(sequence), sequence.stamps_s, check=False)
+        return system
+
+    with_faint, without = passes(1.0), passes(0.0)
+    assert "breakage" in kinds(without) and "breakage" not in kinds(with_faint)
+    assert ate_m(with_faint, sequence) < 0.01

@@ -87,3 +87,12 @@ def test_a_worker_of_less_urgency_gives_way_and_the_others_do_not():
     worker.close()
     own = os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
     assert found == [min(own + 3, 19)]
+
+
+@pytest.mark.parametrize(("before_s", "after_s"), [(0.005, 5e-4), (1e-4, 1e-4)])
+def test_beside_a_worker_a_thread_that_computes_soon_gives_others_their_turn(monkeypatch, before_s, after_s):
+    set_to = []
+    monkeypatch.setattr(sys, "getswitchinterval", lambda: before_s)
+    monkeypatch.setattr(sys, "setswitchinterval", set_to.append)
+    Worker("test").close()
+    assert set_to == [after_s]
