@@ -195,6 +195,7 @@ class OrbExtractor:
         return taken
 
     def _n_cells(self, level: _Level) -> tuple[int, int]:
+        """Rows and columns of cells, as :func:`select_corners` divides a level."""
         height, width = (max((size - 2 * BORDER_PX) // self.config.cell_px, 1) for size in level.image.shape)
         return height, width
 

@@ -5,13 +5,14 @@ from dataclasses import fields
 import cv2
 import numpy as np
 import pytest
+from slam_scenes import CAMERA
 
 from slam.core.frame import Features
+from slam.dual.paper import paper_config
 from slam.features.faint import amplified, noise_of
 from slam.features.finder import FeatureFinder
 from slam.features.orb import OrbConfig, OrbExtractor
 from slam.matching.brute_force import match_brute_force
-from tests.slam.slam_scenes import CAMERA
 
 WIDTH, HEIGHT = 640, 480
 
@@ -90,3 +91,8 @@ def test_no_map_is_begun_from_faint_corners():
     image = wall(3.0)[: CAMERA.height_px, : CAMERA.width_px]
     assert len(finder.find(image, dense=False)) > 150
     assert len(finder.find(image, dense=True)) == len(extract(image, n_features=1500, faint_share=0.0)) < 150
+
+
+def test_the_system_of_the_paper_has_none():
+    orb = paper_config(CAMERA).orb
+    assert len(OrbExtractor(WIDTH, HEIGHT, orb).extract(wall(3.0))) < 150 < len(extract(wall(3.0)))
