@@ -10,7 +10,7 @@ from slam.core.frame import Features
 from slam.features._fast_kernels import corner_contrast, refine_corners, select_corners
 from slam.features._orb_kernels import BORDER_PX, descriptors, orientations
 from slam.features._spread_kernels import spread_corners
-from slam.features.faint import amplified
+from slam.features.faint import Amplifier
 from slam.features.remembered import Remembered
 
 # The blur of OpenCV's ORB: rounding differs from cv2.GaussianBlur at some pixels; it takes half the time.
@@ -112,7 +112,8 @@ class OrbExtractor:
         self.remembered = remembered
         self._shape = (height_px, width_px)
         self._levels = [self._allocate(scale) for scale in self.config.scales]
-        self._faint_levels: list[_Level] | None = None  # most images need none
+        self._amplifier: Amplifier | None = None  # most images need none
+        self._faint_levels: list[_Level] = []
 
     def __deepcopy__(self, memo: dict) -> "OrbExtractor":
         """Return a new extractor with the same settings: buffers keep no state between images."""
@@ -165,12 +166,11 @@ class OrbExtractor:
 
     def _faint(self, image: np.ndarray, n_corners: list[int], most: int) -> list[tuple[np.ndarray, ...]]:
         """Corners of the amplified image in cells where the image itself has none."""
-        if self._faint_levels is None:
+        if self._amplifier is None:
             self._faint_levels = [self._allocate(scale) for scale in self.config.scales]
+            self._amplifier = Amplifier([level.image.shape for level in self._levels])
         least = self.config.fast_min_threshold
-        sizes = [level.image.shape for level in self._levels]
-        for level, brighter in zip(self._faint_levels, amplified(image, sizes, least), strict=True):
-            np.copyto(level.image, brighter)
+        self._amplifier.amplify(image, least, [level.image for level in self._faint_levels])
         left = []
         for level, faint, n in zip(self._levels, self._faint_levels, n_corners, strict=True):
             found = self._detect(faint, least)
