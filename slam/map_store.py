@@ -128,6 +128,11 @@ class MapStore:
         """The last loss of tracking in a map."""
         return self._losses[map_id]
 
+    def last_keyframe(self, map_id: int) -> int:
+        """The keyframe nearest in time to the last loss of tracking in a map."""
+        map_, lost_at = self._maps[map_id], self.loss(map_id).at.index
+        return min(map(int, map_.keyframes()), key=lambda k: abs(map_.frame_index(k) - lost_at))
+
     def reach(self, map_id: int) -> Reach | None:
         """Where the camera can be since it was lost in a map; None if unknown."""
         if map_id not in self._reaches:

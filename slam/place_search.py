@@ -89,7 +89,8 @@ class PlaceSearch:
         rng = rng_for(self._seed, "relocalization", frame.features.index)
         with self._timer("relocalize"), self._lock:
             reach = store.reach(map_id)
-            found = store.places(map_id).relocalizer.relocalize(frame, rng, reach)
+            also = [store.last_keyframe(map_id)]
+            found = store.places(map_id).relocalizer.relocalize(frame, rng, reach, also=also)
             if found.success:
                 tracker = Tracker(store[map_id], self._config.tracking, self._timer)
                 self.probation = Probation(

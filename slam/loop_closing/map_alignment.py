@@ -11,7 +11,7 @@ from slam.core.frame import Frame
 from slam.loop_closing._alignment_kernels import match_across
 from slam.map import _map_kernels as kernels
 from slam.map.map import Map
-from slam.matching.brute_force import match_brute_force, rotation_consistent
+from slam.matching.brute_force import match_oriented
 from slam.matching.guided import NEAR
 from slam.optimization.sim3 import (
     Sim3Result,
@@ -208,8 +208,9 @@ def matched_keypoints(
     rows_b = new.keypoints(new_keyframe).start + np.flatnonzero(new.observed_points(new_keyframe) >= 0)
     if not len(rows_a) or not len(rows_b):
         return rows_a[:0], rows_b[:0]
-    pairs = match_brute_force(a.kp_descriptor[rows_a], b.kp_descriptor[rows_b], NEAR, 0.75)
-    pairs = pairs[rotation_consistent(a.kp_angle[rows_a], b.kp_angle[rows_b], pairs)]
+    pairs = match_oriented(
+        a.kp_descriptor[rows_a], a.kp_angle[rows_a], b.kp_descriptor[rows_b], b.kp_angle[rows_b], NEAR, 0.75
+    )
     return rows_a[pairs[:, 0]], rows_b[pairs[:, 1]]
 
 

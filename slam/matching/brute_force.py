@@ -103,3 +103,16 @@ def rotation_consistent(angle_a: np.ndarray, angle_b: np.ndarray, matches: np.nd
     best = np.argsort(-counts, kind="stable")[:_N_BEST_BINS]
     best = best[counts[best] >= _MIN_SHARE_OF_BEST * counts[best[0]]]
     return np.isin(bins, best)
+
+
+def match_oriented(
+    desc_a: np.ndarray,
+    angle_a: np.ndarray,
+    desc_b: np.ndarray,
+    angle_b: np.ndarray,
+    max_distance: int,
+    ratio: float,
+) -> np.ndarray:
+    """Match as :func:`match_brute_force`, and keep what is :func:`rotation_consistent`."""
+    pairs = match_brute_force(desc_a, desc_b, max_distance, ratio)
+    return pairs[rotation_consistent(angle_a, angle_b, pairs)]

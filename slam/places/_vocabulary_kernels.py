@@ -45,23 +45,20 @@ class InvertedFile(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def descend(tree, descriptors, level):
-    """Word of each descriptor, and its ancestor at ``level`` (or the word itself if that is higher).
+def descend(tree, descriptors):
+    """Word of each descriptor.
 
     Args:
         tree: Tree.
         descriptors: (n, 4) uint64.
-        level: steps below the root.
 
     Returns:
-        words (n,) int32, nodes (n,) int32.
+        (n,) int32.
     """
     n = descriptors.shape[0]
     words = np.empty(n, np.int32)
-    nodes = np.empty(n, np.int32)
     for i in range(n):
-        node, depth = 0, 0
-        nodes[i] = 0
+        node = 0
         while tree.n_children[node] > 0:
             first = tree.first_child[node]
             best, least = first, 257
@@ -70,11 +67,8 @@ def descend(tree, descriptors, level):
                 if distance < least:
                     best, least = child, distance
             node = best
-            depth += 1
-            if depth <= level:
-                nodes[i] = node
         words[i] = tree.word[node]
-    return words, nodes
+    return words
 
 
 @njit(cache=True, nogil=True)
@@ -192,37 +186,3 @@ def score_groups(eligible, score, covisibility, group_size):
                 if score[j] > score[best[k]]:
                     best[k] = j
     return total, best
-
-
-@njit(cache=True, nogil=True)
-def match_in_nodes(descriptors_a, nodes_a, rows_a, descriptors_b, order_b, start_b, max_distance, ratio):
-    """Match features with their nearest neighbours in the same node.
-
-    Args:
-        descriptors_a, nodes_a: (n, 4) uint64 and (n,) int32 of one image.
-        rows_a: (q,) int rows of it to match.
-        descriptors_b: (m, 4) uint64 of the other.
-        order_b: (m,) its rows, ordered by node.
-        start_b: (nodes + 1,) where each node starts in ``order_b``.
-        max_distance: bits.
-        ratio: largest ratio of best to second best distance.
-
-    Returns:
-        (m,) int32 row of A for each of B, -1 for none.
-    """
-    owner = np.full(descriptors_b.shape[0], -1, np.int32)
-    owner_distance = np.full(descriptors_b.shape[0], 257, np.int64)
-    for i in rows_a:
-        node = nodes_a[i]
-        best, second, found = 257, 257, -1
-        for s in range(start_b[node], start_b[node + 1]):
-            j = order_b[s]
-            distance = hamming(descriptors_a, i, descriptors_b, j)
-            if distance < best:
-                best, second, found = distance, best, j
-            elif distance < second:
-                second = distance
-        if found >= 0 and best <= max_distance and best < ratio * second and best < owner_distance[found]:
-            owner[found] = i
-            owner_distance[found] = best
-    return owner

@@ -13,17 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.core.frame import FrameFeatures
 from slam.core.snapshot import Unchanging
 from slam.map.map import Map
-from slam.matching.brute_force import rotation_consistent
 from slam.places import _vocabulary_kernels as kernels
 from slam.places._vocabulary_kernels import InvertedFile, Tree
 
 VOCABULARY_FILE = Path(__file__).parent / "data" / "vocabulary.npz"
 
-_DIRECT_LEVEL = 2
-"""Tree level of the nodes within which features are matched; a node has about ten features of an image."""
 _COMMON_SHARE = 0.8
 _TOTAL_SHARE = 0.75
 _GROUP_SIZE = 10
@@ -36,12 +32,10 @@ class BowVector(Unchanging):
     Attributes:
         words: (m,) int32 words that occur, increasing.
         weights: (m,) float64 their weights (term frequency times inverse document frequency), sum 1.
-        nodes: (n,) int32 node of every feature, for guided matching.
     """
 
     words: np.ndarray
     weights: np.ndarray
-    nodes: np.ndarray
 
     def score(self, other: "BowVector") -> float:
         """Similarity of two images: 1 for equal bags of words, 0 without common words."""
@@ -49,7 +43,7 @@ class BowVector(Unchanging):
         return float(np.minimum(self.weights[mine], other.weights[theirs]).sum())
 
 
-_EMPTY_BAG = BowVector(np.empty(0, np.int32), np.empty(0), np.empty(0, np.int32))
+_EMPTY_BAG = BowVector(np.empty(0, np.int32), np.empty(0))
 
 
 class Vocabulary(Unchanging):
@@ -75,11 +69,11 @@ class Vocabulary(Unchanging):
         Args:
             descriptors: (n, 4) uint64.
         """
-        word, nodes = kernels.descend(self.tree, np.ascontiguousarray(descriptors), _DIRECT_LEVEL)
+        word = kernels.descend(self.tree, np.ascontiguousarray(descriptors))
         weight = np.bincount(word, minlength=self.n_words) * self.tree.weight
         words = np.flatnonzero(weight)
         weights = weight[words] / weight[words].sum() if len(words) else np.empty(0)
-        return BowVector(words.astype(np.int32), weights, nodes)
+        return BowVector(words.astype(np.int32), weights)
 
     def save(self, path: Path) -> None:
         """Write the vocabulary as an .npz file; the same vocabulary gives the same bytes."""
@@ -233,39 +227,3 @@ class KeyframeDatabase:
                 keyframe=np.concatenate([f.keyframe, np.empty(more, np.int32)]),
                 weight=np.concatenate([f.weight, np.empty(more)]),
             )
-
-
-def match_by_bow(
-    features_a: FrameFeatures,
-    bow_a: BowVector,
-    rows_a: np.ndarray,
-    features_b: FrameFeatures,
-    bow_b: BowVector,
-    max_distance: int,
-    ratio: float,
-) -> np.ndarray:
-    """Match two images without guidance, within the nodes of the vocabulary.
-
-    Args:
-        features_a, bow_a: one image.
-        rows_a: (q,) int its features to match.
-        features_b, bow_b: the other.
-        max_distance: largest distance of a match, bits.
-        ratio: the nearest must be nearer than ``ratio`` times the second nearest of the same node.
-
-    Returns:
-        (k, 2) int32 rows (index in A, index in B), by index in B; no index occurs twice, and all rotate by
-        about the same angle.
-    """
-    order = np.argsort(bow_b.nodes, kind="stable")
-    last = int(max(bow_a.nodes.max(initial=0), bow_b.nodes.max(initial=0)))
-    start = np.searchsorted(bow_b.nodes[order], np.arange(last + 2))
-    owner = kernels.match_in_nodes(
-        features_a.descriptors, bow_a.nodes, np.asarray(rows_a, np.int64), features_b.descriptors,
-        order, start, int(max_distance), float(ratio),
-    )  # fmt: skip
-    matched = np.flatnonzero(owner >= 0)
-    pairs = np.stack([owner[matched], matched], axis=1).astype(np.int32)
-    if not len(pairs):
-        return pairs
-    return pairs[rotation_consistent(features_a.angle_deg, features_b.angle_deg, pairs)]

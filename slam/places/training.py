@@ -39,7 +39,7 @@ def train_vocabulary(
     tree = _grow(np.ascontiguousarray(descriptors), branching, levels, seed)
     seen_in = np.zeros(len(tree.weight))
     for image in images:
-        words, _ = kernels.descend(tree, np.ascontiguousarray(image), 0)
+        words = kernels.descend(tree, np.ascontiguousarray(image))
         seen_in[np.unique(words)] += 1
     # A word in no image gets the weight of a word in one image.
     weight = np.log(len(images) / np.maximum(seen_in, 1.0)).astype(np.float32).astype(np.float64)

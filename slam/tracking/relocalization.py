@@ -14,7 +14,8 @@ from slam.core.geometry import camera_centre
 from slam.map import _map_kernels as kernels
 from slam.map.map import Map
 from slam.matching import guided
-from slam.places.recognition import BowVector, KeyframeDatabase, match_by_bow
+from slam.matching.brute_force import match_oriented
+from slam.places.recognition import KeyframeDatabase
 from slam.tracking.pnp import ransac_pnp
 from slam.tracking.reach import Reach
 from slam.tracking.tracker import optimize_frame
@@ -25,8 +26,9 @@ class RelocalizationConfig:
     """Thresholds of relocalization.
 
     Attributes:
-        candidates: most keyframes tried per frame, the most similar first.
-        ratio: best over second best descriptor distance of an unguided match.
+        candidates: most similar keyframes tried per frame, the most similar first.
+        ratio: best over second best descriptor distance of an unguided match, among all features of the
+            frame; within the nodes of a vocabulary, as in ORB-SLAM, most matches of noisy images are missed.
         min_matches: unguided matches with a keyframe's points, below which it is not tried.
         ransac_iterations, ransac_error_px: of the pose from three points; level 0.
         min_pose_inliers: fewest inliers of a pose that is used further.
@@ -74,7 +76,7 @@ class RelocalizationOutcome:
 
 _FAILURES = (
     "no_candidates",
-    "too_few_bow_matches",
+    "too_few_matches",
     "no_pose",
     "too_few_pose_inliers",
     "too_few_inliers",
@@ -106,6 +108,7 @@ class Relocalizer:
         rng: np.random.Generator,
         reach: Reach | None = None,
         similar: Sequence[int] | None = None,
+        also: Sequence[int] = (),
     ) -> RelocalizationOutcome:
         """Try the most similar keyframes; of several places, take the one that fits clearly best.
 
@@ -115,14 +118,15 @@ class Relocalizer:
             rng: stream of the RANSAC.
             reach: where the camera can be; None for anywhere.
             similar: keyframes that are tried, the most similar first; None to look them up.
+            also: keyframes tried after them, however similar.
         """
-        bow = self._database.vocabulary.transform(frame.features.descriptors)
         farthest = RelocalizationOutcome(False, -1, 0, 0, "no_candidates")
         places: list[_Place] = []
         if similar is None:
+            bow = self._database.vocabulary.transform(frame.features.descriptors)
             similar = self._database.relocalization_candidates(bow)
-        for keyframe in similar[: self.config.candidates]:
-            outcome = self._try(frame, bow, keyframe, rng)
+        for keyframe in dict.fromkeys([*similar[: self.config.candidates], *also]):
+            outcome = self._try(frame, keyframe, rng)
             if (
                 outcome.success
                 and reach is not None
@@ -160,14 +164,12 @@ class Relocalizer:
 
     # -- steps -------------------------------------------------------------------------------------------
 
-    def _try(
-        self, frame: Frame, bow: BowVector, keyframe: int, rng: np.random.Generator
-    ) -> RelocalizationOutcome:
+    def _try(self, frame: Frame, keyframe: int, rng: np.random.Generator) -> RelocalizationOutcome:
         """Match unguided, estimate a pose from three points, match guided."""
-        rows, points = self._match(frame, bow, keyframe)
+        rows, points = self._match(frame, keyframe)
         matches = len(rows)
         if matches < self.config.min_matches:
-            return RelocalizationOutcome(False, keyframe, 0, matches, "too_few_bow_matches")
+            return RelocalizationOutcome(False, keyframe, 0, matches, "too_few_matches")
         found = ransac_pnp(
             self.map.arrays.pt_xyz[points], frame.features.xy[rows], self.map.view, rng,
             self.config.ransac_iterations, self.config.ransac_error_px, self.config.min_pose_inliers,
@@ -189,19 +191,20 @@ class Relocalizer:
             return RelocalizationOutcome(False, keyframe, inliers, matches, "too_few_inliers")
         return RelocalizationOutcome(True, keyframe, inliers, matches)
 
-    def _match(self, frame: Frame, bow: BowVector, keyframe: int) -> tuple[np.ndarray, np.ndarray]:
+    def _match(self, frame: Frame, keyframe: int) -> tuple[np.ndarray, np.ndarray]:
         """Rows of the frame and the keyframe's map points that match them."""
         observed = self.map.observed_points(keyframe)
-        pairs = match_by_bow(
-            self.map.features(keyframe),
-            self._database.bow(keyframe),
-            np.flatnonzero(observed >= 0),
-            frame.features,
-            bow,
+        rows = np.flatnonzero(observed >= 0)
+        known, f = self.map.features(keyframe), frame.features
+        pairs = match_oriented(
+            known.descriptors[rows],
+            known.angle_deg[rows],
+            f.descriptors,
+            f.angle_deg,
             guided.NEAR,
             self.config.ratio,
         )
-        return pairs[:, 1], observed[pairs[:, 0]]
+        return pairs[:, 1], observed[rows[pairs[:, 0]]]
 
     def _search(self, frame: Frame, radius_px: float) -> tuple[int, int]:
         """Match the local map around the pose and refine it; (matches, inliers)."""

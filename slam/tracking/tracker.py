@@ -10,9 +10,9 @@ from slam.core.timing import StageTimer
 from slam.map._map_kernels import count_observed, resolve_points
 from slam.map.map import Map
 from slam.matching import guided
+from slam.matching.brute_force import match_oriented
 from slam.optimization.pose import direction_deviation, optimize_pose
 from slam.places.evidence import EvidenceBar, cells_of, support
-from slam.places.recognition import match_by_bow, shipped_vocabulary
 from slam.tracking.doubt import Doubt, DoubtConfig
 
 _KEYPOINTS_TO_SEE = 3  # in a cell, of which chance puts one or two anywhere
@@ -350,7 +350,7 @@ class Tracker:
         return count
 
     def _track_reference_keyframe(self, frame: Frame, last: Frame) -> bool:
-        """Match with the reference keyframe's points by bag of words, without prediction."""
+        """Match with the reference keyframe's points without prediction."""
         f = frame.features
         k = self.map.live(last.reference_keyframe)
         reference = self.map.features(k)
@@ -359,14 +359,13 @@ class Tracker:
         frame.point[:] = -1
         if not len(rows) or not len(f):
             return False
-        vocabulary = shipped_vocabulary()
-        pairs = match_by_bow(
-            reference, vocabulary.transform(reference.descriptors), rows,
-            f, vocabulary.transform(f.descriptors), guided.NEAR, self.config.reference_ratio,
+        pairs = match_oriented(
+            reference.descriptors[rows], reference.angle_deg[rows], f.descriptors, f.angle_deg,
+            guided.NEAR, self.config.reference_ratio,
         )  # fmt: skip
         if len(pairs) < self.config.min_reference_matches:
             return False
-        frame.point[pairs[:, 1]] = points[pairs[:, 0]]
+        frame.point[pairs[:, 1]] = points[rows[pairs[:, 0]]]
         frame.T_cam_map = last.T_cam_map.copy()
         return self.optimize(frame) >= self.config.min_motion_inliers
 

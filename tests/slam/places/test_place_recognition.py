@@ -1,11 +1,10 @@
-"""Retrieval: scores and candidates against NumPy, updates of the database, matching by words."""
+"""Retrieval: scores and candidates against NumPy, updates of the database."""
 
 import numpy as np
 import pytest
-from slam_scenes import CAMERA, VIEW, PointWorld, walk
+from slam_scenes import VIEW, PointWorld, walk
 
-from slam.core.frame import Features, FrameFeatures
-from slam.places.recognition import KeyframeDatabase, match_by_bow
+from slam.places.recognition import KeyframeDatabase
 from slam.places.training import train_vocabulary
 
 KEYFRAMES, PLACES = 24, 3
@@ -173,64 +172,6 @@ def test_a_keyframe_without_neighbours_has_no_loop_candidates(places, database):
     frame = places[3][0].again()
     frame.T_cam_map = np.eye(4)
     assert database.loop_candidates(database.map.add_keyframe(frame, 0)) == []
-
-
-# -- matching ------------------------------------------------------------------------------------------------
-
-
-def slow_match(a, bow_a, rows, b, bow_b, most, ratio):
-    best = {}
-    for i in rows:
-        same = np.flatnonzero(bow_b.nodes == bow_a.nodes[i])
-        bits = np.unpackbits((a.descriptors[i] ^ b.descriptors[same]).view(np.uint8).reshape(-1, 32), axis=1)
-        d = bits.sum(axis=1)
-        order = np.argsort(d, kind="stable")
-        if not len(order) or d[order[0]] > most:
-            continue
-        if len(order) > 1 and not d[order[0]] < ratio * d[order[1]]:
-            continue
-        j = int(same[order[0]])
-        if j not in best or d[order[0]] < best[j][1]:
-            best[j] = int(i), d[order[0]]
-    return [(best[j][0], j) for j in sorted(best)]
-
-
-def test_matches_agree_with_numpy_in_equal_nodes(places):
-    _, _, seen, beside, _ = places
-    a, b = seen[3], beside[3]
-    rows = np.arange(0, len(a.ids), 2)
-    bows = bow_of(places, a), bow_of(places, b)
-    slow = slow_match(a.frame.features, bows[0], rows, b.frame.features, bows[1], 50, 0.8)
-    fast = match_by_bow(a.frame.features, bows[0], rows, b.frame.features, bows[1], 50, 0.8)
-    assert fast.dtype == np.int32 and set(map(tuple, fast.tolist())) <= set(slow)
-    # The check of orientations removes few matches: those of clutter.
-    assert len(fast) > 0.95 * len(slow) > 50
-    assert (a.ids[fast[:, 0]] == b.ids[fast[:, 1]]).mean() > 0.98
-
-
-def test_matches_have_a_common_rotation(places):
-    _, _, seen, _, _ = places
-    a, rng = seen[3].frame.features, np.random.default_rng(0)
-    wrong = rng.choice(len(a), 40, replace=False)
-    angle = (a.angle_deg + 30) % 360
-    angle[wrong] = (angle[wrong] + rng.uniform(90, 270, 40)) % 360
-    turned = Features(a.xy_image, a.octave, angle.astype(np.float32), np.ones(len(a)), a.descriptors)
-    b = FrameFeatures.build(1, 0.1, turned, CAMERA, VIEW)
-    bow = bow_of(places, seen[3])
-    pairs = match_by_bow(a, bow, np.arange(len(a)), b, bow, 50, 0.8)
-    assert len(pairs) > 0.9 * (len(a) - 40)
-    assert np.isin(pairs[:, 0], wrong).sum() <= 10
-
-
-def test_empty_inputs_have_no_matches(places):
-    _, _, seen, _, vocabulary = places
-    a = seen[0].frame.features
-    empty = Features(*(np.empty((0, *x), t) for x, t in (((2,), "f4"), ((), "i4"), ((), "f4"), ((), "f4"))),
-                     np.empty((0, 4), np.uint64))  # fmt: skip
-    b = FrameFeatures.build(1, 0.1, empty, CAMERA, VIEW)
-    bow, none = bow_of(places, seen[0]), vocabulary.transform(b.descriptors)
-    assert match_by_bow(a, bow, np.arange(len(a)), b, none, 50, 0.8).shape == (0, 2)
-    assert match_by_bow(b, none, np.arange(0), a, bow, 50, 0.8).shape == (0, 2)
 
 
 def test_foreseen_bags_of_words_are_not_computed_again(places, monkeypatch):

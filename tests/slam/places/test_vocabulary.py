@@ -33,13 +33,12 @@ def distances(a, b):
     return (bits[0][:, None] != bits[1][None]).sum(axis=2)
 
 
-def slow_descend(tree, descriptor, level):
-    node, path = 0, [0]
+def slow_descend(tree, descriptor):
+    node = 0
     while tree.n_children[node]:
         children = np.arange(tree.n_children[node]) + tree.first_child[node]
         node = int(children[np.argmin(distances(descriptor[None], tree.descriptor[children])[0])])
-        path.append(node)
-    return tree.word[node], path[min(level, len(path) - 1)]
+    return tree.word[node]
 
 
 @pytest.fixture(scope="module")
@@ -55,12 +54,10 @@ def vocabulary(images):
 # -- the tree ------------------------------------------------------------------------------------------------
 
 
-def test_words_and_nodes_agree_with_numpy(vocabulary, images):
+def test_words_agree_with_numpy(vocabulary, images):
     descriptors = images[3][:80]
-    for level in (0, 1, 2, 3, 9):
-        words, nodes = kernels.descend(vocabulary.tree, descriptors, level)
-        slow = [slow_descend(vocabulary.tree, d, level) for d in descriptors]
-        assert list(zip(words.tolist(), nodes.tolist(), strict=True)) == [(int(w), n) for w, n in slow]
+    words = kernels.descend(vocabulary.tree, descriptors)
+    assert words.tolist() == [int(slow_descend(vocabulary.tree, d)) for d in descriptors]
 
 
 def test_every_word_is_a_leaf_once_and_every_node_the_child_of_one(vocabulary):
@@ -109,7 +106,7 @@ def test_with_few_descriptors_each_is_a_word():
 
 
 def test_rare_words_have_more_weight(vocabulary, images):
-    words = [np.unique(kernels.descend(vocabulary.tree, image, 0)[0]) for image in images]
+    words = [np.unique(kernels.descend(vocabulary.tree, image)) for image in images]
     shown = np.bincount(np.concatenate(words), minlength=vocabulary.n_words)
     expected = np.log(len(images) / np.maximum(shown, 1))
     assert vocabulary.tree.weight == pytest.approx(expected, abs=1e-6)
@@ -126,7 +123,7 @@ def test_invalid_training_is_refused(images, branching, levels):
 
 def test_weights_are_term_frequency_times_inverse_document_frequency(vocabulary, images):
     bow = vocabulary.transform(images[0])
-    words, _ = kernels.descend(vocabulary.tree, images[0], 0)
+    words = kernels.descend(vocabulary.tree, images[0])
     expected = {}
     for word in words:
         expected[int(word)] = expected.get(int(word), 0.0) + vocabulary.tree.weight[word]
@@ -147,7 +144,7 @@ def test_the_score_is_one_minus_half_the_distance(vocabulary, images):
 
 def test_no_features_give_no_words(vocabulary):
     bow = vocabulary.transform(np.empty((0, 4), np.uint64))
-    assert len(bow.words) == len(bow.weights) == len(bow.nodes) == 0
+    assert len(bow.words) == len(bow.weights) == 0
     assert bow.score(bow) == 0
 
 

@@ -116,7 +116,7 @@ def test_the_guided_search_adds_inliers(known):
     ("config", "reason"),
     [
         ({"candidates": 0}, "no_candidates"),
-        ({"min_matches": 10_000}, "too_few_bow_matches"),
+        ({"min_matches": 10_000}, "too_few_matches"),
         ({"min_pose_inliers": 10_000}, "no_pose"),
         ({"min_inliers": 10_000}, "too_few_inliers"),
     ],
@@ -126,6 +126,21 @@ def test_the_reason_is_that_of_the_farthest_attempt(known, config, reason):
     outcome = relocalizer(known, **config).relocalize(frame, rng())
     assert not outcome.success and outcome.reason == reason
     assert (outcome.inliers > 0) is (reason == "too_few_inliers")
+
+
+def test_noise_that_hides_the_words_of_an_image_does_not_hide_its_matches(known):
+    """With 30 bits of noise half of the features have another word than in the map."""
+    frame = known[0].see(500, walk(37), np.random.default_rng(7), noise_px=0.5, bits=30).again()
+    outcome = relocalizer(known).relocalize(frame, rng(), similar=[4])
+    assert outcome.success and outcome.matches > 100
+    assert pose_error(frame.T_cam_map, walk(37))[0] < 0.03
+
+
+def test_a_keyframe_is_tried_however_unlike_it_is(known):
+    frame = look(known, walk(37)).again()
+    assert relocalizer(known).relocalize(frame, rng(), similar=[]).reason == "no_candidates"
+    outcome = relocalizer(known).relocalize(frame, rng(), similar=[], also=[4])
+    assert outcome.success and outcome.keyframe == 4
 
 
 def test_an_empty_frame_and_an_empty_map_have_no_candidates(known):
@@ -177,6 +192,19 @@ def test_the_base_relocalizes_at_a_known_place(recovered, there_and_back):
     assert set(range(found.first_frame, 115)) <= set(path.frames.tolist())
     errors, _ = errors_m(path, there_and_back[2])
     assert rms(errors) < 0.03 and errors.max() < 0.1
+
+
+def test_the_view_of_the_loss_is_found_without_similar_keyframes(recovered, there_and_back, monkeypatch):
+    monkeypatch.setattr(KeyframeDatabase, "relocalization_candidates", lambda *_: [])
+    images = [*there_and_back[0][80:88], *there_and_back[0][110:115]]  # it broke just before this view
+    system = recovered[2].restore()
+    feed(system, images, np.arange(88, 101) / CAMERA.fps, check=False)
+    assert kinds(system)[-1] == "relocalized"
+    assert system.events[-1].keyframe == max(
+        system.current_map.frame_index(int(k))
+        for k in system.current_map.keyframes()
+        if system.current_map.frame_index(int(k)) < 80
+    )
 
 
 def test_every_transition_has_its_reason_and_its_counts(recovered):

@@ -97,7 +97,7 @@ def test_our_vocabulary_as_text_is_the_same_tree(tmp_path):
     assert (parent <= np.arange(len(rows))).all()
     children = {p: np.flatnonzero(parent == p) + 1 for p in set(parent.tolist())}
     described = np.random.default_rng(0).integers(0, 256, (20, 32), dtype=np.uint8)
-    words, _ = kernels.descend(vocabulary.tree, described.view(np.uint64), 0)
+    words = kernels.descend(vocabulary.tree, described.view(np.uint64))
     number = np.cumsum(is_word) - 1
     for row, word in zip(described, words, strict=True):
         node = 0
