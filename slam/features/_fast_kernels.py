@@ -125,12 +125,12 @@ def select_corners(
     border: int,
     threshold: np.uint8,
     min_threshold: np.uint8,
-    cell_px: int,
+    occupied: np.ndarray,
     xs: np.ndarray,
     ys: np.ndarray,
     contrasts: np.ndarray,
 ) -> int:
-    """Select local maxima of the contrast; weak ones only in cells without a strong one.
+    """Select local maxima of the contrast in free cells; weak ones only in cells without a strong one.
 
     Args:
         contrast: (>= height * width,) uint8 from :func:`corner_contrast`, valid from ``border - 1`` inwards.
@@ -139,7 +139,8 @@ def select_corners(
         border: least distance of a corner to the edge, px.
         threshold: contrast that a strong corner exceeds.
         min_threshold: contrast that a weak corner exceeds.
-        cell_px: approximate side of a cell; the area is divided into equal cells of about this size.
+        occupied: (rows, columns) bool of the equal cells into which the area within the border is divided;
+            none is selected in one that is occupied, and those with a corner become so.
         xs: (C,) int32, receives the columns; C >= a quarter of the level's pixels.
         ys: (C,) int32, receives the rows.
         contrasts: (C,) uint8, receives the contrasts.
@@ -151,8 +152,7 @@ def select_corners(
     rows = height - 2 * border
     if n <= 0 or rows <= 0:
         return 0
-    n_cells = max(n // cell_px, 1)
-    n_bands = max(rows // cell_px, 1)
+    n_bands, n_cells = occupied.shape
     padded = (n + 7) // 8 * 8
     kept = np.zeros((rows // n_bands + 1, padded), np.uint8)
     strongest = np.empty(padded, np.uint8)
@@ -177,6 +177,10 @@ def select_corners(
             for x in range(left, right):
                 most = max(most, strongest[x])
             thresholds[left:right] = threshold if most > threshold else min_threshold
+            if occupied[band, cell]:
+                thresholds[left:right] = 255  # which no contrast exceeds
+            elif most > min_threshold:
+                occupied[band, cell] = True
         for y in range(first, end):
             _drop_weak(kept[y - first], thresholds)
             count = _collect_row(kept[y - first], border, y, xs, ys, contrasts, count)

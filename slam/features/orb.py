@@ -73,6 +73,7 @@ class _Level:
     image: np.ndarray  # (h, w) uint8
     blurred: np.ndarray  # (h, w) uint8
     contrast: np.ndarray  # (h * w,) uint8
+    occupied: np.ndarray  # (rows, columns) bool: cells in which there are corners
     xs: np.ndarray  # candidate corners
     ys: np.ndarray
     contrasts: np.ndarray
@@ -127,6 +128,9 @@ class OrbExtractor:
             image=np.zeros((height, width), np.uint8),
             blurred=np.zeros((height, width), np.uint8),
             contrast=np.zeros(height * width, np.uint8),
+            occupied=np.zeros(
+                [max((size - 2 * BORDER_PX) // self.config.cell_px, 1) for size in (height, width)], np.bool_
+            ),
             xs=np.empty(most, np.int32),
             ys=np.empty(most, np.int32),
             contrasts=np.empty(most, np.uint8),
@@ -148,11 +152,13 @@ class OrbExtractor:
     def _found(self, image: np.ndarray) -> Features:
         config = self.config
         self._build_pyramid(image)
+        for level in self._levels:
+            level.occupied[:] = False
         n_corners = [self._detect(level, config.fast_threshold) for level in self._levels]
         parts = self._chosen(self._levels, n_corners, config.n_features)
         missing = round(config.faint_share * config.n_features) - sum(n_corners)
         if missing > 0:
-            faint = self._faint(image, n_corners, missing)
+            faint = self._faint(image, missing)
             parts = [part for octave in zip(parts, faint, strict=True) for part in octave]
         return Features(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
@@ -164,40 +170,18 @@ class OrbExtractor:
             for octave, (level, n, quota) in enumerate(zip(levels, n_corners, quotas, strict=True))
         ]
 
-    def _faint(self, image: np.ndarray, n_corners: list[int], most: int) -> list[tuple[np.ndarray, ...]]:
+    def _faint(self, image: np.ndarray, most: int) -> list[tuple[np.ndarray, ...]]:
         """Corners of the amplified image in cells where the image itself has none."""
         if self._amplifier is None:
             self._faint_levels = [self._allocate(scale) for scale in self.config.scales]
             self._amplifier = Amplifier([level.image.shape for level in self._levels])
         least = self.config.fast_min_threshold
         self._amplifier.amplify(image, least, [level.image for level in self._faint_levels])
-        left = []
-        for level, faint, n in zip(self._levels, self._faint_levels, n_corners, strict=True):
-            found = self._detect(faint, least)
-            free = ~self._cells(level, level.xs[:n], level.ys[:n])
-            here = self._cell_of(faint, faint.xs[:found], faint.ys[:found])
-            kept = np.flatnonzero(free[here])
-            for column in (faint.xs, faint.ys, faint.contrasts):
-                column[: len(kept)] = column[kept]
-            left.append(len(kept))
-        return self._chosen(self._faint_levels, left, most)
-
-    def _cell_of(self, level: _Level, xs: np.ndarray, ys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Row and column of the cells in which corners lie."""
-        inner = np.array(level.image.shape) - 2 * BORDER_PX
-        rows, columns = self._n_cells(level)
-        return (ys - BORDER_PX) * rows // inner[0], (xs - BORDER_PX) * columns // inner[1]
-
-    def _cells(self, level: _Level, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
-        """(rows, columns) bool: cells in which there are corners."""
-        taken = np.zeros(self._n_cells(level), np.bool_)
-        taken[self._cell_of(level, xs, ys)] = True
-        return taken
-
-    def _n_cells(self, level: _Level) -> tuple[int, int]:
-        """Rows and columns of cells, as :func:`select_corners` divides a level."""
-        height, width = (max((size - 2 * BORDER_PX) // self.config.cell_px, 1) for size in level.image.shape)
-        return height, width
+        found = []
+        for level, faint in zip(self._levels, self._faint_levels, strict=True):
+            np.copyto(faint.occupied, level.occupied)
+            found.append(self._detect(faint, least))
+        return self._chosen(self._faint_levels, found, most)
 
     def _check(self, image: np.ndarray) -> None:
         if not isinstance(image, np.ndarray) or image.dtype != np.uint8:
@@ -223,7 +207,7 @@ class OrbExtractor:
             BORDER_PX,
             np.uint8(threshold),
             np.uint8(self.config.fast_min_threshold),
-            self.config.cell_px,
+            level.occupied,
             level.xs,
             level.ys,
             level.contrasts,

@@ -38,13 +38,15 @@ def contrast_of(image, margin=3):
     return out.reshape(image.shape)
 
 
-def corners_of(image, border=4, threshold=20, min_threshold=20, cell_px=30):
+def corners_of(image, border=4, threshold=20, min_threshold=20, cell_px=30, occupied=None):
     height, width = image.shape
+    if occupied is None:
+        occupied = np.zeros([max((size - 2 * border) // cell_px, 1) for size in image.shape], np.bool_)
     most = image.size // 4 + height + width
     xs, ys, contrasts = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.uint8)
     flat = contrast_of(image, border - 1).ravel()
     n = select_corners(
-        flat, height, width, border, np.uint8(threshold), np.uint8(min_threshold), cell_px, xs, ys, contrasts
+        flat, height, width, border, np.uint8(threshold), np.uint8(min_threshold), occupied, xs, ys, contrasts
     )
     return list(zip(xs[:n].tolist(), ys[:n].tolist(), contrasts[:n].tolist(), strict=True))
 
@@ -103,6 +105,22 @@ def test_weak_corners_only_fill_cells_without_strong_ones(cell_px):
     assert found == expected
     assert strong and len(found) < len(everything)
     assert any(c[2] <= threshold for c in found) == (cell_px < 1000)
+
+
+def test_corners_are_found_in_free_cells_and_occupy_them():
+    image = make_image("smooth", 150, 220)
+    border, occupied = 18, np.zeros((4, 6), np.bool_)
+    occupied[1, 2:4] = True
+    free = ~occupied
+    everything = corners_of(image, border, 30, 30, occupied=np.zeros((4, 6), np.bool_))
+    found = corners_of(image, border, 30, 30, occupied=occupied)
+    starts = [border + 114 * band // 4 for band in range(4)]
+    cells = [(sum(y >= start for start in starts) - 1, (x - border) * 6 // 184) for x, y, _ in everything]
+    assert found == [corner for corner, cell in zip(everything, cells, strict=True) if free[cell]]
+    assert 0 < len(found) < len(everything)
+    with_corners = np.zeros((4, 6), np.bool_)
+    with_corners[tuple(np.transpose(cells))] = True
+    assert np.array_equal(occupied, with_corners | ~free)
 
 
 def test_corners_are_not_in_the_border():
