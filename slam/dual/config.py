@@ -39,6 +39,11 @@ class DualConfig:
 
     def __post_init__(self) -> None:
         """Check the settings."""
+        for spec in self.recovery_threads:
+            if not isinstance(spec, ThreadSpec):
+                raise ValueError(
+                    f"recovery_threads must be ThreadSpec, as of parse_threads('orb,sift'); one is {spec!r}"
+                )
         if self.workers < 1:
             raise ValueError(f"workers must be 1 or more, is {self.workers}")
         if not self.max_start_noise >= 1:

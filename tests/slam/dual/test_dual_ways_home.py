@@ -112,6 +112,8 @@ def test_a_recovery_is_fused_into_a_map_that_has_been_tracked_on_since():
 def test_settings_are_checked():
     with pytest.raises(ValueError, match="workers must be 1 or more"):
         DualConfig(workers=0)
+    with pytest.raises(ValueError, match=r"recovery_threads must be ThreadSpec.*'orb'"):
+        DualConfig(recovery_threads=("orb", "sift"))
 
 
 def test_a_place_is_judged_by_as_many_features_as_in_the_base():
