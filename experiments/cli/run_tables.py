@@ -187,7 +187,9 @@ def _fate(breakage: dict, summary: dict) -> str:
     if breakage["repair"] is None:
         again = breakage["reinit_frame"]
         begun = f"; new map from frame {again} on" if again is not None else ""
-        return f"never repaired: {_words(breakage['failure_reason'])}{begun}"
+        reason = _words(breakage["failure_reason"])
+        left_behind = reason.startswith(("map dropped", "a recovery went past"))
+        return f"{'' if left_behind else 'never repaired: '}{reason}{begun}"
     at = number(breakage["repair_time_s"], 2, " s")
     if breakage["repair"] == "place":
         return f"merged with the new map by place, at {at}{_verdict(breakage, summary)}"

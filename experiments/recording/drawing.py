@@ -161,7 +161,7 @@ class RunDrawing:
         ends = {
             story.end: at
             for story, _ in told
-            if story.end and (at := self._paths.position(story.end)) is not None
+            if story.end and story.is_repaired and (at := self._paths.position(story.end)) is not None
         }
         for frame in sorted({story.frame for story, _ in told} | set(ends)):
             known = [

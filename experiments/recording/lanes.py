@@ -94,7 +94,7 @@ def _breakage(record: RunRecord, story: Story) -> Lane:
     lane = Lane(story.text.replace(",", "").replace(" ", "_"))
     lane.add(story.frame, "broken", palette.LOST)
     if story.end is not None:
-        _mark(lane, record, story.end, story.how, palette.FUSED)
+        _mark(lane, record, story.end, story.how, palette.FUSED if story.is_repaired else palette.REFUSED)
     return lane
 
 

@@ -6,6 +6,8 @@ from experiments.evaluation.breakages import BreakageOutcome, breakage_outcomes
 from experiments.runs.execution import RunRecord
 from slam.core.events import Relocalized
 
+_DROPPED = "map dropped"
+
 
 @dataclass(frozen=True)
 class Story:
@@ -14,8 +16,10 @@ class Story:
     Attributes:
         number: from 1, in the order of declaration.
         frame: of the declaration.
-        end: frame from which the broken map is in use again; None if it never is.
-        how: "relocalized", "fused" or "fused by place"; empty without an end.
+        end: frame from which the broken map is in use again, or tracking goes on without it; None for never.
+        how: "relocalized", "fused", "fused by place", or "bridged", where a recovery went past it to an older
+            map; "map dropped" where a map too young for a recovery made room for a new one; empty without an
+            end.
         text: the whole in a few words, with times from the first frame on.
     """
 
@@ -24,6 +28,11 @@ class Story:
     end: int | None
     how: str
     text: str
+
+    @property
+    def is_repaired(self) -> bool:
+        """True if what was tracked before it and after it lies in one map."""
+        return self.how not in ("", _DROPPED)
 
     def text_at(self, frame: int) -> str:
         """Text as far as it is known at a frame."""
@@ -44,6 +53,12 @@ def _story(number: int, outcome: BreakageOutcome, stamps_s: list[float]) -> Stor
     repairs = (outcome.fusion if outcome.recovered else None, outcome.relocalized, outcome.joined)
     frame, repair = outcome.breakage.frame, min(filter(None, repairs), key=lambda e: e.frame, default=None)
     begun = f"breakage {number} {at(frame)}"
+    if repair is None and outcome.bridged is not None:
+        end = outcome.bridged.frame
+        return Story(number, frame, end, "bridged", f"{begun}, bridged {at(end)}")
+    if repair is None and outcome.dropped:
+        end = outcome.reinit_frame
+        return Story(number, frame, end, _DROPPED if end else "", f"{begun}, {_DROPPED}")
     if repair is None:
         return Story(number, frame, None, "", f"{begun}, not repaired")
     how = (

@@ -85,6 +85,21 @@ def test_the_lane_of_a_breakage_tells_when_it_broke_and_what_became_of_it():
     assert lane(base, "breakage_1_at_5.33_s_not_repaired").changes == [(BREAKS, "broken")]
 
 
+def test_a_map_that_is_dropped_or_passed_by_is_not_broken_to_the_end():
+    record = run(recovers=False)
+    broke = replace(next(e for e in record.events if e.kind == "breakage"), frame=200, map_id=1)
+    dropped = ev.MapDropped(**at(200), reason="broke_before_recovery", keyframes=2)
+    again = ev.ReinitDone(**(at(210) | {"map_id": 2}), frames_taken=10)
+    known = with_events(record, *record.events, broke, dropped, again)
+    name = "breakage_2_at_6.67_s_map_dropped"
+    assert lane(known, name).changes == [(200, "broken"), (210, "map dropped"), (258, "")]
+    assert not stories(known)[1].is_repaired
+    fused = replace(next(e for e in run().events if e.kind == "fusion"), frame=230, new_map_id=2)
+    crossed = with_events(record, *known.events, fused)
+    assert lane(crossed, "breakage_2_at_6.67_s_bridged_at_7.67_s").changes[1] == (230, "bridged")
+    assert stories(crossed)[1].is_repaired
+
+
 def test_a_breakage_is_told_only_as_far_as_it_is_known():
     (story,) = stories(run())
     assert story.text_at(NEW_MAP - 1) == "breakage 1 at 5.33 s"
