@@ -49,9 +49,8 @@ class TrackingConfig:
         local_map_ratio: the same of a match with the local map.
         min_reference_matches: below, tracking by the reference keyframe fails too.
         min_inliers: map matches that survive pose optimisation, below which tracking is lost.
-        cautious_inliers: the same where no frame just before supports the pose, on which all later ones
-            depend: behind passed-over frames, and after a relocalization.
-        cautious_s: for this time after a relocalization.
+        cautious_inliers: the same behind passed-over frames, where no frame just before supports the pose, on
+            which all later ones depend. A relocalized camera is on probation instead.
         min_share: share of inliers among the map matches, below which the frame is rejected; 0 for any.
         local_map_keyframes: most keyframes of the local map.
         max_noise: how many times ``orb.noise_px`` the corners of a frame may be off where all of them are, as
@@ -77,7 +76,6 @@ class TrackingConfig:
     min_reference_matches: int = 15
     min_inliers: int = 30
     cautious_inliers: int = 50
-    cautious_s: float = 1.0
     min_share: float = 0.0
     local_map_keyframes: int = 80
     max_noise: float = 2.0
@@ -124,7 +122,6 @@ class Tracker:
         self._in_motion = False  # the velocity is that of a tracked step
         self._last_keyframe: FrameFeatures | None = None
         self._passed_over = 0
-        self._cautious_until_s = -np.inf
 
     def start(self, frame: Frame, keyframe: int, velocity: np.ndarray | None = None) -> None:
         """Start from a frame with known pose and matches."""
@@ -142,7 +139,6 @@ class Tracker:
         self.twist = np.zeros(6)
         self._passed_over = 0
         self._last_keyframe = frame.features
-        self._cautious_until_s = frame.features.stamp_s + self.config.cautious_s
 
     def corrected(self, factor: np.ndarray) -> None:
         """Follow a map whose lengths have changed by ``factor`` (n_keyframes,) around each keyframe."""
@@ -202,16 +198,12 @@ class Tracker:
         return TrackingOutcome(True, inliers, matches)
 
     def _least_inliers(self, frame: Frame, usual: int) -> int:
-        """Inliers that a pose must have: ``usual``, or more where no frame just before supports it.
+        """Inliers that a pose must have: ``usual``, or more behind a gap.
 
-        Those of a smeared image say less of its pose each, so that more are asked. Behind a gap both hold;
-        a relocalized camera is on probation besides.
+        Those of a smeared image say less of its pose each, so that more are asked.
         """
-        cautious = self.config.cautious_inliers
-        if self._passed_over:
-            return round(max(usual, cautious) * frame.noise)
-        least = round(usual * frame.noise)
-        return max(least, cautious) if frame.features.stamp_s < self._cautious_until_s else least
+        least = max(usual, self.config.cautious_inliers) if self._passed_over else usual
+        return round(least * frame.noise)
 
     def pass_over(self, frame: Frame) -> None:
         """Skip an unusable frame: the last pose is carried on by the motion model.

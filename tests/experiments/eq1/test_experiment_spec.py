@@ -67,7 +67,7 @@ def test_cells_are_every_combination_by_name(spec):
 def test_settings_reach_every_unit_and_its_threads(tmp_path):
     given = "settings: {tracking: {min_inliers: 40}, dual: {workers: 1}}\nworlds: 2"
     text = SPEC.replace("worlds: 2", given).replace(
-        "seed: 1}", "seed: 1, config: {tracking: {cautious_s: 2}}}"
+        "seed: 1}", "seed: 1, config: {tracking: {cautious_inliers: 60}}}"
     )
     unit = load(tmp_path, text).unit("hall/motion_blur/1/dual", 0)
     settings = settings_of(UnitSpec.model_validate(unit.model_dump(mode="json")))
@@ -76,7 +76,7 @@ def test_settings_reach_every_unit_and_its_threads(tmp_path):
     assert settings.written == {"tracking": {"min_inliers": 40}}
     plain, own, _ = dual.recovery_threads
     assert plain.config is None
-    assert own.config.tracking == TrackingConfig(min_inliers=40, cautious_s=2)
+    assert own.config.tracking == TrackingConfig(min_inliers=40, cautious_inliers=60)
 
 
 def test_specs_without_settings_are_identified_as_before(spec):

@@ -244,18 +244,13 @@ def test_a_different_place_is_not_accepted(recovered, there_and_back):
     assert found.lost_s > 15 and found.stamp_s >= 22.0 - 1e-6
 
 
-@pytest.mark.parametrize(("cautious_s", "confirmed"), [(0.2, False), (0.0, True)])
-def test_the_frames_that_follow_must_have_more_inliers_for_some_time(
-    recovered, there_and_back, cautious_s, confirmed
-):
+def test_a_relocalized_camera_needs_no_more_inliers_than_a_tracked_one(recovered, there_and_back):
+    """Its probation says what a number would."""
     images, stamps_s, _ = there_and_back
     system = recovered[2].restore()
-    tracking = replace(system.config.tracking, cautious_inliers=10_000, cautious_s=cautious_s)
-    reconfigure(system, tracking=tracking)
+    reconfigure(system, tracking=replace(system.config.tracking, cautious_inliers=10_000))
     feed(system, images[88:98], stamps_s[88:98], check=False)
-    assert (kinds(system)[-1] == "relocalized") is confirmed
-    if not confirmed:
-        assert system.events[2].reason == "too_few_local_map_inliers"
+    assert kinds(system)[-1] == "relocalized"
 
 
 # -- probation -----------------------------------------------------------------------------------------------
