@@ -1,14 +1,12 @@
 """What systems declare over many sequences, judged by the truth: loops, relocalizations, joins, fusions."""
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from experiments.benchmarks.kept_rows import Row, read_rows, write_rows
+from experiments.benchmarks.kept_rows import Row, extend_rows, read_rows
 from experiments.evaluation.declared_audit import audit_declared
 from experiments.evaluation.summary import summarise
 from experiments.runs.execution import RunRecord, SystemKind, execute
@@ -49,23 +47,13 @@ def measure_declarations(
     rows = read_rows(table, "declarations", code)
     done = {tuple(row[name] for name in KEY) for row in rows}
     jobs = [
-        (scenario, seed, missing)
+        (scenario, seed, missing, code)
         for seed in seeds
         for scenario in scenarios
         if (missing := [s for s in systems if (scenario, seed, s) not in done])
     ]
-    total = len(seeds) * len(scenarios)
-    # "spawn": a fork would share the OpenGL context.
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-        running = [pool.submit(run_sequence, *job, code) for job in jobs]
-        try:
-            for number, future in enumerate(as_completed(running), start=1):
-                rows += future.result()
-                write_rows(table, rows, KEY)
-                if progress is not None:
-                    progress("sequences", total - len(jobs) + number, total)
-        finally:
-            pool.shutdown(cancel_futures=True)
+    n_done = len(seeds) * len(scenarios) - len(jobs)
+    rows = extend_rows(rows, table, KEY, jobs, run_sequence, workers, progress, n_done)
     frame = pd.DataFrame(rows)
     wanted = frame.scenario.isin(scenarios) & frame.seed.isin(seeds) & frame.system.isin(systems)
     return frame[wanted].sort_values(list(KEY)).reset_index(drop=True)

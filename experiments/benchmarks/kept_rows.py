@@ -1,7 +1,9 @@
 """Rows of a long measurement, kept in a Parquet file so that it can be stopped and resumed."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +35,46 @@ def read_rows(table: Path, of: str, code: str) -> list[Row]:
     if others:
         raise InputError(str(table), "has rows of other code", "name another file, or remove this one")
     return [{str(name): value for name, value in row.items()} for row in rows]
+
+
+def extend_rows(
+    rows: list[Row],
+    table: Path,
+    key: Sequence[str],
+    jobs: Sequence[tuple],
+    work: Callable[..., list[Row]],
+    workers: int,
+    progress: Callable[[str, int, int], None] | None,
+    n_done: int = 0,
+) -> list[Row]:
+    """Run jobs in processes and write all rows after each.
+
+    Args:
+        rows: those that there are.
+        table: the file.
+        key: columns by which rows are sorted.
+        jobs: arguments of ``work``, one tuple per sequence.
+        work: makes the rows of a job; a function of a module.
+        workers: number of processes.
+        progress: called with (step, sequences done, sequences in all).
+        n_done: sequences that need no job.
+
+    Returns:
+        All rows.
+    """
+    rows = list(rows)
+    # "spawn": a fork would share the OpenGL context.
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        running = [pool.submit(work, *job) for job in jobs]
+        try:
+            for number, future in enumerate(as_completed(running), start=n_done + 1):
+                rows += future.result()
+                write_rows(table, rows, key)
+                if progress is not None:
+                    progress("sequences", number, n_done + len(jobs))
+        finally:
+            pool.shutdown(cancel_futures=True)
+    return rows
 
 
 def write_rows(table: Path, rows: list[Row], key: Sequence[str]) -> None:

@@ -10,6 +10,7 @@ from rich.table import Table
 from typer.core import TyperGroup
 
 from experiments.cli.bench_direct import direct_command
+from experiments.cli.bench_recoveries import recoveries_command
 from experiments.cli.console import (
     JsonOption,
     ModeChoice,
@@ -38,8 +39,9 @@ if TYPE_CHECKING:
 
 _HELP = """Measure the speed of the tracker (`slam`), the simulator (`sim`) or whole units (`experiment`).
 
-Or count what systems declare falsely over many sequences (`declarations`), compare accuracy (`accuracy`), or
-hold photometric alignment against exact depth and pose (`direct`).
+Or count what systems declare falsely over many sequences (`declarations`) and how often recoveries rescue a
+map (`recoveries`), compare accuracy (`accuracy`), or hold photometric alignment against exact depth and pose
+(`direct`).
 
 `dslab bench` and `dslab bench SOURCE` are short for `dslab bench slam`. For example:
 
@@ -56,6 +58,8 @@ hold photometric alignment against exact depth and pose (`direct`).
 `dslab bench direct`
 
 `dslab bench declarations aliased/room --seeds 1-5 --out out/aliased.parquet`
+
+`dslab bench recoveries stressed --seeds 1-5 --out out/rescued.parquet`
 """
 _RUNS, _RUNS_WITH_PEER = 1, 5
 
@@ -71,6 +75,7 @@ class _SlamByDefault(TyperGroup):
 
 app = typer.Typer(help=_HELP, cls=_SlamByDefault)
 app.command("direct")(direct_command)
+app.command("recoveries")(recoveries_command)
 
 
 @app.command("slam")

@@ -1,0 +1,135 @@
+"""Recoveries from the breakages of healthy maps over many sequences, every thread to its end."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from experiments.benchmarks.kept_rows import Row, extend_rows, read_rows
+from experiments.evaluation.alignment import Undefined, align_poses
+from experiments.evaluation.breakages import BreakageOutcome, breakage_outcomes
+from experiments.evaluation.declared_audit import audit_declared
+from experiments.evaluation.metrics import associate, path_length_m, position_errors_m, rms
+from experiments.runs.execution import RunRecord, execute
+from experiments.runs.provenance import code_hash, commit
+from experiments.runs.sources import open_sequence
+from scenarios.errors import InputError
+from slam.dual.config import DualConfig
+from slam.dual.recovery.registry import parse_threads
+from slam.factory import build_system
+
+KEY = ("scenario", "seed", "threads", "breakage")
+_BEFORE_S, _LEAST_POSES = 5.0, 15
+_LEAST_BOUND_M, _BOUND_SHARE = 0.1, 0.05  # of the path in that time
+
+
+def measure_recoveries(
+    scenarios: Sequence[str],
+    seeds: Sequence[int],
+    threads: str,
+    table: Path,
+    workers: int = 1,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> pd.DataFrame:
+    """Run Dual-SLAM over sequences of scenarios; one row per breakage, kept in a Parquet file.
+
+    Every thread runs to its end, and nothing but recoveries brings maps together: no relocalization in saved
+    maps, no fusion by place. Sequences that the file has already, from the same code, are not run again. A
+    seed is that of the sequence and of the system.
+
+    Args:
+        scenarios: names or files.
+        seeds: of each scenario.
+        threads: kinds of the recovery threads in order, such as ``"orb,sift"``.
+        table: the file; made if there is none, written anew after every sequence.
+        workers: number of processes.
+        progress: called with (step, sequences done, sequences in all).
+
+    Returns:
+        Rows with ``breakage`` from 1 on; 0 for a sequence without one.
+
+    Raises:
+        InputError: the file is no such table, or is of other code; a sequence has no ground truth.
+    """
+    code = code_hash()
+    rows = read_rows(table, "recoveries", code)
+    done = {(row["scenario"], row["seed"], row["threads"]) for row in rows}
+    wanted = [(scenario, seed, threads) for seed in seeds for scenario in scenarios]
+    jobs = [(*job, code) for job in wanted if job not in done]
+    rows = extend_rows(rows, table, KEY, jobs, run_sequence, workers, progress, len(wanted) - len(jobs))
+    frame = pd.DataFrame(rows)
+    asked = frame.scenario.isin(scenarios) & frame.seed.isin(seeds) & (frame.threads == threads)
+    return frame[asked].sort_values(list(KEY)).reset_index(drop=True)
+
+
+def run_sequence(scenario: str, seed: int, threads: str, code: str) -> list[Row]:
+    """One row per breakage of a sequence; one without a breakage if there is none."""
+    sequence = open_sequence(scenario, seed)
+    if sequence.T_world_cam is None:
+        raise InputError(scenario, "has no ground truth", "name a sequence or scenario with ground truth")
+    dual = DualConfig(
+        recovery_threads=parse_threads(threads), exhaustive=True, relocalization=False, place_merging=None
+    )
+    record = execute(
+        sequence, "dual", seed, build=lambda kind, camera, s: build_system(kind, camera, s, dual=dual)
+    )
+    about = {"scenario": scenario, "seed": seed, "threads": threads, "code": code, "commit": commit()}
+    return [about | row for row in breakage_rows(record)]
+
+
+def breakage_rows(record: RunRecord) -> list[Row]:
+    """What broke, whether the map was right until then, what each thread came to, whether a fusion is false.
+
+    A map is healthy if its live poses of the last 5 s lie within .1 m or 5 % of the path, after a similarity.
+    """
+    sequence = record.sequence
+    stamps_s, segments = np.asarray(sequence.stamps_s), sequence.segments
+    false = {f.event: f.audit.false for f in audit_declared(record).fusions}
+    rows: list[Row] = []
+    for number, outcome in enumerate(breakage_outcomes(record.events, segments, stamps_s), start=1):
+        before = _error_before(record, outcome)
+        error_m, bound_m = before or (None, None)
+        fusion = outcome.fusion if outcome.recovered else None
+        ends = {e.thread: e for e in outcome.recoveries}
+        rows.append({
+            "breakage": number, "frame": outcome.breakage.frame, "map_id": outcome.breakage.map_id,
+            "reason": outcome.breakage.reason, "dropped": outcome.dropped,
+            "cause": "" if outcome.segment is None else segments[outcome.segment].kind,
+            "error_m": error_m, "bound_m": bound_m,
+            "healthy": None if before is None else before[0] <= before[1],
+            "rescued": outcome.recovered,
+            "false_fusion": None if fusion is None else false[fusion],
+            **{f"thread_{k}": e.success for k, e in ends.items()},
+            **{f"thread_{k}_reason": f"{e.stage}: {e.reason}".strip(": ") for k, e in ends.items()},
+        })  # fmt: skip
+    return rows or [{"breakage": 0, "healthy": None, "rescued": None, "false_fusion": None}]
+
+
+def _error_before(record: RunRecord, outcome: BreakageOutcome) -> tuple[float, float] | None:
+    """Error of the broken map's live poses in the last seconds, and its bound, m; None if too few."""
+    broke, live = outcome.breakage, record.live.get(outcome.breakage.map_id)
+    stamps_s, T_world_cam = np.asarray(record.sequence.stamps_s), record.sequence.T_world_cam
+    if live is None or T_world_cam is None:
+        return None
+    pairs = associate(live, stamps_s, T_world_cam)
+    recent = (pairs.frames < broke.frame) & (stamps_s[pairs.frames] >= broke.stamp_s - _BEFORE_S)
+    pairs = pairs.where(recent)
+    if len(pairs) < _LEAST_POSES:
+        return None
+    aligned = align_poses(pairs.T_map_cam, pairs.T_world_cam)
+    if isinstance(aligned, Undefined):
+        return None
+    path_m = path_length_m(T_world_cam[pairs.frames[0] : pairs.frames[-1] + 1])
+    return rms(position_errors_m(pairs, aligned)), max(_LEAST_BOUND_M, _BOUND_SHARE * path_m)
+
+
+def recovery_sums(rows: pd.DataFrame) -> pd.DataFrame:
+    """Per scenario and cause: breakages of healthy maps; of these rescued, and by each thread to its end."""
+    healthy = rows[rows.healthy.eq(True)].copy()  # it may be missing, as what follows
+    threads = [name for name in rows.columns if name.startswith("thread_") and name[7:].isdigit()]
+    for name in ("rescued", "false_fusion", *sorted(threads)):
+        healthy[name] = healthy[name].eq(True)
+    healthy["breakages"] = 1
+    figures = ["breakages", "rescued", *sorted(threads), "false_fusion"]
+    return healthy.groupby(["scenario", "cause"])[figures].sum().reset_index()

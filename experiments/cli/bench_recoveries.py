@@ -1,0 +1,62 @@
+"""``dslab bench recoveries``."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from experiments.cli.console import (
+    JsonOption,
+    parse_seeds,
+    print_json_line,
+    print_table,
+    progress_bars,
+    single_threaded_opencv,
+)
+
+
+def recoveries_command(
+    scenarios: Annotated[list[str], typer.Argument(metavar="SCENARIO...", help="Names or files.")],
+    out_file: Annotated[Path, typer.Option("--out", help="Parquet file of the rows; resumed if it exists.")],
+    seeds: Annotated[str, typer.Option(help="Seeds of each scenario, such as 7 or 1-10.")] = "1-5",
+    threads: Annotated[
+        str, typer.Option(help="Recovery threads in order, separated by commas.")
+    ] = "orb,sift",
+    workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
+    as_json: JsonOption = False,
+) -> None:
+    """Count how often recoveries rescue healthy maps that broke, over sequences with ground truth.
+
+    Each thread runs to its end; maps come together by recovery alone. A map is healthy if its live poses of
+    the last 5 s lie within 0.1 m, or 5 % of the path. Stopped and started again, it goes on where it was. For
+    example:
+
+    `dslab bench recoveries stressed --seeds 1-20 --threads orb,direct,sift --out out/rescued.parquet`
+    """
+    from experiments.benchmarks.recoveries import measure_recoveries, recovery_sums
+    from slam.dual.recovery.registry import parse_threads
+
+    try:
+        kinds = [spec.kind for spec in parse_threads(threads)]
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--threads") from None
+    if not kinds:
+        raise typer.BadParameter("name at least one thread", param_hint="--threads")
+    single_threaded_opencv()
+    with progress_bars() as show:
+        rows = measure_recoveries(scenarios, parse_seeds(seeds), threads, out_file, workers, show)
+    sums = recovery_sums(rows)
+    if as_json:
+        print_json_line(sums.to_dict("records"))
+        return
+    table = Table(title="breakages of healthy maps, and the threads that found back, each to its end")
+    heads = ("scenario", "during", "breakages", "rescued", *kinds, "false fusions")
+    for column in heads:
+        table.add_column(column, justify="left" if column in ("scenario", "during") else "right")
+    for row in sums.to_dict("records"):
+        found = (row.get(f"thread_{k}", 0) for k in range(1, len(kinds) + 1))
+        counts = (row["breakages"], row["rescued"], *found, row["false_fusion"])
+        cause = row["cause"].replace("_", " ") or "no stress"
+        table.add_row(row["scenario"], cause, *map(str, counts))
+    print_table(table)

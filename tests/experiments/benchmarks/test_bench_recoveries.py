@@ -1,0 +1,88 @@
+"""The table of what recoveries rescue: which breakages count, what each thread came to, resumed."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from slam_fakes import fake_factory, make_sequence
+from typer.testing import CliRunner
+
+from experiments.benchmarks import recoveries
+from experiments.cli.commands import app
+from experiments.runs.execution import execute
+from scenarios.errors import InputError
+
+
+def record(**script):
+    sequence = make_sequence()
+    return execute(sequence, "dual", 0, build=fake_factory(sequence, breaks_at=160, **script))
+
+
+def test_a_breakage_has_a_row_with_the_state_of_its_map_and_the_end_of_each_thread():
+    (row,) = recoveries.breakage_rows(record())
+    assert row["breakage"] == 1 and row["frame"] == 160 and row["rescued"]
+    assert row["healthy"] and row["error_m"] < 1e-6 and row["bound_m"] >= 0.1
+    assert row["false_fusion"] is False
+    assert row["thread_1"] is True and row["thread_1_reason"] == ""
+    (lost,) = recoveries.breakage_rows(record(recovers=False))
+    assert lost["healthy"] and not lost["rescued"] and lost["false_fusion"] is None
+
+
+def test_a_map_that_went_wrong_before_it_broke_is_not_healthy():
+    right = record()
+    live = dict(right.live)
+    bent = live[0].T_map_cam.copy()
+    last = np.flatnonzero(live[0].frames < 160)[-60:]
+    bent[last, :3, 3] += np.sin(np.linspace(0, 9, 60))[:, None] * (0.0, 3.0, 3.0)
+    live[0] = replace(live[0], T_map_cam=bent)
+    (row,) = recoveries.breakage_rows(replace(right, live=live))
+    assert row["healthy"] is False and row["error_m"] > row["bound_m"]
+
+
+def test_sums_are_of_healthy_maps_by_cause():
+    row = {
+        "scenario": "a",
+        "seed": 1,
+        "threads": "orb,sift",
+        "cause": "fog",
+        "healthy": True,
+        "thread_2": None,
+    }
+    rows = pd.DataFrame(
+        [
+            row | {"rescued": True, "thread_1": True, "false_fusion": True},
+            row | {"rescued": False, "thread_1": False, "false_fusion": None},
+            row | {"rescued": True, "thread_1": True, "healthy": False, "false_fusion": False},
+            row | {"rescued": None, "thread_1": None, "healthy": None, "false_fusion": None},
+        ]
+    )
+    (found,) = recoveries.recovery_sums(rows).to_dict("records")
+    assert found == {
+        "scenario": "a", "cause": "fog", "breakages": 2, "rescued": 1, "thread_1": 1, "thread_2": 0,
+        "false_fusion": 1,
+    }  # fmt: skip
+
+
+def test_sequences_that_the_file_has_are_not_run_again(tmp_path, monkeypatch):
+    table = tmp_path / "rows.parquet"
+    first = recoveries.measure_recoveries(["small"], [7], "orb", table)
+    assert first.breakage.tolist() == [0]
+    pd.testing.assert_frame_equal(first, recoveries.measure_recoveries(["small"], [7], "orb", table))
+    monkeypatch.setattr(recoveries, "code_hash", lambda: "another")
+    with pytest.raises(InputError, match="rows of other code"):
+        recoveries.measure_recoveries(["small"], [7], "orb", table)
+
+
+def test_the_command_prints_sums_and_refuses_unknown_threads(tmp_path, monkeypatch):
+    given = ["bench", "recoveries", "small", "--out", str(tmp_path / "t.parquet")]
+    refused = CliRunner().invoke(app, [*given, "--threads", "orb,lidar"])
+    assert refused.exit_code == 2 and "lidar" in refused.output
+    row = {"scenario": "a", "cause": "fog", "healthy": True, "rescued": True, "thread_1": True}
+    monkeypatch.setattr(
+        recoveries, "measure_recoveries", lambda *_: pd.DataFrame([row | {"false_fusion": False}] * 3)
+    )
+    (printed,) = json.loads(CliRunner().invoke(app, [*given, "--json"]).stdout)
+    assert printed["breakages"] == printed["rescued"] == 3
+    assert "fog" in CliRunner().invoke(app, given).stdout
