@@ -15,6 +15,7 @@ from experiments.runs.execution import RunRecord, execute
 from experiments.runs.provenance import code_hash, commit
 from experiments.runs.sources import open_sequence
 from scenarios.errors import InputError
+from slam.core.events import Fusion, RecoveryStart
 from slam.dual.config import DualConfig
 from slam.dual.recovery.registry import parse_threads
 from slam.factory import build_system
@@ -82,6 +83,7 @@ def breakage_rows(record: RunRecord) -> list[Row]:
     """What broke, whether the map was right until then, what each thread came to, whether a fusion is false.
 
     A map is healthy if its live poses of the last 5 s lie within .1 m or 5 % of the path, after a similarity.
+    ``to_fusion_s`` is the time from the recovery's start, at the new map's fifth keyframe, to the fusion.
     """
     sequence = record.sequence
     stamps_s, segments = np.asarray(sequence.stamps_s), sequence.segments
@@ -100,10 +102,20 @@ def breakage_rows(record: RunRecord) -> list[Row]:
             "healthy": None if before is None else before[0] <= before[1],
             "rescued": outcome.recovered,
             "false_fusion": None if fusion is None else false[fusion],
+            "to_fusion_s": None if fusion is None else fusion.stamp_s - _start_s(record, fusion),
             **{f"thread_{k}": e.success for k, e in ends.items()},
             **{f"thread_{k}_reason": f"{e.stage}: {e.reason}".strip(": ") for k, e in ends.items()},
         })  # fmt: skip
-    return rows or [{"breakage": 0, "healthy": None, "rescued": None, "false_fusion": None}]
+    return rows or [
+        {"breakage": 0, "healthy": None, "rescued": None, "false_fusion": None, "to_fusion_s": None}
+    ]
+
+
+def _start_s(record: RunRecord, fusion: Fusion) -> float:
+    """Time at which the recovery that led to a fusion began."""
+    of_fusion = (fusion.old_map_id, fusion.new_map_id)
+    starts = [e for e in record.events if isinstance(e, RecoveryStart) and e.frame <= fusion.frame]
+    return max((e.stamp_s for e in starts if (e.old_map_id, e.map_id) == of_fusion), default=np.nan)
 
 
 def _error_before(record: RunRecord, outcome: BreakageOutcome) -> tuple[float, float] | None:
@@ -125,11 +137,17 @@ def _error_before(record: RunRecord, outcome: BreakageOutcome) -> tuple[float, f
 
 
 def recovery_sums(rows: pd.DataFrame) -> pd.DataFrame:
-    """Per scenario and cause: breakages of healthy maps; of these rescued, and by each thread to its end."""
+    """Per scenario and cause: breakages of healthy maps; of these rescued, and by each thread to its end.
+
+    With the median and the 95th percentile of the time from a recovery's start to its fusion, s.
+    """
     healthy = rows[rows.healthy.eq(True)].copy()  # it may be missing, as what follows
     threads = [name for name in rows.columns if name.startswith("thread_") and name[7:].isdigit()]
     for name in ("rescued", "false_fusion", *sorted(threads)):
         healthy[name] = healthy[name].eq(True)
     healthy["breakages"] = 1
-    figures = ["breakages", "rescued", *sorted(threads), "false_fusion"]
-    return healthy.groupby(["scenario", "cause"])[figures].sum().reset_index()
+    groups = healthy.groupby(["scenario", "cause"])
+    sums = groups[["breakages", "rescued", *sorted(threads), "false_fusion"]].sum()
+    delay = groups["to_fusion_s"]
+    sums["to_fusion_s_median"], sums["to_fusion_s_p95"] = delay.median(), delay.quantile(0.95)
+    return sums.reset_index()

@@ -8,6 +8,7 @@ from rich.table import Table
 
 from experiments.cli.console import (
     JsonOption,
+    number,
     parse_seeds,
     print_json_line,
     print_table,
@@ -51,12 +52,13 @@ def recoveries_command(
         print_json_line(sums.to_dict("records"))
         return
     table = Table(title="breakages of healthy maps, and the threads that found back, each to its end")
-    heads = ("scenario", "during", "breakages", "rescued", *kinds, "false fusions")
+    heads = ("scenario", "during", "breakages", "rescued", *kinds, "false fusions", "s to the fusion")
     for column in heads:
         table.add_column(column, justify="left" if column in ("scenario", "during") else "right")
     for row in sums.to_dict("records"):
         found = (row.get(f"thread_{k}", 0) for k in range(1, len(kinds) + 1))
-        counts = (row["breakages"], row["rescued"], *found, row["false_fusion"])
+        to_fusion = f"{number(row['to_fusion_s_median'], 2)}; 95 %: {number(row['to_fusion_s_p95'], 2)}"
+        counts = (row["breakages"], row["rescued"], *found, row["false_fusion"], to_fusion)
         cause = row["cause"].replace("_", " ") or "no stress"
         table.add_row(row["scenario"], cause, *map(str, counts))
     print_table(table)

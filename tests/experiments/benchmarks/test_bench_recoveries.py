@@ -13,6 +13,7 @@ from experiments.benchmarks import recoveries
 from experiments.cli.commands import app
 from experiments.runs.execution import execute
 from scenarios.errors import InputError
+from slam.core.events import RecoveryStart
 
 
 def record(**script):
@@ -21,10 +22,17 @@ def record(**script):
 
 
 def test_a_breakage_has_a_row_with_the_state_of_its_map_and_the_end_of_each_thread():
-    (row,) = recoveries.breakage_rows(record())
+    run = record()
+    fused = next(e for e in run.events if e.kind == "fusion")
+    start = RecoveryStart(
+        frame=170, stamp_s=fused.stamp_s - 0.25, map_id=fused.new_map_id, thread=1, method="orb",
+        old_map_id=fused.old_map_id, buffered_frames=9,
+    )  # fmt: skip
+    (row,) = recoveries.breakage_rows(replace(run, events=(*run.events, start)))
     assert row["breakage"] == 1 and row["frame"] == 160 and row["rescued"]
     assert row["healthy"] and row["error_m"] < 1e-6 and row["bound_m"] >= 0.1
     assert row["false_fusion"] is False
+    assert row["to_fusion_s"] == pytest.approx(0.25)
     assert row["thread_1"] is True and row["thread_1_reason"] == ""
     (lost,) = recoveries.breakage_rows(record(recovers=False))
     assert lost["healthy"] and not lost["rescued"] and lost["false_fusion"] is None
@@ -52,16 +60,18 @@ def test_sums_are_of_healthy_maps_by_cause():
     }
     rows = pd.DataFrame(
         [
-            row | {"rescued": True, "thread_1": True, "false_fusion": True},
-            row | {"rescued": False, "thread_1": False, "false_fusion": None},
-            row | {"rescued": True, "thread_1": True, "healthy": False, "false_fusion": False},
-            row | {"rescued": None, "thread_1": None, "healthy": None, "false_fusion": None},
+            row | {"rescued": True, "thread_1": True, "false_fusion": True, "to_fusion_s": 0.4},
+            row | {"rescued": False, "thread_1": False, "false_fusion": None, "to_fusion_s": None},
+            row
+            | {"rescued": True, "thread_1": True, "healthy": False, "false_fusion": False, "to_fusion_s": 2},
+            row
+            | {"rescued": None, "thread_1": None, "healthy": None, "false_fusion": None, "to_fusion_s": None},
         ]
     )
     (found,) = recoveries.recovery_sums(rows).to_dict("records")
     assert found == {
         "scenario": "a", "cause": "fog", "breakages": 2, "rescued": 1, "thread_1": 1, "thread_2": 0,
-        "false_fusion": 1,
+        "false_fusion": 1, "to_fusion_s_median": 0.4, "to_fusion_s_p95": 0.4,
     }  # fmt: skip
 
 
@@ -81,7 +91,9 @@ def test_the_command_prints_sums_and_refuses_unknown_threads(tmp_path, monkeypat
     assert refused.exit_code == 2 and "lidar" in refused.output
     row = {"scenario": "a", "cause": "fog", "healthy": True, "rescued": True, "thread_1": True}
     monkeypatch.setattr(
-        recoveries, "measure_recoveries", lambda *_: pd.DataFrame([row | {"false_fusion": False}] * 3)
+        recoveries,
+        "measure_recoveries",
+        lambda *_: pd.DataFrame([row | {"false_fusion": False, "to_fusion_s": 0.2}] * 3),
     )
     (printed,) = json.loads(CliRunner().invoke(app, [*given, "--json"]).stdout)
     assert printed["breakages"] == printed["rescued"] == 3
