@@ -253,7 +253,7 @@ def test_an_older_map_is_kept_and_the_system_is_lost(sequence, run, snapshots):
     assert results[80].state is TrackingState.LOST
     for r in results[80:]:
         assert r.T_map_cam is None and not r.is_keyframe
-    assert all(r.state is TrackingState.RELOCALIZING and r.reason == "no_candidates" for r in results[81:])
+    assert all(r.state is TrackingState.RELOCALIZING and r.reason == "too_few_matches" for r in results[81:])
     (path,) = system.trajectories()
     assert path.frames.max() == 79
     assert rms(errors_m(path, T_world_cam)[0]) < 0.03
