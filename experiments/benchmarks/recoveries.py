@@ -107,8 +107,11 @@ def breakage_rows(record: RunRecord) -> list[Row]:
             **{f"thread_{k}_reason": f"{e.stage}: {e.reason}".strip(": ") for k, e in ends.items()},
         })  # fmt: skip
     return rows or [
-        {"breakage": 0, "healthy": None, "rescued": None, "false_fusion": None, "to_fusion_s": None}
-    ]
+        {
+            "breakage": 0, "cause": "", "healthy": None, "rescued": None, "false_fusion": None,
+            "to_fusion_s": None,
+        }
+    ]  # fmt: skip
 
 
 def _start_s(record: RunRecord, fusion: Fusion) -> float:
@@ -146,6 +149,7 @@ def recovery_sums(rows: pd.DataFrame) -> pd.DataFrame:
     for name in ("rescued", "false_fusion", *sorted(threads)):
         healthy[name] = healthy[name].eq(True)
     healthy["breakages"] = 1
+    healthy["to_fusion_s"] = healthy["to_fusion_s"].astype(float)  # all may be None
     groups = healthy.groupby(["scenario", "cause"])
     sums = groups[["breakages", "rescued", *sorted(threads), "false_fusion"]].sum()
     delay = groups["to_fusion_s"]

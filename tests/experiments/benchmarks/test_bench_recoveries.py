@@ -75,6 +75,14 @@ def test_sums_are_of_healthy_maps_by_cause():
     }  # fmt: skip
 
 
+def test_sums_of_one_breakage_without_a_fusion_and_of_none():
+    (lost,) = recoveries.breakage_rows(record(recovers=False))
+    (sums,) = recoveries.recovery_sums(pd.DataFrame([{"scenario": "a"} | lost])).to_dict("records")
+    assert (sums["breakages"], sums["rescued"]) == (1, 0) and np.isnan(sums["to_fusion_s_median"])
+    none = recoveries.breakage_rows(execute(make_sequence(), "dual", 0, build=fake_factory(make_sequence())))
+    assert recoveries.recovery_sums(pd.DataFrame([{"scenario": "a"} | row for row in none])).empty
+
+
 def test_sequences_that_the_file_has_are_not_run_again(tmp_path, monkeypatch):
     table = tmp_path / "rows.parquet"
     first = recoveries.measure_recoveries(["small"], [7], "orb", table)
