@@ -65,7 +65,7 @@ def check_events(events: Sequence[Event]) -> None:
     """
     stamps: dict[int, float] = {}
     maps: set[int] = set()
-    known: set[int] = set()  # also those that were dropped or fused: a recovery may end after its maps
+    known: set[int] = set()  # also those dropped or fused: a recovery or a probation may end after its map
     running: set[tuple[int, int]] = set()
     reinitializing = False
     latest = 0
@@ -86,6 +86,8 @@ def check_events(events: Sequence[Event]) -> None:
         elif isinstance(event, ev.ReinitDone):
             require(reinitializing and event.map_id in maps, f"{named}: no reinitialization was started")
             reinitializing = False
+        elif isinstance(event, ev.RelocalizationWithdrawn):
+            require(event.map_id in known, f"{named}: map {event.map_id} did not exist")
         elif not isinstance(event, ev.RecoveryStart | ev.RecoveryEnd):
             require(event.map_id in maps, f"{named}: map {event.map_id} does not exist")
         if isinstance(event, ev.RecoveryStart | ev.RecoveryEnd):

@@ -115,7 +115,8 @@ class PlaceSearch:
             with self._lock:
                 outcome = probation.offer(frame)
         else:
-            outcome = TrackingOutcome(False, 0, 0, "map_in_use")
+            reason = "map_in_use" if probation.map_id in self._store else "maps_are_joined"
+            outcome = TrackingOutcome(False, 0, 0, reason)
             probation.withdraw(outcome.reason)
         if probation.verdict is Verdict.WITHDRAWN:
             self._end(probation, frame)

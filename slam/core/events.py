@@ -152,7 +152,8 @@ class RelocalizationWithdrawn(Event):
         first_frame: the frame that seemed to be relocalized.
         frames: number of frames tracked from there, itself included; none of their poses counts.
         reason: what spoke against the place; ``too_little_evidence`` if no frame showed enough of the
-            map, or had a pose certain enough, to tell.
+            map, or had a pose certain enough, to tell; ``map_in_use`` or ``maps_are_joined`` if the map
+            became the current one meanwhile, or part of another.
     """
 
     kind: ClassVar[str] = "relocalization_withdrawn"

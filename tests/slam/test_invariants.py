@@ -283,6 +283,18 @@ def test_a_dropped_map_does_not_exist(run_events):
         check_events([*run_events[: at + 1], dropped, dropped])
 
 
+def test_a_relocalization_may_be_withdrawn_after_its_map_was_joined(run_events):
+    at = place(run_events, "fusion")
+    fusion = run_events[at]
+    withdrawn = ev.RelocalizationWithdrawn(
+        frame=fusion.frame, stamp_s=fusion.stamp_s, map_id=fusion.new_map_id, keyframe=3,
+        first_frame=fusion.frame, frames=1, reason="maps_are_joined",
+    )  # fmt: skip
+    check_events([*run_events[: at + 1], withdrawn])
+    with pytest.raises(InvariantError, match=r"relocalization_withdrawn at frame .*: map 9 did not exist"):
+        check_events([*run_events[: at + 1], replace(withdrawn, map_id=9)])
+
+
 def test_a_new_map_needs_a_reinitialization(run_events):
     at = place(run_events, "reinit_done")
     with pytest.raises(InvariantError, match="no reinitialization was started"):

@@ -44,6 +44,7 @@ class PlaceMerger:
 
     def skip(self, current: Map) -> None:
         """Search no keyframe that the current map has now."""
+        self._forget_other_than(current)
         self._searched = (current.map_id, current.n_keyframes)
 
     def is_due(self, current: Map) -> bool:
@@ -70,8 +71,7 @@ class PlaceMerger:
             there are too few.
         """
         self.refused = []
-        if self._searched[0] != current.map_id:
-            self._hypotheses.clear()
+        self._forget_other_than(current)
         self._hypotheses = [h for h in self._hypotheses if any(h.old is m for m in saved)]
         for keyframe in range(self._next_of(current), current.n_keyframes):
             self._searched = (current.map_id, keyframe + 1)
@@ -91,6 +91,11 @@ class PlaceMerger:
             if accepted:
                 return accepted
         return ()
+
+    def _forget_other_than(self, current: Map) -> None:
+        """Discard the hypotheses if they are of another current map."""
+        if self._searched[0] != current.map_id:
+            self._hypotheses.clear()
 
     def _next_of(self, current: Map) -> int:
         """The first keyframe of the current map that is to be searched."""

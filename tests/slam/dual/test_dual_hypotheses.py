@@ -70,6 +70,20 @@ def test_views_speak_against_a_wrong_place(two_maps):
     assert not wrong.is_sound(0.5) and "expected_points_missing" in wrong.verdicts.values()
 
 
+def test_what_views_of_one_map_say_does_not_count_for_the_next(two_maps):
+    """A later map has keyframes of the same numbers, or fewer."""
+    old, new = two_maps
+    merger = PlaceMerger(config_of(0.5), 0)
+    merger.skip(new)
+    merger._hypotheses.append(Hypothesis(old, [aligned(old, new)], dict.fromkeys(range(8), "")))
+    merger.skip(new)
+    assert merger._decided(new)
+    later = new.copy()
+    later.map_id = 2
+    merger.skip(later)
+    assert not merger._decided(later)
+
+
 def test_what_spoke_against_it_before_counts(two_maps):
     old, new = two_maps
     burdened = Hypothesis(old, [aligned(old, new)], {0: "contradicted", 1: "contradicted"})
