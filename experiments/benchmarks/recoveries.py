@@ -11,10 +11,15 @@ from experiments.evaluation.alignment import Undefined, align_poses
 from experiments.evaluation.breakages import BreakageOutcome, breakage_outcomes
 from experiments.evaluation.declared_audit import audit_declared
 from experiments.evaluation.metrics import associate, path_length_m, position_errors_m, rms
+from experiments.evaluation.view_overlap import best_overlap, is_rescuable
 from experiments.runs.execution import RunRecord, execute
 from experiments.runs.provenance import code_hash, commit
 from experiments.runs.sources import open_sequence
 from scenarios.errors import InputError
+from scenarios.input_files import is_folder
+from scenarios.loading import load_scenario
+from scenarios.spec import Scenario
+from sim.sequence import Sequence as ImageSequence
 from slam.core.events import Fusion, RecoveryStart
 from slam.dual.config import DualConfig
 from slam.dual.recovery.registry import parse_threads
@@ -76,17 +81,28 @@ def run_sequence(scenario: str, seed: int, threads: str, code: str) -> list[Row]
         sequence, "dual", seed, build=lambda kind, camera, s: build_system(kind, camera, s, dual=dual)
     )
     about = {"scenario": scenario, "seed": seed, "threads": threads, "code": code, "commit": commit()}
-    return [about | row for row in breakage_rows(record)]
+    world = None if is_folder(Path(scenario)) else load_scenario(scenario, seed)
+    return [about | row for row in breakage_rows(record, world, dual.buffer_s)]
 
 
-def breakage_rows(record: RunRecord) -> list[Row]:
+def breakage_rows(
+    record: RunRecord, scenario: Scenario | None = None, buffer_s: float = DualConfig.buffer_s
+) -> list[Row]:
     """What broke, whether the map was right until then, what each thread came to, whether a fusion is false.
 
     A map is healthy if its live poses of the last 5 s lie within .1 m or 5 % of the path, after a similarity.
     ``to_fusion_s`` is the time from the recovery's start, at the new map's fifth keyframe, to the fusion.
+    ``view_overlap`` is the largest of two usable frames on either side, by exact depth: see
+    :func:`usable_frames`.
+
+    Args:
+        record: of a run over a sequence with ground truth.
+        scenario: that the sequence was rendered from; without it the overlap stays unknown.
+        buffer_s: span of the frames before a breakage that a recovery has.
     """
     sequence = record.sequence
     stamps_s, segments = np.asarray(sequence.stamps_s), sequence.segments
+    truth = np.empty((0, 4, 4)) if sequence.T_world_cam is None else sequence.T_world_cam
     false = {f.event: f.audit.false for f in audit_declared(record).fusions}
     rows: list[Row] = []
     for number, outcome in enumerate(breakage_outcomes(record.events, segments, stamps_s), start=1):
@@ -94,12 +110,14 @@ def breakage_rows(record: RunRecord) -> list[Row]:
         error_m, bound_m = before or (None, None)
         fusion = outcome.fusion if outcome.recovered else None
         ends = {e.thread: e for e in outcome.recoveries}
+        usable = usable_frames(sequence, outcome, buffer_s)
         rows.append({
             "breakage": number, "frame": outcome.breakage.frame, "map_id": outcome.breakage.map_id,
             "reason": outcome.breakage.reason, "dropped": outcome.dropped,
             "cause": "" if outcome.segment is None else segments[outcome.segment].kind,
             "error_m": error_m, "bound_m": bound_m,
             "healthy": None if before is None else before[0] <= before[1],
+            "view_overlap": best_overlap(scenario, truth, *usable).overlap if scenario and before else None,
             "rescued": outcome.recovered,
             "false_fusion": None if fusion is None else false[fusion],
             "to_fusion_s": None if fusion is None else fusion.stamp_s - _start_s(record, fusion),
@@ -109,9 +127,28 @@ def breakage_rows(record: RunRecord) -> list[Row]:
     return rows or [
         {
             "breakage": 0, "cause": "", "healthy": None, "rescued": None, "false_fusion": None,
-            "to_fusion_s": None,
+            "view_overlap": None, "to_fusion_s": None,
         }
     ]  # fmt: skip
+
+
+def usable_frames(
+    sequence: ImageSequence, outcome: BreakageOutcome, buffer_s: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Frames on which no stress acts, before and after what broke the map.
+
+    Before: as many as a recovery's buffer holds. Without a stress the two sides meet at the breakage.
+    """
+    frames, stamps_s = np.arange(len(sequence)), np.asarray(sequence.stamps_s)
+    acts = np.zeros(len(sequence), bool)
+    for segment in sequence.segments:
+        acts |= segment.mask(len(sequence))
+    first, last = outcome.breakage.frame, outcome.breakage.frame - 1
+    if outcome.segment is not None:
+        cause = sequence.segments[outcome.segment]
+        first, last = cause.first_frame, cause.last_frame
+    before = (frames < first) & (stamps_s >= stamps_s[first] - buffer_s) & ~acts
+    return frames[before], frames[(frames > last) & ~acts]
 
 
 def _start_s(record: RunRecord, fusion: Fusion) -> float:
@@ -142,7 +179,9 @@ def _error_before(record: RunRecord, outcome: BreakageOutcome) -> tuple[float, f
 def recovery_sums(rows: pd.DataFrame) -> pd.DataFrame:
     """Per scenario and cause: breakages of healthy maps; of these rescued, and by each thread to its end.
 
-    With the median and the 95th percentile of the time from a recovery's start to its fusion, s.
+    With the median and the 95th percentile of the time from a recovery's start to its fusion, s. Where views
+    on either side overlap too little for any recovery by images, ``views`` is ``hopeless``, else ``shared``;
+    ``unknown`` without exact depth.
     """
     healthy = rows[rows.healthy.eq(True)].copy()  # it may be missing, as what follows
     threads = [name for name in rows.columns if name.startswith("thread_") and name[7:].isdigit()]
@@ -150,7 +189,11 @@ def recovery_sums(rows: pd.DataFrame) -> pd.DataFrame:
         healthy[name] = healthy[name].eq(True)
     healthy["breakages"] = 1
     healthy["to_fusion_s"] = healthy["to_fusion_s"].astype(float)  # all may be None
-    groups = healthy.groupby(["scenario", "cause"])
+    overlap = healthy["view_overlap"] if "view_overlap" in healthy else pd.Series(None, healthy.index)
+    healthy["views"] = [
+        "unknown" if pd.isna(share) else "shared" if is_rescuable(share) else "hopeless" for share in overlap
+    ]
+    groups = healthy.groupby(["scenario", "cause", "views"])
     sums = groups[["breakages", "rescued", *sorted(threads), "false_fusion"]].sum()
     delay = groups["to_fusion_s"]
     sums["to_fusion_s_median"], sums["to_fusion_s_p95"] = delay.median(), delay.quantile(0.95)

@@ -30,8 +30,9 @@ def recoveries_command(
     """Count how often recoveries rescue healthy maps that broke, over sequences with ground truth.
 
     Each thread runs to its end; maps come together by recovery alone. A map is healthy if its live poses of
-    the last 5 s lie within 0.1 m, or 5 % of the path. Stopped and started again, it goes on where it was. For
-    example:
+    the last 5 s lie within 0.1 m, or 5 % of the path. Views are hopeless where those without stress on either
+    side share less than a fifth of what they see, by exact depth. Stopped and started again, it goes on where
+    it was. For example:
 
     `dslab bench recoveries stressed --seeds 1-20 --threads orb,direct,sift --out out/rescued.parquet`
     """
@@ -52,13 +53,22 @@ def recoveries_command(
         print_json_line(sums.to_dict("records"))
         return
     table = Table(title="breakages of healthy maps, and the threads that found back, each to its end")
-    heads = ("scenario", "during", "breakages", "rescued", *kinds, "false fusions", "s to the fusion")
+    heads = (
+        "scenario",
+        "during",
+        "views",
+        "breakages",
+        "rescued",
+        *kinds,
+        "false fusions",
+        "s to the fusion",
+    )
     for column in heads:
-        table.add_column(column, justify="left" if column in ("scenario", "during") else "right")
+        table.add_column(column, justify="left" if column in ("scenario", "during", "views") else "right")
     for row in sums.to_dict("records"):
         found = (row.get(f"thread_{k}", 0) for k in range(1, len(kinds) + 1))
         to_fusion = f"{number(row['to_fusion_s_median'], 2)}; 95 %: {number(row['to_fusion_s_p95'], 2)}"
         counts = (row["breakages"], row["rescued"], *found, row["false_fusion"], to_fusion)
         cause = row["cause"].replace("_", " ") or "no stress"
-        table.add_row(row["scenario"], cause, *map(str, counts))
+        table.add_row(row["scenario"], cause, row["views"], *map(str, counts))
     print_table(table)

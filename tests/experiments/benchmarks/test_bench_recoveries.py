@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from experiments.benchmarks import recoveries
 from experiments.cli.commands import app
+from experiments.evaluation.view_overlap import BestOverlap
 from experiments.runs.execution import execute
 from scenarios.errors import InputError
 from slam.core.events import RecoveryStart
@@ -70,9 +71,28 @@ def test_sums_are_of_healthy_maps_by_cause():
     )
     (found,) = recoveries.recovery_sums(rows).to_dict("records")
     assert found == {
-        "scenario": "a", "cause": "fog", "breakages": 2, "rescued": 1, "thread_1": 1, "thread_2": 0,
+        "scenario": "a", "cause": "fog", "views": "unknown", "breakages": 2, "rescued": 1, "thread_1": 1,
+        "thread_2": 0,
         "false_fusion": 1, "to_fusion_s_median": 0.4, "to_fusion_s_p95": 0.4,
     }  # fmt: skip
+
+
+def test_overlap_is_of_frames_without_stress_that_a_recovery_has(monkeypatch):
+    """The stress of frames 150 to 180 broke the map at 160; a buffer of 2 s holds 60 frames."""
+    asked = []
+
+    def of(scenario, T_world_cam, before, after):
+        asked.append((scenario, before.tolist(), after.tolist()))
+        return BestOverlap(0.1, None)
+
+    monkeypatch.setattr(recoveries, "best_overlap", of)
+    run = record(recovers=False)
+    (row,) = recoveries.breakage_rows(run, "its scenario", buffer_s=2.0)
+    assert asked == [("its scenario", list(range(90, 150)), list(range(181, 300)))]
+    assert row["view_overlap"] == 0.1 and recoveries.breakage_rows(run)[0]["view_overlap"] is None
+    rows = pd.DataFrame([{"scenario": "a"} | row | {"view_overlap": share} for share in (0.1, 0.3, 0.5)])
+    sums = recoveries.recovery_sums(rows)
+    assert dict(zip(sums.views, sums.breakages, strict=True)) == {"hopeless": 1, "shared": 2}
 
 
 def test_sums_of_one_breakage_without_a_fusion_and_of_none():
