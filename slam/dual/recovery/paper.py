@@ -34,5 +34,6 @@ def paper_sift_config() -> SiftRecoveryConfig:
         fusion=_FUSION,
         doubt=_NO_DOUBT,
         keyframe_too=False,
+        ahead=0,
         contrast=0.04,
     )

@@ -4,17 +4,19 @@ It has no motion model: a frame gets its pose from SIFT matches alone, however f
 the last placed frame, as long as the views overlap. The map grows with ORB features on these poses.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
-from slam.core.camera import PinholeCamera
 from slam.core.frame import Frame
 from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
 from slam.dual.recovery.propagation import propagate
 from slam.dual.recovery.tracks import TrackRecoveryConfig, TrackTracker
 from slam.features.sift import SiftFrame, match, sift_frame
 from slam.features.sift_detector import SiftDetector
+from slam.features.tracks import rays, triangulate_pairs
+from slam.optimization.pose import CHI2_2DOF
 from slam.tracking.pnp import ransac_pnp
 from slam.tracking.tracker import TrackingOutcome
 
@@ -27,22 +29,21 @@ class SiftRecoveryConfig(TrackRecoveryConfig):
         n_features: most SIFT keypoints per frame, strongest first.
         contrast: least contrast of a keypoint, in the sense of OpenCV, whose usual value is .04.
         octaves: most octaves in which keypoints are sought.
-        most_pixels: a larger image is reduced to this number of pixels for it. 0 for 76,800, and 500,000 of
-            one larger than 640x480, as on a drive: what is in view still behind a gap is far and small there.
+        most_pixels: a larger image is reduced to this number of pixels for it.
+        ahead: later keyframes of the new map with which the features of its first frame are triangulated; the
+            others take their depth from nearby map points.
         ratio: best over second best descriptor distance of a SIFT match.
         ransac_iterations, ransac_error_px: of the pose RANSAC.
     """
 
-    n_features: int = 600
+    n_features: int = 1000
     contrast: float = 0.005
     octaves: int = 4
-    most_pixels: int = 0
+    most_pixels: int = 500_000
+    ahead: int = 3
     ratio: float = 0.8
     ransac_iterations: int = 300
     ransac_error_px: float = 3.0
-
-
-_MOST_PIXELS = (76_800, 500_000)  # of an image up to 640x480, of a larger one
 
 
 class SiftRecovery:
@@ -51,7 +52,7 @@ class SiftRecovery:
     name = "sift"
     needs_images = True
     # Measured: CPU on one core, 640x480, 1,000 ORB features.
-    cost = RecoveryCost(frame_ms=12.0, keyframe_ms=50.0, alignment_ms=4.0)
+    cost = RecoveryCost(frame_ms=20.0, keyframe_ms=50.0, alignment_ms=4.0)
 
     def __init__(self, config: RecoveryConfig | None = None) -> None:
         self.config = SiftRecoveryConfig.extending(config)
@@ -62,10 +63,9 @@ class SiftRecovery:
         return propagate(task, self.config, tracker, tracker.mapper(task))
 
 
-def detector(config: SiftRecoveryConfig, camera: PinholeCamera) -> SiftDetector:
-    """Detector of the thread for the images of a camera."""
-    most_pixels = config.most_pixels or _MOST_PIXELS[camera.is_large]
-    return SiftDetector(config.n_features, config.contrast, config.octaves, most_pixels)
+def detector(config: SiftRecoveryConfig) -> SiftDetector:
+    """Detector of the thread."""
+    return SiftDetector(config.n_features, config.contrast, config.octaves, config.most_pixels)
 
 
 class SiftTracker(TrackTracker):
@@ -77,8 +77,10 @@ class SiftTracker(TrackTracker):
     def __init__(self, task: RecoveryTask, config: SiftRecoveryConfig) -> None:
         self._sift_config = config
         self._task = task
-        self._detector = detector(config, task.camera)
+        self._detector = detector(config)
         super().__init__(task, config, self._detect(task.first))
+        for keyframe in self._keyframes_ahead():
+            self._triangulate_with(keyframe)
 
     def track(self, frame: Frame) -> TrackingOutcome:
         """Place the frame by SIFT matches with the last placed frame or the last keyframe.
@@ -92,6 +94,29 @@ class SiftTracker(TrackTracker):
         if not outcome.success and again:
             outcome = self._place(sift, self.keyframe_view)
         return outcome
+
+    def _keyframes_ahead(self) -> Iterable[int]:
+        """Later keyframes of the new map, spread over it, the nearest first."""
+        later = [int(k) for k in self.map.keyframes() if k > self.latest.frame.reference_keyframe]
+        at = np.linspace(0, len(later) - 1, min(len(later), self._sift_config.ahead) + 1)[1:]
+        return [later[i] for i in np.unique(np.rint(at).astype(int))] if later else []
+
+    def _triangulate_with(self, keyframe: int) -> None:
+        """Give features of the first frame the position in which they and their matches in a keyframe meet."""
+        config, view, first = self._sift_config, self.map.view, self.latest
+        other = self._detect(Frame(self.map.features(keyframe)))
+        own, theirs = match(first, other, config.ratio).T
+        T = self.pose_of(first.frame)
+        xyz, _ = triangulate_pairs(
+            np.repeat(self.map.T_cam_map(keyframe)[None], len(own), axis=0),
+            rays(other.xy[theirs], view),
+            np.ascontiguousarray(T),
+            rays(first.xy[own], view),
+            CHI2_2DOF / (first.inv_sigma2[own] * view.fx * view.fy),
+            float(np.cos(np.deg2rad(config.min_parallax_deg))),
+        )
+        meet = np.isfinite(xyz[:, 0])
+        first.set_positions(own[meet], xyz[meet], T)
 
     def _detect(self, frame: Frame) -> SiftFrame:
         config = self._sift_config

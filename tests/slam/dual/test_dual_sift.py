@@ -73,8 +73,11 @@ def test_the_same_seed_gives_the_same_recovery_bit_by_bit(faded):
 
 def test_each_image_is_used_once(faded_run):
     result, used = faded_run
-    first = faded_scene().task.first.features.index
-    assert used == list(range(first, first - result.frames_covered - 1, -1))
+    task = faded_scene().task
+    first, m = task.first.features.index, task.new_map
+    later = [m.frame_index(int(k)) for k in m.keyframes() if k > 0]
+    assert [used[0], *used[4:]] == list(range(first, first - result.frames_covered - 1, -1))
+    assert used[1:4] == later[-3:]
 
 
 @pytest.mark.parametrize("keyframe_too", [True, False])
@@ -137,12 +140,13 @@ def test_ambiguous_features_are_not_matched():
     assert len(pairs) == 59
 
 
-@pytest.mark.parametrize(("width_px", "height_px", "finest_px"), [(640, 480, 3.2), (1240, 376, 1.6)])
-def test_fine_things_count_in_a_large_image(width_px, height_px, finest_px):
+@pytest.mark.parametrize(
+    ("width_px", "height_px", "finest_px"), [(640, 480, 1.6), (1240, 376, 1.6), (1600, 1200, 3.1)]
+)
+def test_fine_things_count_but_in_a_very_large_image(width_px, height_px, finest_px):
     """As on a drive, where all that is in view still behind a gap is far."""
-    camera = replace(CAMERA, width_px=width_px, height_px=height_px, cx=width_px / 2, cy=height_px / 2)
     noise = np.random.default_rng(0).integers(0, 256, (height_px, width_px), np.uint8)
-    found = detector(SiftRecoveryConfig(), camera).detect(noise)
+    found = detector(SiftRecoveryConfig()).detect(noise)
     assert finest_px <= np.percentile(found.sigma_px, 1) < 1.5 * finest_px
 
 
@@ -179,6 +183,17 @@ def test_a_feature_takes_the_depth_of_a_nearby_map_point():
     np.testing.assert_allclose(seen.xyz_cam[[0, 2]], tracks.rays(xy[[0, 2]], VIEW) * [[4.0], [6.0]])
     assert seen.depth == pytest.approx(5.0)
     np.testing.assert_allclose(seen.positions(np.array([0]), T)[0] @ T[:3, :3].T + T[:3, 3], seen.xyz_cam[0])
+
+
+def test_features_without_a_map_point_near_are_triangulated_with_later_keyframes():
+    """Half of the first frame's features have no map point within 6 px; at an edge its depth is another."""
+    beside, ahead = (
+        SiftTracker(faded_scene().again(), SiftRecoveryConfig(ahead=ahead)).latest for ahead in (0, 3)
+    )
+    assert beside.known.mean() < 0.6 < 0.8 < ahead.known.mean()
+    assert ahead.known[beside.known].all()
+    ratio = ahead.xyz_cam[beside.known, 2] / beside.xyz_cam[beside.known, 2]
+    assert 0.94 < np.percentile(ratio, 5) < 0.99 < np.median(ratio) < 1.01 < np.percentile(ratio, 95) < 1.06
 
 
 def test_triangulation_of_pairs_rejects_what_is_inconsistent():
