@@ -102,7 +102,7 @@ class SiftTracker(TrackTracker):
         return [later[i] for i in np.unique(np.rint(at).astype(int))] if later else []
 
     def _triangulate_with(self, keyframe: int) -> None:
-        """Give features of the first frame the position in which they and their matches in a keyframe meet."""
+        """Give the first frame's features the positions at which they meet their matches in a keyframe."""
         config, view, first = self._sift_config, self.map.view, self.latest
         other = self._detect(Frame(self.map.features(keyframe)))
         own, theirs = match(first, other, config.ratio).T
