@@ -6,16 +6,15 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+_STYLE = Path(__file__).with_name("page.css")
 
-def render_page(
-    templates: Path, filters: dict[str, Callable[..., Any]], styled_as: Path | None = None, **values: Any
-) -> str:
+
+def render_page(templates: Path, filters: dict[str, Callable[..., Any]], **values: Any) -> str:
     """Render `page.html.j2` of a folder of templates.
 
     Args:
-        templates: the folder; its `style.css` becomes the template's `style`.
+        templates: the folder; its `style.css`, or else the one of all pages, becomes the template's `style`.
         filters: functions for the templates, by name, besides Jinja's own.
-        styled_as: another folder, whose `style.css` is used.
         values: what the templates show.
     """
     environment = Environment(
@@ -26,5 +25,6 @@ def render_page(
         lstrip_blocks=True,
     )
     environment.filters |= filters
-    style = ((styled_as or templates) / "style.css").read_text(encoding="utf-8")
+    own = templates / "style.css"
+    style = (own if own.exists() else _STYLE).read_text(encoding="utf-8")
     return environment.get_template("page.html.j2").render(values, style=style)

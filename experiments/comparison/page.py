@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 from experiments.comparison.figures import FIGURES
 from experiments.comparison.plots import draw_errors, draw_paths, draw_stages, draw_within
 from experiments.pages import render_page
-from experiments.realism.page import TEMPLATES as STYLED_AS
 from experiments.report.plots.draw import Image, Plot, rendered
 from experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
 
@@ -28,7 +27,6 @@ def comparison_html(content: dict[str, Any]) -> str:
     return render_page(
         _TEMPLATES,
         {"data_uri": _data_uri, "spread": spread_text},
-        STYLED_AS,
         content=content,
         plots=plots,
         figures=FIGURES,

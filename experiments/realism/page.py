@@ -10,7 +10,7 @@ from experiments.realism.plots import draw_measure, draw_scale
 from experiments.report.plots.draw import Image, Plot, rendered
 from experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
 
-TEMPLATES = Path(__file__).with_name("templates")
+_TEMPLATES = Path(__file__).with_name("templates")
 """Folder of the page's template and style."""
 GROUPS = {
     "matches": "Matches and observations",
@@ -52,7 +52,7 @@ def footage_html(content: dict[str, Any]) -> str:
             draw = partial(draw_scale, content["sequences"])
             plots["scale"] = _plot("scale", "Scale along the true path", draw)
     return render_page(
-        TEMPLATES,
+        _TEMPLATES,
         {"data_uri": _data_uri, "figure": _figure},
         content=content,
         plots=plots,
