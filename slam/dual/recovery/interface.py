@@ -129,16 +129,19 @@ class RecoveryCost:
         frame_ms: per buffered frame processed.
         keyframe_ms: per keyframe made.
         alignment_ms: per pair of keyframes compared.
+        start_ms: before the first of these.
     """
 
     frame_ms: float
     keyframe_ms: float
     alignment_ms: float
+    start_ms: float = 0.0
 
     def seconds(self, result: RecoveryResult) -> float:
         """Duration of a recovery with this result."""
         return 1e-3 * (
-            self.frame_ms * result.frames_covered
+            self.start_ms
+            + self.frame_ms * result.frames_covered
             + self.keyframe_ms * result.keyframes_made
             + self.alignment_ms * result.alignments_tried
         )

@@ -104,6 +104,7 @@ def test_the_cost_of_a_recovery_is_that_of_its_steps():
     result = RecoveryResult(blind_scene().task.new_map)
     result.frames_covered, result.keyframes_made, result.alignments_tried = 10, 3, 2
     assert RecoveryCost(5.0, 20.0, 4.0).seconds(result) == pytest.approx(0.118)
+    assert RecoveryCost(5.0, 20.0, 4.0, start_ms=60.0).seconds(result) == pytest.approx(0.178)
 
 
 # -- every kind ----------------------------------------------------------------------------------------------
