@@ -42,7 +42,7 @@ class Lasting(OrbRecovery):
 
     def __init__(self, frames):
         super().__init__(RecoveryConfig())
-        self.cost = Takes(0.0, 0.0, 0.0, (frames - 0.5) / FPS)
+        self.cost = Takes(0.0, 0.0, 0.0, seconds_in_all=(frames - 0.5) / FPS)
 
 
 def drive(system, count, blank):
