@@ -1,7 +1,7 @@
 """``dslab bench recoveries``."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.table import Table
@@ -9,6 +9,7 @@ from rich.table import Table
 from experiments.cli.console import (
     JsonOption,
     number,
+    out,
     parse_seeds,
     print_json_line,
     print_table,
@@ -29,10 +30,10 @@ def recoveries_command(
 ) -> None:
     """Count how often recoveries rescue healthy maps that broke, over sequences with ground truth.
 
-    Each thread runs to its end; maps come together by recovery alone. A map is healthy if its live poses of
-    the last 5 s lie within 0.1 m, or 5 % of the path. Views are hopeless where those without stress on either
-    side share less than a fifth of what they see, by exact depth. Stopped and started again, it goes on where
-    it was. For example:
+    Each thread runs to its end, and maps come together by recovery alone; how many seconds after its start is
+    told too. A map is healthy if its live poses of the last 5 s lie within 0.1 m, or 5 % of the path. Views are
+    hopeless where those without stress on either side share less than a fifth of what they see, by exact depth.
+    Stopped and started again, it goes on where it was. For example:
 
     `dslab bench recoveries stressed --seeds 1-20 --threads orb,direct,sift --out out/rescued.parquet`
     """
@@ -52,23 +53,24 @@ def recoveries_command(
     if as_json:
         print_json_line(sums.to_dict("records"))
         return
-    table = Table(title="breakages of healthy maps, and the threads that found back, each to its end")
-    heads = (
-        "scenario",
-        "during",
-        "views",
-        "breakages",
-        "rescued",
-        *kinds,
-        "false fusions",
-        "s to the fusion",
+    for scenario, of_scenario in sums.groupby("scenario"):
+        _print_sums(str(scenario), kinds, of_scenario.to_dict("records"))
+    if sums.empty:
+        out.print("no healthy map broke")
+
+
+def _print_sums(scenario: str, kinds: list[str], sums: list[dict[str, Any]]) -> None:
+    table = Table(
+        title=f"{scenario}: healthy maps that broke, and the threads that found back"
     )
-    for column in heads:
-        table.add_column(column, justify="left" if column in ("scenario", "during", "views") else "right")
-    for row in sums.to_dict("records"):
+    for column in ("during", "views"):
+        table.add_column(column)
+    for column in ("broke", "rescued", *kinds, "false", "fused, s", "95 %"):
+        table.add_column(column, justify="right")
+    for row in sums:
         found = (row.get(f"thread_{k}", 0) for k in range(1, len(kinds) + 1))
-        to_fusion = f"{number(row['to_fusion_s_median'], 2)}; 95 %: {number(row['to_fusion_s_p95'], 2)}"
-        counts = (row["breakages"], row["rescued"], *found, row["false_fusion"], to_fusion)
+        counts = (row["breakages"], row["rescued"], *found, row["false_fusion"])
+        times_s = (number(row[f"to_fusion_s_{share}"], 2) for share in ("median", "p95"))
         cause = row["cause"].replace("_", " ") or "no stress"
-        table.add_row(row["scenario"], cause, row["views"], *map(str, counts))
+        table.add_row(cause, row["views"], *map(str, counts), *times_s)
     print_table(table)
