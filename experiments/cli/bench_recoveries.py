@@ -30,10 +30,10 @@ def recoveries_command(
 ) -> None:
     """Count how often recoveries rescue healthy maps that broke, over sequences with ground truth.
 
-    Each thread runs to its end, and maps come together by recovery alone; how many seconds after its start is
-    told too. A map is healthy if its live poses of the last 5 s lie within 0.1 m, or 5 % of the path. Views are
-    hopeless where those without stress on either side share less than a fifth of what they see, by exact depth.
-    Stopped and started again, it goes on where it was. For example:
+    Each thread runs to its end, and maps come together by recovery alone; the table says how many seconds
+    after its start. A map is healthy if its live poses of the last 5 s lie within 0.1 m, or 5 % of the path.
+    Views are hopeless where those without stress on either side share less than a fifth of what they see, by
+    exact depth. Stopped and started again, it goes on where it was. For example:
 
     `dslab bench recoveries stressed --seeds 1-20 --threads orb,direct,sift --out out/rescued.parquet`
     """
@@ -60,9 +60,7 @@ def recoveries_command(
 
 
 def _print_sums(scenario: str, kinds: list[str], sums: list[dict[str, Any]]) -> None:
-    table = Table(
-        title=f"{scenario}: healthy maps that broke, and the threads that found back"
-    )
+    table = Table(title=f"{scenario}: healthy maps that broke, and the threads that found back")
     for column in ("during", "views"):
         table.add_column(column)
     for column in ("broke", "rescued", *kinds, "false", "fused, s", "95 %"):
