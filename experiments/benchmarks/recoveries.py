@@ -152,10 +152,10 @@ def usable_frames(
 
 
 def _start_s(record: RunRecord, fusion: Fusion) -> float:
-    """Time at which the recovery that led to a fusion began."""
+    """Time at which the first thread of the recovery that led to a fusion began."""
     of_fusion = (fusion.old_map_id, fusion.new_map_id)
     starts = [e for e in record.events if isinstance(e, RecoveryStart) and e.frame <= fusion.frame]
-    return max((e.stamp_s for e in starts if (e.old_map_id, e.map_id) == of_fusion), default=np.nan)
+    return min((e.stamp_s for e in starts if (e.old_map_id, e.map_id) == of_fusion), default=np.nan)
 
 
 def _error_before(record: RunRecord, outcome: BreakageOutcome) -> tuple[float, float] | None:

@@ -29,7 +29,8 @@ def test_a_breakage_has_a_row_with_the_state_of_its_map_and_the_end_of_each_thre
         frame=170, stamp_s=fused.stamp_s - 0.25, map_id=fused.new_map_id, thread=1, method="orb",
         old_map_id=fused.old_map_id, buffered_frames=9,
     )  # fmt: skip
-    (row,) = recoveries.breakage_rows(replace(run, events=(*run.events, start)))
+    waited = replace(start, stamp_s=fused.stamp_s, thread=2)  # for the first thread's end
+    (row,) = recoveries.breakage_rows(replace(run, events=(*run.events, start, waited)))
     assert row["breakage"] == 1 and row["frame"] == 160 and row["rescued"]
     assert row["healthy"] and row["error_m"] < 1e-6 and row["bound_m"] >= 0.1
     assert row["false_fusion"] is False
