@@ -20,7 +20,7 @@ from slam.dual.recovery.paper import paper_orb_config
 from slam.dual.recovery.registry import RECOVERY_KINDS, ThreadSpec
 
 ROOT = Path(__file__).resolve().parents[1]
-OF_EARLIER_STATES = ("CHANGELOG.md", "measurements.md", "renamed.md")
+OF_EARLIER_STATES = ("CHANGELOG.md", "renamed.md", *(p.name for p in ROOT.glob("docs/measure*.md")))
 PAGES = [p for p in sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")]) if p.name not in OF_EARLIER_STATES]
 DEVIATIONS = (ROOT / "docs" / "dual-slam.md").read_text()
 # What `name: value` may refer to; ORB, SIFT and DIRECT are kinds of threads, THREAD is any.
