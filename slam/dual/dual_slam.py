@@ -54,9 +54,8 @@ class DualSlam(MonocularSystem):
     """SLAM with backward recovery and map fusion after a breakage.
 
     There are several ways home, and the first one counts: the recoveries, of which several may run at a time;
-    the places of a new map's keyframes in saved maps; and, while the new map is too small to be recovered
-    from, the places of its frames. A new map that breaks while its recovery runs is saved, and still fused if
-    that succeeds.
+    the places of a new map's keyframes in saved maps; and those of its frames, before and after recoveries. A
+    new map that breaks while its recovery runs is saved, and still fused if that succeeds.
     """
 
     def __init__(
@@ -93,7 +92,7 @@ class DualSlam(MonocularSystem):
                 engine.declare_breakage(frame, outcome)
                 self._save_or_drop_map(frame)
                 self._start_anew(frame)
-            elif self._is_new_and_small or engine.search.probation is not None:
+            elif self._is_new_and_small or (engine.search.probation is not None and not self._is_settled):
                 frame, outcome = self._find_back(frame, outcome)
             if outcome.success and self._is_begun_smeared(frame):
                 outcome, is_keyframe = self._begin_again(frame, outcome), False
@@ -107,7 +106,7 @@ class DualSlam(MonocularSystem):
         self._fill_buffer(frame, image)
         self._fuse_recovered(self.jobs.ended(frame))
         self._recover(outcome)
-        self._merge_by_place(outcome)
+        self._merge_by_place(frame, outcome, is_keyframe)
         return engine.result(frame, outcome, is_keyframe)
 
     def finish(self) -> None:
@@ -317,10 +316,30 @@ class DualSlam(MonocularSystem):
                 )  # fmt: skip
                 self.merger.merge_recovered(found)
 
-    def _merge_by_place(self, outcome: TrackingOutcome) -> None:
+    def _merge_by_place(self, frame: Frame, outcome: TrackingOutcome, is_keyframe: bool) -> None:
         """Fuse with a saved map whose place is recognised."""
         if outcome.success and self.state is TrackingState.TRACKING:
             self.merger.merge_by_place()
+            if self._is_settled:
+                self._seek_beside(frame, is_keyframe)
+
+    @property
+    def _is_settled(self) -> bool:
+        """True if no recovery of the current map is due or under way: it is not given up for a place."""
+        current = self.engine.store.current_id
+        waits = self._restart is not None or any(job.new_id == current for job in self.jobs.running)
+        return self.dual.place_merging is not None and not waits
+
+    def _seek_beside(self, frame: Frame, is_keyframe: bool) -> None:
+        """Seek the frames of a settled map in saved maps too; fuse with one in which they are confirmed.
+
+        A search begins at a keyframe. It asks of the frames what a lost camera's must show.
+        """
+        engine, sought = self.engine, self._sought
+        if engine.search.probation is not None or (is_keyframe and sought):
+            _, confirmed = engine.search.offer(engine.again(frame), sought, begin=is_keyframe)
+            if confirmed is not None:
+                self.merger.merge_found(confirmed.map_id, confirmed.frames)
 
     def _forget_joined(self) -> None:
         """End recoveries of maps that have been joined, also the one that is due."""

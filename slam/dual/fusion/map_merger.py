@@ -65,6 +65,17 @@ class MapMerger:
         self._searching = True
         self._engine.backend.beside(partial(self._prepare_by_place, places), STAGE)
 
+    def merge_found(self, map_id: int, frames: Sequence[Frame]) -> None:
+        """Fuse the current map with a saved one in which frames of it have been confirmed.
+
+        Args:
+            map_id: the saved map.
+            frames: tracked in it; those that are keyframes of the current map relate the two.
+        """
+        if self._places is not None:
+            self._searching = True
+            self._engine.backend.beside(partial(self._prepare_found, self._places, map_id, frames), STAGE)
+
     def skip_present_keyframes(self) -> None:
         """Search no place of a keyframe that the current map has now."""
         if self._places is not None and self._engine.store.current_id in self._engine.store:
@@ -125,11 +136,28 @@ class MapMerger:
         if not (alignments or refused):
             return None
         prepared = self._prepare_joined(current, alignments) if alignments else None
+        fusions = len(self._absorbed)
 
         def take_over() -> None:
             for alignment, reason in refused:
                 self._refuse(alignment.old_map_id, current.map_id, "place", alignment, reason)
-            if prepared is not None:
+            if prepared is not None and fusions == len(self._absorbed):
+                self._take_over(prepared, "place")
+
+        return take_over
+
+    def _prepare_found(self, places: PlaceMerger, map_id: int, frames: Sequence[Frame]) -> TakeOver | None:
+        store, fusions = self._engine.store, len(self._absorbed)
+        self._searching = False
+        if map_id not in store.saved:  # joined meanwhile
+            return None
+        alignments = places.of_frames(store.current, store[map_id], frames)
+        if not alignments:
+            return None
+        prepared = self._prepare_joined(store.current, alignments)
+
+        def take_over() -> None:
+            if fusions == len(self._absorbed):
                 self._take_over(prepared, "place")
 
         return take_over

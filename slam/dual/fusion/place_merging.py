@@ -9,8 +9,9 @@ from slam.core.frame import Frame
 from slam.core.seeds import rng_for
 from slam.dual.fusion.fuse import FusionConfig
 from slam.dual.fusion.hypotheses import Hypothesis, rival
-from slam.loop_closing.map_alignment import Alignment, align, align_relocalized
-from slam.loop_closing.place_check import doubt
+from slam.loop_closing.map_alignment import Alignment, agree, align, align_relocalized
+from slam.loop_closing.place_check import double_in_reach, doubt, within_reach
+from slam.map._map_kernels import resolve_points
 from slam.map.map import Map
 from slam.map_store import Places
 from slam.optimization.sim3 import sim3_inverse
@@ -91,6 +92,37 @@ class PlaceMerger:
             if accepted:
                 return accepted
         return ()
+
+    def of_frames(self, current: Map, old: Map, frames: Sequence[Frame]) -> tuple[Alignment, ...]:
+        """Align the current map with a saved one by frames that are tracked in both.
+
+        Args:
+            current: a map of which some of the frames are keyframes.
+            old: the saved map; it need not be seen by the keyframes' own search.
+            frames: tracked in the saved map, and confirmed there.
+
+        Returns:
+            Alignments that agree with the last one, the newest last; empty if they are too few or the fewer,
+            or the camera cannot have come there, or can as well have come to a known double of the place.
+        """
+        config, place = self._config, self._config.place
+        keyframes = {current.frame_index(int(k)): int(k) for k in current.keyframes()}
+        found: list[Alignment] = []
+        for frame in frames:
+            keyframe = keyframes.get(frame.features.index)
+            if keyframe is None:
+                continue
+            rng = rng_for(self._seed, "joining", frame.features.index, old.map_id)
+            resolve_points(old.arrays, frame.point)
+            alignment = align_relocalized(old, current, frame, keyframe, rng, config)
+            if alignment is not None:
+                found.append(alignment)
+        if not found or not within_reach(old, current, found[-1].S_old_new, place.reach):
+            return ()
+        agreeing = tuple(a for a in found if agree(old, found[-1], a, config))
+        if len(agreeing) < config.confirmations or 2 * len(agreeing) <= len(found):
+            return ()
+        return () if double_in_reach(old, current, found[-1].S_old_new, place) else agreeing
 
     def _forget_other_than(self, current: Map) -> None:
         """Discard the hypotheses if they are of another current map."""

@@ -8,12 +8,15 @@ from dual_scenes import RECOVERED, RECOVERY_ONLY, STEP_M, dual, of, scale_betwee
 from slam_scenes import blanked, errors_m, feed, kinds, rms, toy
 
 from slam.core.events import TrackingState
+from slam.dual.dual_slam import DualSlam
 from slam.dual.fusion import place_merging
 from slam.dual.fusion.fuse import FusionConfig
 from slam.dual.fusion.map_merger import MapMerger
+from slam.dual.fusion.place_merging import PlaceMerger
 from slam.dual.recovery.interface import RecoveryConfig
 from slam.dual.recovery.registry import ThreadSpec
 from slam.map.invariants import check_map
+from slam.tracking.tracker import TrackingOutcome
 
 # Recovery fails at the first unusable frame: only place recognition is left.
 BY_PLACE = replace(
@@ -82,6 +85,22 @@ def test_what_spoke_against_a_place_counts_at_the_next_keyframe(monkeypatch):
     reasons = [fusion.reason for fusion in of(system, "fusion")]
     assert reasons == ["contradicted"] * 2 + [""]
     assert of(system, "fusion")[-1].frame > of(system, "fusion")[-2].frame + 5
+
+
+def test_frames_of_a_map_whose_recovery_has_failed_are_sought_in_saved_maps(monkeypatch):
+    """Neither before the new map nor by its keyframes is the place found here."""
+    nothing = TrackingOutcome(False, 0, 0, "no_candidates")
+    monkeypatch.setattr(PlaceMerger, "search", lambda *_: ())
+    monkeypatch.setattr(DualSlam, "_find_back", lambda _, frame, outcome=None: (frame, outcome or nothing))
+    images, stamps_s, T_world_cam = toy(130, 0, STEP_M)
+    system = dual(replace(BY_PLACE, relocalization=True))
+    feed(system, blanked(images, range(50, 56)), stamps_s)
+    (ended,), (fusion,) = of(system, "recovery_end"), of(system, "fusion")
+    assert not ended.success and ended.frame < fusion.frame
+    assert (fusion.by, fusion.accepted, fusion.old_map_id, fusion.new_map_id) == ("place", True, 0, 1)
+    (path,) = system.trajectories()
+    before, after = (scale_between(path, T_world_cam, *side) for side in ((0, 49), (70, 129)))
+    assert before / after == pytest.approx(1, abs=0.05)
 
 
 def test_place_merging_can_be_switched_off(fused_by_place):
