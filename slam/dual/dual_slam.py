@@ -335,8 +335,10 @@ class DualSlam(MonocularSystem):
 
         A search begins at a keyframe. It asks of the frames what a lost camera's must show.
         """
-        engine, sought = self.engine, self._sought
-        if engine.search.probation is not None or (is_keyframe and sought):
+        engine, sought, probation = self.engine, self._sought, self.engine.search.probation
+        if probation is not None and probation.frames[-1].features.index == frame.features.index:
+            return  # offered before its recovery ended
+        if probation is not None or (is_keyframe and sought):
             _, confirmed = engine.search.offer(engine.again(frame), sought, begin=is_keyframe)
             if confirmed is not None:
                 self.merger.merge_found(confirmed.map_id, confirmed.frames)

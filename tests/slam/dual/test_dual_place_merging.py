@@ -91,6 +91,8 @@ def test_frames_of_a_map_whose_recovery_has_failed_are_sought_in_saved_maps(monk
     """Neither before the new map nor by its keyframes is the place found here."""
     nothing = TrackingOutcome(False, 0, 0, "no_candidates")
     monkeypatch.setattr(PlaceMerger, "search", lambda *_: ())
+    seek = DualSlam._seek_beside  # also of a frame that was offered before, as when a recovery ends at it
+    monkeypatch.setattr(DualSlam, "_seek_beside", lambda *given: [seek(*given) for _ in range(2)])
     monkeypatch.setattr(DualSlam, "_find_back", lambda _, frame, outcome=None: (frame, outcome or nothing))
     images, stamps_s, T_world_cam = toy(130, 0, STEP_M)
     system = dual(replace(BY_PLACE, relocalization=True))
