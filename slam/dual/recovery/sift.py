@@ -51,7 +51,7 @@ class SiftRecovery:
 
     name = "sift"
     needs_images = True
-    # Measured: CPU on one core, 640x480, 1,000 ORB features.
+    # Measured: CPU on one core, 640x480, 1,000 ORB features; the start reckoned as three frames.
     cost = RecoveryCost(frame_ms=20.0, keyframe_ms=50.0, alignment_ms=4.0, start_ms=60.0)
 
     def __init__(self, config: RecoveryConfig | None = None) -> None:
