@@ -1,10 +1,12 @@
-"""Order of units: by index, all cells of an index one after the other on one worker.
+"""Order of units: by index, all cells of an index one after the other on one worker, and all of a world.
 
-They share their lead-in, which the worker has at hand. Which worker runs a unit does not affect its record.
+The cells of an index share their lead-in, and the replicates of a world its frames, which the worker has at
+hand. Which worker runs a unit does not affect its record.
 """
 
 from collections import deque
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import Any, Protocol
 
 from experiments.eq1.units import ThreadChoice, UnitSpec
@@ -21,6 +23,8 @@ class Experiment(Protocol):
     def content_hash(self) -> str: ...
     @property
     def threads(self) -> Sequence[ThreadChoice]: ...
+    @property
+    def replicates_per_world(self) -> int: ...
     def cell_names(self) -> Sequence[str]: ...
     def units_of(self, cell: str) -> int: ...
     def unit(self, cell: str, index: int) -> UnitSpec: ...
@@ -68,13 +72,12 @@ class Schedule:
         """The next unit to start on a worker; None if all have been started.
 
         Args:
-            worker: its name. It goes on with the index of its last unit, then with one that no other worker
-                is at, then helps another.
+            worker: its name. It goes on with the index of its last unit, then with another of that world,
+                then with one of a world, or else an index, that no other worker is at, then helps another.
         """
         index = self._index_of.get(worker)
         if index not in self._due:
-            at = {self._index_of[other] for other in self._index_of if other != worker}
-            index = next((i for i in self._due if i not in at), next(iter(self._due), None))
+            index = self._next_index(worker)
             if index is None:
                 return None
             self._index_of[worker] = index
@@ -82,6 +85,17 @@ class Schedule:
         if not self._due[index]:
             del self._due[index]
         return self._experiment.unit(cell, index)
+
+    def _next_index(self, worker: str) -> int | None:
+        at = {index for other, index in self._index_of.items() if other != worker}
+        worlds, own = set(map(self._world_of, at)), self._world_of(self._index_of.get(worker, -1))
+        free = [index for index in self._due if index not in at]
+        here = (index for index in free if self._world_of(index) == own)
+        elsewhere = (index for index in free if self._world_of(index) not in worlds)
+        return next(chain(here, elsewhere, free, self._due), None)
+
+    def _world_of(self, index: int) -> int:
+        return index // self._experiment.replicates_per_world
 
     def finish(self, record: Record) -> None:
         """Add the record of a unit that has ended."""

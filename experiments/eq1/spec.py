@@ -48,7 +48,7 @@ _SEED_END = 2**53  # exact in JSON and in every table
 class ExperimentSpec(Grown):
     """The spec of an experiment."""
 
-    _unwritten: ClassVar = {"settings": {}}
+    _unwritten: ClassVar = {"settings": {}, "confirmatory_threads": None}
 
     spec_version: Literal[2] = SPEC_VERSION
     name: str = Field(pattern=_NAME, max_length=40)
@@ -81,6 +81,9 @@ class ExperimentSpec(Grown):
     )
     sham: bool = Field(True, description="a cell without a degradation for every base")
     confirmatory: tuple[str, ...] = Field((), description="cells whose tests decide; named before the run")
+    confirmatory_threads: int | None = Field(
+        None, ge=1, description="how many of the first threads decide there, one after the other; null: all"
+    )
     levels: tuple[LevelName, ...] = Field(
         (), description="within what chance is to be told apart: sequences need repeats, worlds sequences"
     )
@@ -116,6 +119,14 @@ class ExperimentSpec(Grown):
         for degradation in self.degradations:
             if fault := degradation.base_fault(self.bases):
                 raise ValueError(f"degradations, {degradation.label}: {fault}")
+        bare = [base for base in self.bases if not any(d.doses_of(base) for d in self.degradations)]
+        if bare:
+            raise ValueError(f"bases: no degradation has a dose for {bare[0]}, give one or leave it out")
+        if (self.confirmatory_threads or 0) > len(self.threads):
+            raise ValueError(
+                f"confirmatory_threads is {self.confirmatory_threads} of {len(self.threads)} threads, "
+                "give at most as many"
+            )
         needed = len(self.threads) + 1
         for level, name in (("sequences", "repeats"), ("worlds", "sequences_per_world")):
             if level in self.levels and getattr(self, name) < needed:
@@ -169,7 +180,12 @@ class ExperimentSpec(Grown):
     @property
     def units(self) -> int:
         """Number of units of every cell."""
-        return self.worlds * self.sequences_per_world * self.repeats
+        return self.worlds * self.replicates_per_world
+
+    @property
+    def replicates_per_world(self) -> int:
+        """Number of units of a cell in one world, whose indices follow one another."""
+        return self.sequences_per_world * self.repeats
 
     def place(self, index: int) -> Place:
         """World, sequence and replicate of an index, the same in every cell."""

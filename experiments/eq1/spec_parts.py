@@ -87,7 +87,9 @@ class Degradation(Strict):
 
     kind: str = Field(description="kind of the segment")
     dose: str = Field(description="field of the segment that the doses set")
-    doses: Doses | dict[str, Doses] = Field(description="of every base, or of each by its name")
+    doses: Doses | dict[str, Doses] = Field(
+        description="of every base, or by their names of those in which it acts"
+    )
     severities: Doses | dict[str, Doses] | None = Field(
         None, description="severities that stand for the doses in the results; the doses by default"
     )
@@ -104,7 +106,7 @@ class Degradation(Strict):
         return f"{self.kind}-creeping" if self.creeping else self.kind
 
     def doses_of(self, base: str) -> tuple[float, ...]:
-        """The doses of a base."""
+        """The doses of a base; none if it does not act there."""
         return _of_base(self.doses, base)
 
     def severities_of(self, base: str) -> tuple[float, ...]:
@@ -114,9 +116,9 @@ class Degradation(Strict):
     def base_fault(self, bases: Collection[str]) -> str:
         """What is wrong with its doses for these bases; empty if nothing is."""
         for name, given in (("doses", self.doses), ("severities", self.severities)):
-            if isinstance(given, dict) and set(given) != set(bases):
-                differing = ", ".join(sorted(set(given) ^ set(bases)))
-                return f"{name} are not those of the bases ({differing}), give one list for each base"
+            unknown = sorted(set(given) - set(bases)) if isinstance(given, dict) else []
+            if unknown:
+                return f"{name}: {unknown[0]} is no base, use {' or '.join(bases)}"
         for base in bases:
             doses, severities = self.doses_of(base), self.severities_of(base)
             if len(severities) != len(doses):
@@ -142,4 +144,4 @@ class Degradation(Strict):
 
 
 def _of_base(given: tuple[float, ...] | dict[str, tuple[float, ...]], base: str) -> tuple[float, ...]:
-    return given[base] if isinstance(given, dict) else given
+    return given.get(base, ()) if isinstance(given, dict) else given

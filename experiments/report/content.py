@@ -50,7 +50,16 @@ def report_content(
     threads = len(spec.threads)
     kinds = [thread.kind for thread in spec.threads]
     letter = kinds.index(PAPER_THREAD) + 1 if PAPER_THREAD in kinds else None
-    analysis = as_data(analyse(table, threads, spec.confirmatory, letter, permutations=permutations))
+    analysis = as_data(
+        analyse(
+            table,
+            threads,
+            spec.confirmatory,
+            letter,
+            permutations=permutations,
+            confirmatory_threads=spec.confirmatory_threads,
+        )
+    )
     table = table.assign(dual_failure=table[failure_column("s", threads)])
     units = outcomes.unit_counts(whole, {cell: spec.units_of(cell) for cell in cells})
     results = {

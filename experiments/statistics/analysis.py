@@ -77,6 +77,7 @@ def analyse(
     paper_thread: int | None = None,
     seed: int = 0,
     permutations: int | None = None,
+    confirmatory_threads: int | None = None,
 ) -> Analysis:
     """Analyse a table of records by kind of world, with worlds as the sample.
 
@@ -87,6 +88,7 @@ def analyse(
         paper_thread: number of the thread that is Algorithm 1 to the letter, if there is one.
         seed: of the permutations.
         permutations: their number; None for as many as the number of tests takes.
+        confirmatory_threads: the first 1 to this many threads are tested there; None for all.
 
     Raises:
         ValueError: no recovery thread.
@@ -97,7 +99,7 @@ def analyse(
     shams = [cell for cell in cells_of(table, threads, sham=True) if cell.units]
     rng, numbers = np.random.default_rng(seed), range(1, threads + 1)
     units = sum(cell.units for cell in cells)
-    judged = judge_cells(cells, threads, confirmatory, rng, permutations)
+    judged = judge_cells(cells, threads, confirmatory, rng, permutations, confirmatory_threads)
     named = [cell for cell in cells if cell.name in confirmatory] or cells
     failed = [np.maximum(c.outcomes.dual_failures[-1], c.events("silent_failure")) for c in cells]
     kinds = list(dict.fromkeys(cell.world for cell in cells))

@@ -91,13 +91,17 @@ def judge_cells(
     confirmatory: Sequence[str],
     rng: np.random.Generator,
     permutations: int | None = None,
+    confirmatory_threads: int | None = None,
 ) -> tuple[JudgedCell, ...]:
     """Judge cells with the first 1 to ``threads`` threads, by n and then in the order of the cells.
 
     Holm's correction is made over the confirmatory cells and numbers of threads, and over the others apart.
+    Confirmatory are cells of these names with the first 1 to ``confirmatory_threads`` threads, or all.
     """
+    most = threads if confirmatory_threads is None else confirmatory_threads
     number = permutations or permutations_for(len(cells) * threads)
     pairs = [(n, cell) for n in range(1, threads + 1) for cell in cells if cell.units]
+    named = [n <= most and cell.name in confirmatory for n, cell in pairs]
     of = {i: usable(cell, n) for i, (n, cell) in enumerate(pairs)}
     tested: dict[int, tuple[Comparison, Comparison]] = {
         i: (compare_units(outcomes, independence(outcomes, rng, number)), compare_forecast(outcomes))
@@ -106,12 +110,12 @@ def judge_cells(
     }
     found: dict[int, tuple[Verdict, Verdict, float, float]] = {}
     for family in (True, False):
-        own = [i for i in tested if (pairs[i][1].name in confirmatory) == family]
+        own = [i for i in tested if named[i] == family]
         units, forecasts = [tested[i][0] for i in own], [tested[i][1] for i in own]
         p = holm([c.p for c in units]), holm([c.p for c in forecasts])
         found |= dict(zip(own, zip(*verdicts(units, forecasts), *p, strict=True), strict=True))
     return tuple(
-        _judged(cell, of[i], cell.name in confirmatory, tested.get(i), found.get(i))
+        _judged(cell, of[i], named[i], tested.get(i), found.get(i))
         for i, (_, cell) in enumerate(pairs)
         if len(of[i].breakage)
     )

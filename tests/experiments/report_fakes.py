@@ -29,6 +29,7 @@ class FakeSpec:
     threads: tuple[ThreadChoice, ...] = (ThreadChoice(kind="orb"), ThreadChoice(kind="sift"))
     systems: tuple[str, ...] = ("dual",)
     confirmatory: tuple[str, ...] = ()
+    confirmatory_threads: int | None = None
     name: str = "made-up"
     content_hash: str = "5bec"
     frames: int = 500
@@ -54,6 +55,8 @@ class FakeSpec:
             Degradation(kind=kind, dose=dose, doses=doses, severities=severities)
             for kind, (dose, doses, severities) in zip(KINDS, _DOSES, strict=True)
         ]
+
+    replicates_per_world = 1
 
     def cell_names(self) -> list[str]:
         return list(self.cells)

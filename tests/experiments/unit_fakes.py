@@ -34,6 +34,7 @@ class MadeUp:
     name: str = "made-up"
     threads: tuple[ThreadChoice, ...] = (ThreadChoice(kind="orb"), ThreadChoice(kind="sift"))
     root_seed: int = 0
+    replicates_per_world: int = 1
 
     @property
     def content_hash(self) -> str:

@@ -55,3 +55,12 @@ def test_cells_of_an_index_stay_on_one_worker_until_the_others_run_dry(workers):
     assert sorted(unit[:2] for unit in started) == sorted(unit[:2] for unit in run(plan)[0])
     workers_of = {index: {w for _, i, w in started if i == index} for index in range(30)}
     assert all(len(workers_of[index]) == 1 for index in range(30 - workers))
+
+
+@pytest.mark.parametrize("workers", [2, 3, 7])
+def test_replicates_of_a_world_stay_on_one_worker_until_the_others_run_dry(workers):
+    plan = MadeUp({"a": 60, "b": 60}, replicates_per_world=3)
+    started, _ = run(plan, workers=workers, seed=workers)
+    assert sorted(unit[:2] for unit in started) == sorted(unit[:2] for unit in run(plan)[0])
+    workers_of = {world: {w for _, i, w in started if i // 3 == world} for world in range(20)}
+    assert all(len(workers_of[world]) == 1 for world in range(20 - workers))

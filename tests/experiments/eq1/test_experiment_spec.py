@@ -64,6 +64,17 @@ def test_cells_are_every_combination_by_name(spec):
     assert {spec.units_of(cell) for cell in spec.cell_names()} == {12}
 
 
+def test_a_degradation_acts_in_the_bases_that_have_doses(tmp_path):
+    text = SPEC.replace("doses: [0.1, 0.2]", "doses: {passage: [0.1]}")
+    cells = load(tmp_path, text).cell_names()
+    assert [cell for cell in cells if "motion_blur" in cell] == [
+        f"passage/motion_blur/1/{s}" for s in ("dual", "dual+")
+    ]
+    nowhere = text.replace(", hall: [120]}", "}").replace(", hall: [1]}", "}")
+    with pytest.raises(InputError, match="bases: no degradation has a dose for hall"):
+        load(tmp_path, nowhere)
+
+
 def test_settings_reach_every_unit_and_its_threads(tmp_path):
     given = "settings: {tracking: {min_inliers: 40}, dual: {workers: 1}}\nworlds: 2"
     text = SPEC.replace("worlds: 2", given).replace(
@@ -226,7 +237,13 @@ def test_a_family_may_be_used_by_member_or_as_a_whole(tmp_path):
             "axis: {choice: [yaw, pitch]}",
             ":20: degradations[1].fields.axis: mixes yaw and pitch",
         ),
-        ("hall: [120]}", "room: [120]}", "doses are not those of the bases (hall, room)"),
+        (
+            "hall: [120]}",
+            "hal: [120]}",
+            "fast_rotation: doses: hal is no base; use passage or hall",
+        ),
+        ("hall: [1]}", "hall: [1, 2]}", "fast_rotation: 2 severities for 1 doses"),
+        ("dual]\n", "dual]\nconfirmatory_threads: 4\n", "confirmatory_threads is 4 of 3 threads"),
         ("repeats: 3", "repeats: 3\nlevels: [sequences]", "repeats is 3, but chance within sequences with 3"),
         ("repeats: 3", "repeats: 4\nlevels: [worlds]", "give sequences_per_world: 4 or leave worlds out"),
         ("blur/1/dual]", "blur/3/dual]", ":29: confirmatory[0]: passage/motion_blur/3/dual is no cell"),

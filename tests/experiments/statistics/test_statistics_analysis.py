@@ -135,6 +135,18 @@ def test_holm_corrects_the_confirmatory_cells_apart_from_the_others():
     assert named[0].p_forecast == alone.p_forecast < together.p_forecast
 
 
+def test_only_the_first_threads_decide_where_the_spec_says_so():
+    rows = made_up(14, cell="blur/0")
+    alike = {f"{c}{n}": rows.breakage for c in ("d", "s", "m") for n in (1, 2)}
+    rows = rows.assign(**alike, cross_r1_failed=rows.breakage, cross_r2_failed=rows.breakage)
+    rows = rows.assign(cross_r1_stage=None, cross_r2_stage=None)
+    both = analyse(rows, 2, ("blur/0",), permutations=999).cells
+    first = analyse(rows, 2, ("blur/0",), permutations=999, confirmatory_threads=1).cells
+    assert [(cell.n, cell.confirmatory) for cell in first] == [(1, True), (2, False)]
+    (alone,) = analyse(rows, 1, ("blur/0",), permutations=999).cells
+    assert first[0].p_forecast == alone.p_forecast and first[1].p_forecast < both[1].p_forecast
+
+
 def test_parts_of_the_breakages_hold_all_of_them_once():
     rng = np.random.default_rng(1)
     rows = made_up(12)
