@@ -110,7 +110,8 @@ class PlaceMerger:
         found: list[Alignment] = []
         for frame in frames:
             keyframe = keyframes.get(frame.features.index)
-            if keyframe is None:
+            # A map's first keyframes have far more features than the frames that are sought.
+            if keyframe is None or len(frame.features) != len(current.features(keyframe)):
                 continue
             rng = rng_for(self._seed, "joining", frame.features.index, old.map_id)
             resolve_points(old.arrays, frame.point)
