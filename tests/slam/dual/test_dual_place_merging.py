@@ -8,6 +8,7 @@ from dual_scenes import RECOVERED, RECOVERY_ONLY, STEP_M, dual, of, scale_betwee
 from slam_scenes import blanked, errors_m, feed, kinds, rms, toy
 
 from slam.core.events import TrackingState
+from slam.core.frame import Frame
 from slam.dual.dual_slam import DualSlam
 from slam.dual.fusion import place_merging
 from slam.dual.fusion.fuse import FusionConfig
@@ -15,7 +16,9 @@ from slam.dual.fusion.map_merger import MapMerger
 from slam.dual.fusion.place_merging import PlaceMerger
 from slam.dual.recovery.interface import RecoveryConfig
 from slam.dual.recovery.registry import ThreadSpec
+from slam.loop_closing.place_check import PlaceCheckConfig
 from slam.map.invariants import check_map
+from slam.tracking.probation import ProbationConfig
 from slam.tracking.tracker import TrackingOutcome
 
 # Recovery fails at the first unusable frame: only place recognition is left.
@@ -103,6 +106,27 @@ def test_frames_of_a_map_whose_recovery_has_failed_are_sought_in_saved_maps(monk
     (path,) = system.trajectories()
     before, after = (scale_between(path, T_world_cam, *side) for side in ((0, 49), (70, 129)))
     assert before / after == pytest.approx(1, abs=0.05)
+
+
+def test_a_frame_with_fewer_features_than_its_keyframe_relates_no_maps():
+    """As one that was sought in a saved map before the new one was begun from it."""
+    images, stamps_s, _ = toy(80, 0, STEP_M)
+    system = dual(replace(BY_PLACE, place_merging=None))
+    feed(system, blanked(images, range(50, 56)), stamps_s, check=False)
+    engine, store = system.engine, system.engine.store
+    begun_from = store.current.features(int(store.current.keyframes()[0]))
+    engine._image = images[begun_from.index]
+    fewer = engine._features(begun_from.index, begun_from.stamp_s, dense=False)
+    assert len(fewer) < len(begun_from)
+    merger = PlaceMerger(FusionConfig(), 0)
+    assert merger.of_frames(store.current, store[store.saved[0]], [Frame(fewer)]) == ()
+
+
+def test_far_in_time_a_join_asks_of_a_view_what_relocalization_asks_of_a_frame():
+    join, found_again = PlaceCheckConfig().far_bar, ProbationConfig().far_bar
+    assert (join.min_share, join.max_contradicted, join.min_extent) == (
+        found_again.min_share, found_again.max_contradicted, found_again.min_extent,
+    )  # fmt: skip
 
 
 def test_place_merging_can_be_switched_off(fused_by_place):
