@@ -29,8 +29,8 @@ class PlaceCheckConfig:
         bar: what a view must show.
         far_s: time between two maps beyond which more is asked: the longer a camera was lost, the more places
             there are where it can be, nearly alike among them.
-        far_bar: what a view must show then, of points that keyframes have seen from near it: as much as the
-            frames of a camera that was lost for long.
+        far_bar: what a view must show then, of points that keyframes have seen from near it; no more of them
+            may be contradicted than in a frame of a camera that was lost for long.
         far_share, far_max_s: least time over which the views of a map must show then where it is, as a share
             of that between the maps, and its bound.
         far_sound: share of these views that must show it.
@@ -54,7 +54,7 @@ class PlaceCheckConfig:
     far_s: float = 2.0
     far_bar: EvidenceBar = field(
         default_factory=lambda: EvidenceBar(
-            min_share=0.85, max_contradicted=0.06, min_extent=0.16, max_share=1.6
+            min_share=0.7, max_contradicted=0.06, min_extent=0.16, max_share=1.6
         )
     )
     far_share: float = 0.5

@@ -122,11 +122,8 @@ def test_a_frame_with_fewer_features_than_its_keyframe_relates_no_maps():
     assert merger.of_frames(store.current, store[store.saved[0]], [Frame(fewer)]) == ()
 
 
-def test_far_in_time_a_join_asks_of_a_view_what_relocalization_asks_of_a_frame():
-    join, found_again = PlaceCheckConfig().far_bar, ProbationConfig().far_bar
-    assert (join.min_share, join.max_contradicted, join.min_extent) == (
-        found_again.min_share, found_again.max_contradicted, found_again.min_extent,
-    )  # fmt: skip
+def test_far_in_time_a_view_may_contradict_a_join_no_more_than_a_frame_a_relocalization():
+    assert PlaceCheckConfig().far_bar.max_contradicted == ProbationConfig().far_bar.max_contradicted
 
 
 def test_place_merging_can_be_switched_off(fused_by_place):
