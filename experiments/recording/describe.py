@@ -2,7 +2,7 @@
 
 from experiments.recording import palette
 from experiments.recording.palette import Color
-from slam.core.events import Event
+from slam.core.events import CANCELLED, Event
 
 _TEXTS = {
     "initialized": "map {map_id} initialized with {points} points ({model})",
@@ -25,6 +25,7 @@ _TEXTS = {
     "recovery_start": "recovery thread {thread} ({method}) begins, back over {buffered_frames} frames",
     "recovery_end": "recovery thread {thread} ({method}) is back in map {old_map_id}",
     "recovery_failed": "recovery thread {thread} ({method}) failed, {stage}: {reason}",
+    "recovery_cancelled": "recovery thread {thread} ({method}) cancelled: {reason}",
     "fusion": "map {new_map_id} fused into map {old_map_id} by {by}, at scale {scale:.3f}",
     "fusion_refused": "fusion of map {new_map_id} with map {old_map_id} refused: {reason}",
 }
@@ -52,7 +53,7 @@ def describe_event(event: Event) -> tuple[str, Color]:
     fields = event.record()
     kind = event.kind
     if fields.get("success") is False:
-        kind = kind.replace("_end", "_failed")
+        kind = kind.replace("_end", "_cancelled" if fields.get("stage") == CANCELLED else "_failed")
     elif fields.get("accepted") is False:
         kind = "fusion_refused"
     words = {name: v.replace("_", " ") if isinstance(v, str) else v for name, v in fields.items()}

@@ -8,7 +8,7 @@ from experiments.recording import palette
 from experiments.recording.palette import Color
 from experiments.recording.stories import Story, stories
 from experiments.runs.execution import RunRecord
-from slam.core.events import Event, Fusion, RecoveryEnd, RecoveryStart
+from slam.core.events import CANCELLED, Event, Fusion, RecoveryEnd, RecoveryStart
 
 LETTERS = 72
 """Letters that fit into a lane on a screen of usual width."""
@@ -140,8 +140,8 @@ def _recovery(record: RunRecord, thread: int) -> Lane:
         if isinstance(event, RecoveryStart):
             lane.add(event.frame, f"{event.method} at work", palette.RECOVERY)
         else:
-            outcome = ("succeeded", palette.FUSED) if event.success else ("failed", palette.REFUSED)
-            _mark(lane, record, event.frame, *outcome)
+            failed = ("cancelled", palette.NOTE) if event.stage == CANCELLED else ("failed", palette.REFUSED)
+            _mark(lane, record, event.frame, *(("succeeded", palette.FUSED) if event.success else failed))
     return lane
 
 

@@ -7,6 +7,9 @@ from typing import ClassVar
 from slam.core.relation import Relation
 from slam.core.snapshot import Unchanging
 
+CANCELLED = "cancelled"
+"""Stage of a recovery that was ended because nothing depended on it any more."""
+
 
 class TrackingState(StrEnum):
     """State of the tracker after a frame."""

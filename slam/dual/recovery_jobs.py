@@ -227,7 +227,7 @@ class RecoveryJobs:
         for run in job.runs:
             self._scheduler.cancel(run, frame.features.stamp_s)
             if run.started_s is not None:
-                result = RecoveryResult(run.task.new_map, stage="cancelled", reason=reason)
+                result = RecoveryResult(run.task.new_map, stage=ev.CANCELLED, reason=reason)
                 self._emit_end(frame, job, run.number, run.thread.name, result, run.cpu_ms)
         job.runs = []
 

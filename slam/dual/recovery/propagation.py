@@ -3,6 +3,7 @@
 Source: paper, Sec. III-B and Algorithm 1.
 """
 
+from slam.core.events import CANCELLED
 from slam.core.frame import Frame
 from slam.dual.recovery.interface import RecoveryConfig, RecoveryResult, RecoveryTask
 from slam.dual.recovery.overlap import Doubt, Overlap
@@ -31,7 +32,7 @@ def propagate(
     unusable_since_s = None
     for features in task.backward:
         if task.cancellation.requested:
-            result.stage = "cancelled"
+            result.stage = CANCELLED
             return result
         frame = Frame(features)
         result.frames_covered += 1

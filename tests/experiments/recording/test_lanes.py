@@ -8,6 +8,8 @@ from slam_fakes import CAMERA, fake_factory, make_sequence
 
 from experiments.evaluation.frame_outcomes import FrameOutcome, frame_outcomes, known_from
 from experiments.evaluation.scene import lay_out
+from experiments.recording import palette
+from experiments.recording.describe import describe_event
 from experiments.recording.lanes import LETTERS, Lane, segment_lanes, system_lanes
 from experiments.recording.paths import RunPaths, pins, strips
 from experiments.recording.stories import stories
@@ -52,10 +54,10 @@ def start(frame: int, thread: int) -> ev.RecoveryStart:
     return ev.RecoveryStart(**at(frame), thread=thread, method="orb", old_map_id=0, buffered_frames=9)
 
 
-def end(frame: int, thread: int, success: bool) -> ev.RecoveryEnd:
+def end(frame: int, thread: int, success: bool, stage: str = "overlap") -> ev.RecoveryEnd:
     return ev.RecoveryEnd(
         **at(frame), thread=thread, method="orb", old_map_id=0, success=success,
-        stage="" if success else "overlap", reason="", frames_covered=5, frames_passed_over=0, inliers=3,
+        stage="" if success else stage, reason="", frames_covered=5, frames_passed_over=0, inliers=3,
         cpu_ms=1.0,
     )  # fmt: skip
 
@@ -136,6 +138,15 @@ def test_each_recovery_thread_has_a_lane_from_start_to_end():
     assert not [x for x in system_lanes(run("base")) if x.name.startswith("recovery")]
     early = with_events(run(), start(170, 1), end(200, 1, False), start(210, 1))
     assert lane(early, "recovery_thread_1").changes[1:] == [(200, "failed"), (210, "orb at work")]
+
+
+def test_a_recovery_that_was_not_needed_any_more_has_not_failed():
+    ended = end(200, 2, False, "cancelled")
+    assert lane(with_events(run(), start(170, 2), ended), "recovery_thread_2").changes[1] == (
+        200,
+        "cancelled",
+    )
+    assert describe_event(ended) == ("recovery thread 2 (orb) cancelled: ", palette.PLAIN)
 
 
 def test_a_recovery_within_one_frame_shows_its_outcome():
