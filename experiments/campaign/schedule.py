@@ -53,16 +53,20 @@ class Schedule:
     Args:
         experiment: its spec.
         done: existing records; those beyond the units of a cell do not count.
+        last_first: begin with the last world, for a second machine that meets the first one in the middle.
     """
 
-    def __init__(self, experiment: Experiment, done: Sequence[Record] = ()) -> None:
+    def __init__(self, experiment: Experiment, done: Sequence[Record] = (), last_first: bool = False) -> None:
         self._experiment = experiment
         self._units = {cell: experiment.units_of(cell) for cell in experiment.cell_names()}
         self._done: dict[str, dict[int, Record]] = {cell: {} for cell in self._units}
         for record in done:
             self.finish(record)
         self._due: dict[int, deque[str]] = {}
-        for index in range(max(self._units.values(), default=0)):
+        indices = range(max(self._units.values(), default=0))
+        if last_first:
+            indices = sorted(indices, key=self._world_of, reverse=True)
+        for index in indices:
             cells = [cell for cell, n in self._units.items() if index < n and index not in self._done[cell]]
             if cells:
                 self._due[index] = deque(cells)

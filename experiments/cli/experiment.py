@@ -53,6 +53,13 @@ def run_command(
     worlds: Annotated[
         int | None, typer.Option(min=1, help="Worlds of every cell instead of those of the spec.")
     ] = None,
+    last_first: Annotated[
+        bool,
+        typer.Option(
+            "--last-first",
+            help="Begin with the last world: on a second machine, see `dslab experiment merge`.",
+        ),
+    ] = False,
     systems_dir: SystemsOption = None,
     timeout: TimeoutOption = _TIMEOUT_S,
     memory: MemoryOption = _MEMORY_MB,
@@ -85,6 +92,7 @@ def run_command(
 
     from experiments.campaign.clusters import open_worker_pool
     from experiments.campaign.runner import run_experiment
+    from experiments.campaign.schedule import Schedule
     from experiments.campaign.system_checks import check_workers, digests_of, find_systems, takes_real_time
     from experiments.campaign.worker_pool import WorkerPoolSettings
     from experiments.eq1.spec import load_spec
@@ -112,6 +120,7 @@ def run_command(
                 retry_errors,
                 rerun_damaged,
                 show,
+                order=partial(Schedule, last_first=last_first),
                 digests=digests_of(systems),
             )
     except KeyboardInterrupt:
@@ -312,6 +321,31 @@ def replay_command(
         print_replay(done, rerun)
     if done.differing:
         raise typer.Exit(1)
+
+
+@app.command("merge")
+def merge_command(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(metavar="DIR...", help="Folders of one experiment, or of its exported table."),
+    ],
+    out_dir: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder that gets their units.")],
+) -> None:
+    """Add the units of other folders to the ledger of a folder, which a run goes on from.
+
+    For an experiment that several machines run, one from the first world on and one from the last
+    (`--last-first`), or of which only the exported table is left. A unit that two of them hold must have the
+    same outcome in both. For example:
+
+    `dslab experiment merge out/theirs --out out/mine`
+
+    `dslab experiment merge docs/eq1 --out out/eq1`
+    """
+    from experiments.campaign.merge import merge
+
+    done = merge(out_dir, sources)
+    known = f", {done.known} were known with the same outcome" if done.known else ""
+    out.print(f"{done.added} units added{known}: {done.done} of {done.total} in {out_dir}", soft_wrap=True)
 
 
 @app.command("export")

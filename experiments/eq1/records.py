@@ -220,6 +220,11 @@ MEASURED_COLUMNS = ("attempts", "render_s", "slam_s", "cpu_s", "wall_s", "peak_r
 """Columns that may differ between two runs of a unit, besides the threads' ``cpu_ms``."""
 
 
+def reproduced(record: dict[str, Any]) -> dict[str, Any]:
+    """The decided columns without those that name the code: equal if two codes do the same."""
+    return {k: v for k, v in decided(record).items() if k not in ("code", "commit")}
+
+
 def decided(record: dict[str, Any]) -> dict[str, Any]:
     """The columns of a record that unit and code determine, bit for bit, in every run."""
     return {k: v for k, v in record.items() if k not in MEASURED_COLUMNS and not k.endswith("_cpu_ms")}

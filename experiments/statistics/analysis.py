@@ -26,6 +26,7 @@ from experiments.statistics.over_cells import (
 )
 from experiments.statistics.permutations import permutations_for
 from experiments.statistics.pooled import KindOfWorld, Level, by_world, kind_of_world, level
+from experiments.statistics.threads import ThreadPair, ThreadShares, thread_pairs, thread_shares
 from experiments.statistics.world_intervals import Interval, share_interval
 
 
@@ -44,6 +45,7 @@ class Analysis:
         within_sequences: per n.
         formulas: per n and set of worlds.
         sham: cells without a degradation, with all threads.
+        thread_shares, thread_pairs: the threads beside each other, in the crossing arm.
         rescuable, delays: parts of the breakages.
         doses: shares against dose.
         directions: pr = p0, for thread `paper`.
@@ -63,6 +65,8 @@ class Analysis:
     within_sequences: tuple[WithinSequences, ...]
     formulas: tuple[Formulas, ...]
     sham: tuple[JudgedCell, ...]
+    thread_shares: tuple[ThreadShares, ...]
+    thread_pairs: tuple[ThreadPair, ...]
     rescuable: tuple[Part, ...]
     delays: tuple[Part, ...]
     doses: tuple[DosePoint, ...]
@@ -129,6 +133,8 @@ def analyse(
             for found in score_formulas(group, judged, n)
         ),
         sham=tuple(cell for cell in judge_cells(shams, threads, (), rng, 19) if cell.n == threads),
+        thread_shares=thread_shares(cells),
+        thread_pairs=thread_pairs(cells),
         rescuable=rescuable_parts(cells),
         delays=delay_parts(cells),
         doses=dose_points(cells, shams, threads),
