@@ -229,7 +229,7 @@ def expose_frames(
         chain: the image-space segments.
         depth: write depth images too.
         progress: called after every frame.
-        known: frames that need not be rendered again; none with ``depth`` or segments before the lens.
+        known: frames that need not be rendered again, where no segment on images acts; none with ``depth``.
 
     Returns:
         (N,) float64 median length of each frame's motion blur, pixels.
@@ -249,8 +249,9 @@ def expose_frames(
         )
         for index, frame in enumerate(plan.frame.tolist()):
             poses = T_world_mid[index], T_mid_open[index], T_mid_close[index]
-            key = known.key(*poses) if known else b""
-            found = known.find(key) if known else None
+            shared = None if chain.acts(index, (Stage.SCENE, Stage.READOUT)) else known
+            key = shared.key(*poses) if shared else b""
+            found = shared.find(key) if shared else None
             if found:
                 image, blur_px[index] = found.image, found.blur_px
             else:
@@ -262,8 +263,8 @@ def expose_frames(
                     image, depth_m = lens.distort(image), lens.distort_depth(depth_m)
                 if depths:
                     depths.append(depth_m)
-                if known:
-                    known.keep(key, image, blur_px[index])
+                if shared:
+                    shared.keep(key, image, blur_px[index])
             grays.append(sense(image, index, frame, chain, sensor))
             progress("exposing", index + 1, count)
     return blur_px

@@ -12,12 +12,12 @@ import numpy as np
 
 from scenarios.errors import InputError
 from scenarios.input_files import read_json
-from scenarios.segments import ImageSegment
+from scenarios.segments import ImageSegment, Segment
 from scenarios.spec import Camera, Scenario
 from sim.cache import CorruptEntryError, FolderCache
 from sim.degradations.base import FramePlan, Stage
 from sim.degradations.chain import ImageChain
-from sim.degradations.registry import DEGRADATIONS, in_order_of_action
+from sim.degradations.registry import DEGRADATIONS, IMAGE_KINDS, in_order_of_action
 from sim.degradations.truths import truths_of
 from sim.exposed_frames import ExposedFrames
 from sim.frame_plan import (
@@ -54,7 +54,7 @@ __all__ = [
 ]
 
 _NO_SENSOR = {"noise_sigma": 0.0, "shot_noise": 0.0, "softness_px": 0.0, "contrast": 1.0}
-_VIEW_SHARE = "view_share.npy"
+_VIEW_SHARE, _MEASURES = "view_share.npy", "measures.npy"
 
 
 def render_sequence(
@@ -142,9 +142,17 @@ def _stacks_bytes(scenario: Scenario, depth: bool, first_s: float | None) -> int
 
 
 def _keeps_exposed_frames(scenario: Scenario) -> bool:
-    """Return True if noise has its own seed, or segments on images, and these act behind the lens only."""
-    stages = [DEGRADATIONS[s.kind].stage for s in scenario.segments if isinstance(s, ImageSegment)]
-    return all(stage >= Stage.LENS for stage in stages) and (bool(stages) or scenario.noise_seed is not None)
+    """Return True if noise or a stress behind the lens may vary, and before the lens none acts by chance."""
+    kinds = [IMAGE_KINDS[s.kind] for s in scenario.segments if isinstance(s, ImageSegment)]
+    by_chance = any(kind.stage < Stage.LENS and kind.is_drawn for kind in kinds)
+    behind = any(kind.stage >= Stage.LENS for kind in kinds)
+    return not by_chance and (behind or scenario.noise_seed is not None)
+
+
+def _acts_before_the_lens(segment: Segment) -> bool:
+    """Return True for a segment that is in the exposed frames, if these are kept."""
+    stage = DEGRADATIONS[segment.kind].stage
+    return stage <= Stage.SHUTTER or Stage.SCENE <= stage < Stage.LENS
 
 
 def _render_into(
@@ -157,14 +165,15 @@ def _render_into(
     progress: Progress,
     shared: str = "",
     first_s: float | None = None,
-) -> FramePlan:
-    """Write the frames and the truth of a sequence into a folder of the cache; return its plan.
+) -> tuple[FramePlan, ImageChain]:
+    """Write the frames and the truth of a sequence into a folder of the cache; return its plan and segments.
 
-    With ``shared``, the key of a sequence without image segments that has other segments, they share frames.
+    ``shared``, for exposed frames, is the key of those without segments: frames that look alike are shared.
     """
     camera, own = scenario.camera, taking_intrinsics(scenario.camera)
     exposed = world = None
-    if _keeps_exposed_frames(scenario) and not depth:
+    # Frames that are shared are exposed frames themselves.
+    if _keeps_exposed_frames(scenario) and not depth and not shared:
         exposed = _exposed_frames_of(scenario, seed, backend, store, progress)
         view_share = exposed.view_share
         plan = plan_in_world(scenario, seed, backend, view_share.shape[1], lambda plan: view_share)
@@ -180,6 +189,7 @@ def _render_into(
         noise_seed(scenario, seed),
         exposure_s=plan.exposure_s,
         ideal=ideal_camera(own),
+        measured={s: values[plan.frame] for s, values in exposed.measures.items()} if exposed else None,
     )
     if exposed:
         blur_px = exposed.blur_px[plan.frame]
@@ -191,7 +201,7 @@ def _render_into(
             known = ExposedFrames(shared, plan) if shared else None
             blur_px = expose_frames(folder, plan, clean_frames, camera, sensor, chain, depth, progress, known)
     _write_truth(folder, scenario, plan, chain, blur_px)
-    return plan
+    return plan, chain
 
 
 def _sense_frames(
@@ -220,18 +230,20 @@ class _ExposedFrames:
         frames: N frames (H, W) uint8, none of them dropped.
         blur_px: (N,) median length of their motion blur.
         view_share: (N, S) share of the view of every surface; see ``FramePlan``.
+        measures: (N,) measure of every segment on images that has acted.
     """
 
     frames: RawFrames
     blur_px: np.ndarray
     view_share: np.ndarray
+    measures: dict[Segment, np.ndarray]
 
 
 def _exposed_frames_of(
     scenario: Scenario, seed: int, backend: RenderBackend, store: FolderCache, progress: Progress
 ) -> _ExposedFrames:
     """The exposed frames of a scenario; they are rendered if they are not cached."""
-    kept = [s for s in scenario.segments if DEGRADATIONS[s.kind].stage <= Stage.SHUTTER]
+    kept = filter(_acts_before_the_lens, scenario.segments)
     bare = scenario.model_copy(
         update={
             "name": "exposed_frames",
@@ -247,8 +259,11 @@ def _exposed_frames_of(
     found = store.load(key, read)
     if found is None:
         with store.create(key) as folder:
-            plan = _render_into(folder, bare, seed, False, backend, store, progress, f"{store.root} {plain}")
+            shared = f"{store.root} {plain}"
+            plan, chain = _render_into(folder, bare, seed, False, backend, store, progress, shared)
             np.save(folder / _VIEW_SHARE, plan.view_share)
+            if measures := [measure for _, measure in chain.truths().values()]:
+                np.save(folder / _MEASURES, measures)
         found = read(store.root / key)
     return found
 
@@ -259,10 +274,13 @@ def _read_exposed_frames(entry: Path, scenario: Scenario) -> _ExposedFrames:
     columns = stored_columns(entry / "frame_truth.npz", count)
     if "blur_px" not in columns:
         raise CorruptEntryError("frame_truth.npz has no blur_px")
+    acted = [segment for segment in scenario.segments if isinstance(segment, ImageSegment)]
+    stored = stored_array(entry / _MEASURES, (len(acted), count), np.float64) if acted else ()
     return _ExposedFrames(
         RawFrames(entry / "gray.npy", (count, camera.height_px, camera.width_px), np.uint8),
         columns["blur_px"],
         np.array(stored_array(entry / _VIEW_SHARE, (count, None), np.float32)),
+        dict(zip(acted, np.array(stored), strict=True)),
     )
 
 

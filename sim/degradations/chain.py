@@ -1,5 +1,6 @@
 """The image-space segments of a sequence, applied to its frames along the light path."""
 
+from collections.abc import Mapping
 from collections.abc import Sequence as Many
 from functools import partial
 
@@ -28,6 +29,7 @@ class ImageChain:
         exposure_s: (N,) float64 shutter times; None where unknown.
         ideal: intrinsics of the frames before a distorting lens, used between surfaces and lens; None
             without such a lens.
+        measured: (N,) measure of every segment that has acted on the frames already.
     """
 
     def __init__(
@@ -39,6 +41,7 @@ class ImageChain:
         seed: int,
         exposure_s: np.ndarray | None = None,
         ideal: Intrinsics | None = None,
+        measured: Mapping[Segment, np.ndarray] | None = None,
     ) -> None:
         self._camera, self._ideal = camera, ideal or camera
         self._stamps_s, self._frame, self._seed = stamps_s, frame, seed
@@ -48,6 +51,13 @@ class ImageChain:
             for segment in in_order_of_action(segments)
             if isinstance(segment, ImageSegment)
         ]
+        for link in self._links:
+            if measured and link.segment in measured:
+                link.measure, link.has_acted = measured[link.segment], True
+
+    def acts(self, index: int, stages: Many[Stage]) -> bool:
+        """True if a segment of these stages acts on a frame."""
+        return any(link.kind.stage in stages and link.strength[index] != 0 for link in self._links)
 
     def apply(
         self,
@@ -67,7 +77,7 @@ class ImageChain:
             motion: for kinds that need it.
         """
         for link in self._links:
-            if link.kind.stage not in stages or link.strength[index] == 0:
+            if link.has_acted or link.kind.stage not in stages or link.strength[index] == 0:
                 continue
             view = View(
                 int(self._frame[index]),
@@ -99,6 +109,7 @@ class _Link:
     def __init__(self, segment: Segment, strength: np.ndarray) -> None:
         self.segment, self.kind, self.strength = segment, IMAGE_KINDS[segment.kind], strength
         self.measure = np.zeros(len(strength))
+        self.has_acted = False
         self._filter = None
 
     def filter(self, camera: Intrinsics, seed: int):

@@ -20,6 +20,7 @@ class FogDegradation(ImageDegradation[Fog]):
     stage: ClassVar[Stage] = Stage.SCENE
     measure_name: ClassVar[str] = "fog_veil"
     needs_depth: ClassVar[bool] = True
+    is_drawn: ClassVar[bool] = False
 
     def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
         """Extinction, uniform in its logarithm."""

@@ -63,6 +63,7 @@ class ImageDegradation(ABC, Generic[SegmentT]):
         measure_name: name of the filter's measure, with its unit.
         needs_depth: frames need a depth image.
         needs_motion: frames need the camera's motion.
+        is_drawn: chance has a part in it; False if its filter takes no number from its streams.
     """
 
     kind: ClassVar[str]
@@ -70,6 +71,7 @@ class ImageDegradation(ABC, Generic[SegmentT]):
     measure_name: ClassVar[str]
     needs_depth: ClassVar[bool] = False
     needs_motion: ClassVar[bool] = False
+    is_drawn: ClassVar[bool] = True
 
     @abstractmethod
     def sample(self, rng: np.random.Generator) -> dict[str, float | str]:

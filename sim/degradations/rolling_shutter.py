@@ -29,6 +29,7 @@ class RollingShutterDegradation(ImageDegradation[RollingShutter]):
     stage: ClassVar[Stage] = Stage.READOUT
     measure_name: ClassVar[str] = "row_shift_px"
     needs_depth: ClassVar[bool] = True
+    is_drawn: ClassVar[bool] = False
     needs_motion: ClassVar[bool] = True
 
     def sample(self, rng: np.random.Generator) -> dict[str, float | str]:

@@ -32,6 +32,7 @@ class ShallowFocusDegradation(ImageDegradation[ShallowFocus]):
     stage: ClassVar[Stage] = Stage.READOUT
     measure_name: ClassVar[str] = "focus_blur_px"
     needs_depth: ClassVar[bool] = True
+    is_drawn: ClassVar[bool] = False
 
     def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
         """Opening and distance, uniform in their logarithms."""

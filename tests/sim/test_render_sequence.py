@@ -288,6 +288,29 @@ def test_segments_on_images_act_with_a_noise_seed_of_its_own(tmp_path, segment):
     assert digest(seen) == digest(render_sequence(acting, 1, **options)) != digest(same)
 
 
+def test_fog_is_rendered_once_for_all_noise(tmp_path):
+    """What acts before the lens without chance is in the exposed frames, with its measure."""
+    fog = {"kind": "fog", "extinction_per_m": 0.5, "start_s": 1, "duration_s": 1, "ramp_s": 0.5}
+    rows = {"kind": "rolling_shutter", "readout_s": 0.03, "start_s": 2, "duration_s": 1}
+    late = {"kind": "jpeg", "quality": 5, "start_s": 1.5, "duration_s": 1}
+    gaps = {"kind": "frame_drops", "share": 0.5, "start_s": 1, "duration_s": 2}
+
+    def rendered(segments, number, folder, **options):
+        scenario = Scenario.model_validate({**SPEC, "segments": segments, "noise_seed": number})
+        return render_sequence(scenario, 1, cache_dir=tmp_path / folder, **options)
+
+    idle = replace(fake_backend(), renderer=None)
+    rendered([fog, rows], 1, "kept", backend=fake_backend())
+    for segments in ([fog, rows], [fog, rows, late], [gaps, fog, rows]):
+        again = rendered(segments, 2, "kept", backend=idle)
+        anew = rendered(segments, 2, "anew", backend=fake_backend(), depth=True)
+        assert digest(again) == digest(anew)
+        assert again.segments == anew.segments
+        for name, column in anew.frame_truth.items():
+            np.testing.assert_array_equal(again.frame_truth[name], column)
+    assert again.frame_truth["fog_veil"].max() > 0 and len(again) < 40
+
+
 def test_a_corrupt_entry_is_rendered_again(tmp_path, rendered, caplog):
     before = digest(rendered)
     stack = next((tmp_path / "cache").glob("*/gray.npy"))
