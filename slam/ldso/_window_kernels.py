@@ -15,7 +15,7 @@ from slam.direct._alignment_kernels import _bilinear
 @njit(cache=True, nogil=True)
 def linearise_window(
     images, camera, pattern, host, uv, inverse_depth, intensity, weight, taken, T, T_first, affine, huber,
-    outlier, energy, seen, information, gradient, cross, H, b, total,
+    outlier, energy, seen, information, gradient, cross, H, b, total, sums,
 ):  # fmt: skip
     """Residuals and model of a window of S keyframes.
 
@@ -39,6 +39,9 @@ def linearise_window(
         cross: (N, S, 8) of the inverse depth with the pair's parameters.
         H, b: (S, S, 8, 8) and (S, S, 8) of the pairs' parameters.
         total: (S, S) costs of the pairs, those of patterns that are not seen left out.
+        sums: (N, S, 9) weighted sums over the pattern of each residual that looks alike, of the image
+            gradient g, the derivatives a, b by brightness and the residual r: gx gx, gx gy, gy gy, gx a,
+            gy a, gx b, gy b, gx r, gy r; with N = 0 they are not written.
     """
     S, height, width = images.shape[0], images.shape[1], images.shape[2]
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
@@ -109,6 +112,10 @@ def linearise_window(
                 continue
             energy[i, s], seen[i, s] = cost, 1
             total[h, s] += cost
+            if sums.shape[0]:
+                sums[i, s, 0], sums[i, s, 1], sums[i, s, 2] = gxx, gxy, gyy
+                sums[i, s, 3], sums[i, s, 4], sums[i, s, 5], sums[i, s, 6] = gxa, gya, gxb, gyb
+                sums[i, s, 7], sums[i, s, 8] = gxr, gyr
             near = d / z
             J[0, 0], J[0, 1], J[0, 2] = fx * near, 0.0, -fx * near * px
             J[0, 3], J[0, 4], J[0, 5] = -fx * px * py, fx * (1.0 + px * px), -fx * py

@@ -184,6 +184,28 @@ class LossConfig:
 
 
 @dataclass(frozen=True)
+class LensConfig:
+    """Settings of the estimate of what the calibration leaves of the lens.
+
+    Attributes:
+        every: keyframes from one window that is read to the next; 0: the lens is taken as it is given.
+        least_windows: number of them before anything is changed.
+        least_significance: of a change; chi-square with 4 degrees of freedom, 18.5 by chance once in a
+            thousand.
+        least_shift_px: least root mean square shift of the pixels by a change.
+        most_share: largest shift of a pixel over the distance of the image's corner from the centre.
+        usual_shift_px: root mean square shift by which calibrations are usually off.
+    """
+
+    every: int = 3
+    least_windows: int = 5
+    least_significance: float = 18.5
+    least_shift_px: float = 0.2
+    most_share: float = 0.05
+    usual_shift_px: float = 2.0
+
+
+@dataclass(frozen=True)
 class DsoConfig:
     """Settings of direct sparse odometry; its first map from two views and its loops have those of the base.
 
@@ -195,6 +217,7 @@ class DsoConfig:
         window: bundle adjustment and marginalisation.
         loss: when tracking is lost.
         corners: points that are recognised, with loops only.
+        lens: what the calibration leaves of the lens.
     """
 
     photometric: PhotometricConfig = field(default_factory=PhotometricConfig)
@@ -204,3 +227,4 @@ class DsoConfig:
     window: WindowConfig = field(default_factory=WindowConfig)
     loss: LossConfig = field(default_factory=LossConfig)
     corners: CornerConfig = field(default_factory=CornerConfig)
+    lens: LensConfig = field(default_factory=LensConfig)

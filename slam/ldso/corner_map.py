@@ -7,6 +7,7 @@ is found says what to expect of a view.
 """
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from slam.core.frame import Frame
 from slam.core.geometry import ViewGeometry
@@ -14,6 +15,8 @@ from slam.ldso.config import CornerConfig
 from slam.ldso.window import Keyframe
 from slam.map.map import Map
 from slam.places._evidence_kernels import look_for
+
+_SAME_PX = 0.1
 
 
 class CornerMap:
@@ -100,5 +103,8 @@ def depths_of(keyframe: Keyframe) -> np.ndarray:
     """(n,) inverse depths of a keyframe's corners; NaN where its point has none."""
     if keyframe.corners is None:
         return np.empty(0)
-    known = {(int(x), int(y)): d for (x, y), d in zip(keyframe.uv, keyframe.inverse_depth, strict=True)}
-    return np.array([known.get((int(x), int(y)), np.nan) for x, y in keyframe.corners.xy])
+    if not len(keyframe.uv):
+        return np.full(len(keyframe.corners.xy), np.nan)
+    # Where the lens was found to be another one, both have been moved from whole pixels.
+    away, row = cKDTree(keyframe.uv).query(keyframe.corners.xy)
+    return np.where(away < _SAME_PX, keyframe.inverse_depth[row], np.nan)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slam.core.camera import PinholeCamera
 from slam.core.geometry import ViewGeometry
 from slam.core.relation import Relation
 from slam.ldso.config import CornerConfig
@@ -85,6 +86,12 @@ class LoopCloser:
         self._odometry, self._config = odometry, config
         m = self.corners.map
         self._detector = LoopDetector(m, KeyframeDatabase(m), config)
+
+    def see_through(self, camera: PinholeCamera) -> None:
+        """Undistort the corners of the map with another residual of the lens."""
+        m = self.corners.map
+        for k in m.keyframes():
+            m.take_features(k, m.features(k).seen_by(camera))
 
     def offer(self, row: int, rng: np.random.Generator) -> tuple[Closed | None, list[Refused]]:
         """Take a keyframe that has left the window, and close a loop with it if there is one.

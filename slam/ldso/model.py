@@ -12,7 +12,8 @@ from slam.ldso._window_kernels import linearise_window, to_keyframes
 from slam.ldso.points import Active
 from slam.ldso.window import PARAMETERS, Window
 
-_LEAST_INFORMATION = 1e-6
+LEAST_INFORMATION = 1e-6
+_NO_SUMS = np.empty((0, 0, 9))
 
 
 @dataclass(frozen=True)
@@ -39,19 +40,21 @@ class WindowModel:
 
     def eliminated(self, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """What the Schur complement over the inverse depths takes off ``H`` and ``b``."""
-        known = self.information > _LEAST_INFORMATION
+        known = self.information > LEAST_INFORMATION
         cross, information = self.cross[known], self.information[known] * (1.0 + damping)
         scaled = cross / information[:, None]
         return cross.T @ scaled, scaled.T @ self.gradient[known]
 
     def depth_steps(self, step: np.ndarray, damping: float = 0.0) -> np.ndarray:
         """(N,) steps of the inverse depths that belong to a step (8 S,) of the keyframes."""
-        known = self.information > _LEAST_INFORMATION
+        known = self.information > LEAST_INFORMATION
         information = np.where(known, self.information * (1.0 + damping), np.inf)
         return -(self.gradient + self.cross @ step) / information
 
 
-def model_of(window: Window, points: Active, taken: np.ndarray, huber: float) -> WindowModel:
+def model_of(
+    window: Window, points: Active, taken: np.ndarray, huber: float, sums: np.ndarray = _NO_SUMS
+) -> WindowModel:
     """Model of points at the window's present estimate; Jacobians of the poses at the first ones.
 
     Args:
@@ -59,6 +62,7 @@ def model_of(window: Window, points: Active, taken: np.ndarray, huber: float) ->
         points: N points, of the window or some of them.
         taken: (N, S) bool, the residuals that count.
         huber: residual beyond which it counts linearly, of 255.
+        sums: (N, S, 9) zeros, which get the sums over the patterns as of ``linearise_window``.
     """
     n, size = len(points), window.size
     energy, seen = np.empty((n, size)), np.empty((n, size), np.int8)
@@ -69,6 +73,7 @@ def model_of(window: Window, points: Active, taken: np.ndarray, huber: float) ->
         window.images, window.intrinsics[0], PATTERN, points.host, points.uv, points.inverse_depth,
         points.intensity, points.weight, taken, window.motions(), window.motions(first=True),
         window.brightness(), huber, window.outlier, energy, seen, information, gradient, cross, H, b, total,
+        sums,
     )  # fmt: skip
     of_host, of_target = pair_derivatives(window)
     by_keyframe = np.empty_like(cross)
@@ -96,6 +101,13 @@ def pair_derivatives(window: Window) -> tuple[np.ndarray, np.ndarray]:
     return of_host, of_target
 
 
+def of_keyframes(pairs: np.ndarray, of_host: np.ndarray, of_target: np.ndarray) -> np.ndarray:
+    """(8 S, K) sum of terms (S, S, 8, K) with parameters of pairs, as terms with those of keyframes."""
+    by_host = np.einsum("htmn,htmk->hnk", of_host, pairs)
+    by_target = np.einsum("htmn,htmk->tnk", of_target, pairs)
+    return (by_host + by_target).reshape(-1, pairs.shape[-1])
+
+
 def _adjoints(T: np.ndarray) -> np.ndarray:
     """(..., 6, 6) by which a twist (translation, rotation) is moved to the other side of T (..., 4, 4)."""
     R, t = T[..., :3, :3], T[..., :3, 3]
@@ -114,7 +126,7 @@ def _assembled(
     """Sum of the models of pairs as one of keyframes, (8 S, 8 S) and (8 S,)."""
     size = len(H)
     full = np.zeros((size, PARAMETERS, size, PARAMETERS))
-    gradient = np.einsum("htmn,htm->hn", of_host, b) + np.einsum("htmn,htm->tn", of_target, b)
+    gradient = of_keyframes(b[..., None], of_host, of_target)
     A, B = np.swapaxes(of_host, -1, -2) @ H, np.swapaxes(of_target, -1, -2) @ H
     rows = np.arange(size)
     full[rows, :, rows] += (A @ of_host).sum(axis=1) + (B @ of_target).sum(axis=0)

@@ -9,17 +9,18 @@ from itertools import islice
 
 import numpy as np
 
-from slam.core.camera import PinholeCamera
+from slam.core.camera import PinholeCamera, distort_residual, undistort_residual
 from slam.core.geometry import ViewGeometry
 from slam.core.results import MapTrajectory
 from slam.direct.alignment import fan
-from slam.direct.pyramid import ImagePyramid
+from slam.direct.pyramid import ImagePyramid, Rectifier
 from slam.direct.selection import select
 from slam.ldso.activation import Activator
 from slam.ldso.adjustment import adjust
 from slam.ldso.brightness import composed, relative
 from slam.ldso.config import DsoConfig
 from slam.ldso.corners import described, with_corners
+from slam.ldso.lens import LensEstimator
 from slam.ldso.marginalisation import leaving, remove_keyframe, remove_points
 from slam.ldso.points import Immature
 from slam.ldso.tracking import PhotometricTracker, Tracked, TrackingReference
@@ -58,6 +59,7 @@ class Odometry:
         keyframes: all keyframes, in order of time.
         frames: all frames that were placed, by index.
         left: rows of the keyframes that have left the window with the newest one.
+        lens: what the windows say of the lens.
     """
 
     def __init__(
@@ -73,6 +75,7 @@ class Odometry:
         self.keyframes: list[Keyframe] = []
         self.frames: dict[int, PlacedFrame] = {}
         self.left: list[int] = []
+        self.lens = LensEstimator(camera, config.lens)
         self._camera = camera
         self._tracker = PhotometricTracker(config.photometric, config.tracking)
         self._activator = Activator()
@@ -154,15 +157,24 @@ class Odometry:
 
     # -- keyframes ---------------------------------------------------------------------------------------
 
-    def add_keyframe(self, frame: int, stamp_s: float, pyramid: ImagePyramid, tracked: Tracked) -> None:
-        """Make a tracked frame a keyframe: activate points, adjust the window, marginalise."""
+    def add_keyframe(
+        self, frame: int, stamp_s: float, image: np.ndarray, pyramid: ImagePyramid, tracked: Tracked
+    ) -> None:
+        """Make a tracked frame a keyframe: activate points, adjust the window, marginalise.
+
+        Args:
+            frame, stamp_s: its index and time.
+            image, pyramid: (H, W) uint8 as taken, and its pyramid.
+            tracked: where it is.
+        """
         w, config = self.window, self.config
         T = tracked.T_frame_ref @ w.T_cam_map[w.newest]
         affine = composed(tracked.affine, w.affine[w.newest])
         out = leaving(w, T, affine)
-        self.insert(Keyframe(frame, stamp_s, T), pyramid, affine)
+        self.insert(Keyframe(frame, stamp_s, T, image=image.copy()), pyramid, affine)
         self._activator.activate(w, config.immature, config.photometric)
         adjust(w, config.photometric)
+        self.lens.take(w, config.photometric)
         remove_points(w, out, config.photometric)
         self.left = self.rows_of(out)
         for slot in out:
@@ -203,6 +215,39 @@ class Odometry:
         self._activator.activate(self.window, config.immature, config.photometric)
         adjust(self.window, config.photometric, 3 * config.window.iterations)
         self.window.drop_points(~(self.window.active.seen == 1).any(axis=1))
+
+    def see_through(self, camera: PinholeCamera, rectifier: Rectifier) -> None:
+        """Go on with another residual of the lens.
+
+        The window's images are undistorted anew, its points moved in them, and what was marginalised under
+        the former lens is forgotten. Keyframes that have left keep their poses.
+
+        Args:
+            camera: with the other residual.
+            rectifier: of it.
+        """
+        w, former, photometric = self.window, self._camera, self.config.photometric
+        self._camera = camera
+        self.lens.changed(camera)
+
+        def moved(uv: np.ndarray) -> np.ndarray:
+            taken = distort_residual(uv, former.residual, former.intrinsics)
+            return undistort_residual(taken, camera.residual, camera.intrinsics)
+
+        for slot in w.slots:
+            image = w.keyframes[slot].image
+            assert image is not None
+            w.see(slot, rectifier.pyramid(image))
+        w.forget_prior()
+        w.active = w.active.moved(w.pyramids, moved(w.active.uv), photometric)
+        w.immature = w.immature.moved(w.pyramids, moved(w.immature.uv), photometric)
+        for keyframe in self.keyframes:
+            keyframe.uv = moved(keyframe.uv)
+            if keyframe.corners is not None:
+                keyframe.corners = keyframe.corners.seen_by(camera)
+        adjust(w, photometric, 3 * self.config.window.iterations)
+        w.drop_points(~(w.active.seen == 1).any(axis=1))
+        self.refer(w.pyramids[w.newest])
 
     # -- what is known -----------------------------------------------------------------------------------
 

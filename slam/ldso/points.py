@@ -41,6 +41,46 @@ class Pixels:
             **{f.name: np.concatenate([getattr(self, f.name), getattr(more, f.name)]) for f in fields(self)}
         )
 
+    def moved(
+        self, pyramids: dict[int, ImagePyramid], uv: np.ndarray, photometric: PhotometricConfig
+    ) -> Self:
+        """The points at other pixels, in other images of their keyframes.
+
+        Args:
+            pyramids: of the keyframes, by row.
+            uv: (N, 2) pixels.
+            photometric: settings.
+
+        Returns:
+            Those whose pattern is known there.
+        """
+        points, known = self.of(np.arange(len(self))), np.zeros(len(self), bool)
+        points.uv = uv
+        for host in np.unique(self.host):
+            rows = self.host == host
+            points.intensity[rows], points.weight[rows] = patterns(pyramids[int(host)], uv[rows], photometric)
+            known[rows] = (points.weight[rows] > 0).all(axis=1)
+        return points.of(known)
+
+
+def patterns(
+    pyramid: ImagePyramid, uv: np.ndarray, photometric: PhotometricConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    """Intensity and weight (N, 8) of the patterns about pixels (N, 2); weight 0 where they are not known."""
+    intensity, weight = np.empty((len(uv), len(PATTERN))), np.empty((len(uv), len(PATTERN)))
+    sample_patterns(pyramid.levels[0], uv, PATTERN, photometric.gradient_scale, intensity, weight)
+    return intensity, weight
+
+
+def _structure(pyramid: ImagePyramid, uv: np.ndarray) -> np.ndarray:
+    """(N, 3) sums of gx², gx gy, gy² over the patterns about pixels (N, 2)."""
+    level = pyramid.levels[0]
+    cells = np.rint(uv[:, None] + PATTERN).astype(int)
+    y = np.clip(cells[..., 1], 0, level.shape[0] - 1)
+    gradient = level[y, np.clip(cells[..., 0], 0, level.shape[1] - 1), 1:].astype(float)
+    gx, gy = gradient[..., 0], gradient[..., 1]
+    return np.stack([(gx * gx).sum(1), (gx * gy).sum(1), (gy * gy).sum(1)], axis=1)
+
 
 @dataclass
 class Immature(Pixels):
@@ -80,20 +120,25 @@ class Immature(Pixels):
         photometric: PhotometricConfig,
     ) -> Self:
         """Given pixels (N, 2) of a keyframe; those whose pattern is not all known are left out."""
-        level, n = pyramid.levels[0], len(uv)
-        intensity, weight = np.empty((n, len(PATTERN))), np.empty((n, len(PATTERN)))
-        sample_patterns(level, uv, PATTERN, photometric.gradient_scale, intensity, weight)
-        cells = np.rint(uv[:, None] + PATTERN).astype(int)
-        y = np.clip(cells[..., 1], 0, level.shape[0] - 1)
-        gradient = level[y, np.clip(cells[..., 0], 0, level.shape[1] - 1), 1:].astype(float)
-        gx, gy = gradient[..., 0], gradient[..., 1]
-        structure = np.stack([(gx * gx).sum(1), (gx * gy).sum(1), (gy * gy).sum(1)], axis=1)
+        n = len(uv)
+        intensity, weight = patterns(pyramid, uv, photometric)
+        structure = _structure(pyramid, uv)
         known = (weight > 0).all(axis=1) & np.isfinite(structure).all(axis=1)
         return cls(
             np.full(n, host, np.int64), uv, intensity, weight, np.asarray(scale, np.int32), structure,
             np.zeros(n), np.full(n, np.inf), np.full(n, 1e4), np.full(n, NEW, np.int64),
             np.full(n, np.inf),
         ).of(known)  # fmt: skip
+
+    def moved(
+        self, pyramids: dict[int, ImagePyramid], uv: np.ndarray, photometric: PhotometricConfig
+    ) -> "Immature":
+        """See :meth:`Pixels.moved`."""
+        points = super().moved(pyramids, uv, photometric)
+        for host in np.unique(points.host):
+            rows = points.host == host
+            points.structure[rows] = _structure(pyramids[int(host)], points.uv[rows])
+        return points.of(np.isfinite(points.structure).all(axis=1))
 
     @property
     def inverse_depth(self) -> np.ndarray:

@@ -133,7 +133,9 @@ class Starter:
         odometry = Odometry(self._camera, self._intrinsics, config, self._corner_view)
         pyramid = self._pyramid_of(waiting[0].image)
         reference = self._reference_of(initial, pyramid)
-        odometry.insert(Keyframe(first, waiting[0].stamp_s, np.eye(4)), pyramid, np.zeros(2))
+        odometry.insert(
+            Keyframe(first, waiting[0].stamp_s, np.eye(4), image=waiting[0].image), pyramid, np.zeros(2)
+        )
         w = odometry.window
         odometry.select(pyramid)
         tracker = PhotometricTracker(config.photometric, config.tracking)
@@ -150,7 +152,7 @@ class Starter:
             T, affine = found.T_frame_ref, found.affine
             odometry.place(item.frame, item.stamp_s, T)
             odometry.search(pyramid, T, composed(affine, w.affine[w.newest]))
-        odometry.insert(Keyframe(second, waiting[-1].stamp_s, T), pyramid, affine)
+        odometry.insert(Keyframe(second, waiting[-1].stamp_s, T, image=waiting[-1].image), pyramid, affine)
         odometry.activate()
         if len(w.active) < _LEAST_POINTS:
             return None

@@ -3,7 +3,7 @@
 A lost camera starts a new map; the old one stays as it is, unless it is too young to be kept.
 """
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Self
 
 import numpy as np
@@ -65,13 +65,10 @@ class DsoSlam:
         self.current_map_id = 0
         self._rectifier = Rectifier(camera)
         self._corner_view = corner_view(camera, self.dso.corners) if loops else None
-        self._starter = Starter(
-            camera, self._rectifier.intrinsics, self._rectifier.pyramid, seed, self.config, self.dso,
-            self._corner_view,
-        )  # fmt: skip
+        self._seed = seed
+        self._starter = self._new_starter()
         self._maps: dict[int, Odometry] = {}
         self._closers: dict[int, LoopCloser] = {}
-        self._seed = seed
         self._loss = LossRule(self.dso.loss)
         self._timer = StageTimer()
         self._mapping_ms = self._loop_ms = 0.0
@@ -137,7 +134,7 @@ class DsoSlam:
         with self._timer("search"):
             wanted = odometry.take(index, stamp_s, pyramid, tracked)
         if wanted:
-            reason = self._map(index, stamp_s, odometry, pyramid, tracked)
+            reason = self._map(index, stamp_s, odometry, image, pyramid, tracked)
             if reason:
                 self._break(index, stamp_s, odometry, reason)
                 return self._result(index, stamp_s, None, 0, reason)
@@ -145,14 +142,22 @@ class DsoSlam:
         return self._result(index, stamp_s, odometry, seen, "", wanted)
 
     def _map(
-        self, index: int, stamp_s: float, odometry: Odometry, pyramid: ImagePyramid, tracked: Tracked
+        self,
+        index: int,
+        stamp_s: float,
+        odometry: Odometry,
+        image: np.ndarray,
+        pyramid: ImagePyramid,
+        tracked: Tracked,
     ) -> str:
         """Make a keyframe; why the map is lost with it, if it is."""
         timer = StageTimer()
         timer.begin()
         with self._timer.apart(), timer("mapping"):
-            odometry.add_keyframe(index, stamp_s, pyramid, tracked)
+            odometry.add_keyframe(index, stamp_s, image, pyramid, tracked)
         self._mapping_ms = timer.cpu_ms["mapping"]
+        with self._timer.apart():
+            self._refine_lens(index, stamp_s, odometry)
         if len(odometry.window.active) < self.dso.loss.least_points:
             return "too_few_points"
         if self._corner_view is not None:
@@ -160,6 +165,34 @@ class DsoSlam:
                 for row in odometry.left:
                     self._close_loop(index, stamp_s, odometry, row)
         return ""
+
+    def _refine_lens(self, index: int, stamp_s: float, odometry: Odometry) -> None:
+        """Change the lens if the windows so far say that it is another one."""
+        timer = StageTimer()
+        timer.begin()
+        with timer("lens"):
+            change = odometry.lens.change(self.dso.window.most / max(1, self.dso.lens.every))
+            if change is None:
+                return
+            self.camera = replace(self.camera, residual=change.residual)
+            self._rectifier = Rectifier(self.camera)
+            self._starter = self._new_starter()
+            odometry.see_through(self.camera, self._rectifier)
+            if self._corner_view is not None:
+                self._closers[self.current_map_id].see_through(self.camera)
+        self._mapping_ms += timer.cpu_ms["lens"]
+        k1, k2, p1, p2 = change.residual
+        self._emit(
+            index, stamp_s, ev.CameraRefined, k1=k1, k2=k2, p1=p1, p2=p2, readout_s=0.0,
+            shift_px=change.shift_px, significance=change.significance, keyframes=len(odometry.keyframes),
+            cpu_ms=timer.cpu_ms["lens"],
+        )  # fmt: skip
+
+    def _new_starter(self) -> Starter:
+        return Starter(
+            self.camera, self._rectifier.intrinsics, self._rectifier.pyramid, self._seed, self.config,
+            self.dso, self._corner_view,
+        )  # fmt: skip
 
     def _close_loop(self, index: int, stamp_s: float, odometry: Odometry, row: int) -> None:
         """Recognise the place of a keyframe that has left the window."""

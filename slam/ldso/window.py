@@ -3,6 +3,8 @@
 Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 2.3 and 3.1.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,6 +31,7 @@ class Keyframe:
         T_cam_map: (4, 4) map to camera.
         uv, inverse_depth: (N, 2) pixels and (N,) inverse depths of its points that have left the window.
         corners: features of its corners; None without loops.
+        image: (H, W) uint8 as taken, while it is in the window.
     """
 
     frame: int
@@ -37,6 +40,7 @@ class Keyframe:
     uv: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     inverse_depth: np.ndarray = field(default_factory=lambda: np.empty(0))
     corners: FrameFeatures | None = None
+    image: np.ndarray | None = None
 
     def keep(self, points: Active) -> None:
         """Keep points of it that leave the window."""
@@ -118,8 +122,8 @@ class Window:
         """Add a keyframe; its slot. All active points get a residual in it."""
         slot = next(s for s in range(self.size) if s not in self.slots)
         self.slots.append(slot)
-        self.keyframes[slot], self.pyramids[slot] = keyframe, pyramid
-        self.images[slot] = pyramid.levels[0]
+        self.keyframes[slot] = keyframe
+        self.see(slot, pyramid)
         self.T_cam_map[slot] = self.T_first[slot] = keyframe.T_cam_map
         self.affine[slot] = self.affine_first[slot] = affine
         self.delta[slot], self.gone[slot] = 0.0, 0
@@ -130,6 +134,7 @@ class Window:
     def remove(self, slot: int) -> None:
         """Remove a keyframe without points."""
         self.slots.remove(slot)
+        self.keyframes[slot].image = None
         del self.keyframes[slot], self.pyramids[slot]
         self.active.seen[:, slot] = -1
         self.immature = self.immature.of(self.immature.host != slot)
@@ -156,6 +161,26 @@ class Window:
         """Make the present estimate of a keyframe its first one, of which nothing marginalised depends."""
         self.T_first[slot], self.affine_first[slot] = self.T_cam_map[slot], self.affine[slot]
         self.delta[slot] = 0.0
+
+    def see(self, slot: int, pyramid: ImagePyramid) -> None:
+        """Replace the image of a keyframe."""
+        self.pyramids[slot], self.images[slot] = pyramid, pyramid.levels[0]
+
+    def forget_prior(self) -> None:
+        """Forget what marginalised keyframes and points say."""
+        self.prior_H[:], self.prior_b[:] = 0.0, 0.0
+        for slot in self.slots:
+            self.settle(slot)
+
+    @contextmanager
+    def at_present(self) -> Iterator[None]:
+        """Take Jacobians at the present estimate meanwhile."""
+        first = self.T_first.copy(), self.affine_first.copy()
+        self.T_first[:], self.affine_first[:] = self.T_cam_map, self.affine
+        try:
+            yield
+        finally:
+            self.T_first[:], self.affine_first[:] = first
 
     def keep_points(self, rows: np.ndarray) -> None:
         """Keep active points (mask) with their keyframes."""

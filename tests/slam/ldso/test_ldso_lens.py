@@ -1,0 +1,151 @@
+"""The lens from windows: derivatives, elimination, a known lens found, a system that goes on with it."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from ldso_scenes import (
+    CAMERA,
+    CONFIG,
+    HEIGHT,
+    INTRINSICS,
+    POSES,
+    RECTIFIER,
+    WIDTH,
+    motion,
+    position_error,
+    round_room,
+    smooth_level,
+    window_of,
+)
+
+from slam.core import events as ev
+from slam.core.camera import undistort_residual
+from slam.factory import build_system
+from slam.ldso.adjustment import adjust, affine_prior, gauge
+from slam.ldso.config import LensConfig
+from slam.ldso.lens import displacements, lens_information, lens_model
+from slam.ldso.model import model_of
+from slam.ldso.system import DsoSlam
+
+PHOTOMETRIC = CONFIG.photometric
+LENS = (0.03, -0.02, 0.002, -0.001)
+MORE = [motion([0.3, 0.0, 0.1, 0.0, 0.05, 0.02]), motion([0.1, -0.15, 0.15, 0.04, 0.0, -0.03])]
+
+
+def taken(image, residual=LENS):
+    """The image (H, W) as a camera with a residual distortion takes it."""
+    x, y = np.meshgrid(np.arange(WIDTH, dtype=float), np.arange(HEIGHT, dtype=float))
+    at = undistort_residual(np.column_stack([x.ravel(), y.ravel()]), residual, CAMERA.intrinsics)
+    at = at.astype(np.float32).reshape(HEIGHT, WIDTH, 2)
+    return cv2.remap(image, at, None, cv2.INTER_CUBIC, None, cv2.BORDER_REFLECT)
+
+
+def shift_px(residual):
+    """Root mean square shift over the image."""
+    x, y = np.meshgrid(np.linspace(0, WIDTH - 1, 15), np.linspace(0, HEIGHT - 1, 15))
+    rays = np.stack([(x - CAMERA.cx) / CAMERA.fx, (y - CAMERA.cy) / CAMERA.fy], axis=-1)
+    shift = CAMERA.fx * displacements(rays) @ np.asarray(residual)
+    return float(np.sqrt((shift**2).sum(axis=-1).mean()))
+
+
+def test_the_model_is_the_derivative_of_the_cost(monkeypatch):
+    """A change of the lens moves host pixels, and samples the other images elsewhere."""
+    monkeypatch.setattr("slam.ldso.model.PATTERN", np.zeros((8, 2)))
+    window = window_of(POSES[:3], 90)
+    window.images[window.slots] = smooth_level()
+    window.outlier[:] = 1e12
+    p, (fx, fy, cx, cy) = window.active, INTRINSICS[0]
+    p.intensity = p.intensity + np.random.default_rng(6).normal(0, 8, p.intensity.shape)
+    p.seen = model_of(window, p, p.seen >= 0, PHOTOMETRIC.huber).seen
+    model = lens_model(window, PHOTOMETRIC)
+    uv, (y, x) = p.uv.copy(), np.mgrid[:HEIGHT, :WIDTH].astype(float)
+    grid = np.stack([(x - cx) / fx, (y - cy) / fy], axis=-1)
+    host = (uv - [cx, cy]) / [fx, fy]
+
+    def cost(change):
+        at = np.stack([x, y], axis=-1) + displacements(grid) @ change * [fx, fy]
+        level = 20 + 0.3 * at[..., 0] + 0.4 * at[..., 1] + 0.002 * at[..., 0] * at[..., 1]
+        window.images[window.slots, ..., 0] = level
+        p.uv = uv - displacements(host) @ change * [fx, fy]
+        return model_of(window, p, p.seen >= 0, PHOTOMETRIC.huber).cost
+
+    for k, h in enumerate((1e-3, 1e-3, 1e-3, 1e-3)):
+        e = np.zeros(4)
+        e[k] = h
+        numeric = (cost(e) - cost(-e)) / (4 * h)
+        assert numeric == pytest.approx(model.b[k], rel=2e-3, abs=2e-3 * np.abs(model.b).max())
+
+
+def test_elimination_equals_a_dense_one():
+    window = window_of(POSES, 200)
+    lens = lens_model(window, PHOTOMETRIC)
+    seen = lens.window.information > 1
+    window.active = window.active.of(seen)
+    lens = lens_model(window, PHOTOMETRIC)
+    model, used = lens.window, np.concatenate([np.arange(8 * s, 8 * s + 8) for s in window.slots])
+    strength, pull = affine_prior(window, PHOTOMETRIC)
+    A = (model.H + np.diag(strength))[np.ix_(used, used)]
+    dense = np.block([[A, model.cross[:, used].T], [model.cross[:, used], np.diag(model.information)]])
+    link = np.concatenate([lens.with_keyframes[used], lens.with_depths])
+    gradient = np.concatenate([(model.b + pull)[used], model.gradient])
+    # Held still: what no image determines, of which depths have a part as well.
+    still = np.concatenate([gauge(window)[used], np.zeros((len(window.active), 7))])
+    dense = dense + 1e9 * still @ still.T
+    H = lens.H - link.T @ np.linalg.solve(dense, link)
+    b = lens.b - link.T @ np.linalg.solve(dense, gradient)
+    found_H, found_b = lens_information(window, PHOTOMETRIC)
+    np.testing.assert_allclose(found_H, H, rtol=1e-4, atol=1e-5 * np.abs(H).max())
+    np.testing.assert_allclose(found_b, b, rtol=1e-3, atol=1e-4 * np.abs(b).max())
+
+
+@pytest.mark.parametrize("residual", [(0.0, 0.0, 0.0, 0.0), LENS])
+def test_a_window_says_what_the_lens_is(residual):
+    window = window_of(POSES + MORE, 900)
+    for slot in window.slots:
+        image = np.clip(window.images[slot, ..., 0], 0, 255).astype(np.uint8)
+        window.see(slot, RECTIFIER.pyramid(taken(image, residual)))
+    window.active = window.active.moved(window.pyramids, window.active.uv, PHOTOMETRIC)
+    adjust(window, PHOTOMETRIC, 30)
+    H, b = lens_information(window, PHOTOMETRIC)
+    found = -np.linalg.solve(H, b)
+    assert shift_px(found - residual) < 0.05 + 0.2 * shift_px(residual)
+
+
+@pytest.fixture(scope="module")
+def rounds():
+    """Frames of a third of a round, and the true positions."""
+    frames = list(round_room(np.linspace(0, 2.0, 70)))
+    return [image for image, _ in frames], np.array([T[:3, 3] for _, T in frames])
+
+
+def run(images, every):
+    dso = replace(CONFIG, lens=replace(LensConfig(), every=every))
+    system = DsoSlam(CAMERA, 0, dso=dso, loops=True)
+    for number, image in enumerate(images):
+        system.process(image, number / 30)
+    system.finish()
+    return system, [e for e in system.events if isinstance(e, ev.CameraRefined)]
+
+
+def test_the_system_goes_on_with_the_lens_that_it_finds(rounds):
+    images, centres = rounds
+    seen = [taken(image) for image in images]
+    system, refined = run(seen, LensConfig().every)
+    given, none = run(seen, 0)
+    assert not none and refined
+    assert refined[0].significance >= LensConfig().least_significance
+    # On a round, decentring looks much like another turn.
+    radial = [np.array([*lens[:2], 0, 0]) for lens in (system.camera.residual, LENS)]
+    assert shift_px(radial[0] - radial[1]) < 0.4 * shift_px(radial[1])
+    errors = [position_error(s.trajectories()[0], centres) for s in (system, given)]
+    print(errors)
+    assert errors[0] < 0.7 * errors[1]
+
+
+def test_a_lens_that_is_as_given_is_left_alone(rounds):
+    images, _ = rounds
+    system, refined = run(images, LensConfig().every)
+    assert not refined and system.camera.residual == (0.0, 0.0, 0.0, 0.0)
+    assert build_system("dso", CAMERA).settings["dso"]["lens"]["every"] == LensConfig().every
