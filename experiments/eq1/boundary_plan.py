@@ -34,6 +34,7 @@ _ONE_UNIT_PER_WORLD: dict[str, Any] = {
     "repeats": 1,
     "sham": True,
     "confirmatory": (),
+    "confirmatory_threads": None,
     "levels": (),
 }
 

@@ -211,9 +211,10 @@ def test_times_and_fields_are_those_of_the_spec():
     (segment,) = plan.spec.unit(plan.dose_cells[3], 0).scenario.segments
     assert (segment.axis, segment.duration_s, segment.start_s) == ("yaw", 1.0, 5.5)
     assert segment.rate_degps == plan.axis.doses[3]
-    creeping = boundary_plan(quick, "defocus-creeping", "base", 0.5)
+    creeping = boundary_plan(quick, "fog-creeping", "base", 0.5, base="room")
     (segment,) = creeping.spec.unit(creeping.dose_cells[0], 0).scenario.segments
-    assert (segment.ramp_s, segment.fall_s) == (2.0, 0.0) and creeping.kind == "defocus-creeping"
+    assert (segment.ramp_s, segment.fall_s) == (2.0, 0.0) and creeping.kind == "fog-creeping"
+    assert boundary_plan(quick, "defocus-creeping", "dual", 0.5).spec.confirmatory_threads is None
 
 
 @pytest.mark.parametrize(
