@@ -4,7 +4,6 @@ Run: python examples/recompute.py docs/eq1-quick/units.parquet
 """
 
 import sys
-from itertools import combinations
 
 import numpy as np
 import pandas as pd
@@ -28,19 +27,28 @@ def interval(by_world):
 def product_over_different_worlds(means):
     """Eq. 1: the mean over all choices of different worlds of p0 of one times pr1 of another and so on."""
     x = means.to_numpy(float)
-    world = np.indices((len(x),) * x.shape[1])
-    different = np.all([a != b for a, b in combinations(world, 2)], axis=0)
-    return np.prod([x[w, j] for j, w in enumerate(world)], axis=0)[different].mean()
+    # Sum over the choices by which factors the worlds so far have given; each world gives one at most.
+    sums = {frozenset(): 1.0}
+    for world in x:
+        grown = dict(sums)
+        for given, value in sums.items():
+            for factor in set(range(len(world))) - given:
+                grown[given | {factor}] = grown.get(given | {factor}, 0.0) + value * world[factor]
+        sums = grown
+    return sums[frozenset(range(x.shape[1]))] / np.prod(len(x) - np.arange(x.shape[1]))
 
 
 rows = []
 for (cell, world), units in table.groupby(["cell", "world"], sort=False):
     # Equal weight per world, then sequence, then replicate.
     levels = [name for name in ("world_seed", "sequence") if name in units and units[name].notna().all()]
+    replicates = units.groupby(levels)["cell"].transform("size")
     for n in range(1, threads + 1):
-        events = units[["breakage", *failed[:n]]].astype(float)
-        events["in_units"], events["measured"] = events.prod(axis=1), units[f"d{n}"].astype(float)
-        means = events.groupby([units[name] for name in levels]).mean().groupby(level=0).mean()
+        # A sequence counts if it has n + 1 completed replicates, or all that the design has.
+        counted = units[replicates > min(n, replicates.max() - 1)]
+        events = counted[["breakage", *failed[:n]]].astype(float)
+        events["in_units"], events["measured"] = events.prod(axis=1), counted[f"d{n}"].astype(float)
+        means = events.groupby([counted[name] for name in levels]).mean().groupby(level=0).mean()
         p0, low, high = interval(means["breakage"])
         measured, measured_low, measured_high = interval(means["measured"])
         rows.append(

@@ -10,6 +10,8 @@ from scenarios.describe import describe_field, describe_kind, label_and_unit, pl
 if TYPE_CHECKING:
     from experiments.eq1.spec import ExperimentSpec
 
+_ABBREVIATIONS = ("orb", "sift", "gms")
+
 
 def conditions(spec: "ExperimentSpec") -> list[dict[str, Any]]:
     """Describe every cell, in the order of the spec.
@@ -98,5 +100,6 @@ def thread_names(report: dict[str, Any]) -> list[str]:
 
 
 def _thread_name(kind: str) -> str:
-    own = kind.removeprefix("paper_").upper()
-    return own if kind.upper() == own else f"the paper's {own}"
+    own = kind.removeprefix("paper_")
+    name = own.upper() if own in _ABBREVIATIONS else own
+    return name if kind == own else f"the paper's {name}"
