@@ -195,6 +195,8 @@ class LensConfig:
         least_shift_px: least root mean square shift of the pixels by a change.
         most_share: largest shift of a pixel over the distance of the image's corner from the centre.
         usual_shift_px: root mean square shift by which calibrations are usually off.
+        most_replayed: frames that are kept until the first change; if a map is made of no more, it is begun
+            anew from them then.
     """
 
     every: int = 3
@@ -203,6 +205,7 @@ class LensConfig:
     least_shift_px: float = 0.2
     most_share: float = 0.05
     usual_shift_px: float = 2.0
+    most_replayed: int = 100
 
 
 @dataclass(frozen=True)

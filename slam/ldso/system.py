@@ -3,6 +3,7 @@
 A lost camera starts a new map; the old one stays as it is, unless it is too young to be kept.
 """
 
+from collections import deque
 from dataclasses import asdict, replace
 from typing import Self
 
@@ -23,7 +24,8 @@ from slam.ldso.corners import corner_view
 from slam.ldso.loops import LoopCloser
 from slam.ldso.loss import LossRule
 from slam.ldso.odometry import Odometry
-from slam.ldso.start import Starter
+from slam.ldso.replay import Replayed, replayed
+from slam.ldso.start import Starter, Waiting
 from slam.ldso.tracking import Tracked
 from slam.map.map import Map
 
@@ -74,6 +76,7 @@ class DsoSlam:
         self._mapping_ms = self._loop_ms = 0.0
         self._last_stamp_s = -np.inf
         self._sought_since = 0
+        self._recent: deque[Waiting] = deque(maxlen=self.dso.lens.most_replayed)
 
     # -- a frame -----------------------------------------------------------------------------------------
 
@@ -96,6 +99,8 @@ class DsoSlam:
         self._last_stamp_s = stamp_s
         index = self.frames
         self.frames += 1
+        if self._recent.maxlen:
+            self._recent.append(Waiting(index, stamp_s, image.copy()))
         if self.state is TrackingState.TRACKING:
             return self._track(index, stamp_s, image)
         return self._start(index, stamp_s, image)
@@ -105,11 +110,7 @@ class DsoSlam:
             found = self._starter.offer(index, stamp_s, image, self.current_map_id)
         if found.odometry is None:
             return self._result(index, stamp_s, None, found.matches, found.reason)
-        self._maps[self.current_map_id] = found.odometry
-        if self._corner_view is not None:
-            self._closers[self.current_map_id] = LoopCloser(
-                found.odometry, self.current_map_id, self._corner_view, self.config.loops, self.dso.corners
-            )
+        self._take_map(found.odometry)
         self.state = TrackingState.TRACKING
         self._loss = LossRule(self.dso.loss)
         points = len(found.odometry.window.active)
@@ -138,6 +139,7 @@ class DsoSlam:
             if reason:
                 self._break(index, stamp_s, odometry, reason)
                 return self._result(index, stamp_s, None, 0, reason)
+            odometry = self._maps[self.current_map_id]
         seen = round(tracked.visible * (1 - tracked.saturated) * len(odometry.window.active))
         return self._result(index, stamp_s, odometry, seen, "", wanted)
 
@@ -156,30 +158,36 @@ class DsoSlam:
         with self._timer.apart(), timer("mapping"):
             odometry.add_keyframe(index, stamp_s, image, pyramid, tracked)
         self._mapping_ms = timer.cpu_ms["mapping"]
+        left = odometry.left
         with self._timer.apart():
-            self._refine_lens(index, stamp_s, odometry)
+            begun_anew = self._refine_lens(index, stamp_s, odometry)
+        if begun_anew is not None:
+            odometry, left = begun_anew.odometry, begun_anew.left
         if len(odometry.window.active) < self.dso.loss.least_points:
             return "too_few_points"
         if self._corner_view is not None:
             with self._timer.apart():
-                for row in odometry.left:
+                for row in left:
                     self._close_loop(index, stamp_s, odometry, row)
         return ""
 
-    def _refine_lens(self, index: int, stamp_s: float, odometry: Odometry) -> None:
-        """Change the lens if the windows so far say that it is another one."""
+    def _refine_lens(self, index: int, stamp_s: float, odometry: Odometry) -> Replayed | None:
+        """Change the lens if the windows so far say that it is another one; the map, if it was begun anew."""
         timer = StageTimer()
         timer.begin()
         with timer("lens"):
             change = odometry.lens.change(self.dso.window.most / max(1, self.dso.lens.every))
             if change is None:
-                return
+                return None
             self.camera = replace(self.camera, residual=change.residual)
             self._rectifier = Rectifier(self.camera)
             self._starter = self._new_starter()
-            odometry.see_through(self.camera, self._rectifier)
-            if self._corner_view is not None:
-                self._closers[self.current_map_id].see_through(self.camera)
+            begun_anew = self._begin_anew(odometry)
+            if begun_anew is None:
+                odometry.see_through(self.camera, self._rectifier)
+                if self._corner_view is not None:
+                    self._closers[self.current_map_id].see_through(self.camera)
+        self._recent = deque(maxlen=0)
         self._mapping_ms += timer.cpu_ms["lens"]
         k1, k2, p1, p2 = change.residual
         self._emit(
@@ -187,6 +195,29 @@ class DsoSlam:
             shift_px=change.shift_px, significance=change.significance, keyframes=len(odometry.keyframes),
             cpu_ms=timer.cpu_ms["lens"],
         )  # fmt: skip
+        return begun_anew
+
+    def _begin_anew(self, odometry: Odometry) -> Replayed | None:
+        """Begin the current map anew with the lens as it is known now, if all its frames are at hand."""
+        first = odometry.keyframes[0].frame
+        frames = [item for item in self._recent if item.frame >= first]
+        if not frames or frames[0].frame != first:
+            return None
+        found = replayed(frames, self._starter, self._rectifier, self.current_map_id)
+        self._starter.reset()
+        if found is None or not set(odometry.frames) <= set(found.odometry.frames):
+            return None
+        self._loss = found.loss
+        self._take_map(found.odometry)
+        return found
+
+    def _take_map(self, odometry: Odometry) -> None:
+        """Make this the current map."""
+        self._maps[self.current_map_id] = odometry
+        if self._corner_view is not None:
+            self._closers[self.current_map_id] = LoopCloser(
+                odometry, self.current_map_id, self._corner_view, self.config.loops, self.dso.corners
+            )
 
     def _new_starter(self) -> Starter:
         return Starter(

@@ -1,0 +1,57 @@
+"""A map begun anew from the frames that it was made of, once the lens is known better."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from slam.direct.pyramid import Rectifier
+from slam.ldso.loss import LossRule
+from slam.ldso.odometry import Odometry
+from slam.ldso.start import Starter, Waiting
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """A map as it would have become.
+
+    Attributes:
+        odometry: the map.
+        loss: rule of its loss, which has seen its frames.
+        left: rows of the keyframes that have left the window, in order.
+    """
+
+    odometry: Odometry
+    loss: LossRule
+    left: list[int]
+
+
+def replayed(
+    frames: Sequence[Waiting], starter: Starter, rectifier: Rectifier, map_id: int
+) -> Replayed | None:
+    """Begin a map with the first of some frames as its first view, and track all of them.
+
+    Args:
+        frames: in order of time.
+        starter: of the camera as it is known now; it has seen nothing yet.
+        rectifier: of the same camera.
+        map_id: id of the map.
+
+    Returns:
+        None if no map begins, or it is lost on the way.
+    """
+    odometry, loss, left = None, LossRule(starter.config.loss), []
+    for item in frames:
+        if odometry is None:
+            odometry = starter.offer(item.frame, item.stamp_s, item.image, map_id).odometry
+            continue
+        pyramid = rectifier.pyramid(item.image)
+        tracked = odometry.track(pyramid)
+        step = odometry.step_of(tracked)
+        if tracked is None or loss.reason(tracked, step, odometry.depth):
+            return None
+        loss.tracked(tracked, step, odometry.depth)
+        if odometry.take(item.frame, item.stamp_s, pyramid, tracked):
+            odometry.add_keyframe(item.frame, item.stamp_s, item.image, pyramid, tracked)
+            left += odometry.left
+            if len(odometry.window.active) < starter.config.loss.least_points:
+                return None
+    return None if odometry is None else Replayed(odometry, loss, left)
