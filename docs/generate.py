@@ -56,7 +56,7 @@ direct_points, direct_alignment, direct_blur, direct_looks = (
 def main(folder: Path) -> None:
     """Write the pages into a folder, which is emptied before."""
     shutil.rmtree(folder, ignore_errors=True)
-    shutil.copytree(HERE, folder, ignore=shutil.ignore_patterns("*.py", "__pycache__", "eq1-quick"))
+    shutil.copytree(HERE, folder, ignore=shutil.ignore_patterns("*.py", "__pycache__", "eq1-quick", "eq1"))
     draw_pictures(folder / "stress")
     draw_direct_pictures(folder / "direct")
     report_first_run(folder / "eq1-quick")
