@@ -19,6 +19,7 @@ from experiments.cli.console import (
 from experiments.cli.experiment_progress import estimates_text, experiment_progress
 from experiments.cli.experiment_tables import print_answer, print_replay, status_table
 from experiments.cli.fuzz import fuzz_command
+from experiments.cli.merge import merge_command
 
 _HELP = """Run many units with base and Dual-SLAM: run, resume, status, replay, report.
 
@@ -31,6 +32,7 @@ The folder of an experiment holds its spec, a ledger with one row per unit, and 
 app = typer.Typer(help=_HELP, no_args_is_help=True)
 app.command("boundary")(boundary_command)
 app.command("fuzz")(fuzz_command)
+app.command("merge")(merge_command)
 
 FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of an experiment.")]
 TimeoutOption = Annotated[float, typer.Option(min=1, help="Time limit of a unit in seconds.")]
@@ -321,31 +323,6 @@ def replay_command(
         print_replay(done, rerun)
     if done.differing:
         raise typer.Exit(1)
-
-
-@app.command("merge")
-def merge_command(
-    sources: Annotated[
-        list[Path],
-        typer.Argument(metavar="DIR...", help="Folders of one experiment, or of its exported table."),
-    ],
-    out_dir: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder that gets their units.")],
-) -> None:
-    """Add the units of other folders to the ledger of a folder, which a run goes on from.
-
-    For an experiment that several machines run, one from the first world on and one from the last
-    (`--last-first`), or of which only the exported table is left. A unit that two of them hold must have the
-    same outcome in both. For example:
-
-    `dslab experiment merge out/theirs --out out/mine`
-
-    `dslab experiment merge docs/eq1 --out out/eq1`
-    """
-    from experiments.campaign.merge import merge
-
-    done = merge(out_dir, sources)
-    known = f", {done.known} were known with the same outcome" if done.known else ""
-    out.print(f"{done.added} units added{known}: {done.done} of {done.total} in {out_dir}", soft_wrap=True)
 
 
 @app.command("export")

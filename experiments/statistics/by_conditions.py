@@ -8,7 +8,7 @@ import numpy as np
 from experiments.eq1.records import SHAM, thread_column
 from experiments.statistics.estimates import Figure
 from experiments.statistics.from_records import HomogeneousCell
-from experiments.statistics.judged import ratio_of_shares, share_by_world
+from experiments.statistics.judged import share_among, share_by_world
 from experiments.statistics.outcomes import Floats, world_means
 from experiments.statistics.world_intervals import Interval
 
@@ -136,12 +136,7 @@ def _ratio(
     cells: Sequence[HomogeneousCell], events: Sequence[Floats], of: Sequence[Floats]
 ) -> Interval | None:
     """Share of events among others, over all cells, with its interval by worlds."""
-    numerator, denominator = (Figure.mean(_over_cells(cells, x)) for x in (events, of))
-    if denominator.value <= 0:
-        return None
-    found = ratio_of_shares(numerator, denominator)
-    value = numerator.value / denominator.value
-    return Interval(value, found.low, min(1.0, found.high)) if found else Interval(value, 0.0, 1.0)
+    return share_among(*(Figure.mean(_over_cells(cells, x)) for x in (events, of)))
 
 
 def _over_cells(cells: Sequence[HomogeneousCell], events: Sequence[Floats]) -> Floats:

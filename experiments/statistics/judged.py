@@ -195,6 +195,14 @@ def ratio_of_shares(
     return Interval(ratio.value, min(max(0.0, ratio.low), ratio.value), ratio.high)
 
 
+def share_among(event: Figure, among: Figure) -> Interval | None:
+    """Share of an event among the units of a part, both over the same worlds; None if there are none."""
+    if among.value <= 0:
+        return None
+    found, value = ratio_of_shares(event, among), event.value / among.value
+    return Interval(value, found.low, min(1.0, found.high)) if found else Interval(value, 0.0, 1.0)
+
+
 def share_of_chance(cells: Sequence[HomogeneousCell]) -> Interval | None:
     """1 - ICC of B over cells of the same worlds: its variance that is chance, not the sequence's difficulty.
 

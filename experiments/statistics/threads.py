@@ -11,7 +11,7 @@ from scipy import stats
 from experiments.eq1.records import thread_column
 from experiments.statistics.estimates import Figure
 from experiments.statistics.from_records import HomogeneousCell
-from experiments.statistics.judged import ratio_of_shares, share_by_world
+from experiments.statistics.judged import share_among, share_by_world
 from experiments.statistics.outcomes import Floats, world_means
 from experiments.statistics.world_intervals import Interval
 
@@ -123,12 +123,7 @@ def _product(columns: Floats, like: Floats) -> Floats:
 def _part(event: Floats, among: Floats) -> Interval | None:
     """Share of an event among the units of a part, 0 or 1 per unit."""
     inside = np.where(np.isfinite(event), among, np.nan)
-    numerator, denominator = (_mean(x) for x in (event * inside, inside))
-    if denominator.value <= 0:
-        return None
-    value = numerator.value / denominator.value
-    found = ratio_of_shares(numerator, denominator)
-    return Interval(value, found.low, min(1.0, found.high)) if found else Interval(value, 0.0, 1.0)
+    return share_among(_mean(event * inside), _mean(inside))
 
 
 def _mean(event: Floats) -> Figure:
