@@ -19,6 +19,7 @@ from slam.ldso.window import PARAMETERS, Window
 
 LENS = 4  # k1, k2, p1, p2
 _GRID = 21
+_LEAST_CONDITION = 1e-9
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,9 @@ class LensEstimator:
             and len(window) >= window.config.fewest
         ):
             H, b = lens_information(window, photometric)
+            values = np.linalg.eigvalsh(H) if np.isfinite(H).all() else np.zeros(LENS)
+            if values[0] <= _LEAST_CONDITION * values[-1]:
+                return  # it does not tell the parameters apart
             self._H.append(H)
             self._b.append(b)
             self._is_fresh = True

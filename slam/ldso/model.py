@@ -82,7 +82,14 @@ def model_of(
     to_keyframes(points.host, cross, of_host, of_target, by_keyframe)
     full_H, full_b = _assembled(H, b, of_host, of_target)
     return WindowModel(
-        float(total.sum()), energy, seen, information, gradient, by_keyframe.reshape(n, -1), full_H, full_b
+        float(total.sum()),
+        energy,
+        seen,
+        information,
+        gradient,
+        by_keyframe.reshape(n, PARAMETERS * size),
+        full_H,
+        full_b,
     )
 
 

@@ -288,6 +288,8 @@ class Odometry:
     def close(self) -> None:
         """End the map: its images are not needed any more."""
         self.window.keep_points(np.ones(len(self.window.active), bool))
+        for keyframe in self.window.keyframes.values():
+            keyframe.image = None
         self.window = Window(self._camera, self.intrinsics, self.config.window)
         self._reference = None
 

@@ -27,7 +27,7 @@ from slam.direct.pyramid import Rectifier
 from slam.factory import build_system
 from slam.ldso.adjustment import adjust, affine_prior, gauge
 from slam.ldso.config import LensConfig
-from slam.ldso.lens import displacements, lens_information, lens_model
+from slam.ldso.lens import LensEstimator, displacements, lens_information, lens_model
 from slam.ldso.model import model_of
 from slam.ldso.replay import replayed
 from slam.ldso.start import Starter, Waiting
@@ -116,6 +116,15 @@ def test_a_window_says_what_the_lens_is(residual):
     H, b = lens_information(window, PHOTOMETRIC)
     found = -np.linalg.solve(H, b)
     assert shift_px(found - residual) < 0.05 + 0.2 * shift_px(residual)
+
+
+def test_windows_that_say_nothing_are_not_read():
+    window = window_of(POSES + MORE, 60)
+    window.active = window.active.of(np.zeros(len(window.active), bool))
+    estimator = LensEstimator(CAMERA, LensConfig(every=1, least_windows=1))
+    for _ in range(3):
+        estimator.take(window, PHOTOMETRIC)
+    assert estimator.change(1.0) is None
 
 
 @pytest.fixture(scope="module")
