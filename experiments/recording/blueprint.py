@@ -8,7 +8,7 @@ import rerun.blueprint as rrb
 
 from experiments.evaluation.scene import Scene
 from experiments.recording.drawing import INJECTED, SYSTEMS
-from experiments.recording.key import key_view
+from experiments.recording.key import key_rows, key_view
 from experiments.recording.stream import part
 from experiments.runs.execution import RunRecord
 from slam.core.events import Breakage
@@ -21,7 +21,13 @@ _GRID = (255, 255, 255, 10)
 _SHARED_TIME = rrb.TimeAxis(link="linktoglobal")
 
 
-def make_blueprint(records: Many[RunRecord], scene: Scene, shrink: float, lanes: int) -> rrb.Blueprint:
+def make_blueprint(
+    records: Many[RunRecord],
+    scene: Scene,
+    shrink: float,
+    lanes: int,
+    residuals: dict[str, dict[int, float]],
+) -> rrb.Blueprint:
     """Make the layout for runs over one sequence.
 
     A blueprint cannot set the time cursor. It opens at the end of the recording, with the time around the
@@ -32,6 +38,7 @@ def make_blueprint(records: Many[RunRecord], scene: Scene, shrink: float, lanes:
         scene: common scene of all runs.
         shrink: scale of the recorded images relative to the input images.
         lanes: number of lanes of the timeline.
+        residuals: root mean square by frame, of every system; empty unless it is a direct one.
     """
     camera = records[0].sequence.camera
     size = camera.width_px * shrink, camera.height_px * shrink
@@ -48,23 +55,28 @@ def make_blueprint(records: Many[RunRecord], scene: Scene, shrink: float, lanes:
         origin="events",
         columns=rrb.TextLogColumns(timeline_columns=["frame"], text_log_columns=["Body"]),
     )
+    curves = [
+        _curves("inliers", "inliers", _usual([float(r.inliers) for r in results]), len(kinds)),
+        _curves("tracking, ms per frame", "ms", _usual([sum(r.ms.values()) for r in results]), len(kinds)),
+    ]
+    direct = [kind for kind in kinds if residuals[kind]]
+    if direct:
+        known = [v for kind in direct for v in residuals[kind].values() if np.isfinite(v)]
+        curves.append(_curves("residual, of 255", "residual", _usual(known or [0.0]), len(direct)))
     height = min(_MOST_LANES_PX, _LANES_PX + _LANE_PX * lanes)
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(
                 timeline,
-                _curves("inliers", "inliers", _usual([float(r.inliers) for r in results]), len(kinds)),
-                _curves(
-                    "tracking, ms per frame", "ms", _usual([sum(r.ms.values()) for r in results]), len(kinds)
-                ),
-                row_shares=[height, (_HEIGHT_PX - height) / 2, (_HEIGHT_PX - height) / 2],
+                *curves,
+                row_shares=[height, *[(_HEIGHT_PX - height) / len(curves)] * len(curves)],
             ),
             rrb.Vertical(
                 rrb.Horizontal(*[_world_view(kind, scene) for kind in kinds]),
-                key_view(),
-                rrb.Horizontal(*[_image_view(kind, *size) for kind in kinds]),
+                key_view(bool(direct)),
+                rrb.Horizontal(*[_image_view(kind, *size, kind in direct) for kind in kinds]),
                 log,
-                row_shares=[9, 2.6, 7, 5],
+                row_shares=[9, 1.3 * key_rows(bool(direct)), 7, 5],
             ),
             column_shares=[6, 8],
         ),
@@ -109,9 +121,10 @@ def _short_side(scene: Scene) -> np.ndarray:
     return np.linalg.eigh(places.T @ places)[1][:, 0] @ ground
 
 
-def _image_view(kind: str, width: float, height: float) -> rrb.Spatial2DView:
+def _image_view(kind: str, width: float, height: float, direct: bool) -> rrb.Spatial2DView:
+    shown = "residuals, green to red" if direct else "inliers in green"
     return rrb.Spatial2DView(
-        name=f"{kind}: camera, inliers in green",
+        name=f"{kind}: camera, {shown}",
         origin="camera",
         contents=["+ camera/image", f"+ camera/{part(kind)}/**"],
         visual_bounds=rrb.VisualBounds2D(x_range=(0.0, width), y_range=(0.0, height)),

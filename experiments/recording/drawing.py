@@ -16,6 +16,7 @@ from experiments.recording.stories import stories
 from experiments.recording.stream import Stream, part
 from experiments.runs.execution import RunRecord
 from sim.sequence import Sequence
+from slam.core.events import Breakage
 
 INJECTED, SYSTEMS = "injected", "slam"
 """Paths of the lanes of segments and of systems, in this order in the viewer."""
@@ -67,11 +68,13 @@ class MapSnapshot:
     Attributes:
         frame, map_id: frame of the snapshot and id of the map.
         points: (n, 3) float32 map units.
+        window: frames of the keyframes that are adjusted together, of a direct system.
     """
 
     frame: int
     map_id: int
     points: np.ndarray
+    window: tuple[int, ...] = ()
 
 
 class RunDrawing:
@@ -95,13 +98,13 @@ class RunDrawing:
         self._name = part(record.system_kind)
         self._world = f"world/{self._name}"
 
-    def draw(self, snapshots: "Iterable[MapSnapshot]", color: Color) -> None:
-        """Draw everything; ``color`` is that of the system's curves."""
+    def draw(self, snapshots: list[MapSnapshot], residuals: dict[int, float], color: Color) -> None:
+        """Draw everything; ``residuals`` by frame, ``color`` that of the system's curves."""
         self._draw_camera()
         self._draw_paths()
         self._draw_maps(snapshots)
         self._draw_marks()
-        self._draw_curves(color)
+        self._draw_curves(residuals, color)
         self._draw_log()
 
     def _draw_camera(self) -> None:
@@ -136,7 +139,7 @@ class RunDrawing:
         line = rr.LineStrips3D(strips, colors=color, radii=rr.Radius.ui_points(width))
         self._stream.log(f"{self._world}/{name}", frame, line)
 
-    def _draw_maps(self, snapshots: "Iterable[MapSnapshot]") -> None:
+    def _draw_maps(self, snapshots: list[MapSnapshot]) -> None:
         """Draw points and keyframes over time, each map in its colour."""
         keyframes = np.array([r.frame for r in self._record.results if r.is_keyframe], int)
         for snapshot in snapshots:
@@ -152,6 +155,18 @@ class RunDrawing:
             points = self._scene.alignments[map_id].points(snapshot.points).astype(np.float32)
             cloud = rr.Points3D(points, colors=[*color, 120], radii=rr.Radius.ui_points(1.2))
             self._stream.log(f"{entity}/points", frame, cloud)
+            if snapshot.window:
+                chosen = np.isin(live.frames[live.frames <= frame], snapshot.window)
+                self._draw_window(frame, self._paths.live(map_id, frame)[chosen, :3, 3])
+        if any(snapshot.window for snapshot in snapshots):
+            for event in self._record.events:
+                if isinstance(event, Breakage):
+                    self._draw_window(event.frame, np.empty((0, 3)))
+
+    def _draw_window(self, frame: int, centres: np.ndarray) -> None:
+        """Draw the (n, 3) keyframes that a direct system adjusts together."""
+        dots = rr.Points3D(centres, colors=palette.WINDOW, radii=rr.Radius.ui_points(4.0))
+        self._stream.log(f"{self._world}/window", frame, dots)
 
     def _draw_marks(self) -> None:
         """Draw breakages as labelled pins and repairs as dots."""
@@ -201,11 +216,13 @@ class RunDrawing:
             line = rr.TextLog(f"{self._record.system_kind}  {time_s:.2f} s  {text}", color=color)
             self._stream.log(f"events/{self._name}", event.frame, line)
 
-    def _draw_curves(self, color: Color) -> None:
+    def _draw_curves(self, residuals: dict[int, float], color: Color) -> None:
         results = self._record.results
         frames = range(len(results))
         self._curve("inliers", frames, [float(r.inliers) for r in results], color)
         self._curve("ms", frames, [sum(r.ms.values()) for r in results], color)
+        if residuals:
+            self._curve("residual", residuals, list(residuals.values()), color)
 
     def _curve(self, plot: str, frames: Iterable[int], values: list[float], color: Color) -> None:
         entity = f"plots/{plot}/{self._name}"

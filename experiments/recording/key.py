@@ -10,24 +10,35 @@ _ENTITY = "key"
 _COLUMNS, _STEP = 4, (150.0, 34.0)
 
 
-def draw_key(stream: Stream) -> None:
+def key(direct: bool) -> dict[str, palette.Color]:
+    """Colours by their meaning, with those of direct systems if there are any."""
+    return palette.KEY | palette.DIRECT_KEY if direct else palette.KEY
+
+
+def draw_key(stream: Stream, direct: bool) -> None:
     """Draw a dot with a label per colour."""
+    meanings = key(direct)
     places = [
-        (_STEP[0] * (k % _COLUMNS + 0.5), _STEP[1] * (k // _COLUMNS + 0.3)) for k in range(len(palette.KEY))
+        (_STEP[0] * (k % _COLUMNS + 0.5), _STEP[1] * (k // _COLUMNS + 0.3)) for k in range(len(meanings))
     ]
     dots = rr.Points2D(
         places,
-        colors=list(palette.KEY.values()),
-        labels=list(palette.KEY),
+        colors=list(meanings.values()),
+        labels=list(meanings),
         show_labels=True,
         radii=rr.Radius.ui_points(5.0),
     )
     stream.static(_ENTITY, dots)
 
 
-def key_view() -> rrb.Spatial2DView:
+def key_rows(direct: bool) -> int:
+    """Number of rows of the key."""
+    return -(-len(key(direct)) // _COLUMNS)
+
+
+def key_view(direct: bool) -> rrb.Spatial2DView:
     """View of the key."""
-    rows = -(-len(palette.KEY) // _COLUMNS)
+    rows = key_rows(direct)
     return rrb.Spatial2DView(
         name="colours",
         origin=_ENTITY,

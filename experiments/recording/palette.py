@@ -1,5 +1,7 @@
 """Colours of a recording, the same in every view."""
 
+import numpy as np
+
 Color = tuple[int, int, int]
 
 TRUTH: Color = (210, 210, 210)
@@ -16,6 +18,7 @@ NOTE: Color = (130, 130, 160)
 
 FEATURE: Color = (110, 130, 160)
 INLIER: Color = (80, 230, 90)
+WINDOW: Color = (255, 255, 255)
 
 STATES = {
     "tracking": TRACKED,
@@ -47,6 +50,26 @@ KEY: dict[str, Color] = {
     "injected stress": INJECTED,
 }
 """Meaning of the main colours."""
+
+MOST_RESIDUAL = 20.0
+"""Residual of a direct system, of 255, from which on it is drawn in the last colour."""
+_RESIDUALS = (INLIER, (240, 220, 60), LOST)
+
+DIRECT_KEY: dict[str, Color] = {
+    "keyframes of the window": WINDOW,
+    "residual 0": _RESIDUALS[0],
+    f"residual {MOST_RESIDUAL / 2:.0f} of 255": _RESIDUALS[1],
+    f"residual {MOST_RESIDUAL:.0f} or more": _RESIDUALS[2],
+}
+"""Meaning of the colours of systems that compare intensities."""
+
+
+def residual_colors(residual: np.ndarray) -> np.ndarray:
+    """(n, 3) uint8 colours of (n,) residuals, whichever their sign."""
+    share = np.clip(np.abs(residual) / MOST_RESIDUAL, 0, 1)
+    ramp = np.array(_RESIDUALS, float).T
+    steps = np.linspace(0, 1, len(_RESIDUALS))
+    return np.column_stack([np.interp(share, steps, channel) for channel in ramp]).astype(np.uint8)
 
 
 def map_color(map_id: int) -> Color:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence as Many
 from pathlib import Path
-from typing import Self
+from typing import Protocol, Self, runtime_checkable
 
 import cv2
 import numpy as np
@@ -19,13 +19,23 @@ from experiments.recording.paths import thin
 from experiments.recording.stream import Stream, part
 from experiments.runs.execution import RunRecord, SlamSystem
 from sim.sequence import Sequence
-from slam.core.results import TrackingResult
+from slam.core.results import PhotometricView, TrackingResult
 
 IMAGES_PER_S = 10.0
 _JPEG = [cv2.IMWRITE_JPEG_QUALITY, 60]
 _IMAGE_WIDTH_PX = 640
 _SNAPSHOT_S = 0.5
 _MAX_POINTS = 3000
+_MAX_RESIDUALS = 1500
+
+
+@runtime_checkable
+class DirectSystem(Protocol):
+    """A system that compares intensities, and shows which."""
+
+    def photometric_view(self, image: np.ndarray) -> PhotometricView | None:
+        """The comparison of the frame processed last, which is ``image``; None if there is none."""
+        ...
 
 
 class Recording:
@@ -78,11 +88,13 @@ class Recording:
         scene = together(scenes)
         draw_truth(self._stream, self._sequence, scene, self._shrink)
         for place, record in enumerate(records):
-            snapshots = self._watchers[record.system_kind].snapshots
+            watcher = self._watchers[record.system_kind]
             drawing = RunDrawing(self._stream, record, scenes[place], scene.extent, self._shrink)
-            drawing.draw(snapshots, palette.system_color(place))
-        draw_key(self._stream)
-        self._stream.blueprint(make_blueprint(records, scene, self._shrink, self._draw_lanes(records)))
+            drawing.draw(watcher.snapshots, watcher.residuals, palette.system_color(place))
+        residuals = {system: watcher.residuals for system, watcher in self._watchers.items()}
+        draw_key(self._stream, any(residuals.values()))
+        lanes = self._draw_lanes(records)
+        self._stream.blueprint(make_blueprint(records, scene, self._shrink, lanes, residuals))
 
     def _draw_lanes(self, records: Many[RunRecord]) -> int:
         """Draw the lanes of segments and systems; returns their number."""
@@ -115,6 +127,14 @@ class Recording:
             dots = rr.Points2D(pixels[chosen], colors=[color], radii=rr.Radius.ui_points(radius))
             self._stream.log(f"camera/{part(system)}/{name}", result.frame, dots)
 
+    def show_residuals(self, system: str, frame: int, view: PhotometricView) -> None:
+        """Write the pixels that a direct system compares in a frame, coloured by their residuals."""
+        rows = thin(np.arange(len(view.residual)), _MAX_RESIDUALS)
+        pixels = ((view.pixels_px[rows] + 0.5) * self._shrink).astype(np.float32)
+        colors = palette.residual_colors(view.residual[rows])
+        dots = rr.Points2D(pixels, colors=colors, radii=rr.Radius.ui_points(1.8))
+        self._stream.log(f"camera/{part(system)}/residuals", frame, dots)
+
     @property
     def stride(self) -> int:
         """Number of frames from one image to the next."""
@@ -126,14 +146,17 @@ class SystemRecorder:
 
     Attributes:
         snapshots: the thinned map at intervals.
+        residuals: root mean square by frame that is no keyframe, of a direct system; NaN without a pose.
     """
 
     def __init__(self, recording: Recording, system: str) -> None:
         self.snapshots: list[MapSnapshot] = []
+        self.residuals: dict[int, float] = {}
         self._recording = recording
         self._system = system
         self._next_snapshot_s = -np.inf
         self._state = ""
+        self._window: tuple[int, ...] = ()
 
     def frame(self, image: np.ndarray, result: TrackingResult, system: SlamSystem) -> None:
         """Record one frame: image, features and, at intervals, the map."""
@@ -141,8 +164,19 @@ class SystemRecorder:
         self._state = result.state
         if changed or result.frame % self._recording.stride == 0:
             self._recording.show_image(result.frame, image)
-            self._recording.show_features(self._system, result)
+            if isinstance(system, DirectSystem):
+                self._show_residuals(image, result.frame, system)
+            else:
+                self._recording.show_features(self._system, result)
         if is_tracked(result) and result.stamp_s >= self._next_snapshot_s and result.map_id in system.maps():
             self._next_snapshot_s = result.stamp_s + _SNAPSHOT_S
             points = thin(system.map_points(result.map_id), _MAX_POINTS).astype(np.float32)
-            self.snapshots.append(MapSnapshot(result.frame, result.map_id, points))
+            self.snapshots.append(MapSnapshot(result.frame, result.map_id, points, self._window))
+
+    def _show_residuals(self, image: np.ndarray, frame: int, system: DirectSystem) -> None:
+        view = system.photometric_view(image) or PhotometricView.none()
+        self._window = view.keyframes
+        if frame not in view.keyframes:  # a keyframe is compared with itself
+            squares = view.residual.astype(float) ** 2
+            self.residuals[frame] = float(np.sqrt(squares.mean())) if len(squares) else np.nan
+        self._recording.show_residuals(self._system, frame, view)

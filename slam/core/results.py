@@ -48,6 +48,26 @@ class TrackingResult:
 
 
 @dataclass(frozen=True)
+class PhotometricView:
+    """What a direct system compares in a frame, for display.
+
+    Attributes:
+        keyframes: frames of the keyframes of its window, increasing.
+        pixels_px: (n, 2) float32 image pixels at which the frame shows points of the newest keyframe.
+        residual: (n,) float32 intensity there, of 255, less that in the keyframe in the frame's brightness.
+    """
+
+    keyframes: tuple[int, ...]
+    pixels_px: np.ndarray
+    residual: np.ndarray
+
+    @classmethod
+    def none(cls) -> "PhotometricView":
+        """That of a frame without a pose."""
+        return cls((), np.empty((0, 2), np.float32), np.empty(0, np.float32))
+
+
+@dataclass(frozen=True)
 class MapTrajectory:
     """Trajectory of one map's frames, in that map's own frame and scale.
 

@@ -297,13 +297,14 @@ class Odometry:
         """(N, 2) pixels of the ideal camera at which a placed frame shows some of the keyframe's points."""
         if self._reference is None:
             return np.empty((0, 2))
-        p, T = self._reference.patches, self.frames[frame].T_cam_keyframe
-        fx, fy, cx, cy = self.intrinsics[0]
-        rays = np.column_stack([(p.uv - [cx, cy]) / [fx, fy], np.ones(len(p.uv))])
-        X = rays @ T[:3, :3].T + T[:3, 3] * p.inverse_depth[:, None]
-        X = X[X[:, 2] > 1e-6]
-        uv = X[:, :2] / X[:, 2:] * [fx, fy] + [cx, cy]
+        uv = self._reference.patches.seen_by(self.intrinsics[0], self.frames[frame].T_cam_keyframe)
         return uv[((uv >= 0) & (uv < [self._camera.width_px, self._camera.height_px])).all(axis=1)]
+
+    def residuals(self, frame: int, pyramid: ImagePyramid) -> tuple[np.ndarray, np.ndarray]:
+        """(N, 2) ideal pixels and (N,) residuals of the newest frame against the newest keyframe."""
+        if self._reference is None:
+            return np.empty((0, 2)), np.empty(0)
+        return self._reference.residuals(pyramid, self.frames[frame].T_cam_keyframe, self._affine)
 
     def trajectory(self, map_id: int) -> MapTrajectory:
         """Poses of the frames, by their keyframes as they are now."""

@@ -14,7 +14,7 @@ from slam.core import events as ev
 from slam.core.camera import PinholeCamera
 from slam.core.events import TrackingState
 from slam.core.frame_input import check_frame
-from slam.core.results import MapTrajectory, TrackingResult
+from slam.core.results import MapTrajectory, PhotometricView, TrackingResult
 from slam.core.seeds import rng_for
 from slam.core.snapshot import Snapshot
 from slam.core.timing import StageTimer
@@ -317,6 +317,23 @@ class DsoSlam:
     def map_points(self, map_id: int) -> np.ndarray:
         """(n, 3) float64 points of a map, in its own frame."""
         return self._maps[map_id].points()
+
+    def photometric_view(self, image: np.ndarray) -> PhotometricView | None:
+        """The residuals of the frame processed last, and the window; None unless it is tracked.
+
+        Args:
+            image: (H, W) uint8 that frame.
+        """
+        if self.state is not TrackingState.TRACKING:
+            return None
+        odometry = self._maps[self.current_map_id]
+        uv, residual = odometry.residuals(self.frames - 1, self._rectifier.pyramid(image))
+        window = odometry.window
+        return PhotometricView(
+            keyframes=tuple(window.keyframes[slot].frame for slot in window.slots),
+            pixels_px=self.camera.distort_points(uv).astype(np.float32),
+            residual=residual.astype(np.float32),
+        )
 
     def trajectories(self) -> list[MapTrajectory]:
         """Poses of the tracked frames, relative to their keyframes as they are; see :meth:`maps`."""

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from slam.direct._alignment_kernels import PATTERN, likeness, sample_patterns
 from slam.direct.pyramid import ImagePyramid
@@ -39,6 +40,14 @@ class LevelPixels:
     inverse_depth: np.ndarray
     intensity: np.ndarray
     weight: np.ndarray
+
+    def seen_by(self, intrinsics: np.ndarray, T: np.ndarray) -> np.ndarray:
+        """(N, 2) where a camera sees them, by its (4, 4) motion from the keyframe; NaN behind it."""
+        f, c = intrinsics[:2], intrinsics[2:]
+        rays = np.column_stack([(self.uv - c) / f, np.ones(len(self.uv))])
+        X = rays @ T[:3, :3].T + T[:3, 3] * self.inverse_depth[:, None]
+        X[X[:, 2] <= 1e-6] = np.nan
+        return X[:, :2] / X[:, 2:] * f + c
 
 
 class TrackingReference:
@@ -77,6 +86,27 @@ class TrackingReference:
         self.levels = tuple(levels)
         self.patches = _patches(levels[0], pyramid.levels[0])
         self.depth = 1.0 / float(np.median(inverse_depth)) if len(inverse_depth) else 1.0
+
+    def residuals(
+        self, pyramid: ImagePyramid, T_frame_ref: np.ndarray, affine: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Compare a frame with the keyframe on the finest level.
+
+        Args:
+            pyramid: of the frame.
+            T_frame_ref: (4, 4) its motion from the keyframe.
+            affine: (2,) its brightness relative to the keyframe's.
+
+        Returns:
+            (N, 2) pixels of the frame and (N,) differences of intensity, where both are known.
+        """
+        finest = self.levels[0]
+        uv = finest.seen_by(self.intrinsics[0], T_frame_ref)
+        known = np.isfinite(uv).all(axis=1)
+        seen = map_coordinates(pyramid.levels[0][..., 0], uv[known, ::-1].T, order=1, cval=np.nan)
+        residual = seen - np.exp(affine[0]) * finest.intensity[known, 0] - affine[1]
+        inside = np.isfinite(residual)
+        return uv[known][inside], residual[inside]
 
 
 @dataclass(frozen=True)

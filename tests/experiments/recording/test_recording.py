@@ -17,7 +17,8 @@ from experiments.recording import Recording, palette
 from experiments.recording.describe import describe_event
 from experiments.result_folder import run_sequence
 from experiments.runs.execution import execute
-from slam.core.events import Event, RelatingEvent
+from slam.core.events import Event, RelatingEvent, TrackingState
+from slam.core.results import PhotometricView
 
 PER_SYSTEM = (
     "/world/{}/camera", "/world/{}/map_0/path", "/world/{}/map_0/points", "/world/{}/map_0/keyframes",
@@ -165,6 +166,49 @@ def test_a_minute_of_video_with_two_systems_stays_under_60_mb(tmp_path):
         kinds = ("base", "dual")
         recording.finish([execute(sequence, k, 0, recording.watch(k), build=build) for k in kinds])
     assert 30 * path.stat().st_size < 60e6
+
+
+class Direct(FakeSystem):
+    """A fake system that compares intensities: in its window are keyframes of the last second."""
+
+    def photometric_view(self, image):
+        if self.process_state is not TrackingState.TRACKING:
+            return None
+        keyframes = tuple(range(self._frame // 10 * 10, max(-1, self._frame - 30), -10))[::-1]
+        pixels = np.tile(np.array([[3.0, 4.0]], np.float32), (4, 1))
+        return PhotometricView(keyframes, pixels, np.array([0, -10, 40, -40], np.float32))
+
+    def process(self, image, stamp_s):
+        result = super().process(image, stamp_s)
+        self.process_state = result.state
+        return result
+
+
+def test_a_direct_system_shows_residuals_and_the_window(tmp_path):
+    sequence = make_sequence()
+    build = lambda kind, *_: Direct(sequence.T_world_cam, kind=kind, breaks_at=160)  # noqa: E731
+    content = Content(record(tmp_path, sequence, build))
+    rows = content.columns["/camera/dual/residuals"]
+    colors = dict(zip(rows["frame"], rows["colors"], strict=True))
+    green, yellow, red = (
+        palette.rgba(c) for c in (palette.INLIER, palette.DIRECT_KEY["residual 10 of 255"], palette.LOST)
+    )
+    assert colors[60] == [green, yellow, red, red] and not colors[162]
+    windows = content.columns["/world/dual/window"]
+    shown = dict(zip(windows["frame"], windows["positions"], strict=True))
+    newest = max(frame for frame in shown if frame < 160) // 10 * 10
+    keyframes = [newest - 20, newest - 10, newest]
+    np.testing.assert_allclose(
+        shown[max(f for f in shown if f < 160)], sequence.T_world_cam[keyframes, :3, 3], atol=1e-5
+    )
+    assert not shown[160]
+    curve = content.columns["/plots/residual/dual"]
+    values = dict(zip(curve["frame"], np.ravel(curve["scalars"]), strict=True))
+    assert values[63] == pytest.approx(np.sqrt(np.mean([0, 100, 1600, 1600]))) and np.isnan(values[162])
+    assert 60 not in values  # a keyframe
+    ((labels,),) = (content.fixed["/key"]["labels"],)
+    assert labels == [*palette.KEY, *palette.DIRECT_KEY]
+    assert "residuals" in content.blueprint() and not content.rows["/camera/dual/inliers"]
 
 
 class Rich(FakeSystem):

@@ -36,6 +36,20 @@ def test_a_known_motion_is_found(twist, gain, offset):
     ).all()  # interpolation takes some contrast
 
 
+def test_residuals_are_those_that_the_tracker_settled_with():
+    ref, T = reference(), motion([0.06, 0.03, -0.05, 0.01, -0.02, 0.02])
+    pyramid = RECTIFIER.pyramid(view(T, 0.8, 12.0)[0])
+    tracker = PhotometricTracker(CONFIG.photometric, CONFIG.tracking)
+    found = tracker.track(ref, pyramid, [np.eye(4)], np.zeros(2), 3.0)
+    uv, residual = ref.residuals(pyramid, found.T_frame_ref, found.affine)
+    size, huber = np.minimum(np.abs(residual), CONFIG.tracking.cutoff), CONFIG.photometric.huber
+    cost = np.where(size <= huber, size**2, huber * (2 * size - huber)).mean()
+    assert np.sqrt(cost) == pytest.approx(found.error, rel=0.02)
+    assert len(uv) == pytest.approx(found.visible * len(ref.levels[0].uv), rel=0.02)
+    _, in_other_light = ref.residuals(pyramid, found.T_frame_ref, np.zeros(2))
+    assert np.abs(in_other_light).mean() > 3 * np.abs(residual).mean()
+
+
 def test_views_that_show_nothing_in_common_are_not_aligned():
     away = np.eye(4)
     away[:3, 3] = 50.0, 0.0, 0.0
