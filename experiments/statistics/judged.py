@@ -206,20 +206,22 @@ def share_among(event: Figure, among: Figure) -> Interval | None:
 def share_of_chance(cells: Sequence[HomogeneousCell]) -> Interval | None:
     """1 - ICC of B over cells of the same worlds: its variance that is chance, not the sequence's difficulty.
 
-    None without repeats, with fewer than 3 worlds, or where B does not vary.
+    Worlds without a valid unit in one of the cells are left out. None without repeats, with fewer than 3
+    worlds, or where B does not vary.
     """
     chance: Figure | None = None
     variance: Figure | None = None
-    for cell in cells:
-        outcomes = usable(cell, 1)
-        if len(outcomes.breakage) < 3:
-            return None
-        correlation = correlation_in_sequences(outcomes.breakage)
+    if len({tuple(cell.worlds) for cell in cells}) != 1:
+        return None
+    each = [cell.outcomes.of_first(1) for cell in cells]
+    complete = np.all([outcomes.has_units for outcomes in each], axis=0)
+    if complete.sum() < 3:
+        return None
+    for outcomes in each:
+        correlation = correlation_in_sequences(outcomes.breakage[complete])
         if correlation is None:
             return None
         within, of_cell = correlation
-        if variance is not None and of_cell.worlds != variance.worlds:
-            return None
         chance = of_cell - within if chance is None else chance + (of_cell - within)
         variance = of_cell if variance is None else variance + of_cell
     found = None if chance is None or variance is None else ratio_interval(chance, variance)
