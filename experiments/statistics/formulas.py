@@ -61,6 +61,7 @@ class FormulaScore:
         gain: of the score over Eq. 1's, with its interval by worlds; None for Eq. 1.
         p: one-sided, that it does not predict better than Eq. 1, by Holm over the rivals; None for others.
         calibration: (cells,) mean prediction minus mean outcome.
+        parameter: the beta factor's beta and the one-factor model's r, fitted to all worlds; None for others.
     """
 
     name: str
@@ -68,6 +69,7 @@ class FormulaScore:
     gain: Interval | None
     p: float | None
     calibration: Floats
+    parameter: float | None
 
 
 def compare_formulas(
@@ -96,6 +98,8 @@ def compare_formulas(
         predicted[:, :, w] = [*_predictions(p, units[:, others].mean(axis=1), np.asarray(fitted)), ceiling]
     predicted = np.clip(predicted, 0.5 / worlds, 1 - 0.5 / worlds)
     loss = -(outcome * np.log(predicted) + (1 - outcome) * np.log(1 - predicted)).mean(axis=1)
+    p = (means.sum(axis=2) + 0.5) / (worlds + 1)
+    parameters = dict(zip(RIVALS[1:], _parameters(p, units.mean(axis=1), np.asarray(fitted)), strict=True))
     p_rivals = dict(zip(RIVALS, holm([_p_of_gain(loss[0] - loss[1 + i]) for i in range(3)]), strict=True))
     return [
         FormulaScore(
@@ -104,6 +108,7 @@ def compare_formulas(
             _gain(loss[0] - loss[i]) if i else None,
             p_rivals.get(name),
             (predicted[i] - outcome).mean(axis=1),
+            parameters.get(name),
         )
         for i, name in enumerate(FORMULAS)
     ]
@@ -115,8 +120,14 @@ def second_thread_gain(outcomes: Outcomes) -> Floats:
 
 
 def _predictions(p: Floats, measured: Floats, fitted: np.ndarray) -> list[Floats]:
-    beta, r = (_fit(formula, p[fitted], measured[fitted]) for formula in (beta_factor, one_factor))
+    beta, r = _parameters(p, measured, fitted)
     return [eq1(p), weakest_link(p), beta_factor(p, beta), one_factor(p, r)]
+
+
+def _parameters(p: Floats, measured: Floats, fitted: np.ndarray) -> tuple[float, float]:
+    """The beta factor's beta and the one-factor model's r."""
+    beta, r = (_fit(formula, p[fitted], measured[fitted]) for formula in (beta_factor, one_factor))
+    return beta, r
 
 
 def _fit(formula, p: Floats, measured: Floats) -> float:

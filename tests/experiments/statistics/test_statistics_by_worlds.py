@@ -243,10 +243,12 @@ def test_the_formula_that_made_the_outcomes_predicts_unseen_worlds_best(rng):
     assert scores["beta factor"].score < scores["weakest link"].score
     assert np.abs(scores["beta factor"].calibration).max() < 0.1
     assert scores["Eq. 1"].gain is None and scores["ceiling"].p is None
+    assert 0.5 < scores["beta factor"].parameter < 0.9 and scores["weakest link"].parameter is None
     independent = [simulate(Truth(truth.shares), rng, worlds=150) for truth in truths]
     again = {s.name: s for s in compare_formulas(independent, [True] * 4)}
     assert min(again[name].p for name in ("weakest link", "beta factor", "one factor")) > 0.05
     assert again["Eq. 1"].score < again["weakest link"].score
+    assert again["beta factor"].parameter < 0.15 and again["one factor"].parameter < 0.15
 
 
 def test_a_formula_that_is_eq1_by_its_fit_gains_nothing_over_it():
