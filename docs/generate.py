@@ -46,6 +46,8 @@ HERE = Path(__file__).parent
 ROOT = HERE.parent
 # Pages that stand at the root of the repository, and where their links lead on the site.
 ROOT_PAGES = ("ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md")
+# Folders with the records of experiments, of which the site has the reports.
+EXPERIMENTS = ("eq1", "eq1-doses", "eq1-quick")
 
 
 direct_points, direct_alignment, direct_blur, direct_looks = (
@@ -56,10 +58,11 @@ direct_points, direct_alignment, direct_blur, direct_looks = (
 def main(folder: Path) -> None:
     """Write the pages into a folder, which is emptied before."""
     shutil.rmtree(folder, ignore_errors=True)
-    shutil.copytree(HERE, folder, ignore=shutil.ignore_patterns("*.py", "__pycache__", "eq1-quick", "eq1"))
+    shutil.copytree(HERE, folder, ignore=shutil.ignore_patterns("*.py", "__pycache__", *EXPERIMENTS))
     draw_pictures(folder / "stress")
     draw_direct_pictures(folder / "direct")
-    report_first_run(folder / "eq1-quick")
+    for name in EXPERIMENTS:
+        write_experiment_report(name, folder / name)
     for page in folder.rglob("*.md"):
         text = page.read_text()
         text = re.sub(r"<!-- made: (\w+) -->", lambda found: globals()[found[1]](), text)
@@ -68,10 +71,10 @@ def main(folder: Path) -> None:
         (folder / name.lower()).write_text(on_the_site((ROOT / name).read_text()))
 
 
-def report_first_run(folder: Path) -> None:
-    """Write the report of the records of the first run, with its page and plots."""
+def write_experiment_report(name: str, folder: Path) -> None:
+    """Write the report of an experiment's committed records, with its page and plots."""
     folder.mkdir()
-    records = HERE / "eq1-quick"
+    records = HERE / name
     write_files(report_content(*read_experiment(records), records.relative_to(ROOT)), folder)
 
 
@@ -88,15 +91,11 @@ def code(file: str) -> str:
     return f"```python\n{(ROOT / file).read_text()}```"
 
 
-def first_run() -> str:
-    """Links to the report of the first run, and two of its plots, which are drawn with it."""
-    links = "[The whole report, reanalysed](eq1-quick/report.html) · [its figures](eq1-quick/report.json)"
-    kinds = ("low_texture", "motion_blur")
-    plots = [
-        f"![From Eq. 1 to what was measured, {kind.replace('_', ' ')}](eq1-quick/plots/chain_{kind}.svg)"
-        for kind in kinds
-    ]
-    return "\n\n".join([links, *plots])
+def eq1_reports() -> str:
+    """Links to the reports of the experiments on Eq. 1."""
+    names = [f"[{name}]({name}/report.html) ([figures]({name}/report.json))" for name in EXPERIMENTS]
+    *now, former = names
+    return f"The whole reports: {', '.join(now)}; of the first run, reanalysed: {former}."
 
 
 def stress_kinds() -> str:

@@ -2,26 +2,27 @@
 
 import json
 import runpy
+from collections import Counter
 from pathlib import Path
 
 import pytest
 
 from experiments.campaign.folder import read_experiment
 from experiments.report.content import report_content
-from experiments.report.describe import interval_of_share
+from experiments.report.describe import interval_of_share, percent
 from experiments.runs.files import to_json
 
 ROOT = Path(__file__).resolve().parents[3]
-FOLDER = ROOT / "docs" / "eq1-quick"
+FIRST, RUN = ROOT / "docs" / "eq1-quick", ROOT / "docs" / "eq1"
 
 
 @pytest.fixture(scope="module")
-def report():
-    return json.loads((FOLDER / "report.json").read_text())
+def reports():
+    return {folder: json.loads((folder / "report.json").read_text()) for folder in (FIRST, RUN)}
 
 
-def percent(share: float) -> str:
-    return f"{100 * share:.1f}"
+def words(name: str) -> str:
+    return " ".join((ROOT / name).read_text().split())
 
 
 def figures(data, place: str = "") -> dict:
@@ -32,18 +33,23 @@ def figures(data, place: str = "") -> dict:
     return {k: v for name, of in inside for k, v in figures(of, f"{place}/{name}").items()}
 
 
-def test_the_report_follows_from_the_records(report):
-    again = json.loads(to_json(report_content(*read_experiment(FOLDER), FOLDER)))
-    assert again["reanalysed"] and again["format"] == report["format"] == 2
+@pytest.mark.parametrize("folder", [FIRST, RUN])
+def test_the_report_follows_from_the_records(reports, folder):
+    report = reports[folder]
+    again = json.loads(to_json(report_content(*read_experiment(folder), folder)))
+    assert again["reanalysed"] == (folder is FIRST) and again["format"] == report["format"] == 2
     for part in ("answer", "units", "analysis", "taxonomy", "tables"):
         assert figures(again[part]) == pytest.approx(figures(report[part]), abs=1e-9, nan_ok=True)
 
 
-def test_a_page_of_pandas_gives_the_same_figures(report, monkeypatch, capsys):
-    monkeypatch.setattr("sys.argv", ["recompute.py", str(FOLDER / "units.parquet")])
+@pytest.mark.parametrize(
+    ("folder", "rows", "cell"), [(FIRST, 36, "low_texture/2"), (RUN, 32, "room/fog-creeping/1")]
+)
+def test_a_page_of_pandas_gives_the_same_figures(reports, folder, rows, cell, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["recompute.py", str(folder / "units.parquet")])
     again = runpy.run_path(str(ROOT / "examples" / "recompute.py"))["found"]
-    cells = {(c["cell"], c["world"], c["n"]): c for c in report["analysis"]["cells"]}
-    assert len(again) == len(cells) == 36 and "low_texture/2" in capsys.readouterr().out
+    cells = {(c["cell"], c["world"], c["n"]): c for c in reports[folder]["analysis"]["cells"]}
+    assert len(again) == len(cells) == rows and cell in capsys.readouterr().out
     for row in again.itertuples():
         cell = cells[row.cell, row.world, row.n]
         mine = (cell["eq1"], cell["weakest"], cell["in_units"], cell["shares"]["dual_failure"]["value"])
@@ -57,18 +63,54 @@ def test_a_page_of_pandas_gives_the_same_figures(report, monkeypatch, capsys):
             assert (share["low"], share["high"]) == pytest.approx(ends, abs=1e-9)
 
 
-def test_the_documentation_agrees_with_the_records(report):
-    page, readme = (" ".join((ROOT / name).read_text().split()) for name in ("docs/eq1.md", "README.md"))
+def test_the_documentation_agrees_with_the_records_of_the_first_run(reports):
+    page, report = words("docs/eq1.md"), reports[FIRST]
     analysis = report["analysis"]
     for row in analysis["kinds_of_world"]:
         if row["world"] == "corridor":
             shown = interval_of_share(row["measured"])
-            eq1, weakest = (percent(row[name]) for name in ("eq1", "weakest"))
-            assert f"| {row['n']} | {eq1} % | {weakest} % | {shown} |" in page
-            assert f"{percent(row['measured']['value'])} %" in readme and f"{eq1} %" in readme
+            assert f"| {row['n']} | {percent(row['eq1'])} | {percent(row['weakest'])} | {shown} |" in page
     assert interval_of_share(analysis["failed_or_silent_by_worlds"]) in page
     silent = report["taxonomy"]["silent"]
     assert f"{silent['events']} of the {silent['units']} unbroken units" in page
     for name, row in zip(("ORB", "SIFT"), report["taxonomy"]["threads"][2:], strict=True):
         assert row["arm"] == "crossing"
         assert f"{row['false']['events']} of {row['false']['units']} by {name}" in page
+
+
+def test_the_documentation_agrees_with_the_records_of_the_run(reports):
+    page, readme, report = words("docs/eq1.md"), words("README.md"), reports[RUN]
+    analysis = report["analysis"]
+    failed = {(t["cell"], t["thread"]): percent(t["failed"]["value"]) for t in analysis["thread_shares"]}
+    named = [cell for cell in analysis["cells"] if cell["n"] <= 2]
+    for cell in named:
+        threads = [failed[cell["cell"], thread] for thread in range(1, cell["n"] + 1)]
+        figures = [
+            percent(cell["shares"]["breakage"]["value"]),
+            *threads,
+            percent(cell["eq1"]),
+            percent(cell["weakest"]),
+        ]
+        shown = interval_of_share(cell["shares"]["dual_failure"])
+        assert f"| {' | '.join(figures)} | {shown} |" in page, cell["cell"]
+    verdicts = Counter(cell["verdict_forecast"] for cell in named)
+    assert verdicts == {"optimistic": 8, "undecided": 5, "untested": 3}
+    assert "8 find that it predicts too few" in page and "In 5 there are too few worlds" in page
+    assert (
+        Counter(cell["verdict_in_units"] for cell in named)["optimistic"] == 11 and "in 11 of the 16" in page
+    )
+    for level in analysis["levels"][:2]:
+        for share in (percent(level["measured"]), percent(level["within_kinds"])):
+            assert share in readme
+    for test in analysis["within_sequences"][:2]:
+        assert f"{test['ratio']:.3f}".lstrip("0") in page and f"{test['telling']}" in page
+    for share in analysis["chance"].values():
+        low, high = 100 * share["low"], 100 * share["high"]
+        assert f"{100 * share['value']:.0f} % [{low:.0f}, {high:.0f}]" in page
+    gain = {k: f"{100 * v:.1f}" for k, v in analysis["formulas"][1]["second_thread"].items()}
+    assert f"{gain['value']} percentage points [{gain['low']}, {gain['high']}]" in page
+    silent = report["taxonomy"]["silent"]
+    assert f"{silent['events']} of the {silent['units']:,} unbroken trials" in page
+    crossing = [row["false"] for row in report["taxonomy"]["threads"] if row["arm"] == "crossing"]
+    for false in crossing:
+        assert f"{false['events']} of {false['units']:,} by" in page
