@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from math import isfinite
 
 import numpy as np
@@ -211,9 +212,10 @@ def share_of_chance(cells: Sequence[HomogeneousCell]) -> Interval | None:
     """
     chance: Figure | None = None
     variance: Figure | None = None
-    if len({tuple(cell.worlds) for cell in cells}) != 1:
+    if not cells:
         return None
-    each = [cell.outcomes.of_first(1) for cell in cells]
+    common = reduce(np.intersect1d, [cell.worlds for cell in cells])
+    each = [cell.outcomes.of_first(1).of_worlds(np.isin(cell.worlds, common)) for cell in cells]
     complete = np.all([outcomes.has_units for outcomes in each], axis=0)
     if complete.sum() < 3:
         return None

@@ -4,7 +4,7 @@ import json
 
 import pytest
 from report_fakes import FakeSpec, fake_table
-from test_documented_results import FOLDER
+from test_documented_results import FIRST
 
 from experiments.eq1.former_spec import load_any_spec
 from experiments.eq1.spec import load_spec, preset_names
@@ -90,6 +90,6 @@ def test_every_dose_of_a_preset_has_a_name_and_a_unit(preset):
 
 
 def test_doses_are_named_in_the_order_of_the_spec():
-    found = conditions(load_any_spec(FOLDER / "spec.yaml"))
+    found = conditions(load_any_spec(FIRST / "spec.yaml"))
     assert [d["value"] for d in doses_of(found, "low_texture")] == [0.3, 0.15, 0.05]
     assert describe_stress(found, "motion_blur") == "motion blur (exposure 0.06, 0.1 and 0.2 s)"
