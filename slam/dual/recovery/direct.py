@@ -26,6 +26,7 @@ from slam.direct.pyramid import ImagePyramid, Rectifier
 from slam.direct.selection import Selection, SelectionConfig, select
 from slam.dual.recovery.appearance import LooksCheck, LooksConfig
 from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
+from slam.dual.recovery.other_way import OtherWayConfig, doubt_of_other_way
 from slam.dual.recovery.propagation import propagate
 from slam.dual.recovery.tracks import TrackRecoveryConfig, TrackTracker
 from slam.features.tracks import TrackedFrame, take_depth_from_points
@@ -45,6 +46,7 @@ class DirectRecoveryConfig(TrackRecoveryConfig, PlacementConfig):
         distinct: residual of the second best place on an epipolar line over the best, at least.
         line_px: longest line that is searched.
         looks: what the old map's surface must look like under an alignment with it.
+        other_way: crossing the gap the other way too, and by how much the two ways may disagree.
     """
 
     depth_radius_px: float = 10.0
@@ -53,6 +55,7 @@ class DirectRecoveryConfig(TrackRecoveryConfig, PlacementConfig):
     distinct: float = 1.6
     line_px: float = 60.0
     looks: LooksConfig = field(default_factory=LooksConfig)
+    other_way: OtherWayConfig = field(default_factory=OtherWayConfig)
 
 
 class DirectRecovery:
@@ -73,7 +76,21 @@ class DirectRecovery:
             return RecoveryResult(task.new_map, stage="propagation", reason="image_too_small")
         tracker = DirectTracker(task, self.config, rectifier)
         looks = LooksCheck(task, rectifier, self.config.looks)
-        return propagate(task, self.config, tracker, tracker.mapper(task), looks.doubt)
+        result = propagate(task, self.config, tracker, tracker.mapper(task), looks.doubt)
+        if result.success and self.config.other_way.check:
+            return self._checked(task, result, rectifier)
+        return result
+
+    def _checked(self, task: RecoveryTask, result: RecoveryResult, rectifier: Rectifier) -> RecoveryResult:
+        """The result, failed if the gap crossed the other way says something else."""
+        config = self.config
+        reason = doubt_of_other_way(
+            task, result, config, config.other_way, lambda ahead: DirectTracker(ahead, config, rectifier)
+        )
+        if reason:
+            result.success, result.stage, result.reason = False, "sim3", reason
+            result.alignment, result.confirming = None, ()
+        return result
 
 
 @dataclass

@@ -98,7 +98,8 @@ class RecoveryResult:
         reason: reason of the failure.
         frames_covered: number of buffered frames processed.
         frames_passed_over: those of them that got no pose.
-        keyframes_made: keyframes added to the new map.
+        frames_checked: number of buffered frames processed once more, to check the recovery.
+        keyframes_made: keyframes added to the new map, and to the map by which that was checked.
         alignments_tried: pairs of keyframes at which the maps were compared.
         inliers: of the last placed frame, or of the alignment on success.
         alignment: the accepted similarity, None on failure.
@@ -113,6 +114,7 @@ class RecoveryResult:
     reason: str = ""
     frames_covered: int = 0
     frames_passed_over: int = 0
+    frames_checked: int = 0
     keyframes_made: int = 0
     alignments_tried: int = 0
     inliers: int = 0
@@ -141,7 +143,7 @@ class RecoveryCost:
         """Duration of a recovery with this result."""
         return 1e-3 * (
             self.start_ms
-            + self.frame_ms * result.frames_covered
+            + self.frame_ms * (result.frames_covered + result.frames_checked)
             + self.keyframe_ms * result.keyframes_made
             + self.alignment_ms * result.alignments_tried
         )

@@ -28,10 +28,11 @@ class TrackMapper(LocalMapper):
     Args:
         map_: the map.
         config: settings.
-        first: view of keyframe 0, at which recovery starts.
+        first: view of the keyframe at which recovery starts.
         latest: returns the view of the frame that becomes a keyframe.
         kept: number of keyframes whose tracked features are kept.
         paired: number of them matched for new points.
+        start: the keyframe at which recovery starts.
     """
 
     def __init__(
@@ -42,12 +43,13 @@ class TrackMapper(LocalMapper):
         latest: Callable[[], TrackedFrame],
         kept: int,
         paired: int,
+        start: int = 0,
     ) -> None:
         super().__init__(map_, config)
         self._latest = latest
         self._kept = kept
         self._paired = paired
-        self._views: dict[int, TrackedFrame] = {0: first}
+        self._views: dict[int, TrackedFrame] = {start: first}
 
     def adjust_keyframes(self, free: np.ndarray) -> None:
         """Bundle-adjust the keyframes marked in ``free``, the newest ones, and their points.

@@ -65,8 +65,8 @@ class TrackTracker(Tracker):
         self.start(first.frame, first.frame.reference_keyframe)
         self.register(first)
 
-    def mapper(self, task: RecoveryTask) -> TrackMapper:
-        """Local mapping with the features of the keyframes that are made of placed frames."""
+    def mapper(self, task: RecoveryTask, start: int = 0) -> TrackMapper:
+        """Local mapping from a keyframe on, with the features of the placed frames that become keyframes."""
         config = self._thread_config
         return TrackMapper(
             self.map,
@@ -75,6 +75,7 @@ class TrackTracker(Tracker):
             lambda: self.latest,
             config.adjusted_keyframes,
             config.paired_keyframes,
+            start,
         )
 
     def pass_over(self, frame: Frame) -> None:

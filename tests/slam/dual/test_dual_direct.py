@@ -7,9 +7,10 @@ import pytest
 from recovery_scenes import FADED, SMEARED, blind_scene, faded_scene, same_map, smeared_scene
 from slam_scenes import rigid
 
-from slam.dual.recovery import overlap
+from slam.dual.recovery import other_way, overlap
 from slam.dual.recovery.appearance import LooksConfig
 from slam.dual.recovery.direct import DirectRecoveryConfig
+from slam.dual.recovery.other_way import OtherWayConfig
 from slam.dual.recovery.registry import ThreadSpec, build_thread
 from slam.map._map_kernels import median_depth
 from slam.map.invariants import check_map
@@ -113,3 +114,36 @@ def test_without_the_photometric_check_a_planted_alignment_passes(monkeypatch):
     planted(monkeypatch, WRONG["shift"])
     unchecked = DirectRecoveryConfig(looks=LooksConfig(min_sound=0.0))
     assert blind_scene().run("direct", unchecked).success
+
+
+UNLOOKED = DirectRecoveryConfig(looks=LooksConfig(min_sound=0.0), other_way=OtherWayConfig(check=True))
+
+
+def test_both_ways_through_faded_frames_agree(faded):
+    checked = faded_scene().run("direct", DirectRecoveryConfig(other_way=OtherWayConfig(check=True)))
+    assert checked.success and checked.alignment.S_old_new.tobytes() == faded.alignment.S_old_new.tobytes()
+    assert checked.frames_checked > len(FADED) and faded.frames_checked == 0
+
+
+FAR = WRONG | {
+    "turn": lambda depth: rigid((0, 0, 0), (0, 6, 0)),
+    "shift": lambda depth: rigid((0.2 * depth, 0, 0), (0, 0, 0)),
+}
+
+
+@pytest.mark.parametrize("wrong", FAR.values(), ids=FAR)
+def test_an_alignment_that_the_other_way_does_not_lead_to_is_refused(monkeypatch, wrong):
+    planted(monkeypatch, wrong)
+    refused = blind_scene().run("direct", UNLOOKED)
+    assert (refused.success, refused.stage, refused.reason) == (False, "sim3", "ways_disagree")
+
+
+def test_if_the_other_way_is_not_passable_the_recovery_fails(monkeypatch):
+    task_ahead = other_way._task_ahead
+
+    def in_the_dark(task, found):
+        return replace(task_ahead(task, found), image_of=lambda index: np.zeros_like(task.image_of(index)))
+
+    monkeypatch.setattr(other_way, "_task_ahead", in_the_dark)
+    result = blind_scene().run("direct", UNLOOKED)
+    assert (result.success, result.stage, result.reason) == (False, "sim3", "not_found_back")
