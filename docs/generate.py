@@ -47,7 +47,7 @@ ROOT = HERE.parent
 # Pages that stand at the root of the repository, and where their links lead on the site.
 ROOT_PAGES = ("ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md")
 # Folders with the records of experiments, of which the site has the reports.
-EXPERIMENTS = ("eq1", "eq1-doses", "eq1-quick")
+EXPERIMENTS = ("eq1", "eq1-doses", "eq1-vga", "eq1-quick")
 
 
 direct_points, direct_alignment, direct_blur, direct_looks = (
