@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from slam.core.events import CANCELLED
 from slam.core.frame import Frame
 from slam.core.geometry import share_of_motion
 from slam.direct.alignment import Aligned, Reference
@@ -88,7 +89,9 @@ class DirectRecovery:
             task, result, config, config.other_way, lambda ahead: DirectTracker(ahead, config, rectifier)
         )
         if reason:
-            result.success, result.stage, result.reason = False, "sim3", reason
+            cancelled = reason == CANCELLED
+            result.success, result.stage = False, CANCELLED if cancelled else "sim3"
+            result.reason = "" if cancelled else reason
             result.alignment, result.confirming = None, ()
         return result
 

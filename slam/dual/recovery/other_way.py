@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from slam.core.events import CANCELLED
 from slam.core.frame import Frame
 from slam.core.geometry import camera_centre, share_of_motion
 from slam.dual.recovery.interface import RecoveryConfig, RecoveryResult, RecoveryTask
@@ -55,7 +56,7 @@ def doubt_of_other_way(
 
     Returns:
         Empty if both ways agree; ``not_found_back`` if the other way does not arrive, ``ways_disagree`` if it
-        arrives elsewhere.
+        arrives elsewhere; ``cancelled`` if the thread was ended meanwhile.
     """
     found = result.alignment
     assert found is not None
@@ -68,12 +69,13 @@ def doubt_of_other_way(
     last = ahead.backward[-1]
     for features in ahead.backward:
         if task.cancellation.requested:
-            return "not_found_back"
+            return CANCELLED
         frame = Frame(features)
         result.frames_checked += 1
-        if tracker.track(frame).success and not tracker.doubt.reason:
+        outcome = tracker.track(frame)
+        if outcome.success and not tracker.doubt.reason:
             unusable_since_s = None
-            if features is last or tracker.wants_keyframe(frame, result.inliers):
+            if features is last or tracker.wants_keyframe(frame, outcome.inliers):
                 tracker.keyframe_made(frame, mapper.insert(frame))
                 result.keyframes_made += 1
             continue

@@ -7,6 +7,7 @@ import pytest
 from recovery_scenes import FADED, SMEARED, blind_scene, faded_scene, same_map, smeared_scene
 from slam_scenes import rigid
 
+from slam.core.events import CANCELLED
 from slam.dual.recovery import other_way, overlap
 from slam.dual.recovery.appearance import LooksConfig
 from slam.dual.recovery.direct import DirectRecoveryConfig
@@ -147,3 +148,15 @@ def test_if_the_other_way_is_not_passable_the_recovery_fails(monkeypatch):
     monkeypatch.setattr(other_way, "_task_ahead", in_the_dark)
     result = blind_scene().run("direct", UNLOOKED)
     assert (result.success, result.stage, result.reason) == (False, "sim3", "not_found_back")
+
+
+def test_a_thread_that_is_ended_on_its_other_way_is_cancelled(monkeypatch):
+    task_ahead = other_way._task_ahead
+
+    def ended(task, found):
+        task.cancellation.requested = True
+        return task_ahead(task, found)
+
+    monkeypatch.setattr(other_way, "_task_ahead", ended)
+    result = blind_scene().run("direct", UNLOOKED)
+    assert (result.success, result.stage, result.reason) == (False, CANCELLED, "")
