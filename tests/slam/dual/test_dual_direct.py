@@ -154,7 +154,7 @@ def test_a_thread_that_is_ended_on_its_other_way_is_cancelled(monkeypatch):
     task_ahead = other_way._task_ahead
 
     def ended(task, found):
-        task.cancellation.requested = True
+        monkeypatch.setattr(task.cancellation, "requested", True)
         return task_ahead(task, found)
 
     monkeypatch.setattr(other_way, "_task_ahead", ended)
