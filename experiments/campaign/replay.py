@@ -1,4 +1,4 @@
-"""Replay of one unit in a process like those of the run, compared with its row of the ledger."""
+"""Replay of one unit in a process like those of the run, compared with its row of the ledger or table."""
 
 import re
 from collections import deque
@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments.campaign.clusters import embedded_worker_pool
-from experiments.campaign.folder import read_spec
-from experiments.campaign.ledger import Ledger
+from experiments.campaign.folder import read_rows
 from experiments.campaign.schedule import Experiment
 from experiments.campaign.unit_job import Job, is_infrastructure_error, unit_record
 from experiments.campaign.worker_pool import WorkerPoolSettings
@@ -28,7 +27,7 @@ class Replay:
     Attributes:
         unit: its spec.
         record: the new record.
-        recorded: its row of the ledger; None if it has none yet.
+        recorded: its row; None if it has none yet.
         differing: columns in which the two differ, except those of cost and of the code; empty if the unit is
             reproduced.
     """
@@ -49,7 +48,7 @@ def replay(
     """Run a unit of an experiment again.
 
     Args:
-        folder: of the experiment.
+        folder: of the experiment, with its ledger or with only the exported table.
         name: its id or a unique beginning of it, or ``cell:index``, also of a unit not run yet.
         job: runs one unit.
         settings: of the process; one worker by default.
@@ -59,9 +58,8 @@ def replay(
         InputError: no such folder or unit.
         MachineError: the unit ended in an infrastructure error.
     """
-    spec = read_spec(folder)
-    with Ledger.open(folder, spec, read_only=True) as ledger:
-        rows = {row["unit_id"]: row for row in ledger.rows()}
+    spec, known = read_rows(folder)
+    rows = {row["unit_id"]: row for row in known}
     unit = find_unit(spec, rows, name)
     settings = settings or WorkerPoolSettings()
     with embedded_worker_pool(settings, partial(unit_record, job, cache_dir=settings.cache_dir)) as pool:
@@ -93,7 +91,7 @@ def find_unit(spec: Experiment, rows: Mapping[str, Mapping[str, Any]], name: str
     found = sorted(unit_id for unit_id in rows if unit_id.startswith(name.lower()))
     if not found:
         raise InputError(
-            name, "no unit of the ledger has an id that begins so", "give CELL:INDEX for any other"
+            name, "no unit that was run has an id that begins so", "give CELL:INDEX for any other"
         )
     if len(found) > 1:
         raise InputError(

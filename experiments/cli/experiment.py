@@ -293,13 +293,13 @@ def replay_command(
     memory: MemoryOption = _MEMORY_MB,
     as_json: JsonOption = False,
 ) -> None:
-    """Replay one unit and compare it with the ledger; exit code 1 if they differ.
+    """Replay one unit and compare it with the ledger or the published table; exit code 1 if they differ.
 
     For example:
 
     `dslab experiment replay out/smoke 3fa9`
 
-    `dslab experiment replay out/smoke low_texture/2:7 --rerun unit.rrd`
+    `dslab experiment replay docs/eq1 corridor/low_texture/1:7 --rerun unit.rrd`
     """
     from functools import partial
 

@@ -4,13 +4,13 @@ import math
 from pathlib import Path
 from typing import Any
 
-from experiments.eq1.spec import SPEC_VERSION, ExperimentSpec, load_spec, read_spec_file, validated
+from experiments.eq1.spec import ExperimentSpec, load_spec, read_spec_file, validated
 
 _UNITS_PER_WORLD = "units_per_world"
 
 
 def load_any_spec(path: Path) -> ExperimentSpec:
-    """Load a spec from a YAML file, of this version or the first.
+    """Load a spec from a YAML file, of any version.
 
     Of the first the cells and their numbers of units are as they were; that a cell mixes populations is no
     fault, and its units cannot be drawn again.
@@ -30,8 +30,8 @@ def is_former(data: Any) -> bool:
 
 
 def as_current(data: dict[str, Any]) -> dict[str, Any]:
-    """The data of a spec of the first version with the fields of this one."""
+    """The data of a spec of the first version with the fields of the second."""
     kept = {k: v for k, v in data.items() if k not in ("units", _UNITS_PER_WORLD, "stopping")}
     per_world = data.get(_UNITS_PER_WORLD, 1)
     design = {"worlds": math.ceil(data["units"] / per_world), "sequences_per_world": per_world, "sham": False}
-    return {**kept, **design, "spec_version": SPEC_VERSION}
+    return {**kept, **design, "spec_version": 2}

@@ -21,6 +21,7 @@ from experiments.eq1.unit_drawing import Cell, Place, draw_scenario, written_bas
 from experiments.eq1.unit_settings import unit_settings
 from experiments.eq1.units import (
     RECOVERING,
+    SPEC_VERSION,
     ArmName,
     ThreadChoice,
     UnitSpec,
@@ -37,7 +38,6 @@ from scenarios.yaml_file import Location, YamlFile, read_yaml
 from slam.dual.recovery.registry import RECOVERY_KINDS
 
 PRESET_DIR = Path(__file__).parent / "presets"
-SPEC_VERSION = 2
 START_WITHIN_S = 1.0
 """Replicates start within this time of the lead-in, or within half of it."""
 LevelName = Literal["sequences", "worlds"]
@@ -50,7 +50,7 @@ class ExperimentSpec(Grown):
 
     _unwritten: ClassVar = {"settings": {}, "confirmatory_threads": None}
 
-    spec_version: Literal[2] = SPEC_VERSION
+    spec_version: Literal[2, 3] = SPEC_VERSION
     name: str = Field(pattern=_NAME, max_length=40)
     description: str = ""
     root_seed: int = Field(0, ge=0, lt=_SEED_END)
@@ -95,7 +95,7 @@ class ExperimentSpec(Grown):
         if former or data.get("spec_version", SPEC_VERSION) == 1:
             raise ValueError(
                 f"{' and '.join(former) or 'spec_version 1'}: of an earlier version whose cells mixed "
-                "populations, give worlds and sequences_per_world and repeats and spec_version 2 instead"
+                "populations, give worlds and sequences_per_world and repeats and spec_version 3 instead"
             )
         return data
 
@@ -242,6 +242,7 @@ class ExperimentSpec(Grown):
             exposed_s=self.exposed_s,
             threads=self.threads,
             settings=self.settings,
+            spec_version=self.spec_version,
             system=of_cell.system,
             arms=self.arms if of_cell.system in RECOVERING else ("free",),
         )

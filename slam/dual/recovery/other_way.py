@@ -33,7 +33,7 @@ class OtherWayConfig:
         max_scale_change: change of scale between the two, where both maps show enough common points there.
     """
 
-    check: bool = False
+    check: bool = True
     max_shift: float = 0.12
     max_rotation_deg: float = 4.0
     max_scale_change: float = 0.1

@@ -123,6 +123,13 @@ def test_a_replay_agrees_with_the_ledger_or_names_the_differing_columns(dslab, s
     assert decided(replayed["record"]) == decided(made_up_record(spec.unit(cell, index)))
 
 
+def test_a_published_table_is_replayed_without_its_ledger(dslab, smoke):
+    export(smoke)
+    (smoke / LEDGER_FILE).unlink()
+    code, out, _ = dslab("experiment", "replay", smoke, "low_texture/1:1")
+    assert code == 0 and "agrees with the ledger" in out
+
+
 def test_a_unit_that_was_not_run_can_be_replayed(dslab, smoke):
     code, out, _ = dslab("experiment", "replay", smoke, "low_texture/1:7", "--json")
     assert code == 0 and json.loads(out)["recorded"] is None

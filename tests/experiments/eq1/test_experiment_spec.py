@@ -10,6 +10,7 @@ from experiments.eq1.spec_schema import json_schema
 from experiments.eq1.units import UnitSpec
 from scenarios.errors import InputError
 from slam.core.camera import PinholeCamera
+from slam.dual.recovery.direct import DirectRecoveryConfig
 from slam.tracking.tracker import TrackingConfig
 
 VALIDATOR = jsonschema.Draft202012Validator(json_schema())
@@ -94,6 +95,25 @@ def test_specs_without_settings_are_identified_as_before(spec):
     assert "settings" not in spec.model_dump(mode="json")
     unit = spec.unit("hall/motion_blur/1/dual", 0).model_dump(mode="json")
     assert "settings" not in unit and unit["threads"][1] == {"kind": "orb", "seed": 1}
+
+
+def test_a_spec_of_an_earlier_version_means_the_direct_thread_of_its_time(tmp_path):
+    """Its units keep their identity, and what it says itself holds."""
+    camera = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
+    own = "threads: [direct, {kind: direct, seed: 1, config: {other_way: {check: true}}}, "
+    text = SPEC.replace("threads: [orb, {kind: orb, seed: 1}, ", own)
+    checks, ids = {}, set()
+    for version in (2, 3):
+        unit = load(tmp_path, text.replace("bases:", f"spec_version: {version}\nbases:", 1)).unit(
+            "hall/motion_blur/1/dual", 0
+        )
+        ids.add(unit.unit_id)
+        assert ("spec_version" in unit.model_dump(mode="json")) is (version == 3)
+        _, dual = settings_of(unit).of("dual", camera)
+        configs = [DirectRecoveryConfig.extending(thread.config) for thread in dual.recovery_threads[:2]]
+        checks[version] = [config.other_way.check for config in configs]
+    assert checks == {2: [False, True], 3: [True, True]}
+    assert len(ids) == 2 and load(tmp_path, text).spec_version == 3
 
 
 def test_a_unit_contains_everything_that_determines_it(spec):

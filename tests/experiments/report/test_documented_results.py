@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from experiments.campaign.folder import read_experiment
+from experiments.eq1.spec import load_spec
 from experiments.report.content import report_content
 from experiments.report.describe import interval_of_share, percent
 from experiments.runs.files import to_json
@@ -31,6 +32,31 @@ def figures(data, place: str = "") -> dict:
         return {place: data}
     inside = data.items() if isinstance(data, dict) else enumerate(data)
     return {k: v for name, of in inside for k, v in figures(of, f"{place}/{name}").items()}
+
+
+@pytest.mark.parametrize(
+    ("name", "both_ways"), [("eq1", False), ("eq1-doses", False), ("eq1-vga", False), ("direct-thread", True)]
+)
+def test_a_documented_run_is_its_preset_and_its_units_are_still_the_same(name, both_ways):
+    """Whatever becomes a default later: the direct thread of `eq1` goes one way, as it did."""
+    spec, table = read_experiment(ROOT / "docs" / name)
+    assert load_spec(name).content_hash == spec.content_hash
+    for row in table.groupby("cell").head(1).itertuples():
+        unit = spec.unit(row.cell, int(row.index))
+        assert unit.unit_id == row.unit_id
+        meant = {thread.kind: thread.config for thread in unit.meant_threads}
+        assert meant["direct"]["other_way"] == {"check": both_ways} and meant["orb"] == {}
+
+
+def test_the_claim_about_the_direct_thread_follows_from_its_table():
+    page = words("docs/direct.md")
+    _, table = read_experiment(ROOT / "docs" / "direct-thread")
+    assert table["cross_r3_declared"].sum() == 191 and not table["cross_r3_false"].any()
+    assert "**none of 191 alignments that were declared is false**" in page
+    for (_, cell), crossed, needed in zip(table.groupby("cell"), (14, 17), (49, 48), strict=True):
+        both = cell[cell["cross_r1_failed"] & cell["cross_r2_failed"]]
+        assert ((~both["cross_r3_failed"]).sum(), len(both)) == (crossed, needed)
+        assert f"| {needed} | **{100 * crossed / needed:.1f} %" in page
 
 
 @pytest.mark.parametrize("folder", [FIRST, RUN])
