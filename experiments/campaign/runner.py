@@ -35,7 +35,7 @@ class Tally:
     Attributes:
         done, total: units that have ended, and all units.
         void, errors: units by outcome.
-        completed: units with a degradation that were completed; shams only show false alarms.
+        completed: units with a degradation whose free arm was completed; shams only show false alarms.
         retries: attempts in this run that ended in an infrastructure error.
         breakages: completed units with a breakage (B).
         failures: completed units in which Dual-SLAM failed with all threads (D_n).
@@ -172,7 +172,8 @@ class _Run:
     def tally(self, workers: int) -> Tally:
         """Progress of the run."""
         records = self.schedule.records()
-        completed = [r for r in records if r["outcome"] == Outcome.COMPLETED and r["kind"] != SHAM]
+        of_free_arm = [r for r in records if r["breakage"] is not None and r["kind"] != SHAM]
+        completed = [r for r in of_free_arm if r["outcome"] == Outcome.COMPLETED]
         given_up = Counter(r["message"] for r in records if is_infrastructure_error(r))
         return Tally(
             done=self.schedule.done,

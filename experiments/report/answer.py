@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from experiments.report.conditions import describe_label, describe_stress, thread_names
-from experiments.report.describe import interval_of_share, listed, plural
+from experiments.report.describe import interval_of_share, listed, percent, plural
 
 LEAST_WORLDS = 10
 """Worlds with the event below which nothing is tested (`statistics.verdicts`)."""
@@ -50,6 +50,8 @@ def answer(results: dict[str, Any]) -> Answer:
             "Eq. 1 is about recovery threads, which none of these systems has: they stand beside each other."
         )
         return Answer("Not asked: no system has recovery threads.", [told], [])
+    if "free" not in results["experiment"]["spec"].get("arms", ["free"]):
+        return Answer("Eq. 1 is not asked: only the crossing arm ran.", [*_crossings(results)], [])
     asked = [_asked(), _tried(results)]
     if not told:
         return Answer("No result yet: no trial is completed.", asked, [])
@@ -94,6 +96,34 @@ def _headline(told: list[dict[str, Any]]) -> str:
             f"Untested: a test takes {LEAST_WORLDS} worlds that break and fail to recover; {most} were run."
         )
     return f"Untested: in no condition did {LEAST_WORLDS} worlds both break and fail to recover."
+
+
+def _crossings(results: dict[str, Any]) -> Iterable[str]:
+    """What the threads cross in a run without the free arm."""
+    yield "Asked: which recovery thread carries the new map back over the stress, broken tracking or not?"
+    yield _tried(results)
+    of = {
+        name: [s for s in results["analysis"]["thread_shares"] if s["thread"] == number]
+        for number, name in enumerate(thread_names(results), 1)
+    }
+    failed = [f"{name} in {_range(s['failed'] for s in shares)}" for name, shares in of.items() if shares]
+    if failed:
+        yield f"Failed, of the trials of a condition: {listed(failed)}."
+    for name, shares in list(of.items())[1:]:
+        added = [share for share in shares if share["adds"] is not None]
+        if added:
+            crossed, needed = (
+                _range(s["adds"] for s in added),
+                plural(sum(s["needed"] for s in added), "trial"),
+            )
+            yield f"Where all before it fail, in {needed}, {name} crosses {crossed} of a condition's."
+    yield _certainty(results["analysis"])
+    yield _limits(results)
+
+
+def _range(shares: Iterable[dict[str, Any]]) -> str:
+    values = [share["value"] for share in shares]
+    return " to ".join(percent(value) for value in dict.fromkeys((min(values), max(values))))
 
 
 def _asked() -> str:

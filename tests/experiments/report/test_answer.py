@@ -6,6 +6,7 @@ import pytest
 from report_fakes import FakeSpec, fake_table
 from test_documented_results import FIRST
 
+from experiments.campaign.folder import read_experiment
 from experiments.eq1.former_spec import load_any_spec
 from experiments.eq1.spec import load_spec, preset_names
 from experiments.report.answer import MEANINGS, answer
@@ -35,6 +36,15 @@ def test_the_paragraph_says_what_was_asked_tried_found_and_not_said(results):
     assert few_worlds.headline.endswith("; 9 were run.")
     assert "low texture (contrast 0.3 and 0.1)" in text and "10 rendered worlds (corridor)" in text
     assert f"{results['units']['completed']} trials" in text and "without a healthy map" in text
+
+
+def test_without_the_free_arm_eq1_is_not_asked_but_what_threads_cross():
+    folder = FIRST.parent / "direct-thread"
+    found = report_content(*read_experiment(folder), folder, 99)["answer"]
+    text = " ".join(found["sentences"])
+    assert found["headline"] == "Eq. 1 is not asked: only the crossing arm ran." and found["rows"] == []
+    assert "ORB in 45.0 % to 61.9 %, SIFT in 34.4 % to 44.4 % and direct in 40.0 % to 40.6 %" in text
+    assert "in 97 trials, direct crosses 28.6 % to 35.4 %" in text
 
 
 def judged(*words: str, confirmatory: bool = False) -> list[dict]:
