@@ -8,12 +8,11 @@ from numba import njit
 def squared_gradients(level):
     """(H, W) float32 squared gradient of a level of a pyramid; 0 where it is unknown."""
     height, width = level.shape[0], level.shape[1]
-    out = np.zeros((height, width), np.float32)
+    out = np.empty((height, width), np.float32)
     for y in range(height):
         for x in range(width):
             square = level[y, x, 1] * level[y, x, 1] + level[y, x, 2] * level[y, x, 2]
-            if square > 0.0:  # not NaN either
-                out[y, x] = square
+            out[y, x] = square if square > 0.0 else 0.0  # where it is NaN too
     return out
 
 
@@ -69,6 +68,7 @@ def select_in_blocks(fine, middle, coarse, bounds, region, block, margin, coarse
     """
     height, width = fine.shape
     rows, columns = bounds.shape
+    column_of = np.minimum(np.arange(width) // region, columns - 1)
     across, down = (width + 4 * block - 1) // (4 * block), (height + 4 * block - 1) // (4 * block)
     xy = np.empty((16 * across * down, 2), np.int32)
     scale = np.empty(16 * across * down, np.int32)
@@ -85,7 +85,7 @@ def select_in_blocks(fine, middle, coarse, bounds, region, block, margin, coarse
                 for y in range(max(y1, margin), min(y1 + block, height - margin)):
                     row = min(y // region, rows - 1)
                     for x in range(max(x1, margin), min(x1 + block, width - margin)):
-                        bound = bounds[row, min(x // region, columns - 1)]
+                        bound = bounds[row, column_of[x]]
                         if fine[y, x] > max(bound, best1):
                             best1, at1_x, at1_y = fine[y, x], x, y
                         if y // 2 < middle.shape[0] and x // 2 < middle.shape[1]:

@@ -12,7 +12,24 @@ from numba import njit
 from slam.direct._alignment_kernels import _bilinear
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _project(M, right, down, u, v, d, fx, fy, cx, cy, seen_u, seen_v, depth):
+    """Write where the pixels of a pattern are seen, and at what depth.
+
+    It has no branches, so that it is vectorised; what is behind the camera means nothing.
+    """
+    M_00, M_01, M_02, M_03 = M[0, 0], M[0, 1], M[0, 2], M[0, 3]
+    M_10, M_11, M_12, M_13 = M[1, 0], M[1, 1], M[1, 2], M[1, 3]
+    M_20, M_21, M_22, M_23 = M[2, 0], M[2, 1], M[2, 2], M[2, 3]
+    for k in range(np.uint64(len(right))):
+        x, y = (u + right[k] - cx) / fx, (v + down[k] - cy) / fy
+        z = M_20 * x + M_21 * y + M_22 + M_23 * d
+        depth[k] = z
+        seen_u[k] = fx * (M_00 * x + M_01 * y + M_02 + M_03 * d) / z + cx
+        seen_v[k] = fy * (M_10 * x + M_11 * y + M_12 + M_13 * d) / z + cy
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def linearise_window(
     images, camera, pattern, host, uv, inverse_depth, intensity, weight, taken, T, T_first, affine, huber,
     outlier, energy, seen, information, gradient, cross, H, b, total, sums,
@@ -45,13 +62,17 @@ def linearise_window(
     """
     S, height, width = images.shape[0], images.shape[1], images.shape[2]
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
-    count = pattern.shape[0]
+    right, down = pattern[:, 0].copy(), pattern[:, 1].copy()
+    count = np.uint64(len(right))
+    seen_u, seen_v, depth = np.empty(len(right)), np.empty(len(right)), np.empty(len(right))
+    gains = np.exp(affine[..., 0])
     information[:], gradient[:], cross[:] = 0.0, 0.0, 0.0
     H[:], b[:], total[:] = 0.0, 0.0, 0.0
     J, depth_J = np.empty((2, 6)), np.empty(2)
-    for i in range(host.shape[0]):
-        h, d = host[i], inverse_depth[i]
-        for s in range(S):
+    # Unsigned: Numba need not look whether they count from the end.
+    for i in range(np.uint64(host.shape[0])):
+        h, d = np.uint64(host[i]), inverse_depth[i]
+        for s in range(np.uint64(S)):
             energy[i, s], seen[i, s] = 0.0, -1
             if not taken[i, s] or s == h:
                 continue
@@ -62,21 +83,16 @@ def linearise_window(
                 continue
             px = (F[0, 0] * x + F[0, 1] * y + F[0, 2] + F[0, 3] * d) / z
             py = (F[1, 0] * x + F[1, 1] * y + F[1, 2] + F[1, 3] * d) / z
-            gain, offset = np.exp(affine[h, s, 0]), affine[h, s, 1]
+            gain, offset = gains[h, s], affine[h, s, 1]
+            _project(M, right, down, uv[i, 0], uv[i, 1], d, fx, fy, cx, cy, seen_u, seen_v, depth)
             level = images[s]
             # Sums over the pattern: image gradient g, brightness (-gain I, -1), residual r.
             gxx, gxy, gyy, gxa, gya, gxb, gyb = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             aa, ab, bb, gxr, gyr, ar, br, cost = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             inside = True
             for k in range(count):
-                xk, yk = (uv[i, 0] + pattern[k, 0] - cx) / fx, (uv[i, 1] + pattern[k, 1] - cy) / fy
-                zk = M[2, 0] * xk + M[2, 1] * yk + M[2, 2] + M[2, 3] * d
-                if zk <= 1e-6:
-                    inside = False
-                    break
-                u = fx * (M[0, 0] * xk + M[0, 1] * yk + M[0, 2] + M[0, 3] * d) / zk + cx
-                v = fy * (M[1, 0] * xk + M[1, 1] * yk + M[1, 2] + M[1, 3] * d) / zk + cy
-                if not (1.0 <= u < width - 2 and 1.0 <= v < height - 2):
+                u, v = seen_u[k], seen_v[k]
+                if depth[k] <= 1e-6 or not (1.0 <= u < width - 2 and 1.0 <= v < height - 2):
                     inside = False
                     break
                 predicted = gain * intensity[i, k]
