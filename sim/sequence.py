@@ -131,6 +131,8 @@ class Sequence:
         frame_truth: effect of the segments on each frame, (N,) float64 each: ``blur_px``, ``exposure_s``,
             ``faded_share``, ``swing_degps``; empty for a real recording.
         image_names: N file names relative to the folder of the frames; empty without files.
+        exposure_s: (N,) float64 positive shutter times that the brightness of frames is proportional to; None
+            where they are not known or it does not follow them, as in rendered frames.
     """
 
     name: str
@@ -143,6 +145,7 @@ class Sequence:
     meta: dict
     frame_truth: dict[str, np.ndarray] = field(default_factory=dict)
     image_names: tuple[str, ...] = ()
+    exposure_s: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_s)
@@ -158,6 +161,7 @@ class Sequence:
             depths=None if self.depths is None else ChosenFrames(self.depths, kept),
             segments=tuple(segment.among(kept) for segment in self.segments),
             frame_truth={name: column[kept] for name, column in self.frame_truth.items()},
+            exposure_s=None if self.exposure_s is None else self.exposure_s[kept],
             image_names=tuple(self.image_names[i] for i in kept) if self.image_names else (),
         )
 

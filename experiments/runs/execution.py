@@ -106,6 +106,13 @@ def slam_camera(camera: Intrinsics) -> PinholeCamera:
         raise InputError("camera", str(error), "give the camera of a calibration") from None
 
 
+def exposure_of(system: SlamSystem, sequence: Sequence, index: int) -> tuple[float, ...]:
+    """The exposure of a frame, for a system that takes it, as the rest of the arguments of ``process``."""
+    if sequence.exposure_s is None or not getattr(system, "takes_exposure", False):
+        return ()
+    return (float(sequence.exposure_s[index]),)
+
+
 def execute(
     sequence: Sequence,
     system_kind: str,
@@ -147,7 +154,7 @@ def execute(
             pace.wait_for(index)
         fed.append(index)
         started = time.perf_counter()
-        result = system.process(image, float(stamp_s))
+        result = system.process(image, float(stamp_s), *exposure_of(system, sequence, index))
         wall_s += time.perf_counter() - started
         if observer is not None:
             observer.frame(image, result, system)

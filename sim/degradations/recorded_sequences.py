@@ -96,6 +96,7 @@ def degrade_sequence(
         segments=truths,
         meta={**sequence.meta, "degraded": degraded},
         frame_truth=columns,
+        exposure_s=None if sequence.exposure_s is None else sequence.exposure_s[kept],
     )
 
 

@@ -69,8 +69,14 @@ def load_tum_mono(folder: Path) -> Sequence:
         frames=frames,
         T_world_cam=read_tum_poses(folder / TRUTH_FILE, stamps_s, tolerance_s),
         depths=None,
+        exposure_s=exposure_s if _light_is_known(folder, exposure_s) else None,
         **sidecars,
     )
+
+
+def _light_is_known(folder: Path, exposure_s: np.ndarray | None) -> bool:
+    """True if levels are proportional to exposures, as these and the response are given."""
+    return exposure_s is not None and bool((exposure_s > 0).all()) and is_given(folder / RESPONSE_FILE)
 
 
 class RectifiedFrames:

@@ -115,14 +115,15 @@ def affine_prior(window: Window, photometric: PhotometricConfig) -> tuple[np.nda
     information = np.zeros((window.size, PARAMETERS))
     information[window.slots, 6:] = photometric.affine_prior
     pull = information.copy()
-    pull[:, 6:] *= window.affine
+    pull[:, 6:] *= window.affine - window.expected
     return information.ravel(), pull.ravel()
 
 
 def _prior_cost(window: Window, photometric: PhotometricConfig) -> float:
     delta = window.delta.ravel()
     _, pull = affine_prior(window, photometric)
-    brightness = float(pull.reshape(-1, PARAMETERS)[:, 6:].ravel() @ window.affine.ravel())
+    unexpected = window.affine - window.expected
+    brightness = float(pull.reshape(-1, PARAMETERS)[:, 6:].ravel() @ unexpected.ravel())
     return float(delta @ window.prior_H @ delta + 2.0 * window.prior_b @ delta) + brightness
 
 

@@ -84,15 +84,24 @@ class Odometry:
         self._first_error = np.nan  # of the first frame after the keyframe
         self._last_error = np.inf
         self._affine = np.zeros(2)  # of the last frame relative to the reference
+        self._exposure = 0.0  # of the last frame
 
     # -- tracking ----------------------------------------------------------------------------------------
 
-    def track(self, pyramid: ImagePyramid) -> Tracked | None:
-        """Align a frame with the newest keyframe; None if they have too little in common."""
+    def track(self, pyramid: ImagePyramid, exposure: float = 0.0) -> Tracked | None:
+        """Align a frame with the newest keyframe; None if they have too little in common.
+
+        Args:
+            pyramid: of the frame.
+            exposure: logarithm of its exposure over that of the first image; 0 where it is not known.
+        """
         if self._reference is None:
             raise RuntimeError("there is no keyframe yet")
         usual = max(self.config.tracking.usual_error, self.config.tracking.good * self._last_error)
-        return self._tracker.track(self._reference, pyramid, self._guesses(), self._affine, usual)
+        affine = self._affine + np.array([exposure - self._exposure, 0.0])
+        more = exposure - self.keyframes[-1].exposure
+        self._exposure = exposure
+        return self._tracker.track(self._reference, pyramid, self._guesses(), affine, usual, more)
 
     def take(self, frame: int, stamp_s: float, pyramid: ImagePyramid, tracked: Tracked) -> bool:
         """Take a tracked frame: narrow the depths of points by it; True if it should become a keyframe."""
@@ -171,7 +180,8 @@ class Odometry:
         T = tracked.T_frame_ref @ w.T_cam_map[w.newest]
         affine = composed(tracked.affine, w.affine[w.newest])
         out = leaving(w, T, affine)
-        self.insert(Keyframe(frame, stamp_s, T, image=image.copy()), pyramid, affine)
+        keyframe = Keyframe(frame, stamp_s, T, image=image.copy(), exposure=self._exposure)
+        self.insert(keyframe, pyramid, affine)
         self._activator.activate(w, config.immature, config.photometric)
         adjust(w, config.photometric)
         self.lens.take(w, config.photometric)
@@ -184,6 +194,7 @@ class Odometry:
 
     def insert(self, keyframe: Keyframe, pyramid: ImagePyramid, affine: np.ndarray) -> None:
         """Put a keyframe into the window."""
+        self._exposure = keyframe.exposure
         self.keyframes.append(keyframe)
         w = self.window
         w.add(keyframe, pyramid, affine, float(w.outlier[w.newest]) if len(w) else None)

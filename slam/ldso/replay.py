@@ -41,10 +41,10 @@ def replayed(
     odometry, loss, left = None, LossRule(starter.config.loss), []
     for item in frames:
         if odometry is None:
-            odometry = starter.offer(item.frame, item.stamp_s, item.image, map_id).odometry
+            odometry = starter.offer(item, map_id).odometry
             continue
         pyramid = rectifier.pyramid(item.image)
-        tracked = odometry.track(pyramid)
+        tracked = odometry.track(pyramid, item.exposure)
         step = odometry.step_of(tracked)
         if tracked is None or loss.reason(tracked, step, odometry.depth):
             return None

@@ -37,11 +37,13 @@ class Waiting:
         frame: its index.
         stamp_s: its time.
         image: (H, W) uint8.
+        exposure: logarithm of its exposure over that of the first image; 0 where exposures are not known.
     """
 
     frame: int
     stamp_s: float
     image: np.ndarray
+    exposure: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -98,23 +100,22 @@ class Starter:
         self._initializer.reset()
         self._waiting.clear()
 
-    def offer(self, frame: int, stamp_s: float, image: np.ndarray, map_id: int) -> Started:
+    def offer(self, item: Waiting, map_id: int) -> Started:
         """Try to start a map with this frame as its second view.
 
         Args:
-            frame: its index.
-            stamp_s: its time.
-            image: (H, W) uint8.
+            item: the frame; its image is not changed any more.
             map_id: id of the map.
         """
-        features = self._finder.find(image, dense=True)
-        built = FrameFeatures.build(frame, stamp_s, features, self._camera, self._view)
+        frame = item.frame
+        features = self._finder.find(item.image, dense=True)
+        built = FrameFeatures.build(frame, item.stamp_s, features, self._camera, self._view)
         rng = rng_for(self._seed, "initialization", frame)
         initial, reason, matches = self._initializer.offer(Frame(built), map_id, rng, self._mapping)
         reference = self._initializer.reference
         if reference is not None and reference.features.index == frame:
             self._waiting.clear()
-        self._waiting.append(Waiting(frame, stamp_s, image.copy()))
+        self._waiting.append(item)
         if initial is None:
             return Started(None, reason, matches)
         odometry = self._begin(initial)
@@ -133,26 +134,30 @@ class Starter:
         odometry = Odometry(self._camera, self._intrinsics, config, self._corner_view)
         pyramid = self._pyramid_of(waiting[0].image)
         reference = self._reference_of(initial, pyramid)
-        odometry.insert(
-            Keyframe(first, waiting[0].stamp_s, np.eye(4), image=waiting[0].image), pyramid, np.zeros(2)
-        )
+        exposure = waiting[0].exposure
+        keyframe = Keyframe(first, waiting[0].stamp_s, np.eye(4), image=waiting[0].image, exposure=exposure)
+        odometry.insert(keyframe, pyramid, np.array([exposure, 0.0]))
         w = odometry.window
         odometry.select(pyramid)
         tracker = PhotometricTracker(config.photometric, config.tracking)
         motion = initial.second.T_cam_map @ np.linalg.inv(initial.first.T_cam_map)
         T, step, affine = np.eye(4), share_of_motion(motion, 1 / (second - first)), np.zeros(2)
+        last = exposure
         for item in waiting[1:]:
             pyramid = self._pyramid_of(item.image)
             share = share_of_motion(motion, (item.frame - first) / (second - first))
             guesses = [step @ T, share, T] if item.frame < second else [motion, step @ T]
-            found = tracker.track(reference, pyramid, guesses, affine, config.tracking.usual_error)
+            affine = affine + np.array([item.exposure - last, 0.0])
+            last, usual = item.exposure, config.tracking.usual_error
+            found = tracker.track(reference, pyramid, guesses, affine, usual, last - exposure)
             if found is None or found.error > _MOST_ERROR:
                 return None
             step = found.T_frame_ref @ np.linalg.inv(T)
             T, affine = found.T_frame_ref, found.affine
             odometry.place(item.frame, item.stamp_s, T)
             odometry.search(pyramid, T, composed(affine, w.affine[w.newest]))
-        odometry.insert(Keyframe(second, waiting[-1].stamp_s, T, image=waiting[-1].image), pyramid, affine)
+        keyframe = Keyframe(second, waiting[-1].stamp_s, T, image=waiting[-1].image, exposure=last)
+        odometry.insert(keyframe, pyramid, composed(affine, w.affine[w.newest]))
         odometry.activate()
         if len(w.active) < _LEAST_POINTS:
             return None

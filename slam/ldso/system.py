@@ -49,7 +49,10 @@ class DsoSlam:
         state: of tracking.
         frames: number of frames processed so far.
         current_map_id: id of the current map, or of the one being initialized.
+        takes_exposure: ``process`` takes the exposures of images, where they are known.
     """
+
+    takes_exposure = True
 
     def __init__(
         self,
@@ -75,39 +78,51 @@ class DsoSlam:
         self._timer = StageTimer()
         self._mapping_ms = self._loop_ms = 0.0
         self._last_stamp_s = -np.inf
+        self._first_exposure_s: float | None = None
         self._sought_since = 0
         self._recent: deque[Waiting] = deque(maxlen=self.dso.lens.most_replayed)
 
     # -- a frame -----------------------------------------------------------------------------------------
 
-    def process(self, image: np.ndarray, stamp_s: float) -> TrackingResult:
+    def process(self, image: np.ndarray, stamp_s: float, exposure_s: float | None = None) -> TrackingResult:
         """Process one frame.
 
         Args:
             image: (H, W) uint8 grey image of the camera's size.
             stamp_s: its time, later than the last one's.
+            exposure_s: its shutter time, positive, to which its brightness is proportional; None if unknown.
 
         Returns:
             The outcome of the frame.
 
         Raises:
-            ValueError: on misuse: wrong size or type of image, time not increasing. The content of an
-                image never raises.
+            ValueError: on misuse: wrong size or type of image, time not increasing, no positive exposure.
+                The content of an image never raises.
         """
         self._timer.begin()
         check_frame(image, stamp_s, self.camera, self.frames, self._last_stamp_s)
         self._last_stamp_s = stamp_s
         index = self.frames
         self.frames += 1
+        item = Waiting(index, stamp_s, image.copy(), self._exposure(exposure_s))
         if self._recent.maxlen:
-            self._recent.append(Waiting(index, stamp_s, image.copy()))
-        if self.state is TrackingState.TRACKING:
-            return self._track(index, stamp_s, image)
-        return self._start(index, stamp_s, image)
+            self._recent.append(item)
+        return self._track(item) if self.state is TrackingState.TRACKING else self._start(item)
 
-    def _start(self, index: int, stamp_s: float, image: np.ndarray) -> TrackingResult:
+    def _exposure(self, exposure_s: float | None) -> float:
+        """Logarithm of an exposure over the first one."""
+        if exposure_s is None:
+            return 0.0
+        if not 0 < exposure_s < np.inf:
+            raise ValueError(f"exposure_s must be positive and finite, is {exposure_s}")
+        if self._first_exposure_s is None:
+            self._first_exposure_s = exposure_s
+        return float(np.log(exposure_s / self._first_exposure_s))
+
+    def _start(self, item: Waiting) -> TrackingResult:
+        index, stamp_s = item.frame, item.stamp_s
         with self._timer("initialize"):
-            found = self._starter.offer(index, stamp_s, image, self.current_map_id)
+            found = self._starter.offer(item, self.current_map_id)
         if found.odometry is None:
             return self._result(index, stamp_s, None, found.matches, found.reason)
         self._take_map(found.odometry)
@@ -120,12 +135,13 @@ class DsoSlam:
             self._emit(index, stamp_s, ev.ReinitDone, frames_taken=taken)
         return self._result(index, stamp_s, found.odometry, points, "", True)
 
-    def _track(self, index: int, stamp_s: float, image: np.ndarray) -> TrackingResult:
+    def _track(self, item: Waiting) -> TrackingResult:
+        index, stamp_s, image = item.frame, item.stamp_s, item.image
         odometry = self._maps[self.current_map_id]
         with self._timer("pyramid"):
             pyramid = self._rectifier.pyramid(image)
         with self._timer("align"):
-            tracked = odometry.track(pyramid)
+            tracked = odometry.track(pyramid, item.exposure)
         step = odometry.step_of(tracked)
         reason = self._loss.reason(tracked, step, odometry.depth)
         if tracked is None or reason:

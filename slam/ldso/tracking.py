@@ -159,6 +159,7 @@ class PhotometricTracker:
         guesses: Iterable[np.ndarray],
         affine: np.ndarray,
         usual_error: float,
+        exposure: float = 0.0,
     ) -> Tracked | None:
         """Align a frame, coarse to fine, from one guess after another until one explains the image.
 
@@ -168,13 +169,14 @@ class PhotometricTracker:
             guesses: (4, 4) motions, keyframe to frame, the likeliest first.
             affine: (2,) brightness at first.
             usual_error: error up to which a result is taken without trying other guesses.
+            exposure: logarithm of the frame's exposure over the keyframe's, by which a is expected.
 
         Returns:
             The best alignment; None if the views have too little in common.
         """
         best = None
         for T in guesses:
-            found = self._align(reference, pyramid, T, affine)
+            found = self._align(reference, pyramid, T, affine, exposure)
             if found is not None and (best is None or _badness(found) < _badness(best)):
                 best = found
             if best is not None and best.error <= usual_error and best.saturated < self.config.most_saturated:
@@ -182,17 +184,25 @@ class PhotometricTracker:
         return best
 
     def _align(
-        self, reference: TrackingReference, pyramid: ImagePyramid, guess: np.ndarray, affine: np.ndarray
+        self,
+        reference: TrackingReference,
+        pyramid: ImagePyramid,
+        guess: np.ndarray,
+        affine: np.ndarray,
+        exposure: float,
     ) -> Tracked | None:
         config, huber = self.config, self._photometric.huber
         T, affine = np.array(guess, float), np.array(affine, float)
+        affine[0] -= exposure  # of the keyframe as it would be with the frame's exposure
+        exposed = float(np.exp(exposure))
         cost, seen, saturated = np.inf, 0, 0
         for number in range(len(pyramid) - 1, -1, -1):
             p, camera = reference.levels[number], reference.intrinsics[number]
             if len(p.uv) < _LEAST_PIXELS:
                 continue
             level = pyramid.levels[number]
-            pixels = p.uv, p.inverse_depth, _ONE_PIXEL, p.intensity, p.weight
+            intensity = p.intensity if exposed == 1.0 else exposed * p.intensity
+            pixels = p.uv, p.inverse_depth, _ONE_PIXEL, intensity, p.weight
             most = config.cutoff * config.most_cutoff_factor
             cutoff = widened_cutoff(
                 level, camera, *pixels, T, affine, huber, config.cutoff, config.most_saturated, most
@@ -210,6 +220,7 @@ class PhotometricTracker:
             some.weight, T,
         )  # fmt: skip
         alone, whole = mean_squared_flow(reference.intrinsics[0], finest.uv, finest.inverse_depth, T)
+        affine[0] += exposure
         return Tracked(
             T,
             affine,

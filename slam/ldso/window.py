@@ -32,6 +32,7 @@ class Keyframe:
         uv, inverse_depth: (N, 2) pixels and (N,) inverse depths of its points that have left the window.
         corners: features of its corners; None without loops.
         image: (H, W) uint8 as taken, while it is in the window.
+        exposure: logarithm of its exposure over that of the first image; 0 where exposures are not known.
     """
 
     frame: int
@@ -41,6 +42,7 @@ class Keyframe:
     inverse_depth: np.ndarray = field(default_factory=lambda: np.empty(0))
     corners: FrameFeatures | None = None
     image: np.ndarray | None = None
+    exposure: float = 0.0
 
     def keep(self, points: Active) -> None:
         """Keep points of it that leave the window."""
@@ -69,6 +71,7 @@ class Window:
         images: (S, H, W, 3) float32 finest levels of the keyframes, by slot.
         T_cam_map: (S, 4, 4) poses; T_first those at which Jacobians are taken.
         affine: (S, 2) brightness; affine_first likewise.
+        expected: (S, 2) brightness by the exposures.
         delta: (S, 8) step from the first estimates.
         outlier: (S,) cost of a pattern beyond which it is not that surface.
         active, immature: points.
@@ -88,6 +91,7 @@ class Window:
         self.T_cam_map = np.tile(np.eye(4), (size, 1, 1))
         self.T_first = self.T_cam_map.copy()
         self.affine, self.affine_first = np.zeros((size, 2)), np.zeros((size, 2))
+        self.expected = np.zeros((size, 2))
         self.delta = np.zeros((size, PARAMETERS))
         self.outlier = np.zeros(size)
         self.gone = np.zeros(size, int)
@@ -126,6 +130,7 @@ class Window:
         self.see(slot, pyramid)
         self.T_cam_map[slot] = self.T_first[slot] = keyframe.T_cam_map
         self.affine[slot] = self.affine_first[slot] = affine
+        self.expected[slot, 0] = keyframe.exposure
         self.delta[slot], self.gone[slot] = 0.0, 0
         self.outlier[slot] = 8 * _FIRST_OUTLIER**2 if outlier is None else outlier
         self.active.seen[:, slot] = 1

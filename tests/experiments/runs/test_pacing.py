@@ -160,3 +160,20 @@ def test_segments_of_a_subsequence_act_on_the_same_frames():
     assert (whole.first_frame, whole.last_frame, whole.runs) == (1, 2, ())
     assert segment(4, 8).among(np.array([1, 2, 9])).first_frame == -1
     assert segment(-1, -1).among(np.array([1, 2])).last_frame == -1
+
+
+@pytest.mark.parametrize("takes", [True, False])
+def test_a_system_that_takes_exposures_is_given_those_of_its_frames(takes):
+    sequence = make_sequence(12, segment=None)
+    sequence = replace(sequence, exposure_s=np.linspace(0.001, 0.012, 12)).only(np.arange(0, 12, 2))
+    given = []
+
+    class Exposed(FakeSystem):
+        takes_exposure = takes
+
+        def process(self, image, stamp_s, *exposure_s):
+            given.append(exposure_s)
+            return super().process(image, stamp_s)
+
+    execute(sequence, "base", 0, build=lambda *_: Exposed(sequence.T_world_cam, starts_at=0))
+    assert given == ([(e,) for e in sequence.exposure_s] if takes else [()] * 6)

@@ -62,6 +62,10 @@ def test_frames_show_the_light_of_the_pinhole_camera(folder):
     assert sequence.frames[1].dtype == np.uint8
     np.testing.assert_allclose(sequence.stamps_s, np.arange(COUNT) / 20)
     np.testing.assert_allclose(sequence.frame_truth["exposure_s"], EXPOSURE_MS / 1000)
+    np.testing.assert_allclose(sequence.exposure_s, EXPOSURE_MS / 1000)
+    assert len(sequence.only(np.array([1])).exposure_s) == 1
+    (folder / "pcalib.txt").unlink()
+    assert load_sequence(folder).exposure_s is None, "levels are not proportional to the light"
     assert camera.fps == pytest.approx(20)
 
 

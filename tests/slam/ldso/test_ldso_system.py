@@ -7,6 +7,8 @@ from ldso_scenes import position_error
 from slam.core import events as ev
 from slam.core.events import TrackingState
 from slam.factory import build_system
+from slam.ldso.config import DsoConfig, PhotometricConfig
+from slam.ldso.system import DsoSlam
 from slam.warmup import CAMERA, toy_frames
 
 FRAMES, BLANK = 90, range(50, 54)
@@ -69,6 +71,22 @@ def test_a_snapshot_goes_on_bit_for_bit():
         np.testing.assert_array_equal(a.T_map_cam, b.T_map_cam)
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_brightness_is_expected_to_follow_known_exposures(known):
+    """Every fourth image is exposed a fifth as long, and brightness hardly differs from what is expected."""
+    settings = DsoConfig(photometric=PhotometricConfig(gain_sigma=1e-5))
+    system, centres = DsoSlam(CAMERA, 3, dso=settings), []
+    for k, (image, stamp_s, T_world_cam) in enumerate(toy_frames(40, step_m=0.04)):
+        share = 0.2 if k % 4 == 3 else 1.0
+        exposure_s = 0.02 * share if known else None
+        system.process(np.rint(share * image).astype(np.uint8), stamp_s, exposure_s)
+        centres.append(T_world_cam[:3, 3])
+    paths = system.trajectories()
+    whole = len(paths) == 1 and len(paths[0].frames) == 40
+    assert whole == known
+    assert not known or position_error(paths[0], np.array(centres)) < 0.002
+
+
 def test_misuse_raises():
     system = build_system("dso", CAMERA)
     image = np.zeros((CAMERA.height_px, CAMERA.width_px), np.uint8)
@@ -76,6 +94,8 @@ def test_misuse_raises():
     for bad, stamp_s in ((image.astype(float), 1.0), (image[1:], 1.0), (image, 0.0), (image, float("nan"))):
         with pytest.raises(ValueError, match="frame 1"):
             system.process(bad, stamp_s)
+    with pytest.raises(ValueError, match="exposure_s must be positive"):
+        system.process(image, 1.0, 0.0)
 
 
 @pytest.mark.parametrize("kind", ["dso", "ldso"])
