@@ -101,10 +101,11 @@ class DsoSlam:
         """
         self._timer.begin()
         check_frame(image, stamp_s, self.camera, self.frames, self._last_stamp_s)
+        exposure = self._exposure(exposure_s)
         self._last_stamp_s = stamp_s
         index = self.frames
         self.frames += 1
-        item = Waiting(index, stamp_s, image.copy(), self._exposure(exposure_s))
+        item = Waiting(index, stamp_s, image.copy(), exposure)
         if self._recent.maxlen:
             self._recent.append(item)
         return self._track(item) if self.state is TrackingState.TRACKING else self._start(item)
