@@ -35,7 +35,8 @@ def figures(data, place: str = "") -> dict:
 
 
 @pytest.mark.parametrize(
-    ("name", "both_ways"), [("eq1", False), ("eq1-doses", False), ("eq1-vga", False), ("direct-thread", True)]
+    ("name", "both_ways"),
+    [("eq1", False), ("eq1-doses", False), ("eq1-vga", False), ("direct-thread", True), ("ldso", None)],
 )
 def test_a_documented_run_is_its_preset_and_its_units_are_still_the_same(name, both_ways):
     """Whatever becomes a default later: the direct thread of `eq1` goes one way, as it did."""
@@ -45,7 +46,27 @@ def test_a_documented_run_is_its_preset_and_its_units_are_still_the_same(name, b
         unit = spec.unit(row.cell, int(row.index))
         assert unit.unit_id == row.unit_id
         meant = {thread.kind: thread.config for thread in unit.meant_threads}
-        assert meant["direct"]["other_way"] == {"check": both_ways} and meant["orb"] == {}
+        assert meant.get("direct", {}).get("other_way", {}).get("check") == both_ways
+
+
+def test_what_direct_odometry_withstands_follows_from_its_table():
+    page = words("docs/measured-systems.md").partition("what it withstands")[2]
+    _, table = read_experiment(ROOT / "docs" / "ldso")
+    done = table[(table["outcome"] == "completed") & (table["kind"] != "sham")]
+    systems = [done[done["system"] == name] for name in ("dual", "ldso")]
+    rows = ("low texture, contrast", "motion blur", "fast rotation", "low light", "flicker")
+    for row in rows:
+        cells = [s[s["kind"] == row.partition(",")[0].replace(" ", "_")] for s in systems]
+        broke = [f"{100 * cell['breakage'].mean():.0f}" for cell in cells]
+        failed = [f"{100 * cell['mission_cause'].notna().mean():.0f}" for cell in cells]
+        (told,) = [line for line in page.split("| |") if line.strip().startswith(row)]
+        columns = [column.strip() for column in told.split("|")]
+        assert columns[1:3] == broke and columns[6:8] == failed, row
+    ldso = systems[1]
+    unbroken = ldso[~ldso["breakage"]]
+    assert f"**Of {len(unbroken)} stressed units" in page
+    assert f"in silence in {unbroken['silent_failure'].sum()}, 17 %**" in page
+    assert ldso["declaration_delay_s"].quantile(0.95) == pytest.approx(0.38, abs=0.005)
 
 
 def test_the_claim_about_the_direct_thread_follows_from_its_table():
