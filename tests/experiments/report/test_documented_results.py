@@ -36,7 +36,14 @@ def figures(data, place: str = "") -> dict:
 
 @pytest.mark.parametrize(
     ("name", "both_ways"),
-    [("eq1", False), ("eq1-doses", False), ("eq1-vga", False), ("direct-thread", True), ("ldso", None)],
+    [
+        ("eq1", False),
+        ("eq1-doses", False),
+        ("eq1-vga", False),
+        ("direct-thread", True),
+        ("ldso", None),
+        ("rescue", None),
+    ],
 )
 def test_a_documented_run_is_its_preset_and_its_units_are_still_the_same(name, both_ways):
     """Whatever becomes a default later: the direct thread of `eq1` goes one way, as it did."""
