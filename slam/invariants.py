@@ -10,6 +10,8 @@ from slam.core.events import Event, TrackingState
 from slam.core.frame import Frame
 from slam.core.results import TrackingResult
 from slam.dual.dual_slam import DualSlam
+from slam.ldso.invariants import check_direct_maps
+from slam.ldso.system import DsoSlam
 from slam.map.invariants import InvariantError, check_map, require, require_rigid
 from slam.map.map import Map
 from slam.system import MonocularSystem
@@ -17,7 +19,7 @@ from slam.system import MonocularSystem
 __all__ = ["InvariantError", "check_events", "check_map", "check_result", "check_system"]
 
 
-def check_system(system: MonocularSystem) -> None:
+def check_system(system: MonocularSystem | DsoSlam) -> None:
     """Check the invariants of a whole system: maps, frame poses, tracker and mapper, buffer, events.
 
     The system is not changed. A threaded system must be idle.
@@ -25,6 +27,15 @@ def check_system(system: MonocularSystem) -> None:
     Raises:
         InvariantError: the first violated one.
     """
+    if isinstance(system, DsoSlam):
+        check_direct_maps(system)
+    else:
+        _check_feature_maps(system)
+    check_events(system.events)
+    _check_counts(system)
+
+
+def _check_feature_maps(system: MonocularSystem) -> None:
     for map_id in sorted(system.maps()):
         m = system.map(map_id)
         try:
@@ -38,8 +49,6 @@ def check_system(system: MonocularSystem) -> None:
     _check_map_ids(system)
     if isinstance(system, DualSlam):
         _check_dual(system)
-    check_events(system.events)
-    _check_counts(system)
 
 
 def check_result(result: TrackingResult) -> None:
@@ -194,7 +203,7 @@ def _check_dual(system: DualSlam) -> None:
         require(span_s <= system.buffer.cap_s, "the buffer has outgrown its cap")
 
 
-def _check_counts(system: MonocularSystem) -> None:
+def _check_counts(system: MonocularSystem | DsoSlam) -> None:
     """Check that every map was initialized, and only a drop or a fusion removes one."""
     events = system.events
     require(all(event.frame < system.frames for event in events), "an event of a future frame")

@@ -9,6 +9,7 @@ from slam.factory import PAPERS
 KINDS = ("orb", "sift", "direct", "gms")
 """Kinds that are drawn; those of the paper are the first two with other settings."""
 
+_DRAWN = ("dual", "dual+")  # systems whose threads are drawn
 _USUAL = "orb,sift"
 _USUAL_SHARE = 0.3
 _MOST = 3
@@ -30,6 +31,4 @@ def drawn_settings(seed: int, kind: SystemKind) -> DualConfig | None:
 
 def drawn_kinds(seed: int, kind: SystemKind) -> str:
     """Kinds of the drawn threads in order; empty for a system without drawn ones."""
-    if kind == "base" or kind in PAPERS:
-        return ""
-    return ",".join(spec.kind for spec in drawn_threads(seed))
+    return ",".join(spec.kind for spec in drawn_threads(seed)) if kind in _DRAWN else ""

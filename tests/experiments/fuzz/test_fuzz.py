@@ -59,6 +59,8 @@ def spoilt(at, spoil):
 
 
 def test_the_row_of_a_sound_run(sequence):
+    row = fuzz_run(UNIT, "ldso", random_scenario(4), sequence)
+    assert row["outcome"] == "ok" and row["recovery"] == "" and row["frames"] == len(sequence)
     row = fuzz_run(UNIT, "base", random_scenario(4), sequence)
     assert (row["outcome"], row["message"], row["traceback"], row["stage"]) == ("ok", "", "", "")
     assert (row["frames"], row["maps"], row["breakages"], row["fusions"]) == (30, 1, 0, 0)
