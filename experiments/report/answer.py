@@ -50,12 +50,12 @@ def answer(results: dict[str, Any]) -> Answer:
             "Eq. 1 is about recovery threads, which none of these systems has: they stand beside each other."
         )
         return Answer("Not asked: no system has recovery threads.", [told], [])
-    if "free" not in results["experiment"]["spec"].get("arms", ["free"]):
+    if not results["free_arm"]:
         return Answer("Eq. 1 is not asked: only the crossing arm ran.", [*_crossings(results)], [])
     asked = [_asked(), _tried(results)]
     if not told:
         return Answer("No result yet: no trial is completed.", asked, [])
-    sentences = [*asked, *_verdicts(results, told), _basis(results, told), _certainty(analysis)]
+    sentences = [*asked, *_verdicts(results, told), _basis(results, told), _certainty(results)]
     if results["reanalysed"]:
         sentences.append("Reanalysed: the spec mixed kinds of world in a condition; they are split here.")
     headline = _headline(told)
@@ -117,7 +117,7 @@ def _crossings(results: dict[str, Any]) -> Iterable[str]:
                 plural(sum(s["needed"] for s in added), "trial"),
             )
             yield f"Where all before it fail, in {needed}, {name} crosses {crossed} of a condition's."
-    yield _certainty(results["analysis"])
+    yield _certainty(results)
     yield _limits(results)
 
 
@@ -135,7 +135,7 @@ def _asked() -> str:
 
 def _tried(results: dict[str, Any]) -> str:
     analysis = results["analysis"]
-    kinds = listed(list(dict.fromkeys(row["world"] for row in analysis["kinds_of_world"])))
+    kinds = listed(list(results["worlds_of_kinds"]))
     worlds = plural(analysis["worlds"], "rendered world") + (f" ({kinds})" if kinds else "")
     return (
         f"Tried: {_stress(results['conditions'])}, in {plural(analysis['units'], 'trial')} in {worlds}, with "
@@ -165,8 +165,8 @@ def _basis(results: dict[str, Any], told: list[dict[str, Any]]) -> str:
     return "No condition was named before the run: all are exploratory."
 
 
-def _certainty(analysis: dict[str, Any]) -> str:
-    worlds = {row["world"]: row["worlds"] for row in analysis["kinds_of_world"]}
+def _certainty(results: dict[str, Any]) -> str:
+    worlds = results["worlds_of_kinds"]
     each = listed([f"{plural(count, 'world')} of kind {world}" for world, count in worlds.items()])
     few = " So few worlds decide little." if min(worlds.values(), default=0) < 3 * LEAST_WORLDS else ""
     return f"How sure: all rests on {each}, as the trials of one world succeed and fail together.{few}"

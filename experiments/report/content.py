@@ -61,14 +61,18 @@ def report_content(
         )
     )
     table = table.assign(dual_failure=table[failure_column("s", threads)])
+    free = "free" in spec.arms
+    told = table if free else table.head(0)
     units = outcomes.unit_counts(whole, {cell: spec.units_of(cell) for cell in cells})
     results = {
         "format": FORMAT,
         "experiment": _about(spec),
         "reanalysed": bool((table.groupby("cell")["world"].nunique() > 1).any()),
         "asks_eq1": bool(systems),
+        "free_arm": free,
         "conditions": conditions(spec),
         "units": units,
+        "worlds_of_kinds": outcomes.worlds_of_kinds(table),
         "warnings": _warnings(units, whole),
         "systems": beside_each_other(spec, whole),
         "analysis": analysis,
@@ -83,9 +87,9 @@ def report_content(
             table, systems, {cell: scenario.camera.fps for cell, scenario in scenarios.items()}
         ),
         "timeline": reproductions.timeline(
-            table, {cell: scenario.frame_count for cell, scenario in scenarios.items()}
+            told, {cell: scenario.frame_count for cell, scenario in scenarios.items()}
         ),
-        "end_errors": reproductions.end_errors(table),
+        "end_errors": reproductions.end_errors(told),
         "taxonomy": outcomes.taxonomy(table, threads),
         "failures": outcomes.failures(whole, threads, folder),
         "set_aside": outcomes.set_aside(whole, labels(spec)),

@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.eq1.records import Outcome, dual_column, failure_column, thread_column
+from experiments.eq1.records import SHAM, Outcome, dual_column, failure_column, thread_column
 from experiments.report.plain_data import as_data, counted, is_false, is_true, of_trials, spread
 
 ARMS = ("free", "cross")
@@ -108,6 +108,13 @@ def _thread_failures(row: pd.Series, threads: int) -> list[dict[str, Any]]:
 
 def _is_set(value: Any) -> bool:
     return not pd.isna(value) and bool(value)
+
+
+def worlds_of_kinds(table: pd.DataFrame) -> dict[str, int]:
+    """Number of worlds of each kind in which a trial under stress is completed."""
+    rows = completed(table)
+    worlds = rows[rows["kind"] != SHAM].groupby("world", sort=False)["world_seed"].nunique()
+    return {str(kind): int(count) for kind, count in worlds.items()}
 
 
 def taxonomy(table: pd.DataFrame, threads: int) -> dict[str, Any]:

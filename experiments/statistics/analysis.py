@@ -34,6 +34,9 @@ from experiments.statistics.world_intervals import Interval, share_interval
 class Analysis:
     """Eq. 1 by an experiment's records; a part that the design does not allow is empty or None.
 
+    Without the free arm no breakage is known, and of what follows only the threads, doses and pose errors are
+    told.
+
     Attributes:
         threads, worlds, units, void: their numbers.
         levels: per n, over all cells.
@@ -101,23 +104,25 @@ def analyse(
         raise ValueError(f"{threads} recovery threads: Eq. 1 needs at least one")
     cells = [cell for cell in cells_of(table, threads) if cell.units]
     shams = [cell for cell in cells_of(table, threads, sham=True) if cell.units]
+    free_shams = [cell for cell in shams if cell.says("breakage")]
     rng, numbers = np.random.default_rng(seed), range(1, threads + 1)
-    units = sum(cell.units for cell in cells)
-    judged = judge_cells(cells, threads, confirmatory, rng, permutations, confirmatory_threads)
-    named = [cell for cell in cells if cell.name in confirmatory] or cells
-    failed = [np.maximum(c.outcomes.dual_failures[-1], c.events("silent_failure")) for c in cells]
-    kinds = list(dict.fromkeys(cell.world for cell in cells))
-    chance = {world: share_of_chance([c for c in cells if c.world == world]) for world in kinds}
+    free = [cell for cell in cells if cell.says("breakage")]
+    units = sum(cell.units for cell in free)
+    judged = judge_cells(free, threads, confirmatory, rng, permutations, confirmatory_threads)
+    named = [cell for cell in free if cell.name in confirmatory] or free
+    failed = [np.maximum(c.outcomes.dual_failures[-1], c.events("silent_failure")) for c in free]
+    kinds = list(dict.fromkeys(cell.world for cell in free))
+    chance = {world: share_of_chance([c for c in free if c.world == world]) for world in kinds}
     tests = permutations or permutations_for(threads)
     return Analysis(
         threads=threads,
         worlds=len({(cell.world, seed) for cell in cells for seed in cell.worlds}),
-        units=units,
+        units=sum(cell.units for cell in cells),
         void=sum(cell.void for cell in cells),
-        levels=tuple(level(cells, n, units) for n in numbers) if units else (),
+        levels=tuple(level(free, n, units) for n in numbers) if units else (),
         failed_or_silent=sum(float(np.nansum(f)) for f in failed) / units if units else None,
-        failed_or_silent_by_worlds=share_interval(by_world(cells, failed)) if units else None,
-        kinds_of_world=tuple(kind_of_world(cells, judged, world, n) for world in kinds for n in numbers),
+        failed_or_silent_by_worlds=share_interval(by_world(free, failed)) if units else None,
+        kinds_of_world=tuple(kind_of_world(free, judged, world, n) for world in kinds for n in numbers),
         chance={world: share for world, share in chance.items() if share is not None},
         cells=judged,
         within_sequences=tuple(
@@ -129,15 +134,15 @@ def analyse(
         formulas=tuple(
             found
             for n in numbers
-            for group in of_same_worlds(cells)
+            for group in of_same_worlds(free)
             for found in score_formulas(group, judged, n)
         ),
-        sham=tuple(cell for cell in judge_cells(shams, threads, (), rng, 19) if cell.n == threads),
+        sham=tuple(cell for cell in judge_cells(free_shams, threads, (), rng, 19) if cell.n == threads),
         thread_shares=thread_shares(cells),
         thread_pairs=thread_pairs(cells),
-        rescuable=rescuable_parts(cells),
-        delays=delay_parts(cells),
+        rescuable=rescuable_parts(free),
+        delays=delay_parts(free),
         doses=dose_points(cells, shams, threads),
-        directions=directions(cells, paper_thread) if paper_thread else (),
+        directions=directions(free, paper_thread) if paper_thread else (),
         conditioning=tuple(filter(None, (baseline_errors(lead_ins(table), q) for q in QUANTITIES))),
     )

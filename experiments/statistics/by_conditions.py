@@ -54,10 +54,12 @@ def dose_points(
 
 def _shares(cell: HomogeneousCell, threads: int) -> dict[str, Interval]:
     outcomes = cell.outcomes
-    events = {"breakage": outcomes.breakage}
+    free = cell.says("breakage")
+    events = {"breakage": outcomes.breakage} if free else {}
     crossed = [j for j in range(1, threads + 1) if cell.says(thread_column("cross", j, "failed"))]
     events |= {f"thread_{j}": outcomes.thread_failures[j - 1] for j in crossed}
-    events |= {f"dual_{j}": outcomes.dual_failures[j - 1] for j in range(1, threads + 1)}
+    if free:
+        events |= {f"dual_{j}": outcomes.dual_failures[j - 1] for j in range(1, threads + 1)}
     shares = {name: share_by_world(event) for name, event in events.items()}
     return {name: share for name, share in shares.items() if share is not None}
 

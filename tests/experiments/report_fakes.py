@@ -33,6 +33,7 @@ class FakeSpec:
     name: str = "made-up"
     content_hash: str = "5bec"
     frames: int = 500
+    arms: tuple[str, ...] = ("free", "crossing")
 
     @property
     def cells(self) -> dict[str, SimpleNamespace]:

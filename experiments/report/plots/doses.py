@@ -55,14 +55,15 @@ def draw_doses(report: dict[str, Any], width_in: float) -> Figure | None:
 
 
 def _styles(report: dict[str, Any]) -> dict[str, tuple[str, str, str]]:
-    """Colour, label and mark of each share."""
+    """Colour, label and mark of each share that any dose has."""
     names = thread_names(report)
     styles = {"breakage": (BLUE, "tracking breaks", "o")}
     for j, name in enumerate(names, 1):
         styles[f"thread_{j}"] = (thread_colour(j), f"{name} fails to cross", "^")
     for j in range(1, len(names) + 1):
         styles[f"dual_{j}"] = (thread_colour(j), f"D, {' and '.join(names[:j])}", "s")
-    return styles
+    told = {name for point in report["analysis"]["doses"] for name in point["shares"]}
+    return {name: style for name, style in styles.items() if name in told}
 
 
 def _draw_point(axes: Axes, place: int, shares: dict[str, Any], styles: dict[str, Any]) -> None:

@@ -227,6 +227,45 @@ def test_an_experiment_without_a_unit_has_a_report(tmp_path):
     assert report["failures"] == []
 
 
+def test_without_the_free_arm_nothing_is_said_of_breakages_only_of_threads(tmp_path):
+    spec = FakeSpec(doses=1, arms=("crossing",))
+    table = fake_table(spec)
+    of_free = (
+        "breakage",
+        "base_",
+        "dual_",
+        "free_",
+        "reinit",
+        "silent",
+        "relocalized",
+        "d1",
+        "d2",
+        "s1",
+        "s2",
+    )
+    for name in [name for name in table.columns if name.startswith(of_free)]:
+        table[name] = pd.Series(pd.NA, index=table.index, dtype=table[name].dtype)
+    report = report_content(spec, table, tmp_path, FEW)
+    of_eq1 = ("levels", "kinds_of_world", "cells", "formulas", "sham", "rescuable", "delays")
+    assert (
+        not any(report["analysis"][part] for part in of_eq1)
+        and report["analysis"]["failed_or_silent"] is None
+    )
+    assert len(report["analysis"]["thread_shares"]) == 6 and report["analysis"]["units"] > 100
+    assert {name for dose in report["analysis"]["doses"] for name in dose["shares"]} == {
+        "thread_1",
+        "thread_2",
+    }
+    html = report_html(report, {"doses": PLOT})
+    named = re.findall(r'<h2 id="(\w+)"', html)
+    assert named == ["answer", "threads", "doses", "trials", "failures", "aside", "provenance"]
+    assert re.findall(r'<li><a href="#(\w+)"', html) == named and "is Pr(failure)" not in html
+    assert "Declared reasons of breakages" not in html and "<td>free</td>" not in html
+    with settings():
+        legend = draw_doses(report, NARROW_IN).legends[0].get_texts()
+    assert [text.get_text() for text in legend] == ["ORB fails to cross", "SIFT fails to cross"]
+
+
 @pytest.fixture(scope="module")
 def odd(tmp_path_factory):
     """Report of one thread, two systems, two code states and no crossing arm."""
