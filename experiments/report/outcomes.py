@@ -3,7 +3,7 @@
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pandas as pd
 
@@ -55,6 +55,8 @@ def _counts(rows: pd.DataFrame, planned: int) -> dict[str, int]:
 def failures(table: pd.DataFrame, threads: int, folder: Path) -> list[dict[str, Any]]:
     """Units with a dual failure, a false recovery, a silent or a mission failure, in table order.
 
+    Without the free arm: units that no thread crosses.
+
     Args:
         table: the records.
         threads: n, the number of recovery threads.
@@ -89,6 +91,9 @@ def _failures_of(row: pd.Series, threads: int) -> list[str]:
     for arm, place in (("free", ""), ("cross", " in the crossing arm")):
         false = [j for j in range(1, threads + 1) if _is_set(row[thread_column(arm, j, "false")])]
         found += [f"false recovery by thread {j}{place}" for j in false]
+    crossed = [thread_column("cross", j, "failed") for j in range(1, threads + 1)]
+    if as_data(row["breakage"]) is None and all(_is_set(row[failed]) for failed in crossed):
+        found.append("no thread crosses")
     if _is_set(row["silent_failure"]):
         found.append("silent failure")
     if _is_set(row[failure_column("m", threads)]):
@@ -99,9 +104,10 @@ def _failures_of(row: pd.Series, threads: int) -> list[str]:
 
 def _thread_failures(row: pd.Series, threads: int) -> list[dict[str, Any]]:
     failed = []
+    arm: Literal["free", "cross"] = "cross" if as_data(row["breakage"]) is None else "free"
     for thread in range(1, threads + 1):
-        if _is_set(row[thread_column("free", thread, "failed")]):
-            stage, reason = (row[thread_column("free", thread, name)] for name in ("stage", "reason"))
+        if _is_set(row[thread_column(arm, thread, "failed")]):
+            stage, reason = (row[thread_column(arm, thread, name)] for name in ("stage", "reason"))
             failed.append({"thread": thread, "stage": as_data(stage) or "", "reason": as_data(reason) or ""})
     return failed
 

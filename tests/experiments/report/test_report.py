@@ -256,6 +256,10 @@ def test_without_the_free_arm_nothing_is_said_of_breakages_only_of_threads(tmp_p
         "thread_1",
         "thread_2",
     }
+    rows = table[table["outcome"] == "completed"]
+    none_crosses = rows[rows["cross_r1_failed"].fillna(False) & rows["cross_r2_failed"].fillna(False)]
+    told = [unit for unit in report["failures"] if "no thread crosses" in unit["what"]]
+    assert len(told) == len(none_crosses) > 3 and all(len(unit["threads"]) == 2 for unit in told)
     html = report_html(report, {"doses": PLOT})
     named = re.findall(r'<h2 id="(\w+)"', html)
     assert named == ["answer", "threads", "doses", "trials", "failures", "aside", "provenance"]
