@@ -20,9 +20,9 @@ _LONG_SEARCH = 10  # places, beyond which a search replaces the quality
 
 @njit(cache=True, nogil=True)
 def search(
-    level, camera, pattern, uv, host, intensity, weight, structure, T, affine, usual, most_px, certain_px,
-    error_px, slope_error_px, most_error_px, second_px, outlier, slack, huber, near, far, quality, status,
-    interval_px,
+    level, camera, pattern, uv, host, intensity, weight, structure, T, affine, usual, most_px, nearest,
+    longest, certain_px, error_px, slope_error_px, most_error_px, second_px, outlier, slack, huber, near, far,
+    quality, status, interval_px,
 ):  # fmt: skip
     """Search points along their epipolar lines in a view, and narrow their intervals of inverse depth.
 
@@ -37,8 +37,8 @@ def search(
         T: (S, 4, 4) motion, host to view.
         affine: (S, 2) brightness of the view relative to the hosts.
         usual: usual inverse depth.
-        most_px, certain_px, error_px, slope_error_px, most_error_px, second_px, outlier, slack, huber: as of
-            ``ImmatureConfig``; ``most_px`` is the longest search.
+        most_px, nearest, longest, certain_px, error_px, slope_error_px, most_error_px, second_px, outlier,
+            slack, huber: as of ``ImmatureConfig``; ``most_px`` is the longest search of a known interval.
         near, far: (N,) inverse depths of the interval, ``near`` infinite where unknown; changed.
         quality, status, interval_px: (N,) changed.
     """
@@ -46,7 +46,7 @@ def search(
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     count = pattern.shape[0]
     warped = np.empty((count, 2))
-    costs = np.empty(int(most_px) + 8)
+    costs = np.empty(int(longest * most_px) + 8)
     for i in range(uv.shape[0]):
         if status[i] == OUTSIDE:
             continue
@@ -86,7 +86,15 @@ def search(
                 continue
             length = min(length, most_px)
         else:
-            length = most_px
+            # A camera that moves far shifts near points by more than the usual search.
+            d3 = far[i] + nearest * usual
+            z3 = pz + d3 * tz
+            if z3 > 1e-6:
+                u3, v3 = fx * (px + d3 * tx) / z3 + cx, fy * (py + d3 * ty) / z3 + cy
+                length = np.sqrt((u3 - u1) ** 2 + (v3 - v1) ** 2)
+            else:
+                length = np.inf
+            length = min(max(length, most_px), longest * most_px)
         along = ex * ex * structure[i, 0] + 2.0 * ex * ey * structure[i, 1] + ey * ey * structure[i, 2]
         across = ey * ey * structure[i, 0] - 2.0 * ex * ey * structure[i, 1] + ex * ex * structure[i, 2]
         error = error_px + slope_error_px * (along + across) / max(along, 1e-9)

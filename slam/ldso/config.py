@@ -71,6 +71,8 @@ class ImmatureConfig:
     Attributes:
         selection: of the pixels of a keyframe.
         most_share: longest search, of width plus height of the image.
+        nearest, longest: where nothing is known of a point, the search goes on to this inverse depth over
+            the usual one, at most to this multiple of ``most_share``: a long step shifts near points more.
         certain_px: length of an interval that needs no search.
         error_px, slope_error_px: error of a place found: the first, plus the second over the share of the
             squared gradient that lies along the line.
@@ -86,6 +88,8 @@ class ImmatureConfig:
 
     selection: SelectionConfig = field(default_factory=lambda: SelectionConfig(points=1500))
     most_share: float = 0.027
+    nearest: float = 3.0
+    longest: float = 4.0
     certain_px: float = 1.5
     error_px: float = 0.2
     slope_error_px: float = 0.2

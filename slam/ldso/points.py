@@ -180,7 +180,8 @@ class Immature(Pixels):
         search(
             level, intrinsics, PATTERN, self.uv, self.host, self.intensity, self.weight, self.structure,
             np.ascontiguousarray(T), np.ascontiguousarray(affine), usual,
-            config.most_share * (level.shape[0] + level.shape[1]), config.certain_px, config.error_px,
+            config.most_share * (level.shape[0] + level.shape[1]), config.nearest, config.longest,
+            config.certain_px, config.error_px,
             config.slope_error_px, config.most_error_px, config.second_px, config.outlier, config.slack,
             photometric.huber, self.near, self.far, self.quality, self.status, self.interval_px,
         )  # fmt: skip

@@ -42,6 +42,14 @@ def test_brightness_is_taken_out_of_the_search():
     assert good.mean() > 0.7 and np.median(np.abs(points.inverse_depth / exact - 1)[good]) < 0.03
 
 
+def test_near_points_are_found_after_a_long_step_too():
+    points, exact = searched([0.25, 0, 0, 0, 0, 0])
+    far = exact * 0.25 * INTRINSICS[0, 0] > CONFIG.immature.most_share * 560 + 2
+    good = points.status[far] == GOOD
+    assert far.sum() > 50 and good.mean() > 0.6
+    assert np.median(np.abs(points.inverse_depth / exact - 1)[far][good]) < 0.02
+
+
 def test_the_place_found_is_the_best_of_a_slow_search():
     T = motion([0.06, 0.02, 0.01, 0.01, 0.0, 0.02])
     points, _ = searched([0.06, 0.02, 0.01, 0.01, 0.0, 0.02])
