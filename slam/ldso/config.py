@@ -170,6 +170,9 @@ class LossConfig:
         least_likeness: correlation of the views within the patterns.
         most_jump: step over the usual one, in position or angle.
         least_jump_depths, least_jump_deg: steps up to these are none.
+        most_trade_deg: change of the motion from one frame to the next, as it moves the image's centre, up to
+            which translation and rotation may change against each other.
+        most_left: share of it that is left of both together, below which they do.
         least_points: active points of the window below which it is lost.
         min_keyframes: maps with no more are dropped.
     """
@@ -183,6 +186,8 @@ class LossConfig:
     most_jump: float = 8.0
     least_jump_depths: float = 0.1
     least_jump_deg: float = 5.0
+    most_trade_deg: float = 1.2
+    most_left: float = 0.5
     least_points: int = 100
     min_keyframes: int = 5
 

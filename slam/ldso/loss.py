@@ -3,7 +3,9 @@
 A direct method aligns any image somehow. It is lost in a frame that does not look like the map: whose
 residuals are far above the usual ones, or mostly beyond the cutoff; whose patterns do not correlate with it,
 so that a change of brightness alone explains it; that shows hardly any of the newest
-keyframe's points; or whose motion is far beyond that of the last frames.
+keyframe's points; whose motion is far beyond that of the last frames; or that has turned where it shifted
+before, or the other way round: on surfaces of alike depths both move the image alike, and where it is blurred
+nothing else tells them apart.
 """
 
 from collections import deque
@@ -29,6 +31,7 @@ class LossRule:
         self.config = config
         self._errors: deque[float] = deque(maxlen=_USUAL)
         self._steps: deque[tuple[float, float]] = deque(maxlen=_SPEEDS)
+        self._flow: tuple[np.ndarray, np.ndarray] | None = None  # of the last frame
 
     def reason(self, tracked: Tracked | None, step: np.ndarray, depth: float) -> str:
         """Why a frame is not tracked; empty if it is.
@@ -42,7 +45,9 @@ class LossRule:
             return "too_little_in_view"
         if self._differs(tracked):
             return "images_differ"
-        return "motion_jumps" if self._jumps(step, depth) else ""
+        if self._jumps(step, depth):
+            return "motion_jumps"
+        return "turn_for_shift" if self._trades(step, depth) else ""
 
     def _differs(self, tracked: Tracked) -> bool:
         """True if the image does not look like the map."""
@@ -65,13 +70,29 @@ class LossRule:
             or turn > max(np.deg2rad(config.least_jump_deg), config.most_jump * usual_turn)
         )
 
+    def _trades(self, step: np.ndarray, depth: float) -> bool:
+        """True if shift and turn have changed against each other, so that the image moves on as before."""
+        if self._flow is None:
+            return False
+        shift, turn = (now - last for now, last in zip(_flow(step, depth), self._flow, strict=True))
+        sizes = np.linalg.norm(shift), np.linalg.norm(turn)
+        left = np.linalg.norm(shift + turn) / max(*sizes, 1e-12)
+        return bool(min(sizes) > np.deg2rad(self.config.most_trade_deg) and left < self.config.most_left)
+
     def tracked(self, tracked: Tracked, step: np.ndarray, depth: float) -> None:
         """Learn from a frame that was tracked."""
         self._errors.append(tracked.error)
         self._steps.append(_size(step, depth))
+        self._flow = _flow(step, depth)
 
 
 def _size(step: np.ndarray, depth: float) -> tuple[float, float]:
     """Length of a motion in depths, and its angle in rad."""
     turn = Rotation.from_matrix(step[:3, :3]).magnitude()
     return float(np.linalg.norm(step[:3, 3]) / depth), float(turn)
+
+
+def _flow(step: np.ndarray, depth: float) -> tuple[np.ndarray, np.ndarray]:
+    """(2,) how the image's centre moves by the translation at a depth, and (2,) by the rotation, in rad."""
+    turn = Rotation.from_matrix(step[:3, :3]).as_rotvec()
+    return step[:2, 3] / depth, np.array([turn[1], -turn[0]])
