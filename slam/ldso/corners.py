@@ -59,7 +59,8 @@ def with_corners(found: Selection, level: np.ndarray, config: CornerConfig) -> t
 
 def corners_of(level: np.ndarray, config: CornerConfig) -> np.ndarray:
     """(N, 2) int32 pixels where intensity changes in every direction, more than about them; best first."""
-    known = np.isfinite(level).all(axis=2)
+    # One plane after another: a reduction over three values takes ten times as long.
+    known = np.isfinite(level[..., 0]) & np.isfinite(level[..., 1]) & np.isfinite(level[..., 2])
     gx, gy = np.where(known, level[..., 1], 0), np.where(known, level[..., 2], 0)
     window = (config.window_px, config.window_px)
     a, b, c = (cv2.blur(product, window) for product in (gx * gx, gx * gy, gy * gy))
