@@ -19,7 +19,7 @@ from experiments.campaign.schedule import Experiment, Record, Schedule, UnitOrde
 from experiments.campaign.unit_job import is_infrastructure_error
 from experiments.campaign.worker_pool import Ended, WorkerPool
 from experiments.eq1.record_table import normalise
-from experiments.eq1.records import SHAM, Outcome, dual_column, empty_record
+from experiments.eq1.records import SHAM, Outcome, dual_column, empty_record, thread_column
 from experiments.eq1.units import UnitSpec
 from scenarios.errors import InputError, MachineError
 
@@ -39,6 +39,8 @@ class Tally:
         retries: attempts in this run that ended in an infrastructure error.
         breakages: completed units with a breakage (B).
         failures: completed units in which Dual-SLAM failed with all threads (D_n).
+        crossing, uncrossed: of a run without the free arm: completed units with a degradation, and those of
+            them that no thread crosses.
         ended_here: units that ended in this run.
         workers: number of busy workers.
         cause: the most frequent message of the units given up; empty if there are none.
@@ -54,6 +56,8 @@ class Tally:
     failures: int
     ended_here: int
     workers: int
+    crossing: int = 0
+    uncrossed: int = 0
     cause: str = ""
 
 
@@ -146,7 +150,9 @@ class _Run:
     ) -> None:
         self.schedule = schedule
         self._ledger = ledger
-        self._whole = dual_column(len(experiment.threads))
+        threads = range(1, 1 + len(experiment.threads))
+        self._whole = dual_column(len(threads))
+        self._crossed = [thread_column("cross", thread, "failed") for thread in threads]
         proven = {r["cell"] for r in schedule.records() if not is_infrastructure_error(r)}
         self._faults = RepeatedFault(schedule.first_cells, proven)
         self._most_busy = 1
@@ -172,8 +178,9 @@ class _Run:
     def tally(self, workers: int) -> Tally:
         """Progress of the run."""
         records = self.schedule.records()
-        of_free_arm = [r for r in records if r["breakage"] is not None and r["kind"] != SHAM]
-        completed = [r for r in of_free_arm if r["outcome"] == Outcome.COMPLETED]
+        tried = [r for r in records if r["outcome"] == Outcome.COMPLETED and r["kind"] != SHAM]
+        completed = [r for r in tried if r["breakage"] is not None]
+        crossing = [r for r in tried if r["breakage"] is None]
         given_up = Counter(r["message"] for r in records if is_infrastructure_error(r))
         return Tally(
             done=self.schedule.done,
@@ -186,6 +193,8 @@ class _Run:
             failures=sum(bool(r[self._whole]) for r in completed),
             ended_here=self._ended_here,
             workers=workers,
+            crossing=len(crossing),
+            uncrossed=sum(all(r[failed] for failed in self._crossed) for r in crossing),
             cause=given_up.most_common(1)[0][0] if given_up else "",
         )
 

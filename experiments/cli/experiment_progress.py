@@ -68,9 +68,16 @@ def pace_text(tally: "Tally", elapsed_s: float) -> str:
 def estimates_text(tally: "Tally") -> str:
     """Running estimates as shares; intervals would not be valid under repeated looks."""
 
-    def part(label: str, events: int) -> str:
-        share = f"{events / tally.completed:.2f}" if tally.completed else "-"
-        return f"{label} {share} ({events}/{tally.completed})"
+    def part(label: str, events: int, of: int) -> str:
+        return f"{label} {f'{events / of:.2f}' if of else '-'} ({events}/{of})"
 
-    text = f"{part('p0', tally.breakages)}, {part('dual failures', tally.failures)}, {tally.void} void"
-    return text + (f", {tally.errors} errors" if tally.errors else "")
+    found = (
+        [part("no thread crosses", tally.uncrossed, tally.crossing)]
+        if tally.crossing
+        else [
+            part("p0", tally.breakages, tally.completed),
+            part("dual failures", tally.failures, tally.completed),
+        ]
+    )
+    found += [f"{tally.void} void"] + ([f"{tally.errors} errors"] if tally.errors else [])
+    return ", ".join(found)

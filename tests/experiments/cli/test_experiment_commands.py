@@ -4,6 +4,7 @@ import json
 import shutil
 import sqlite3
 from contextlib import nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -23,6 +24,8 @@ from experiments.eq1.record_checks import digest_of
 from experiments.eq1.records import added_later, columns, decided
 from experiments.eq1.spec import load_spec
 from scenarios.errors import InputError
+
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="module")
@@ -375,8 +378,20 @@ def test_progress_shows_pace_and_estimates():
                   ended_here=6, workers=2)  # fmt: skip
     assert pace_text(tally, 360.0) == "60/h, 0:08:00 left"
     assert estimates_text(tally) == "p0 0.40 (4/10), dual failures 0.10 (1/10), 1 void, 1 errors"
+    crossing = replace(tally, completed=0, breakages=0, failures=0, crossing=8, uncrossed=2, errors=0)
+    assert estimates_text(crossing) == "no thread crosses 0.25 (2/8), 1 void"
     none = Tally(0, 20, 0, 0, 0, 0, 0, 0, 0, workers=0)
     assert pace_text(none, 1.0) == "waiting for workers" and "p0 - (0/0)" in estimates_text(none)
+
+
+def test_a_run_of_the_crossing_arm_says_how_often_no_thread_crosses(dslab, tmp_path):
+    folder = tmp_path / "threads"
+    assert dslab("experiment", "merge", str(ROOT / "docs" / "threads"), "--out", str(folder))[0] == 0
+    code, out, _ = dslab("experiment", "run", "threads", "--out", str(folder))
+    table = pq.read_table(ROOT / "docs" / "threads" / "units.parquet").to_pandas()
+    failed = table[[f"cross_r{thread}_failed" for thread in (1, 2, 3)]].astype(bool).all(axis=1).sum()
+    assert code == 0
+    assert f"700 of 700 units: no thread crosses {failed / 700:.2f} ({failed}/700), 0 void" in out
 
 
 @pytest.mark.slow
