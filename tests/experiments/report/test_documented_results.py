@@ -26,6 +26,9 @@ def words(name: str) -> str:
     return " ".join((ROOT / name).read_text().split())
 
 
+KINDS_OF_THREADS = ("low texture,", "motion blur,", "defocus,", "low light,", "fast rotation,", "fog,")
+
+
 def figures(data, place: str = "") -> dict:
     """Every number, text and null of nested data by its place."""
     if not isinstance(data, dict | list):
@@ -41,6 +44,7 @@ def figures(data, place: str = "") -> dict:
         ("eq1-doses", False),
         ("eq1-vga", False),
         ("direct-thread", True),
+        ("threads", None),
         ("ldso", None),
         ("rescue", None),
     ],
@@ -85,6 +89,23 @@ def test_the_claim_about_the_direct_thread_follows_from_its_table():
         both = cell[cell["cross_r1_failed"] & cell["cross_r2_failed"]]
         assert ((~both["cross_r3_failed"]).sum(), len(both)) == (crossed, needed)
         assert f"| {needed} | **{100 * crossed / needed:.1f} %" in page
+
+
+def test_the_threads_beside_each_other_follow_from_their_table():
+    page = words("docs/direct.md").partition("Fourteen conditions side by side")[2]
+    spec, table = read_experiment(ROOT / "docs" / "threads")
+    failed = {thread: table[f"cross_r{thread}_failed"].astype(bool) for thread in (1, 2, 3)}
+    both = failed[1] & failed[2]
+    assert (
+        f"it crosses {(both & ~failed[3]).sum()} of the {both.sum()} trials in which ORB and SIFT both"
+        in page
+    )
+    rows = [line.split("|") for line in page.split("| |") if line.strip().startswith(KINDS_OF_THREADS)]
+    cells = [table[table["cell"] == name] for name in spec.cell_names()]
+    for row, cell in zip(rows, cells, strict=True):
+        shares = [f"{100 * cell[f'cross_r{thread}_failed'].mean():.0f}" for thread in (1, 2, 3)]
+        assert [column.split()[0] for column in row[1:4]] == shares
+        assert [row[4].strip(), row[6].strip()] == [str(cell["rescuable"].sum()), str(both[cell.index].sum())]
 
 
 @pytest.mark.parametrize("folder", [FIRST, RUN])
