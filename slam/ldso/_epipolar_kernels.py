@@ -46,7 +46,8 @@ def search(
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     count = pattern.shape[0]
     warped = np.empty((count, 2))
-    costs = np.empty(int(longest * most_px) + 8)
+    first_px = max(1.0, longest) * most_px
+    costs = np.empty(int(first_px) + 8)
     for i in range(uv.shape[0]):
         if status[i] == OUTSIDE:
             continue
@@ -94,7 +95,7 @@ def search(
                 length = np.sqrt((u3 - u1) ** 2 + (v3 - v1) ** 2)
             else:
                 length = np.inf
-            length = min(max(length, most_px), longest * most_px)
+            length = min(max(length, most_px), first_px)
         along = ex * ex * structure[i, 0] + 2.0 * ex * ey * structure[i, 1] + ey * ey * structure[i, 2]
         across = ey * ey * structure[i, 0] - 2.0 * ex * ey * structure[i, 1] + ex * ex * structure[i, 2]
         error = error_px + slope_error_px * (along + across) / max(along, 1e-9)
