@@ -76,8 +76,12 @@ def test_what_direct_odometry_withstands_follows_from_its_table():
     ldso = systems[1]
     unbroken = ldso[~ldso["breakage"]]
     assert f"**Of {len(unbroken)} stressed units" in page
-    assert f"in silence in {unbroken['silent_failure'].sum()}, 17 %**" in page
-    assert ldso["declaration_delay_s"].quantile(0.95) == pytest.approx(0.38, abs=0.005)
+    assert f"in silence in {unbroken['silent_failure'].sum()}, 7.5 %**" in page
+    delays_s = ldso["declaration_delay_s"].dropna()
+    assert (len(delays_s), delays_s.quantile(0.95)) == (
+        180,
+        0,
+    ) and f"the latest after {delays_s.max():.2f}".replace("0.", ".") in page
 
 
 def test_the_claim_about_the_direct_thread_follows_from_its_table():
