@@ -3,6 +3,8 @@
 A keyframe is compared with all before it when it leaves the window, where its pose and depths have become
 final. The keyframes of the window are held and the past is moved to them: tracker, depth intervals,
 first estimates and the marginalised prior all rest on their poses and scale, and nothing rests on the past.
+So the window's frame is that of odometry alone, and each correction is found anew from what odometry and all
+loops said.
 
 Source: Gao, Wang, Demmel, Cremers, "LDSO: Direct Sparse Odometry with Loop Closure", 2018, Sec. III-C, III-D.
 """
@@ -84,8 +86,13 @@ class LoopCloser:
     ) -> None:
         self.corners = CornerMap(map_id, view, corners)
         self._odometry, self._config = odometry, config
+        # Of each keyframe that a loop has moved: its pose by odometry alone; lengths around it beside those.
+        self._T_odometry: dict[int, np.ndarray] = {}
+        self._factor: dict[int, float] = {}
+        self._loops: list[tuple[int, int, np.ndarray]] = []
         m = self.corners.map
         self._detector = LoopDetector(m, KeyframeDatabase(m), config)
+        self._scale_weight = corners.scale_weight
 
     def see_through(self, camera: PinholeCamera) -> None:
         """Undistort the corners of the map with another residual of the lens."""
@@ -121,27 +128,33 @@ class LoopCloser:
         Returns:
             Scale change of the keyframe beside the loop keyframe; or what speaks against it.
         """
-        m, S = self.corners.map, self._distributed(loop)
+        m, rows, odometry = self.corners.map, self.corners.rows, self._odometry
+        i, j = rows[loop.keyframe], rows[loop.loop_keyframe]
+        T = np.array([keyframe.T_cam_map for keyframe in odometry.keyframes])
+        held = np.zeros(len(T), bool)
+        held[odometry.rows_of(odometry.window.slots)] = True
+        T_odometry, factor = T.copy(), np.ones(len(T))
+        for row, pose in self._T_odometry.items():
+            T_odometry[row], factor[row] = pose, self._factor[row]
+        measured = loop.S_cam_map @ np.linalg.inv(T[j])
+        measured[:3, 3] /= factor[i]
+        measured[:3, :3] *= factor[j] / factor[i]
+        loops = [*self._loops, (i, j, measured)]
+        S = scaled(distributed(scaled(T, 1 / factor), T_odometry, loops, held, self._scale_weight), factor)
         corrected = m.copy()
-        factor = move_map(corrected, S[self.corners.rows])
+        change = move_map(corrected, S[rows])
         reason = judge(m, corrected, loop).fault(self._config.judgement, adjusted=False)
         if reason:
             return reason
         m.adopt(corrected)
         m.loop_edges.append((loop.keyframe, loop.loop_keyframe))
-        self._odometry.move_keyframes(S)
+        factor *= odometry.move_keyframes(S)
+        for row in np.flatnonzero(~held):
+            self._T_odometry.setdefault(int(row), T[row])
+            self._factor[int(row)] = float(factor[row])
+        self._loops = loops
         self._detector.closed(loop)
-        return float(factor[loop.keyframe] / factor[loop.loop_keyframe])
-
-    def _distributed(self, loop: Loop) -> np.ndarray:
-        """(K, 4, 4) similarities of all keyframes that agree with a loop; those of the window are held."""
-        odometry, rows = self._odometry, self.corners.rows
-        T = np.array([keyframe.T_cam_map for keyframe in odometry.keyframes])
-        held = np.zeros(len(T), bool)
-        held[odometry.rows_of(odometry.window.slots)] = True
-        earlier = [(rows[i], rows[j]) for i, j in self.corners.map.loop_edges]
-        measured = loop.S_cam_map @ np.linalg.inv(T[rows[loop.loop_keyframe]])
-        return distributed(T, earlier, (rows[loop.keyframe], rows[loop.loop_keyframe]), measured, held)
+        return float(change[loop.keyframe] / change[loop.loop_keyframe])
 
     def _told(self, refusal: Refusal) -> Refused:
         m = self.corners.map
@@ -149,31 +162,39 @@ class LoopCloser:
         return Refused(*frames, refusal.matches, refusal.reason)
 
 
-def distributed(
-    T_cam_map: np.ndarray,
-    earlier: list[tuple[int, int]],
-    loop: tuple[int, int],
-    measured: np.ndarray,
-    held: np.ndarray,
-) -> np.ndarray:
-    """Pose graph of keyframes, each bound to the next one in time as it lies to it, and of loops.
+def scaled(S: np.ndarray, factor: np.ndarray) -> np.ndarray:
+    """(K, 4, 4) similarities after which lengths are (K,) times as long."""
+    longer = S.copy()
+    longer[:, :3] *= factor[:, None, None]
+    return longer
 
-    Only neighbours in time are bound: drift arises between them, and equal edges distribute it evenly.
+
+def distributed(
+    S_cam_map: np.ndarray,
+    T_odometry: np.ndarray,
+    loops: list[tuple[int, int, np.ndarray]],
+    held: np.ndarray,
+    scale_weight: float = 1.0,
+) -> np.ndarray:
+    """Pose graph of keyframes, each bound to the next one in time as odometry has it, and of all loops.
+
+    Nothing of an earlier result is taken for an observation, so that loops of one place are averaged: the
+    result does not depend on their order.
 
     Args:
-        T_cam_map: (K, 4, 4) poses in order of time.
-        earlier: pairs of keyframes of loops closed before.
-        loop: the new pair i, j.
-        measured: (4, 4) similarity ``S_i S_j^-1`` of it.
+        S_cam_map: (K, 4, 4) start, in lengths of the odometry.
+        T_odometry: (K, 4, 4) poses by odometry alone, in order of time.
+        loops: pairs of keyframes i, j and the (4, 4) similarity ``S_i S_j^-1`` of each as measured.
         held: (K,) bool, keyframes that do not move.
+        scale_weight: of the loops' scales.
 
     Returns:
         (K, 4, 4) similarities.
     """
-    old = [(k + 1, k) for k in range(len(T_cam_map) - 1)] + [pair for pair in earlier if pair != loop]
-    pairs = np.array([*old, loop], int)
-    i, j = pairs[:-1].T
-    relative = T_cam_map[i] @ invert_sim3(T_cam_map[j])
-    return optimize_pose_graph(
-        T_cam_map, pairs, np.concatenate([relative, measured[None]]), held
-    ).S_cam_map  # fmt: skip
+    next_ = np.arange(1, len(S_cam_map))
+    pairs = np.concatenate([np.column_stack([next_, next_ - 1]), [pair for *pair, _ in loops]])
+    relative = T_odometry[1:] @ invert_sim3(T_odometry[:-1])
+    measured = np.concatenate([relative, [measured for *_, measured in loops]])
+    weight = np.ones((len(pairs), 7))
+    weight[len(next_) :, 6] = scale_weight
+    return optimize_pose_graph(S_cam_map, pairs, measured, held, weight=weight).S_cam_map

@@ -42,8 +42,9 @@ def optimize_pose_graph(
     measured: np.ndarray,
     fixed: np.ndarray,
     iterations: int = 20,
+    weight: np.ndarray | None = None,
 ) -> PoseGraphResult:
-    """Optimise a pose graph by Levenberg-Marquardt on Sim(3); all edges have the same weight.
+    """Optimise a pose graph by Levenberg-Marquardt on Sim(3).
 
     The residual of an edge (i, j) is ``log(measured^-1 S_i S_j^-1)``.
 
@@ -53,6 +54,7 @@ def optimize_pose_graph(
         measured: (E, 4, 4) similarity ``S_i S_j^-1`` as observed.
         fixed: (K,) bool fixed nodes; at least one.
         iterations: most steps tried.
+        weight: (E, 7) of the squared residuals of rotation, translation and scale; None for 1.
 
     Raises:
         ValueError: no node is fixed, or an edge has a node that does not exist.
@@ -65,13 +67,14 @@ def optimize_pose_graph(
     if len(edges) and (edges.min() < 0 or edges.max() >= len(S)):
         raise ValueError(f"an edge leads to a node outside 0 to {len(S) - 1}")
     inverse_measured = invert_sim3(np.asarray(measured, np.float64).reshape(-1, 4, 4))
+    root = np.ones((len(edges), _DIM)) if weight is None else np.sqrt(weight)
     slot = np.where(fixed, -1, np.cumsum(~fixed) - 1)
     residuals = _residuals(S, edges, inverse_measured)
-    cost = before = 0.5 * float((residuals**2).sum())
+    cost = before = 0.5 * float(((root * residuals) ** 2).sum())
     damping, accepted = 1e-6, 0
     if not (~fixed).any() or not len(edges):
         return PoseGraphResult(S, before, cost, 0)
-    H, gradient = _normal_equations(residuals, edges, inverse_measured, slot)
+    H, gradient = _normal_equations(residuals, edges, inverse_measured, slot, root)
     for _ in range(iterations):
         step = splu((H + damping * identity(len(gradient))).tocsc(), permc_spec="MMD_AT_PLUS_A").solve(
             -gradient
@@ -79,7 +82,7 @@ def optimize_pose_graph(
         trial = S.copy()
         trial[~fixed] = exp_sim3(step.reshape(-1, _DIM)) @ S[~fixed]
         trial_residuals = _residuals(trial, edges, inverse_measured)
-        trial_cost = 0.5 * float((trial_residuals**2).sum())
+        trial_cost = 0.5 * float(((root * trial_residuals) ** 2).sum())
         if not trial_cost < cost:
             damping *= 10
             if damping > 1e6:
@@ -90,7 +93,7 @@ def optimize_pose_graph(
         damping = max(damping / 10, 1e-12)
         if gain <= 1e-9 * cost or cost == 0.0:
             break
-        H, gradient = _normal_equations(residuals, edges, inverse_measured, slot)
+        H, gradient = _normal_equations(residuals, edges, inverse_measured, slot, root)
     return PoseGraphResult(S, before, cost, accepted)
 
 
@@ -100,11 +103,15 @@ def _residuals(S: np.ndarray, edges: np.ndarray, inverse_measured: np.ndarray) -
 
 
 def _normal_equations(
-    residuals: np.ndarray, edges: np.ndarray, inverse_measured: np.ndarray, slot: np.ndarray
+    residuals: np.ndarray,
+    edges: np.ndarray,
+    inverse_measured: np.ndarray,
+    slot: np.ndarray,
+    root: np.ndarray,
 ) -> tuple[coo_matrix, np.ndarray]:
     """Sparse Hessian (7F, 7F) and gradient (7F,) over the F free nodes."""
     left, right = inverse_jacobians(residuals)
-    jacobians = (left @ adjoint_sim3(inverse_measured), -right)
+    jacobians = (root[:, :, None] * (left @ adjoint_sim3(inverse_measured)), -root[:, :, None] * right)
     slots = (slot[edges[:, 0]], slot[edges[:, 1]])
     size = _DIM * (int(slot.max()) + 1)
     gradient = np.zeros(size)
@@ -112,7 +119,7 @@ def _normal_equations(
     within = np.arange(_DIM)
     for a, J_a in zip(slots, jacobians, strict=True):
         free = a >= 0
-        part = np.einsum("nki,nk->ni", J_a[free], residuals[free])
+        part = np.einsum("nki,nk->ni", J_a[free], (root * residuals)[free])
         np.add.at(gradient.reshape(-1, _DIM), a[free], part)
         for b, J_b in zip(slots, jacobians, strict=True):
             both = free & (b >= 0)

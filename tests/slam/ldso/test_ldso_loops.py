@@ -131,13 +131,23 @@ def test_drift_is_distributed_over_the_past_and_the_window_is_held():
     relative = true[-6] @ np.linalg.inv(true[0])
     s = 0.99**35  # lengths about keyframe 35 beside those of the first
     measured = sim3_matrix(s, np.eye(3), np.zeros(3)) @ relative
-    S = distributed(found, [], (35, 0), measured, held)
+    S = distributed(found, found, [(35, 0, measured)], held)
     np.testing.assert_array_equal(S[held], found[held])
     misfit = S[35] @ invert_sim3(S[:1])[0] @ np.linalg.inv(measured)
     np.testing.assert_allclose(misfit, np.eye(4), atol=0.05)
     change = np.log(scales(S))[:36]
     assert (np.diff(change) * np.sign(change[-1] - change[0]) > 0).all()  # evenly, not in one place
     np.testing.assert_allclose(abs(change[-1] - change[0]), -np.log(s), rtol=0.1)
+
+
+def test_a_loops_scale_counts_as_much_as_it_is_told():
+    true, found = ring(40, 1.0)
+    held = np.arange(41) > 35
+    wrong = sim3_matrix(1.01, np.eye(3), np.zeros(3)) @ true[35] @ np.linalg.inv(true[0])
+    change = [
+        abs(np.log(scales(distributed(found, found, [(35, 0, wrong)], held, w)))).max() for w in (1, 0.01)
+    ]
+    assert change[0] > 0.009 and change[1] < 0.5 * change[0]
 
 
 TURNS, COUNT, BRANCH = 1.15, 150, 120
@@ -173,6 +183,21 @@ def test_a_loop_is_closed_and_drift_shrinks(rounds):
         paths[first - 1][0].T_map_cam[:, :3, 3] - paths[first][0].T_map_cam[:first, :3, 3], axis=1
     )
     assert moved_by[-3:].max() < 0.02 * moved_by[:3].min()  # the window is held, the past comes to it
+
+
+def test_every_correction_starts_from_what_odometry_and_loops_said(rounds):
+    """Keyframes lie where one pose graph of all observations puts them, whatever was corrected before."""
+    system, _, _, _ = rounds
+    closer = system._closers[0]
+    T = np.array([keyframe.T_cam_map for keyframe in closer._odometry.keyframes])
+    moved = np.array(sorted(closer._T_odometry))
+    alone = T.copy()
+    alone[moved] = [closer._T_odometry[row] for row in moved]
+    held = ~np.isin(np.arange(len(T)), moved)
+    S = distributed(alone, alone, closer._loops, held, CONFIG.corners.scale_weight)
+    at_once, found = (-np.linalg.inv(M[:, :3, :3]) @ M[:, :3, 3:] for M in (S, T))
+    assert len(closer._loops) > 1 and np.abs(alone - T).max() > 0.01
+    np.testing.assert_allclose(found, at_once, atol=1e-6)
 
 
 def test_nothing_is_closed_before_the_place_is_seen_again(rounds):
