@@ -146,8 +146,7 @@ class CornerConfig:
         around: keyframes, nearest in time, whose points are looked for.
         agreeing: largest relative difference of two depths of one corner.
         scale_weight: weight of a loop's scale in the pose graph, beside 1 of its rotation and translation and
-            of all that odometry says: the depths of one place tell it to .7 %, odometry keeps it from one
-            keyframe to the next to .12 %.
+            of all that odometry says: the depths of one place tell it worse than odometry keeps it.
     """
 
     window_px: int = 5
