@@ -1,7 +1,10 @@
-"""Kernel of the photometric bundle adjustment: all residuals of a window with their Gauss-Newton model.
+"""Kernels of the photometric bundle adjustment: all residuals of a window with their Gauss-Newton model.
 
 A residual is the pattern of a point in one keyframe beside its host. Its eight pixels share the geometric
 part of their Jacobian, that of the point itself, taken at the first estimates of the poses.
+
+Eight points of one host are worked at side by side, so that the machine can do the same to all of them at
+once: whatever the stages below hand on lies in rows of one table, a column per point.
 
 Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 2.2 and 2.3.
 """
@@ -9,24 +12,203 @@ Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 2.2 and 2.3
 import numpy as np
 from numba import njit
 
-from slam.direct._alignment_kernels import _bilinear
+_POINTS = 8
+_PIXELS = np.uint64(8)
+_ZERO, _ONE, _TWO, _THREE, _SIX = (np.uint64(n) for n in (0, 1, 2, 3, 6))
+_TEXELS = np.uint64(12)
+
+# Rows of the table, of a point or of each pixel of its pattern. Unsigned: Numba need not look whether they
+# count from the end.
+_RAY_X, _RAY_Y, _DEPTH, _VALID, _AT_X, _AT_Y, _AT_Z = (np.uint64(n) for n in range(7))
+_PIXEL_X, _PIXEL_Y, _INTENSITY, _WEIGHT, _U, _V, _VALUE, _SLOPE_X, _SLOPE_Y = (
+    np.uint64(8 * n) for n in range(1, 10)
+)
+# Sums over a pattern of the products of x and y, the image gradient, a and b, the derivatives by brightness,
+# and r, the residual; then of the costs.
+_XX, _XY, _YY, _XA, _YA, _XB, _YB, _XR, _YR, _AA, _AB, _BB, _AR, _BR, _COST = (
+    np.uint64(80 + n) for n in range(15)
+)
+_J_X, _J_Y = np.uint64(96), np.uint64(102)  # six rows each: derivatives of a pixel's place by the motion
+_INFORMATION, _GRADIENT, _S_X, _S_Y, _LINK = (np.uint64(108 + n) for n in range(5))  # eight rows of links
+_ROWS = 120
+_TERMS = 44  # of H and b of a pair, those of its upper triangle
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _project(M, right, down, u, v, d, fx, fy, cx, cy, seen_u, seen_v, depth):
-    """Write where the pixels of a pattern are seen, and at what depth.
+def _place(F, count, work):
+    F_00, F_01, F_02, F_03 = F[0, 0], F[0, 1], F[0, 2], F[0, 3]
+    F_10, F_11, F_12, F_13 = F[1, 0], F[1, 1], F[1, 2], F[1, 3]
+    F_20, F_21, F_22, F_23 = F[2, 0], F[2, 1], F[2, 2], F[2, 3]
+    for p in range(count):
+        x, y, d = work[_RAY_X, p], work[_RAY_Y, p], work[_DEPTH, p]
+        z = F_20 * x + F_21 * y + F_22 + F_23 * d
+        ahead = z > 1e-6
+        z = z if ahead else 1.0
+        work[_VALID, p] = work[_VALID, p] if ahead else 0.0
+        work[_AT_X, p] = (F_00 * x + F_01 * y + F_02 + F_03 * d) / z
+        work[_AT_Y, p] = (F_10 * x + F_11 * y + F_12 + F_13 * d) / z
+        work[_AT_Z, p] = z
 
-    It has no branches, so that it is vectorised; what is behind the camera means nothing.
-    """
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _project(M, fx, fy, cx, cy, right, bottom, count, work):
     M_00, M_01, M_02, M_03 = M[0, 0], M[0, 1], M[0, 2], M[0, 3]
     M_10, M_11, M_12, M_13 = M[1, 0], M[1, 1], M[1, 2], M[1, 3]
     M_20, M_21, M_22, M_23 = M[2, 0], M[2, 1], M[2, 2], M[2, 3]
-    for k in range(np.uint64(len(right))):
-        x, y = (u + right[k] - cx) / fx, (v + down[k] - cy) / fy
-        z = M_20 * x + M_21 * y + M_22 + M_23 * d
-        depth[k] = z
-        seen_u[k] = fx * (M_00 * x + M_01 * y + M_02 + M_03 * d) / z + cx
-        seen_v[k] = fy * (M_10 * x + M_11 * y + M_12 + M_13 * d) / z + cy
+    for k in range(_PIXELS):
+        for p in range(count):
+            x, y, d = work[_PIXEL_X + k, p], work[_PIXEL_Y + k, p], work[_DEPTH, p]
+            z = M_20 * x + M_21 * y + M_22 + M_23 * d
+            u = fx * (M_00 * x + M_01 * y + M_02 + M_03 * d) / z + cx
+            v = fy * (M_10 * x + M_11 * y + M_12 + M_13 * d) / z + cy
+            # One by one: joined by "and" they would be branches, which are not vectorised.
+            valid = work[_VALID, p] if z > 1e-6 else 0.0
+            valid = valid if u >= 1.0 else 0.0
+            valid = valid if u < right else 0.0
+            valid = valid if v >= 1.0 else 0.0
+            work[_VALID, p] = valid if v < bottom else 0.0
+            work[_U + k, p], work[_V + k, p] = u, v
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _load(level, width, count, work, texel):
+    for p in range(count):
+        if work[_VALID, p] == 0.0:
+            for k in range(_PIXELS):
+                for m in range(_TEXELS):
+                    texel[m, k, p] = np.float32(0.0)
+            continue
+        for k in range(_PIXELS):
+            column, row = np.uint64(np.int32(work[_U + k, p])), np.uint64(np.int32(work[_V + k, p]))
+            above = _THREE * (row * width + column)
+            below = above + _THREE * width
+            for m in range(_SIX):
+                texel[m, k, p], texel[_SIX + m, k, p] = level[above + m], level[below + m]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _sample(count, work, texel):
+    for k in range(_PIXELS):
+        for p in range(count):
+            u, v = work[_U + k, p], work[_V + k, p]
+            right, down = u - np.floor(u), v - np.floor(v)
+            left, up = 1.0 - right, 1.0 - down
+            work[_VALUE + k, p] = up * (left * texel[0, k, p] + right * texel[3, k, p]) + down * (
+                left * texel[6, k, p] + right * texel[9, k, p]
+            )
+            work[_SLOPE_X + k, p] = up * (left * texel[1, k, p] + right * texel[4, k, p]) + down * (
+                left * texel[7, k, p] + right * texel[10, k, p]
+            )
+            work[_SLOPE_Y + k, p] = up * (left * texel[2, k, p] + right * texel[5, k, p]) + down * (
+                left * texel[8, k, p] + right * texel[11, k, p]
+            )
+    for p in range(count):
+        size = 0.0
+        for k in range(_PIXELS):
+            size += abs(work[_VALUE + k, p]) + abs(work[_SLOPE_X + k, p]) + abs(work[_SLOPE_Y + k, p])
+        if not size < np.inf:
+            work[_VALID, p] = 0.0
+            for k in range(_PIXELS):
+                work[_VALUE + k, p], work[_SLOPE_X + k, p], work[_SLOPE_Y + k, p] = 0.0, 0.0, 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _sum(gain, offset, huber, count, work):
+    for m in range(np.uint64(15)):
+        for p in range(count):
+            work[_XX + m, p] = 0.0
+    for k in range(_PIXELS):
+        for p in range(count):
+            predicted = gain * work[_INTENSITY + k, p]
+            r = work[_VALUE + k, p] - predicted - offset
+            gx, gy, w = work[_SLOPE_X + k, p], work[_SLOPE_Y + k, p], work[_WEIGHT + k, p]
+            size = abs(r)
+            usual = size <= huber
+            work[_COST, p] += w * (size * size if usual else huber * (2.0 * size - huber))
+            w *= 1.0 if usual else huber / size
+            wx, wy, wp = w * gx, w * gy, w * predicted
+            work[_XX, p] += wx * gx
+            work[_XY, p] += wx * gy
+            work[_YY, p] += wy * gy
+            work[_XA, p] -= wx * predicted
+            work[_YA, p] -= wy * predicted
+            work[_XB, p] -= wx
+            work[_YB, p] -= wy
+            work[_XR, p] += wx * r
+            work[_YR, p] += wy * r
+            work[_AA, p] += wp * predicted
+            work[_AB, p] += wp
+            work[_BB, p] += w
+            work[_AR, p] -= wp * r
+            work[_BR, p] -= w * r
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _differentiate(F, fx, fy, count, work):
+    F_03, F_13, F_23 = F[0, 3], F[1, 3], F[2, 3]
+    for m in range(np.uint64(14)):
+        for p in range(count):
+            work[_XX + m, p] *= work[_VALID, p]
+    for p in range(count):
+        px, py, z = work[_AT_X, p], work[_AT_Y, p], work[_AT_Z, p]
+        near = work[_DEPTH, p] / z
+        work[_J_X, p], work[_J_X + _ONE, p], work[_J_X + _TWO, p] = fx * near, 0.0, -fx * near * px
+        work[_J_X + np.uint64(3), p], work[_J_X + np.uint64(4), p] = -fx * px * py, fx * (1.0 + px * px)
+        work[_J_X + np.uint64(5), p] = -fx * py
+        work[_J_Y, p], work[_J_Y + _ONE, p], work[_J_Y + _TWO, p] = 0.0, fy * near, -fy * near * py
+        work[_J_Y + np.uint64(3), p], work[_J_Y + np.uint64(4), p] = -fy * (1.0 + py * py), fy * px * py
+        work[_J_Y + np.uint64(5), p] = fy * px
+        dx, dy = fx * (F_03 - px * F_23) / z, fy * (F_13 - py * F_23) / z
+        sx = work[_XX, p] * dx + work[_XY, p] * dy
+        sy = work[_XY, p] * dx + work[_YY, p] * dy
+        work[_INFORMATION, p] = sx * dx + sy * dy
+        work[_GRADIENT, p] = work[_XR, p] * dx + work[_YR, p] * dy
+        work[_S_X, p], work[_S_Y, p] = sx, sy
+        work[_LINK + np.uint64(6), p] = work[_XA, p] * dx + work[_YA, p] * dy
+        work[_LINK + np.uint64(7), p] = work[_XB, p] * dx + work[_YB, p] * dy
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _add(count, work, terms):
+    t = _ZERO
+    for m in range(_SIX):
+        for p in range(count):
+            work[_LINK + m, p] = work[_S_X, p] * work[_J_X + m, p] + work[_S_Y, p] * work[_J_Y + m, p]
+    for m in range(_SIX):
+        for n in range(m, _SIX):
+            for p in range(count):
+                jx, jy = work[_J_X + m, p], work[_J_Y + m, p]
+                qx = work[_XX, p] * jx + work[_XY, p] * jy
+                qy = work[_XY, p] * jx + work[_YY, p] * jy
+                terms[t, p] += qx * work[_J_X + n, p] + qy * work[_J_Y + n, p]
+            t += _ONE
+        for p in range(count):
+            jx, jy = work[_J_X + m, p], work[_J_Y + m, p]
+            terms[t, p] += work[_XA, p] * jx + work[_YA, p] * jy
+            terms[t + _ONE, p] += work[_XB, p] * jx + work[_YB, p] * jy
+            terms[t + _TWO, p] += work[_XR, p] * jx + work[_YR, p] * jy
+        t += _THREE
+    for m in range(np.uint64(5)):
+        for p in range(count):
+            terms[t + m, p] += work[_AA + m, p]
+
+
+@njit(cache=True, nogil=True)
+def _collect(terms, H, b):
+    t = 0
+    for m in range(6):
+        for n in range(m, 8):
+            H[m, n] += terms[t].sum()
+            H[n, m] = H[m, n]
+            t += 1
+        b[m] += terms[t].sum()
+        t += 1
+    H[6, 6] += terms[t].sum()
+    H[6, 7] += terms[t + 1].sum()
+    H[7, 6] = H[6, 7]
+    H[7, 7] += terms[t + 2].sum()
+    b[6] += terms[t + 3].sum()
+    b[7] += terms[t + 4].sum()
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -61,108 +243,71 @@ def linearise_window(
             gy a, gx b, gy b, gx r, gy r; with N = 0 they are not written.
     """
     S, height, width = images.shape[0], images.shape[1], images.shape[2]
+    N = host.shape[0]
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
-    right, down = pattern[:, 0].copy(), pattern[:, 1].copy()
-    count = np.uint64(len(right))
-    seen_u, seen_v, depth = np.empty(len(right)), np.empty(len(right)), np.empty(len(right))
     gains = np.exp(affine[..., 0])
     information[:], gradient[:], cross[:] = 0.0, 0.0, 0.0
+    energy[:], seen[:] = 0.0, -1
     H[:], b[:], total[:] = 0.0, 0.0, 0.0
-    J, depth_J = np.empty((2, 6)), np.empty(2)
-    # Unsigned: Numba need not look whether they count from the end.
-    for i in range(np.uint64(host.shape[0])):
-        h, d = np.uint64(host[i]), inverse_depth[i]
-        for s in range(np.uint64(S)):
-            energy[i, s], seen[i, s] = 0.0, -1
-            if not taken[i, s] or s == h:
-                continue
-            M, F = T[h, s], T_first[h, s]
-            x, y = (uv[i, 0] - cx) / fx, (uv[i, 1] - cy) / fy
-            z = F[2, 0] * x + F[2, 1] * y + F[2, 2] + F[2, 3] * d
-            if z <= 1e-6:
-                continue
-            px = (F[0, 0] * x + F[0, 1] * y + F[0, 2] + F[0, 3] * d) / z
-            py = (F[1, 0] * x + F[1, 1] * y + F[1, 2] + F[1, 3] * d) / z
-            gain, offset = gains[h, s], affine[h, s, 1]
-            _project(M, right, down, uv[i, 0], uv[i, 1], d, fx, fy, cx, cy, seen_u, seen_v, depth)
-            level = images[s]
-            # Sums over the pattern: image gradient g, brightness (-gain I, -1), residual r.
-            gxx, gxy, gyy, gxa, gya, gxb, gyb = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            aa, ab, bb, gxr, gyr, ar, br, cost = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            inside = True
-            for k in range(count):
-                u, v = seen_u[k], seen_v[k]
-                if depth[k] <= 1e-6 or not (1.0 <= u < width - 2 and 1.0 <= v < height - 2):
-                    inside = False
-                    break
-                predicted = gain * intensity[i, k]
-                r = _bilinear(level, u, v, 0) - predicted - offset
-                gx, gy = _bilinear(level, u, v, 1), _bilinear(level, u, v, 2)
-                if not abs(r) + abs(gx) + abs(gy) < np.inf:
-                    inside = False
-                    break
-                size = abs(r)
-                w = weight[i, k]
-                cost += w * (size * size if size <= huber else huber * (2.0 * size - huber))
-                w *= 1.0 if size <= huber else huber / size
-                gxx += w * gx * gx
-                gxy += w * gx * gy
-                gyy += w * gy * gy
-                gxa -= w * gx * predicted
-                gya -= w * gy * predicted
-                gxb -= w * gx
-                gyb -= w * gy
-                aa += w * predicted * predicted
-                ab += w * predicted
-                bb += w
-                gxr += w * gx * r
-                gyr += w * gy * r
-                ar -= w * predicted * r
-                br -= w * r
-            if not inside:
-                continue
-            bound = max(outlier[h], outlier[s])
-            if cost > bound:
-                energy[i, s], seen[i, s] = bound, 0
-                total[h, s] += bound
-                continue
-            energy[i, s], seen[i, s] = cost, 1
-            total[h, s] += cost
-            if sums.shape[0]:
-                sums[i, s, 0], sums[i, s, 1], sums[i, s, 2] = gxx, gxy, gyy
-                sums[i, s, 3], sums[i, s, 4], sums[i, s, 5], sums[i, s, 6] = gxa, gya, gxb, gyb
-                sums[i, s, 7], sums[i, s, 8] = gxr, gyr
-            near = d / z
-            J[0, 0], J[0, 1], J[0, 2] = fx * near, 0.0, -fx * near * px
-            J[0, 3], J[0, 4], J[0, 5] = -fx * px * py, fx * (1.0 + px * px), -fx * py
-            J[1, 0], J[1, 1], J[1, 2] = 0.0, fy * near, -fy * near * py
-            J[1, 3], J[1, 4], J[1, 5] = -fy * (1.0 + py * py), fy * px * py, fy * px
-            depth_J[0] = fx * (F[0, 3] - px * F[2, 3]) / z
-            depth_J[1] = fy * (F[1, 3] - py * F[2, 3]) / z
-            A, c, link = H[h, s], b[h, s], cross[i, s]
-            sx, sy = gxx * depth_J[0] + gxy * depth_J[1], gxy * depth_J[0] + gyy * depth_J[1]
-            information[i] += sx * depth_J[0] + sy * depth_J[1]
-            gradient[i] += gxr * depth_J[0] + gyr * depth_J[1]
-            link[6] = gxa * depth_J[0] + gya * depth_J[1]
-            link[7] = gxb * depth_J[0] + gyb * depth_J[1]
-            for m in range(6):
-                link[m] = sx * J[0, m] + sy * J[1, m]
-                c[m] += gxr * J[0, m] + gyr * J[1, m]
-                qx, qy = gxx * J[0, m] + gxy * J[1, m], gxy * J[0, m] + gyy * J[1, m]
-                for n in range(m, 6):
-                    A[m, n] += qx * J[0, n] + qy * J[1, n]
-                A[m, 6] += gxa * J[0, m] + gya * J[1, m]
-                A[m, 7] += gxb * J[0, m] + gyb * J[1, m]
-            A[6, 6] += aa
-            A[6, 7] += ab
-            A[7, 7] += bb
-            c[6] += ar
-            c[7] += br
-    for h in range(S):
+    work, texel = np.zeros((_ROWS, _POINTS)), np.zeros((12, 8, _POINTS), np.float32)
+    terms = np.zeros((S, _TERMS, _POINTS))
+    # Not a constant for the compiler, which would unroll the loops instead of vectorising them.
+    count = np.uint64(pattern.shape[0])
+    first = 0
+    while first < N:
+        h, last = host[first], first + 1
+        while last < N and last < first + _POINTS and host[last] == h:
+            last += 1
+        for i in range(first, last):
+            p = i - first
+            u, v = uv[i, 0], uv[i, 1]
+            work[0, p], work[1, p], work[2, p] = (u - cx) / fx, (v - cy) / fy, inverse_depth[i]
+            for k in range(8):
+                work[8 + k, p], work[16 + k, p] = (u + pattern[k, 0] - cx) / fx, (v + pattern[k, 1] - cy) / fy
+                work[24 + k, p], work[32 + k, p] = intensity[i, k], weight[i, k]
         for s in range(S):
-            for m in range(8):
-                for n in range(m):
-                    H[h, s, m, n] = H[h, s, n, m]
+            if s == h:
+                continue
+            n_taken = 0
+            work[3, :] = 0.0
+            for i in range(first, last):
+                if taken[i, s]:
+                    work[3, i - first] = 1.0
+                    n_taken += 1
+            if n_taken == 0:
+                continue
+            F = T_first[h, s]
+            _place(F, count, work)
+            _project(T[h, s], fx, fy, cx, cy, width - 2.0, height - 2.0, count, work)
+            _load(images[s].reshape(-1), np.uint64(width), count, work, texel)
+            _sample(count, work, texel)
+            _sum(gains[h, s], affine[h, s, 1], huber, count, work)
+            bound = max(outlier[h], outlier[s])
+            for i in range(first, last):
+                p = i - first
+                if work[3, p] == 0.0:
+                    continue
+                energy[i, s], seen[i, s] = work[94, p], 1
+                if energy[i, s] > bound:
+                    energy[i, s], seen[i, s] = bound, 0
+                    work[3, p] = 0.0
+                total[h, s] += energy[i, s]
+            _differentiate(F, fx, fy, count, work)
+            _add(count, work, terms[s])
+            for i in range(first, last):
+                p = i - first
+                information[i] += work[108, p]
+                gradient[i] += work[109, p]
+                for m in range(8):
+                    cross[i, s, m] = work[112 + m, p]
+                if sums.shape[0]:
+                    for m in range(9):
+                        sums[i, s, m] = work[80 + m, p]
+        if last == N or host[last] != h:
+            for s in range(S):
+                _collect(terms[s], H[h, s], b[h, s])
+            terms[:] = 0.0
+        first = last
 
 
 @njit(cache=True, nogil=True)
@@ -172,17 +317,26 @@ def to_keyframes(host, cross, of_host, of_target, out):
     Args:
         host: (N,) rows.
         cross: (N, S, 8) as of :func:`linearise_window`.
-        of_host, of_target: (S, S, 8, 8) derivatives of a pair's parameters by those of its keyframes.
+        of_host, of_target: (S, S, 8, 8) derivatives of a pair's parameters by those of its keyframes. What is
+            nought in them by their form is not looked at: a target's own are the identity but for how a tells
+            in b, a host's are an adjoint (translation, rotation) and a lower triangle for a and b.
     """
     out[:] = 0.0
-    for i in range(host.shape[0]):
-        h = host[i]
-        for s in range(cross.shape[1]):
+    for i in range(np.uint64(host.shape[0])):
+        h = np.uint64(host[i])
+        for s in range(np.uint64(cross.shape[1])):
             if cross[i, s, 7] == 0.0 and cross[i, s, 0] == 0.0 and cross[i, s, 6] == 0.0:
                 continue
-            A, B = of_host[h, s], of_target[h, s]
-            for m in range(8):
-                c = cross[i, s, m]
-                for n in range(8):
-                    out[i, h, n] += c * A[m, n]
-                    out[i, s, n] += c * B[m, n]
+            A = of_host[h, s]
+            c0, c1, c2, c3 = cross[i, s, 0], cross[i, s, 1], cross[i, s, 2], cross[i, s, 3]
+            c4, c5, c6, c7 = cross[i, s, 4], cross[i, s, 5], cross[i, s, 6], cross[i, s, 7]
+            for n in range(_THREE):
+                r = _THREE + n
+                out[i, h, n] = out[i, h, n] + c0 * A[0, n] + c1 * A[1, n] + c2 * A[2, n]
+                moved = out[i, h, r] + c0 * A[0, r] + c1 * A[1, r] + c2 * A[2, r]
+                out[i, h, r] = moved + c3 * A[3, r] + c4 * A[4, r] + c5 * A[5, r]
+            out[i, h, 6] = out[i, h, 6] + c6 * A[6, 6] + c7 * A[7, 6]
+            out[i, h, 7] = out[i, h, 7] + c7 * A[7, 7]
+            for m in range(_PIXELS):
+                out[i, s, m] = cross[i, s, m]
+            out[i, s, 6] += c7 * of_target[h, s, 7, 6]

@@ -89,6 +89,26 @@ def test_costs_equal_their_twin():
     assert set(states) == {-1, 0, 1} and model.cost == pytest.approx(model.energy.sum())
 
 
+def test_a_residual_hangs_on_no_other_point():
+    """Points are worked at by eights of one host; here beside others, some unseen, not taken or alike."""
+    window = window_of(points=61)
+    window.images[window.slots[2], :, 150:170] = np.nan
+    window.outlier[:] = 8 * 6.0**2
+    p, rng = window.active, np.random.default_rng(3)
+    taken = (p.seen >= 0) & (rng.random(p.seen.shape) < 0.7)
+    model = model_of(window, p, taken, PHOTOMETRIC.huber)
+    order = rng.permutation(len(p))
+    shuffled = model_of(window, p.of(order), taken[order], PHOTOMETRIC.huber)
+    for name in ("energy", "seen", "information", "gradient", "cross"):
+        np.testing.assert_array_equal(getattr(shuffled, name), getattr(model, name)[order])
+    assert np.isfinite(model.H).all() and (model.seen[~taken] == -1).all()
+    np.testing.assert_allclose(shuffled.H, model.H, rtol=1e-9, atol=1e-9 * np.abs(model.H).max())
+    np.testing.assert_allclose(shuffled.b, model.b, rtol=1e-9, atol=1e-9 * np.abs(model.b).max())
+    rows = [p.of(np.array([i])) for i in range(len(p))]
+    alone = [model_of(window, row, taken[[i]], PHOTOMETRIC.huber) for i, row in enumerate(rows)]
+    np.testing.assert_allclose(sum(m.H for m in alone), model.H, atol=1e-9 * np.abs(model.H).max())
+
+
 def test_elimination_of_depths_equals_a_dense_solve():
     window = smooth_window()
     seen = model_of(window, window.active, window.active.seen >= 0, PHOTOMETRIC.huber).information > 1
