@@ -9,6 +9,7 @@ and how far they scatter says how sure their sum is.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtri, fdtrc
 
 from slam.core.camera import PinholeCamera, Residual, distort_residual
 from slam.ldso.adjustment import affine_prior, gauge
@@ -29,7 +30,7 @@ class LensChange:
     Attributes:
         residual: from now on.
         shift_px: root mean square shift over the image.
-        significance: chi-square with 4 degrees of freedom.
+        significance: chi-square with 4 degrees of freedom that is as rare by chance.
     """
 
     residual: Residual
@@ -84,8 +85,9 @@ class LensEstimator:
         # Each window pulls away from the sum: by noise, if the lens is one and the same.
         pulls = [b + A @ step for A, b in zip(self._H, self._b, strict=True)]
         scatter = sum(p @ np.linalg.solve(A, p) for A, p in zip(self._H, pulls, strict=True))
-        information = H / (overlap * scatter / (LENS * (count - 1)))
-        significance = float(step @ information @ step)
+        freedom = LENS * (count - 1) / overlap
+        information = H * freedom / scatter
+        significance = _as_chi_square(float(step @ information @ step), freedom)
         step = np.linalg.solve(information + self._prior(), information @ step)
         k1, k2, p1, p2 = (np.array(self._camera.residual) + step).tolist()
         residual = (k1, k2, p1, p2)
@@ -117,6 +119,20 @@ class LensEstimator:
         shift = np.linalg.norm(distort_residual(xy, residual, camera.intrinsics) - xy, axis=1)
         corner = np.linalg.norm(xy - camera.intrinsics[2:], axis=1).max()
         return bool(shift.max() <= self.config.most_share * corner)
+
+
+def _as_chi_square(squared: float, freedom: float) -> float:
+    """What is as rare as a squared change in units of a covariance that was itself estimated.
+
+    Args:
+        squared: of all parameters.
+        freedom: independent residuals that the covariance was estimated from.
+
+    Returns:
+        Chi-square with ``LENS`` degrees of freedom: of few windows, much less than ``squared``.
+    """
+    chance = fdtrc(LENS, freedom, squared / LENS)
+    return float(chdtri(LENS, max(chance, np.finfo(float).tiny)))
 
 
 def _pixels(camera: PinholeCamera) -> np.ndarray:

@@ -179,3 +179,23 @@ def test_a_lens_that_is_as_given_is_left_alone(rounds):
     system, refined = run(images)
     assert not refined and system.camera.residual == (0.0, 0.0, 0.0, 0.0)
     assert build_system("dso", CAMERA).settings["dso"]["lens"]["every"] == LensConfig().every
+
+
+@pytest.mark.parametrize("count", [5, 30])
+def test_chance_alone_is_rarely_significant(monkeypatch, count):
+    """How far a few windows scatter is not well known: they have to say the same more clearly than many."""
+    rng, root = np.random.default_rng(count), np.diag([300.0, 100.0, 500.0, 400.0])
+    monkeypatch.setattr(
+        "slam.ldso.lens.lens_information", lambda *_: (root @ root, root @ rng.normal(size=4))
+    )
+    window, bar, n = window_of(POSES + MORE, 8), 9.49, 600  # by chance once in twenty
+    config = LensConfig(
+        every=1, least_windows=count, least_significance=bar, least_shift_px=0.0, most_share=1.0
+    )
+    found = 0
+    for _ in range(n):
+        estimator = LensEstimator(CAMERA, config)
+        for _ in range(count):
+            estimator.take(window, PHOTOMETRIC)
+        found += estimator.change(1.0) is not None
+    assert 0.03 < found / n < 0.07
