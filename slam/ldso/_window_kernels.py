@@ -36,6 +36,7 @@ _TERMS = 44  # of H and b of a pair, those of its upper triangle
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _place(F, count, work):
+    """Where the points themselves are seen at the first estimates, at depth one, and their depth."""
     F_00, F_01, F_02, F_03 = F[0, 0], F[0, 1], F[0, 2], F[0, 3]
     F_10, F_11, F_12, F_13 = F[1, 0], F[1, 1], F[1, 2], F[1, 3]
     F_20, F_21, F_22, F_23 = F[2, 0], F[2, 1], F[2, 2], F[2, 3]
@@ -52,6 +53,7 @@ def _place(F, count, work):
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _project(M, fx, fy, cx, cy, right, bottom, count, work):
+    """Where each pixel of the patterns is seen; a point with one outside the image is not valid."""
     M_00, M_01, M_02, M_03 = M[0, 0], M[0, 1], M[0, 2], M[0, 3]
     M_10, M_11, M_12, M_13 = M[1, 0], M[1, 1], M[1, 2], M[1, 3]
     M_20, M_21, M_22, M_23 = M[2, 0], M[2, 1], M[2, 2], M[2, 3]
@@ -72,6 +74,7 @@ def _project(M, fx, fy, cx, cy, right, bottom, count, work):
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _load(level, width, count, work, texel):
+    """The four pixels about each of them, of all three channels; only this has to go from place to place."""
     for p in range(count):
         if work[_VALID, p] == 0.0:
             for k in range(_PIXELS):
@@ -88,6 +91,7 @@ def _load(level, width, count, work, texel):
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _sample(count, work, texel):
+    """Intensity and image gradient there; a point with a pixel that has none is not valid."""
     for k in range(_PIXELS):
         for p in range(count):
             u, v = work[_U + k, p], work[_V + k, p]
@@ -114,6 +118,7 @@ def _sample(count, work, texel):
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _sum(gain, offset, huber, count, work):
+    """Sums over the patterns."""
     for m in range(np.uint64(15)):
         for p in range(count):
             work[_XX + m, p] = 0.0
@@ -145,6 +150,7 @@ def _sum(gain, offset, huber, count, work):
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _differentiate(F, fx, fy, count, work):
+    """Jacobians of the points, and what they make of the sums; nought where a point is not valid."""
     F_03, F_13, F_23 = F[0, 3], F[1, 3], F[2, 3]
     for m in range(np.uint64(14)):
         for p in range(count):
@@ -170,6 +176,7 @@ def _differentiate(F, fx, fy, count, work):
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _add(count, work, terms):
+    """Add the terms of H and b."""
     t = _ZERO
     for m in range(_SIX):
         for p in range(count):
@@ -195,6 +202,7 @@ def _add(count, work, terms):
 
 @njit(cache=True, nogil=True)
 def _collect(terms, H, b):
+    """Add up the columns of the terms."""
     t = 0
     for m in range(6):
         for n in range(m, 8):
@@ -259,22 +267,19 @@ def linearise_window(
         while last < N and last < first + _POINTS and host[last] == h:
             last += 1
         for i in range(first, last):
-            p = i - first
-            u, v = uv[i, 0], uv[i, 1]
-            work[0, p], work[1, p], work[2, p] = (u - cx) / fx, (v - cy) / fy, inverse_depth[i]
-            for k in range(8):
-                work[8 + k, p], work[16 + k, p] = (u + pattern[k, 0] - cx) / fx, (v + pattern[k, 1] - cy) / fy
-                work[24 + k, p], work[32 + k, p] = intensity[i, k], weight[i, k]
+            p, u, v = np.uint64(i - first), uv[i, 0], uv[i, 1]
+            work[_RAY_X, p], work[_RAY_Y, p], work[_DEPTH, p] = (u - cx) / fx, (v - cy) / fy, inverse_depth[i]
+            for k in range(_PIXELS):
+                work[_PIXEL_X + k, p] = (u + pattern[k, 0] - cx) / fx
+                work[_PIXEL_Y + k, p] = (v + pattern[k, 1] - cy) / fy
+                work[_INTENSITY + k, p], work[_WEIGHT + k, p] = intensity[i, k], weight[i, k]
         for s in range(S):
             if s == h:
                 continue
-            n_taken = 0
-            work[3, :] = 0.0
+            work[_VALID, :] = 0.0
             for i in range(first, last):
-                if taken[i, s]:
-                    work[3, i - first] = 1.0
-                    n_taken += 1
-            if n_taken == 0:
+                work[_VALID, np.uint64(i - first)] = 1.0 if taken[i, s] else 0.0
+            if not work[_VALID].any():
                 continue
             F = T_first[h, s]
             _place(F, count, work)
@@ -284,25 +289,25 @@ def linearise_window(
             _sum(gains[h, s], affine[h, s, 1], huber, count, work)
             bound = max(outlier[h], outlier[s])
             for i in range(first, last):
-                p = i - first
-                if work[3, p] == 0.0:
+                p = np.uint64(i - first)
+                if work[_VALID, p] == 0.0:
                     continue
-                energy[i, s], seen[i, s] = work[94, p], 1
+                energy[i, s], seen[i, s] = work[_COST, p], 1
                 if energy[i, s] > bound:
                     energy[i, s], seen[i, s] = bound, 0
-                    work[3, p] = 0.0
+                    work[_VALID, p] = 0.0
                 total[h, s] += energy[i, s]
             _differentiate(F, fx, fy, count, work)
             _add(count, work, terms[s])
             for i in range(first, last):
-                p = i - first
-                information[i] += work[108, p]
-                gradient[i] += work[109, p]
-                for m in range(8):
-                    cross[i, s, m] = work[112 + m, p]
+                p = np.uint64(i - first)
+                information[i] += work[_INFORMATION, p]
+                gradient[i] += work[_GRADIENT, p]
+                for m in range(np.uint64(8)):
+                    cross[i, s, m] = work[_LINK + m, p]
                 if sums.shape[0]:
-                    for m in range(9):
-                        sums[i, s, m] = work[80 + m, p]
+                    for m in range(np.uint64(9)):
+                        sums[i, s, m] = work[_XX + m, p]
         if last == N or host[last] != h:
             for s in range(S):
                 _collect(terms[s], H[h, s], b[h, s])
