@@ -19,7 +19,13 @@ PUBLISHED = " (paper)"
 """End of the names of columns and rows with the paper's figures, which are of other data."""
 NO_MAP, UNSTABLE = "⊗", "∩"
 """The paper's signs: no trial has a map; some trials have none that is intact."""
-_PAPER_SYSTEMS = {"ORB-SLAM": "orb_slam_m", "Dual-SLAM": "dual_m", "Dual-SLAM⁺": "dual_plus_m"}
+_PAPER_SYSTEMS = {
+    "ORB-SLAM": "orb_slam_m",
+    "Dual-SLAM": "dual_m",
+    "Dual-SLAM⁺": "dual_plus_m",
+    "LDSO": "ldso_m",
+}
+_FAILED = {name: failed for name, (failed, _) in TABLE_II["KITTI"].items()} | {"LDSO": 0}
 _TEX = {NO_MAP: r"$\otimes$", UNSTABLE: r"$\cap$", "⁺": "$^+$", "_": r"\_", "%": r"\%"}
 
 
@@ -40,7 +46,7 @@ def table_1(rows: pd.DataFrame) -> pd.DataFrame:
             line[name + PUBLISHED] = "" if published is None else NO_MAP if value is None else f"{value:.2f}"
         table.append(line)
     failed = {system: str(_failures(rows[rows.system == system])) for system in systems}
-    totals = {name + PUBLISHED: str(TABLE_II["KITTI"][name][0]) for name in _PAPER_SYSTEMS}
+    totals = {name + PUBLISHED: str(failed) for name, failed in _FAILED.items()}
     return pd.DataFrame([*table, {"sequence": "failed trials"} | failed | totals])
 
 

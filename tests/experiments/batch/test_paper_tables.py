@@ -32,6 +32,7 @@ def test_table_1_has_medians_and_the_papers_signs():
     assert table.loc["kitti-like/01", ["base", "dual"]].tolist() == [NO_MAP, f"8.00 {UNSTABLE}"]
     assert table.loc["stressed", "base"] == f"0.040 {UNSTABLE}"
     assert table.loc["kitti-like/03", "Dual-SLAM (paper)"] == "1.29"
+    assert table["LDSO (paper)"].tolist() == ["2.14", "10.31", "", "0"]
     assert table.loc["stressed", "Dual-SLAM (paper)"] == ""
     assert table.loc["failed trials", ["base", "dual", "ORB-SLAM (paper)"]].tolist() == ["3", "1", "28"]
 
@@ -60,6 +61,6 @@ def test_tables_are_written_as_csv_and_latex(tmp_path):
     names = {path.name for path in (tmp_path / "tables").iterdir()}
     assert names == {f"table_{n}.{form}" for n in (1, 2, 3) for form in ("csv", "tex")}
     text = (tmp_path / "tables" / "table_1.tex").read_text()
-    assert text.startswith(r"\begin{tabular}{lrrrrr}") and text.count(r"\\") == 5
+    assert text.startswith(r"\begin{tabular}{lrrrrrr}") and text.count(r"\\") == 5
     assert r"$\otimes$" in text and r"$\cap$" in text and NO_MAP not in text
     assert pd.read_csv(tmp_path / "tables" / "table_2.csv").shape[0] == 6
