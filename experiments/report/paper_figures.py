@@ -43,6 +43,9 @@ TABLE_1 = tuple(
     )
 )
 
+TABLE_1_FAILED = {name: failed for name, (failed, _) in TABLE_II["KITTI"].items()} | {"LDSO": 0}
+"""Failed trials of 110, by system."""
+
 _TOTAL = {
     system: tuple(sum(row[system][i] for row in TABLE_II.values()) for i in range(2))
     for system in ("ORB-SLAM", "Dual-SLAM", "Dual-SLAM⁺")

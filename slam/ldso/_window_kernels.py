@@ -3,8 +3,8 @@
 A residual is the pattern of a point in one keyframe beside its host. Its eight pixels share the geometric
 part of their Jacobian, that of the point itself, taken at the first estimates of the poses.
 
-Eight points of one host are worked at side by side, so that the machine can do the same to all of them at
-once: whatever the stages below hand on lies in rows of one table, a column per point.
+Eight points of one host go through each stage together, so that its loops over them are vectorised: what the
+stages hand on lies in rows of one table, a column per point.
 
 Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 2.2 and 2.3.
 """
@@ -74,7 +74,7 @@ def _project(M, fx, fy, cx, cy, right, bottom, count, work):
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _load(level, width, count, work, texel):
-    """The four pixels about each of them, of all three channels; only this has to go from place to place."""
+    """The four pixels about each of them, of all three channels; the one stage that is not vectorised."""
     for p in range(count):
         if work[_VALID, p] == 0.0:
             for k in range(_PIXELS):
@@ -150,7 +150,7 @@ def _sum(gain, offset, huber, count, work):
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _differentiate(F, fx, fy, count, work):
-    """Jacobians of the points, and what they make of the sums; nought where a point is not valid."""
+    """Jacobians of the points, and what they make of the sums; zero where a point is not valid."""
     F_03, F_13, F_23 = F[0, 3], F[1, 3], F[2, 3]
     for m in range(np.uint64(14)):
         for p in range(count):
@@ -259,7 +259,8 @@ def linearise_window(
     H[:], b[:], total[:] = 0.0, 0.0, 0.0
     work, texel = np.zeros((_ROWS, _POINTS)), np.zeros((12, 8, _POINTS), np.float32)
     terms = np.zeros((S, _TERMS, _POINTS))
-    # Not a constant for the compiler, which would unroll the loops instead of vectorising them.
+    # Points of a block, read off an argument of that length: loops of a constant length would be unrolled
+    # instead of vectorised.
     count = np.uint64(pattern.shape[0])
     first = 0
     while first < N:
@@ -323,7 +324,7 @@ def to_keyframes(host, cross, of_host, of_target, out):
         host: (N,) rows.
         cross: (N, S, 8) as of :func:`linearise_window`.
         of_host, of_target: (S, S, 8, 8) derivatives of a pair's parameters by those of its keyframes. What is
-            nought in them by their form is not looked at: a target's own are the identity but for how a tells
+            zero in them by their form is not read: a target's own are the identity but for how a tells
             in b, a host's are an adjoint (translation, rotation) and a lower triangle for a and b.
     """
     out[:] = 0.0
