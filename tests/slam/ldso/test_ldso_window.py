@@ -91,7 +91,8 @@ def test_costs_equal_their_twin():
 
 def test_a_residual_hangs_on_no_other_point():
     """Points are worked at by eights of one host; here beside others, some unseen, not taken or alike."""
-    window = window_of(points=61)
+    window = window_of(POSES + [motion([0.03 * k, 0.0, 0.02, 0.0, 0.01 * k, 0.0]) for k in range(4)], 61)
+    assert len(window) == window.size  # what a full block leaves behind in the last slot meets a smaller one
     window.images[window.slots[2], :, 150:170] = np.nan
     window.outlier[:] = 8 * 6.0**2
     p, rng = window.active, np.random.default_rng(3)
