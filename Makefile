@@ -8,7 +8,7 @@ OUT ?= out/demo
 .DEFAULT_GOAL := help
 
 help:
-	@echo "make demo    base beside Dual-SLAM under three stresses, then a few trials of Eq. 1 (OUT=$(OUT))"
+	@echo "make demo    base, Dual-SLAM and LDSO under three stresses, then a few trials of Eq. 1 (OUT=$(OUT))"
 	@echo "make test    the test suite without the slow tests    make test-all   all of it"
 	@echo "make lint    formatting, lint, types, layers            make bench      speed of the tracker"
 	@echo "make docs    the documentation, in site/index.html"

@@ -1,4 +1,4 @@
-"""Demonstration: base and Dual-SLAM⁺ under the lab's three stresses, then some units of an experiment."""
+"""Demonstration: three systems under the lab's three stresses, then some units of an experiment."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from experiments.statistics.judged import JudgedCell
 from sim.io.folders import Progress, new_directory
 from sim.sequence import Sequence
 
-SYSTEMS: tuple[str, ...] = ("base", "dual+")
+SYSTEMS: tuple[str, ...] = ("base", "dual+", "ldso")
 MARKER_FILE = "demo.json"
 EXPERIMENT_DIR = "experiment"
 

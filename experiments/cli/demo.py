@@ -42,11 +42,11 @@ def demo_command(
     no_units: Annotated[bool, typer.Option("--no-units", help="Leave out the second part.")] = False,
     force: ForceOption = False,
 ) -> None:
-    """Break monocular SLAM on purpose, and see what Dual-SLAM makes of it: two to three minutes.
+    """Break monocular SLAM on purpose, and see what Dual-SLAM makes of it: three to four minutes.
 
-    First part: base (ORB-SLAM's method) and dual+ (Dual-SLAM, initialized by GMS) run over one rendered
-    scenario with low texture, motion blur and fast rotation. Written: a folder per system, a picture, a
-    recording for the viewer.
+    First part: base (ORB-SLAM's method), dual+ (Dual-SLAM, initialized by GMS) and ldso (direct sparse
+    odometry with loops) run over one rendered scenario with low texture, motion blur and fast rotation.
+    Written: a folder per system, a picture, a recording for the viewer.
 
     Second part: eight small units of an experiment on Eq. 1, the paper's prediction of how often base and
     recovery both fail. Each has a world of its own. They are too few to decide anything.

@@ -8,8 +8,8 @@ _SYSTEMS = {
     "dual+": "#1f6fb4",
     "paper": "#8a6d1f",
     "paper+": "#2c8a6d",
-    "dso": "#a03a6b",
-    "ldso": "#3a8fa0",
+    "dso": "#3a8fa0",
+    "ldso": "#a03a6b",
 }
 _OTHER_SYSTEMS = ("#4a8a8a", "#8a6d3b", "#5b6770")
 _SEGMENTS = {"low_texture": "#e8cf8a", "motion_blur": "#c9b3e6", "fast_rotation": "#a9d5c5"}

@@ -105,7 +105,9 @@ def _mark(axes: Axes, place: np.ndarray, outcomes: list[BreakageOutcome]) -> Non
 def _headline(run: DrawnRun) -> str:
     posed = sum(outcome is not FrameOutcome.NONE for outcome in run.frames) / max(1, len(run.frames))
     count = len(run.outcomes)
-    lines = [f"{run.name}: {posed:.1%} of the frames have a pose"]
+    maps = len(run.record.trajectories)
+    where = f" in one of {maps} maps" if maps > 1 else ""
+    lines = [f"{run.name}: {posed:.1%} of the frames have a pose{where}"]
     if count:
         repairs = {
             "recovered": sum(o.recovered for o in run.outcomes),

@@ -32,6 +32,8 @@ def draw_inliers(axes: Axes, runs: Many[DrawnRun], segment_colors: dict[str, str
             linewidth=1.2 + 1.4 * later,
             alpha=0.5 if later else 0.9,
         )
+    # Direct odometry counts pixels, several times as many as others have features; a square root shows both.
+    axes.set_yscale("function", functions=(lambda n: np.sqrt(np.maximum(n, 0)), np.square))
     # The few frames of an initialization have many more inliers and would flatten the curves.
     every = [r.inliers for run in runs for r in run.record.results]
     axes.set_ylim(0, 1.25 * max(1.0, float(np.percentile(every, 98))))

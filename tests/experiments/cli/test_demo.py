@@ -28,11 +28,16 @@ def demo(tmp_path_factory):
 
 def test_each_system_has_a_folder_and_all_share_one_recording_and_picture(demo):
     out, _, _ = demo
-    for kind in ("base", "dual+"):
+    for kind in ("base", "dual+", "ldso"):
         assert {"summary.json", "trajectory.txt"} <= {p.name for p in (out / kind).iterdir()}
     assert (out / "trajectory.png").read_bytes()[:4] == b"\x89PNG"
     entities = {chunk.entity_path for chunk in RrdReader(out / "recording.rrd").stream()}
-    assert {"/slam/base/tracking", "/slam/dual_plus/tracking", "/camera/image"} <= entities
+    assert {
+        "/slam/base/tracking",
+        "/slam/dual_plus/tracking",
+        "/slam/ldso/tracking",
+        "/camera/image",
+    } <= entities
 
 
 def test_the_viewer_opens_the_demonstration_at_the_first_breakage(demo, monkeypatch):
@@ -55,13 +60,13 @@ def test_a_demonstration_replaces_an_earlier_one_but_no_other_folder(tmp_path, n
         run_demo(sequence, 0, tmp_path / "mine", build=fake_factory(sequence))
 
 
-def test_the_table_separates_base_from_dual(demo):
+def test_the_table_separates_the_systems(demo):
     _, _, summaries = demo
     table = systems_table(summaries)
     rows = [[str(cell) for cell in row] for row in zip(*(c._cells for c in table.columns), strict=True)]
     assert rows[0][:6] == ["base", "51.7 %", "51.7 %", "1", "0", "0"]
     assert rows[2][:6] == ["dual+", "91.7 %", "91.7 %", "1", "1", "0"]
-    assert sum("low texture 5-6 s" in row[0] for row in rows) == 2
+    assert sum("low texture 5-6 s" in row[0] for row in rows) == 3
 
 
 @pytest.fixture

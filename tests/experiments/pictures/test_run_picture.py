@@ -72,3 +72,4 @@ def test_without_truth_the_breakage_is_marked_on_the_path_of_the_largest_map():
     # The last pose before the breakage.
     assert points[159] == pytest.approx(np.ravel(mark.get_data()))
     assert not any(line.get_label() == "truth" for axes in figure.axes for line in axes.lines)
+    assert any("in one of 2 maps" in axes.get_title() for axes in figure.axes)

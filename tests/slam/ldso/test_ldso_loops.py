@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from ldso_scenes import (
@@ -20,6 +21,7 @@ from slam.core import events as ev
 from slam.core.seeds import rng_for
 from slam.direct.selection import select
 from slam.factory import build_system
+from slam.features._orb_kernels import BORDER_PX
 from slam.ldso.corner_map import CornerMap, depths_of
 from slam.ldso.corners import corner_view, corners_of, described, with_corners
 from slam.ldso.loops import distributed
@@ -61,6 +63,28 @@ def test_corners_take_the_place_of_pixels_in_their_cells():
     assert len(np.unique(mixed.xy, axis=0)) == len(mixed.xy)
     edge = np.tile(np.where(np.arange(320) < 160, 40.0, 200.0), (240, 1)).astype(np.uint8)
     assert not len(corners_of(RECTIFIER.pyramid(edge).levels[0], CONFIG.corners))
+
+
+def test_corners_are_the_peaks_of_the_lesser_eigenvalue_away_from_what_is_unknown():
+    """The same by whole planes, with OpenCV's filters."""
+    level, config = RECTIFIER.pyramid(view(POSES[0])[0]).levels[0].copy(), CONFIG.corners
+    everywhere = corners_of(level, config)
+    x, y = everywhere[: len(everywhere) // 4 : 3].T
+    level[y, x + 2, 0], level[y + 1, x, 2] = np.nan, np.inf  # beside some of the strongest
+    known = np.isfinite(level).all(axis=2)
+    gx, gy = np.where(known, level[..., 1], 0), np.where(known, level[..., 2], 0)
+    window = (config.window_px, config.window_px)
+    a, b, c = (cv2.blur(product, window) for product in (gx * gx, gx * gy, gy * gy))
+    weaker = 0.5 * (a + c) - np.sqrt(0.25 * (a - c) ** 2 + b * b)
+    inside = cv2.erode(known.astype(np.uint8), np.ones(window, np.uint8)) > 0
+    inside[:BORDER_PX], inside[-BORDER_PX:] = False, False
+    inside[:, :BORDER_PX], inside[:, -BORDER_PX:] = False, False
+    peak = weaker == cv2.dilate(weaker, np.ones((config.apart_px, config.apart_px), np.uint8))
+    rows, columns = np.nonzero(inside & peak & (weaker > config.least_gradient**2))
+    best_first = np.argsort(-weaker[rows, columns], kind="stable")
+    found = corners_of(level, config)
+    np.testing.assert_array_equal(found, np.column_stack([columns, rows])[best_first])
+    assert 100 < len(found) < len(everywhere)
 
 
 def test_the_similarity_between_two_ends_is_the_known_one():
