@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from experiments.eq1.records import failure_column
-from experiments.eq1.units import system_label
+from experiments.eq1.records import SHAM, failure_column
+from experiments.eq1.units import RECOVERING, system_label
 from experiments.report import outcomes, reproductions
 from experiments.report.answer import answer
 from experiments.report.conditioning import conditioning
@@ -132,6 +132,13 @@ def _warnings(units: dict[str, Any], table: pd.DataFrame) -> list[str]:
         warnings.append(
             f"{plural(len(codes), 'state')} of the code that made the records is not that of this report: "
             "replays may differ."
+        )
+    known = table["system"].isin(RECOVERING) & (table["kind"] != SHAM)
+    idle = int((known & table["view_overlap"].isna()).sum())
+    if idle and bool(table["view_overlap"].notna().any()):
+        warnings.append(
+            f"Withdrawn: {plural(idle, 'trial')} in which the stress acted on no frame stand in conditions "
+            "with it, whose figures, verdicts and pooled shares mix two populations."
         )
     digests = table.groupby("system")["system_digest"].nunique()
     changed = [str(name) for name, count in digests.items() if int(count) > 1]
