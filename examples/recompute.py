@@ -11,6 +11,8 @@ from scipy.stats import t as student
 
 table = pd.read_parquet(sys.argv[1] if len(sys.argv) > 1 else "docs/eq1-quick/units.parquet")
 table = table[(table.outcome == "completed") & (table.kind != "sham")]
+if "exposed" in table:  # where its stress did not act, a unit is of another population than its cell
+    table = table[table.exposed.ne(False)]
 threads = sum(name.startswith("d") and name[1:].isdigit() for name in table)
 failed = [f"cross_r{j}_failed" for j in range(1, threads + 1)]
 

@@ -65,15 +65,22 @@ class ImageSegment(Grown, SegmentBase):
         return self
 
 
-class LowTexture(SegmentBase):
+class LowTexture(Grown, SegmentBase):
     """The surfaces that the camera passes in this time have their texture contrast multiplied.
 
-    In recordings: Detail of the frames fades; shading and noise stay.
+    Passed is a surface whose fullest view falls into this time; where none is, nothing fades. With view_share
+    surfaces fade until they fill that share of the view in this time, those first that are seen least outside
+    it. In recordings: Detail of the frames fades; shading and noise stay.
     """
+
+    _unwritten: ClassVar = {"view_share": None}
 
     kind: Literal["low_texture"]
     contrast: float = Field(
         ge=0, le=1, description="1 leaves the texture, 0 removes it; perceived as log contrast"
+    )
+    view_share: float | None = Field(
+        None, gt=0, le=1, description="share of the view that fades; null for the surfaces passed"
     )
 
 

@@ -53,6 +53,11 @@ class Preview:
         Returns:
             K images (H, W) uint8, and (K,) float64 median length of their motion blur, pixels.
         """
+        images, blur_px, _ = self.exposed(indices)
+        return images, blur_px
+
+    def exposed(self, indices: Many[int]) -> tuple[list[np.ndarray], np.ndarray, ImageChain]:
+        """Return the same, and the segments on images as they have acted on these frames."""
         kept = np.zeros(len(self.plan.stamps_s), bool)
         kept[list(indices)] = True
         part, camera, seed = self.plan.only(kept), self.scenario.camera, self.scenario.seed
@@ -77,7 +82,7 @@ class Preview:
             )
             shape = (len(part.frame), camera.height_px, camera.width_px)
             frames = RawFrames(folder / "gray.npy", shape, np.uint8)
-            return [frames[k] for k in range(len(frames))], blur_px
+            return [frames[k] for k in range(len(frames))], blur_px, chain
 
 
 def preview(scenario: Scenario, backend: RenderBackend | None = None) -> Preview:

@@ -16,7 +16,8 @@ from scenarios.errors import InputError
 class BoundarySchedule:
     """The trials of a search that are left.
 
-    A trial that was recorded keeps its dose. A void one or one that was given up says nothing of its dose.
+    A trial that was recorded keeps its dose. A void one, one that was given up, and one whose stress did not
+    act say nothing of their dose.
 
     Args:
         plan: of the search.
@@ -100,7 +101,9 @@ class BoundarySchedule:
         judged = [
             (self._place[record["cell"]], bool(record[self.plan.column]))
             for record in self.records()
-            if record[self.plan.column] is not None and (until is None or record["index"] < until)
+            if record[self.plan.column] is not None
+            and record["exposed"] is not False
+            and (until is None or record["index"] < until)
         ]
         return [place for place, _ in judged], [failed for _, failed in judged]
 

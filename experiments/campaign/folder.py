@@ -144,6 +144,19 @@ def export(folder: Path, csv: bool = False) -> Path:
     return folder / TABLE_FILE
 
 
+def rewrite_table(folder: Path, spec: "ExperimentSpec", rows: list[dict[str, Any]]) -> None:
+    """Write an exported table anew, which stands alone in its folder.
+
+    Raises:
+        InputError: it does not, or cannot be written.
+    """
+    if not _is_exported(folder):
+        remedy = f"give a folder with {SPEC_FILE} and {TABLE_FILE} alone"
+        raise InputError(str(folder), f"holds a {LEDGER_FILE}, which is as it was run", remedy)
+    whole = partial(write_table, rows=rows, spec=spec, spec_digest=_spec_digest(folder))
+    write_file(folder / TABLE_FILE, whole)
+
+
 def _is_exported(folder: Path) -> bool:
     """True if the folder holds the exported table alone, without the ledger."""
     return not is_given(folder / LEDGER_FILE) and is_given(folder / TABLE_FILE)

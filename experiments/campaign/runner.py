@@ -35,7 +35,7 @@ class Tally:
     Attributes:
         done, total: units that have ended, and all units.
         void, errors: units by outcome.
-        completed: units with a degradation whose free arm was completed; shams only show false alarms.
+        completed: units whose stress acted and whose free arm was completed; shams only show false alarms.
         retries: attempts in this run that ended in an infrastructure error.
         breakages: completed units with a breakage (B).
         failures: completed units in which Dual-SLAM failed with all threads (D_n).
@@ -178,7 +178,8 @@ class _Run:
     def tally(self, workers: int) -> Tally:
         """Progress of the run."""
         records = self.schedule.records()
-        tried = [r for r in records if r["outcome"] == Outcome.COMPLETED and r["kind"] != SHAM]
+        done = [r for r in records if r["outcome"] == Outcome.COMPLETED and r["kind"] != SHAM]
+        tried = [r for r in done if r["exposed"] is not False]
         completed = [r for r in tried if r["breakage"] is not None]
         crossing = [r for r in tried if r["breakage"] is None]
         given_up = Counter(r["message"] for r in records if is_infrastructure_error(r))

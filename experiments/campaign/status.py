@@ -18,7 +18,8 @@ class CellStatus:
         cell: its name.
         budget: number of units.
         units: number of units that have ended.
-        completed, void, errors: of these, by outcome.
+        completed, unexposed, void, errors: of these, by outcome; unexposed: completed, but the stress did not
+            act.
         breakages, failures: completed units with B, and with failure of all threads (D_n).
     """
 
@@ -26,6 +27,7 @@ class CellStatus:
     budget: int
     units: int
     completed: int
+    unexposed: int
     void: int
     errors: int
     breakages: int
@@ -87,12 +89,14 @@ def experiment_status(folder: Path) -> ExperimentStatus:
 
 def _cell(cell: str, budget: int, rows: list[dict[str, Any]], whole: str) -> CellStatus:
     outcomes = Counter(row["outcome"] for row in rows)
-    completed = [row for row in rows if row["outcome"] == Outcome.COMPLETED]
+    done = [row for row in rows if row["outcome"] == Outcome.COMPLETED]
+    completed = [row for row in done if row["exposed"] is not False]
     return CellStatus(
         cell=cell,
         budget=budget,
         units=len(rows),
         completed=len(completed),
+        unexposed=len(done) - len(completed),
         void=outcomes[Outcome.VOID],
         errors=outcomes[Outcome.INFRASTRUCTURE_ERROR],
         breakages=sum(bool(row["breakage"]) for row in completed),

@@ -17,7 +17,8 @@ from experiments.cli.console import (
     progress_bars,
 )
 from experiments.cli.experiment_progress import estimates_text, experiment_progress
-from experiments.cli.experiment_tables import print_answer, print_replay, status_table
+from experiments.cli.experiment_tables import exposure_text, print_answer, print_replay, status_table
+from experiments.cli.exposure import exposure_command
 from experiments.cli.fuzz import fuzz_command
 from experiments.cli.merge import merge_command
 
@@ -32,6 +33,7 @@ The folder of an experiment holds its spec, a ledger with one row per unit, and 
 app = typer.Typer(help=_HELP, no_args_is_help=True)
 app.command("boundary")(boundary_command)
 app.command("fuzz")(fuzz_command)
+app.command("exposure")(exposure_command)
 app.command("merge")(merge_command)
 
 FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of an experiment.")]
@@ -80,6 +82,9 @@ def run_command(
     Systems of other people run the free arm, on the same frames as ours; with one that takes frames in real
     time, units run one at a time.
 
+    Before the first unit ten worlds of every cell are drawn. Where the stress acts in fewer than nine, that
+    is told: the other units would stand beside those without stress.
+
     It may be interrupted at any time, also by `kill -9`: only running units are lost. The rows are the same
     for any number of workers. The exit code is 1 if the run stops for a fault of the machine, or if every
     unit was given up; units given up among others are counted in the last line. For example:
@@ -93,6 +98,8 @@ def run_command(
     from functools import partial
 
     from experiments.campaign.clusters import open_worker_pool
+    from experiments.campaign.exposure import draw_exposure
+    from experiments.campaign.ledger import LEDGER_FILE
     from experiments.campaign.runner import run_experiment
     from experiments.campaign.schedule import Schedule
     from experiments.campaign.system_checks import check_workers, digests_of, find_systems, takes_real_time
@@ -113,6 +120,12 @@ def run_command(
         memory_mb=memory or None,
     )
     check_workers(spec, systems, settings)
+    if not (out_dir / LEDGER_FILE).exists():
+        with progress_bars() as progress:
+            drawn = draw_exposure(spec, progress)
+        for cell in drawn:
+            if not cell.is_exposed:
+                err.print(exposure_text(cell), soft_wrap=True, markup=False)
     try:
         with experiment_progress(spec.name) as show:
             tally = run_experiment(

@@ -8,6 +8,7 @@ from rich.table import Table
 from experiments.cli.console import out, print_table
 
 if TYPE_CHECKING:
+    from experiments.campaign.exposure import Drawn
     from experiments.campaign.replay import Replay
     from experiments.campaign.status import ExperimentStatus
 
@@ -38,13 +39,29 @@ def status_table(status: "ExperimentStatus") -> Table:
     """Table with the counts of every cell."""
     table = Table(title=f"{status.name} ({status.spec_hash[:12]})")
     table.add_column("cell")
-    for column in ("units", "completed", "void", "errors", "breakages", "all\nthreads\nfailed"):
+    for column in (
+        "units",
+        "completed",
+        "stress did\nnot act",
+        "void",
+        "errors",
+        "breakages",
+        "all\nthreads\nfailed",
+    ):
         table.add_column(column, justify="right")
     for cell in status.cells:
         ended = f"{cell.units} / {cell.budget}"
-        counts = (cell.completed, cell.void, cell.errors, cell.breakages, cell.failures)
+        counts = (cell.completed, cell.unexposed, cell.void, cell.errors, cell.breakages, cell.failures)
         table.add_row(cell.cell, ended, *map(str, counts))
     return table
+
+
+def exposure_text(drawn: "Drawn") -> str:
+    """One line on a cell whose stress seldom acts."""
+    return (
+        f"{drawn.cell}: the stress acts in {drawn.acted} of {drawn.drawn} sequences drawn, the others would "
+        "not count; give a stronger dose, or low_texture a view_share"
+    )
 
 
 def print_replay(done: "Replay", rerun: Path | None) -> None:

@@ -70,6 +70,10 @@ UNIT_COLUMNS: dict[str, tuple[Domain, str]] = {
     "exposed_s": ("amount", "its length"),
     "onset_frame": ("count", "first frame of the exposed segment"),
     "end_frame": ("count", "last frame of the exposed segment"),
+    "exposed": (
+        "bool",
+        "the stress acted: its own measure reaches its threshold on a frame of its time; null for a sham",
+    ),
     "declares": ("name", "what the system says of itself: events, losses or nothing"),
     "ended": ("name", "how its run ended: finished, or what went wrong in a system that is not ours"),
     "ended_message": ("text", "a line about that"),
@@ -201,7 +205,7 @@ _ADDED_COLUMNS = frozenset(
     {
         *(f"{system}_{name}" for system in ("base", "dual") for name in _LATER),
         *("base", "sequence", "repeat", "sequence_seed", "repeat_seed", "start_frame"),
-        *("view_overlap", "rescuable", "mission_cause"),
+        *("exposed", "view_overlap", "rescuable", "mission_cause"),
         *("system", "system_digest", "declares", "ended", "ended_message"),
         *("base_breakage", "base_mission_failure", "base_mission_cause"),
     }

@@ -57,6 +57,8 @@ def run_unit(
         record["system_digest"] = system_digest(system) or None
         with render.running():
             sequence = _render(unit, cache_dir)
+            if unit.scenario.segments:
+                record["exposed"] = any(segment.first_frame >= 0 for segment in sequence.segments)
             record |= overlap_columns(unit, sequence, cache_dir)
         record |= _judged(unit, system, sequence, slam)
         if recording is not None:

@@ -190,6 +190,7 @@ def _limits(results: dict[str, Any]) -> str:
         f"{plural(aside['void_lead_ins'], 'lead-in')} that ended without a healthy map"
         if aside["void_lead_ins"]
         else "",
+        f"{plural(units['unexposed'], 'trial')} whose stress did not act" if units["unexposed"] else "",
         f"{plural(units['errors'], 'trial')} that ended in an error of the machine"
         if units["errors"]
         else "",

@@ -55,7 +55,8 @@ def boundary_content(schedule: BoundarySchedule) -> dict[str, Any]:
     Returns:
         ``answer`` in words; ``status``, one of ``reached``, ``not_reached`` (even by the strongest dose) and
         ``exceeded`` (even by the weakest); ``dose`` with the ends ``low`` and ``high`` of its interval, the
-        lower number first, null where the doses do not bound it; the trials; the curve of the failure.
+        lower number first, null where the doses do not bound it; the trials, whose ``dose`` is null without
+        stress and where it did not act; the curve of the failure.
     """
     plan, weights = schedule.plan, schedule.posterior()
     found = schedule.grid.boundary(weights, plan.level)
@@ -89,6 +90,7 @@ def boundary_content(schedule: BoundarySchedule) -> dict[str, Any]:
         "sham": {"trials": len(places), "failures": sum(failed), "rate": found.sham_rate},
         "trials": [_trial(plan, record) for record in records],
         "void": sum(r["outcome"] == Outcome.VOID for r in records),
+        "unexposed": sum(r["exposed"] is False for r in records),
         "errors": sum(r["outcome"] == Outcome.INFRASTRUCTURE_ERROR for r in records),
         "curve": _curve(schedule),
         "root_seed": plan.spec.root_seed,
@@ -138,7 +140,8 @@ def _axis_label(plan: BoundaryPlan) -> str:
 
 
 def _trial(plan: BoundaryPlan, record: Any) -> dict[str, Any]:
-    dose = None if record["cell"] == plan.sham_cell else record["severity"]
+    without = record["cell"] == plan.sham_cell or record["exposed"] is False
+    dose = None if without else record["severity"]
     outcome = record[plan.column]
     return {
         "unit_id": record["unit_id"],

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from experiments.eq1.records import SHAM, failure_column
-from experiments.eq1.units import RECOVERING, system_label
+from experiments.eq1.units import system_label
 from experiments.report import outcomes, reproductions
 from experiments.report.answer import answer
 from experiments.report.conditioning import conditioning
@@ -133,12 +133,11 @@ def _warnings(units: dict[str, Any], table: pd.DataFrame) -> list[str]:
             f"{plural(len(codes), 'state')} of the code that made the records is not that of this report: "
             "replays may differ."
         )
-    known = table["system"].isin(RECOVERING) & (table["kind"] != SHAM)
-    idle = int((known & table["view_overlap"].isna()).sum())
-    if idle and bool(table["view_overlap"].notna().any()):
+    stressed = outcomes.rows_where(table, table["kind"] != SHAM)
+    if unknown := int(stressed["exposed"].isna().sum()):
         warnings.append(
-            f"Withdrawn: {plural(idle, 'trial')} in which the stress acted on no frame stand in conditions "
-            "with it, whose figures, verdicts and pooled shares mix two populations."
+            f"Of {plural(unknown, 'trial')} it is not known whether the stress acted: a condition that mixes "
+            "stressed with unstressed trials contradicts Eq. 1 by itself."
         )
     digests = table.groupby("system")["system_digest"].nunique()
     changed = [str(name) for name, count in digests.items() if int(count) > 1]

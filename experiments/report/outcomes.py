@@ -9,13 +9,14 @@ import pandas as pd
 
 from experiments.eq1.records import SHAM, Outcome, dual_column, failure_column, thread_column
 from experiments.report.plain_data import as_data, counted, is_false, is_true, of_trials, spread
+from experiments.statistics.from_records import is_exposed
 
 ARMS = ("free", "cross")
 
 
 def completed(table: pd.DataFrame) -> pd.DataFrame:
-    """Completed units of a table."""
-    return rows_where(table, table["outcome"] == Outcome.COMPLETED)
+    """Completed units of a table whose stress, if they have one, acted."""
+    return rows_where(table, (table["outcome"] == Outcome.COMPLETED) & is_exposed(table))
 
 
 def rows_where(table: pd.DataFrame, mask: pd.Series) -> pd.DataFrame:
@@ -47,6 +48,7 @@ def _counts(rows: pd.DataFrame, planned: int) -> dict[str, int]:
         "recorded": len(rows),
         "missing": max(planned - len(rows), 0),
         "completed": of(Outcome.COMPLETED),
+        "unexposed": int((~is_exposed(rows) & (rows["outcome"] == Outcome.COMPLETED)).sum()),
         "void": of(Outcome.VOID),
         "errors": of(Outcome.INFRASTRUCTURE_ERROR),
     }

@@ -38,7 +38,8 @@ class Analysis:
     told.
 
     Attributes:
-        threads, worlds, units, void: their numbers.
+        threads, worlds, units, void: their numbers; units are those whose stress acted.
+        unexposed: number of units whose stress did not act: they are in no other figure.
         levels: per n, over all cells.
         failed_or_silent: share of the units with a dual failure of all threads or a silent failure.
         failed_or_silent_by_worlds: the same, worlds weighted alike.
@@ -48,6 +49,7 @@ class Analysis:
         within_sequences: per n.
         formulas: per n and set of worlds.
         sham: cells without a degradation, with all threads.
+        without_stress: likewise of each cell the units whose stress did not act.
         thread_shares, thread_pairs: the threads beside each other, in the crossing arm.
         rescuable, delays: parts of the breakages.
         doses: shares against dose.
@@ -59,6 +61,7 @@ class Analysis:
     worlds: int
     units: int
     void: int
+    unexposed: int
     levels: tuple[Level, ...]
     failed_or_silent: float | None
     failed_or_silent_by_worlds: Interval | None
@@ -68,6 +71,7 @@ class Analysis:
     within_sequences: tuple[WithinSequences, ...]
     formulas: tuple[Formulas, ...]
     sham: tuple[JudgedCell, ...]
+    without_stress: tuple[JudgedCell, ...]
     thread_shares: tuple[ThreadShares, ...]
     thread_pairs: tuple[ThreadPair, ...]
     rescuable: tuple[Part, ...]
@@ -104,7 +108,8 @@ def analyse(
         raise ValueError(f"{threads} recovery threads: Eq. 1 needs at least one")
     cells = [cell for cell in cells_of(table, threads) if cell.units]
     shams = [cell for cell in cells_of(table, threads, sham=True) if cell.units]
-    free_shams = [cell for cell in shams if cell.says("breakage")]
+    idle = [cell for cell in cells_of(table, threads, exposed=False) if cell.units]
+    free_shams, free_idle = ([c for c in each if c.says("breakage")] for each in (shams, idle))
     rng, numbers = np.random.default_rng(seed), range(1, threads + 1)
     free = [cell for cell in cells if cell.says("breakage")]
     units = sum(cell.units for cell in free)
@@ -119,6 +124,7 @@ def analyse(
         worlds=len({(cell.world, seed) for cell in cells for seed in cell.worlds}),
         units=sum(cell.units for cell in cells),
         void=sum(cell.void for cell in cells),
+        unexposed=sum(cell.units for cell in idle),
         levels=tuple(level(free, n, units) for n in numbers) if units else (),
         failed_or_silent=sum(float(np.nansum(f)) for f in failed) / units if units else None,
         failed_or_silent_by_worlds=share_interval(by_world(free, failed)) if units else None,
@@ -138,6 +144,7 @@ def analyse(
             for found in score_formulas(group, judged, n)
         ),
         sham=tuple(cell for cell in judge_cells(free_shams, threads, (), rng, 19) if cell.n == threads),
+        without_stress=tuple(c for c in judge_cells(free_idle, threads, (), rng, 19) if c.n == threads),
         thread_shares=thread_shares(cells),
         thread_pairs=thread_pairs(cells),
         rescuable=rescuable_parts(free),

@@ -55,7 +55,7 @@ def directions(cells: Sequence[HomogeneousCell], thread: int) -> tuple[Direction
             for seed, mean in zip(cell.worlds, means, strict=True):
                 if np.isfinite(mean):
                     by_seed.setdefault(int(seed), []).append(float(mean))
-            apart += int((cell.completed & np.isin(stages, ("overlap", "sim3", "fusion", "audit"))).sum())
+            apart += int((cell.counted & np.isin(stages, ("overlap", "sim3", "fusion", "audit"))).sum())
         if len(by_seed) > 2:
             figure = Figure.mean(np.array([np.mean(means) for means in by_seed.values()]))
             found.append((kind, world, figure, apart))

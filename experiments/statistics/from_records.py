@@ -23,6 +23,7 @@ class HomogeneousCell:
         rows: its records, completed or void.
         place: (rows,) world, sequence and replicate of each row.
         shape: W, S, K.
+        exposed: its figures are of the units whose stress acted; False: of the others.
     """
 
     name: str
@@ -32,6 +33,7 @@ class HomogeneousCell:
     rows: pd.DataFrame
     place: tuple[np.ndarray, np.ndarray, np.ndarray]
     shape: tuple[int, int, int]
+    exposed: bool = True
 
     @property
     def kind(self) -> str:
@@ -51,37 +53,51 @@ class HomogeneousCell:
         return float(self.rows["severity"].iloc[0])
 
     @cached_property
-    def completed(self) -> np.ndarray:
-        """(rows,) units that are not void."""
-        return (self.rows["outcome"] == Outcome.COMPLETED).to_numpy(bool)
+    def counted(self) -> np.ndarray:
+        """(rows,) units that its figures are of: not void, and exposed as the cell is."""
+        return self._completed & (self._exposed == self.exposed)
 
     @property
     def units(self) -> int:
-        """Number of completed units."""
-        return int(self.completed.sum())
+        """Number of counted units."""
+        return int(self.counted.sum())
 
     @property
     def void(self) -> int:
         """Number of void units."""
-        return len(self.rows) - self.units
+        return int((~self._completed).sum())
+
+    @property
+    def unexposed(self) -> int:
+        """Number of units that are not void, whose stress did not act."""
+        return int((self._completed & ~self._exposed).sum())
+
+    @cached_property
+    def _completed(self) -> np.ndarray:
+        return (self.rows["outcome"] == Outcome.COMPLETED).to_numpy(bool)
+
+    @cached_property
+    def _exposed(self) -> np.ndarray:
+        """(rows,) false where the stress is known not to have acted."""
+        return is_exposed(self.rows).to_numpy(bool)
 
     def says(self, *columns: str) -> bool:
-        """True if the completed records know each of these columns."""
-        rows = self.rows.loc[self.completed]
+        """True if the counted records know each of these columns."""
+        rows = self.rows.loc[self.counted]
         return all(name in rows and bool(rows[name].notna().any()) for name in columns)
 
     def values(self, column: str) -> Floats:
-        """(W, S, K) a column of numbers or booleans; NaN for null, void or missing."""
+        """(W, S, K) a column of numbers or booleans; NaN for null, not counted or missing."""
         return self.grid(pd.to_numeric(self.rows[column]).to_numpy(float, na_value=np.nan))
 
     def events(self, column: str) -> Floats:
-        """(W, S, K) an event of 0 or 1, null counting as 0; NaN for a unit that is void or missing."""
+        """(W, S, K) an event of 0 or 1, null counting as 0; NaN for a unit that is not counted or missing."""
         return self.grid(self.rows[column].fillna(False).to_numpy(float))
 
     def grid(self, by_row: Floats) -> Floats:
-        """(W, S, K) values of the completed among the (rows,), NaN elsewhere."""
+        """(W, S, K) values of the counted among the (rows,), NaN elsewhere."""
         found = np.full(self.shape, np.nan)
-        found[self.place] = np.where(self.completed, by_row, np.nan)
+        found[self.place] = np.where(self.counted, by_row, np.nan)
         return found
 
     @cached_property
@@ -100,7 +116,15 @@ class HomogeneousCell:
         return self.events(column) if self.says(column) else None
 
 
-def cells_of(table: pd.DataFrame, threads: int, sham: bool = False) -> list[HomogeneousCell]:
+def is_exposed(table: pd.DataFrame) -> pd.Series:
+    """False for the records whose stress is known not to have acted: another population than its cell's."""
+    said = table["exposed"] if "exposed" in table else pd.Series(True, index=table.index)
+    return pd.Series(said.astype("boolean").fillna(True).to_numpy(bool), index=table.index)
+
+
+def cells_of(
+    table: pd.DataFrame, threads: int, sham: bool = False, exposed: bool = True
+) -> list[HomogeneousCell]:
     """The cells of a table, each split by kind of world, in the order of the table.
 
     Records of earlier versions do not say of which sequence they are: of these the units of a world count as
@@ -110,6 +134,7 @@ def cells_of(table: pd.DataFrame, threads: int, sham: bool = False) -> list[Homo
         table: records, with the columns of ``records.columns``.
         threads: number n of recovery threads.
         sham: the sham cells instead of those with a dose.
+        exposed: of the units whose stress acted, or has none; False: of those whose stress did not.
     """
     counted = (table["outcome"] != Outcome.INFRASTRUCTURE_ERROR) & ((table["kind"] == SHAM) == sham)
     table = table.loc[counted.fillna(False).to_numpy(bool)]
@@ -124,5 +149,5 @@ def cells_of(table: pd.DataFrame, threads: int, sham: bool = False) -> list[Homo
             sequence, repeat = (rows[name].to_numpy(int) for name in ("sequence", "repeat"))
         shape = (len(seeds), int(sequence.max()) + 1, int(repeat.max()) + 1)
         at = (place, sequence, repeat)
-        found.append(HomogeneousCell(str(cell), str(world), seeds, threads, rows, at, shape))
+        found.append(HomogeneousCell(str(cell), str(world), seeds, threads, rows, at, shape, exposed))
     return found

@@ -6,10 +6,13 @@ from functools import partial
 from math import inf, sqrt
 
 import numpy as np
+import pandas as pd
 
+from experiments.eq1.records import Outcome
 from experiments.runs.processes import process_pool
 from experiments.statistics import boundary_proofs, estimates
 from experiments.statistics.formulas import RIVALS, compare_formulas
+from experiments.statistics.from_records import cells_of
 from experiments.statistics.outcomes import Outcomes, world_means
 from experiments.statistics.permutations import independence, within_sequences
 from experiments.statistics.simulated import Truth, simulate
@@ -129,6 +132,7 @@ def claims() -> list[Claim]:
     found.append(Claim("sequences that are decided give no verdict within", 1, 1, _deterministic))
     found.append(Claim("a mixture of kinds is optimistic within its kinds", 0, 0.05, _mixture))
     found.append(Claim("a mixture of kinds is optimistic if it is one cell", 0.95, 1, _mixed_cell))
+    found.append(Claim("a stress that acts on half of the sequences is optimistic", 0, 0.05, _half_exposed))
     for common, design, what, bounds in (
         (0.0, (60, 1, 2), "Eq. 1 is true", (0, 0.05)),
         (0.5, (100, 1, 3), "half of the worlds have one cause", (0.9, 1)),
@@ -215,6 +219,34 @@ def _mixed_cell(rng: np.random.Generator) -> float:
         np.concatenate([easy.dual_failures, hard.dual_failures], axis=1),
     )
     return float(_any_optimistic([mixed], rng))
+
+
+def _half_exposed(rng: np.random.Generator) -> float:
+    """In the other half nothing breaks, and the thread, which crosses no stress, fails seldom."""
+    acted, spared = (simulate(Truth(p, 0.3), rng, 100, 1, 2) for p in ((0.5, 0.5), (0.0, 0.1)))
+    table = pd.concat([_records(acted, True), _records(spared, False)], ignore_index=True)
+    return float(_any_optimistic([cell.outcomes.of_first(1) for cell in cells_of(table, 1)], rng))
+
+
+def _records(outcomes: Outcomes, exposed: bool) -> pd.DataFrame:
+    """A cell of one thread as a table of records, whose worlds have seeds of their own."""
+    world, sequence, repeat = np.indices(outcomes.breakage.shape).reshape(3, -1)
+    events = {"breakage": outcomes.breakage, "cross_r1_failed": outcomes.thread_failures[0]}
+    events["d1"] = outcomes.dual_failures[0]
+    return pd.DataFrame(
+        {
+            "cell": "planted",
+            "world": "planted",
+            "kind": "planted",
+            "outcome": Outcome.COMPLETED.value,
+            "exposed": exposed,
+            "world_seed": 2 * world + exposed,
+            "index": np.arange(len(world)),
+            "sequence": sequence,
+            "repeat": repeat,
+            **{name: event.ravel().astype(bool) for name, event in events.items()},
+        }
+    )
 
 
 def _any_optimistic(cells: Sequence[Outcomes], rng: np.random.Generator) -> bool:

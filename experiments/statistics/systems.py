@@ -28,7 +28,7 @@ class SystemShares:
     Attributes:
         system, cell, world, kind, severity: which one; the sham's severity is 0.
         image: the condition, which cells of several systems have in common.
-        worlds, units, void: their numbers.
+        worlds, units, void, unexposed: their numbers; units are those that the shares are of.
         declares: what its runs say of themselves: with ``nothing`` B is true loss by the audit.
         shares: of the units: ``breakage``, ``system_failure``, ``mission_failure``; of the unbroken ones
             ``silent_failure``. Those that are known.
@@ -43,6 +43,7 @@ class SystemShares:
     worlds: int
     units: int
     void: int
+    unexposed: int
     declares: tuple[str, ...]
     shares: dict[str, Interval]
 
@@ -174,7 +175,7 @@ def _shares(cell: HomogeneousCell, system: str, image: str, columns: Mapping[str
     if "silent_failure" in events:
         events["silent_failure"] = np.where(cell.events("breakage") == 0, events["silent_failure"], np.nan)
     shares = {name: share_by_world(event) for name, event in events.items()}
-    declares = cell.rows.loc[cell.completed, "declares"].dropna()
+    declares = cell.rows.loc[cell.counted, "declares"].dropna()
     return SystemShares(
         system=system,
         cell=cell.name,
@@ -185,6 +186,7 @@ def _shares(cell: HomogeneousCell, system: str, image: str, columns: Mapping[str
         worlds=len(cell.worlds),
         units=cell.units,
         void=cell.void,
+        unexposed=cell.unexposed,
         declares=tuple(sorted(set(map(str, declares)))),
         shares={name: share for name, share in shares.items() if share is not None},
     )
@@ -199,7 +201,7 @@ def _paired(both: Sequence[HomogeneousCell], column: str) -> pd.DataFrame:
                 "world": cell.rows["world_seed"].to_numpy(np.int64),
                 # Records of earlier versions do not say their sequence: each is one.
                 "sequence": cell.rows["sequence"].fillna(cell.rows["index"]).to_numpy(int),
-                "completed": cell.completed,
+                "completed": cell.counted,
                 "event": cell.rows[column].astype("Float64").to_numpy(float, na_value=np.nan),
             }
         )

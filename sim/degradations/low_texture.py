@@ -9,12 +9,14 @@ from scenarios.segments import LowTexture, SegmentBase
 from sim.degradations.base import FramePlan, Stage, during
 
 HALF_THE_VIEW = 0.5
+_NEVER, _ROUNDING = 1e-12, 1e-9
 
 
 class LowTextureDegradation:
     """Lowers the texture contrast of surfaces that the camera passes during the segment.
 
-    A surface is passed when it fills most of the view.
+    A surface is passed when it fills most of the view. With ``view_share`` surfaces fade until they fill that
+    share of the view, on average over the segment.
     """
 
     kind: ClassVar[str] = "low_texture"
@@ -27,20 +29,37 @@ class LowTextureDegradation:
 
     def apply(self, plan: FramePlan, segment: LowTexture) -> FramePlan:
         """See ``Degradation``."""
-        contrast = np.where(passed(plan, segment), plan.contrast * segment.contrast, plan.contrast)
+        contrast = np.where(_faded(plan, segment), plan.contrast * segment.contrast, plan.contrast)
         return replace(plan, contrast=contrast)
 
     def measure(self, plan: FramePlan, segment: LowTexture, blur_px: np.ndarray) -> np.ndarray:
         """(N,) share of the view that the segment's surfaces fill."""
         if segment.contrast == 1:
             return np.zeros(len(plan.stamps_s))
-        return plan.view_share[:, passed(plan, segment)].sum(axis=1, dtype=float)
+        return plan.view_share[:, _faded(plan, segment)].sum(axis=1, dtype=float)
 
     def threshold(self, segment: LowTexture) -> float:
-        """Half of the view."""
-        return HALF_THE_VIEW
+        """Half of the view, or the share asked for if that is less."""
+        return HALF_THE_VIEW if segment.view_share is None else min(HALF_THE_VIEW, segment.view_share)
 
 
 def passed(plan: FramePlan, segment: SegmentBase) -> np.ndarray:
     """(S,) bool: surfaces whose moment lies in the segment."""
     return during(segment, plan.moment_s)
+
+
+def _faded(plan: FramePlan, segment: LowTexture) -> np.ndarray:
+    """(S,) bool: surfaces passed, or those that fill the share of the view and are least seen outside."""
+    if segment.view_share is None:
+        return passed(plan, segment)
+    within = plan.within(segment)
+    inside = (
+        plan.view_share[within].mean(axis=0, dtype=float) if within.any() else np.zeros(len(plan.contrast))
+    )
+    everywhere = plan.view_share.sum(axis=0, dtype=float)
+    # By the view that they fill outside, for each unit of view inside.
+    order = np.argsort(-inside / np.maximum(everywhere, _NEVER), kind="stable")
+    filled = np.cumsum(inside[order])
+    faded = np.zeros(len(inside), bool)
+    faded[order[: int(np.searchsorted(filled, segment.view_share - _ROUNDING)) + 1]] = True
+    return faded & (inside > 0)

@@ -113,6 +113,12 @@ def test_more_trials_go_on_with_a_search_and_fewer_are_its_beginning(uninterrupt
     assert BoundarySchedule(plan_of(trials=22), rows).done == 22
 
 
+def test_a_trial_whose_stress_did_not_act_says_nothing_of_its_dose(uninterrupted):
+    plan, rows, _ = uninterrupted
+    spared = [row | {"exposed": False} if row["index"] == plan.trials - 1 else row for row in rows]
+    assert BoundarySchedule(plan, spared).outcomes() == BoundarySchedule(plan, rows[:-1]).outcomes()
+
+
 def test_a_void_trial_says_nothing_of_its_dose(uninterrupted):
     plan, rows, answer = uninterrupted
     assert any(row["outcome"] == "void" for row in rows[8:])

@@ -389,9 +389,10 @@ def test_a_run_of_the_crossing_arm_says_how_often_no_thread_crosses(dslab, tmp_p
     assert dslab("experiment", "merge", str(ROOT / "docs" / "threads"), "--out", str(folder))[0] == 0
     code, out, _ = dslab("experiment", "run", "threads", "--out", str(folder))
     table = pq.read_table(ROOT / "docs" / "threads" / "units.parquet").to_pandas()
+    table = table[table["exposed"]]  # in nine units the stress acts on no frame
     failed = table[[f"cross_r{thread}_failed" for thread in (1, 2, 3)]].astype(bool).all(axis=1).sum()
     assert code == 0
-    assert f"700 of 700 units: no thread crosses {failed / 700:.2f} ({failed}/700), 0 void" in out
+    assert f"700 of 700 units: no thread crosses {failed / 691:.2f} ({failed}/691), 0 void" in out
 
 
 @pytest.mark.slow

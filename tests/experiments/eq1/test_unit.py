@@ -229,3 +229,10 @@ def test_both_modes_give_the_same_failure_for_every_n(monkeypatch, blank):
         ends = [e for e in shipped.events if isinstance(e, RecoveryEnd) and e.stage != "cancelled"]
         assert record[f"d{n}"] is not any(e.success for e in ends)
         assert len(ends) == (1 if ends[0].success else n)
+
+
+@pytest.mark.parametrize("acts", [True, False])
+def test_a_unit_says_whether_its_stress_acted(monkeypatch, acts):
+    segment = BROKEN.segments[0] if acts else replace(BROKEN.segments[0], first_frame=-1, last_frame=-1)
+    record = run(monkeypatch, replace(BROKEN, segments=(segment,)), unit(arms=("pairs",), onset_s=ONSET / 30))
+    assert record["exposed"] == acts

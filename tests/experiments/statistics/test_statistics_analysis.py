@@ -123,6 +123,21 @@ def test_no_design_is_too_small_and_few_worlds_are_untested(worlds, repeats):
     assert found.doses and bool(found.directions) == (worlds > 2)
 
 
+def test_units_whose_stress_did_not_act_are_another_population():
+    """In the trials that no stress reached nothing broke: with them Eq. 1 is refuted by the mixture alone."""
+    acted = made_up(24)
+    spared = made_up(24, seed=1, breakage=False, d1=False, s1=False, m1=False, cross_r1_failed=False)
+    spared = spared.assign(index=spared["index"] + len(acted), world_seed=spared["world_seed"] + 24)
+    mixed = pd.concat([acted.assign(exposed=True), spared.assign(exposed=False)], ignore_index=True)
+    found, alone = (analyse(rows, 1, ("blur/1",), permutations=199) for rows in (mixed, acted))
+    assert found.cells == alone.cells and found.levels == alone.levels and found.chance == alone.chance
+    assert (found.units, found.unexposed, found.void) == (len(acted), len(spared), 0)
+    (beside,) = found.without_stress
+    assert beside.units == len(spared) and beside.measured.value == 0
+    as_one = analyse(mixed.assign(exposed=True), 1, permutations=199).cells[0]
+    assert as_one.shares["breakage"].value == pytest.approx(found.cells[0].shares["breakage"].value / 2)
+
+
 def test_the_answer_within_sequences_is_deterministic_without_telling_ones():
     rows = made_up(24, 1, 3)
     same = rows.groupby("world_seed")["breakage"].transform("first")

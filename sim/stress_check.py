@@ -1,0 +1,68 @@
+"""Does the stress of a scenario act, by its own measure? From the plan and as few frames as tell."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from scenarios.segments import ImageSegment, Segment
+from scenarios.spec import Scenario
+from sim.degradations.base import FramePlan, Stage, during
+from sim.degradations.image import ramp
+from sim.degradations.registry import DEGRADATIONS, FRAME_PLAN_KINDS
+from sim.degradations.truths import truths_of
+from sim.frame_plan import RenderBackend, mujoco_backend, plan_in_world
+from sim.preview import Preview, preview
+
+_WITHOUT_A_WORLD = {Stage.MOTION, Stage.TIMING}
+_AT_ONCE = 4
+"""Frames that are rendered together; the middle of a segment is tried first."""
+
+
+def stress_acts(scenario: Scenario, backend: RenderBackend | None = None) -> bool:
+    """True if a segment reaches its kind's threshold on a frame of its own time.
+
+    It is what ``first_frame`` of the sequence's truth says, without rendering the sequence: a motion or a
+    world is measured on the plan, a shutter or an image on frames of the segment until one tells.
+
+    Args:
+        scenario: with its own seed.
+        backend: worlds and renderer; None for MuJoCo.
+
+    Raises:
+        InputError: as ``sim.preview.preview``.
+    """
+    backend = backend or mujoco_backend()
+    stages = {DEGRADATIONS[segment.kind].stage for segment in scenario.segments}
+    if stages <= _WITHOUT_A_WORLD:
+        plan = plan_in_world(scenario, scenario.seed, backend, 0, lambda plan: plan.view_share)
+        return any(_acts_on_plan(plan, segment) for segment in scenario.segments)
+    looked = preview(scenario, backend)
+    return any(
+        _acts_on_plan(looked.plan, segment)
+        if DEGRADATIONS[segment.kind].stage in (*_WITHOUT_A_WORLD, Stage.WORLD)
+        else any(_acts_on(looked, segment, frames) for frames in _from_the_middle(looked.plan, segment))
+        for segment in scenario.segments
+    )
+
+
+def _acts_on_plan(plan: FramePlan, segment: Segment) -> bool:
+    kind = FRAME_PLAN_KINDS[segment.kind]
+    measure = kind.measure(plan, segment, np.zeros(len(plan.stamps_s)))
+    return bool(((measure >= kind.threshold(segment)) & (measure > 0) & plan.within(segment)).any())
+
+
+def _acts_on(looked: Preview, segment: Segment, frames: np.ndarray) -> bool:
+    """True if the segment acts on one of these frames, (K,) increasing indices."""
+    _, blur_px, chain = looked.exposed(frames.tolist())
+    part = looked.plan.only(np.isin(np.arange(len(looked.plan.stamps_s)), frames))
+    truths, _ = truths_of((segment,), part, chain, blur_px)
+    return truths[0].first_frame >= 0
+
+
+def _from_the_middle(plan: FramePlan, segment: Segment) -> Iterator[np.ndarray]:
+    """Indices of the segment's frames in small parts, from the strongest and the middle outwards."""
+    own = np.flatnonzero(during(segment, plan.stamps_s))
+    strength = ramp(segment, plan.stamps_s[own]) if isinstance(segment, ImageSegment) else np.ones(len(own))
+    order = own[np.lexsort((np.abs(own - own.mean()), -strength))] if len(own) else own
+    for start in range(0, len(order), _AT_ONCE):
+        yield np.sort(order[start : start + _AT_ONCE])
