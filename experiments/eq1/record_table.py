@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from experiments.eq1.records import ColumnType, columns
+from experiments.eq1.records import DOMAINS, ROUNDING, ColumnType, Domain, columns, domains
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,19 +24,19 @@ PANDAS_TYPES: dict[ColumnType, str] = {
 def normalise(record: Mapping[str, Any], threads: int) -> dict[str, Any]:
     """Convert a record to plain Python values of its columns' types, in their order.
 
-    NaN and infinities become null.
+    NaN and infinities become null; a share that is beyond its ends by rounding becomes that end.
 
     Args:
         record: from a unit.
         threads: number of recovery threads.
 
     Raises:
-        ValueError: a column is missing or unknown, or a value is not of its type.
+        ValueError: a column is missing or unknown, or a value is not of its type or out of its domain.
     """
-    types = columns(threads)
-    if differing := set(record) ^ set(types):
+    known = domains(threads)
+    if differing := set(record) ^ set(known):
         raise ValueError(f"missing or unknown columns: {', '.join(sorted(differing))}")
-    return {name: _plain(name, record[name], kind) for name, kind in types.items()}
+    return {name: _within(name, record[name], domain) for name, domain in known.items()}
 
 
 def storable(text: str) -> str:
@@ -69,6 +69,17 @@ def arrow_table(records: Iterable[Mapping[str, Any]], threads: int) -> "pa.Table
     kinds = {"bool": pa.bool_(), "int": pa.int64(), "float": pa.float64(), "text": pa.string()}
     schema = pa.schema([(name, kinds[kind]) for name, kind in columns(threads).items()])
     return pa.Table.from_pylist(list(records), schema=schema)
+
+
+def _within(name: str, value: Any, domain: Domain) -> Any:
+    kind, low, high = DOMAINS[domain]
+    plain = _plain(name, value, kind)
+    if plain is None or kind == "text":
+        return plain
+    slack = ROUNDING if domain == "share" else 0
+    if not low - slack <= plain <= high + slack:
+        raise ValueError(f"{name}: {value!r} is not from {low:g} to {high:g}")
+    return min(max(plain, float(low)), float(high)) if slack else plain
 
 
 def _plain(name: str, value: Any, kind: ColumnType) -> Any:

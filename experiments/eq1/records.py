@@ -30,6 +30,9 @@ DOMAINS: dict[Domain, tuple[ColumnType, float, float]] = {
 }
 """Type, least and largest value of each domain; a name is a text that is not empty."""
 
+ROUNDING = 1e-9
+"""How far a share, a ratio of sums, may lie beyond its ends by their rounding; further, and it is wrong."""
+
 
 SHAM = "sham"
 """Kind of the cells without a degradation."""

@@ -231,7 +231,8 @@ def coverage(frames: np.ndarray, T_world_cam: np.ndarray) -> Coverage:
     posed = np.zeros(len(T_world_cam), bool)
     posed[frames] = True
     covered, whole = float(steps[posed[:-1] & posed[1:]].sum()), float(steps.sum())
-    return Coverage(covered, covered / whole if whole > 0 else float("nan"))
+    # A sum of fewer steps may round above that of all.
+    return Coverage(covered, min(1.0, covered / whole) if whole > 0 else float("nan"))
 
 
 def rms(values: np.ndarray) -> float:

@@ -37,7 +37,8 @@ def step_errors(pairs: PosePairs, T_world_cam: np.ndarray) -> tuple[np.ndarray, 
 
 def share_within(shares: np.ndarray, errors: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
     """Share of the true path on which the error is at most each threshold (t,), from :func:`step_errors`."""
-    return np.array([float(shares[errors <= threshold].sum()) for threshold in thresholds])
+    # Shares that make up the whole may sum to a little more than 1.
+    return np.array([min(1.0, float(shares[errors <= threshold].sum())) for threshold in thresholds])
 
 
 def robustness(pairs: PosePairs, T_world_cam: np.ndarray) -> float | None:
@@ -62,4 +63,4 @@ def robustness(pairs: PosePairs, T_world_cam: np.ndarray) -> float | None:
         return None
     with np.errstate(divide="ignore"):
         credit = np.log(MOST / errors) / np.log(MOST / LEAST)
-    return float((shares * np.clip(credit, 0.0, 1.0)).sum())
+    return min(1.0, float((shares * np.clip(credit, 0.0, 1.0)).sum()))

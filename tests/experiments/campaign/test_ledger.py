@@ -16,7 +16,7 @@ from unit_fakes import MadeUp, made_up_record
 from experiments.campaign.folder_lock import LOCK_FILE, sole_driver
 from experiments.campaign.ledger import LEDGER_FILE, Ledger
 from experiments.eq1.record_table import data_frame, normalise
-from experiments.eq1.records import columns, decided, empty_record
+from experiments.eq1.records import columns, decided, domains, empty_record
 from scenarios.errors import InputError
 
 PLAN = MadeUp({"b": 3, "a": 2})
@@ -178,8 +178,26 @@ def test_the_folder_has_one_driver_at_a_time_and_is_free_after_kill_9(tmp_path):
         pass
 
 
+SHARES = [name for name, domain in domains(2).items() if domain == "share"]
+
+
+@pytest.mark.parametrize("name", SHARES)
+def test_a_share_beyond_its_ends_by_rounding_keeps_the_ledger_readable(tmp_path, name):
+    ends = {index: {name: end} for index, end in enumerate((1.0000000000000002, -1e-17))}
+    with Ledger.open(tmp_path, PLAN) as ledger:
+        for index, end in ends.items():
+            ledger.add(normalise(record_of(PLAN, "b", index) | end, 2))
+        assert [row[name] for row in ledger.rows()] == [1.0, 0.0]
+        ledger.add(record_of(PLAN, "b", 2) | {name: 1.0000000000000002})  # as earlier versions wrote it
+        assert len(ledger.rows()) == 3
+    for wrong in (1.01, -0.01):
+        with pytest.raises(ValueError, match=f"{name}: {wrong} is not from 0 to 1"):
+            normalise(record_of(PLAN, "b", 0) | {name: wrong}, 2)
+
+
 @pytest.mark.parametrize(
-    "change", [{"severity": "much"}, {"index": 1.5}, {"breakage": 2}, {"cell": 3}, {"surprise": 1}]
+    "change",
+    [{"severity": "much"}, {"index": 1.5}, {"index": -1}, {"breakage": 2}, {"cell": 3}, {"surprise": 1}],
 )
 def test_a_record_of_wrong_form_is_refused(change):
     with pytest.raises(ValueError, match=next(iter(change))):

@@ -37,6 +37,11 @@ def test_robustness_is_uniform_in_the_logarithm_of_the_error(off_m, score):
     assert robustness(placed(truth, range(101), off_m), truth) == pytest.approx(score, abs=0.02)
 
 
+def test_shares_of_a_path_add_to_1_at_most():
+    shares = np.full(45, 1 / 45)
+    assert shares.sum() > 1 and share_within(shares, np.zeros(45), np.ones(1)).tolist() == [1.0]
+
+
 def test_getting_lost_early_is_not_rewarded():
     truth = arc()
     early, all_along = placed(truth, range(11), 0.1), placed(truth, range(101), 0.5)

@@ -115,6 +115,17 @@ def test_coverage_counts_steps_between_consecutive_posed_frames():
     assert path_length_m(T) == pytest.approx(8.0)
 
 
+@pytest.mark.parametrize("seed", [13, 21, 23, 29])
+def test_no_share_of_a_path_is_above_1(seed):
+    """Of these paths the steps after a stand add to more than all steps, by rounding."""
+    rng = np.random.default_rng(seed)
+    T = np.tile(np.eye(4), (rng.integers(20, 400), 1, 1))
+    T[:, :3, 3] = np.cumsum(rng.normal(size=(len(T), 3)), 0)
+    T[:5, :3, 3] = T[4, :3, 3]
+    steps = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
+    assert steps[4:].sum() > steps.sum() and coverage(np.arange(4, len(T)), T).share == 1.0
+
+
 # -- evo as the oracle -------------------------------------------------------------------------------------
 
 
