@@ -4,8 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_RANK_TOLERANCE = 1e-6
-
 
 @dataclass(frozen=True)
 class Undefined:
@@ -52,8 +50,8 @@ def umeyama(p_map: np.ndarray, p_world: np.ndarray, with_scale: bool = True) -> 
         with_scale: Sim(3), as usual for one camera; else SE(3).
 
     Returns:
-        The alignment; Undefined for fewer than 3 positions and for collinear or coincident ones, which leave
-        the rotation about their line free.
+        The alignment; Undefined for fewer than 3 positions and if one of the paths does not move. A path on a
+        line leaves the rotation about it open, on which no position error depends: any is given.
 
     Source: Umeyama, "Least-squares estimation of transformation parameters between two point patterns",
     PAMI 1991, eqs. 34-43.
@@ -63,10 +61,9 @@ def umeyama(p_map: np.ndarray, p_world: np.ndarray, with_scale: bool = True) -> 
         return Undefined(f"{n} poses, alignment needs 3")
     mean_map, mean_world = p_map.mean(axis=0), p_world.mean(axis=0)
     centred_map, centred_world = p_map - mean_map, p_world - mean_world
-    for name, centred in (("estimated", centred_map), ("true", centred_world)):
-        extent = np.linalg.svd(centred, compute_uv=False)
-        if extent[1] <= _RANK_TOLERANCE * max(extent[0], np.finfo(float).tiny):
-            return Undefined(f"the {name} positions lie on a line")
+    for name, p, centred in (("estimated", p_map, centred_map), ("true", p_world, centred_world)):
+        if _stands_still(p, centred):
+            return Undefined(f"the {name} path does not move")
     u, d, vt = np.linalg.svd(centred_world.T @ centred_map / n)
     sign = np.ones(3)
     if np.linalg.det(u) * np.linalg.det(vt) < 0:
@@ -97,11 +94,9 @@ def align_poses(T_map_cam: np.ndarray, T_world_cam: np.ndarray) -> Similarity | 
     p_map, p_world = T_map_cam[:, :3, 3], T_world_cam[:, :3, 3]
     turned = (p_map - p_map.mean(axis=0)) @ R.T
     centred = p_world - p_world.mean(axis=0)
-    spread = float((turned**2).sum())
-    # A path that stands still up to rounding has no scale.
-    if spread <= n * np.finfo(float).eps * float((p_map**2).sum() + 1e-12):
+    if _stands_still(p_map, turned):
         return Undefined("the estimated path does not move")
-    scale = float((centred * turned).sum() / spread)
+    scale = float((centred * turned).sum() / (turned**2).sum())
     if scale <= 0 or not np.isfinite(scale):
         return Undefined("the estimated path does not follow the true one at any scale")
     return Similarity(scale, R, p_world.mean(axis=0) - scale * R @ p_map.mean(axis=0))
@@ -112,3 +107,8 @@ def rotation_angle_deg(R: np.ndarray) -> np.ndarray:
     axis = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
     sine, cosine = np.linalg.norm(axis, axis=1), np.trace(R, axis1=1, axis2=2) - 1
     return np.degrees(np.arctan2(sine, cosine))
+
+
+def _stands_still(p: np.ndarray, centred: np.ndarray) -> bool:
+    """True for (n, 3) positions, less their mean, that do not move beyond rounding: they have no scale."""
+    return float((centred**2).sum()) <= len(p) * np.finfo(float).eps * float((p**2).sum() + 1e-12)

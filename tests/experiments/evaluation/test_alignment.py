@@ -63,13 +63,37 @@ def test_without_scale_the_scale_is_one():
     ("positions", "why"),
     [
         (np.random.default_rng(0).normal(size=(2, 3)), "2 poses"),
-        (np.outer(np.arange(20.0), [1, 2, 3]) + 5, "on a line"),
-        (np.ones((20, 3)), "on a line"),
+        (np.full((20, 3), 1e6 / 3), "does not move"),
     ],
 )
-def test_too_few_and_collinear_positions_are_undefined(positions, why):
-    found = umeyama(positions, positions)
-    assert isinstance(found, Undefined) and why in found.reason
+def test_too_few_positions_and_a_path_that_stands_still_are_undefined(positions, why):
+    moves = np.random.default_rng(1).normal(size=positions.shape)
+    for pair in ((positions, moves), (moves, positions)):
+        found = umeyama(*pair)
+        assert isinstance(found, Undefined) and why in found.reason
+
+
+def test_a_straight_true_path_leaves_only_the_roll_about_it_open():
+    rng = np.random.default_rng(2)
+    along = np.array([1.0, 2, 3]) / np.sqrt(14)
+    p_world = np.outer(np.linspace(0, 10, 30), along) + 5
+    p_map = random_similarity(rng).points(p_world + rng.normal(0, 0.1, (30, 3)))
+    found = umeyama(p_map, p_world)
+
+    def errors(S):
+        return np.linalg.norm(S.points(p_map) - p_world, axis=1)
+
+    middle = p_world.mean(axis=0)
+    for angle in (1.0, 2.5):
+        R = Rotation.from_rotvec(angle * along).as_matrix()
+        rolled = Similarity(found.scale, R @ found.R_world_map, R @ (found.t_world_map - middle) + middle)
+        np.testing.assert_allclose(errors(rolled), errors(found), atol=1e-12)
+    # No rotation, nor scale, near it fits better.
+    for _ in range(50):
+        R = Rotation.from_rotvec(rng.normal(0, 0.01, 3)).as_matrix() @ found.R_world_map
+        scale = found.scale * rng.uniform(0.99, 1.01)
+        other = Similarity(scale, R, middle - scale * R @ p_map.mean(axis=0))
+        assert (errors(other) ** 2).sum() >= (errors(found) ** 2).sum()
 
 
 def test_orientations_determine_the_rotation_about_a_straight_path():

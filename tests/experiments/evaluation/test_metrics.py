@@ -138,19 +138,37 @@ def evo_trajectories(pairs: PosePairs):
     )
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("with_scale", [True, False])
-def test_ate_agrees_with_evo(seed, with_scale):
+def ate_of_evo(pairs: PosePairs, with_scale: bool) -> dict[str, float]:
     evo_metrics = pytest.importorskip("evo.core.metrics")
-    pairs = noisy_pairs(seed)
     reference, estimate = evo_trajectories(pairs)
     estimate.align(reference, correct_scale=with_scale)
     ape = evo_metrics.APE(evo_metrics.PoseRelation.translation_part)
     ape.process_data((reference, estimate))
-    ours, theirs = ate(pairs, with_scale), ape.get_all_statistics()
+    return ape.get_all_statistics()
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("with_scale", [True, False])
+def test_ate_agrees_with_evo(seed, with_scale):
+    pairs = noisy_pairs(seed)
+    ours, theirs = ate(pairs, with_scale), ate_of_evo(pairs, with_scale)
     assert ours.rmse_m == pytest.approx(theirs["rmse"], rel=1e-9)
     assert ours.median_m == pytest.approx(theirs["median"], rel=1e-9)
     assert ours.max_m == pytest.approx(theirs["max"], rel=1e-9)
+
+
+@pytest.mark.parametrize("with_scale", [True, False])
+def test_ate_on_a_line_agrees_with_evo_a_hair_off_it(with_scale):
+    pairs = noisy_pairs()
+    pairs.T_world_cam[:, :3, 3] = np.linspace(0, 4, len(pairs))[:, None] * [0.6, 0, 0.8]
+    estimate = pairs.T_world_cam.copy()
+    estimate[:, :3, 3] += np.random.default_rng(0).normal(0, 0.05, (len(pairs), 3))
+    on_line = PosePairs(pairs.frames, S.poses(estimate), pairs.T_world_cam)
+    ours = ate(on_line, with_scale)
+    on_line.T_world_cam[:, :3, 3] += np.random.default_rng(1).normal(0, 1e-6, (len(pairs), 3))
+    theirs = ate_of_evo(on_line, with_scale)  # on the line itself evo refuses
+    assert ours.rmse_m == pytest.approx(theirs["rmse"], rel=1e-5)
+    assert ours.max_m == pytest.approx(theirs["max"], rel=1e-4)
 
 
 @pytest.mark.parametrize(("delta", "unit"), [(10, "frames"), (0.5, "metres")])
