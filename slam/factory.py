@@ -39,7 +39,7 @@ def build_system(
 
     Args:
         kind: ``base``, ``dual``, ``dual+``, which is Dual-SLAM with initialisation by GMS, or ``paper`` and
-            ``paper+``: the same as the paper has them; or ``dso``, direct sparse odometry, and ``ldso``, the
+            ``paper+``: the same near the paper's text; or ``dso``, direct sparse odometry, and ``ldso``, the
             same with loops.
         camera: intrinsics of the images to come.
         seed: root of every random stream.

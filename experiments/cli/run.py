@@ -47,7 +47,7 @@ def run_command(
         typer.Option(
             metavar="NAMES",
             help="base: ORB-SLAM's method; dual: Dual-SLAM; dual+: with initialization by GMS; paper and "
-            "paper+: these as the paper has them; dso: direct sparse odometry; ldso: that with loops; those "
+            "paper+: these near the paper's text; dso: direct sparse odometry; ldso: that with loops; those "
             "of dslab systems list; a class of your own, as module:Class; or several, such as base,dual.",
         ),
     ] = "base",

@@ -144,7 +144,7 @@ _OURS = {
     "base": "ORB-SLAM's method",
     "dual": "Dual-SLAM",
     "dual+": "Dual-SLAM with initialization by GMS",
-    "paper": "Dual-SLAM as the paper has it",
+    "paper": "Dual-SLAM near the paper's text",
     "paper+": "that with initialization by GMS",
     "dso": "direct sparse odometry",
     "ldso": "that with loops",

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 FORMAT = 2
 PAPER_THREAD = "paper_orb"
-"""Kind of the thread that is Algorithm 1 to the letter with the base's own method."""
+"""Kind of the thread nearest to Algorithm 1's thread 1; on our corners and start."""
 
 
 def report_content(

@@ -96,7 +96,7 @@ def analyse(
         table: records, with the columns of ``records.columns``; no cell need be homogeneous.
         threads: number of recovery threads.
         confirmatory: cells named before the run.
-        paper_thread: number of the thread that is Algorithm 1 to the letter, if there is one.
+        paper_thread: number of the thread nearest to Algorithm 1's thread 1, if there is one.
         seed: of the permutations.
         permutations: their number; None for as many as the number of tests takes.
         confirmatory_threads: the first 1 to this many threads are tested there; None for all.

@@ -40,7 +40,7 @@ def directions(cells: Sequence[HomogeneousCell], thread: int) -> tuple[Direction
 
     Args:
         cells: with a dose.
-        thread: number of thread `paper`, Algorithm 1 to the letter.
+        thread: number of the thread nearest to Algorithm 1's thread 1.
     """
     failed, stage = (thread_column("cross", thread, name) for name in ("failed", "stage"))
     found = []

@@ -78,7 +78,7 @@ class DualSlam(MonocularSystem):
         """All settings, those of Dual-SLAM under ``dual``."""
         return {**super().settings, "dual": asdict(self.dual)}
 
-    # -- Algorithm 1 -------------------------------------------------------------------------------------
+    # -- Sec. III of the paper ---------------------------------------------------------------------------
 
     def process(self, image: np.ndarray, stamp_s: float) -> TrackingResult:
         """Process one frame; see :meth:`MonocularSystem.process`."""

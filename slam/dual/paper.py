@@ -1,6 +1,6 @@
-"""The paper's Dual-SLAM as its text has it: systems ``paper`` and ``paper+``.
+"""Dual-SLAM near the paper's text: systems ``paper`` and ``paper+``.
 
-What the text leaves open is as in ORB-SLAM; whatever this project does beyond is off.
+Settings are the paper's or ORB-SLAM's where there is one. What has none stays: docs/dual-slam.md lists it.
 
 Source: paper, Sec. III; Mur-Artal, Montiel, Tardós, "ORB-SLAM", 2015.
 """
