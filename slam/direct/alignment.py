@@ -1,6 +1,7 @@
 """Photometric alignment: the motion between two views under which pixels of known depth look alike.
 
 Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018.
+Where it says less, the cutoffs follow the authors' public code.
 """
 
 from collections.abc import Sequence

@@ -4,6 +4,7 @@ A pixel is selected where its gradient stands out from its surroundings, so that
 too: in a block where no pixel does, a coarser gradient over a larger block may.
 
 Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 3.1.
+Where it says less, this follows the authors' public code step by step.
 """
 
 from dataclasses import dataclass, replace

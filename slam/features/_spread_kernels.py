@@ -93,7 +93,7 @@ def spread_corners(
     Returns:
         (M,) int32 indices into the corners; all of them if N <= n_wanted.
 
-    Source: the distribution of corners in Mur-Artal et al., ORB-SLAM, T-RO 2015, section IV.
+    Source: Mur-Artal et al., ORB-SLAM, T-RO 2015, for even corners; the quadtree is of its public code.
     """
     order = np.arange(0, xs.size, 1, np.int32)
     if xs.size <= n_wanted:

@@ -1,6 +1,7 @@
 """Kernels of activation: which points are spread best, and their inverse depths over all keyframes.
 
 Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 3.2.
+Where it says less, ``refine_depths`` follows the authors' public code step by step.
 """
 
 import numpy as np

@@ -1,6 +1,7 @@
 """Kernel that narrows the inverse depths of points by a search along their epipolar lines.
 
 Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 3.2.
+Where it says less, the search follows the authors' public code step by step.
 """
 
 import numpy as np

@@ -1,6 +1,7 @@
 """Kernels of the tracker: an image against the projected points of a keyframe.
 
-Names as in :mod:`slam.direct._alignment_kernels`.
+Names as in :mod:`slam.direct._alignment_kernels`. Cutoffs follow the public code of the authors of "Direct
+Sparse Odometry".
 """
 
 import numpy as np

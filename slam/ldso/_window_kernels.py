@@ -7,6 +7,7 @@ Eight points of one host go through each stage together, so that its loops over 
 stages hand on lies in rows of one table, a column per point.
 
 Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 2.2 and 2.3.
+Where it says less, the bounds of outliers follow the authors' public code.
 """
 
 import numpy as np

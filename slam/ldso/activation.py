@@ -1,6 +1,7 @@
 """Activation: points whose depth is certain enough become part of the window, spread over the image.
 
 Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 3.2.
+Where it says less, this follows the authors' public code step by step.
 """
 
 import numpy as np

@@ -1,6 +1,7 @@
 """Photometric bundle adjustment of a window.
 
 Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 2.3.
+Where it says less, damping and the bounds of outliers follow the authors' public code.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,7 @@
 """Marginalisation: which keyframes and points leave a window, and what they leave behind.
 
 Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 2.3 and 3.3.
+Where it says less, the choice of what leaves follows the authors' public code.
 """
 
 import numpy as np

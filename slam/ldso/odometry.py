@@ -1,6 +1,7 @@
 """Direct sparse odometry in one map: frames tracked, keyframes made.
 
 Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 3.
+Where it says less, the guesses of motion and ``refer`` follow the authors' public code.
 """
 
 from collections.abc import Iterator

@@ -1,4 +1,7 @@
-"""Points of keyframes: pixels with their patterns, and what is known of their inverse depths."""
+"""Points of keyframes: pixels with their patterns, and what is known of their inverse depths.
+
+Their states follow the public code of the authors of "Direct Sparse Odometry".
+"""
 
 from dataclasses import dataclass, fields
 from typing import Self

@@ -1,6 +1,7 @@
 """Window of keyframes: their images, poses, brightness, points, and what is left of those that went.
 
 Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 2.3 and 3.1.
+Where it says less, the bounds of outliers follow the authors' public code.
 """
 
 from collections.abc import Iterator

@@ -3,6 +3,8 @@
 A keyframe's keypoints are one slice of the keypoint arrays. ``kp_point`` is the single owner of the
 associations; the observers of a point are a linked list that starts at ``pt_head`` and continues in
 ``kp_next``. ``covisibility`` is the exact number of shared points of every pair of keyframes.
+
+Culling, a point's descriptor and the bounds of covisibility follow ORB-SLAM's public code.
 """
 
 from typing import NamedTuple
@@ -149,7 +151,7 @@ def erase_observation(m, keypoint, min_observations):
 def refresh_point(m, point, scale):
     """Recompute a point's descriptor, mean viewing direction and distance from its observations.
 
-    The descriptor is the observation with the least median distance to the others.
+    Of its latest 24 observers, the one nearest to half of them, itself included, lends its descriptor.
     """
     count = m.pt_observations[point]
     if count == 0:

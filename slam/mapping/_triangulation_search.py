@@ -1,4 +1,7 @@
-"""New map points of a keyframe: epipolar search in its neighbours, triangulation, checks."""
+"""New map points of a keyframe: epipolar search in its neighbours, triangulation, checks.
+
+Search and checks follow ORB-SLAM's public code step by step.
+"""
 
 import numpy as np
 from numba import njit

@@ -1,4 +1,7 @@
-"""Local mapping: extend and refine the map with each new keyframe."""
+"""Local mapping: extend and refine the map with each new keyframe.
+
+Second neighbours are taken as in ORB-SLAM's public code.
+"""
 
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass

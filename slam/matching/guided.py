@@ -1,4 +1,7 @@
-"""Guided matching of map points with keypoints: project, search nearby cells, compare descriptors."""
+"""Guided matching of map points with keypoints: project, search nearby cells, compare descriptors.
+
+It follows ORB-SLAM's public code step by step.
+"""
 
 import numpy as np
 from numba import njit

@@ -74,7 +74,7 @@ def optimize_pose(
         without inliers; if rejection leaves fewer than three, the pose is the last estimate.
 
     Source: Mur-Artal, Montiel, Tardós, "ORB-SLAM", 2015, section V and appendix (motion-only bundle
-        adjustment); Levenberg-Marquardt with the damping of Nielsen, 1999.
+        adjustment), rounds as in its public code; Levenberg-Marquardt with the damping of Nielsen, 1999.
     """
     pose, inlier, noise = _optimize_pose(
         np.ascontiguousarray(T_cam_map, np.float64),

@@ -187,7 +187,7 @@ def optimize_sim3(
         chi2: bound on a pair's squared error in each image, in units of its variance.
         fixed_scale: keep the scale.
 
-    Source: ORB-SLAM, 2015, appendix (relative Sim(3) optimisation).
+    Source: ORB-SLAM, 2015, appendix (relative Sim(3) optimisation), rounds as in its public code.
     """
     pairs = _Pairs.of(points_1cam, points_2cam, pixels_1, pixels_2, sigma2_1, sigma2_2, fx, fy, cx, cy)
     S = np.ascontiguousarray(sim3_matrix(float(s), np.asarray(R, np.float64), np.asarray(t, np.float64)))

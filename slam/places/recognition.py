@@ -1,7 +1,7 @@
 """Place recognition: find keyframes that may show the same place as an image.
 
 Source: Galvez-Lopez, Tardos, "Bags of Binary Words for Fast Place Recognition in Image Sequences", 2012;
-candidates as in Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, sections V-C and VII-A.
+candidates as in Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, sections V-C and VII-A, and in its public code.
 """
 
 import json

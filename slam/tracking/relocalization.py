@@ -1,6 +1,7 @@
 """Relocalization: recognise a mapped place from a single frame and estimate its pose.
 
-Source: Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, section V-C.
+Source: Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, section V-C, with the two searches of its
+public code.
 """
 
 from collections.abc import Sequence

@@ -1,6 +1,6 @@
 """Third recovery thread: grid-based motion statistics (GMS) matches and EPnP, backward.
 
-Source: the method of Dual-SLAM's released code, which matches every frame with the last backward keyframe.
+Source: Dual-SLAM's public code, step by step: every frame is matched with the last backward keyframe.
 """
 
 from dataclasses import dataclass
