@@ -1,6 +1,6 @@
 """Pixel pairs (256) of the rotated BRIEF descriptor, learned for ORB.
 
-They are those of OpenCV's ORB, so that descriptors of the two can be compared bit by bit.
+They are those of OpenCV's ORB (license: NOTICE), so that descriptors of the two can be compared bit by bit.
 Source: Rublee et al., ORB: an efficient alternative to SIFT or SURF, ICCV 2011, section 4.3.
 """
 
