@@ -1,7 +1,8 @@
 """The renderer on pyrender: the frames of MuJoCo's renderer by independent code.
 
-Where both see one surface, gray levels differ by at most one except in a few pixels per million, and depth by
-less than a millimetre within 30 m. It takes one sample per pixel, even if a world requests more.
+Over six kinds of world gray levels differ by more than one in .04 % of the pixels, at edges, and within 100 m
+depths by more than a millimetre in 6 per million at most (``test_pyrender_renderer.py`` prints it; Mesa's
+llvmpipe). It takes one sample per pixel, even if a world requests more: 3.3 % then differ.
 """
 
 import numpy as np

@@ -23,26 +23,28 @@ from sim.worlds import build_world, layout
 from sim.worlds.base import Surface, WorldModel
 
 CAMERA = Intrinsics(200, 150, 151.0, 163.0, 91.3, 80.7, 30.0)
+VGA = Intrinsics(640, 480, 483.2, 521.6, 292.2, 258.2, 30.0)
 FRAMES = 6
 WORLDS = {
     "room": ("clean-room", {"length_m": 7.0, "width_m": 6.0}),
     "corridor": ("clean-corridor", {"length_m": 20.0, "turns": 1}),
     "city": ("clean-city", {"length_m": 120.0, "turns": 0}),
 }
+KINDS = {
+    **{name: changes for name, (_, changes) in WORLDS.items()},
+    "building": {"floors": 2, "length_m": 18.0},
+    "warehouse": {"length_m": 14.0, "aisles": 2},
+    "field": {"size_m": 40.0},
+    "motorway": {"length_m": 200.0},
+}
 
 
-@pytest.fixture(
-    scope="module",
-    params=[pytest.param(name, marks=() if name == "room" else pytest.mark.slow) for name in WORLDS],
-)
-def seen(request):
+def rendered_in_turn(scenario: Scenario, changes: dict, camera: Intrinsics) -> list[list[np.ndarray]]:
     """Frames, depths and surfaces (FRAMES, H, W) of a world by MuJoCo and by pyrender, rendered in turn."""
-    name, changes = WORLDS[request.param]
-    scenario = load_scenario(name)
     spec = scenario.world.model_copy(update=changes)
     world, duration_s = build_world(spec, 3), 20.0
     motion = plan_motion(layout(spec, 3), scenario.trajectory, duration_s, 3)
-    renderers = [MujocoRenderer(world, CAMERA), PyrenderRenderer(world, CAMERA)]
+    renderers = [MujocoRenderer(world, camera), PyrenderRenderer(world, camera)]
     rendered = [
         [(*r.render(T), r.render_surface_ids(T)) for r in renderers]
         for T in motion.T_world_cam(np.linspace(0.5, duration_s - 0.5, FRAMES))
@@ -50,6 +52,16 @@ def seen(request):
     for renderer in renderers:
         renderer.close()
     return [[np.stack(images) for images in zip(*by, strict=True)] for by in zip(*rendered, strict=True)]
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(name, marks=() if name == "room" else pytest.mark.slow) for name in WORLDS],
+)
+def seen(request):
+    """What both renderers show of a world."""
+    name, changes = WORLDS[request.param]
+    return rendered_in_turn(load_scenario(name), changes, CAMERA)
 
 
 def inner(ids: np.ndarray) -> np.ndarray:
@@ -87,6 +99,23 @@ class TestAgreement:
         assert np.median(difference[same]) < 1e-5
         # Single precision at the far end of a world.
         assert (difference[same] > 1e-3 + 3e-6 * depth[same]).mean() < 1e-4
+
+
+@pytest.mark.slow
+def test_frames_of_every_kind_of_world_agree_as_far_as_is_said():
+    """Prints the figures of docs/scenarios.md: ``pytest -rP -k agree_as_far``."""
+    off, deep = {}, {}
+    for name, changes in KINDS.items():
+        scenario = load_scenario(f"clean/{name}", seed=3)
+        (gray, depth, _), (other, other_depth, _) = rendered_in_turn(scenario, changes, VGA)
+        off[name] = (np.abs(gray.astype(int) - other) > 1).mean()
+        near = (depth > 0) & (depth < 100)
+        deep[name] = (np.abs(depth - other_depth)[near] > 1e-3).mean()
+        print(f"{name}: gray levels differ in {100 * off[name]:.3f} %, depths in {1e6 * deep[name]:.1f} ppm")
+    # MuJoCo draws a motorway of few surfaces with four samples per pixel, pyrender with one.
+    assert 0.01 < off.pop("motorway") < 0.05
+    print(f"the six others: {100 * np.mean(list(off.values())):.3f} %")
+    assert max(off.values()) < 1e-3 and max(deep.values()) < 1e-5
 
 
 def board(seed: int = 0) -> WorldModel:
