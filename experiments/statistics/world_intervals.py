@@ -49,8 +49,11 @@ def share_interval(by_world: Floats, level: float = 0.95) -> Interval:
     worlds, p = len(by_world), float(np.mean(by_world))
     variance = float(np.var(by_world, ddof=1)) if worlds > 1 else 0.0
     trials = p * (1 - p) * worlds / variance if variance > 0 else float(worlds)
-    if worlds < 2:
-        return Interval(p, 0.0, 1.0)
+    return wilson_interval(p, trials, worlds, level) if worlds > 1 else Interval(p, 0.0, 1.0)
+
+
+def wilson_interval(p: float, trials: float, worlds: int, level: float = 0.95) -> Interval:
+    """Wilson's interval of a share of so many trials, with Student's t of the worlds, 2 or more."""
     z2 = float(stats.t.ppf(0.5 + level / 2, worlds - 1)) ** 2
     middle = (p + z2 / (2 * trials)) / (1 + z2 / trials)
     half = sqrt(z2 * (p * (1 - p) / trials + z2 / (4 * trials**2))) / (1 + z2 / trials)

@@ -1,0 +1,181 @@
+"""Both readings of Eq. 1, of each sequence and of averages over sequences, beside what is measured."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from experiments.statistics.estimates import (
+    Figure,
+    dual_failure,
+    measured_in_units,
+    product_in_sequences,
+    product_of_margins,
+)
+from experiments.statistics.from_records import HomogeneousCell
+from experiments.statistics.judged import ratio_of_shares
+from experiments.statistics.outcomes import Outcomes, world_means
+from experiments.statistics.world_intervals import Interval, difference_interval, wilson_interval
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One reading of Eq. 1 against what is measured.
+
+    Attributes:
+        predicted: pi_seq or pi_marg.
+        ratio, ratio_in_units: D and Q over the prediction; None where it predicts nothing.
+        difference: D minus the prediction, over several cells; None in one, whose events may be too few.
+    """
+
+    predicted: float
+    ratio: Interval | None
+    ratio_in_units: Interval | None
+    difference: Interval | None
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Both readings with the first n threads, in one cell or over all.
+
+    Attributes:
+        n: number of threads.
+        cell, world: which one; None over all cells, weighted by their units.
+        units, worlds: their numbers.
+        measured: D.
+        in_units: Q.
+        of_sequences: by each sequence's own p0 and pr; None with too few replicates.
+        of_averages: by averages over sequences.
+    """
+
+    n: int
+    cell: str | None
+    world: str | None
+    units: int
+    worlds: int
+    measured: Interval
+    in_units: float
+    of_sequences: Reading | None
+    of_averages: Reading
+
+
+@dataclass(frozen=True)
+class Rescuable:
+    """Eq. 1 over the rescuable units of a cell alone.
+
+    Attributes:
+        cell, world: which one.
+        n: number of threads.
+        readings: over these units; None with too few worlds.
+        failures, hopeless: dual failures of all units, and those that no recovery by images can prevent.
+    """
+
+    cell: str
+    world: str
+    n: int
+    readings: Readings | None
+    failures: int
+    hopeless: int
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """A cell's outcomes with n threads, in the worlds that have units."""
+
+    name: str
+    kind_of_world: str
+    outcomes: Outcomes
+    worlds: list[tuple[str, int]]
+
+    @property
+    def units(self) -> int:
+        return int(np.isfinite(self.outcomes.breakage).sum())
+
+
+def both_readings(cells: Sequence[HomogeneousCell], n: int) -> list[Readings]:
+    """Compare D with both readings: over all cells, if there are several, then in each with enough worlds."""
+    each = [_with_units(cell, cell.outcomes.of_first(n)) for cell in cells]
+    each = [one for one in each if len(one.worlds) > 1 + n]
+    pooled = [_readings(each, n)] if len(each) > 1 else []
+    return [*pooled, *(_readings([one], n) for one in each)]
+
+
+def rescuable_readings(cells: Sequence[HomogeneousCell], n: int) -> list[Rescuable]:
+    """Compare D with Eq. 1 over units whose views on either side of the stress share enough.
+
+    Whether a unit is rescuable is known only after it ran: this describes and predicts nothing. Cells whose
+    records do not say it are left out.
+    """
+    found = []
+    for cell in (cell for cell in cells if cell.says("rescuable")):
+        outcomes, rescuable = cell.outcomes, cell.values("rescuable")
+        columns = (outcomes.breakage, outcomes.thread_failures[:n], outcomes.dual_failures[:n])
+        one = _with_units(cell, Outcomes(*(np.where(rescuable == 1, x, np.nan) for x in columns)))
+        failed = outcomes.dual_failures[n - 1] == 1
+        found.append(
+            Rescuable(
+                cell=cell.name,
+                world=cell.world,
+                n=n,
+                readings=_readings([one], n) if len(one.worlds) > 1 + n else None,
+                failures=int(failed.sum()),
+                hopeless=int((failed & (rescuable == 0)).sum()),
+            )
+        )
+    return found
+
+
+def _with_units(cell: HomogeneousCell, outcomes: Outcomes) -> _Cell:
+    kept = outcomes.has_units
+    seeds = [(cell.world, int(seed)) for seed in cell.worlds[kept]]
+    return _Cell(cell.name, cell.world, outcomes.of_worlds(kept), seeds)
+
+
+def _readings(cells: Sequence[_Cell], n: int) -> Readings:
+    measured, in_units, of_averages = (
+        _pooled(cells, [estimate(c.outcomes) for c in cells])
+        for estimate in (dual_failure, measured_in_units, product_of_margins)
+    )
+    of_sequences = [f for c in cells if (f := product_in_sequences(c.outcomes)) is not None]
+    alone = len(cells) == 1
+    margins = tuple(map(float, world_means(cells[0].outcomes.columns).mean(axis=1))) if alone else ()
+
+    def reading(predicted: Figure, shares: tuple[float, ...] = ()) -> Reading:
+        return Reading(
+            predicted.value,
+            ratio_of_shares(measured, predicted, shares),
+            ratio_of_shares(in_units, predicted, shares),
+            None if alone else difference_interval(measured - predicted),
+        )
+
+    return Readings(
+        n=n,
+        cell=cells[0].name if alone else None,
+        world=cells[0].kind_of_world if alone else None,
+        units=sum(c.units for c in cells),
+        worlds=measured.worlds,
+        measured=_share(measured),
+        in_units=in_units.value,
+        of_sequences=reading(_pooled(cells, of_sequences)) if len(of_sequences) == len(cells) else None,
+        of_averages=reading(of_averages, margins),
+    )
+
+
+def _share(figure: Figure) -> Interval:
+    """Wilson's interval of a share over several cells, as `share_interval` has it for one."""
+    share, variance = min(max(figure.value, 0.0), 1.0), float(np.var(figure.pseudo_values, ddof=1))
+    known = variance > 1e-12  # rounding leaves more than 0
+    trials = share * (1 - share) * figure.worlds / variance if known else figure.worlds
+    return wilson_interval(share, trials, figure.worlds)
+
+
+def _pooled(cells: Sequence[_Cell], figures: Sequence[Figure]) -> Figure:
+    """A figure over all cells by their shares of the units; a world leaves all of its cells at once."""
+    total = sum(c.units for c in cells)
+    worlds = list(dict.fromkeys(world for c in cells for world in c.worlds))
+    place = {world: i for i, world in enumerate(worlds)}
+    value, change = 0.0, np.zeros(len(worlds))
+    for c, figure in zip(cells, figures, strict=True):
+        value += c.units / total * figure.value
+        change[[place[world] for world in c.worlds]] += c.units / total * (figure.without - figure.value)
+    return Figure(value, value + change)
