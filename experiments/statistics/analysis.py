@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from experiments.eq1.records import thread_column
 from experiments.statistics.by_conditions import (
     DosePoint,
     Part,
@@ -13,6 +14,7 @@ from experiments.statistics.by_conditions import (
     dose_points,
     rescuable_parts,
 )
+from experiments.statistics.conditional import EventPair, event_pairs
 from experiments.statistics.conditioning import QUANTITIES, BaselineErrors, baseline_errors, lead_ins
 from experiments.statistics.direction import Direction, directions
 from experiments.statistics.from_records import cells_of
@@ -26,6 +28,8 @@ from experiments.statistics.over_cells import (
 )
 from experiments.statistics.permutations import permutations_for
 from experiments.statistics.pooled import KindOfWorld, Level, by_world, kind_of_world, level
+from experiments.statistics.readings import Readings, Rescuable, both_readings, rescuable_readings
+from experiments.statistics.repeats import Repeats, repeats
 from experiments.statistics.threads import ThreadPair, ThreadShares, thread_pairs, thread_shares
 from experiments.statistics.world_intervals import Interval, share_interval
 
@@ -46,12 +50,16 @@ class Analysis:
         kinds_of_world: per kind of world and n.
         chance: by kind of world, 1 - ICC of B.
         cells: per n, cell and kind of world.
+        readings: per n, over all cells and in each: Eq. 1 of each sequence and of averages.
         within_sequences: per n.
+        event_pairs: B and the threads' failures within sequences, and across their runs.
+        repeats: per cell and thread, sequences by their runs with both events.
         formulas: per n and set of worlds.
         sham: cells without a degradation, with all threads.
         without_stress: likewise of each cell the units whose stress did not act.
         thread_shares, thread_pairs: the threads beside each other, in the crossing arm.
         rescuable, delays: parts of the breakages.
+        over_rescuable: per n and cell, Eq. 1 over rescuable units alone.
         doses: shares against dose.
         directions: pr = p0, for thread `paper`.
         conditioning: pose error against baseline, for each quantity that was measured.
@@ -68,13 +76,17 @@ class Analysis:
     kinds_of_world: tuple[KindOfWorld, ...]
     chance: dict[str, Interval]
     cells: tuple[JudgedCell, ...]
+    readings: tuple[Readings, ...]
     within_sequences: tuple[WithinSequences, ...]
+    event_pairs: tuple[EventPair, ...]
+    repeats: tuple[Repeats, ...]
     formulas: tuple[Formulas, ...]
     sham: tuple[JudgedCell, ...]
     without_stress: tuple[JudgedCell, ...]
     thread_shares: tuple[ThreadShares, ...]
     thread_pairs: tuple[ThreadPair, ...]
     rescuable: tuple[Part, ...]
+    over_rescuable: tuple[Rescuable, ...]
     delays: tuple[Part, ...]
     doses: tuple[DosePoint, ...]
     directions: tuple[Direction, ...]
@@ -112,6 +124,7 @@ def analyse(
     free_shams, free_idle = ([c for c in each if c.says("breakage")] for each in (shams, idle))
     rng, numbers = np.random.default_rng(seed), range(1, threads + 1)
     free = [cell for cell in cells if cell.says("breakage")]
+    both_arms = [cell for cell in free if cell.says(thread_column("cross", 1, "failed"))]
     units = sum(cell.units for cell in free)
     judged = judge_cells(free, threads, confirmatory, rng, permutations, confirmatory_threads)
     named = [cell for cell in free if cell.name in confirmatory] or free
@@ -131,12 +144,15 @@ def analyse(
         kinds_of_world=tuple(kind_of_world(free, judged, world, n) for world in kinds for n in numbers),
         chance={world: share for world, share in chance.items() if share is not None},
         cells=judged,
+        readings=tuple(found for n in numbers for found in both_readings(both_arms, n)),
         within_sequences=tuple(
             test
             for n in numbers
             for group in of_same_worlds(named)
             for test in permuted_within(group, n, rng, tests)
         ),
+        event_pairs=event_pairs(both_arms),
+        repeats=repeats(both_arms),
         formulas=tuple(
             found
             for n in numbers
@@ -148,6 +164,7 @@ def analyse(
         thread_shares=thread_shares(cells),
         thread_pairs=thread_pairs(cells),
         rescuable=rescuable_parts(free),
+        over_rescuable=tuple(found for n in numbers for found in rescuable_readings(both_arms, n)),
         delays=delay_parts(free),
         doses=dose_points(cells, shams, threads),
         directions=directions(free, paper_thread) if paper_thread else (),

@@ -16,6 +16,7 @@ from experiments.report.plots.conditioning import draw_conditioning
 from experiments.report.plots.doses import draw_doses
 from experiments.report.plots.formulas import draw_formulas
 from experiments.report.plots.paths import draw_paths
+from experiments.report.plots.repeats import draw_repeats
 from experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
 from experiments.report.plots.systems import draw_systems
 from experiments.report.plots.trials import draw_end_errors, draw_timeline
@@ -71,6 +72,10 @@ def draw_plots(report: dict[str, Any], folder: Path) -> dict[str, Plot]:
             )
             for kind in dict.fromkeys(cell["kind"] for cell in report["analysis"]["cells"])
         },
+        "repeats": (
+            "Sequences by their runs that break and that a thread fails to cross, a grid per condition.",
+            partial(draw_repeats, report),
+        ),
         "formulas": (
             "Mean prediction of each formula minus the mean failures, per condition.",
             partial(draw_formulas, report),

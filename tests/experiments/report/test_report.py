@@ -304,6 +304,12 @@ def test_a_design_with_all_parts_has_them_on_its_page(tmp_path):
     analysis = report["analysis"]
     assert analysis["directions"] and analysis["rescuable"] and analysis["chance"]["corridor"]["low"] >= 0
     assert all("run" in cell["steps"] for cell in analysis["cells"] if cell["steps"] and cell["n"] == 1)
+    assert {(len(r["sequences"]), r["thread"]) for r in analysis["repeats"]} == {(4, 1), (4, 2)}
+    pairs = [(pair["first"], pair["second"]) for pair in analysis["event_pairs"]]
+    assert pairs == [(0, 1), (0, 2), (1, 2)] and "Which events come together" in text
+    assert analysis["readings"][0]["of_sequences"] and {r["cell"] for r in analysis["readings"]} > {None}
+    soon = [part["breakages"] for part in analysis["delays"]]
+    assert f"{soon[0]} of {sum(soon)} breakages are declared up to 0.1 s" in text
     assert "named before the run" in text and "final_pose" in report["taxonomy"]["mission_causes"]
 
 

@@ -17,6 +17,7 @@ from experiments.report.describe import (
 from experiments.report.outcomes import set_aside, taxonomy, unit_counts
 from experiments.report.plots.chain import draw_chain
 from experiments.report.plots.doses import draw_doses
+from experiments.report.plots.repeats import draw_repeats
 from experiments.report.plots.style import NARROW_IN, WIDE_IN
 from experiments.report.plots.trials import base_parts, dual_parts
 from experiments.report.reproductions import table_1, table_2, table_3
@@ -96,6 +97,27 @@ def test_the_chain_has_a_panel_per_condition_and_arrows_for_open_ends(width_in):
     # A ratio of 0 has no place on the axis.
     assert [line.get_marker() for line in two.lines if line.get_marker() in "o<>"] == ["<"]
     assert draw_chain({"analysis": {"cells": [judged(2)]}, "conditions": []}, "blur", width_in) is None
+
+
+@pytest.mark.parametrize("width_in", [WIDE_IN, NARROW_IN])
+def test_sequences_stand_by_the_runs_that_break_to_the_right_and_fail_upwards(width_in):
+    grids = [
+        {"cell": "c", "world": "room", "thread": j, "sequences": [[7, 0], [5 * (j == 1), 1]]} for j in (1, 2)
+    ]
+    report = {
+        "analysis": {"repeats": grids},
+        "conditions": [{"cell": "c", "number": 4, "name": "room, blur"}],
+        "experiment": {"threads": [{"kind": "orb"}, {"kind": "sift"}]},
+    }
+    orb, sift = draw_repeats(report, width_in).axes
+    assert orb.get_title(loc="left") == "4. room, blur" and sift.get_ylabel() == "SIFT fails"
+    assert {text.get_text(): text.get_position() for text in orb.texts} == {
+        "7": (0, 0),
+        "5": (1, 0),
+        "1": (1, 1),
+    }
+    assert [text.get_text() for text in sift.texts] == ["7", "1"], "no number where there are none"
+    assert draw_repeats(report | {"analysis": {"repeats": []}}, width_in) is None
 
 
 def test_doses_stand_on_the_axis_in_their_unit_with_the_sham_as_none():

@@ -8,6 +8,7 @@ import pytest
 
 from experiments.statistics.conditional import conditional_odds_ratio, event_pairs
 from experiments.statistics.difficulties import Margin, draw
+from experiments.statistics.repeats import repeats
 
 HALF = Margin(0.5, 0.5)
 
@@ -15,7 +16,8 @@ HALF = Margin(0.5, 0.5)
 def cell(columns, world="corridor"):
     """A cell with these outcomes (events, W, S, K)."""
     return SimpleNamespace(
-        outcomes=SimpleNamespace(columns=columns),
+        name="blur/1",
+        outcomes=SimpleNamespace(columns=columns, breakage=columns[0], thread_failures=columns[1:]),
         worlds=np.arange(columns.shape[1]),
         world=world,
         threads=len(columns) - 1,
@@ -84,3 +86,13 @@ def test_intervals_within_hold_the_truth():
         (pair,) = event_pairs([cell(draw((HALF, HALF), 0.8, rng, (40, 1, 3)))])
         missed += not pair.within.low <= 1 <= pair.within.high
     assert missed <= 18
+
+
+def test_two_populations_in_a_cell_show_at_both_ends_of_the_grid_of_runs():
+    acts = np.arange(30)[:, None, None] < 20
+    columns = np.broadcast_to(np.where(acts, 1.0, 0.0), (3, 30, 1, 3)).copy()
+    columns[0, 0, 0, 0], columns[1, 1, 0, 0] = 0, np.nan
+    first, second = repeats([cell(columns)])
+    assert first.sequences == ((10, 0, 0, 0), (0, 0, 0, 0), (0, 0, 0, 1), (0, 0, 0, 18))
+    assert (second.thread, sum(map(sum, second.sequences))) == (2, 30), "void is a run of thread 1 alone"
+    assert repeats([cell(columns[..., :1])]) == ()
