@@ -8,6 +8,7 @@ import pandas as pd
 
 from experiments.eq1.records import PAIR_COLUMNS, PAIR_GAPS, Outcome, pair_column
 from experiments.statistics.estimates import Figure
+from experiments.statistics.products import ROUNDING
 from experiments.statistics.world_intervals import Interval, ratio_interval
 
 QUANTITIES = ("rotation_deg", "direction_deg")
@@ -145,7 +146,8 @@ def _by_gap(rows: pd.DataFrame, name: str, gaps: list[int]) -> np.ndarray:
 def _about_own_mean(values: np.ndarray, known: np.ndarray) -> np.ndarray:
     """(N, G) values minus the mean of each row's known ones; 0 where unknown."""
     means = (values * known).sum(axis=1, keepdims=True) / known.sum(axis=1, keepdims=True)
-    return np.where(known, values - means, 0.0)
+    apart = values - means
+    return np.where(known & (np.abs(apart) > ROUNDING * np.abs(means)), apart, 0.0)
 
 
 def _floats(rows: pd.DataFrame, gap: int, name: str) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import sqrt
 
 import numpy as np
 from scipy import stats
@@ -67,7 +66,4 @@ def directions(cells: Sequence[HomogeneousCell], thread: int) -> tuple[Direction
 
 
 def _p(figure: Figure) -> float:
-    error = sqrt(float(np.var(figure.pseudo_values, ddof=1)) / figure.worlds)
-    if error == 0:
-        return 1.0 if figure.value == 0 else 0.0
-    return float(2 * stats.t.sf(abs(figure.value) / error, figure.worlds - 1))
+    return float(2 * stats.t.sf(abs(figure.t), figure.worlds - 1))

@@ -1,11 +1,12 @@
 """What Eq. 1 predicts and what is measured, each with what it would be without any one world."""
 
 from dataclasses import dataclass
+from math import copysign, inf, sqrt
 
 import numpy as np
 
 from experiments.statistics.outcomes import Floats, Outcomes, sequence_means, world_means
-from experiments.statistics.products import product_of_distinct, product_without_each
+from experiments.statistics.products import ROUNDING, product_of_distinct, product_without_each
 
 
 @dataclass(frozen=True)
@@ -15,10 +16,16 @@ class Figure:
     Attributes:
         value: the estimate.
         without: (W,) the estimate without each world.
+        scale: magnitude of the figures that it is a sum of; its own if left out.
     """
 
     value: float
     without: Floats
+    scale: float = 0.0
+
+    def __post_init__(self) -> None:
+        own = max(abs(self.value), float(np.abs(self.without).max(initial=0.0)))
+        object.__setattr__(self, "scale", max(self.scale, own))
 
     @property
     def worlds(self) -> int:
@@ -30,9 +37,23 @@ class Figure:
         """(W,) what each world adds: their mean estimates, their spread is the estimate's."""
         return self.worlds * self.value - (self.worlds - 1) * self.without
 
+    @property
+    def error(self) -> float:
+        """Standard error, by the spread of the pseudo-values; 0 if that is no more than rounding."""
+        error = float(self.pseudo_values.std(ddof=1)) / sqrt(self.worlds)
+        return error if error > ROUNDING * self.scale else 0.0
+
+    @property
+    def t(self) -> float:
+        """Student's t against 0: 0 if the figure is no more than rounding, else infinite without a spread."""
+        if abs(self.value) <= ROUNDING * self.scale:
+            return 0.0
+        return self.value / self.error if self.error else copysign(inf, self.value)
+
     def __add__(self, other: "Figure") -> "Figure":
         """Sum over the same worlds."""
-        return Figure(self.value + other.value, self.without + other.without)
+        scale = max(self.scale, other.scale)
+        return Figure(self.value + other.value, self.without + other.without, scale)
 
     def __sub__(self, other: "Figure") -> "Figure":
         """Difference over the same worlds."""
@@ -40,14 +61,14 @@ class Figure:
 
     def times(self, factor: float) -> "Figure":
         """The figure times a constant."""
-        return Figure(factor * self.value, factor * self.without)
+        return Figure(factor * self.value, factor * self.without, abs(factor) * self.scale)
 
     @classmethod
     def mean(cls, by_world: Floats) -> "Figure":
         """Mean of one value per world, (W,)."""
         worlds, total = len(by_world), by_world.sum()
         without = (total - by_world) / (worlds - 1) if worlds > 1 else np.full(worlds, np.nan)
-        return cls(float(total / worlds), without)
+        return cls(float(total / worlds), without, float(np.abs(by_world).max(initial=0.0)))
 
 
 def share(outcome: Floats) -> Figure:

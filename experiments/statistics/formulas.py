@@ -9,9 +9,10 @@ from scipy import stats
 from scipy.optimize import minimize_scalar
 from scipy.special import ndtr, ndtri
 
+from experiments.statistics.estimates import Figure
 from experiments.statistics.outcomes import Floats, Outcomes, world_means
 from experiments.statistics.verdicts import holm
-from experiments.statistics.world_intervals import Interval
+from experiments.statistics.world_intervals import Interval, difference_interval
 
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(40)
 _WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
@@ -99,13 +100,15 @@ def compare_formulas(
     predicted = np.clip(predicted, 0.5 / worlds, 1 - 0.5 / worlds)
     loss = -(outcome * np.log(predicted) + (1 - outcome) * np.log(1 - predicted)).mean(axis=1)
     p = (means.sum(axis=2) + 0.5) / (worlds + 1)
+    eq1_loss, *others = (Figure.mean(each) for each in loss)
+    gains = [eq1_loss - other for other in others]
     parameters = dict(zip(RIVALS[1:], _parameters(p, units.mean(axis=1), np.asarray(fitted)), strict=True))
-    p_rivals = dict(zip(RIVALS, holm([_p_of_gain(loss[0] - loss[1 + i]) for i in range(3)]), strict=True))
+    p_rivals = dict(zip(RIVALS, holm([_p_of_gain(gain) for gain in gains[:3]]), strict=True))
     return [
         FormulaScore(
             name,
             float(loss[i].mean()),
-            _gain(loss[0] - loss[i]) if i else None,
+            difference_interval(gains[i - 1]) if i else None,
             p_rivals.get(name),
             (predicted[i] - outcome).mean(axis=1),
             parameters.get(name),
@@ -143,12 +146,5 @@ def _fit(formula, p: Floats, measured: Floats) -> float:
     return float(min((0.0, 1.0, best), key=loss))
 
 
-def _gain(by_world: Floats) -> Interval:
-    worlds, mean = len(by_world), float(by_world.mean())
-    half = float(stats.t.ppf(0.975, worlds - 1)) * float(by_world.std(ddof=1)) / sqrt(worlds)
-    return Interval(mean, mean - half, mean + half)
-
-
-def _p_of_gain(by_world: Floats) -> float:
-    spread = float(by_world.std(ddof=1)) / sqrt(len(by_world))
-    return float(stats.t.sf(by_world.mean() / spread, len(by_world) - 1)) if spread > 0 else 1.0
+def _p_of_gain(gain: Figure) -> float:
+    return float(stats.t.sf(gain.t, gain.worlds - 1)) if gain.t else 1.0

@@ -7,6 +7,9 @@ import numpy as np
 
 from experiments.statistics.outcomes import Floats
 
+ROUNDING = 1e-12
+"""What is less than this, of the figures that it is a sum or difference of, is nothing."""
+
 
 def product_of_distinct(x: Floats) -> Floats:
     """The U-statistic u(X): mean of the product of one entry per column over all choices of distinct rows.
@@ -39,12 +42,13 @@ def product_without_each(x: Floats) -> Floats:
 
 
 def _over_choices(sums: dict[tuple[int, ...], Floats], rows: np.ndarray, columns: int) -> Floats:
-    total = np.zeros(np.shape(rows))
+    total, size = np.zeros(np.shape(rows)), np.zeros(np.shape(rows))
     for partition in _set_partitions(columns):
         term = np.ones(np.shape(rows))
         for block in partition:
             term = term * ((-1) ** (len(block) - 1) * factorial(len(block) - 1)) * sums[block]
-        total = total + term
+        total, size = total + term, size + np.abs(term)
+    total = np.where(np.abs(total) > ROUNDING * size, total, 0.0)
     choices = np.ones(np.shape(rows))
     for k in range(columns):
         choices = choices * (rows - k)

@@ -221,7 +221,7 @@ def _by_world(pairs: Sequence[pd.DataFrame]) -> Floats:
 
 def _difference(about: PairedDifference, pairs: Sequence[pd.DataFrame]) -> PairedDifference:
     by_world = _by_world(pairs)
-    units = pd.concat(pairs)
+    figure, units = Figure.mean(by_world), pd.concat(pairs)
     return replace(
         about,
         worlds=len(by_world),
@@ -229,6 +229,6 @@ def _difference(about: PairedDifference, pairs: Sequence[pd.DataFrame]) -> Paire
         left_out=int((units.completed_1 != units.completed_2).sum()),
         only_first=int((units.difference > 0).sum()),
         only_second=int((units.difference < 0).sum()),
-        difference=float(by_world.mean()),
-        interval=difference_interval(Figure.mean(by_world)) if np.ptp(by_world) > 0 else None,
+        difference=figure.value,
+        interval=difference_interval(figure) if len(by_world) > 1 and figure.error else None,
     )

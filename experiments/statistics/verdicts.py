@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from math import sqrt
 
 import numpy as np
 from scipy import stats
@@ -72,7 +71,7 @@ def compare_units(outcomes: Outcomes, test: PermutationTest) -> Comparison:
 def compare_forecast(outcomes: Outcomes) -> Comparison:
     """D against pi_marg, by the t-test of their pseudo-values."""
     measured, product = estimates.dual_failure(outcomes), estimates.product_of_margins(outcomes)
-    p = float(2 * stats.t.sf(abs(_t_of(measured - product)), product.worlds - 1))
+    p = float(2 * stats.t.sf(abs((measured - product).t), product.worlds - 1))
     return _compare(outcomes, measured, p)
 
 
@@ -82,18 +81,9 @@ def _compare(outcomes: Outcomes, measured: Figure, p: float) -> Comparison:
     sides = []
     for k in (-_MARGIN, _MARGIN):
         beyond = measured - product.times(1 - k) - weakest.times(k)
-        t = _t_of(beyond)
-        sides.append(float(stats.t.sf(t if k < 0 else -t, product.worlds - 1)))
+        sides.append(float(stats.t.sf(beyond.t if k < 0 else -beyond.t, product.worlds - 1)))
     untested = bool(((means > 0).sum(axis=1) < _LEAST_WORLDS).any())
     return Comparison(measured, product, weakest, p, max(sides), untested)
-
-
-def _t_of(figure: Figure) -> float:
-    """Student's t of a figure against 0; infinite without spread."""
-    spread = sqrt(float(np.var(figure.pseudo_values, ddof=1)) / figure.worlds)
-    if spread > 0:
-        return figure.value / spread
-    return 0.0 if figure.value == 0 else float(np.copysign(np.inf, figure.value))
 
 
 def verdicts(

@@ -8,6 +8,7 @@ from scipy import stats
 
 from experiments.statistics.estimates import Figure
 from experiments.statistics.outcomes import Floats
+from experiments.statistics.products import ROUNDING
 
 
 @dataclass(frozen=True)
@@ -47,9 +48,10 @@ def share_interval(by_world: Floats, level: float = 0.95) -> Interval:
         level: its coverage.
     """
     worlds, p = len(by_world), float(np.mean(by_world))
-    variance = float(np.var(by_world, ddof=1)) if worlds > 1 else 0.0
-    trials = p * (1 - p) * worlds / variance if variance > 0 else float(worlds)
-    return wilson_interval(p, trials, worlds, level) if worlds > 1 else Interval(p, 0.0, 1.0)
+    if worlds < 2:
+        return Interval(p, 0.0, 1.0)
+    error = Figure.mean(by_world).error
+    return wilson_interval(p, p * (1 - p) / error**2 if error else float(worlds), worlds, level)
 
 
 def wilson_interval(p: float, trials: float, worlds: int, level: float = 0.95) -> Interval:
@@ -62,7 +64,7 @@ def wilson_interval(p: float, trials: float, worlds: int, level: float = 0.95) -
 
 def difference_interval(figure: Figure, level: float = 0.95) -> Interval:
     """Interval of a difference or sum of figures over the same worlds, by its pseudo-values."""
-    half = _t(figure, level) * sqrt(float(np.var(figure.pseudo_values, ddof=1)) / figure.worlds)
+    half = _t(figure, level) * figure.error
     return Interval(figure.value, figure.value - half, figure.value + half)
 
 
@@ -99,9 +101,9 @@ def ratio_interval(
 
 def few_events(by_world: Floats, shares: tuple[float, ...] = ()) -> bool:
     """Return True if too few worlds have an event for the spread of (W,) means to be known."""
-    worlds = len(by_world)
+    worlds, nothing = len(by_world), ROUNDING * float(np.abs(by_world).max(initial=0.0))
     expected = [float(np.prod(shares)), float(np.prod([1 - p for p in shares]))] if shares else []
-    return int((by_world > 0).sum()) < 5 or any(worlds * p < 5 for p in expected)
+    return int((by_world > nothing).sum()) < 5 or any(worlds * p < 5 for p in expected)
 
 
 def _t(figure: Figure, level: float) -> float:

@@ -143,6 +143,24 @@ def test_a_ratio_of_rare_events_is_as_wide_as_that_of_counts():
     assert found.low == 0 and found.high == pytest.approx(factor * 0.02 / (0.02**2 * (1 + factor * 14)))
 
 
+def test_rounding_is_no_difference_no_spread_and_no_event():
+    tenths = np.full(20, 0.1) + 0.2  # .30000000000000004
+    same = Figure.mean(tenths) - Figure.mean(np.full(20, 0.3))
+    assert same.value != 0 and (same.t, same.error) == (0.0, 0.0)
+    assert (Figure.mean(tenths) - Figure.mean(np.full(20, 0.2))).t == inf
+    small = Figure.mean(np.where(np.arange(20) < 5, 1e-9, 0)) - Figure.mean(np.zeros(20))
+    assert small.t == pytest.approx(stats.ttest_1samp(small.pseudo_values, 0).statistic)
+
+    shaken = np.where(np.arange(40) % 2, 0.3, 0.1 + 0.2)
+    assert share_interval(shaken) == pytest.approx(share_interval(np.full(40, 0.3)))
+    once = Figure.mean(np.where(np.arange(50) == 0, 1.0, 0.0))
+    assert (once.pseudo_values > 0).sum() > 5 and few_events(once.pseudo_values)
+    # All that the columns have is in one row: no choice of distinct rows has any of it.
+    row = np.zeros((3, 12))
+    row[:, 7] = 0.7, 0.7, 0.3
+    assert product_of_distinct(row) == 0 and not product_without_each(row).any()
+
+
 # -- tests and verdicts --------------------------------------------------------------------------------------
 
 
