@@ -22,7 +22,6 @@ from experiments.statistics.judged import JudgedCell, judge_cells, share_of_chan
 from experiments.statistics.over_cells import (
     Formulas,
     WithinSequences,
-    of_same_worlds,
     permuted_within,
     score_formulas,
 )
@@ -54,7 +53,7 @@ class Analysis:
         within_sequences: per n.
         event_pairs: B and the threads' failures within sequences, and across their runs.
         repeats: per cell and thread, sequences by their runs with both events.
-        formulas: per n and set of worlds.
+        formulas: per n.
         sham: cells without a degradation, with all threads.
         without_stress: likewise of each cell the units whose stress did not act.
         thread_shares, thread_pairs: the threads beside each other, in the crossing arm.
@@ -145,20 +144,10 @@ def analyse(
         chance={world: share for world, share in chance.items() if share is not None},
         cells=judged,
         readings=tuple(found for n in numbers for found in both_readings(both_arms, n)),
-        within_sequences=tuple(
-            test
-            for n in numbers
-            for group in of_same_worlds(named)
-            for test in permuted_within(group, n, rng, tests)
-        ),
+        within_sequences=tuple(test for n in numbers for test in permuted_within(named, n, rng, tests)),
         event_pairs=event_pairs(both_arms),
         repeats=repeats(both_arms),
-        formulas=tuple(
-            found
-            for n in numbers
-            for group in of_same_worlds(free)
-            for found in score_formulas(group, judged, n)
-        ),
+        formulas=tuple(found for n in numbers for found in score_formulas(free, judged, n)),
         sham=tuple(cell for cell in judge_cells(free_shams, threads, (), rng, 19) if cell.n == threads),
         without_stress=tuple(c for c in judge_cells(free_idle, threads, (), rng, 19) if c.n == threads),
         thread_shares=thread_shares(cells),

@@ -66,4 +66,4 @@ def directions(cells: Sequence[HomogeneousCell], thread: int) -> tuple[Direction
 
 
 def _p(figure: Figure) -> float:
-    return float(2 * stats.t.sf(abs(figure.t), figure.worlds - 1))
+    return float(2 * stats.t.sf(abs(figure.t), figure.freedom))

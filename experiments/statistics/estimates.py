@@ -1,12 +1,17 @@
 """What Eq. 1 predicts and what is measured, each with what it would be without any one world."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import copysign, inf, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from experiments.statistics.outcomes import Floats, Outcomes, sequence_means, world_means
 from experiments.statistics.products import ROUNDING, product_of_distinct, product_without_each
+
+World = tuple[str, int]
+"""A world by its kind and its seed."""
 
 
 @dataclass(frozen=True)
@@ -17,11 +22,13 @@ class Figure:
         value: the estimate.
         without: (W,) the estimate without each world.
         scale: magnitude of the figures that it is a sum of; its own if left out.
+        kinds: (W,) kinds of the worlds, independent samples; None for one.
     """
 
     value: float
     without: Floats
     scale: float = 0.0
+    kinds: NDArray[np.str_] | None = None
 
     def __post_init__(self) -> None:
         own = max(abs(self.value), float(np.abs(self.without).max(initial=0.0)))
@@ -44,6 +51,18 @@ class Figure:
         return error if error > ROUNDING * self.scale else 0.0
 
     @property
+    def freedom(self) -> float:
+        """Degrees of freedom of the error.
+
+        Source: Satterthwaite 1946, for several kinds.
+        """
+        if self.kinds is None or not self.error:
+            return self.worlds - 1
+        own = [self.pseudo_values[self.kinds == kind] for kind in np.unique(self.kinds)]
+        squares = np.array([np.square(values - values.mean()).sum() for values in own])
+        return float(squares.sum() ** 2 / np.sum(squares**2 / [max(len(values) - 1, 1) for values in own]))
+
+    @property
     def t(self) -> float:
         """Student's t against 0: 0 if the figure is no more than rounding, else infinite without a spread."""
         if abs(self.value) <= ROUNDING * self.scale:
@@ -53,7 +72,7 @@ class Figure:
     def __add__(self, other: "Figure") -> "Figure":
         """Sum over the same worlds."""
         scale = max(self.scale, other.scale)
-        return Figure(self.value + other.value, self.without + other.without, scale)
+        return Figure(self.value + other.value, self.without + other.without, scale, self.kinds)
 
     def __sub__(self, other: "Figure") -> "Figure":
         """Difference over the same worlds."""
@@ -61,7 +80,7 @@ class Figure:
 
     def times(self, factor: float) -> "Figure":
         """The figure times a constant."""
-        return Figure(factor * self.value, factor * self.without, abs(factor) * self.scale)
+        return Figure(factor * self.value, factor * self.without, abs(factor) * self.scale, self.kinds)
 
     @classmethod
     def mean(cls, by_world: Floats) -> "Figure":
@@ -69,6 +88,27 @@ class Figure:
         worlds, total = len(by_world), by_world.sum()
         without = (total - by_world) / (worlds - 1) if worlds > 1 else np.full(worlds, np.nan)
         return cls(float(total / worlds), without, float(np.abs(by_world).max(initial=0.0)))
+
+
+def mean_over_cells(by_cell: Sequence[Floats], worlds: Sequence[Sequence[World]]) -> Figure:
+    """Mean over cells, weighted alike, of the mean over each cell's worlds, at least two.
+
+    A world is left out of all its cells at once, so that what cells share by their worlds is in the error.
+    Worlds of different kinds are different ones, whatever their seeds, and their kinds independent samples.
+
+    Args:
+        by_cell: per cell (W,) a value of each of its worlds.
+        worlds: per cell their kinds and seeds.
+
+    """
+    places = {world: i for i, world in enumerate(dict.fromkeys(w for own in worlds for w in own))}
+    value = float(np.mean([of_cell.mean() for of_cell in by_cell]))
+    change = np.zeros(len(places))
+    for of_cell, own in zip(by_cell, worlds, strict=True):
+        at = [places[world] for world in own]
+        change[at] += (of_cell.mean() - of_cell) / (len(own) - 1) / len(by_cell)
+    scale = max(float(np.abs(of_cell).max()) for of_cell in by_cell)
+    return Figure(value, value + change, scale, np.array([kind for kind, _ in places]))
 
 
 def share(outcome: Floats) -> Figure:

@@ -9,7 +9,7 @@ from scipy import stats
 from scipy.optimize import minimize_scalar
 from scipy.special import ndtr, ndtri
 
-from experiments.statistics.estimates import Figure
+from experiments.statistics.estimates import Figure, World, mean_over_cells
 from experiments.statistics.outcomes import Floats, Outcomes, world_means
 from experiments.statistics.verdicts import holm
 from experiments.statistics.world_intervals import Interval, difference_interval
@@ -74,47 +74,98 @@ class FormulaScore:
 
 
 def compare_formulas(
-    cells: Sequence[Outcomes], fitted: Sequence[bool], on_units: bool = False
+    cells: Sequence[Outcomes],
+    fitted: Sequence[bool],
+    on_units: bool = False,
+    worlds: Sequence[Sequence[World]] | None = None,
 ) -> list[FormulaScore]:
-    """Score Eq. 1, its rivals and the ceiling, one world left out of all cells at a time.
+    """Score Eq. 1, its rivals and the ceiling, one world left out of all its cells at a time.
 
     Args:
-        cells: over the same worlds, with the same threads.
+        cells: with the same threads and a unit in each of their worlds.
         fitted: cells that the rivals' parameters are fitted to, by their Q: tested and unsaturated ones.
         on_units: score on Q instead of D.
+        worlds: of each cell, by kind and seed; the same in all of them if left out.
 
     Returns:
         Eq. 1, the weakest link, the beta factor, the one-factor model and the ceiling, which is the mean
         outcome of the other worlds.
     """
-    means = np.stack([world_means(cell.columns) for cell in cells])  # (cells, n + 1, W)
-    units = np.stack([world_means(np.prod(cell.columns, axis=0)) for cell in cells])
-    outcome = units if on_units else np.stack([world_means(cell.dual_failures[-1]) for cell in cells])
-    predicted = np.empty((len(FORMULAS), *outcome.shape))
-    worlds = outcome.shape[1]
-    for w in range(worlds):
-        others = np.arange(worlds) != w
-        p = (means[..., others].sum(axis=2) + 0.5) / worlds
-        ceiling = (outcome[:, others].sum(axis=1) + 0.5) / worlds
-        predicted[:, :, w] = [*_predictions(p, units[:, others].mean(axis=1), np.asarray(fitted)), ceiling]
-    predicted = np.clip(predicted, 0.5 / worlds, 1 - 0.5 / worlds)
-    loss = -(outcome * np.log(predicted) + (1 - outcome) * np.log(1 - predicted)).mean(axis=1)
-    p = (means.sum(axis=2) + 0.5) / (worlds + 1)
-    eq1_loss, *others = (Figure.mean(each) for each in loss)
-    gains = [eq1_loss - other for other in others]
-    parameters = dict(zip(RIVALS[1:], _parameters(p, units.mean(axis=1), np.asarray(fitted)), strict=True))
-    p_rivals = dict(zip(RIVALS, holm([_p_of_gain(gain) for gain in gains[:3]]), strict=True))
-    return [
-        FormulaScore(
-            name,
-            float(loss[i].mean()),
-            difference_interval(gains[i - 1]) if i else None,
-            p_rivals.get(name),
-            (predicted[i] - outcome).mean(axis=1),
-            parameters.get(name),
+    of_cell = worlds or [[("", i) for i in range(len(cell.breakage))] for cell in cells]
+    return Unseen.of(cells, fitted, of_cell).scores(on_units)
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """What the formulas predict of each world of each cell from the other worlds.
+
+    Attributes:
+        worlds: of each cell, by kind and seed.
+        outcomes: per cell (2, W) world means of D and of Q.
+        predicted: per cell (4, W) by Eq. 1 and its rivals.
+        parameters: the beta factor's beta and the one-factor model's r, fitted to all worlds.
+    """
+
+    worlds: Sequence[Sequence[World]]
+    outcomes: list[Floats]
+    predicted: list[Floats]
+    parameters: tuple[float, float]
+
+    @classmethod
+    def of(
+        cls, cells: Sequence[Outcomes], fitted: Sequence[bool], worlds: Sequence[Sequence[World]]
+    ) -> "Unseen":
+        """Fit the formulas without each world, and to all of them; as of :func:`compare_formulas`."""
+        means = [world_means(cell.columns) for cell in cells]  # (n + 1, W) each
+        units = [world_means(np.prod(cell.columns, axis=0)) for cell in cells]
+        failures = [world_means(cell.dual_failures[-1]) for cell in cells]
+        chosen = np.asarray(fitted)
+        p = np.array([(x.sum(axis=1) + 0.5) / (x.shape[1] + 1) for x in means])
+        q = np.array([x.mean() for x in units])
+        places = [{world: i for i, world in enumerate(own)} for own in worlds]
+        predicted = [np.empty((len(RIVALS) + 1, len(own))) for own in worlds]
+        for world in dict.fromkeys(world for own in worlds for world in own):
+            inside = {c: place[world] for c, place in enumerate(places) if world in place}
+            p_others, q_others = p.copy(), q.copy()
+            for c, i in inside.items():
+                p_others[c] = (means[c].sum(axis=1) - means[c][:, i] + 0.5) / means[c].shape[1]
+                q_others[c] = np.delete(units[c], i).mean()
+            found = _predictions(p_others, q_others, chosen)
+            for c, i in inside.items():
+                predicted[c][:, i] = [of_all[c] for of_all in found]
+        outcomes = [np.stack(both) for both in zip(failures, units, strict=True)]
+        return cls(worlds, outcomes, predicted, _parameters(p, q, chosen))
+
+    def scores(self, on_units: bool) -> list[FormulaScore]:
+        """Scores on Q, or on D."""
+        outcomes = [both[int(on_units)] for both in self.outcomes]
+        predicted = [
+            np.clip([*four, (y.sum() - y + 0.5) / len(y)], 0.5 / len(y), 1 - 0.5 / len(y))
+            for four, y in zip(self.predicted, outcomes, strict=True)
+        ]
+        losses = [
+            -(y * np.log(f) + (1 - y) * np.log(1 - f)) for f, y in zip(predicted, outcomes, strict=True)
+        ]
+        eq1_loss, *others = (
+            mean_over_cells([loss[i] for loss in losses], self.worlds) for i in range(len(FORMULAS))
         )
-        for i, name in enumerate(FORMULAS)
-    ]
+        gains = [None, *(eq1_loss - other for other in others)]
+        p_rivals = dict(zip(RIVALS, holm([_p_of_gain(gain) for gain in gains[1:4] if gain]), strict=True))
+        parameters = dict(zip(RIVALS[1:], self.parameters, strict=True))
+        calibrations = np.array([(f - y).mean(axis=1) for f, y in zip(predicted, outcomes, strict=True)])
+        return [
+            FormulaScore(
+                name,
+                loss.value,
+                difference_interval(gain) if gain else None,
+                p_rivals.get(name),
+                calibration,
+                parameters.get(name),
+            )
+            for name, loss, gain, calibration in zip(
+                FORMULAS, (eq1_loss, *others), gains, calibrations.T, strict=True
+            )
+        ]
 
 
 def second_thread_gain(outcomes: Outcomes) -> Floats:
@@ -147,4 +198,4 @@ def _fit(formula, p: Floats, measured: Floats) -> float:
 
 
 def _p_of_gain(gain: Figure) -> float:
-    return float(stats.t.sf(gain.t, gain.worlds - 1)) if gain.t else 1.0
+    return float(stats.t.sf(gain.t, gain.freedom)) if gain.t else 1.0

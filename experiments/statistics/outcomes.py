@@ -54,6 +54,16 @@ class Outcomes:
             dual_failures=self.dual_failures[:, worlds],
         )
 
+    def placed(self, at: NDArray[np.intp], shape: tuple[int, int, int]) -> "Outcomes":
+        """The worlds at the places (W,) among those of a larger shape (W, S, K), NaN elsewhere."""
+
+        def grown(x: Floats) -> Floats:
+            larger = np.full((*x.shape[:-3], *shape), np.nan)
+            larger[..., at, : x.shape[-2], : x.shape[-1]] = x
+            return larger
+
+        return Outcomes(grown(self.breakage), grown(self.thread_failures), grown(self.dual_failures))
+
     @property
     def has_units(self) -> NDArray[np.bool_]:
         """(W,) worlds with at least one valid replicate."""

@@ -1,14 +1,19 @@
-"""What is asked of all cells of the same worlds at once: chance within sequences, and formulas."""
+"""What is asked of all cells at once: chance within sequences, and formulas.
+
+Cells of one kind of world are paired by their worlds; kinds of world are independent samples, also where
+their worlds have the same seeds.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.statistics.estimates import Figure
-from experiments.statistics.formulas import FORMULAS, FormulaScore, compare_formulas, second_thread_gain
+from experiments.statistics.estimates import mean_over_cells
+from experiments.statistics.formulas import FORMULAS, FormulaScore, Unseen, second_thread_gain
 from experiments.statistics.from_records import HomogeneousCell
-from experiments.statistics.judged import JudgedCell
+from experiments.statistics.judged import JudgedCell, usable
+from experiments.statistics.outcomes import Outcomes
 from experiments.statistics.permutations import within_sequences
 from experiments.statistics.verdicts import Verdict
 from experiments.statistics.world_intervals import Interval, difference_interval
@@ -16,11 +21,12 @@ from experiments.statistics.world_intervals import Interval, difference_interval
 
 @dataclass(frozen=True)
 class WithinSequences:
-    """The test within sequences, pooled over cells of the same worlds.
+    """The test within sequences, summed over cells.
 
     Attributes:
         n: number of threads.
-        cells, telling: numbers of cells, and of sequences in which B and a thread's failure both vary.
+        cells, telling: numbers of cells, and of their sequences that enter and in which B and a thread's
+            failure both vary.
         ratio: Q over its mean over the permutations.
         p: two-sided; None with too few telling sequences: the outcome of a sequence is determined.
     """
@@ -34,14 +40,14 @@ class WithinSequences:
 
 @dataclass(frozen=True)
 class Formulas:
-    """Formulas scored on worlds that they have not seen, over cells of the same worlds.
+    """Formulas scored on worlds that they have not seen: means over cells, weighted alike.
 
     Attributes:
         n: number of threads.
         cells: (name, kind of world) of each, in the order of the calibrations.
-        worlds: their number.
+        worlds: their number, over all kinds.
         on_dual_failures, on_units: scores on D and on Q; none of a formula that no cell could be fitted to.
-        second_thread: D of the first thread alone minus D of all n, mean over cells; None for n = 1.
+        second_thread: D of the first thread alone minus D of all n, on the same units; None for n = 1.
     """
 
     n: int
@@ -52,47 +58,52 @@ class Formulas:
     second_thread: Interval | None
 
 
-def of_same_worlds(cells: Sequence[HomogeneousCell]) -> list[list[HomogeneousCell]]:
-    """Groups of cells with the same seeds of worlds and numbers of sequences and replicates."""
-    groups: dict[tuple, list[HomogeneousCell]] = {}
-    for cell in cells:
-        groups.setdefault((cell.shape, tuple(cell.worlds)), []).append(cell)
-    return list(groups.values())
-
-
 def permuted_within(
-    group: list[HomogeneousCell], n: int, rng: np.random.Generator, permutations: int
+    cells: Sequence[HomogeneousCell], n: int, rng: np.random.Generator, permutations: int
 ) -> list[WithinSequences]:
-    """Test independence within the sequences of a group; nothing without repeats."""
-    if group[0].shape[2] < 2:  # no repeats
+    """Test independence within the sequences of all cells at once; nothing without repeats."""
+    if max((cell.shape[2] for cell in cells), default=1) < 2:  # no repeats
         return []
-    test = within_sequences([cell.outcomes.of_first(n) for cell in group], rng, permutations)
+    kinds = [cell.world for cell in cells]
+    placed: list[Outcomes] = []
+    for cell in cells:
+        own = [other for other in cells if other.world == cell.world]
+        seeds = np.unique(np.concatenate([other.worlds for other in own]))
+        sequences, repeats = (max(other.shape[axis] for other in own) for axis in (1, 2))
+        at = np.searchsorted(seeds, cell.worlds)
+        placed.append(cell.outcomes.of_first(n).placed(at, (len(seeds), sequences, repeats)))
+    test = within_sequences(placed, rng, permutations, kinds)
     ratio = test.statistic / test.expected if test.expected else None
-    return [WithinSequences(n, len(group), test.telling or 0, ratio, test.p)]
+    return [WithinSequences(n, len(cells), test.telling or 0, ratio, test.p)]
 
 
-def score_formulas(group: list[HomogeneousCell], judged: Sequence[JudgedCell], n: int) -> list[Formulas]:
-    """Score the formulas on a group; nothing with fewer than 3 worlds that are in all cells, or without D."""
-    each = [cell.outcomes.of_first(n) for cell in group]
-    complete = np.all([outcomes.has_units for outcomes in each], axis=0)
-    if complete.sum() < 3 or not sum(np.nansum(o.dual_failures[-1]) for o in each):
+def score_formulas(cells: Sequence[HomogeneousCell], judged: Sequence[JudgedCell], n: int) -> list[Formulas]:
+    """Score the formulas on all cells with enough worlds for Eq. 1; nothing without one, or without D."""
+    of = {(c.cell, c.world): c for c in judged if c.n == n and c.eq1 is not None}
+    told = [cell for cell in cells if (cell.name, cell.world) in of]
+    each = [usable(cell, n) for cell in told]
+    if not sum(np.nansum(o.dual_failures[-1]) for o in each):
         return []
-    each = [outcomes.of_worlds(complete) for outcomes in each]
-    of = {(c.cell, c.world): c for c in judged if c.n == n}
+    worlds = [
+        [(cell.world, int(seed)) for seed in cell.worlds[cell.outcomes.of_first(n).has_units]]
+        for cell in told
+    ]
     fitted = [
         (c := of[cell.name, cell.world]).verdict_in_units != Verdict.UNTESTED and not c.saturated
-        for cell in group
+        for cell in told
     ]
+    unseen = Unseen.of(each, fitted, worlds)
     # Without a cell to fit them to, the factors are 0 and the formulas Eq. 1.
-    told = [name for name in FORMULAS if any(fitted) or name not in ("beta factor", "one factor")]
-    scores = (compare_formulas(each, fitted, on_units) for on_units in (False, True))
-    on_dual_failures, on_units = (tuple(s for s in of_all if s.name in told) for of_all in scores)
-    gain = Figure.mean(np.mean([second_thread_gain(o) for o in each], axis=0)) if n > 1 else None
+    names = [name for name in FORMULAS if any(fitted) or name not in ("beta factor", "one factor")]
+    on_dual_failures, on_units = (
+        tuple(s for s in unseen.scores(on_units) if s.name in names) for on_units in (False, True)
+    )
+    gain = mean_over_cells([second_thread_gain(o) for o in each], worlds) if n > 1 else None
     return [
         Formulas(
             n=n,
-            cells=tuple((cell.name, cell.world) for cell in group),
-            worlds=int(complete.sum()),
+            cells=tuple((cell.name, cell.world) for cell in told),
+            worlds=len({world for own in worlds for world in own}),
             on_dual_failures=on_dual_failures,
             on_units=on_units,
             second_thread=difference_interval(gain) if gain else None,

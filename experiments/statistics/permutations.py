@@ -55,35 +55,86 @@ def independence(outcomes: Outcomes, rng: np.random.Generator, permutations: int
 
 
 def within_sequences(
-    cells: Sequence[Outcomes], rng: np.random.Generator, permutations: int = 9999
+    cells: Sequence[Outcomes],
+    rng: np.random.Generator,
+    permutations: int = 9999,
+    kinds: Sequence[str] | None = None,
 ) -> PermutationTest:
     """Sum of Q over cells against that with each thread's replicates permuted within their sequences.
 
-    The same permutation in all cells, since a replicate is the same draw in all. With fewer than 20 sequences
-    in which B and a thread's failure vary there is no verdict: the outcome of a sequence is determined.
+    The same permutation in all cells of a kind of world, since a replicate is the same draw in all of them; a
+    replicate that is void in one cell is left out of all that have its sequence. Kinds of world are permuted
+    each for itself. With fewer than 20 sequences in which B and a thread's failure vary over the replicates
+    that enter, there is no verdict: the outcome of a sequence is determined.
+
+    Args:
+        cells: of the same shape in each kind, NaN for a sequence that a cell has not.
+        rng: stream of the permutations.
+        permutations: their number.
+        kinds: of world, of each cell; one kind if left out.
     """
-    threads, count = cells[0].threads, int(sum(_telling(cell) for cell in cells))
-    x = np.stack([cell.columns for cell in cells])  # (cells, 1 + n, W, S, K)
-    cells_, columns, worlds, sequences, replicates = x.shape
-    x = x.reshape(cells_, columns, worlds * sequences, replicates)
-    valid = np.isfinite(x).all(axis=(0, 1))
-    weight = _weights(valid.reshape(worlds, sequences, replicates)).reshape(valid.shape)
-    x = np.where(valid, x, 0.0)
-    observed = float((x.prod(axis=1) * weight).sum())
+    names = kinds or [""] * len(cells)
+    groups = [
+        _Replicates.of([cell for cell, of in zip(cells, names, strict=True) if of == kind])
+        for kind in dict.fromkeys(names)
+    ]
+    observed, count = sum(each.observed for each in groups), sum(each.telling for each in groups)
     if count < _LEAST_TELLING:
         return PermutationTest(observed, None, None, count)
-    moved = np.empty(permutations)
-    for i in range(permutations):
-        product = x[:, 0].copy()
-        for j in range(threads):
+    moved = np.array([sum(each.permuted(rng) for each in groups) for _ in range(permutations)])
+    return PermutationTest(observed, float(moved.mean()), _two_sided(observed, moved), count)
+
+
+@dataclass(frozen=True)
+class _Replicates:
+    """Replicates of the cells of one kind of world, in their sequences.
+
+    Attributes:
+        x: (cells, 1 + n, W S, K) outcomes, 0 where they do not enter.
+        valid: (W S, K) replicates that enter.
+        weight: (cells, W S, K) of each.
+        telling: sequences of a cell in which B and some R_j take both values.
+    """
+
+    x: Floats
+    valid: np.ndarray
+    weight: Floats
+    telling: int
+
+    @classmethod
+    def of(cls, cells: Sequence[Outcomes]) -> "_Replicates":
+        x = np.stack([cell.columns for cell in cells])  # (cells, 1 + n, W, S, K)
+        known = np.isfinite(x).all(axis=1)
+        valid = (known | ~known.any(axis=3, keepdims=True)).all(axis=0)  # a cell may lack the sequence
+        entering = known & valid
+        x = np.where(entering[:, None], x, np.nan)
+        varies = np.nan_to_num(x, nan=0.0).max(axis=-1) > np.nan_to_num(x, nan=1.0).min(axis=-1)
+        telling = int((varies[:, 0] & varies[:, 1:].any(axis=1)).sum())
+        weight = np.stack([_weights(entering[c]) for c in range(len(cells))])
+        rows = (-1, x.shape[-1])
+        return cls(
+            np.nan_to_num(x).reshape(*x.shape[:2], *rows),
+            valid.reshape(rows),
+            weight.reshape(len(x), *rows),
+            telling,
+        )
+
+    @property
+    def observed(self) -> float:
+        """Sum of Q over the cells."""
+        return float((self.x.prod(axis=1) * self.weight).sum())
+
+    def permuted(self, rng: np.random.Generator) -> float:
+        """The same with every thread's replicates in another order within their sequences."""
+        product, replicates = self.x[:, 0].copy(), self.x.shape[-1]
+        for j in range(1, self.x.shape[1]):
             # Valid replicates in random order first, then the void ones, whose weight is 0 anyway.
-            order = np.argsort(np.where(valid, rng.random(valid.shape), 2.0), axis=1)
-            slot = np.argsort(np.where(valid, np.arange(replicates), replicates), axis=1, kind="stable")
+            order = np.argsort(np.where(self.valid, rng.random(self.valid.shape), 2.0), axis=1)
+            slot = np.argsort(np.where(self.valid, np.arange(replicates), replicates), axis=1, kind="stable")
             target = np.empty_like(order)
             np.put_along_axis(target, slot, order, axis=1)
-            product *= np.take_along_axis(x[:, 1 + j], np.broadcast_to(target, product.shape), axis=2)
-        moved[i] = (product * weight).sum()
-    return PermutationTest(observed, float(moved.mean()), _two_sided(observed, moved), count)
+            product *= np.take_along_axis(self.x[:, j], np.broadcast_to(target, product.shape), axis=2)
+        return float((product * self.weight).sum())
 
 
 def _two_sided(observed: float, moved: Floats) -> float:
@@ -107,13 +158,3 @@ def _weights(valid: np.ndarray) -> Floats:
     sequences = (replicates > 0).sum(axis=1, keepdims=True)
     worlds = max(int((sequences > 0).sum()), 1)
     return np.where(valid, 1.0 / np.maximum(replicates * sequences, 1) / worlds, 0.0)
-
-
-def _telling(cell: Outcomes) -> int:
-    """Sequences in which both B and some R_j take both values."""
-
-    def varies(x: Floats) -> np.ndarray:
-        known = np.isfinite(x)
-        return np.where(known, x, 0.0).max(axis=-1) > np.where(known, x, 1.0).min(axis=-1)
-
-    return int((varies(cell.breakage) & varies(cell.thread_failures).any(axis=0)).sum())

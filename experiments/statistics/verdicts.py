@@ -71,7 +71,7 @@ def compare_units(outcomes: Outcomes, test: PermutationTest) -> Comparison:
 def compare_forecast(outcomes: Outcomes) -> Comparison:
     """D against pi_marg, by the t-test of their pseudo-values."""
     measured, product = estimates.dual_failure(outcomes), estimates.product_of_margins(outcomes)
-    p = float(2 * stats.t.sf(abs((measured - product).t), product.worlds - 1))
+    p = float(2 * stats.t.sf(abs((measured - product).t), product.freedom))
     return _compare(outcomes, measured, p)
 
 
@@ -81,7 +81,7 @@ def _compare(outcomes: Outcomes, measured: Figure, p: float) -> Comparison:
     sides = []
     for k in (-_MARGIN, _MARGIN):
         beyond = measured - product.times(1 - k) - weakest.times(k)
-        sides.append(float(stats.t.sf(beyond.t if k < 0 else -beyond.t, product.worlds - 1)))
+        sides.append(float(stats.t.sf(beyond.t if k < 0 else -beyond.t, product.freedom)))
     untested = bool(((means > 0).sum(axis=1) < _LEAST_WORLDS).any())
     return Comparison(measured, product, weakest, p, max(sides), untested)
 

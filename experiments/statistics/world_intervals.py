@@ -107,7 +107,7 @@ def few_events(by_world: Floats, shares: tuple[float, ...] = ()) -> bool:
 
 
 def _t(figure: Figure, level: float) -> float:
-    return float(stats.t.ppf(0.5 + level / 2, figure.worlds - 1))
+    return float(stats.t.ppf(0.5 + level / 2, figure.freedom))
 
 
 def _around(rho: float, square: float, linear: float, constant: float) -> tuple[float, float]:

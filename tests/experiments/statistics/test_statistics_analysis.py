@@ -147,6 +147,20 @@ def test_the_answer_within_sequences_is_deterministic_without_telling_ones():
     assert test.telling >= 20 and test.p > 0.01 and test.ratio == pytest.approx(1, abs=0.25)
 
 
+def test_a_void_world_takes_no_world_of_another_kind_and_none_from_other_cells():
+    corridor = made_up(24, seed=1, cell="blur/corridor", world="corridor")
+    rooms = [made_up(24, seed=s, cell=f"blur/room{s}") for s in (2, 3)]
+    void = rooms[0].assign(outcome=np.where(rooms[0]["world_seed"] < 4, "void", "completed"))
+    found = analyse(pd.concat([corridor, void, rooms[1]]), 1, permutations=99)
+    (test,), (formulas,) = found.within_sequences, found.formulas
+    assert (formulas.worlds, len(formulas.cells), test.cells) == (48, 3, 3)
+    telling = [
+        analyse(table, 1, permutations=99).within_sequences[0].telling
+        for table in (corridor, void[void["outcome"] == "completed"], rooms[1])
+    ]
+    assert test.telling == sum(telling)
+
+
 def test_holm_corrects_the_confirmatory_cells_apart_from_the_others():
     rows = pd.concat([made_up(14, seed=s, cell=f"blur/{s}") for s in range(6)])
     named = analyse(rows, 1, ("blur/0",), permutations=999).cells

@@ -195,6 +195,30 @@ def test_chance_that_replicates_share_is_found_within_sequences(rng):
     assert within_sequences([determined], rng).p is None and within_sequences([determined], rng).telling == 0
 
 
+def test_only_sequences_that_enter_are_telling(rng):
+    """The first replicate, alone in what it does, is void in another cell of the same worlds."""
+    first = np.zeros((30, 1, 3))
+    first[..., 0] = 1
+    alone = Outcomes(first, first[None], first[None])
+    assert within_sequences([alone], rng, 19).telling == 30
+    other = Outcomes(*(np.where(first == 1, np.nan, x) for x in (first, first[None], first[None])))
+    assert within_sequences([alone, other], rng, 19).telling == 0
+    # In another kind of world it is another sequence, and where a cell has no sequence it takes none away.
+    assert within_sequences([alone, other], rng, 19, ["corridor", "room"]).telling == 30
+    lacking = Outcomes(first + np.nan, first[None] + np.nan, first[None] + np.nan)
+    assert within_sequences([alone, lacking], rng, 19).telling == 30
+
+
+def test_replicates_move_alike_in_all_cells_of_a_kind_of_world_and_apart_in_others(rng):
+    cell = simulate(Truth((0.5, 0.5), common=0.1), rng, worlds=40, replicates=3)
+    one, alike, apart = (
+        within_sequences([cell] * len(kinds), np.random.default_rng(1), 499, kinds)
+        for kinds in (["room"], ["room", "room"], ["room", "corridor"])
+    )
+    assert alike.p == one.p and alike.statistic == apart.statistic == pytest.approx(2 * one.statistic)
+    assert apart.p < one.p, "two samples that agree are more than one"
+
+
 @pytest.mark.parametrize(
     ("truth", "worlds", "expected"),
     [
@@ -276,6 +300,34 @@ def test_a_formula_that_is_eq1_by_its_fit_gains_nothing_over_it():
     scores = {s.name: s for s in compare_formulas([Outcomes(broke, failed, broke * failed)], [True])}
     for name in ("beta factor", "one factor"):
         assert (scores[name].gain.low, scores[name].gain.high, scores[name].p) == (0, 0, 1)
+
+
+def test_kinds_of_world_are_independent_samples_of_a_mean_over_cells(rng):
+    rooms, corridors = rng.normal(1, 1, (2, 30)), rng.normal(2, 3, 12)
+    worlds = [[(kind, i) for i in range(n)] for kind, n in (("room", 30), ("room", 30), ("corridor", 12))]
+    found = estimates.mean_over_cells([*rooms, corridors], worlds)
+    assert found.value == pytest.approx(np.mean([*rooms.mean(axis=1), corridors.mean()]))
+    parts = np.array([4 / 9 * rooms.mean(axis=0).var(ddof=1) / 30, 1 / 9 * corridors.var(ddof=1) / 12])
+    assert found.error**2 == pytest.approx(parts.sum(), rel=0.1)
+    assert found.freedom == pytest.approx(parts.sum() ** 2 / (parts**2 / [29, 11]).sum(), rel=0.1)
+    # Two cells of the same worlds are one sample: their difference has no error but its own.
+    same = estimates.mean_over_cells([rooms[0], rooms[0]], worlds[:2])
+    assert same.error == pytest.approx(Figure.mean(rooms[0]).error)
+
+
+def test_a_world_is_left_out_of_its_own_kind_alone(rng):
+    """What is fitted to all cells shows whether a world of another kind with the same seed is left out."""
+    cells = [simulate(Truth((0.4, 0.5), 0.5, common=0.5), rng, worlds, replicates=2) for worlds in (20, 30)]
+
+    def scores(*firsts):
+        worlds = [
+            [(kind, seed + i) for i in range(len(cell.breakage))]
+            for (kind, seed), cell in zip(firsts, cells, strict=True)
+        ]
+        return [s.score for s in compare_formulas(cells, [True, True], worlds=worlds)]
+
+    apart = scores(("corridor", 0), ("room", 0))
+    assert apart == scores(("corridor", 0), ("room", 99)) != scores(("room", 0), ("room", 0))
 
 
 def test_a_formula_is_scored_on_worlds_that_it_has_not_seen(rng):
