@@ -5,24 +5,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from experiments.evaluation.alignment import Similarity, Undefined, align_poses
-from experiments.evaluation.metrics import (
-    PosePairs,
-    associate,
-    path_length_m,
-    position_errors_m,
-    rotation_errors_deg,
-)
+from experiments.evaluation.metrics import PosePairs, associate, path_length_m, walked_m
+from experiments.evaluation.pose_errors import PoseBounds, pose_errors
 from slam.core.results import MapTrajectory
 
 
 @dataclass(frozen=True)
-class AuditBounds:
+class AuditBounds(PoseBounds):
     """Bounds beyond which an estimate counts as wrong.
 
+    The extent is the true path since the start of the reference window.
+
     Attributes:
-        position_share: position error allowed per metre of true path since the start of the reference window.
-        position_floor_m: position error allowed in any case.
-        rotation_deg: orientation error allowed.
         scale_share: scale error allowed across a fusion.
         reference_s: length of the window before the onset on which the estimate is aligned to the truth.
         seam_s: length of the window after a breakage on which the seam of a fusion is judged.
@@ -30,9 +24,6 @@ class AuditBounds:
         min_path_m: least true path for an alignment.
     """
 
-    position_share: float = 0.05
-    position_floor_m: float = 0.1
-    rotation_deg: float = 5.0
     scale_share: float = 0.10
     reference_s: float = 5.0
     seam_s: float = 1.0
@@ -116,20 +107,24 @@ def audit_loss(
     if isinstance(alignment, Undefined):
         return alignment
     window = pairs.where((pairs.frames >= onset_frame) & (pairs.frames <= end_frame))
-    position, rotation = position_errors_m(window, alignment), rotation_errors_deg(window, alignment)
-    walked = np.array([path_length_m(T_world_cam[start_frame : f + 1]) for f in window.frames])
-    good = (position <= _position_bound_m(walked, bounds)) & (rotation <= bounds.rotation_deg)
-    unknown = ~np.isfinite(T_world_cam[onset_frame : end_frame + 1]).all(axis=(1, 2))
-    fine = unknown.copy()
-    fine[window.frames[good] - onset_frame] = True
-    last_fine = int(np.flatnonzero(fine)[-1]) if fine.any() else -1
-    loss = onset_frame + last_fine + 1
+    along_m = walked_m(T_world_cam)
+    errors = pose_errors(window, alignment, along_m[window.frames] - along_m[start_frame], bounds)
+    # Frames without truth are passed over.
+    known = np.isfinite(T_world_cam[onset_frame : end_frame + 1]).all(axis=(1, 2))
+    frames = onset_frame + np.flatnonzero(known)
     return LossAudit(
-        loss if loss <= end_frame else None,
-        float(position[-1]) if len(position) else None,
-        float(rotation[-1]) if len(rotation) else None,
+        lost_from(frames, ~np.isin(frames, window.frames[~errors.false])),
+        float(errors.position_m[-1]) if len(window) else None,
+        float(errors.rotation_deg[-1]) if len(window) else None,
         len(reference),
     )
+
+
+def lost_from(frames: np.ndarray, wrong: np.ndarray) -> int | None:
+    """First of n frames from which all are wrong, to the last; None for none."""
+    right = np.flatnonzero(~wrong)
+    lost = frames[right[-1] + 1 :] if len(right) else frames
+    return int(lost[0]) if len(lost) else None
 
 
 def audit_fusion(
@@ -203,12 +198,16 @@ def audit_relation(
 
 
 def _reference_alignment(reference: PosePairs, bounds: AuditBounds) -> Similarity | Undefined:
+    lacks = lacks_for_alignment(reference, bounds)
+    return Undefined(lacks) if lacks else align_poses(reference.T_map_cam, reference.T_world_cam)
+
+
+def lacks_for_alignment(reference: PosePairs, bounds: AuditBounds) -> str:
+    """What the truth lacks for an alignment of these poses; empty for nothing."""
     if len(reference) < bounds.min_poses:
-        return Undefined(f"{len(reference)} poses, {bounds.min_poses} needed")
+        return f"{len(reference)} poses, {bounds.min_poses} needed"
     moved = path_length_m(reference.T_world_cam)
-    if moved < bounds.min_path_m:
-        return Undefined(f"{moved:.2f} m of path, {bounds.min_path_m:g} m needed")
-    return align_poses(reference.T_map_cam, reference.T_world_cam)
+    return "" if moved >= bounds.min_path_m else f"{moved:.2f} m of path, {bounds.min_path_m:g} m needed"
 
 
 def _scale_error(before: PosePairs, after: PosePairs, bounds: AuditBounds) -> float | Undefined:
@@ -241,10 +240,6 @@ def _seam(
         return Undefined("no pose after the breakage")
     first = after.where(stamps_s[after.frames] <= stamps_s[after.frames[0]] + bounds.seam_s)
     walked = path_length_m(T_world_cam[reference.frames[0] : first.frames[-1] + 1])
-    error_m = float(np.median(position_errors_m(first, alignment)))
-    rotation_deg = float(np.median(rotation_errors_deg(first, alignment)))
-    return error_m, rotation_deg, float(_position_bound_m(walked, bounds))
-
-
-def _position_bound_m(walked_m: np.ndarray | float, bounds: AuditBounds) -> np.ndarray:
-    return np.maximum(bounds.position_floor_m, bounds.position_share * np.asarray(walked_m))
+    errors = pose_errors(first, alignment, walked, bounds)
+    bound_m = float(bounds.position_m(walked))
+    return float(np.median(errors.position_m)), float(np.median(errors.rotation_deg)), bound_m

@@ -220,6 +220,14 @@ def path_length_m(T_world_cam: np.ndarray) -> float:
     return float(np.nansum(np.linalg.norm(np.diff(T_world_cam[:, :3, 3], axis=0), axis=1)))
 
 
+def walked_m(T_world_cam: np.ndarray) -> np.ndarray:
+    """(n,) length of a true path (n, 4, 4) up to each pose, metres; straight over unknown poses."""
+    known = np.flatnonzero(np.isfinite(T_world_cam).all(axis=(1, 2)))
+    steps = np.zeros(len(T_world_cam))
+    steps[known[1:]] = np.linalg.norm(np.diff(T_world_cam[known, :3, 3], axis=0), axis=1)
+    return np.cumsum(steps)
+
+
 def coverage(frames: np.ndarray, T_world_cam: np.ndarray) -> Coverage:
     """Length of true path covered by the posed frames, and its share of the whole.
 

@@ -10,20 +10,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from experiments.evaluation.alignment import Similarity, Undefined, align_poses
-from experiments.evaluation.metrics import PosePairs, associate, position_errors_m, rotation_errors_deg
+from experiments.evaluation.metrics import PosePairs, associate
+from experiments.evaluation.pose_errors import PoseBounds, PoseErrors, pose_errors
 from slam.core.relation import PlacedFrames, Relation
 from slam.core.results import MapTrajectory
 
 
 @dataclass(frozen=True)
-class RelationBounds:
+class RelationBounds(PoseBounds):
     """Bounds beyond which an asserted relation counts as false.
 
+    The extent is local: true distance from the middle of the recognised keyframes, plus the median depth of
+    the scene there.
+
     Attributes:
-        position_share: position error allowed per metre of the local extent: true distance from the middle
-            of the recognised keyframes, plus the median depth of the scene there.
-        position_floor_m: position error allowed in any case.
-        rotation_deg: orientation error allowed.
         scale_share: difference of scale allowed between the two sides.
         compared: nearest keyframes of the recognising side whose place and direction are compared.
         aligned: nearest keyframes of a side that are aligned to the truth; more where they stand too close.
@@ -33,9 +33,6 @@ class RelationBounds:
         follow_s: time after a relocalization over which the live poses are judged.
     """
 
-    position_share: float = 0.05
-    position_floor_m: float = 0.1
-    rotation_deg: float = 5.0
     scale_share: float = 0.10
     compared: int = 5
     aligned: int = 10
@@ -65,23 +62,6 @@ class RelationAudit:
     scale_error: float | None
     false: bool | None
     reason: str
-
-
-@dataclass(frozen=True)
-class PoseErrors:
-    """Errors of single poses in the frame of the recognised side.
-
-    Attributes:
-        frames: (n,) int frame indices.
-        position_m, bound_m, rotation_deg: (n,) float64.
-        false: (n,) bool, out of bounds.
-    """
-
-    frames: np.ndarray
-    position_m: np.ndarray
-    bound_m: np.ndarray
-    rotation_deg: np.ndarray
-    false: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -131,11 +111,7 @@ class RecognisedSide:
         """Errors of poses in the same map, by this alignment."""
         middle = self.keyframes.T_world_cam[:, :3, 3].mean(axis=0)
         extent_m = np.linalg.norm(pairs.T_world_cam[:, :3, 3] - middle, axis=1) + self.depth_m
-        bound_m = np.maximum(bounds.position_floor_m, bounds.position_share * extent_m)
-        position_m = position_errors_m(pairs, self.alignment)
-        rotation_deg = rotation_errors_deg(pairs, self.alignment)
-        false = (position_m > bound_m) | (rotation_deg > bounds.rotation_deg)
-        return PoseErrors(pairs.frames, position_m, bound_m, rotation_deg, false)
+        return pose_errors(pairs, self.alignment, extent_m, bounds)
 
 
 def audit_asserted(

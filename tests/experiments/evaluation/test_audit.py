@@ -59,6 +59,12 @@ def test_an_error_within_the_bounds_is_no_loss():
     assert found.true_loss_frame == 170
 
 
+def test_a_truth_of_fewer_frames_than_the_camera_hides_no_loss():
+    truth = circle(N)
+    truth[1::2] = np.nan
+    assert audit_loss(live(range(N), shift_from=170), STAMPS, truth, 150, 200).true_loss_frame == 170
+
+
 def test_too_short_a_lead_in_cannot_be_judged():
     assert isinstance(audit_loss(live(range(145, N)), STAMPS, circle(N), 150, 200), Undefined)
 
