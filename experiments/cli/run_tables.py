@@ -1,13 +1,13 @@
 """What happened in runs, as tables: figures, breakages, the audit against the truth."""
 
 from collections.abc import Mapping
-from statistics import median
 
 from rich import box
 from rich.table import Table
 from rich.text import Text
 
 from experiments.cli.console import number, out, share
+from experiments.evaluation.audit_text import audit_text, silent_losses
 from scenarios.describe import describe_kind
 
 _REASONS = {
@@ -18,12 +18,6 @@ _REASONS = {
     "few_inliers": "too few inliers",
 }
 _REPAIRS = {"recovery": "fusions", "place": "joins", "relocalization": "relocalizations"}
-_DECLARED = {
-    "loop": "loops",
-    "fusion": "fusions",
-    "join": "joins",
-    "relocalization": "relocalizations",
-}
 
 
 def print_runs(summaries: Mapping[str, dict]) -> None:
@@ -32,7 +26,7 @@ def print_runs(summaries: Mapping[str, dict]) -> None:
         out.print(summary_table(*summaries.values()))
     else:
         out.print(systems_table(summaries))
-    if any(summary["breakage_list"] or _silent(summary) for summary in summaries.values()):
+    if any(summary["breakage_list"] or silent_losses(summary) for summary in summaries.values()):
         out.print(breakage_table(summaries))
     for name, summary in summaries.items():
         if summary["ended"] != "finished" and len(summaries) > 1:
@@ -122,41 +116,10 @@ def breakage_table(summaries: Mapping[str, dict]) -> Table:
         if len(summaries) > 1:
             table.add_row(Text(name, "bold"))
         rows = [_breakage_row(breakage, summary) for breakage in summary["breakage_list"]]
-        rows += [_silent_row(loss, summary) for loss in _silent(summary)]
+        rows += [_silent_row(loss, summary) for loss in silent_losses(summary)]
         for _, declared, lost, *rest in sorted(rows):
             table.add_row(declared, *([lost] if judged else []), *rest)
     return table
-
-
-def audit_text(summary: dict) -> str:
-    """What the audit against the truth finds in a run, in one line."""
-    audit = summary["audit"]
-    if audit is None:
-        return "not audited, as the sequence has no ground truth"
-    # Overlapping segments have a finding each.
-    declared = {f["declared_frame"]: f for f in audit["losses"] if f["declared_frame"] is not None}
-    delays_s = [f["delay_s"] for f in declared.values() if f["delay_s"] is not None]
-    losses = _count(len(declared), "declared loss", "declared losses")
-    if delays_s:
-        losses += f", {median(delays_s):.2f} s after the pose was truly lost"
-        losses += " (median)" if len(delays_s) > 1 else ""
-    parts = [losses, _count(len(_silent(summary)), "silent loss", "silent losses")]
-    parts += [_declared(one, many, audit[many]) for one, many in _DECLARED.items() if audit[many]]
-    unjudged = sum(f["silent"] is None for f in audit["losses"])
-    unjudged += sum(row["false"] is None for many in _DECLARED.values() for row in audit[many])
-    parts += [f"{unjudged} not judged"] if unjudged else []
-    return f"audit by the truth: {'; '.join(parts)}"
-
-
-def _declared(one: str, many: str, rows: list[dict]) -> str:
-    """How many of the declared loops, fusions, joins or relocalizations are false, and when."""
-    false = [number(row["time_s"], 2, " s") for row in rows if row["false"]]
-    found = f"{_count(len(false), f'false {one}', f'false {many}')} of {len(rows)}"
-    return f"{found} (at {', '.join(false)})" if false else found
-
-
-def _count(number: int, one: str, many: str) -> str:
-    return f"{number or 'no'} {one if number == 1 else many}"
 
 
 def _breakage_row(breakage: dict, summary: dict) -> tuple:
@@ -226,10 +189,6 @@ def _finding(breakage: dict, summary: dict) -> dict | None:
     losses = summary["audit"]["losses"] if summary["audit"] else []
     own = [f for f in losses if f["declared_frame"] == breakage["frame"]]
     return next((f for f in own if f["segment"] == breakage["segment_index"]), next(iter(own), None))
-
-
-def _silent(summary: dict) -> list[dict]:
-    return [f for f in summary["audit"]["losses"] if f["silent"]] if summary["audit"] else []
 
 
 def _segment(index: int | None, summary: dict) -> str:

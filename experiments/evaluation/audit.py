@@ -1,4 +1,4 @@
-"""Audit of the estimate by the truth: silent loss, late declaration, false fusion. Never fed back."""
+"""Audit of the estimate by the truth: loss of the pose, late declaration, false fusion. Never fed back."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,8 @@ class AuditBounds(PoseBounds):
     Attributes:
         scale_share: scale error allowed across a fusion.
         reference_s: length of the window before the onset on which the estimate is aligned to the truth.
-        seam_s: length of the window after a breakage on which the seam of a fusion is judged.
+        seam_s: length of the window after a breakage on which the seam of a fusion is judged; also the least
+            time that poses are wrong in silence, and the longest gap of the truth that is judged across.
         min_poses: least number of poses for an alignment.
         min_path_m: least true path for an alignment.
     """

@@ -1,4 +1,4 @@
-"""The audit of a whole run: true loss in every exposure and breakage, and all that was declared."""
+"""The audit of a whole run: true losses, declared or silent, its final maps, and all that was declared."""
 
 from dataclasses import asdict, dataclass
 
@@ -6,9 +6,15 @@ import numpy as np
 
 from experiments.evaluation.alignment import Undefined
 from experiments.evaluation.audit import AuditBounds, LossAudit, audit_loss
-from experiments.evaluation.breakages import EXPOSURE_GRACE_S, BreakageOutcome
+from experiments.evaluation.breakages import (
+    EXPOSURE_GRACE_S,
+    BreakageOutcome,
+    breakage_outcomes,
+    segment_of_frame,
+)
 from experiments.evaluation.declared_audit import audit_declared
 from experiments.evaluation.relation_audit import RelationBounds
+from experiments.evaluation.whole_run_audit import LiveAudit, WrongStretch, audit_live, audit_maps
 from experiments.runs.execution import RunRecord
 
 _LOOKBACK_S = 2.0
@@ -20,8 +26,8 @@ class LossFinding:
     """True loss in one window of frames.
 
     Attributes:
-        segment: index of the injected segment, None for a breakage outside every segment.
-        onset_frame, end_frame: the window, inclusive.
+        segment: index of the injected segment, None outside every segment.
+        onset_frame, end_frame: the window, inclusive; of a silent loss elsewhere the wrong poses.
         declared_frame: frame of the breakage; None if none was declared.
         true_loss_frame: see LossAudit; None also if it could not be judged.
         delay_s: from the true loss to the declaration; None unless both are known.
@@ -40,10 +46,16 @@ class LossFinding:
 
 
 def loss_findings(
-    record: RunRecord, outcomes: list[BreakageOutcome], bounds: AuditBounds | None = None
+    record: RunRecord, outcomes: list[BreakageOutcome], live: LiveAudit, bounds: AuditBounds
 ) -> list[LossFinding]:
-    """Audit true loss in every injected segment, then at every breakage that is not a segment's first."""
-    bounds = bounds or AuditBounds()
+    """Audit true loss in every injected segment, at every other breakage, and where nothing was declared.
+
+    Args:
+        record: a run over a sequence with truth.
+        outcomes: its breakages.
+        live: judgement of its live poses.
+        bounds: of right poses.
+    """
     stamps_s = record.sequence.stamps_s
     findings, seen = [], set()
     for index, segment in enumerate(record.sequence.segments):
@@ -57,11 +69,23 @@ def loss_findings(
         findings.append(
             _finding(record, bounds, index, segment.first_frame, end, declared.frame if declared else None)
         )
+    late = {s.declared_frame: s for s in live.wrong if s.declared_frame is not None}
     for outcome in outcomes:
         frame = outcome.breakage.frame
-        if frame not in seen:
-            onset = int(np.searchsorted(stamps_s, stamps_s[frame] - _LOOKBACK_S))
-            findings.append(_finding(record, bounds, outcome.segment, onset, frame, frame))
+        if frame in seen:
+            continue
+        if frame in late:
+            findings.append(_stretch(late[frame], outcome.segment, stamps_s))
+            continue
+        onset = int(np.searchsorted(stamps_s, stamps_s[frame] - _LOOKBACK_S))
+        findings.append(_finding(record, bounds, outcome.segment, onset, frame, frame))
+    known = [f for f in findings if f.true_loss_frame is not None]
+    for stretch in live.wrong:
+        if stretch.declared_frame is None and not any(_same(stretch, f) for f in known):
+            first = stretch.first_frame
+            segments = record.sequence.segments
+            segment = segment_of_frame(first, stamps_s[first], segments, stamps_s.tolist())
+            findings.append(_stretch(stretch, segment, stamps_s))
     return findings
 
 
@@ -90,22 +114,21 @@ def declaration_delay_s(stamps_s: np.ndarray, lost: int | None, declared: int | 
     return None if lost is None or declared is None else float(stamps_s[declared] - stamps_s[lost])
 
 
-def audit_record(record: RunRecord, outcomes: list[BreakageOutcome]) -> dict | None:
+def audit_record(record: RunRecord) -> dict | None:
     """The audit as part of the summary; None without truth."""
     if record.sequence.T_world_cam is None:
         return None
     bounds, relation_bounds = AuditBounds(), RelationBounds()
     stamps_s = record.sequence.stamps_s
-    losses = loss_findings(record, outcomes, bounds)
-    lost_at = [
-        None if f.true_loss_frame is None else stamps_s[f.true_loss_frame] - stamps_s[0] for f in losses
-    ]
+    outcomes = breakage_outcomes(record.events, record.sequence.segments, stamps_s.tolist())
+    live, maps = audit_live(record, bounds), audit_maps(record, bounds)
+    losses = loss_findings(record, outcomes, live, bounds)
     return {
         "bounds": asdict(bounds),
         "relation_bounds": asdict(relation_bounds),
-        "losses": [
-            asdict(f) | {"true_loss_time_s": time_s} for f, time_s in zip(losses, lost_at, strict=True)
-        ],
+        "losses": [asdict(f) | {"true_loss_time_s": _time_s(f.true_loss_frame, stamps_s)} for f in losses],
+        "live": {name: value for name, value in vars(live).items() if name != "wrong"},
+        "maps": [asdict(found) | {"time_s": _time_s(found.first_frame, stamps_s)} for found in maps],
         **audit_declared(record, relation_bounds).rows(float(stamps_s[0])),
     }
 
@@ -126,3 +149,22 @@ def _finding(
     return LossFinding(
         segment, onset, end, declared, loss, delay_s, loss is not None and declared is None, ""
     )
+
+
+def _stretch(stretch: WrongStretch, segment: int | None, stamps_s: np.ndarray) -> LossFinding:
+    """The finding of wrong live poses, declared in the end or silent."""
+    first, declared = stretch.first_frame, stretch.declared_frame
+    end = stretch.last_frame if declared is None else declared
+    delay_s = declaration_delay_s(stamps_s, first, declared)
+    return LossFinding(segment, first, end, declared, first, delay_s, declared is None, "")
+
+
+def _same(stretch: WrongStretch, finding: LossFinding) -> bool:
+    """True if a stretch is the loss of a finding."""
+    lost = finding.true_loss_frame
+    return lost is not None and stretch.first_frame <= finding.end_frame and stretch.last_frame >= lost
+
+
+def _time_s(frame: int | None, stamps_s: np.ndarray) -> float | None:
+    """Time of a frame since the first."""
+    return None if frame is None else float(stamps_s[frame] - stamps_s[0])

@@ -52,7 +52,7 @@ def summarise(record: RunRecord) -> dict:
         "commit": commit(),
         "breakage_list": [_breakage(o, record) for o in outcomes],
         "segments": segment_rows(record, outcomes),
-        "audit": audit_record(record, outcomes),
+        "audit": audit_record(record),
         "stages": stage_times(record.results),
         "versions": versions(),
         "config": record.config,

@@ -7,8 +7,9 @@ import pytest
 from slam_fakes import fake_factory, make_sequence
 
 from experiments.cli import run_tables
-from experiments.cli.run_tables import audit_text, breakage_table
+from experiments.cli.run_tables import breakage_table
 from experiments.cli.view import view_command
+from experiments.evaluation.audit_text import audit_text
 from experiments.evaluation.summary import summarise
 from experiments.runs import slam_settings, sources
 from experiments.runs.execution import execute
@@ -57,7 +58,7 @@ def test_what_was_relocalized_or_never_repaired_is_said():
 
 
 def test_a_late_declaration_shows_when_the_pose_was_truly_lost():
-    summary = summary_of(breaks_at=177, drift_from=155)
+    summary = summary_of("base", breaks_at=177, drift_from=155)
     (row,) = cells(breakage_table({"": summary}))
     frames = [int(cell.split()[-1]) for cell in row[:2]]
     assert frames[0] == 177 and 155 <= frames[1] <= 160
