@@ -36,6 +36,9 @@ def compare_command(
         print_json_line(content)
         return
     print_table(_table(content))
+    for sequence in content["sequences"]:
+        for system in sequence["systems"]:
+            out.print(f"{sequence['name']}, {system['name']}: {system['audit']}", markup=False)
     out.print(f"page  {out_dir / PAGE_FILE}", soft_wrap=True)
 
 

@@ -8,6 +8,7 @@ from scipy import stats
 from experiments.comparison.left_runs import LeftRun
 from experiments.evaluation import metrics
 from experiments.evaluation.alignment import Undefined
+from experiments.evaluation.audit_text import runs_text
 from experiments.evaluation.robustness import LEAST, MOST, robustness, share_within, step_errors
 
 FIGURES = {
@@ -28,9 +29,9 @@ def comparison_content(runs: list[LeftRun]) -> dict[str, Any]:
 
     Returns:
         Per sequence its name, true path and systems; per system its figures as mean, ends of the mean's 95 %
-        interval over its runs (Student's t; none for one run) and values, the path, errors and stages of the
-        run with the median robustness, and the share of the path within each of ``thresholds``, the mean over
-        the runs.
+        interval over its runs (Student's t; none for one run) and values, what the audit found, the path,
+        errors and stages of the run with the median robustness, and the share of the path within each of
+        ``thresholds``, the mean over the runs.
     """
     groups: dict[str, dict[str, list[LeftRun]]] = {}
     for run in runs:
@@ -57,6 +58,7 @@ def _system(name: str, runs: list[LeftRun]) -> dict[str, Any]:
     return {
         "name": name,
         "runs": len(runs),
+        "audit": runs_text([run.summary for run in runs]),
         "figures": {figure: _spread([own[figure] for own in values]) for figure in FIGURES},
         "within": np.mean(within, axis=0),
         "stages": _stages_ms(shown.summary),

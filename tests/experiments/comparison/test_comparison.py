@@ -7,6 +7,7 @@ import pytest
 from slam_fakes import FakeSystem, make_sequence
 
 from experiments.comparison.compare import FIGURES_FILE, PAGE_FILE, compare_runs
+from experiments.evaluation.audit_text import audit_text
 from experiments.evaluation.metrics import PosePairs
 from experiments.evaluation.robustness import robustness, share_within, step_errors
 from experiments.result_folder import run_systems
@@ -82,6 +83,16 @@ def test_runs_stand_side_by_side(runs, tmp_path):
     assert json.loads((tmp_path / "page" / FIGURES_FILE).read_text()) == content
     text = (tmp_path / "page" / PAGE_FILE).read_text()
     assert text.count("<figure>") == 4 and "<script" not in text and sequence["name"] in text
+
+
+def test_what_the_audit_found_is_said_as_after_the_run(runs, tmp_path, dslab):
+    own = audit_text(json.loads((runs / "c" / "summary.json").read_text()))
+    code, out, _ = dslab("compare", str(runs), "--out", str(tmp_path / "page"))
+    page = (tmp_path / "page" / PAGE_FILE).read_text()
+    assert code == 0 and "1 declared loss" in own
+    assert f"dual: {own}" in page and " ".join(f"made-up, dual: {own}".split()) in " ".join(out.split())
+    of_two = "base: audit by the truth, of 2 runs: silent losses in none, corrupted maps in none"
+    assert of_two in page and of_two in " ".join(out.split())
 
 
 def test_the_command_prints_a_row_per_system(runs, tmp_path, dslab):
