@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 import rerun as rr
 
+from experiments.evaluation.audit_report import audit_record
+from experiments.evaluation.audit_text import audit_text
 from experiments.evaluation.scene import Scene
 from experiments.recording import palette
 from experiments.recording.describe import describe_event
@@ -215,6 +217,9 @@ class RunDrawing:
             text, color = describe_event(event)
             line = rr.TextLog(f"{self._record.system_kind}  {time_s:.2f} s  {text}", color=color)
             self._stream.log(f"events/{self._name}", event.frame, line)
+        found = audit_text({"audit": audit_record(self._record)})
+        line = rr.TextLog(f"{self._record.system_kind}  {found}", color=palette.PLAIN)
+        self._stream.log(f"events/{self._name}", len(stamps_s) - 1, line)
 
     def _draw_curves(self, residuals: dict[int, float], color: Color) -> None:
         results = self._record.results

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field
 
+from experiments.evaluation.audit_report import audit_record
+from experiments.evaluation.audit_text import silent_losses
 from experiments.evaluation.frame_outcomes import FrameOutcome, frame_outcomes
 from experiments.evaluation.summary import is_tracked
 from experiments.recording import palette
@@ -56,9 +58,16 @@ class Lane:
 
 
 def system_lanes(record: RunRecord) -> list[Lane]:
-    """Lanes of each breakage, other events, final poses, each recovery thread, and state."""
+    """Lanes of each breakage, silent losses, other events, final poses, each recovery thread, and state."""
     broken = [_breakage(record, story) for story in stories(record)]
-    return [*broken, *_others(record), _outcomes(record), *_recoveries(record), _states(record)]
+    return [
+        *broken,
+        *_silent(record),
+        *_others(record),
+        _outcomes(record),
+        *_recoveries(record),
+        _states(record),
+    ]
 
 
 def segment_lanes(record: RunRecord) -> list[Lane]:
@@ -96,6 +105,17 @@ def _breakage(record: RunRecord, story: Story) -> Lane:
     if story.end is not None:
         _mark(lane, record, story.end, story.how, palette.FUSED if story.is_repaired else palette.REFUSED)
     return lane
+
+
+def _silent(record: RunRecord) -> list[Lane]:
+    """Lane of wrong poses that were given as right ones, by the truth; none without any."""
+    lane = Lane("silent_losses")
+    losses = silent_losses({"audit": audit_record(record)})
+    for loss in sorted(losses, key=lambda loss: loss["true_loss_frame"]):
+        lane.add(loss["true_loss_frame"], "wrong by the truth, never declared", palette.LOST)
+        if loss["end_frame"] + 1 < len(record.results):
+            lane.add(loss["end_frame"] + 1, "")
+    return [lane] if losses else []
 
 
 def _others(record: RunRecord) -> list[Lane]:

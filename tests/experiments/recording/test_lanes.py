@@ -117,6 +117,14 @@ def test_other_events_have_a_lane_of_their_kind():
     assert lane(several, "fusion_refused").changes == [(105, "fusion refused"), (108, "")]
 
 
+def test_silent_losses_have_a_lane():
+    sequence = make_sequence()
+    drifts = execute(sequence, "base", 0, build=fake_factory(sequence, drift_from=240))
+    lost = lane(drifts, "silent_losses")
+    assert 240 <= lost.changes[0][0] < 250 and "never declared" in lost.at(290)
+    assert "silent_losses" not in [x.name for x in system_lanes(run())]
+
+
 def test_words_that_do_not_fit_into_their_time_are_known():
     found = [
         (value, fits, end - frame)

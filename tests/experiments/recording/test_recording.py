@@ -87,6 +87,12 @@ def test_data_common_to_the_systems_is_written_once(side_by_side):
     assert side_by_side.rows["/injected/5.00_to_6.00_s_low_texture"] == 3
 
 
+def test_the_last_sentence_is_what_the_audit_found(side_by_side):
+    *_, (said,) = side_by_side.columns["/events/base"]["text"]
+    assert "1 declared loss" in said and "no silent losses; no corrupted maps" in said
+    assert side_by_side.columns["/events/base"]["frame"][-1] == 299
+
+
 def test_no_name_needs_an_escape(side_by_side):
     assert side_by_side.rows and not [path for path in side_by_side.rows if "\\" in path]
 
