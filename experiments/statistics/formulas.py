@@ -1,6 +1,6 @@
 """Which formula predicts dual failures: each is fitted without one world and scored on it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import sqrt
 
@@ -180,11 +180,11 @@ def _predictions(p: Floats, measured: Floats, fitted: np.ndarray) -> list[Floats
 
 def _parameters(p: Floats, measured: Floats, fitted: np.ndarray) -> tuple[float, float]:
     """The beta factor's beta and the one-factor model's r."""
-    beta, r = (_fit(formula, p[fitted], measured[fitted]) for formula in (beta_factor, one_factor))
+    beta, r = (fit_parameter(formula, p[fitted], measured[fitted]) for formula in (beta_factor, one_factor))
     return beta, r
 
 
-def _fit(formula, p: Floats, measured: Floats) -> float:
+def fit_parameter(formula: Callable[[Floats, float], Floats], p: Floats, measured: Floats) -> float:
     """Parameter in [0, 1] of greatest likelihood of the measured means; 0 without cells."""
     if not len(p):
         return 0.0
