@@ -137,7 +137,7 @@ def analyse(
         units=sum(cell.units for cell in cells),
         void=sum(cell.void for cell in cells),
         unexposed=sum(cell.units for cell in idle),
-        levels=tuple(level(free, n, units) for n in numbers) if units else (),
+        levels=tuple(found for n in numbers if (found := level(free, n)) is not None),
         failed_or_silent=sum(float(np.nansum(f)) for f in failed) / units if units else None,
         failed_or_silent_by_worlds=share_interval(by_world(free, failed)) if units else None,
         kinds_of_world=tuple(kind_of_world(free, judged, world, n) for world in kinds for n in numbers),

@@ -91,7 +91,7 @@ class Figure:
 
 
 def mean_over_cells(by_cell: Sequence[Floats], worlds: Sequence[Sequence[World]]) -> Figure:
-    """Mean over cells, weighted alike, of the mean over each cell's worlds, at least two.
+    """Mean over cells, weighted alike, of the mean over each cell's worlds.
 
     A world is left out of all its cells at once, so that what cells share by their worlds is in the error.
     Worlds of different kinds are different ones, whatever their seeds, and their kinds independent samples.
@@ -106,7 +106,7 @@ def mean_over_cells(by_cell: Sequence[Floats], worlds: Sequence[Sequence[World]]
     change = np.zeros(len(places))
     for of_cell, own in zip(by_cell, worlds, strict=True):
         at = [places[world] for world in own]
-        change[at] += (of_cell.mean() - of_cell) / (len(own) - 1) / len(by_cell)
+        change[at] += (of_cell.mean() - of_cell) / max(len(own) - 1, 1) / len(by_cell)
     scale = max(float(np.abs(of_cell).max()) for of_cell in by_cell)
     return Figure(value, value + change, scale, np.array([kind for kind, _ in places]))
 

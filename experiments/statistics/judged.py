@@ -9,6 +9,7 @@ import numpy as np
 
 from experiments.statistics.estimates import (
     Figure,
+    World,
     chain,
     correlation_in_sequences,
     measured_in_units,
@@ -126,6 +127,11 @@ def usable(cell: HomogeneousCell, n: int) -> Outcomes:
     """Outcomes of the sequences with enough replicates, and of the worlds that have any."""
     outcomes = cell.outcomes.of_first(n)
     return outcomes.of_worlds(outcomes.has_units)
+
+
+def worlds_of(cell: HomogeneousCell, n: int) -> list[World]:
+    """Kind and seed of each of the usable worlds."""
+    return [(cell.world, int(seed)) for seed in cell.worlds[cell.outcomes.of_first(n).has_units]]
 
 
 def _judged(

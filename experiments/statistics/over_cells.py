@@ -12,7 +12,7 @@ import numpy as np
 from experiments.statistics.estimates import mean_over_cells
 from experiments.statistics.formulas import FORMULAS, FormulaScore, Unseen, second_thread_gain
 from experiments.statistics.from_records import HomogeneousCell
-from experiments.statistics.judged import JudgedCell, usable
+from experiments.statistics.judged import JudgedCell, usable, worlds_of
 from experiments.statistics.outcomes import Outcomes
 from experiments.statistics.permutations import within_sequences
 from experiments.statistics.verdicts import Verdict
@@ -84,10 +84,7 @@ def score_formulas(cells: Sequence[HomogeneousCell], judged: Sequence[JudgedCell
     each = [usable(cell, n) for cell in told]
     if not sum(np.nansum(o.dual_failures[-1]) for o in each):
         return []
-    worlds = [
-        [(cell.world, int(seed)) for seed in cell.worlds[cell.outcomes.of_first(n).has_units]]
-        for cell in told
-    ]
+    worlds = [worlds_of(cell, n) for cell in told]
     fitted = [
         (c := of[cell.name, cell.world]).verdict_in_units != Verdict.UNTESTED and not c.saturated
         for cell in told

@@ -5,30 +5,36 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from experiments.statistics import estimates
+from experiments.statistics.estimates import mean_over_cells
 from experiments.statistics.from_records import HomogeneousCell
-from experiments.statistics.judged import JudgedCell
-from experiments.statistics.outcomes import Floats, Outcomes, world_means
-from experiments.statistics.products import product_of_distinct
-from experiments.statistics.world_intervals import Interval, share_interval
+from experiments.statistics.judged import JudgedCell, usable, worlds_of
+from experiments.statistics.outcomes import Floats, world_means
+from experiments.statistics.world_intervals import Interval, share_interval_of
 
 
 @dataclass(frozen=True)
 class Level:
-    """Figures over all cells with n recovery threads, cells weighted by their units.
+    """Figures over all cells with n recovery threads, cells weighted alike, in each its worlds alike.
 
     Attributes:
         n: number of threads.
-        within_kinds: product over distinct units of a cell and kind of world: Eq. 1.
-        within_worlds: product over distinct units of a world; None where a world has too few.
+        cells: their number, of those with enough worlds for Eq. 1.
+        eq1: pi_marg.
+        in_worlds, in_sequences: pi_world and pi_seq; None where a cell has too few sequences or replicates.
         in_units: Q, the factors at once in one unit of the crossing arm.
         measured: D, dual failures of the free arm.
+        first_alone: D of the first thread alone, of the same units.
     """
 
     n: int
-    within_kinds: float
-    within_worlds: float | None
+    cells: int
+    eq1: float
+    in_worlds: float | None
+    in_sequences: float | None
     in_units: float
     measured: float
+    first_alone: float
 
 
 @dataclass(frozen=True)
@@ -40,7 +46,7 @@ class KindOfWorld:
         worlds: their number.
         cells, saturated: numbers of cells that are in the figures, and that are left out as saturated.
         eq1, weakest: means over the cells; None with too few worlds.
-        measured: D, mean over worlds of the means over the cells; None if all are saturated.
+        measured: D, mean over the cells, of the worlds of each; None if all are saturated.
     """
 
     world: str
@@ -53,31 +59,26 @@ class KindOfWorld:
     measured: Interval | None
 
 
-def level(cells: Sequence[HomogeneousCell], n: int, units: int) -> Level:
-    """Pool all cells with the first n threads, whose completed units are so many."""
-    each = [cell.outcomes.of_first(n) for cell in cells]
-    counts = [cell.units for cell in cells]
-    within_kinds = [float(product_of_distinct(o.columns.reshape(1 + n, -1))) for o in each]
+def level(cells: Sequence[HomogeneousCell], n: int) -> Level | None:
+    """Pool all cells with the first n threads; None if none has enough worlds."""
+    each = [outcomes for cell in cells if len((outcomes := usable(cell, n)).breakage) > 1 + n]
+    if not each:
+        return None
+
+    def mean(figures: Sequence[estimates.Figure | None]) -> float | None:
+        values = [figure.value for figure in figures if figure is not None]
+        return float(np.mean(values)) if len(values) == len(figures) else None
+
     return Level(
         n=n,
-        within_kinds=float(np.dot(counts, within_kinds)) / units,
-        within_worlds=_within_worlds(each),
-        in_units=sum(float(np.nansum(np.prod(o.columns, axis=0))) for o in each) / units,
-        measured=sum(float(np.nansum(o.dual_failures[-1])) for o in each) / units,
+        cells=len(each),
+        eq1=float(np.mean([estimates.product_of_margins(o).value for o in each])),
+        in_worlds=mean([estimates.product_in_worlds(o) for o in each]),
+        in_sequences=mean([estimates.product_in_sequences(o) for o in each]),
+        in_units=float(np.mean([estimates.measured_in_units(o).value for o in each])),
+        measured=float(np.mean([estimates.dual_failure(o).value for o in each])),
+        first_alone=float(np.mean([estimates.share(o.dual_failures[0]).value for o in each])),
     )
-
-
-def _within_worlds(each: Sequence[Outcomes]) -> float | None:
-    """Product over the distinct units of a world, worlds weighted by their units."""
-    total = count = 0.0
-    for outcomes in each:
-        rows = outcomes.columns.reshape(*outcomes.columns.shape[:2], -1)
-        product, valid = product_of_distinct(rows), np.isfinite(rows).all(axis=0).sum(axis=1)
-        if np.isnan(product[valid > 0]).any():
-            return None
-        total += float((product[valid > 0] * valid[valid > 0]).sum())
-        count += float(valid.sum())
-    return total / count if count else None
 
 
 def by_world(cells: Sequence[HomogeneousCell], outcomes: Sequence[Floats]) -> Floats:
@@ -99,7 +100,8 @@ def kind_of_world(
     told = [c for c in judged if (c.world, c.n) == (world, n) and c.cell not in saturated]
     kept = [cell for cell in own if cell.name in {c.cell for c in told}]
     known = bool(told) and all(c.eq1 is not None for c in told)
-    measured = by_world(kept, [c.outcomes.of_first(n).dual_failures[-1] for c in kept])
+    measured = [world_means(usable(cell, n).dual_failures[-1]) for cell in kept]
+    worlds = [worlds_of(cell, n) for cell in kept]
     return KindOfWorld(
         world=world,
         n=n,
@@ -108,5 +110,5 @@ def kind_of_world(
         saturated=len(saturated),
         eq1=float(np.mean([c.eq1 for c in told])) if known else None,
         weakest=float(np.mean([c.weakest for c in told])) if known else None,
-        measured=share_interval(measured) if len(measured) else None,
+        measured=share_interval_of(mean_over_cells(measured, worlds)) if kept else None,
     )

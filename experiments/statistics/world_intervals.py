@@ -41,17 +41,22 @@ class Rare:
 
 
 def share_interval(by_world: Floats, level: float = 0.95) -> Interval:
-    """Wilson's interval of a share, with as many trials as the spread of the worlds' means is worth.
+    """Interval of a share from the (W,) mean of each world; see :func:`share_interval_of`."""
+    return share_interval_of(Figure.mean(by_world), level)
+
+
+def share_interval_of(share: Figure, level: float = 0.95) -> Interval:
+    """Wilson's interval of a share, with as many trials as its spread over the worlds is worth.
 
     Args:
-        by_world: (W,) mean of each world.
+        share: over at least two worlds; with one it is [0, 1].
         level: its coverage.
     """
-    worlds, p = len(by_world), float(np.mean(by_world))
+    worlds, p = share.worlds, share.value
     if worlds < 2:
         return Interval(p, 0.0, 1.0)
-    error = Figure.mean(by_world).error
-    return wilson_interval(p, p * (1 - p) / error**2 if error else float(worlds), worlds, level)
+    trials = p * (1 - p) / share.error**2 if share.error else float(worlds)
+    return wilson_interval(p, trials, worlds, level)
 
 
 def wilson_interval(p: float, trials: float, worlds: int, level: float = 0.95) -> Interval:

@@ -8,6 +8,7 @@ import pytest
 
 from experiments.statistics.analysis import analyse
 from experiments.statistics.from_records import cells_of
+from experiments.statistics.products import product_of_distinct
 
 RECORDS = Path(__file__).resolve().parents[3] / "docs" / "eq1-quick"
 TABLE = pd.read_parquet(RECORDS / "units.parquet")
@@ -19,14 +20,45 @@ def found():
 
 
 def test_products_over_distinct_units_and_the_chain(found):
-    one, two = found.levels
+    """By units, as the recomputations took them; the analysis takes worlds."""
     assert (found.worlds, found.units, found.void) == (15, 522, 18)
-    shares = [(v.within_worlds, v.within_kinds, v.in_units, v.measured) for v in (one, two)]
-    assert shares[0] == pytest.approx((0.253, 0.241, 0.272, 0.241), abs=1e-3)
-    assert shares[1] == pytest.approx((0.196, 0.190, 0.213, 0.218), abs=1e-3)
+    cells = cells_of(TABLE, 2)
+    for n, expected in ((1, (0.253, 0.241, 0.272, 0.241)), (2, (0.196, 0.190, 0.213, 0.218))):
+        each = [cell.outcomes.of_first(n) for cell in cells]
+        in_worlds = [o.columns.reshape(1 + n, len(o.breakage), -1) for o in each]
+        count = [np.isfinite(x).all(axis=0).sum(axis=1) for x in in_worlds]
+        sums = [
+            sum(float(product_of_distinct(x) @ k) for x, k in zip(in_worlds, count, strict=True)),
+            sum(
+                float(product_of_distinct(x.reshape(1 + n, -1)) * k.sum())
+                for x, k in zip(in_worlds, count, strict=True)
+            ),
+            sum(np.nansum(np.prod(o.columns, axis=0)) for o in each),
+            sum(np.nansum(o.dual_failures[-1]) for o in each),
+        ]
+        assert np.array(sums) / 522 == pytest.approx(expected, abs=1e-3)
     assert found.failed_or_silent == pytest.approx(0.274, abs=5e-4)
     by_worlds = found.failed_or_silent_by_worlds
     assert by_worlds.high - by_worlds.low > 0.15, "by worlds, not by units: .077"
+
+
+def test_pooled_figures_are_means_over_cells_of_those_of_the_cells():
+    first = pd.concat([made_up(20, seed=s, cell=f"blur/{s}") for s in range(3)])
+    rows = first.assign(d2=first["d1"] & (first["repeat"] > 0), cross_r2_failed=first["cross_r1_failed"])
+    void = (rows["cell"] == "blur/0") & (rows["world_seed"] < 9)
+    rows["outcome"] = np.where(void, "void", "completed")
+    found = analyse(rows, 2, permutations=99)
+    for n, level in enumerate(found.levels, 1):
+        cells = [cell for cell in found.cells if cell.n == n]
+        assert (level.cells, len(cells)) == (3, 3)
+        assert level.eq1 == pytest.approx(np.mean([cell.eq1 for cell in cells]))
+        assert level.in_units == pytest.approx(np.mean([cell.in_units for cell in cells]))
+        assert level.measured == pytest.approx(np.mean([cell.measured.value for cell in cells]))
+        assert found.kinds_of_world[n - 1].measured.value == pytest.approx(level.measured)
+        assert level.in_sequences is not None and level.in_worlds is None
+    one, two = found.levels
+    gain = found.formulas[1].second_thread.value
+    assert gain == pytest.approx(two.first_alone - two.measured) == pytest.approx(one.measured - two.measured)
 
 
 def test_no_formula_can_be_told_from_another_in_saturated_corridors(found):
