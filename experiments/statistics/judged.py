@@ -206,8 +206,23 @@ def share_among(event: Figure, among: Figure) -> Interval | None:
     """Share of an event among the units of a part, both over the same worlds; None if there are none."""
     if among.value <= 0:
         return None
-    found, value = ratio_of_shares(event, among), event.value / among.value
+    value = event.value / among.value
+    if value > 0.5:  # of what is rare the spread over the worlds may not be known, also if it is the rest
+        rest = share_among(among - event, among)
+        return rest and Interval(value, min(1 - rest.high, value), max(1 - rest.low, value))
+    found = ratio_of_shares(event, among)
     return Interval(value, found.low, min(1.0, found.high)) if found else Interval(value, 0.0, 1.0)
+
+
+def share_of_part(event: Floats, part: Floats) -> Interval | None:
+    """Share of an event among the units of a part, (W, S, K) each, 0 or 1, NaN for no unit; None for none.
+
+    The ratio of the two shares, so that a world counts by what it has of the part: the mean of each world's
+    own share would weigh a world with one unit of it like one with all.
+    """
+    inside = np.where(np.isfinite(event), part, np.nan)
+    shares = (world_means(x) for x in (event * inside, inside))
+    return share_among(*(Figure.mean(means[np.isfinite(means)]) for means in shares))
 
 
 def share_of_chance(cells: Sequence[HomogeneousCell]) -> Interval | None:
@@ -240,7 +255,7 @@ def share_of_chance(cells: Sequence[HomogeneousCell]) -> Interval | None:
 
 def _shares(cell: HomogeneousCell, n: int) -> dict[str, Interval]:
     """Shares of units by world, over the units that every figure at this n uses."""
-    valid, silent = np.isfinite(cell.outcomes.of_first(n).breakage), cell.says("silent_failure")
+    valid = np.isfinite(cell.outcomes.of_first(n).breakage)
     events: dict[str, Floats | None] = {
         "breakage": cell.outcomes.breakage,
         "dual_failure": cell.outcomes.dual_failures[n - 1],
@@ -249,11 +264,11 @@ def _shares(cell: HomogeneousCell, n: int) -> dict[str, Interval]:
         "base_mission_failure": cell.events("base_mission_failure")
         if cell.says("base_mission_failure")
         else None,
-        "silent_failure": np.where(cell.outcomes.breakage == 0, cell.events("silent_failure"), np.nan)
-        if silent
-        else None,
     }
     found = {name: share_by_world(np.where(valid, e, np.nan)) for name, e in events.items() if e is not None}
+    if cell.says("silent_failure"):
+        unbroken = np.where(valid, cell.outcomes.breakage == 0, np.nan)
+        found["silent_failure"] = share_of_part(cell.events("silent_failure"), unbroken)
     return {name: share for name, share in found.items() if share is not None}
 
 

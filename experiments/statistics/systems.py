@@ -10,7 +10,7 @@ import pandas as pd
 from experiments.eq1.records import SHAM, failure_column
 from experiments.statistics.estimates import Figure
 from experiments.statistics.from_records import HomogeneousCell, cells_of
-from experiments.statistics.judged import share_by_world
+from experiments.statistics.judged import share_by_world, share_of_part
 from experiments.statistics.outcomes import Floats
 from experiments.statistics.verdicts import holm
 from experiments.statistics.world_intervals import Interval, difference_interval
@@ -172,9 +172,10 @@ def _columns(threads: int) -> dict[str, str]:
 
 def _shares(cell: HomogeneousCell, system: str, image: str, columns: Mapping[str, str]) -> SystemShares:
     events = {name: cell.values(column) for name, column in columns.items() if cell.says(column)}
-    if "silent_failure" in events:
-        events["silent_failure"] = np.where(cell.events("breakage") == 0, events["silent_failure"], np.nan)
+    silent = events.pop("silent_failure", None)
     shares = {name: share_by_world(event) for name, event in events.items()}
+    if silent is not None:
+        shares["silent_failure"] = share_of_part(silent, np.where(cell.events("breakage") == 0, 1.0, 0.0))
     declares = cell.rows.loc[cell.counted, "declares"].dropna()
     return SystemShares(
         system=system,

@@ -11,8 +11,8 @@ from scipy import stats
 from experiments.eq1.records import thread_column
 from experiments.statistics.estimates import Figure
 from experiments.statistics.from_records import HomogeneousCell
-from experiments.statistics.judged import share_among, share_by_world
-from experiments.statistics.outcomes import Floats, world_means
+from experiments.statistics.judged import share_by_world, share_of_part
+from experiments.statistics.outcomes import Floats
 from experiments.statistics.world_intervals import Interval
 
 _LEAST_WORLDS = 3
@@ -109,26 +109,15 @@ def _shares(cell: HomogeneousCell, thread: int) -> ThreadShares | None:
         units=int(np.isfinite(failed).sum()),
         failed=share,
         rescuable=int(np.nansum(rescuable)),
-        failed_rescuable=_part(failed, rescuable) if says else None,
+        failed_rescuable=share_of_part(failed, rescuable) if says else None,
         needed=int(np.nansum(needed)),
-        adds=_part(1 - failed, needed),
+        adds=share_of_part(1 - failed, needed),
     )
 
 
 def _product(columns: Floats, like: Floats) -> Floats:
     """Product over the first axis; 1 for none, NaN where there is no unit."""
     return np.where(np.isfinite(like), np.prod(columns, axis=0), np.nan)
-
-
-def _part(event: Floats, among: Floats) -> Interval | None:
-    """Share of an event among the units of a part, 0 or 1 per unit."""
-    inside = np.where(np.isfinite(event), among, np.nan)
-    return share_among(_mean(event * inside), _mean(inside))
-
-
-def _mean(event: Floats) -> Figure:
-    means = world_means(event)
-    return Figure.mean(means[np.isfinite(means)])
 
 
 def _pair(cell: HomogeneousCell, first: int, second: int) -> ThreadPair:

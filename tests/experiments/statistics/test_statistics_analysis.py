@@ -245,6 +245,20 @@ def test_silence_is_a_share_of_the_unbroken_units():
     assert cell.shares["silent_failure"].value == pytest.approx(4 / len(unbroken))
 
 
+def test_a_world_counts_in_a_share_of_a_part_by_what_it_has_of_it():
+    """Ten worlds with three unbroken units and none silent, ten with one unbroken unit, which is silent."""
+    rows = made_up(20)
+    few, first = rows["world_seed"] >= 10, rows["repeat"] == 0
+    silent = few & first
+    rows = rows.assign(breakage=few & ~first, silent_failure=silent, rescuable=~(few & ~first))
+    found = analyse(rows.assign(cross_r1_failed=silent), 1, permutations=99)
+    share = found.cells[0].shares["silent_failure"]
+    assert share == found.thread_shares[0].failed_rescuable
+    assert share.value == pytest.approx(10 / 40) and 0.05 < share.low < share.high < 0.6
+    never = analyse(rows.assign(cross_r1_failed=~rows["breakage"]), 1, permutations=99).thread_shares[0]
+    assert never.failed_rescuable.value == 1 and 0.65 < never.failed_rescuable.low < 0.95
+
+
 def test_p0_and_pr_are_compared_by_worlds():
     rows = made_up(20)
 
