@@ -3,23 +3,15 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import sqrt
 
 import numpy as np
 from scipy import stats
 
 from experiments.statistics.difficulties import Counts, Margin, common_correlation, fit_margin, predict
-from experiments.statistics.estimates import Figure, measured_in_units
-from experiments.statistics.formulas import (
-    beta_factor,
-    eq1,
-    fit_parameter,
-    mean_gain,
-    one_factor,
-    weakest_link,
-)
+from experiments.statistics.estimates import Figure, World, mean_over_cells, measured_in_units
+from experiments.statistics.formulas import beta_factor, eq1, fit_parameter, one_factor, weakest_link
 from experiments.statistics.outcomes import Floats, Outcomes, world_means
-from experiments.statistics.world_intervals import Interval
+from experiments.statistics.world_intervals import Interval, difference_interval
 
 TRANSFERRED = ("Eq. 1", "weakest link", "beta factor", "one factor", "correlated difficulties")
 
@@ -30,13 +22,13 @@ class Condition:
 
     Attributes:
         outcomes: see there.
-        worlds: their names, the same in every cell.
+        worlds: their kinds and seeds.
         group: that is left out as a whole when the cell is predicted.
         fitted: whether parameters may be fitted to it, for other groups.
     """
 
     outcomes: Outcomes
-    worlds: Sequence[object]
+    worlds: Sequence[World]
     group: str
     fitted: bool
 
@@ -49,15 +41,17 @@ class TransferScore:
         name: of the formula.
         parameters: of each cell, from the other groups; None for a formula without one.
         errors: (cells,) mean prediction minus mean D.
-        score: mean over worlds and their cells of -[y log f + (1 - y) log(1 - f)]; less is better.
-        gain: of the score over Eq. 1's, with its interval by worlds; None for Eq. 1.
+        loss: mean over cells and their worlds of -[y log f + (1 - y) log(1 - f)]; less is better.
     """
 
     name: str
     parameters: tuple[float, ...] | None
     errors: tuple[float, ...]
-    score: float
-    gain: Interval | None
+    loss: Figure
+
+    def gain_over(self, other: "TransferScore") -> Interval:
+        """How much less the loss is than another formula's."""
+        return difference_interval(other.loss - self.loss)
 
 
 def transfer(conditions: Sequence[Condition]) -> list[TransferScore]:
@@ -78,14 +72,12 @@ def transfer(conditions: Sequence[Condition]) -> list[TransferScore]:
         errors.append((f - y).mean(axis=1))
         f = np.clip(f, 0.5 / len(y), 1 - 0.5 / len(y))
         losses.append(-(y * np.log(f) + (1 - y) * np.log(1 - f)))
-    loss = _by_world(conditions, losses)
     return [
         TransferScore(
             name,
             tuple(p[i - 2] for p in parameters) if i > 1 else None,
             tuple(float(e[i]) for e in errors),
-            float(loss[i].mean()),
-            mean_gain(loss[0] - loss[i]) if i else None,
+            mean_over_cells([loss[i] for loss in losses], [c.worlds for c in conditions]),
         )
         for i, name in enumerate(TRANSFERRED)
     ]
@@ -106,8 +98,7 @@ def beta_of(outcomes: Outcomes) -> Interval | None:
 
     def agrees(beta: float) -> bool:
         off = measured - Figure(float(beta_factor(p, beta)), beta_factor(without, beta))
-        error = sqrt(float(np.var(off.pseudo_values, ddof=1)) / worlds)
-        return abs(off.value) <= float(stats.t.ppf(0.975, worlds - 1)) * error
+        return abs(off.t) <= float(stats.t.ppf(0.975, worlds - 1))
 
     best = fit_parameter(beta_factor, p[None], np.array([measured.value]))
     held = [beta for beta in np.linspace(0, 1, 201) if agrees(beta)]
@@ -154,15 +145,3 @@ def _difficulties(outcome: Floats) -> Floats:
             others = np.delete(outcome, world, axis=0)
             found[key] = fit_margin(Counts.of(others[None])).difficulty
     return np.array([found[key] for key in alike])
-
-
-def _by_world(conditions: Sequence[Condition], losses: Sequence[Floats]) -> Floats:
-    """(formulas, worlds) means over the cells of each world."""
-    names = {name: None for c in conditions for name in c.worlds}
-    place = {name: i for i, name in enumerate(names)}
-    total, count = np.zeros((len(TRANSFERRED), len(place))), np.zeros(len(place))
-    for condition, loss in zip(conditions, losses, strict=True):
-        at = [place[name] for name in condition.worlds]
-        total[:, at] += loss
-        count[at] += 1
-    return total / count

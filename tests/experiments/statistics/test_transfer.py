@@ -25,7 +25,7 @@ def conditions():
     return [
         Condition(
             outcomes(draw((Margin(p0, r), Margin(pr, r)), CORRELATION, rng, (150, 1, 3))),
-            range(150),
+            [("corridor", i) for i in range(150)],
             group=f"kind {i // 2}",
             fitted=True,
         )
@@ -38,10 +38,8 @@ def test_one_correlation_of_difficulties_predicts_conditions_whose_beta_differs(
     correlated, beta = scores["correlated difficulties"], scores["beta factor"]
     assert correlated.parameters == pytest.approx([CORRELATION] * 4, abs=0.15)
     assert max(map(abs, correlated.errors)) < 0.04 < max(map(abs, beta.errors))
-    assert correlated.gain.low > 0 and correlated.score < min(
-        s.score for s in scores.values() if s is not correlated
-    )
-    assert scores["Eq. 1"].gain is None and min(scores["Eq. 1"].errors) < -0.08
+    assert correlated.gain_over(scores["Eq. 1"]).low > 0 and min(scores["Eq. 1"].errors) < -0.08
+    assert correlated.loss.value == min(score.loss.value for score in scores.values())
 
 
 def test_parameters_come_from_the_other_groups_alone(conditions):
