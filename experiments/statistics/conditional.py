@@ -121,8 +121,8 @@ def odds_ratio_over_cells(tables: Floats) -> Interval | None:
         return None
     total = tables.sum(axis=1) + _HALF
     log = Figure(float(_log_ratio(total)), _log_ratio(total[:, None] - tables))
-    variance = max(float(np.var(log.pseudo_values, ddof=1)) / log.worlds, _least_variance(total))
-    half = float(stats.t.ppf(0.975, log.worlds - 1)) * sqrt(variance)
+    error = max(log.error, sqrt(_least_variance(total)))
+    half = float(stats.t.ppf(0.975, log.worlds - 1)) * error
     return Interval(*(exp(log.value + sign * half) for sign in (0, -1, 1)))
 
 

@@ -40,7 +40,7 @@ class Readings:
 
     Attributes:
         n: number of threads.
-        cell, world: which one; None over all cells, weighted by their units.
+        cell, world: which one; None over all cells, weighted alike.
         units, worlds: their numbers.
         measured: D.
         in_units: Q.
@@ -163,19 +163,16 @@ def _readings(cells: Sequence[_Cell], n: int) -> Readings:
 
 def _share(figure: Figure) -> Interval:
     """Wilson's interval of a share over several cells, as `share_interval` has it for one."""
-    share, variance = min(max(figure.value, 0.0), 1.0), float(np.var(figure.pseudo_values, ddof=1))
-    known = variance > 1e-12  # rounding leaves more than 0
-    trials = share * (1 - share) * figure.worlds / variance if known else figure.worlds
+    share = min(max(figure.value, 0.0), 1.0)
+    trials = share * (1 - share) / figure.error**2 if figure.error else figure.worlds
     return wilson_interval(share, trials, figure.worlds)
 
 
 def _pooled(cells: Sequence[_Cell], figures: Sequence[Figure]) -> Figure:
-    """A figure over all cells by their shares of the units; a world leaves all of its cells at once."""
-    total = sum(c.units for c in cells)
-    worlds = list(dict.fromkeys(world for c in cells for world in c.worlds))
-    place = {world: i for i, world in enumerate(worlds)}
-    value, change = 0.0, np.zeros(len(worlds))
+    """Mean of a figure over cells, weighted alike; a world leaves all of its cells at once."""
+    place = {world: i for i, world in enumerate(dict.fromkeys(world for c in cells for world in c.worlds))}
+    value, change = float(np.mean([figure.value for figure in figures])), np.zeros(len(place))
     for c, figure in zip(cells, figures, strict=True):
-        value += c.units / total * figure.value
-        change[[place[world] for world in c.worlds]] += c.units / total * (figure.without - figure.value)
-    return Figure(value, value + change)
+        change[[place[world] for world in c.worlds]] += (figure.without - figure.value) / len(cells)
+    kinds = np.array([kind for kind, _ in place])
+    return Figure(value, value + change, max(figure.scale for figure in figures), kinds)
