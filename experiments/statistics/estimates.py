@@ -90,25 +90,28 @@ class Figure:
         return cls(float(total / worlds), without, float(np.abs(by_world).max(initial=0.0)))
 
 
-def mean_over_cells(by_cell: Sequence[Floats], worlds: Sequence[Sequence[World]]) -> Figure:
-    """Mean over cells, weighted alike, of the mean over each cell's worlds.
+def over_cells(figures: Sequence[Figure], worlds: Sequence[Sequence[World]]) -> Figure:
+    """Mean of a figure over cells, weighted alike.
 
     A world is left out of all its cells at once, so that what cells share by their worlds is in the error.
     Worlds of different kinds are different ones, whatever their seeds, and their kinds independent samples.
 
     Args:
-        by_cell: per cell (W,) a value of each of its worlds.
+        figures: of each cell, over its own worlds.
         worlds: per cell their kinds and seeds.
-
     """
     places = {world: i for i, world in enumerate(dict.fromkeys(w for own in worlds for w in own))}
-    value = float(np.mean([of_cell.mean() for of_cell in by_cell]))
-    change = np.zeros(len(places))
-    for of_cell, own in zip(by_cell, worlds, strict=True):
-        at = [places[world] for world in own]
-        change[at] += (of_cell.mean() - of_cell) / max(len(own) - 1, 1) / len(by_cell)
-    scale = max(float(np.abs(of_cell).max()) for of_cell in by_cell)
+    value, change = float(np.mean([figure.value for figure in figures])), np.zeros(len(places))
+    for figure, own in zip(figures, worlds, strict=True):
+        if figure.worlds > 1:
+            change[[places[world] for world in own]] += (figure.without - figure.value) / len(figures)
+    scale = max(figure.scale for figure in figures)
     return Figure(value, value + change, scale, np.array([kind for kind, _ in places]))
+
+
+def mean_over_cells(by_cell: Sequence[Floats], worlds: Sequence[Sequence[World]]) -> Figure:
+    """Mean over cells, weighted alike, of the mean over each cell's (W,) worlds; see :func:`over_cells`."""
+    return over_cells([Figure.mean(of_cell) for of_cell in by_cell], worlds)
 
 
 def share(outcome: Floats) -> Figure:

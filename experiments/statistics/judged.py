@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
 from math import isfinite
 
 import numpy as np
@@ -13,6 +12,7 @@ from experiments.statistics.estimates import (
     chain,
     correlation_in_sequences,
     measured_in_units,
+    over_cells,
 )
 from experiments.statistics.from_records import HomogeneousCell
 from experiments.statistics.outcomes import Floats, Outcomes, world_means
@@ -226,31 +226,19 @@ def share_of_part(event: Floats, part: Floats) -> Interval | None:
 
 
 def share_of_chance(cells: Sequence[HomogeneousCell]) -> Interval | None:
-    """1 - ICC of B over cells of the same worlds: its variance that is chance, not the sequence's difficulty.
+    """1 - ICC of B over cells, each in its own worlds: its variance that is chance, not the sequence's.
 
-    Worlds without a valid unit in one of the cells are left out. None without repeats, with fewer than 3
-    worlds, or where B does not vary.
+    None without repeats, without a cell of at least 3 worlds, or where B does not vary.
     """
-    chance: Figure | None = None
-    variance: Figure | None = None
-    if not cells:
+    kept = [cell for cell in cells if usable(cell, 1).has_units.sum() > 2]
+    found = [correlation_in_sequences(usable(cell, 1).breakage) for cell in kept]
+    known = [each for each in found if each is not None]
+    if not known or len(known) < len(found):
         return None
-    common = reduce(np.intersect1d, [cell.worlds for cell in cells])
-    each = [cell.outcomes.of_first(1).of_worlds(np.isin(cell.worlds, common)) for cell in cells]
-    complete = np.all([outcomes.has_units for outcomes in each], axis=0)
-    if complete.sum() < 3:
-        return None
-    for outcomes in each:
-        correlation = correlation_in_sequences(outcomes.breakage[complete])
-        if correlation is None:
-            return None
-        within, of_cell = correlation
-        chance = of_cell - within if chance is None else chance + (of_cell - within)
-        variance = of_cell if variance is None else variance + of_cell
-    found = None if chance is None or variance is None else ratio_interval(chance, variance)
-    if found is None:
-        return None
-    return Interval(*(min(max(0.0, x), 1.0) for x in (found.value, found.low, found.high)))
+    worlds = [worlds_of(cell, 1) for cell in kept]
+    chance = over_cells([of_cell - within for within, of_cell in known], worlds)
+    ratio = ratio_interval(chance, over_cells([of_cell for _, of_cell in known], worlds))
+    return Interval(*(min(max(0.0, x), 1.0) for x in (ratio.value, ratio.low, ratio.high))) if ratio else None
 
 
 def _shares(cell: HomogeneousCell, n: int) -> dict[str, Interval]:

@@ -9,13 +9,14 @@ from experiments.statistics.estimates import (
     Figure,
     dual_failure,
     measured_in_units,
+    over_cells,
     product_in_sequences,
     product_of_margins,
 )
 from experiments.statistics.from_records import HomogeneousCell
 from experiments.statistics.judged import ratio_of_shares
 from experiments.statistics.outcomes import Outcomes, world_means
-from experiments.statistics.world_intervals import Interval, difference_interval, wilson_interval
+from experiments.statistics.world_intervals import Interval, difference_interval, share_interval_of
 
 
 @dataclass(frozen=True)
@@ -132,8 +133,9 @@ def _with_units(cell: HomogeneousCell, outcomes: Outcomes) -> _Cell:
 
 
 def _readings(cells: Sequence[_Cell], n: int) -> Readings:
+    worlds = [c.worlds for c in cells]
     measured, in_units, of_averages = (
-        _pooled(cells, [estimate(c.outcomes) for c in cells])
+        over_cells([estimate(c.outcomes) for c in cells], worlds)
         for estimate in (dual_failure, measured_in_units, product_of_margins)
     )
     of_sequences = [f for c in cells if (f := product_in_sequences(c.outcomes)) is not None]
@@ -154,25 +156,8 @@ def _readings(cells: Sequence[_Cell], n: int) -> Readings:
         world=cells[0].kind_of_world if alone else None,
         units=sum(c.units for c in cells),
         worlds=measured.worlds,
-        measured=_share(measured),
+        measured=share_interval_of(measured),
         in_units=in_units.value,
-        of_sequences=reading(_pooled(cells, of_sequences)) if len(of_sequences) == len(cells) else None,
+        of_sequences=reading(over_cells(of_sequences, worlds)) if len(of_sequences) == len(cells) else None,
         of_averages=reading(of_averages, margins),
     )
-
-
-def _share(figure: Figure) -> Interval:
-    """Wilson's interval of a share over several cells, as `share_interval` has it for one."""
-    share = min(max(figure.value, 0.0), 1.0)
-    trials = share * (1 - share) / figure.error**2 if figure.error else figure.worlds
-    return wilson_interval(share, trials, figure.worlds)
-
-
-def _pooled(cells: Sequence[_Cell], figures: Sequence[Figure]) -> Figure:
-    """Mean of a figure over cells, weighted alike; a world leaves all of its cells at once."""
-    place = {world: i for i, world in enumerate(dict.fromkeys(world for c in cells for world in c.worlds))}
-    value, change = float(np.mean([figure.value for figure in figures])), np.zeros(len(place))
-    for c, figure in zip(cells, figures, strict=True):
-        change[[place[world] for world in c.worlds]] += (figure.without - figure.value) / len(cells)
-    kinds = np.array([kind for kind, _ in place])
-    return Figure(value, value + change, max(figure.scale for figure in figures), kinds)
