@@ -12,6 +12,7 @@ LEAST_WORLDS = 10
 """Worlds with the event below which nothing is tested (`statistics.verdicts`)."""
 
 _KINDS_WITH_DOSES = 4
+_READINGS = ("of_sequences", "of_averages")
 MEANINGS = {
     "optimistic": "Eq. 1 predicted too few failures",
     "pessimistic": "Eq. 1 predicted too many",
@@ -55,7 +56,8 @@ def answer(results: dict[str, Any]) -> Answer:
     asked = [_asked(), _tried(results)]
     if not told:
         return Answer("No result yet: no trial is completed.", asked, [])
-    sentences = [*asked, *_verdicts(results, told), _basis(results, told), _certainty(results)]
+    verdicts = [*_verdicts(results, told), _basis(results, told), *_readings(results, told)]
+    sentences = [*asked, *verdicts, _certainty(results)]
     if results["reanalysed"]:
         sentences.append("Reanalysed: the spec mixed kinds of world in a condition; they are split here.")
     headline = _headline(told)
@@ -157,6 +159,27 @@ def _verdicts(results: dict[str, Any], told: list[dict[str, Any]]) -> Iterable[s
         total = plural(sum(counts.values()), "condition")
         each = [f"{counts[v]} {v} ({text})" for v, text in MEANINGS.items() if counts[v]]
         yield f"With {' and '.join(names[:n])}, of {total}: {'; '.join(each)}."
+
+
+def _readings(results: dict[str, Any], told: list[dict[str, Any]]) -> Iterable[str]:
+    """Both readings over all conditions, with the numbers of threads that decide."""
+    numbers = {cell["n"] for cell in told}
+    all_of = [r for r in results["analysis"]["readings"] if r["cell"] is None and r["n"] in numbers]
+    known = [r for r in all_of if r["of_sequences"] is not None]
+    if known:
+        names = thread_names(results)
+        measured, own, averages = (
+            listed([percent(share) for share in shares])
+            for shares in zip(
+                *((r["measured"]["value"], *(r[of]["predicted"] for of in _READINGS)) for r in known),
+                strict=True,
+            )
+        )
+        threads = listed([" and ".join(names[: r["n"]]) for r in known])
+        yield (
+            f"Over all conditions, weighted alike, {measured} failed with {threads}: Eq. 1 with each "
+            f"sequence's own p₀ and pr predicts {own}, with averages over sequences {averages}."
+        )
 
 
 def _basis(results: dict[str, Any], told: list[dict[str, Any]]) -> str:
