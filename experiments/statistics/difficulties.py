@@ -19,8 +19,8 @@ from experiments.statistics.outcomes import Floats
 from experiments.statistics.world_intervals import Interval
 
 # Equal steps: Gauss-Hermite nodes lie too far apart for sequences that nearly always or never fail.
-_NODES = np.linspace(-6, 6, 121)
-_WEIGHTS = stats.norm.pdf(_NODES) / stats.norm.pdf(_NODES).sum()
+NODES = np.linspace(-6, 6, 121)
+WEIGHTS = stats.norm.pdf(NODES) / stats.norm.pdf(NODES).sum()
 _MOST = 0.99  # r; beyond it a step of the nodes is wider than the rise of the probability
 _LEAST = 1e-4
 _TOLERANCE = {"xatol": 1e-3, "fatol": 1e-6, "maxiter": 2000}
@@ -76,7 +76,7 @@ def log_likelihood(counts: Counts, margins: Sequence[Margin], correlation: float
 
     Of two events it may be negative, in [-1, 1].
     """
-    chance = _WEIGHTS @ np.prod(
+    chance = WEIGHTS @ np.prod(
         [_given_common(counts, event, m, correlation) for event, m in enumerate(margins)], axis=0
     )
     return float((counts.sequences * np.log(np.maximum(chance, 1e-300))).sum())
@@ -84,16 +84,16 @@ def log_likelihood(counts: Counts, margins: Sequence[Margin], correlation: float
 
 def _given_common(counts: Counts, event: int, margin: Margin, correlation: float) -> Floats:
     """(nodes, rows) chance of the counts of one event, given what is common of their difficulties."""
-    p, k = margin.in_runs(_NODES)[:, None], counts.events[:, event]
+    p, k = margin.in_runs(NODES)[:, None], counts.events[:, event]
     alone = comb(counts.runs, k) * p**k * (1 - p) ** (counts.runs - k)
     turned = correlation < 0 and event > 0
-    return _smoothing(abs(correlation)) @ (alone[::-1] if turned else alone)
+    return smoothing(abs(correlation)) @ (alone[::-1] if turned else alone)
 
 
 @lru_cache(maxsize=64)
-def _smoothing(correlation: float) -> Floats:
+def smoothing(correlation: float) -> Floats:
     """(nodes, nodes) weights of an event's difficulties by that part: normal, of variance 1 - correlation."""
-    away = (_NODES - sqrt(correlation) * _NODES[:, None]) ** 2
+    away = (NODES - sqrt(correlation) * NODES[:, None]) ** 2
     # The nearest node stays in where all are far off, as without a difficulty of its own.
     weights = np.exp(-(away - away.min(axis=1, keepdims=True)) / (2 * max(1 - correlation, 1e-9)))
     return weights / weights.sum(axis=1, keepdims=True)
@@ -183,7 +183,7 @@ def common_correlation(cells: Sequence[tuple[Counts, Sequence[Margin]]]) -> floa
 
 def predict(margins: Sequence[Margin], correlation: float) -> float:
     """Share of runs in which all events happen, by one correlation in [0, 1] of all difficulties."""
-    return float(np.prod([_given_common(_ONE, 0, m, correlation)[:, 0] for m in margins], axis=0) @ _WEIGHTS)
+    return float(np.prod([_given_common(_ONE, 0, m, correlation)[:, 0] for m in margins], axis=0) @ WEIGHTS)
 
 
 _ONE = Counts(np.ones((1, 1), int), np.ones(1, int), np.ones(1, int))
