@@ -25,6 +25,7 @@ from experiments.statistics.verdicts import (
     holm,
     verdicts,
 )
+from experiments.statistics.way import way_interval
 from experiments.statistics.world_intervals import (
     Interval,
     Rare,
@@ -76,8 +77,8 @@ class JudgedCell:
     p_forecast: float | None
     verdict_in_units: Verdict
     verdict_forecast: Verdict
-    way_in_units: float | None
-    way_forecast: float | None
+    way_in_units: Interval | None
+    way_forecast: Interval | None
     steps: dict[str, Interval]
     shares: dict[str, Interval]
 
@@ -162,11 +163,15 @@ def _judged(
         p_forecast=p_forecast,
         verdict_in_units=on_units,
         verdict_forecast=on_forecast,
-        way_in_units=in_units.way_to_weakest if in_units else None,
-        way_forecast=forecast.way_to_weakest if forecast else None,
+        way_in_units=_way(in_units) if in_units else None,
+        way_forecast=_way(forecast) if forecast else None,
         steps=_steps(outcomes) if tested else {},
         shares=_shares(cell, n),
     )
+
+
+def _way(found: Comparison) -> Interval | None:
+    return way_interval(found.measured, found.product, found.weakest)
 
 
 def _steps(outcomes: Outcomes) -> dict[str, Interval]:

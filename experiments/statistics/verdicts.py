@@ -54,12 +54,6 @@ class Comparison:
         """True if no formula can be told from another here."""
         return self.product.value <= 0 or self.weakest.value / self.product.value < _LEAST_ROOM
 
-    @property
-    def way_to_weakest(self) -> float | None:
-        """k: 0 is Eq. 1, 1 the weakest link; None where they are the same."""
-        room = self.weakest.value - self.product.value
-        return (self.measured.value - self.product.value) / room if room > 0 else None
-
 
 def compare_units(outcomes: Outcomes, test: PermutationTest) -> Comparison:
     """Q against pi_marg, by a test of independence."""
