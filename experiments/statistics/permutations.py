@@ -41,9 +41,10 @@ def permutations_for(tests: int) -> int:
 def independence(outcomes: Outcomes, rng: np.random.Generator, permutations: int = 9999) -> PermutationTest:
     """Q against Q with every thread's outcomes moved to other worlds, whole worlds at a time.
 
-    The replicates of a world stay together, so that the test holds at any correlation within worlds.
+    The replicates of a world stay together, so that the test holds at any correlation within worlds. Valid
+    ones come first in their sequences, and sequences with any in their worlds, so that moved units meet some.
     """
-    columns = outcomes.of_worlds(outcomes.has_units).columns
+    columns = _valid_first(outcomes.of_worlds(outcomes.has_units).columns)
     worlds = np.arange(columns.shape[1])
     observed = float(_moved(columns, [worlds[None]] * outcomes.threads)[0])
     everyone = np.tile(worlds, (permutations, 1))
@@ -144,12 +145,20 @@ def _two_sided(observed: float, moved: Floats) -> float:
     return min(1.0, 2 * min(up, low))
 
 
+def _valid_first(columns: Floats) -> Floats:
+    """(C, W, S, K) columns with the sequences and replicates of each world in another order, alike in all."""
+    order = np.argsort(~np.isfinite(columns).all(axis=0), axis=2, kind="stable")
+    columns = np.take_along_axis(columns, order[None], axis=3)
+    order = np.argsort(np.isnan(columns[..., :1]).any(axis=0), axis=1, kind="stable")
+    return np.take_along_axis(columns, order[None], axis=2)
+
+
 def _moved(columns: Floats, others: Sequence[np.ndarray]) -> Floats:
     """(P,) Q of (1 + n, W, S, K) columns where R_j comes from the worlds (P, W) that others say."""
     product = columns[0]
     for column, worlds in zip(columns[1:], others, strict=True):
         product = product * column[worlds]
-    return np.nan_to_num(world_means(product)).mean(axis=1)
+    return world_means(product).mean(axis=1)
 
 
 def _weights(valid: np.ndarray) -> Floats:

@@ -185,6 +185,13 @@ def test_permuted_worlds_keep_their_replicates_in_order_and_skip_void_ones():
     )
 
 
+def test_void_replicates_make_no_failures_rarer_where_worlds_are_moved(rng):
+    """All fail in every valid unit, wherever its thread's outcome comes from."""
+    fails = np.where(rng.random((40, 2, 2)) < 0.6, np.nan, 1.0)
+    found = independence(Outcomes(fails, fails[None], fails[None]), rng, 99)
+    assert (found.statistic, found.expected, found.p) == (1, 1, 1)
+
+
 def test_chance_that_replicates_share_is_found_within_sequences(rng):
     shared = simulate(Truth((0.5, 0.5), common=1.0), rng, worlds=60, replicates=4, void=0.1)
     found = within_sequences([shared, shared], rng, 299)
