@@ -19,7 +19,8 @@ MEANINGS = {
     "consistent": "Eq. 1 agrees with what was measured, within .3 of the way to the weakest link",
     "undecided": "there are too few worlds to decide",
     "saturated": "Eq. 1 cannot be told from the weakest link, as all fails",
-    "untested": f"fewer than {LEAST_WORLDS} worlds with a breakage, or with a failure of each thread",
+    "untested": f"fewer than {LEAST_WORLDS} worlds with a breakage, or with a failure of each thread, "
+    "or too few with a dual failure",
 }
 
 

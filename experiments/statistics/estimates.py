@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import copysign, inf, sqrt
+from math import copysign, inf, log, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,6 +81,10 @@ class Figure:
     def times(self, factor: float) -> "Figure":
         """The figure times a constant."""
         return Figure(factor * self.value, factor * self.without, abs(factor) * self.scale, self.kinds)
+
+    def log(self, least: float = 0.0) -> "Figure":
+        """Its logarithm, values below ``least`` taken for that."""
+        return Figure(log(max(self.value, least)), np.log(np.maximum(self.without, least)), kinds=self.kinds)
 
     @classmethod
     def mean(cls, by_world: Floats) -> "Figure":

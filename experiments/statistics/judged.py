@@ -22,7 +22,7 @@ from experiments.statistics.verdicts import (
     Verdict,
     compare_forecast,
     compare_units,
-    holm,
+    corrected,
     verdicts,
 )
 from experiments.statistics.way import way_interval
@@ -51,7 +51,8 @@ class JudgedCell:
         eq1, weakest: pi_marg and the smallest of p0 and the threads' pr; None with too few worlds.
         in_units: Q.
         saturated: whether no formula can be told from another here.
-        p_independence, p_forecast: of the tests of Q and D, by Holm; None with too few worlds.
+        p_independence, p_forecast: of the tests of Q, the primary one, and D, by Holm; None with too few
+            worlds, of D also with too few that have it.
         verdict_in_units, verdict_forecast: on Q and D.
         way_in_units, way_forecast: k of Q and D: 0 is Eq. 1, 1 the weakest link.
         steps: ratios by their names in ``STEPS``; only those that the design can tell and whose denominator
@@ -111,11 +112,11 @@ def judge_cells(
         for i, outcomes in of.items()
         if len(outcomes.breakage) > 1 + outcomes.threads
     }
-    found: dict[int, tuple[Verdict, Verdict, float, float]] = {}
+    found: dict[int, tuple[Verdict, Verdict, float | None, float | None]] = {}
     for family in (True, False):
         own = [i for i in tested if named[i] == family]
         units, forecasts = [tested[i][0] for i in own], [tested[i][1] for i in own]
-        p = holm([c.p for c in units]), holm([c.p for c in forecasts])
+        p = corrected(units), corrected(forecasts)
         found |= dict(zip(own, zip(*verdicts(units, forecasts), *p, strict=True), strict=True))
     return tuple(
         _judged(cell, of[i], named[i], tested.get(i), found.get(i))
@@ -140,7 +141,7 @@ def _judged(
     outcomes: Outcomes,
     confirmatory: bool,
     tested: tuple[Comparison, Comparison] | None,
-    found: tuple[Verdict, Verdict, float, float] | None,
+    found: tuple[Verdict, Verdict, float | None, float | None] | None,
 ) -> JudgedCell:
     n, happened = outcomes.threads, np.nansum(outcomes.columns, axis=(2, 3)) > 0
     in_units, forecast = tested or (None, None)
@@ -158,7 +159,7 @@ def _judged(
         eq1=in_units.product.value if in_units else None,
         weakest=in_units.weakest.value if in_units else None,
         in_units=measured_in_units(outcomes).value,
-        saturated=in_units is not None and in_units.product.value > 0 and in_units.saturated,
+        saturated=in_units is not None and in_units.saturated,
         p_independence=p_units,
         p_forecast=p_forecast,
         verdict_in_units=on_units,

@@ -73,8 +73,8 @@ def power_of(
     found = np.zeros((experiments, 2), bool)
     for each in found:
         outcomes = simulate(truth, rng, design.worlds, design.sequences, design.replicates)
-        p = independence(outcomes, rng, permutations).p
-        each[:] = p is not None and p <= level, compare_forecast(outcomes).p <= level
+        p = independence(outcomes, rng, permutations).p, compare_forecast(outcomes).p
+        each[:] = [of_test is not None and of_test <= level for of_test in p]
     shares = found.mean(axis=0)
     error = float(np.sqrt(shares * (1 - shares) / experiments).max())
     return Power(design, predicted, ratio * predicted, float(shares[0]), float(shares[1]), error)

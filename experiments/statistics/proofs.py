@@ -14,7 +14,7 @@ from experiments.statistics import boundary_proofs, estimates
 from experiments.statistics.formulas import RIVALS, compare_formulas
 from experiments.statistics.from_records import cells_of
 from experiments.statistics.outcomes import Outcomes, world_means
-from experiments.statistics.permutations import independence, within_sequences
+from experiments.statistics.permutations import PermutationTest, independence, within_sequences
 from experiments.statistics.simulated import Truth, simulate
 from experiments.statistics.verdicts import LEVEL, Verdict, compare_forecast, compare_units, verdicts
 from experiments.statistics.world_intervals import Interval, Rare, few_events, ratio_interval, share_interval
@@ -90,20 +90,64 @@ def prove(experiments: int, seed: int = 0, workers: int = 1, only: str = "") -> 
             yield Proof(claim.name, claim.low, claim.high, found, error, len(known))
 
 
+@dataclass(frozen=True)
+class Cell:
+    """A cell to be simulated.
+
+    Attributes:
+        truth: what its outcomes depend on.
+        worlds, sequences, replicates, void: as of :func:`simulate`.
+    """
+
+    truth: Truth
+    worlds: int = 60
+    sequences: int = 1
+    replicates: int = 3
+    void: float = 0.0
+
+    def draw(self, rng: np.random.Generator) -> Outcomes:
+        """Outcomes of the worlds with enough valid replicates."""
+        drawn = simulate(self.truth, rng, self.worlds, self.sequences, self.replicates, self.void)
+        usable = drawn.of_first(drawn.threads)
+        return usable.of_worlds(usable.has_units)
+
+    def __str__(self) -> str:
+        shares = ", ".join(f"{share:g}" for share in self.truth.shares)
+        sequences = f" of {self.sequences} sequences" if self.sequences > 1 else ""
+        arms = f", arms alike in {self.truth.arms:g}" if self.truth.arms < 1 else ""
+        void = f", void {self.void:g}" if self.void else ""
+        correlation = f"correlation {self.truth.correlation:g} within worlds"
+        return f"p0 and pr {shares}, {correlation}, {self.worlds} worlds{sequences}{arms}{void}"
+
+
+# Eq. 1 is true: shares near half, rare failures, one share near 1, arms that differ and void replicates.
+EQ1_TRUE = (
+    Cell(Truth((0.5, 0.5))),
+    Cell(Truth((0.5, 0.5, 0.5), 0.9)),
+    Cell(Truth((0.165, 0.179, 0.168), 0.97), 100),
+    Cell(Truth((0.1, 0.1, 0.1), 0.9), 100),
+    Cell(Truth((0.11, 0.393, 0.247), 0.5), 100),
+    Cell(Truth((0.2, 0.7), 0.3)),
+    Cell(Truth((0.7, 0.15), 0.9), 100),
+    Cell(Truth((0.3, 0.4), 0.3, arms=0.5), 60, 2, 2, 0.2),
+)
+RARE_WITH_ONE_CAUSE = Cell(Truth((0.165, 0.179, 0.168), 0.97, 1.0), 100)
+CONSISTENT = (Cell(Truth((0.5, 0.7), 0.3, 0.3), 150), Cell(Truth((0.15, 0.05, 0.2), 0.3, 0.3), 150))
+"""A share of .3 of the worlds with one cause puts them .3 of the way to the weakest link."""
+
+
 def claims() -> list[Claim]:
     """Every line that is to be proved."""
     found = []
-    for threads in (1, 2):
-        for correlation in (0.0, 0.3, 0.9):
-            truth = Truth((0.5,) * (1 + threads), correlation)
-            what = f"n = {threads}, correlation {correlation:g} within worlds"
-            found.append(Claim(f"size of independence, {what}", 0, 0.06, partial(_independence, truth)))
-            found.append(Claim(f"size of forecast, {what}", 0, 0.06, partial(_forecast, truth)))
-    for correlation in (0.0, 0.3):
-        truth = Truth((0.5, 0.5), correlation)
-        found.append(
-            Claim(f"size within sequences, correlation {correlation:g}", 0, 0.06, partial(_within, truth))
-        )
+    for cell in EQ1_TRUE:
+        found.append(Claim(f"size of independence, {cell}", 0, 0.06, partial(_independence, cell)))
+        found.append(Claim(f"size of forecast, {cell}", 0, 0.06, partial(_forecast, cell)))
+    name = f"forecast finds one cause of all, {RARE_WITH_ONE_CAUSE}"
+    found.append(Claim(name, 0.9, 1, partial(_forecast, RARE_WITH_ONE_CAUSE)))
+    for cell in (Cell(Truth((0.5, 0.5))), Cell(Truth((0.5, 0.5), 0.3), 60, 2, 3, 0.2)):
+        found.append(Claim(f"size within sequences, {cell}", 0, 0.06, partial(_within, cell)))
+    for cell in CONSISTENT:
+        found.append(Claim(f"consistent at k = .3, {cell}", 0, 0.06, partial(_consistent, cell)))
     for share, worlds in ((0.3, 100), (0.5, 30), (0.06, 100)):
         for correlation in (0.0, 0.9):
             name = f"coverage of a share of {share:g}, {worlds} worlds, correlation {correlation:g}"
@@ -160,17 +204,29 @@ def _chunk(claim: int, seed: int, start: int, count: int) -> np.ndarray:
     return np.array([experiment(rng) for _ in range(count)])
 
 
-def _independence(truth: Truth, rng: np.random.Generator) -> float:
-    p = independence(simulate(truth, rng, 60, 1, 3), rng, _PERMUTATIONS).p
+def _independence(cell: Cell, rng: np.random.Generator) -> float:
+    p = independence(cell.draw(rng), rng, _PERMUTATIONS).p
     return float(p is not None and p <= LEVEL)
 
 
-def _forecast(truth: Truth, rng: np.random.Generator) -> float:
-    return float(compare_forecast(simulate(truth, rng, 60, 1, 3)).p <= LEVEL)
+def _forecast(cell: Cell, rng: np.random.Generator) -> float:
+    """Whether Eq. 1 is said to be wrong."""
+    (verdict,) = verdicts([], [compare_forecast(cell.draw(rng))])[1]
+    return float(verdict in (Verdict.OPTIMISTIC, Verdict.PESSIMISTIC))
 
 
-def _within(truth: Truth, rng: np.random.Generator) -> float:
-    p = within_sequences([simulate(truth, rng, 60, 1, 3)], rng, _PERMUTATIONS).p
+def _consistent(cell: Cell, rng: np.random.Generator) -> float:
+    """Whether Eq. 1 is said to hold, if no test of independence stands against it."""
+    units = compare_units(cell.draw(rng), PermutationTest(0.0, None, 1.0))
+    return float(verdicts([units], [])[0] == [Verdict.CONSISTENT])
+
+
+def _within(cell: Cell, rng: np.random.Generator) -> float:
+    """Two cells in one kind of world and one in another."""
+    drawn = [
+        simulate(cell.truth, rng, cell.worlds, cell.sequences, cell.replicates, cell.void) for _ in range(3)
+    ]
+    p = within_sequences(drawn, rng, _PERMUTATIONS, ["room", "room", "corridor"]).p
     return float("nan") if p is None else float(p <= LEVEL)
 
 
@@ -258,5 +314,6 @@ def _any_optimistic(cells: Sequence[Outcomes], rng: np.random.Generator) -> bool
 def _formula_wins(common: float, design: tuple[int, int, int], rng: np.random.Generator) -> float:
     shares = ((0.3, 0.4), (0.5, 0.5), (0.6, 0.3))
     cells = [simulate(Truth(each, 0.3, common), rng, *design) for each in shares]
-    scores = compare_formulas(cells, [True] * len(cells))
+    worlds = [[(kind, i) for i in range(design[0])] for kind in ("room", "room", "corridor")]
+    scores = compare_formulas(cells, [True] * len(cells), worlds=worlds)
     return float(any(s.p is not None and s.p <= LEVEL for s in scores if s.name in RIVALS))

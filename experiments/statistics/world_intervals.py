@@ -10,6 +10,9 @@ from experiments.statistics.estimates import Figure
 from experiments.statistics.outcomes import Floats
 from experiments.statistics.products import ROUNDING
 
+FEW = 5
+"""Worlds with an event, or expected to have it, below which their spread is not known."""
+
 
 @dataclass(frozen=True)
 class Interval:
@@ -104,11 +107,40 @@ def ratio_interval(
     return Interval(a / c, min(low for low, _ in bounds), max(high for _, high in bounds))
 
 
+def t_of_log_ratio(numerator: Figure, denominator: Figure, rare: Rare | None = None) -> float | None:
+    """Student's t of log A - log C, by the pseudo-values of both: 0 where the ratio A / C is 1.
+
+    A numerator below half a world counts as that, since 0 has no logarithm. With ``rare`` the variance per
+    world is at least that of counts, v0(rho) = A - A^2 (1 + sum(1 / p - 1)) with A = rho C, brought onto the
+    log scale by the delta method, d log(A / C) = (dA - rho dC) / A: v0 / A^2 = 1 / A - (1 + sum(1 / p - 1)),
+    and 1 / A - 1 where C is no product of shares. It falls from the ratio that is tested, 1, to a larger one
+    that is found; there it is taken half way on the log scale, at A = sqrt(A C). With A = C instead 16 worlds
+    with .4 expected would have a p of .02, with the A found 5 with 1.3 expected one of .003 instead of .01.
+
+    Args:
+        numerator, denominator: over the same worlds.
+        rare: given where the spread over the worlds is not known.
+
+    Returns:
+        None if the denominator, also without one of the worlds, is not above 0.
+    """
+    if min(denominator.value, float(denominator.without.min())) <= 0:
+        return None
+    least = 0.5 / numerator.worlds
+    ratio = numerator.log(least) - denominator.log()
+    error = ratio.error
+    if rare is not None:
+        a = max(numerator.value, least)
+        spread = 1 / min(a, sqrt(a * denominator.value)) - 1 - sum(1 / p - 1 for p in rare.shares)
+        error = max(error, sqrt(max(spread, 0.0) / ratio.worlds))
+    return ratio.value / error if error else ratio.t
+
+
 def few_events(by_world: Floats, shares: tuple[float, ...] = ()) -> bool:
     """Return True if too few worlds have an event for the spread of (W,) means to be known."""
     worlds, nothing = len(by_world), ROUNDING * float(np.abs(by_world).max(initial=0.0))
     expected = [float(np.prod(shares)), float(np.prod([1 - p for p in shares]))] if shares else []
-    return int((by_world > nothing).sum()) < 5 or any(worlds * p < 5 for p in expected)
+    return int((by_world > nothing).sum()) < FEW or any(worlds * p < FEW for p in expected)
 
 
 def _t(figure: Figure, level: float) -> float:

@@ -19,10 +19,17 @@ from experiments.statistics.verdicts import (
     Verdict,
     compare_forecast,
     compare_units,
+    corrected,
     holm,
     verdicts,
 )
-from experiments.statistics.world_intervals import Rare, few_events, ratio_interval, share_interval
+from experiments.statistics.world_intervals import (
+    Rare,
+    few_events,
+    ratio_interval,
+    share_interval,
+    t_of_log_ratio,
+)
 
 
 @pytest.fixture
@@ -246,6 +253,50 @@ def test_fewer_failures_than_predicted_are_pessimistic(rng):
     outcomes = simulate(Truth((0.5, 0.5)), rng, 150)
     opposite = Outcomes(outcomes.breakage, 1 - outcomes.breakage[None], 0 * outcomes.dual_failures)
     assert verdicts([], [compare_forecast(opposite)]) == ([], [Verdict.PESSIMISTIC])
+
+
+def test_a_log_ratio_has_the_variance_of_counts_where_events_are_rare():
+    worlds, product = 100, Figure(0.02, np.full(100, 0.02))
+    for count, shares, variance in (
+        (8, (), 1 / 0.04 - 1),
+        (1, (), 1 / 0.01 - 1),
+        (0, (), 1 / 0.005 - 1),
+        (1, (0.2, 0.1), 1 / 0.01 - 1 - 4 - 9),
+    ):
+        failed = Figure.mean((np.arange(worlds) < count).astype(float))
+        expected = np.log(max(count, 0.5) / 2) / np.sqrt(variance / worlds)
+        assert t_of_log_ratio(failed, product, Rare(shares)) == pytest.approx(expected)
+    many = Figure.mean((np.arange(worlds) < 50).astype(float))
+    assert t_of_log_ratio(many, Figure(0.25, np.full(worlds, 0.25))) == pytest.approx(
+        np.log(2) / (0.5 / 0.5 / 10), rel=0.02
+    )
+    assert t_of_log_ratio(many, Figure(0.01, np.append(np.full(99, 0.01), 0.0))) is None
+
+
+def test_a_forecast_of_few_failures_is_untested_and_independence_is_not(rng):
+    def outcomes(shared):
+        """B in 20 of 100 worlds, R_1 in 15, some of them the same."""
+        broke, failed = (np.zeros((100, 1, 1)) for _ in range(2))
+        broke[:20], failed[20 - shared : 35 - shared] = 1, 1
+        return Outcomes(broke, failed[None], (broke * failed)[None])
+
+    def judged(shared):
+        cell = outcomes(shared)
+        forecast = compare_forecast(cell)
+        units = compare_units(cell, independence(cell, rng, 999))
+        return forecast.p, *(of[0] for of in verdicts([units], [forecast]))
+
+    p, on_units, on_forecast = judged(4)
+    assert (p, on_units, on_forecast) == (None, Verdict.UNDECIDED, Verdict.UNTESTED)
+    p, on_units, on_forecast = judged(10)
+    assert p < 0.01 and on_units == on_forecast == Verdict.OPTIMISTIC
+    tested = Comparison(*(Figure.mean(np.full(20, x)) for x in (0.2, 0.1, 0.4)), 0.03, 1.0, untested=False)
+    assert corrected([tested, compare_forecast(outcomes(4))]) == [0.06, None]
+
+
+def test_a_product_that_no_two_worlds_have_is_not_saturated():
+    nothing = Figure.mean(np.zeros(20))
+    assert not Comparison(nothing, nothing, Figure.mean(np.full(20, 0.3)), 1.0, 1.0, untested=False).saturated
 
 
 def test_holm_counts_every_confirmatory_comparison():
