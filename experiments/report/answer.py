@@ -61,7 +61,7 @@ def answer(results: dict[str, Any]) -> Answer:
     sentences = [*asked, *verdicts, _certainty(results)]
     if results["reanalysed"]:
         sentences.append("Reanalysed: the spec mixed kinds of world in a condition; they are split here.")
-    headline = _headline(told)
+    headline = " ".join((*_independence(told), _headline(told)))
     return Answer(headline, [*sentences, _chance(analysis), _limits(results)], analysis["kinds_of_world"])
 
 
@@ -70,7 +70,15 @@ def confirmed(cells: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [cell for cell in cells if cell["confirmatory"]] or cells
 
 
+def _independence(told: list[dict[str, Any]]) -> Iterable[str]:
+    """The primary test, where it has found something."""
+    refuted = sum(cell["verdict_in_units"] in ("optimistic", "pessimistic") for cell in told)
+    if refuted:
+        yield f"Breakages and failures of the threads are not independent in {refuted} of {len(told)} tests."
+
+
 def _headline(told: list[dict[str, Any]]) -> str:
+    """What the forecast of Eq. 1 is worth."""
     counts, total = Counter(cell["verdict_forecast"] for cell in told), len(told)
     wrong = [
         f"too {few} failures in {counts[verdict]}"

@@ -49,7 +49,7 @@ def test_without_the_free_arm_eq1_is_not_asked_but_what_threads_cross():
 
 def judged(*words: str, confirmatory: bool = False) -> list[dict]:
     each = {"n": 1, "confirmatory": confirmatory, "worlds": 12}
-    return [each | {"verdict_forecast": word} for word in words]
+    return [each | {"verdict_forecast": word, "verdict_in_units": word} for word in words]
 
 
 @pytest.mark.parametrize(
@@ -73,6 +73,11 @@ def test_the_headline_follows_the_verdicts_of_the_confirmatory_conditions(result
     analysis = results["analysis"] | {"cells": judged(*words)}
     found = answer(results | {"analysis": analysis})
     assert found.headline.endswith(headline)
+    refuted = sum(word in ("optimistic", "pessimistic") for word in words)
+    assert ("not independent" in found.headline) == (
+        f"in {refuted} of {len(words)} tests. " in found.headline
+    )
+    assert bool(refuted) == ("not independent" in found.headline)
     told = next(sentence for sentence in found.sentences if sentence.startswith("With ORB, of"))
     assert all(f"{words.count(word)} {word} ({MEANINGS[word]})" in told for word in words)
     both = judged("optimistic") + judged(*words, confirmatory=True)
