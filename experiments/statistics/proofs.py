@@ -48,7 +48,7 @@ class Proof:
     Attributes:
         name, low, high: of the claim.
         found: mean over the experiments.
-        error: its standard error.
+        error: its standard error, at least one experiment in all.
         experiments: those that have the figure.
     """
 
@@ -85,7 +85,9 @@ def prove(experiments: int, seed: int = 0, workers: int = 1, only: str = "") -> 
         for i, claim in chosen:
             figures = np.concatenate([run.result() for run in runs[i]])
             known = figures[np.isfinite(figures)]
-            error = float(known.std(ddof=1)) / sqrt(len(known)) if len(known) > 1 else inf
+            # All alike, they tell no more than that the next may be the first of another kind.
+            spread = float(known.std(ddof=1)) / sqrt(len(known)) if len(known) > 1 else inf
+            error = max(spread, 1 / max(len(known), 1))
             found = float(known.mean()) if len(known) else float("nan")
             yield Proof(claim.name, claim.low, claim.high, found, error, len(known))
 
