@@ -85,6 +85,13 @@ def test_the_example_runs_as_a_program(name, said, tmp_path):
     assert said in done.stdout
 
 
+def test_the_readings_of_eq1_are_printed_for_a_published_run(monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["eq1_readings.py", str(ROOT / "docs" / "eq1"), "way", "beta"])
+    runpy.run_path(str(EXAMPLES / "eq1_readings.py"))
+    lines = capsys.readouterr().out.splitlines()
+    assert sum("k of Q" in line for line in lines) == 16 and lines[-4].count("[") == 8
+
+
 def test_the_quickstart_is_twelve_lines():
     lines = (EXAMPLES / "quickstart.py").read_text().splitlines()
     assert len([line for line in lines if line and not line.startswith(('"""', "#"))]) <= 12

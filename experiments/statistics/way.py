@@ -9,8 +9,9 @@ from experiments.statistics.world_intervals import Interval, few_events, ratio_i
 def way_interval(measured: Figure, product: Figure, weakest: Figure) -> Interval | None:
     """Way k = (measured - product) / (weakest - product) with its interval by worlds.
 
-    0 is Eq. 1, 1 the weakest link. Where fewer than 5 worlds have the failure, its spread is not known: the
-    interval is then at least that of as many independent trials as there are worlds.
+    0 is Eq. 1, 1 the weakest link. The spread of the failure is not known where fewer than 5 worlds have it,
+    or by Eq. 1 are to have it or not to have it: the interval is then at least that of so many trials as
+    there are worlds.
 
     Args:
         measured: Q or D.
@@ -24,7 +25,7 @@ def way_interval(measured: Figure, product: Figure, weakest: Figure) -> Interval
     if measured.worlds < 3 or room.value <= 0 or not np.isfinite([*measured.without, *product.without]).all():
         return None
     found = ratio_interval(measured - product, room)
-    if found is None or not few_events(measured.pseudo_values):
+    if found is None or not few_events(measured.pseudo_values, (product.value,)):
         return found
     trials = wilson_interval(min(max(measured.value, 0.0), 1.0), measured.worlds, measured.worlds)
     ends = [(end - product.value) / room.value for end in (trials.low, trials.high)]

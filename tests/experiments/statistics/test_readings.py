@@ -79,14 +79,14 @@ def figures(columns):
 
 
 @pytest.mark.parametrize(
-    ("share", "correlation", "truth"), [(0.4, 0.0, 0.0), (0.4, 1.0, None), (0.08, 0.0, 0.0)]
+    ("p0", "pr", "correlation"), [(0.4, 0.4, 0.0), (0.4, 0.4, 1.0), (0.08, 0.08, 0.0), (0.83, 0.04, 0.0)]
 )
-def test_the_way_is_0_for_eq1_and_its_interval_holds_it(share, correlation, truth):
-    rng, missed = np.random.default_rng(3), 0
-    margins = (Margin(share, 0.9), Margin(share, 0.9))
-    if truth is None:
+def test_the_way_is_0_for_eq1_and_its_interval_holds_it(p0, pr, correlation):
+    rng, missed, truth = np.random.default_rng(3), 0, 0.0
+    margins = (Margin(p0, 0.8), Margin(pr, 0.8))
+    if correlation:
         both = draw(margins, correlation, rng, (40_000, 1, 3)).prod(axis=0).mean()
-        truth = (both - share**2) / (share - share**2)
+        truth = (both - p0 * pr) / (min(p0, pr) - p0 * pr)
     for _ in range(200):
         found = way_interval(*figures(draw(margins, correlation, rng, (100, 1, 3))))
         missed += found is not None and not found.low <= truth <= found.high

@@ -1,0 +1,126 @@
+"""What the report of an experiment on Eq. 1 leaves out, as it takes minutes.
+
+Run: python examples/eq1_readings.py [FOLDER] [PART ...], with docs/eq1 and all parts by default:
+
+- way: k of Q and D in every test, 0 for Eq. 1 and 1 for the weakest link;
+- beta: the beta factor's beta of each condition;
+- difficulties: the correlation of the difficulties of two events in each condition;
+- transfer: errors of the formulas in conditions, and kinds of stress, that they were not fitted to;
+- exchange: how often the test within sequences sees runs that decide all by one draw;
+- words: verdicts on the very tests if Eq. 1 is true.
+"""
+
+import sys
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from experiments.campaign.folder import read_experiment
+from experiments.report.content import PAPER_THREAD
+from experiments.statistics.difficulties import Counts, correlation_of
+from experiments.statistics.estimates import measured_in_units
+from experiments.statistics.from_records import cells_of
+from experiments.statistics.judged import judge_cells, usable
+from experiments.statistics.rehearsal import exchange_power, rehearse_words
+from experiments.statistics.transfer import Condition, beta_of, transfer
+from experiments.statistics.verdicts import Verdict, compare_forecast
+from experiments.statistics.way import way_interval
+
+EXPERIMENTS = 400
+folder, *parts = sys.argv[1:] or ["docs/eq1"]
+spec, table = read_experiment(Path(folder))
+threads, tested = len(spec.threads), spec.confirmatory_threads or len(spec.threads)
+names = ["B", *("paper" if thread.kind == PAPER_THREAD else thread.kind for thread in spec.threads)]
+cells = [cell for cell in cells_of(table, threads) if cell.units]
+
+
+def show(interval, scale=1.0):
+    if interval is None:
+        return "-"
+    value, low, high = (scale * end for end in (interval.value, interval.low, interval.high))
+    return f"{value:.2f} [{low:.2f}, {high:.2f}]"
+
+
+def way():
+    for n in range(1, tested + 1):
+        for cell in cells:
+            outcomes = usable(cell, n)
+            forecast = compare_forecast(outcomes)
+            both = (measured_in_units(outcomes), forecast.measured)
+            q, d = (way_interval(measured, forecast.product, forecast.weakest) for measured in both)
+            print(f"{n} {cell.name:26} k of Q {show(q):22} of D {show(d)}")
+
+
+def beta():
+    for n in range(1, threads + 1):
+        print(n, "; ".join(f"{cell.name} {show(beta_of(usable(cell, n)))}" for cell in cells))
+
+
+def difficulties():
+    for cell in cells:
+        counts = Counts.of(cell.outcomes.columns)
+        for first, second in combinations(range(threads + 1), 2):
+            found = correlation_of(counts.only(first, second))
+            print(f"{cell.name:26} {names[first]:6} {names[second]:6} {show(found)}", flush=True)
+
+
+def conditions(n, group):
+    judged = judge_cells(cells, n, spec.confirmatory, np.random.default_rng(0), 999, tested)
+    of = {cell.cell: cell for cell in judged if cell.n == n}
+    for cell in cells:
+        outcomes, kept = usable(cell, n), cell.outcomes.of_first(n).has_units
+        fitted = of[cell.name].verdict_in_units != Verdict.UNTESTED and not of[cell.name].saturated
+        worlds = [(cell.world, int(seed)) for seed in cell.worlds[kept]]
+        yield Condition(outcomes, worlds, getattr(cell, group), fitted)
+
+
+def transfers():
+    for group, what in (("name", "each condition left out"), ("kind", "each kind of stress left out")):
+        for n in range(1, threads + 1):
+            print(
+                f"{what}, n = {n}: error of D in points, gain over Eq. 1 in 1000 log loss, errors, parameters"
+            )
+            scores = transfer(list(conditions(n, group)))
+            for score in scores:
+                error, gain = 100 * np.mean(np.abs(score.errors)), show(score.gain_over(scores[0]), 1000)
+                each = " ".join(f"{100 * e:+.1f}" for e in score.errors)
+                fitted = "" if score.parameters is None else np.round(score.parameters, 2)
+                print(f"  {score.name:24} {error:4.1f}  {gain:24} {each}  {fitted}")
+            over = show(scores[4].gain_over(scores[2]), 1000)
+            print(f"  {scores[4].name} over {scores[2].name}: {over}")
+
+
+def exchange():
+    kinds = [cell.world for cell in cells]
+    for n in range(1, tested + 1):
+        each = [cell.outcomes.of_first(n) for cell in cells]
+        for shared in (0.0, 0.1, 0.25, 0.5):
+            found = exchange_power(each, kinds, shared, np.random.default_rng(n), EXPERIMENTS)
+            print(
+                f"{n}: {shared:.0%} of runs with one draw: power {found.power:.3f} +- {found.error:.3f}, "
+                f"{found.telling:.0f} telling sequences",
+                flush=True,
+            )
+
+
+def words():
+    tests = [(cell, n) for n in range(1, tested + 1) for cell in cells]
+    outcomes = [(cell.outcomes, n) for cell, n in tests]
+    for (cell, n), found in zip(
+        tests, rehearse_words(outcomes, np.random.default_rng(0), EXPERIMENTS), strict=True
+    ):
+        print(f"{n} {cell.name:26} Q {found.on_units}  D {found.on_dual_failures}")
+
+
+ALL = {
+    "way": way,
+    "beta": beta,
+    "difficulties": difficulties,
+    "transfer": transfers,
+    "exchange": exchange,
+    "words": words,
+}
+for part in parts or ALL:
+    print(f"== {part}")
+    ALL[part]()
