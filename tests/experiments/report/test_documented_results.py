@@ -153,24 +153,43 @@ def test_a_page_of_pandas_gives_the_same_figures(reports, folder, rows, cell, mo
             assert (share["low"], share["high"]) == pytest.approx(ends, abs=1e-9)
 
 
-def test_the_documentation_agrees_with_the_records_of_the_first_run(reports):
-    page, report = words("docs/eq1.md"), reports[FIRST]
-    analysis = report["analysis"]
-    for row in analysis["kinds_of_world"]:
-        if row["world"] == "corridor":
-            shown = interval_of_share(row["measured"])
-            assert f"| {row['n']} | {percent(row['eq1'])} | {percent(row['weakest'])} | {shown} |" in page
-    assert interval_of_share(analysis["failed_or_silent_by_worlds"]) in page
-    silent = report["taxonomy"]["silent"]
-    assert f"{silent['events']} of the {silent['units']} unbroken units" in page
-    for name, row in zip(("ORB", "SIFT"), report["taxonomy"]["threads"][2:], strict=True):
-        assert row["arm"] == "crossing"
-        assert f"{row['false']['events']} of {row['false']['units']} by {name}" in page
-
-
 def test_the_documentation_agrees_with_the_records_of_the_run(reports):
-    page, readme, analysis = words("docs/eq1.md"), words("README.md"), reports[RUN]["analysis"]
-    assert "withdrawn" in readme and "Withdrawn" in page
-    verdicts = Counter(c["verdict_forecast"] for c in analysis["cells"] if c["n"] <= 2)
-    assert verdicts == {"optimistic": 5, "saturated": 3, "undecided": 5, "untested": 3}
-    assert analysis["unexposed"] == 327
+    page, report = words("docs/eq1.md"), reports[RUN]
+    analysis = report["analysis"]
+    failed = {(t["cell"], t["thread"]): percent(t["failed"]["value"]) for t in analysis["thread_shares"]}
+    named = [cell for cell in analysis["cells"] if cell["n"] <= 2]
+    for cell in named:
+        broke = [percent(cell["shares"]["breakage"]["value"])] if cell["n"] == 1 else []
+        shares = [failed[cell["cell"], cell["n"]], percent(cell["eq1"]), percent(cell["weakest"])]
+        shown = interval_of_share(cell["shares"]["dual_failure"])
+        assert f"| {' | '.join([*broke, *shares])} | {shown} |" in page, cell["cell"]
+    verdicts = [Counter(cell[f"verdict_{of}"] for cell in named) for of in ("in_units", "forecast")]
+    assert verdicts[0] == {"optimistic": 8, "saturated": 3, "untested": 3, "undecided": 2}
+    assert verdicts[1] == {"optimistic": 4, "saturated": 3, "untested": 3, "undecided": 6}
+    assert "Independence is refuted in 8 of 16 tests, the forecast in 4." in page
+    assert f"{analysis['units']:,} trials count" in page and f"{analysis['unexposed']} trials (96" in page
+    for of in ("measured", "of_sequences"):
+        one, two = (r for r in analysis["readings"] if r["cell"] is None and r["n"] <= 2)
+        shares = [r[of]["value" if of == "measured" else "predicted"] for r in (one, two)]
+        assert all(f"{100 * share:.1f}" in page for share in shares)
+    for cell in analysis["over_rescuable"]:
+        reading = cell["readings"]
+        if cell["n"] == 2 and reading and reading["of_averages"]["ratio"] and cell["failures"] > 10:
+            shown = percent(reading["of_averages"]["predicted"]), interval_of_share(reading["measured"])
+            assert f"| {reading['units']} | {shown[0]} | {shown[1]} |" in page, cell["cell"]
+    for test in analysis["within_sequences"][:2]:
+        assert (
+            f"{test['ratio']:.3f}".lstrip("0") in page and f"p = {test['p']:.2f}".replace("0.", ".") in page
+        )
+    like = next(p for p in analysis["event_pairs"] if (p["first"], p["second"]) == (1, 4))["within"]
+    assert f"**{like['value']:.0f} [{like['low']:.0f}, {like['high']:.0f}]**" in page
+    for share in analysis["chance"].values():
+        low, high = 100 * share["low"], 100 * share["high"]
+        assert f"{100 * share['value']:.0f} % [{low:.0f}, {high:.0f}]" in page
+    gain = {k: f"{100 * v:.1f}" for k, v in analysis["formulas"][1]["second_thread"].items()}
+    assert f"{gain['value']} percentage points [{gain['low']}, {gain['high']}]" in page
+    silent = report["taxonomy"]["silent"]
+    assert f"{silent['events']} of the {silent['units']:,} unbroken trials" in page
+    crossing = [row["false"] for row in report["taxonomy"]["threads"] if row["arm"] == "crossing"]
+    for false in crossing:
+        assert f"{false['events']} of {false['units']:,} by" in page
