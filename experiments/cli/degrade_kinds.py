@@ -38,8 +38,8 @@ def _keys(model: type[SegmentBase]) -> Table:
     for width in _WIDTHS:
         table.add_column(width=width)
     for name, key in model.model_json_schema()["properties"].items():
-        if name not in _OF_EVERY_KIND:
-            default = key.get("default", "")
+        default = key.get("default", "")
+        if name not in _OF_EVERY_KIND and default is not None:  # what is off is of rendered scenarios
             shown = default if isinstance(default, str) else f"{default:g}"
             table.add_row(f"  {name}", _range(name, key), shown and f"({shown})", key.get("description", ""))
     return table

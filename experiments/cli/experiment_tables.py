@@ -39,15 +39,7 @@ def status_table(status: "ExperimentStatus") -> Table:
     """Table with the counts of every cell."""
     table = Table(title=f"{status.name} ({status.spec_hash[:12]})")
     table.add_column("cell")
-    for column in (
-        "units",
-        "completed",
-        "stress did\nnot act",
-        "void",
-        "errors",
-        "breakages",
-        "all\nthreads\nfailed",
-    ):
+    for column in ("units", "count", "no\nstress", "void", "errors", "break", "all\nfail"):
         table.add_column(column, justify="right")
     for cell in status.cells:
         ended = f"{cell.units} / {cell.budget}"
