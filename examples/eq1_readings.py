@@ -2,6 +2,8 @@
 
 Run: python examples/eq1_readings.py [FOLDER] [PART ...], with docs/eq1 and all parts by default:
 
+- trials: shares of all trials, which weigh conditions by their worlds, and chance by condition;
+- void: verdicts that change if worlds with a void trial leave every condition;
 - way: k of Q and D in every test, 0 for Eq. 1 and 1 for the weakest link;
 - beta: the beta factor's beta of each condition;
 - difficulties: the correlation of the difficulties of two events in each condition;
@@ -18,14 +20,17 @@ import numpy as np
 
 from experiments.campaign.folder import read_experiment
 from experiments.report.content import PAPER_THREAD
+from experiments.statistics.analysis import analyse
 from experiments.statistics.difficulties import Counts, correlation_of
-from experiments.statistics.estimates import measured_in_units
+from experiments.statistics.estimates import Figure, measured_in_units
 from experiments.statistics.from_records import cells_of
-from experiments.statistics.judged import judge_cells, usable
+from experiments.statistics.judged import judge_cells, share_of_chance, usable
+from experiments.statistics.outcomes import world_means
 from experiments.statistics.rehearsal import exchange_power, rehearse_words
 from experiments.statistics.transfer import Condition, beta_of, transfer
 from experiments.statistics.verdicts import Verdict, compare_forecast
 from experiments.statistics.way import way_interval
+from experiments.statistics.world_intervals import ratio_interval
 
 EXPERIMENTS = 400
 folder, *parts = sys.argv[1:] or ["docs/eq1"]
@@ -40,6 +45,48 @@ def show(interval, scale=1.0):
         return "-"
     value, low, high = (scale * end for end in (interval.value, interval.low, interval.high))
     return f"{value:.2f} [{low:.2f}, {high:.2f}]"
+
+
+def trials():
+    """Sums over the conditions of each world, as a ratio with its interval."""
+    parts = {f"D, {n} threads": lambda c, n=n: c.outcomes.dual_failures[n - 1] for n in range(1, threads + 1)}
+    parts["D, what the second thread takes off"] = lambda c: -np.diff(c.outcomes.dual_failures, axis=0)[0]
+    parts["mission failures, two threads"] = lambda c: c.failures("m", 2)
+    parts["mission failures of the base"] = lambda c: c.events("base_mission_failure")
+    parts["breakages"] = lambda c: c.outcomes.breakage
+    parts["relocalized"] = lambda c: c.events("relocalized")
+    parts["hopeless breakages"] = lambda c: c.outcomes.breakage * (c.values("rescuable") == 0)
+    for what, of in parts.items():
+        sums = {}
+        for cell in cells:
+            for seed, mean in zip(cell.worlds, world_means(of(cell)), strict=True):
+                if np.isfinite(mean):
+                    sums.setdefault((cell.world, seed), []).append(mean)
+        numerator, number = (
+            Figure.mean(np.array([f(own) for own in sums.values()], float)) for f in (sum, len)
+        )
+        units = int(sum(np.nansum(of(cell)) for cell in cells))
+        print(f"{what:38} {show(ratio_interval(numerator, number), 100)} % of all trials, {units}")
+    for cell in cells:
+        print(f"{cell.name:26} chance {show(share_of_chance([cell]))}")
+
+
+def void():
+    lost = table[table["outcome"] == "void"][["world", "world_seed"]].drop_duplicates()
+    of_kind = (
+        table.merge(lost, on=["world", "world_seed"], indicator=True, how="left")["_merge"] == "left_only"
+    )
+    kept = {"of their kind": of_kind.to_numpy(), "of all": ~table["world_seed"].isin(lost["world_seed"])}
+    before = verdicts_of(table)
+    for what, rows in kept.items():
+        after = verdicts_of(table[np.asarray(rows, bool)])
+        changed = sum(after[test] != verdict for test, verdict in before.items())
+        print(f"{len(lost)} worlds leave all conditions {what}: {changed} of {len(before)} verdicts change")
+
+
+def verdicts_of(rows):
+    found = analyse(rows, threads, spec.confirmatory, confirmatory_threads=tested).cells
+    return {(c.cell, c.n): (c.verdict_in_units, c.verdict_forecast) for c in found if c.n <= tested}
 
 
 def way():
@@ -114,6 +161,8 @@ def words():
 
 
 ALL = {
+    "trials": trials,
+    "void": void,
     "way": way,
     "beta": beta,
     "difficulties": difficulties,
