@@ -17,8 +17,8 @@ from experiments.cli.console import (
     progress_bars,
 )
 from experiments.cli.experiment_progress import estimates_text, experiment_progress
-from experiments.cli.experiment_tables import exposure_text, print_answer, print_replay, status_table
-from experiments.cli.exposure import exposure_command
+from experiments.cli.experiment_tables import print_answer, print_replay, status_table
+from experiments.cli.exposure import exposure_command, tell_idle_cells
 from experiments.cli.fuzz import fuzz_command
 from experiments.cli.merge import merge_command
 
@@ -98,8 +98,6 @@ def run_command(
     from functools import partial
 
     from experiments.campaign.clusters import open_worker_pool
-    from experiments.campaign.exposure import draw_exposure
-    from experiments.campaign.ledger import LEDGER_FILE
     from experiments.campaign.runner import run_experiment
     from experiments.campaign.schedule import Schedule
     from experiments.campaign.system_checks import check_workers, digests_of, find_systems, takes_real_time
@@ -120,12 +118,7 @@ def run_command(
         memory_mb=memory or None,
     )
     check_workers(spec, systems, settings)
-    if not (out_dir / LEDGER_FILE).exists():
-        with progress_bars() as progress:
-            drawn = draw_exposure(spec, progress)
-        for cell in drawn:
-            if not cell.is_exposed:
-                err.print(exposure_text(cell), soft_wrap=True, markup=False)
+    tell_idle_cells(spec, out_dir)
     try:
         with experiment_progress(spec.name) as show:
             tally = run_experiment(

@@ -8,7 +8,6 @@ from rich.table import Table
 from experiments.cli.console import out, print_table
 
 if TYPE_CHECKING:
-    from experiments.campaign.exposure import Drawn
     from experiments.campaign.replay import Replay
     from experiments.campaign.status import ExperimentStatus
 
@@ -46,14 +45,6 @@ def status_table(status: "ExperimentStatus") -> Table:
         counts = (cell.completed, cell.unexposed, cell.void, cell.errors, cell.breakages, cell.failures)
         table.add_row(cell.cell, ended, *map(str, counts))
     return table
-
-
-def exposure_text(drawn: "Drawn") -> str:
-    """One line on a cell whose stress seldom acts."""
-    return (
-        f"{drawn.cell}: the stress acts in {drawn.acted} of {drawn.drawn} sequences drawn, the others would "
-        "not count; give a stronger dose, or low_texture a view_share"
-    )
 
 
 def print_replay(done: "Replay", rerun: Path | None) -> None:

@@ -1,11 +1,14 @@
-"""``dslab experiment exposure``."""
+"""``dslab experiment exposure``, and what is told before a run of cells whose stress seldom acts."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from experiments.cli.console import out, progress_bars
+from experiments.cli.console import err, out, progress_bars
+
+if TYPE_CHECKING:
+    from experiments.eq1.spec import ExperimentSpec
 
 
 def exposure_command(
@@ -28,3 +31,22 @@ def exposure_command(
         f"{found.looked} plans were made again",
         soft_wrap=True,
     )
+
+
+def tell_idle_cells(spec: "ExperimentSpec", folder: Path) -> None:
+    """Draw some worlds of an experiment that has not begun, and name the cells whose stress seldom acts."""
+    from experiments.campaign.exposure import draw_exposure
+    from experiments.campaign.ledger import LEDGER_FILE
+
+    if (folder / LEDGER_FILE).exists():
+        return
+    with progress_bars() as progress:
+        drawn = draw_exposure(spec, progress)
+    for cell in drawn:
+        if not cell.is_exposed:
+            err.print(
+                f"{cell.cell}: the stress acts in {cell.acted} of {cell.drawn} sequences drawn, the others "
+                "would not count; give a stronger dose, or low_texture a view_share",
+                soft_wrap=True,
+                markup=False,
+            )
