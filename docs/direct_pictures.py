@@ -7,17 +7,17 @@ import cv2
 import numpy as np
 from stress_pictures import STREET
 
-from scenarios.spec import Scenario
-from sim.preview import preview
-from sim.sequence_rendering import render_sequence
-from sim.unfinished import scratch_folder
-from slam.core.camera import PinholeCamera
-from slam.core.geometry import share_of_motion
-from slam.direct.alignment import Reference, align, fan
-from slam.direct.appearance import Surface, alike_in
-from slam.direct.blur import align_through_blur
-from slam.direct.pyramid import ImagePyramid, Rectifier
-from slam.direct.selection import SelectionConfig, select
+from dslab.scenarios.spec import Scenario
+from dslab.sim.preview import preview
+from dslab.sim.sequence_rendering import render_sequence
+from dslab.sim.unfinished import scratch_folder
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.geometry import share_of_motion
+from dslab.slam.direct.alignment import Reference, align, fan
+from dslab.slam.direct.appearance import Surface, alike_in
+from dslab.slam.direct.blur import align_through_blur
+from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
+from dslab.slam.direct.selection import SelectionConfig, select
 
 PICTURES = {
     "points": "Selected pixels on a frame of a street, coloured by depth",

@@ -18,29 +18,29 @@ from direct_pictures import draw_direct_pictures, shown
 from pydantic import BaseModel
 from stress_pictures import draw_pictures
 
-from experiments.batch.rows import COLUMNS as BATCH_COLUMNS
-from experiments.batch.spec import BatchSpec
-from experiments.campaign.folder import read_experiment
-from experiments.eq1.doses import AXES
-from experiments.eq1.records import FAILURES, PAIR_COLUMNS, THREAD_COLUMNS, UNIT_COLUMNS
-from experiments.eq1.spec import ExperimentSpec, load_spec, preset_names
-from experiments.eq1.spec_parts import Base, Degradation
-from experiments.report.content import report_content
-from experiments.report.write import write_files
-from experiments.runs.slam_settings import settings_yaml
-from experiments.runs.systems.command_spec import CommandSpec, Environment, Limits
-from scenarios.cameras import PRESETS as CAMERAS
-from scenarios.cameras import Camera
-from scenarios.describe import describe_kind, label_and_unit
-from scenarios.describe_family import describe_parameters
-from scenarios.families import library_names, load_family
-from scenarios.imu import Imu
-from scenarios.motions import KINDS as MOTIONS
-from scenarios.motions import Trajectory
-from scenarios.segments import SEGMENT_KINDS
-from scenarios.worlds import WORLD_KINDS, Aliasing
-from sim.degradations.recorded_kinds import recorded_sequence_kinds
-from sim.degradations.registry import DEGRADATIONS
+from dslab.experiments.batch.rows import COLUMNS as BATCH_COLUMNS
+from dslab.experiments.batch.spec import BatchSpec
+from dslab.experiments.campaign.folder import read_experiment
+from dslab.experiments.eq1.doses import AXES
+from dslab.experiments.eq1.records import FAILURES, PAIR_COLUMNS, THREAD_COLUMNS, UNIT_COLUMNS
+from dslab.experiments.eq1.spec import ExperimentSpec, load_spec, preset_names
+from dslab.experiments.eq1.spec_parts import Base, Degradation
+from dslab.experiments.report.content import report_content
+from dslab.experiments.report.write import write_files
+from dslab.experiments.runs.slam_settings import settings_yaml
+from dslab.experiments.runs.systems.command_spec import CommandSpec, Environment, Limits
+from dslab.scenarios.cameras import PRESETS as CAMERAS
+from dslab.scenarios.cameras import Camera
+from dslab.scenarios.describe import describe_kind, label_and_unit
+from dslab.scenarios.describe_family import describe_parameters
+from dslab.scenarios.families import library_names, load_family
+from dslab.scenarios.imu import Imu
+from dslab.scenarios.motions import KINDS as MOTIONS
+from dslab.scenarios.motions import Trajectory
+from dslab.scenarios.segments import SEGMENT_KINDS
+from dslab.scenarios.worlds import WORLD_KINDS, Aliasing
+from dslab.sim.degradations.recorded_kinds import recorded_sequence_kinds
+from dslab.sim.degradations.registry import DEGRADATIONS
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent
@@ -263,7 +263,16 @@ def settings() -> str:
 
 def commands() -> str:
     """The reference of the command line."""
-    typer = [sys.executable, "-m", "typer", "experiments.cli.commands", "utils", "docs", "--name", "dslab"]
+    typer = [
+        sys.executable,
+        "-m",
+        "typer",
+        "dslab.experiments.cli.commands",
+        "utils",
+        "docs",
+        "--name",
+        "dslab",
+    ]
     text = subprocess.run(typer, capture_output=True, text=True, check=True, cwd=ROOT).stdout
     # Lists of commands cut short, whose sections follow; what every command has.
     text = re.sub(r"\*\*Commands\*\*:\n\n(\* .*\n)+", "", text)

@@ -6,11 +6,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-from scenarios.seeds import rng_for
-from scenarios.spec import Scenario
-from sim.degradations.base import FramePlan, Stage
-from sim.degradations.registry import DEGRADATIONS
-from sim.preview import Preview, preview
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.spec import Scenario
+from dslab.sim.degradations.base import FramePlan, Stage
+from dslab.sim.degradations.registry import DEGRADATIONS
+from dslab.sim.preview import Preview, preview
 
 STREET = {
     "name": "street",

@@ -18,19 +18,19 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.campaign.folder import read_experiment
-from experiments.report.content import PAPER_THREAD
-from experiments.statistics.analysis import analyse
-from experiments.statistics.difficulties import Counts, correlation_of
-from experiments.statistics.estimates import Figure, measured_in_units
-from experiments.statistics.from_records import cells_of
-from experiments.statistics.judged import judge_cells, share_of_chance, usable
-from experiments.statistics.outcomes import world_means
-from experiments.statistics.rehearsal import exchange_power, rehearse_words
-from experiments.statistics.transfer import Condition, beta_of, transfer
-from experiments.statistics.verdicts import Verdict, compare_forecast
-from experiments.statistics.way import way_interval
-from experiments.statistics.world_intervals import ratio_interval
+from dslab.experiments.campaign.folder import read_experiment
+from dslab.experiments.report.content import PAPER_THREAD
+from dslab.experiments.statistics.analysis import analyse
+from dslab.experiments.statistics.difficulties import Counts, correlation_of
+from dslab.experiments.statistics.estimates import Figure, measured_in_units
+from dslab.experiments.statistics.from_records import cells_of
+from dslab.experiments.statistics.judged import judge_cells, share_of_chance, usable
+from dslab.experiments.statistics.outcomes import world_means
+from dslab.experiments.statistics.rehearsal import exchange_power, rehearse_words
+from dslab.experiments.statistics.transfer import Condition, beta_of, transfer
+from dslab.experiments.statistics.verdicts import Verdict, compare_forecast
+from dslab.experiments.statistics.way import way_interval
+from dslab.experiments.statistics.world_intervals import ratio_interval
 
 EXPERIMENTS = 400
 folder, *parts = sys.argv[1:] or ["docs/eq1"]

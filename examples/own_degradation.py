@@ -5,9 +5,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-import experiments
-import scenarios
-import sim
+from dslab import experiments, scenarios, sim
 
 
 class DeadPixels(scenarios.ImageSegment):

@@ -8,9 +8,7 @@ from pathlib import Path
 
 import cv2
 
-import scenarios
-import sim
-import slam
+from dslab import scenarios, sim, slam
 
 
 def main(folder: Path, fx: float, fy: float, cx: float, cy: float, fps: float) -> None:

@@ -2,10 +2,7 @@
 
 import math
 
-import experiments
-import scenarios
-import sim
-import slam
+from dslab import experiments, scenarios, sim, slam
 
 
 class PatientOrb:

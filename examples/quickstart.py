@@ -1,9 +1,6 @@
 """A scenario, its frames, base and Dual-SLAM on them, and what came of it."""
 
-import experiments
-import scenarios
-import sim
-import slam
+from dslab import experiments, scenarios, sim, slam
 
 sequence = sim.render(scenarios.load("breakage", seed=1))
 runs = [experiments.run(sequence, system) for system in ("base", "dual")]

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-import experiments
+from dslab import experiments
 
 
 def main(folder: Path = Path("small-experiment")) -> None:

@@ -7,31 +7,31 @@ when first used: ``import experiments`` loads no GL and compiles nothing.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from experiments.kernel_cache import choose_kernel_cache
+from dslab.experiments.kernel_cache import choose_kernel_cache
 
 if TYPE_CHECKING:
-    from experiments.api import Run, compare, run, run_experiment
-    from experiments.campaign.folder import read_experiment
-    from experiments.eq1.spec import ExperimentSpec
-    from experiments.eq1.spec import load_spec as load_experiment
-    from experiments.plugins import load_plugins
-    from experiments.report.write import write_report
-    from experiments.statistics.analysis import Analysis, analyse
+    from dslab.experiments.api import Run, compare, run, run_experiment
+    from dslab.experiments.campaign.folder import read_experiment
+    from dslab.experiments.eq1.spec import ExperimentSpec
+    from dslab.experiments.eq1.spec import load_spec as load_experiment
+    from dslab.experiments.plugins import load_plugins
+    from dslab.experiments.report.write import write_report
+    from dslab.experiments.statistics.analysis import Analysis, analyse
 
 choose_kernel_cache()
 
 _HOMES = {
-    "Analysis": "experiments.statistics.analysis",
-    "ExperimentSpec": "experiments.eq1.spec",
-    "Run": "experiments.api",
-    "analyse": "experiments.statistics.analysis",
-    "compare": "experiments.api",
-    "load_experiment": "experiments.eq1.spec:load_spec",
-    "load_plugins": "experiments.plugins",
-    "read_experiment": "experiments.campaign.folder",
-    "run": "experiments.api",
-    "run_experiment": "experiments.api",
-    "write_report": "experiments.report.write",
+    "Analysis": "dslab.experiments.statistics.analysis",
+    "ExperimentSpec": "dslab.experiments.eq1.spec",
+    "Run": "dslab.experiments.api",
+    "analyse": "dslab.experiments.statistics.analysis",
+    "compare": "dslab.experiments.api",
+    "load_experiment": "dslab.experiments.eq1.spec:load_spec",
+    "load_plugins": "dslab.experiments.plugins",
+    "read_experiment": "dslab.experiments.campaign.folder",
+    "run": "dslab.experiments.api",
+    "run_experiment": "dslab.experiments.api",
+    "write_report": "dslab.experiments.report.write",
 }
 
 __all__ = [

@@ -9,23 +9,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from experiments.plugins import load_plugins
-from experiments.result_folder import execute_recorded
-from experiments.runs.execution import Mode, RunRecord, SystemFactory, execute, system_factory
-from experiments.runs.systems.registry import Registry
-from scenarios.spec import Scenario
-from sim.sequence import Sequence
-from slam.config import SlamConfig
-from slam.core.events import Event
-from slam.core.results import MapTrajectory
-from slam.dual.config import DualConfig
-from slam.factory import SYSTEMS
+from dslab.experiments.plugins import load_plugins
+from dslab.experiments.result_folder import execute_recorded
+from dslab.experiments.runs.execution import Mode, RunRecord, SystemFactory, execute, system_factory
+from dslab.experiments.runs.systems.registry import Registry
+from dslab.scenarios.spec import Scenario
+from dslab.sim.sequence import Sequence
+from dslab.slam.config import SlamConfig
+from dslab.slam.core.events import Event
+from dslab.slam.core.results import MapTrajectory
+from dslab.slam.dual.config import DualConfig
+from dslab.slam.factory import SYSTEMS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from experiments.campaign.runner import Tally
-    from experiments.eq1.spec import ExperimentSpec
+    from dslab.experiments.campaign.runner import Tally
+    from dslab.experiments.eq1.spec import ExperimentSpec
 
 _COLUMNS = (
     "share_tracked",
@@ -77,7 +77,7 @@ class Run:
     @cached_property
     def metrics(self) -> dict[str, Any]:
         """The figures of ``summary.json``; those that the data do not determine are None."""
-        from experiments.evaluation.summary import summarise
+        from dslab.experiments.evaluation.summary import summarise
 
         return summarise(self.record)
 
@@ -87,7 +87,7 @@ class Run:
         Args:
             path: PNG file to write as well.
         """
-        from experiments.pictures.run_picture import runs_figure
+        from dslab.experiments.pictures.run_picture import runs_figure
 
         figure = runs_figure({self.record.system_kind: self.record})
         if path is not None:
@@ -100,8 +100,8 @@ class Run:
         Raises:
             InputError: the folder is taken or not writable.
         """
-        from experiments.result_folder import write_run
-        from sim.io.folders import new_directory
+        from dslab.experiments.result_folder import write_run
+        from dslab.sim.io.folders import new_directory
 
         with new_directory(Path(folder)) as unfinished:
             write_run(unfinished, self.record, self.metrics)
@@ -184,12 +184,12 @@ def run_experiment(
         InputError: the spec is not valid, a system is unknown or cannot run so, or the folder holds something
             else.
     """
-    from experiments.campaign.clusters import open_worker_pool
-    from experiments.campaign.runner import run_experiment as run_units
-    from experiments.campaign.system_checks import check_workers, digests_of, find_systems
-    from experiments.campaign.worker_pool import WorkerPoolSettings
-    from experiments.eq1.spec import load_spec
-    from experiments.eq1.trial import run_unit
+    from dslab.experiments.campaign.clusters import open_worker_pool
+    from dslab.experiments.campaign.runner import run_experiment as run_units
+    from dslab.experiments.campaign.system_checks import check_workers, digests_of, find_systems
+    from dslab.experiments.campaign.worker_pool import WorkerPoolSettings
+    from dslab.experiments.eq1.spec import load_spec
+    from dslab.experiments.eq1.trial import run_unit
 
     load_plugins()
     spec = load_spec(experiment) if isinstance(experiment, str | Path) else experiment
@@ -203,9 +203,9 @@ def _opened(sequence: Sequence | Scenario | str | Path, seed: int | None) -> Seq
     if isinstance(sequence, Sequence):
         return sequence
     if isinstance(sequence, Scenario):
-        from sim.sequence_rendering import render_sequence
+        from dslab.sim.sequence_rendering import render_sequence
 
         return render_sequence(sequence)
-    from experiments.runs.sources import open_sequence
+    from dslab.experiments.runs.sources import open_sequence
 
     return open_sequence(str(sequence), seed)

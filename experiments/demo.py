@@ -2,19 +2,19 @@
 
 from pathlib import Path
 
-from experiments.campaign.clusters import open_worker_pool
-from experiments.campaign.folder import read_experiment
-from experiments.campaign.runner import run_experiment
-from experiments.campaign.worker_pool import WorkerPoolSettings
-from experiments.eq1.spec import ExperimentSpec
-from experiments.eq1.trial import run_unit
-from experiments.result_folder import run_systems
-from experiments.runs.execution import SystemFactory
-from experiments.runs.files import to_json
-from experiments.statistics.analysis import analyse
-from experiments.statistics.judged import JudgedCell
-from sim.io.folders import Progress, new_directory
-from sim.sequence import Sequence
+from dslab.experiments.campaign.clusters import open_worker_pool
+from dslab.experiments.campaign.folder import read_experiment
+from dslab.experiments.campaign.runner import run_experiment
+from dslab.experiments.campaign.worker_pool import WorkerPoolSettings
+from dslab.experiments.eq1.spec import ExperimentSpec
+from dslab.experiments.eq1.trial import run_unit
+from dslab.experiments.result_folder import run_systems
+from dslab.experiments.runs.execution import SystemFactory
+from dslab.experiments.runs.files import to_json
+from dslab.experiments.statistics.analysis import analyse
+from dslab.experiments.statistics.judged import JudgedCell
+from dslab.sim.io.folders import Progress, new_directory
+from dslab.sim.sequence import Sequence
 
 SYSTEMS: tuple[str, ...] = ("base", "dual+", "ldso")
 MARKER_FILE = "demo.json"

@@ -19,7 +19,7 @@ def choose_kernel_cache() -> None:
         return
     folder, is_new = _private_folder()
     if folder is None:
-        os.environ[_LOCATORS] = "experiments.uncached_kernels.NoCache"
+        os.environ[_LOCATORS] = "dslab.experiments.uncached_kernels.NoCache"
         return
     os.environ[VARIABLE] = str(folder)
     if is_new:

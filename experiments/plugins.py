@@ -5,7 +5,7 @@ from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
 
-from scenarios.errors import InputError
+from dslab.scenarios.errors import InputError
 
 GROUP = "dual_slam_lab.plugins"
 """Group of entry points; each names a module, or a function without arguments, that registers something."""

@@ -7,19 +7,19 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.evaluation.summary import summarise
-from experiments.runs.execution import AtEnd, RunRecord, SystemFactory, execute, system_factory
-from experiments.runs.files import to_json, write_events, write_frames_csv, write_tum
-from experiments.runs.pacing import RealTime
-from experiments.runs.systems.command import CommandSystem, run_command
-from experiments.runs.systems.registry import OwnSystem, System, factory_with
-from sim.io.folders import Progress, new_directory
-from sim.io.truth import tum_poses_text
-from sim.sequence import Sequence
-from sim.unfinished import scratch_folder
+from dslab.experiments.evaluation.summary import summarise
+from dslab.experiments.runs.execution import AtEnd, RunRecord, SystemFactory, execute, system_factory
+from dslab.experiments.runs.files import to_json, write_events, write_frames_csv, write_tum
+from dslab.experiments.runs.pacing import RealTime
+from dslab.experiments.runs.systems.command import CommandSystem, run_command
+from dslab.experiments.runs.systems.registry import OwnSystem, System, factory_with
+from dslab.sim.io.folders import Progress, new_directory
+from dslab.sim.io.truth import tum_poses_text
+from dslab.sim.sequence import Sequence
+from dslab.sim.unfinished import scratch_folder
 
 if TYPE_CHECKING:
-    from experiments.recording import Recording
+    from dslab.experiments.recording import Recording
 
 SUMMARY_FILE = "summary.json"
 TRUTH_FILE = "groundtruth.txt"
@@ -176,18 +176,18 @@ def write_run(folder: Path, record: RunRecord, summary: dict, picture: bool = Tr
 
 
 def _draw(folder: Path, records: Mapping[str, RunRecord]) -> None:
-    from experiments.pictures.run_picture import draw_runs
+    from dslab.experiments.pictures.run_picture import draw_runs
 
     draw_runs(folder / PICTURE_FILE, records)
 
 
 def _open_recording(path: Path, sequence: Sequence, systems: Many[str]) -> "Recording":
-    from experiments.recording import Recording
+    from dslab.experiments.recording import Recording
 
     return Recording(path, sequence, systems)
 
 
 def _map_writer(folder: Path) -> AtEnd:
-    from experiments.runs.map_files import write_maps
+    from dslab.experiments.runs.map_files import write_maps
 
     return lambda system, sequence: write_maps(folder, system, sequence)

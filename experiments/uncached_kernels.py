@@ -5,7 +5,7 @@ from typing import Any
 
 from numba.core.caching import Cache, UserProvidedCacheLocator
 
-from experiments.kernel_cache import say
+from dslab.experiments.kernel_cache import say
 
 
 class NoCache(UserProvidedCacheLocator):

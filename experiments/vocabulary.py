@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.runs.execution import slam_camera
-from scenarios.spec import Scenario
-from sim.sequence import Sequence
-from sim.sequence_rendering import render_sequence
-from sim.unfinished import scratch_folder
-from slam.config import default_config
-from slam.features.orb import OrbExtractor
-from slam.places.recognition import Vocabulary
-from slam.places.training import train_vocabulary
+from dslab.experiments.runs.execution import slam_camera
+from dslab.scenarios.spec import Scenario
+from dslab.sim.sequence import Sequence
+from dslab.sim.sequence_rendering import render_sequence
+from dslab.sim.unfinished import scratch_folder
+from dslab.slam.config import default_config
+from dslab.slam.features.orb import OrbExtractor
+from dslab.slam.places.recognition import Vocabulary
+from dslab.slam.places.training import train_vocabulary
 
 BRANCHING, LEVELS = 10, 4
 FIRST_SEED = 1000

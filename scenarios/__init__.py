@@ -8,34 +8,34 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from scenarios.errors import InputError
-    from scenarios.families import Family, family_names, load_family
-    from scenarios.loading import dump_yaml
-    from scenarios.loading import load_scenario as load
-    from scenarios.schema import json_schema
-    from scenarios.segment_text import parse_segment
-    from scenarios.segments import ImageSegment, SegmentBase
-    from scenarios.spec import Camera, Imu, Scenario, Trajectory
-    from scenarios.worlds import Lamps, Outdoors, WorldBase
+    from dslab.scenarios.errors import InputError
+    from dslab.scenarios.families import Family, family_names, load_family
+    from dslab.scenarios.loading import dump_yaml
+    from dslab.scenarios.loading import load_scenario as load
+    from dslab.scenarios.schema import json_schema
+    from dslab.scenarios.segment_text import parse_segment
+    from dslab.scenarios.segments import ImageSegment, SegmentBase
+    from dslab.scenarios.spec import Camera, Imu, Scenario, Trajectory
+    from dslab.scenarios.worlds import Lamps, Outdoors, WorldBase
 
 _HOMES = {
-    "Camera": "scenarios.spec",
-    "Family": "scenarios.families",
-    "ImageSegment": "scenarios.segments",
-    "Imu": "scenarios.spec",
-    "InputError": "scenarios.errors",
-    "Lamps": "scenarios.worlds",
-    "Outdoors": "scenarios.worlds",
-    "Scenario": "scenarios.spec",
-    "SegmentBase": "scenarios.segments",
-    "Trajectory": "scenarios.spec",
-    "WorldBase": "scenarios.worlds",
-    "dump_yaml": "scenarios.loading",
-    "family_names": "scenarios.families",
-    "json_schema": "scenarios.schema",
-    "load": "scenarios.loading:load_scenario",
-    "load_family": "scenarios.families",
-    "parse_segment": "scenarios.segment_text",
+    "Camera": "dslab.scenarios.spec",
+    "Family": "dslab.scenarios.families",
+    "ImageSegment": "dslab.scenarios.segments",
+    "Imu": "dslab.scenarios.spec",
+    "InputError": "dslab.scenarios.errors",
+    "Lamps": "dslab.scenarios.worlds",
+    "Outdoors": "dslab.scenarios.worlds",
+    "Scenario": "dslab.scenarios.spec",
+    "SegmentBase": "dslab.scenarios.segments",
+    "Trajectory": "dslab.scenarios.spec",
+    "WorldBase": "dslab.scenarios.worlds",
+    "dump_yaml": "dslab.scenarios.loading",
+    "family_names": "dslab.scenarios.families",
+    "json_schema": "dslab.scenarios.schema",
+    "load": "dslab.scenarios.loading:load_scenario",
+    "load_family": "dslab.scenarios.families",
+    "parse_segment": "dslab.scenarios.segment_text",
 }
 
 __all__ = [

@@ -4,8 +4,8 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from scenarios.lenses import lens_fault
-from scenarios.strict import Grown, Strict, with_defaults_of
+from dslab.scenarios.lenses import lens_fault
+from dslab.scenarios.strict import Grown, Strict, with_defaults_of
 
 PRESETS: dict[str, dict[str, Any]] = {
     # Sequences 00 to 02, rectified. Source: calib.txt of the KITTI odometry benchmark.

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from scenarios.segments import SegmentBase
-from scenarios.spec import Scenario
+from dslab.scenarios.segments import SegmentBase
+from dslab.scenarios.spec import Scenario
 
 # Longest endings first: `max_accel_mps2` is no number of seconds.
 _UNITS = {

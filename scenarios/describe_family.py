@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
-from scenarios.describe import describe_kind, label_and_unit, plain
-from scenarios.distributions import (
+from dslab.scenarios.describe import describe_kind, label_and_unit, plain
+from dslab.scenarios.distributions import (
     Choice,
     Distribution,
     LogUniform,
@@ -14,8 +14,8 @@ from scenarios.distributions import (
     is_distribution,
     parse_distribution,
 )
-from scenarios.families import Family
-from scenarios.spec import Scenario
+from dslab.scenarios.families import Family
+from dslab.scenarios.spec import Scenario
 
 _PART = re.compile(r"[^.\[\]]+")
 # The step from a choice to one of its options, in a parameter's path.

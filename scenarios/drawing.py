@@ -3,10 +3,10 @@
 from functools import reduce
 from typing import Any
 
-from scenarios.distributions import Choice, is_distribution, parse_distribution
-from scenarios.faults import field_annotation
-from scenarios.seeds import rng_for
-from scenarios.yaml_file import Location, field_path
+from dslab.scenarios.distributions import Choice, is_distribution, parse_distribution
+from dslab.scenarios.faults import field_annotation
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.yaml_file import Location, field_path
 
 
 class Draw:

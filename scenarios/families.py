@@ -20,14 +20,20 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
-from scenarios.distributions import Choice, Distribution, NotationError, is_distribution, parse_distribution
-from scenarios.drawing import Draw
-from scenarios.errors import InputError, collect
-from scenarios.faults import all_faults, guess
-from scenarios.input_files import is_given
-from scenarios.seeds import rng_for
-from scenarios.spec import Scenario
-from scenarios.yaml_file import Location, YamlFile, field_path, read_yaml
+from dslab.scenarios.distributions import (
+    Choice,
+    Distribution,
+    NotationError,
+    is_distribution,
+    parse_distribution,
+)
+from dslab.scenarios.drawing import Draw
+from dslab.scenarios.errors import InputError, collect
+from dslab.scenarios.faults import all_faults, guess
+from dslab.scenarios.input_files import is_given
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.spec import Scenario
+from dslab.scenarios.yaml_file import Location, YamlFile, field_path, read_yaml
 
 LIBRARY_DIR = Path(__file__).parent / "library"
 MEMBERS = "members"

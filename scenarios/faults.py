@@ -7,10 +7,10 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from scenarios.errors import InputError, SeveralFaultsError
-from scenarios.kinds import models_in
-from scenarios.spec import Scenario
-from scenarios.yaml_file import Location
+from dslab.scenarios.errors import InputError, SeveralFaultsError
+from dslab.scenarios.kinds import models_in
+from dslab.scenarios.spec import Scenario
+from dslab.scenarios.yaml_file import Location
 
 
 def guess(given: str, allowed: list[str]) -> str:

@@ -4,7 +4,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from scenarios.strict import Strict, with_defaults_of
+from dslab.scenarios.strict import Strict, with_defaults_of
 
 PRESETS: dict[str, dict[str, float]] = {
     # ADIS16448 of the VI-sensor. Source: mav0/imu0/sensor.yaml of the EuRoC data set.

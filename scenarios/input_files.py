@@ -12,7 +12,7 @@ import stat
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
-from scenarios.errors import InputError
+from dslab.scenarios.errors import InputError
 
 SETTINGS_BYTES = 2 * 10**6
 """Largest file that people write: a scenario, an experiment, a camera, settings."""

@@ -10,7 +10,7 @@ from pydantic import BaseModel, Field, TypeAdapter
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
-from scenarios.strict import Strict
+from dslab.scenarios.strict import Strict
 
 ModelT = TypeVar("ModelT", bound=Strict)
 _KIND = re.compile(r"[a-z][a-z0-9_]*")

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import yaml
 
-from scenarios.families import load_family
-from scenarios.spec import Scenario
+from dslab.scenarios.families import load_family
+from dslab.scenarios.spec import Scenario
 
 
 def load_scenario(path_or_name: str | Path, seed: int | None = None) -> Scenario:

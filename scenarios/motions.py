@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar
 from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
 from pydantic_core import PydanticCustomError
 
-from scenarios.strict import Grown, with_defaults_of
+from dslab.scenarios.strict import Grown, with_defaults_of
 
 KINDS: dict[str, dict[str, float]] = {
     "walk": {},

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from scenarios.distributions import Choice, is_distribution, parse_distribution
-from scenarios.families import load_family
-from scenarios.seeds import rng_for
-from scenarios.spec import Scenario
+from dslab.scenarios.distributions import Choice, is_distribution, parse_distribution
+from dslab.scenarios.families import load_family
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.spec import Scenario
 
 FAMILY = "small"
 

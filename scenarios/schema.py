@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from scenarios.families import MEMBERS
-from scenarios.segments import SEGMENT_KINDS
-from scenarios.spec import Scenario
+from dslab.scenarios.families import MEMBERS
+from dslab.scenarios.segments import SEGMENT_KINDS
+from dslab.scenarios.spec import Scenario
 
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
 _FIXED = ("spec_version", "name", "description", "seed")

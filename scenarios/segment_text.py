@@ -4,9 +4,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from scenarios.errors import InputError
-from scenarios.faults import guess, problem_and_remedy
-from scenarios.segments import SEGMENT_KINDS, SegmentBase
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.faults import guess, problem_and_remedy
+from dslab.scenarios.segments import SEGMENT_KINDS, SegmentBase
 
 
 def parse_segment(text: str) -> SegmentBase:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from scenarios.kinds import Kinds
-from scenarios.strict import Grown, Strict
+from dslab.scenarios.kinds import Kinds
+from dslab.scenarios.strict import Grown, Strict
 
 Axis = Literal["yaw", "pitch", "roll"]
 

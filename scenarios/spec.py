@@ -7,12 +7,12 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field, ValidationError, ValidationInfo, field_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from scenarios.cameras import Camera
-from scenarios.imu import Imu
-from scenarios.motions import Trajectory
-from scenarios.segments import FastRotation, LowTexture, MotionBlur, Segment, self_overlap
-from scenarios.strict import Grown, Strict
-from scenarios.worlds import CorridorWorld, RoomWorld, World
+from dslab.scenarios.cameras import Camera
+from dslab.scenarios.imu import Imu
+from dslab.scenarios.motions import Trajectory
+from dslab.scenarios.segments import FastRotation, LowTexture, MotionBlur, Segment, self_overlap
+from dslab.scenarios.strict import Grown, Strict
+from dslab.scenarios.worlds import CorridorWorld, RoomWorld, World
 
 __all__ = [
     "SPEC_VERSION",

@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from scenarios.kinds import Kinds
-from scenarios.strict import Grown, Strict
+from dslab.scenarios.kinds import Kinds
+from dslab.scenarios.strict import Grown, Strict
 
 
 class WorldBase(Strict):

@@ -8,8 +8,8 @@ from typing import Any
 
 import yaml
 
-from scenarios.errors import InputError, collect
-from scenarios.input_files import SETTINGS_BYTES, number_fault, read_text
+from dslab.scenarios.errors import InputError, collect
+from dslab.scenarios.input_files import SETTINGS_BYTES, number_fault, read_text
 
 Location = tuple[str | int, ...]
 """Keys and indices from the root to a part."""

@@ -8,42 +8,42 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sim.degradations.base import Degradation, FramePlan, Stage
-    from sim.degradations.image import Filter, ImageDegradation, View
-    from sim.degradations.recorded_sequences import degrade_sequence as degrade
-    from sim.degradations.registry import register_degradation
-    from sim.io.forms import load_sequence, write_sequence
-    from sim.motion import register_motion
-    from sim.motion.base import Motion
-    from sim.motion.spline import PoseSpline
-    from sim.sensors.camera import Intrinsics
-    from sim.sequence import SegmentTruth, Sequence
-    from sim.sequence_rendering import render_sequence as render
-    from sim.worlds import register_world
-    from sim.worlds.base import Route, Surface, WorldModel
+    from dslab.sim.degradations.base import Degradation, FramePlan, Stage
+    from dslab.sim.degradations.image import Filter, ImageDegradation, View
+    from dslab.sim.degradations.recorded_sequences import degrade_sequence as degrade
+    from dslab.sim.degradations.registry import register_degradation
+    from dslab.sim.io.forms import load_sequence, write_sequence
+    from dslab.sim.motion import register_motion
+    from dslab.sim.motion.base import Motion
+    from dslab.sim.motion.spline import PoseSpline
+    from dslab.sim.sensors.camera import Intrinsics
+    from dslab.sim.sequence import SegmentTruth, Sequence
+    from dslab.sim.sequence_rendering import render_sequence as render
+    from dslab.sim.worlds import register_world
+    from dslab.sim.worlds.base import Route, Surface, WorldModel
 
 _HOMES = {
-    "Degradation": "sim.degradations.base",
-    "Filter": "sim.degradations.image",
-    "FramePlan": "sim.degradations.base",
-    "ImageDegradation": "sim.degradations.image",
-    "Intrinsics": "sim.sensors.camera",
-    "Motion": "sim.motion.base",
-    "PoseSpline": "sim.motion.spline",
-    "Route": "sim.worlds.base",
-    "SegmentTruth": "sim.sequence",
-    "Sequence": "sim.sequence",
-    "Stage": "sim.degradations.base",
-    "Surface": "sim.worlds.base",
-    "View": "sim.degradations.image",
-    "WorldModel": "sim.worlds.base",
-    "degrade": "sim.degradations.recorded_sequences:degrade_sequence",
-    "load_sequence": "sim.io.forms",
-    "register_degradation": "sim.degradations.registry",
-    "register_motion": "sim.motion",
-    "register_world": "sim.worlds",
-    "render": "sim.sequence_rendering:render_sequence",
-    "write_sequence": "sim.io.forms",
+    "Degradation": "dslab.sim.degradations.base",
+    "Filter": "dslab.sim.degradations.image",
+    "FramePlan": "dslab.sim.degradations.base",
+    "ImageDegradation": "dslab.sim.degradations.image",
+    "Intrinsics": "dslab.sim.sensors.camera",
+    "Motion": "dslab.sim.motion.base",
+    "PoseSpline": "dslab.sim.motion.spline",
+    "Route": "dslab.sim.worlds.base",
+    "SegmentTruth": "dslab.sim.sequence",
+    "Sequence": "dslab.sim.sequence",
+    "Stage": "dslab.sim.degradations.base",
+    "Surface": "dslab.sim.worlds.base",
+    "View": "dslab.sim.degradations.image",
+    "WorldModel": "dslab.sim.worlds.base",
+    "degrade": "dslab.sim.degradations.recorded_sequences:degrade_sequence",
+    "load_sequence": "dslab.sim.io.forms",
+    "register_degradation": "dslab.sim.degradations.registry",
+    "register_motion": "dslab.sim.motion",
+    "register_world": "dslab.sim.worlds",
+    "render": "dslab.sim.sequence_rendering:render_sequence",
+    "write_sequence": "dslab.sim.io.forms",
 }
 
 __all__ = [

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from scenarios.errors import InputError
-from scenarios.input_files import open_file, read_json
-from sim.unfinished import is_held, sweep, unfinished_folder
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import open_file, read_json
+from dslab.sim.unfinished import is_held, sweep, unfinished_folder
 
 ContentT = TypeVar("ContentT")
 

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from scenarios.spec import Camera, Scenario
-from sim.cache import FolderCache
-from sim.frame_plan import RenderBackend, ideal_camera, mujoco_backend, taking_intrinsics, world_seed
-from sim.io.raw import stored_array
-from sim.provenance import entry_key
-from sim.room import check_memory
-from sim.sensors.camera import Intrinsics
-from sim.worlds.base import Surface, WorldModel
+from dslab.scenarios.spec import Camera, Scenario
+from dslab.sim.cache import FolderCache
+from dslab.sim.frame_plan import RenderBackend, ideal_camera, mujoco_backend, taking_intrinsics, world_seed
+from dslab.sim.io.raw import stored_array
+from dslab.sim.provenance import entry_key
+from dslab.sim.room import check_memory
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.worlds.base import Surface, WorldModel
 
 THUMBNAIL_WIDTH_PX = 80
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.degradations.base import FramePlan
+from dslab.sim.degradations.base import FramePlan
 
 MOST_BYTES = 64_000_000
 """Size of the frames that are kept; those used longest ago are dropped."""

@@ -9,25 +9,25 @@ from typing import Protocol
 
 import numpy as np
 
-from scenarios.spec import Camera, Scenario, World
-from sim.degradations.base import FramePlan, Stage
-from sim.degradations.chain import ImageChain
-from sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
-from sim.degradations.repeated_texture import with_repeated_texture
-from sim.degradations.scattering import Scattering
-from sim.exposed_frames import ExposedFrames
-from sim.io.raw import RawWriter
-from sim.motion import plan_motion
-from sim.motion.base import Motion
-from sim.rendering.lens_renderer import lens_renderer
-from sim.rendering.renderer import Renderer
-from sim.rendering.renderers import DEFAULT_RENDERER, load_renderer
-from sim.room import check_memory
-from sim.sensors.camera import Intrinsics
-from sim.sensors.distortion import Lens
-from sim.sensors.exposure import expose
-from sim.sensors.sensor import Sensor
-from sim.worlds.base import Route, WorldModel
+from dslab.scenarios.spec import Camera, Scenario, World
+from dslab.sim.degradations.base import FramePlan, Stage
+from dslab.sim.degradations.chain import ImageChain
+from dslab.sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
+from dslab.sim.degradations.repeated_texture import with_repeated_texture
+from dslab.sim.degradations.scattering import Scattering
+from dslab.sim.exposed_frames import ExposedFrames
+from dslab.sim.io.raw import RawWriter
+from dslab.sim.motion import plan_motion
+from dslab.sim.motion.base import Motion
+from dslab.sim.rendering.lens_renderer import lens_renderer
+from dslab.sim.rendering.renderer import Renderer
+from dslab.sim.rendering.renderers import DEFAULT_RENDERER, load_renderer
+from dslab.sim.room import check_memory
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.distortion import Lens
+from dslab.sim.sensors.exposure import expose
+from dslab.sim.sensors.sensor import Sensor
+from dslab.sim.worlds.base import Route, WorldModel
 
 Progress = Callable[[str, int, int], None]
 """Called with the name of the step, frames done and frames in all."""
@@ -63,8 +63,8 @@ def render_backend(renderer: str) -> RenderBackend:
     Raises:
         InputError: no such renderer, or it is not usable here.
     """
-    from sim.rendering.gl_context import gl_info
-    from sim.worlds import layout
+    from dslab.sim.rendering.gl_context import gl_info
+    from dslab.sim.worlds import layout
 
     return RenderBackend(layout, _world, load_renderer(renderer), gl_info, renderer)
 
@@ -72,7 +72,7 @@ def render_backend(renderer: str) -> RenderBackend:
 @lru_cache(maxsize=1)
 def _world(spec: World, seed: int) -> WorldModel:
     """Build a world, or reuse the last one: units sharing a world are adjacent."""
-    from sim.worlds import build_world
+    from dslab.sim.worlds import build_world
 
     world = build_world(spec, seed)
     for surface in world.surfaces:

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scenarios.spec import Scenario
-from sim.degradations.base import FramePlan
-from sim.degradations.chain import ImageChain
-from sim.frame_plan import (
+from dslab.scenarios.spec import Scenario
+from dslab.sim.degradations.base import FramePlan
+from dslab.sim.degradations.chain import ImageChain
+from dslab.sim.frame_plan import (
     RenderBackend,
     expose_frames,
     ideal_camera,
@@ -18,11 +18,11 @@ from sim.frame_plan import (
     rendered_clean_frames,
     taking_intrinsics,
 )
-from sim.io.raw import RawFrames
-from sim.room import check_memory, check_room
-from sim.sensors.sensor import Sensor
-from sim.unfinished import scratch_folder
-from sim.worlds.base import WorldModel
+from dslab.sim.io.raw import RawFrames
+from dslab.sim.room import check_memory, check_room
+from dslab.sim.sensors.sensor import Sensor
+from dslab.sim.unfinished import scratch_folder
+from dslab.sim.worlds.base import WorldModel
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-import scenarios
-from scenarios.extensions import extension_digests
-from scenarios.spec import Scenario
-from sim.cache import content_key
-from sim.frame_plan import RenderBackend
+from dslab import scenarios
+from dslab.scenarios.extensions import extension_digests
+from dslab.scenarios.spec import Scenario
+from dslab.sim.cache import content_key
+from dslab.sim.frame_plan import RenderBackend
 
 _PACKAGES = (
     "dual-slam-lab",

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from scenarios.errors import InputError
-from sim.cache import MAX_BYTES
+from dslab.scenarios.errors import InputError
+from dslab.sim.cache import MAX_BYTES
 
 MOST_BYTES = MAX_BYTES
 """Work that writes more is to be asked for: it is more than the cache keeps, and eight times the longest

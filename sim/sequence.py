@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.camera import Intrinsics
 
 
 @dataclass(frozen=True)

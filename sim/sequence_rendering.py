@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from scenarios.errors import InputError
-from scenarios.input_files import read_json
-from scenarios.segments import ImageSegment, Segment
-from scenarios.spec import Camera, Scenario
-from sim.cache import CorruptEntryError, FolderCache
-from sim.degradations.base import FramePlan, Stage
-from sim.degradations.chain import ImageChain
-from sim.degradations.registry import DEGRADATIONS, IMAGE_KINDS, in_order_of_action
-from sim.degradations.truths import truths_of
-from sim.exposed_frames import ExposedFrames
-from sim.frame_plan import (
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import read_json
+from dslab.scenarios.segments import ImageSegment, Segment
+from dslab.scenarios.spec import Camera, Scenario
+from dslab.sim.cache import CorruptEntryError, FolderCache
+from dslab.sim.degradations.base import FramePlan, Stage
+from dslab.sim.degradations.chain import ImageChain
+from dslab.sim.degradations.registry import DEGRADATIONS, IMAGE_KINDS, in_order_of_action
+from dslab.sim.degradations.truths import truths_of
+from dslab.sim.exposed_frames import ExposedFrames
+from dslab.sim.frame_plan import (
     Progress,
     RenderBackend,
     camera_intrinsics,
@@ -35,13 +35,13 @@ from sim.frame_plan import (
     sense,
     taking_intrinsics,
 )
-from sim.io.folders import check_free
-from sim.io.raw import RawFrames, RawWriter, stored_array, stored_columns
-from sim.io.tum import write_tum
-from sim.provenance import entry_key, provenance
-from sim.room import Need, check_room, images_need
-from sim.sensors.sensor import Sensor
-from sim.sequence import SegmentTruth, Sequence
+from dslab.sim.io.folders import check_free
+from dslab.sim.io.raw import RawFrames, RawWriter, stored_array, stored_columns
+from dslab.sim.io.tum import write_tum
+from dslab.sim.provenance import entry_key, provenance
+from dslab.sim.room import Need, check_room, images_need
+from dslab.sim.sensors.sensor import Sensor
+from dslab.sim.sequence import SegmentTruth, Sequence
 
 __all__ = [
     "Progress",

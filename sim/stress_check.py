@@ -4,14 +4,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from scenarios.segments import ImageSegment, Segment
-from scenarios.spec import Scenario
-from sim.degradations.base import FramePlan, Stage, during
-from sim.degradations.image import ramp
-from sim.degradations.registry import DEGRADATIONS, FRAME_PLAN_KINDS
-from sim.degradations.truths import truths_of
-from sim.frame_plan import RenderBackend, mujoco_backend, plan_in_world
-from sim.preview import Preview, preview
+from dslab.scenarios.segments import ImageSegment, Segment
+from dslab.scenarios.spec import Scenario
+from dslab.sim.degradations.base import FramePlan, Stage, during
+from dslab.sim.degradations.image import ramp
+from dslab.sim.degradations.registry import DEGRADATIONS, FRAME_PLAN_KINDS
+from dslab.sim.degradations.truths import truths_of
+from dslab.sim.frame_plan import RenderBackend, mujoco_backend, plan_in_world
+from dslab.sim.preview import Preview, preview
 
 _WITHOUT_A_WORLD = {Stage.MOTION, Stage.TIMING}
 _AT_ONCE = 4

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from scenarios.spec import Scenario
-from sim.degradations.registry import DEGRADATIONS
-from sim.sensors.shared_view import seen_share
-from sim.sequence_rendering import render_sequence
-from sim.unfinished import scratch_folder
+from dslab.scenarios.spec import Scenario
+from dslab.sim.degradations.registry import DEGRADATIONS
+from dslab.sim.sensors.shared_view import seen_share
+from dslab.sim.sequence_rendering import render_sequence
+from dslab.sim.unfinished import scratch_folder
 
 _SEGMENT_S, _EVERY_S = 0.3, 0.4
 _CAMERA = {

@@ -8,52 +8,52 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from slam.config import SlamConfig, default_config
-    from slam.core import events
-    from slam.core.camera import PinholeCamera
-    from slam.core.events import TrackingState
-    from slam.core.results import MapTrajectory, TrackingResult
-    from slam.dual.config import DualConfig
-    from slam.dual.dual_slam import DualSlam
-    from slam.dual.recovery.interface import (
+    from dslab.slam.config import SlamConfig, default_config
+    from dslab.slam.core import events
+    from dslab.slam.core.camera import PinholeCamera
+    from dslab.slam.core.events import TrackingState
+    from dslab.slam.core.results import MapTrajectory, TrackingResult
+    from dslab.slam.dual.config import DualConfig
+    from dslab.slam.dual.dual_slam import DualSlam
+    from dslab.slam.dual.recovery.interface import (
         RecoveryConfig,
         RecoveryCost,
         RecoveryResult,
         RecoveryTask,
         RecoveryThread,
     )
-    from slam.dual.recovery.orb import OrbRecovery, OrbRecoveryConfig
-    from slam.dual.recovery.registry import ThreadSpec, register_recovery_thread
-    from slam.factory import SYSTEMS, build_system
-    from slam.runtime.backend import ExecutionMode
-    from slam.system import MonocularSlam, MonocularSystem
-    from slam.warmup import warm_up
+    from dslab.slam.dual.recovery.orb import OrbRecovery, OrbRecoveryConfig
+    from dslab.slam.dual.recovery.registry import ThreadSpec, register_recovery_thread
+    from dslab.slam.factory import SYSTEMS, build_system
+    from dslab.slam.runtime.backend import ExecutionMode
+    from dslab.slam.system import MonocularSlam, MonocularSystem
+    from dslab.slam.warmup import warm_up
 
 _HOMES = {
-    "SYSTEMS": "slam.factory",
-    "DualConfig": "slam.dual.config",
-    "DualSlam": "slam.dual.dual_slam",
-    "ExecutionMode": "slam.runtime.backend",
-    "MapTrajectory": "slam.core.results",
-    "MonocularSlam": "slam.system",
-    "OrbRecovery": "slam.dual.recovery.orb",
-    "OrbRecoveryConfig": "slam.dual.recovery.orb",
-    "PinholeCamera": "slam.core.camera",
-    "RecoveryConfig": "slam.dual.recovery.interface",
-    "RecoveryCost": "slam.dual.recovery.interface",
-    "RecoveryResult": "slam.dual.recovery.interface",
-    "RecoveryTask": "slam.dual.recovery.interface",
-    "RecoveryThread": "slam.dual.recovery.interface",
-    "SlamConfig": "slam.config",
-    "MonocularSystem": "slam.system",
-    "ThreadSpec": "slam.dual.recovery.registry",
-    "TrackingResult": "slam.core.results",
-    "TrackingState": "slam.core.events",
-    "build_system": "slam.factory",
-    "default_config": "slam.config",
-    "events": "slam.core",
-    "register_recovery_thread": "slam.dual.recovery.registry",
-    "warm_up": "slam.warmup",
+    "SYSTEMS": "dslab.slam.factory",
+    "DualConfig": "dslab.slam.dual.config",
+    "DualSlam": "dslab.slam.dual.dual_slam",
+    "ExecutionMode": "dslab.slam.runtime.backend",
+    "MapTrajectory": "dslab.slam.core.results",
+    "MonocularSlam": "dslab.slam.system",
+    "OrbRecovery": "dslab.slam.dual.recovery.orb",
+    "OrbRecoveryConfig": "dslab.slam.dual.recovery.orb",
+    "PinholeCamera": "dslab.slam.core.camera",
+    "RecoveryConfig": "dslab.slam.dual.recovery.interface",
+    "RecoveryCost": "dslab.slam.dual.recovery.interface",
+    "RecoveryResult": "dslab.slam.dual.recovery.interface",
+    "RecoveryTask": "dslab.slam.dual.recovery.interface",
+    "RecoveryThread": "dslab.slam.dual.recovery.interface",
+    "SlamConfig": "dslab.slam.config",
+    "MonocularSystem": "dslab.slam.system",
+    "ThreadSpec": "dslab.slam.dual.recovery.registry",
+    "TrackingResult": "dslab.slam.core.results",
+    "TrackingState": "dslab.slam.core.events",
+    "build_system": "dslab.slam.factory",
+    "default_config": "dslab.slam.config",
+    "events": "dslab.slam.core",
+    "register_recovery_thread": "dslab.slam.dual.recovery.registry",
+    "warm_up": "dslab.slam.warmup",
 }
 
 __all__ = [
@@ -88,7 +88,7 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module = import_module(_HOMES[name])
-    return import_module("slam.core.events") if name == "events" else getattr(module, name)
+    return import_module("dslab.slam.core.events") if name == "events" else getattr(module, name)
 
 
 def __dir__() -> list[str]:

@@ -2,17 +2,17 @@
 
 from dataclasses import dataclass, field, replace
 
-from slam.core.camera import PinholeCamera
-from slam.features.orb import OrbConfig
-from slam.initialization.initializer import InitializationConfig
-from slam.loop_closing.detection import LoopClosingConfig
-from slam.mapping.local_mapping import LocalMappingConfig
-from slam.mapping.self_calibration import SelfCalibrationConfig
-from slam.tracking.probation import ProbationConfig
-from slam.tracking.reach import ReachConfig
-from slam.tracking.relocalization import RelocalizationConfig
-from slam.tracking.rescue import RescueConfig
-from slam.tracking.tracker import TrackingConfig
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.features.orb import OrbConfig
+from dslab.slam.initialization.initializer import InitializationConfig
+from dslab.slam.loop_closing.detection import LoopClosingConfig
+from dslab.slam.mapping.local_mapping import LocalMappingConfig
+from dslab.slam.mapping.self_calibration import SelfCalibrationConfig
+from dslab.slam.tracking.probation import ProbationConfig
+from dslab.slam.tracking.reach import ReachConfig
+from dslab.slam.tracking.relocalization import RelocalizationConfig
+from dslab.slam.tracking.rescue import RescueConfig
+from dslab.slam.tracking.tracker import TrackingConfig
 
 
 @dataclass(frozen=True)

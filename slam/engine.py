@@ -5,28 +5,28 @@ from contextlib import nullcontext
 
 import numpy as np
 
-from slam.config import SlamConfig
-from slam.core import events as ev
-from slam.core.camera import PinholeCamera
-from slam.core.events import TrackingState
-from slam.core.frame import Frame, FrameFeatures, twist_between
-from slam.core.frame_input import check_frame
-from slam.core.geometry import view_geometry
-from slam.core.results import TrackingResult
-from slam.core.seeds import rng_for
-from slam.core.timing import StageTimer
-from slam.features.finder import FeatureFinder
-from slam.features.remembered import Remembered
-from slam.handover import report_refusal, take_adjustment, take_correction, take_refinement
-from slam.initialization.initializer import Initializer, InitialMap, frames_between
-from slam.initialization.second_motion import SecondMotion
-from slam.map.relation import relocalization_relation
-from slam.map.withdrawal import cull_since
-from slam.map_store import Loss, MapStore
-from slam.mapping.local_mapping import LocalMapper
-from slam.mapping.self_calibration import SelfCalibration
-from slam.place_search import PlaceSearch
-from slam.runtime.backend import (
+from dslab.slam.config import SlamConfig
+from dslab.slam.core import events as ev
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.events import TrackingState
+from dslab.slam.core.frame import Frame, FrameFeatures, twist_between
+from dslab.slam.core.frame_input import check_frame
+from dslab.slam.core.geometry import view_geometry
+from dslab.slam.core.results import TrackingResult
+from dslab.slam.core.seeds import rng_for
+from dslab.slam.core.timing import StageTimer
+from dslab.slam.features.finder import FeatureFinder
+from dslab.slam.features.remembered import Remembered
+from dslab.slam.handover import report_refusal, take_adjustment, take_correction, take_refinement
+from dslab.slam.initialization.initializer import Initializer, InitialMap, frames_between
+from dslab.slam.initialization.second_motion import SecondMotion
+from dslab.slam.map.relation import relocalization_relation
+from dslab.slam.map.withdrawal import cull_since
+from dslab.slam.map_store import Loss, MapStore
+from dslab.slam.mapping.local_mapping import LocalMapper
+from dslab.slam.mapping.self_calibration import SelfCalibration
+from dslab.slam.place_search import PlaceSearch
+from dslab.slam.runtime.backend import (
     Backend,
     Calibrated,
     Change,
@@ -38,9 +38,9 @@ from slam.runtime.backend import (
     Refused,
     Searched,
 )
-from slam.tracking.probation import Probation
-from slam.tracking.rescue import Rescue
-from slam.tracking.tracker import Tracker, TrackingOutcome
+from dslab.slam.tracking.probation import Probation
+from dslab.slam.tracking.rescue import Rescue
+from dslab.slam.tracking.tracker import Tracker, TrackingOutcome
 
 _SEEKING = TrackingState.NOT_INITIALIZED
 

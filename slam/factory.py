@@ -2,14 +2,14 @@
 
 from dataclasses import replace
 
-from slam.config import SlamConfig, default_config
-from slam.core.camera import PinholeCamera
-from slam.dual.config import DualConfig
-from slam.dual.dual_slam import DualSlam
-from slam.ldso.config import DsoConfig
-from slam.ldso.system import DsoSlam
-from slam.runtime.backend import ExecutionMode
-from slam.system import MonocularSlam, MonocularSystem
+from dslab.slam.config import SlamConfig, default_config
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.dual.config import DualConfig
+from dslab.slam.dual.dual_slam import DualSlam
+from dslab.slam.ldso.config import DsoConfig
+from dslab.slam.ldso.system import DsoSlam
+from dslab.slam.runtime.backend import ExecutionMode
+from dslab.slam.system import MonocularSlam, MonocularSystem
 
 SYSTEMS = ("base", "dual", "dual+", "paper", "paper+", "dso", "ldso")
 DIRECT = ("dso", "ldso")
@@ -20,7 +20,7 @@ OwnSystem = MonocularSystem | DsoSlam
 def default_settings(kind: str, camera: PinholeCamera) -> tuple[SlamConfig, DualConfig]:
     """Settings of the base and of Dual-SLAM that a system has by itself, for the size of its images."""
     if kind in PAPERS:
-        from slam.dual.paper import PAPER, paper_config
+        from dslab.slam.dual.paper import PAPER, paper_config
 
         return paper_config(camera, plus=kind == "paper+"), PAPER
     return default_config(camera), DualConfig()

@@ -3,14 +3,14 @@
 from collections.abc import Iterable
 from typing import Protocol
 
-from slam.core import events as ev
-from slam.core.camera import PinholeCamera
-from slam.core.frame import Frame
-from slam.map.adjustment import apply_adjustment
-from slam.map.relation import loop_relation
-from slam.map_store import MapStore
-from slam.runtime.backend import Adjusted, Calibrated, Corrected, Refused
-from slam.tracking.tracker import Tracker
+from dslab.slam.core import events as ev
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.frame import Frame
+from dslab.slam.map.adjustment import apply_adjustment
+from dslab.slam.map.relation import loop_relation
+from dslab.slam.map_store import MapStore
+from dslab.slam.runtime.backend import Adjusted, Calibrated, Corrected, Refused
+from dslab.slam.tracking.tracker import Tracker
 
 
 class EmitAt(Protocol):

@@ -5,16 +5,16 @@ from itertools import pairwise
 
 import numpy as np
 
-from slam.core import events as ev
-from slam.core.events import Event, TrackingState
-from slam.core.frame import Frame
-from slam.core.results import TrackingResult
-from slam.dual.dual_slam import DualSlam
-from slam.ldso.invariants import check_direct_maps
-from slam.ldso.system import DsoSlam
-from slam.map.invariants import InvariantError, check_map, require, require_rigid
-from slam.map.map import Map
-from slam.system import MonocularSystem
+from dslab.slam.core import events as ev
+from dslab.slam.core.events import Event, TrackingState
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.results import TrackingResult
+from dslab.slam.dual.dual_slam import DualSlam
+from dslab.slam.ldso.invariants import check_direct_maps
+from dslab.slam.ldso.system import DsoSlam
+from dslab.slam.map.invariants import InvariantError, check_map, require, require_rigid
+from dslab.slam.map.map import Map
+from dslab.slam.system import MonocularSystem
 
 __all__ = ["InvariantError", "check_events", "check_map", "check_result", "check_system"]
 

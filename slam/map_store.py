@@ -4,15 +4,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
-from slam.config import SlamConfig
-from slam.core.frame import FrameFeatures
-from slam.loop_closing.detection import LoopDetector
-from slam.map.map import Map
-from slam.map.trajectory import FramePoses
-from slam.places.recognition import KeyframeDatabase
-from slam.tracking.doubt import Doubt
-from slam.tracking.reach import Reach
-from slam.tracking.relocalization import Relocalizer
+from dslab.slam.config import SlamConfig
+from dslab.slam.core.frame import FrameFeatures
+from dslab.slam.loop_closing.detection import LoopDetector
+from dslab.slam.map.map import Map
+from dslab.slam.map.trajectory import FramePoses
+from dslab.slam.places.recognition import KeyframeDatabase
+from dslab.slam.tracking.doubt import Doubt
+from dslab.slam.tracking.reach import Reach
+from dslab.slam.tracking.relocalization import Relocalizer
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,14 @@
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 
-from slam.config import SlamConfig
-from slam.core import events as ev
-from slam.core.frame import Frame
-from slam.core.seeds import rng_for
-from slam.core.timing import StageTimer
-from slam.map_store import MapStore
-from slam.tracking.probation import Probation, Verdict, Withdrawn
-from slam.tracking.tracker import Tracker, TrackingOutcome
+from dslab.slam.config import SlamConfig
+from dslab.slam.core import events as ev
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.seeds import rng_for
+from dslab.slam.core.timing import StageTimer
+from dslab.slam.map_store import MapStore
+from dslab.slam.tracking.probation import Probation, Verdict, Withdrawn
+from dslab.slam.tracking.tracker import Tracker, TrackingOutcome
 
 
 class PlaceSearch:

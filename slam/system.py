@@ -5,18 +5,18 @@ from typing import Self
 
 import numpy as np
 
-from slam.config import SlamConfig
-from slam.core import events as ev
-from slam.core.camera import PinholeCamera
-from slam.core.events import TrackingState
-from slam.core.results import MapTrajectory, TrackingResult
-from slam.core.snapshot import Snapshot
-from slam.engine import SlamEngine
-from slam.map.map import Map
-from slam.map.trajectory import keyframe_trajectory
-from slam.mapping.local_mapping import LocalMapper
-from slam.runtime.backend import ExecutionMode
-from slam.tracking.tracker import Tracker
+from dslab.slam.config import SlamConfig
+from dslab.slam.core import events as ev
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.events import TrackingState
+from dslab.slam.core.results import MapTrajectory, TrackingResult
+from dslab.slam.core.snapshot import Snapshot
+from dslab.slam.engine import SlamEngine
+from dslab.slam.map.map import Map
+from dslab.slam.map.trajectory import keyframe_trajectory
+from dslab.slam.mapping.local_mapping import LocalMapper
+from dslab.slam.runtime.backend import ExecutionMode
+from dslab.slam.tracking.tracker import Tracker
 
 
 class MonocularSystem:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from slam.core.camera import PinholeCamera
+from dslab.slam.core.camera import PinholeCamera
 
 CAMERA = PinholeCamera(320, 240, 260.0, 260.0, 159.5, 119.5, 30.0)
 _LAYERS = ((7.0, 0.0, 1.0), (5.0, 0.0, 0.35), (4.0, 0.55, 0.85), (6.0, 0.35, 0.6))  # depth, top, bottom
@@ -79,11 +79,11 @@ def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
     Args:
         progress: called with a message, the number of frames done and the total.
     """
-    from slam.config import default_config
-    from slam.dual.config import DualConfig
-    from slam.dual.recovery.registry import parse_threads
-    from slam.factory import build_system
-    from slam.mapping.self_calibration import SelfCalibrationConfig
+    from dslab.slam.config import default_config
+    from dslab.slam.dual.config import DualConfig
+    from dslab.slam.dual.recovery.registry import parse_threads
+    from dslab.slam.factory import build_system
+    from dslab.slam.mapping.self_calibration import SelfCalibrationConfig
 
     # Dual-SLAM: a saved map, a breakage, a recovery by three threads and a fusion, which relocalization
     # or a place found would prevent. The base: a relocalization. Dual-SLAM+: its matcher, up to the first

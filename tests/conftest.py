@@ -9,8 +9,8 @@ import pytest
 @pytest.fixture
 def dslab(monkeypatch, capsys) -> Callable[..., tuple[int, str, str]]:
     """Runs the command with its arguments in this process; (exit code, stdout, stderr)."""
-    from experiments import cli
-    from experiments.cli import console
+    from dslab.experiments import cli
+    from dslab.experiments.cli import console
 
     # A console that was made while COLUMNS was set would keep that width for ever.
     for one in (console.out, console.err):

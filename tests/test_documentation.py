@@ -10,14 +10,14 @@ import pytest
 import typer
 import yaml
 
-from experiments.cli.commands import app
-from experiments.runs.slam_settings import read_slam_settings
-from slam.config import SlamConfig
-from slam.core.camera import PinholeCamera
-from slam.dual.config import DualConfig
-from slam.dual.paper import PAPER
-from slam.dual.recovery.paper import paper_orb_config
-from slam.dual.recovery.registry import RECOVERY_KINDS, ThreadSpec
+from dslab.experiments.cli.commands import app
+from dslab.experiments.runs.slam_settings import read_slam_settings
+from dslab.slam.config import SlamConfig
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.dual.config import DualConfig
+from dslab.slam.dual.paper import PAPER
+from dslab.slam.dual.recovery.paper import paper_orb_config
+from dslab.slam.dual.recovery.registry import RECOVERY_KINDS, ThreadSpec
 
 ROOT = Path(__file__).resolve().parents[1]
 OF_EARLIER_STATES = ("CHANGELOG.md", "renamed.md", *(p.name for p in ROOT.glob("docs/measure*.md")))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-import experiments
+from dslab import experiments
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"

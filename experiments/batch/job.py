@@ -7,20 +7,20 @@ from shutil import rmtree
 
 import numpy as np
 
-from experiments.batch.rows import About, Row
-from experiments.batch.spec import BatchSpec
-from experiments.evaluation.summary import summarise
-from experiments.plugins import load_plugins
-from experiments.result_folder import execute_recorded, write_run
-from experiments.runs.execution import system_factory
-from experiments.runs.sources import open_sequence
-from experiments.runs.systems.registry import Registry
-from scenarios.errors import InputError
-from scenarios.input_files import is_folder
-from sim.degradations.recorded_sequences import degrade_sequence
-from sim.io.folders import new_directory
-from sim.sequence import Sequence
-from sim.unfinished import scratch_folder
+from dslab.experiments.batch.rows import About, Row
+from dslab.experiments.batch.spec import BatchSpec
+from dslab.experiments.evaluation.summary import summarise
+from dslab.experiments.plugins import load_plugins
+from dslab.experiments.result_folder import execute_recorded, write_run
+from dslab.experiments.runs.execution import system_factory
+from dslab.experiments.runs.sources import open_sequence
+from dslab.experiments.runs.systems.registry import Registry
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import is_folder
+from dslab.sim.degradations.recorded_sequences import degrade_sequence
+from dslab.sim.io.folders import new_directory
+from dslab.sim.sequence import Sequence
+from dslab.sim.unfinished import scratch_folder
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.batch.rows import Row
-from experiments.comparison.left_runs import read_run
-from experiments.evaluation import metrics
-from experiments.evaluation.alignment import Undefined
-from experiments.evaluation.metrics import PosePairs
-from experiments.result_folder import TRUTH_FILE
+from dslab.experiments.batch.rows import Row
+from dslab.experiments.comparison.left_runs import read_run
+from dslab.experiments.evaluation import metrics
+from dslab.experiments.evaluation.alignment import Undefined
+from dslab.experiments.evaluation.metrics import PosePairs
+from dslab.experiments.result_folder import TRUTH_FILE
 
 PAIRS_FILE = "pairs.csv"
 

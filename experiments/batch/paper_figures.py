@@ -14,13 +14,13 @@ from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from experiments.batch.paper_tables import short_name
-from experiments.batch.rows import ERROR
-from experiments.comparison.left_runs import read_run
-from experiments.evaluation import metrics
-from experiments.evaluation.alignment import Undefined
-from experiments.report.plots.draw import rendered
-from experiments.report.plots.style import (
+from dslab.experiments.batch.paper_tables import short_name
+from dslab.experiments.batch.rows import ERROR
+from dslab.experiments.comparison.left_runs import read_run
+from dslab.experiments.evaluation import metrics
+from dslab.experiments.evaluation.alignment import Undefined
+from dslab.experiments.report.plots.draw import rendered
+from dslab.experiments.report.plots.style import (
     BLUE,
     GREEN,
     ORANGE,
@@ -31,8 +31,8 @@ from experiments.report.plots.style import (
     new_figure,
     settings,
 )
-from experiments.result_folder import TRUTH_FILE
-from sim.io.folders import write_file
+from dslab.experiments.result_folder import TRUTH_FILE
+from dslab.sim.io.folders import write_file
 
 FIGURES_DIR = "figures"
 MOST_SEQUENCES = 6

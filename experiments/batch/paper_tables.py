@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pandas as pd
 
-from experiments.batch.rows import ERROR
-from experiments.eq1.units import RECOVERING
-from experiments.report.paper_figures import TABLE_1, TABLE_1_FAILED
-from experiments.statistics.paper import TABLE_II, TABLE_III
-from sim.io.folders import write_file
+from dslab.experiments.batch.rows import ERROR
+from dslab.experiments.eq1.units import RECOVERING
+from dslab.experiments.report.paper_figures import TABLE_1, TABLE_1_FAILED
+from dslab.experiments.statistics.paper import TABLE_II, TABLE_III
+from dslab.sim.io.folders import write_file
 
 TABLES_DIR = "tables"
 PUBLISHED = " (paper)"

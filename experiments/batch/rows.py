@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.evaluation import metrics
-from experiments.evaluation.alignment import Undefined
-from experiments.evaluation.end_alignment import end_alignment_error_m
-from experiments.evaluation.intact_map import judge_intact
-from experiments.evaluation.summary import is_tracked
-from experiments.runs.execution import RunRecord
+from dslab.experiments.evaluation import metrics
+from dslab.experiments.evaluation.alignment import Undefined
+from dslab.experiments.evaluation.end_alignment import end_alignment_error_m
+from dslab.experiments.evaluation.intact_map import judge_intact
+from dslab.experiments.evaluation.summary import is_tracked
+from dslab.experiments.runs.execution import RunRecord
 
 Row = dict[str, Any]
 

@@ -6,21 +6,21 @@ from pathlib import Path
 
 import pandas as pd
 
-from experiments.batch.job import Job, run_job
-from experiments.batch.rows import ERROR, KEY, About, Row, typed
-from experiments.batch.spec import BatchSpec
-from experiments.benchmarks.kept_rows import read_rows, write_rows
-from experiments.campaign.folder_lock import sole_driver
-from experiments.plugins import load_plugins
-from experiments.runs.ending import EndKind
-from experiments.runs.processes import call_in_process, side_by_side
-from experiments.runs.provenance import code_hash, commit
-from experiments.runs.sources import open_sequence
-from experiments.runs.systems.command import CommandSystem
-from experiments.runs.systems.registry import Registry, System, system_digest
-from scenarios.errors import InputError
-from scenarios.input_files import is_folder
-from sim.io.folders import unwritable, write_file
+from dslab.experiments.batch.job import Job, run_job
+from dslab.experiments.batch.rows import ERROR, KEY, About, Row, typed
+from dslab.experiments.batch.spec import BatchSpec
+from dslab.experiments.benchmarks.kept_rows import read_rows, write_rows
+from dslab.experiments.campaign.folder_lock import sole_driver
+from dslab.experiments.plugins import load_plugins
+from dslab.experiments.runs.ending import EndKind
+from dslab.experiments.runs.processes import call_in_process, side_by_side
+from dslab.experiments.runs.provenance import code_hash, commit
+from dslab.experiments.runs.sources import open_sequence
+from dslab.experiments.runs.systems.command import CommandSystem
+from dslab.experiments.runs.systems.registry import Registry, System, system_digest
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import is_folder
+from dslab.sim.io.folders import unwritable, write_file
 
 ROWS_FILE, CSV_FILE, RUNS_DIR = "runs.parquet", "runs.csv", "runs"
 Progress = Callable[[str, int, int], None]

@@ -7,15 +7,15 @@ from typing import Literal
 
 from pydantic import Field, ValidationError, field_validator
 
-from experiments.runs.execution import Mode
-from scenarios.errors import InputError
-from scenarios.faults import all_faults
-from scenarios.input_files import is_folder
-from scenarios.segment_text import parse_segment
-from scenarios.segments import SegmentBase
-from scenarios.strict import Strict
-from scenarios.yaml_file import YamlFile, read_yaml
-from sim.cache import content_key
+from dslab.experiments.runs.execution import Mode
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.faults import all_faults
+from dslab.scenarios.input_files import is_folder
+from dslab.scenarios.segment_text import parse_segment
+from dslab.scenarios.segments import SegmentBase
+from dslab.scenarios.strict import Strict
+from dslab.scenarios.yaml_file import YamlFile, read_yaml
+from dslab.sim.cache import content_key
 
 _PATTERN = re.compile(r"[*?\[]")
 _MOST_SEED = 2**63 - 1
@@ -100,7 +100,7 @@ def _sources(file: YamlFile, spec: BatchSpec) -> list[str]:
 
 def _matches(where: str, pattern: str) -> list[str]:
     """The sequence folders that a pattern fits."""
-    from sim.io.forms import detect_form
+    from dslab.sim.io.forms import detect_form
 
     found = []
     for name in sorted(filter(is_folder, glob.glob(pattern))):
@@ -116,8 +116,8 @@ def _matches(where: str, pattern: str) -> list[str]:
 
 def _checked(where: str, source: str) -> str:
     """A source that can be opened, as far as that is known without its frames."""
-    from scenarios.loading import load_scenario
-    from sim.io.forms import load_sequence
+    from dslab.scenarios.loading import load_scenario
+    from dslab.sim.io.forms import load_sequence
 
     try:
         load_sequence(source) if is_folder(source) else load_scenario(source, None)

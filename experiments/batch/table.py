@@ -4,8 +4,8 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.batch.rows import ERROR
-from experiments.runs.ending import EndKind
+from dslab.experiments.batch.rows import ERROR
+from dslab.experiments.runs.ending import EndKind
 
 MEDIANS = ("ate_keyframes_m", "ate_frames_m", "rpe_m", "completeness", "cpu_ms_median", "wall_s")
 

@@ -7,20 +7,20 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from experiments.benchmarks.kept_rows import Row, read_rows, write_rows
-from experiments.evaluation import metrics
-from experiments.evaluation.alignment import Undefined
-from experiments.evaluation.metrics import PosePairs
-from experiments.evaluation.summary import is_tracked
-from experiments.runs import execution
-from experiments.runs.execution import RunRecord, SystemFactory, SystemKind, execute
-from experiments.runs.foreign_systems import ForeignSystem, open_foreign_system
-from experiments.runs.provenance import code_hash, commit
-from experiments.runs.sources import open_sequence
-from scenarios.errors import InputError
-from scenarios.input_files import is_folder
-from sim.sequence import Sequence as Frames
-from slam.core.results import MapTrajectory
+from dslab.experiments.benchmarks.kept_rows import Row, read_rows, write_rows
+from dslab.experiments.evaluation import metrics
+from dslab.experiments.evaluation.alignment import Undefined
+from dslab.experiments.evaluation.metrics import PosePairs
+from dslab.experiments.evaluation.summary import is_tracked
+from dslab.experiments.runs import execution
+from dslab.experiments.runs.execution import RunRecord, SystemFactory, SystemKind, execute
+from dslab.experiments.runs.foreign_systems import ForeignSystem, open_foreign_system
+from dslab.experiments.runs.provenance import code_hash, commit
+from dslab.experiments.runs.sources import open_sequence
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import is_folder
+from dslab.sim.sequence import Sequence as Frames
+from dslab.slam.core.results import MapTrajectory
 
 KEY = ("source", "seed", "system", "run")
 OURS = "ours"

@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from experiments.evaluation import metrics
-from experiments.evaluation.alignment import Undefined
-from experiments.evaluation.summary import is_tracked
-from experiments.runs.execution import RunRecord
-from experiments.runs.foreign_systems import ForeignRun
-from sim.sequence import Sequence
-from slam.core.results import MapTrajectory
+from dslab.experiments.evaluation import metrics
+from dslab.experiments.evaluation.alignment import Undefined
+from dslab.experiments.evaluation.summary import is_tracked
+from dslab.experiments.runs.execution import RunRecord
+from dslab.experiments.runs.foreign_systems import ForeignRun
+from dslab.sim.sequence import Sequence
+from dslab.slam.core.results import MapTrajectory
 
 FIGURES = ("cpu_ms_median", "ate_m", "share_tracked", "share_with_pose", "first_tracked_frame")
 

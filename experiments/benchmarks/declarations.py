@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from experiments.benchmarks.kept_rows import Row, extend_rows, read_rows
-from experiments.evaluation.declared_audit import audit_declared
-from experiments.evaluation.summary import summarise
-from experiments.runs.execution import RunRecord, SystemKind, execute
-from experiments.runs.provenance import code_hash, commit
-from experiments.runs.sources import open_sequence
-from scenarios.errors import InputError
-from slam.core.events import Fusion, LoopRefused, RelocalizationWithdrawn, Relocalized
+from dslab.experiments.benchmarks.kept_rows import Row, extend_rows, read_rows
+from dslab.experiments.evaluation.declared_audit import audit_declared
+from dslab.experiments.evaluation.summary import summarise
+from dslab.experiments.runs.execution import RunRecord, SystemKind, execute
+from dslab.experiments.runs.provenance import code_hash, commit
+from dslab.experiments.runs.sources import open_sequence
+from dslab.scenarios.errors import InputError
+from dslab.slam.core.events import Fusion, LoopRefused, RelocalizationWithdrawn, Relocalized
 
 KEY = ("scenario", "seed", "system")
 COUNTS = ("loops", "relocalizations", "joins", "fusions")

@@ -14,19 +14,19 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.runs.execution import slam_camera
-from scenarios.families import load_family
-from scenarios.spec import Scenario
-from sim.sequence import Sequence as ImageSequence
-from sim.sequence_rendering import render_sequence
-from sim.unfinished import scratch_folder
-from slam.core.seeds import rng_for
-from slam.direct.alignment import Aligned, Reference, align
-from slam.direct.location import locate_on_lines, locate_points
-from slam.direct.placement import guesses_ahead
-from slam.direct.pyramid import ImagePyramid, Rectifier
-from slam.direct.selection import SelectionConfig, select
-from slam.dual.buffer import JPEG_QUALITY
+from dslab.experiments.runs.execution import slam_camera
+from dslab.scenarios.families import load_family
+from dslab.scenarios.spec import Scenario
+from dslab.sim.sequence import Sequence as ImageSequence
+from dslab.sim.sequence_rendering import render_sequence
+from dslab.sim.unfinished import scratch_folder
+from dslab.slam.core.seeds import rng_for
+from dslab.slam.direct.alignment import Aligned, Reference, align
+from dslab.slam.direct.location import locate_on_lines, locate_points
+from dslab.slam.direct.placement import guesses_ahead
+from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
+from dslab.slam.direct.selection import SelectionConfig, select
+from dslab.slam.dual.buffer import JPEG_QUALITY
 
 WORLDS = ("corridor", "room", "warehouse", "city", "field")
 GAPS = tuple(range(1, 11))

@@ -9,14 +9,14 @@ from typing import Any
 
 import psutil
 
-from experiments.campaign.clusters import embedded_worker_pool
-from experiments.campaign.schedule import Experiment
-from experiments.campaign.unit_job import Job, unit_record
-from experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings
-from experiments.eq1.records import Outcome
-from experiments.eq1.units import UnitSpec
-from experiments.runs.provenance import usable_cores
-from sim.unfinished import scratch_folder
+from dslab.experiments.campaign.clusters import embedded_worker_pool
+from dslab.experiments.campaign.schedule import Experiment
+from dslab.experiments.campaign.unit_job import Job, unit_record
+from dslab.experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings
+from dslab.experiments.eq1.records import Outcome
+from dslab.experiments.eq1.units import UnitSpec
+from dslab.experiments.runs.provenance import usable_cores
+from dslab.sim.unfinished import scratch_folder
 
 Progress = Callable[[str, int, int], None]
 

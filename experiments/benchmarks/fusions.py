@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from experiments.runs.execution import RunRecord
+from dslab.experiments.runs.execution import RunRecord
 
 _STAGE = "fusion"
 

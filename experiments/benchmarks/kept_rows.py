@@ -9,7 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from scenarios.errors import InputError
+from dslab.scenarios.errors import InputError
 
 Row = dict[str, Any]
 

@@ -6,24 +6,24 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from experiments.benchmarks.kept_rows import Row, extend_rows, read_rows
-from experiments.evaluation.alignment import Undefined, align_poses
-from experiments.evaluation.breakages import BreakageOutcome, breakage_outcomes
-from experiments.evaluation.declared_audit import audit_declared
-from experiments.evaluation.metrics import associate, path_length_m, position_errors_m, rms
-from experiments.evaluation.view_overlap import best_overlap, is_rescuable
-from experiments.runs.execution import RunRecord, execute
-from experiments.runs.provenance import code_hash, commit
-from experiments.runs.sources import open_sequence
-from scenarios.errors import InputError
-from scenarios.input_files import is_folder
-from scenarios.loading import load_scenario
-from scenarios.spec import Scenario
-from sim.sequence import Sequence as ImageSequence
-from slam.core.events import Fusion, RecoveryStart
-from slam.dual.config import DualConfig
-from slam.dual.recovery.registry import parse_threads
-from slam.factory import build_system
+from dslab.experiments.benchmarks.kept_rows import Row, extend_rows, read_rows
+from dslab.experiments.evaluation.alignment import Undefined, align_poses
+from dslab.experiments.evaluation.breakages import BreakageOutcome, breakage_outcomes
+from dslab.experiments.evaluation.declared_audit import audit_declared
+from dslab.experiments.evaluation.metrics import associate, path_length_m, position_errors_m, rms
+from dslab.experiments.evaluation.view_overlap import best_overlap, is_rescuable
+from dslab.experiments.runs.execution import RunRecord, execute
+from dslab.experiments.runs.provenance import code_hash, commit
+from dslab.experiments.runs.sources import open_sequence
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import is_folder
+from dslab.scenarios.loading import load_scenario
+from dslab.scenarios.spec import Scenario
+from dslab.sim.sequence import Sequence as ImageSequence
+from dslab.slam.core.events import Fusion, RecoveryStart
+from dslab.slam.dual.config import DualConfig
+from dslab.slam.dual.recovery.registry import parse_threads
+from dslab.slam.factory import build_system
 
 KEY = ("scenario", "seed", "threads", "breakage")
 _BEFORE_S, _LEAST_POSES = 5.0, 15

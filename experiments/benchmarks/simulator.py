@@ -9,10 +9,10 @@ from pathlib import Path
 from threading import BrokenBarrierError
 from typing import Any
 
-from experiments.runs.memory import peak_rss_mb
-from experiments.runs.processes import process_pool
-from sim.rendering.renderers import check_renderer
-from sim.unfinished import scratch_folder
+from dslab.experiments.runs.memory import peak_rss_mb
+from dslab.experiments.runs.processes import process_pool
+from dslab.sim.rendering.renderers import check_renderer
+from dslab.sim.unfinished import scratch_folder
 
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 640, 480, 420.0
 LARGE_CITY_M = 1000.0
@@ -163,8 +163,8 @@ def _prepare_render(
     index: int, name: str, length_m: float | None, processes: int, frames: int, renderer_name: str
 ) -> Work:
     """Prepare to render clean frames along a scenario's path, each process on its own part."""
-    from scenarios.loading import load_scenario
-    from sim.frame_plan import plan_frames, render_backend
+    from dslab.scenarios.loading import load_scenario
+    from dslab.sim.frame_plan import plan_frames, render_backend
 
     scenario, backend = load_scenario(name), render_backend(renderer_name)
     if length_m is not None:
@@ -187,7 +187,7 @@ def _prepare_render(
 
 def _prepare_degrade(index: int, frames: int, exposure_s: float, cache: Path, renderer: str) -> Work:
     """Prepare to degrade cached frames of a corridor: fog, defocus, low light and sensor noise."""
-    from sim.sequence_rendering import render_backend, render_sequence
+    from dslab.sim.sequence_rendering import render_backend, render_sequence
 
     backend = render_backend(renderer)
     # Each process has its own frames in the cache, and a severity that is not yet there.
@@ -198,7 +198,7 @@ def _prepare_degrade(index: int, frames: int, exposure_s: float, cache: Path, re
 
 
 def _degraded(seconds: float, exposure_s: float, illumination: float):
-    from scenarios.spec import Scenario
+    from dslab.scenarios.spec import Scenario
 
     camera = {"width_px": WIDTH_PX, "height_px": HEIGHT_PX, "fx_px": FOCAL_PX, "fy_px": FOCAL_PX}
     severities = {
@@ -227,8 +227,8 @@ def _alone(measure: Callable[..., dict[str, float]], *arguments: Any) -> dict[st
 
 def _build_large_city(renderer: str, length_m: float) -> dict[str, float]:
     """Measure building a city and loading it into a renderer."""
-    from scenarios.worlds import CityWorld
-    from sim.frame_plan import render_backend
+    from dslab.scenarios.worlds import CityWorld
+    from dslab.sim.frame_plan import render_backend
 
     backend = render_backend(renderer)
     backend.build_world(CityWorld(length_m=100, turns=0), 0)  # compiles the kernels
@@ -247,7 +247,7 @@ def _build_large_city(renderer: str, length_m: float) -> dict[str, float]:
 
 
 def _intrinsics():
-    from sim.sensors.camera import Intrinsics
+    from dslab.sim.sensors.camera import Intrinsics
 
     centre = ((WIDTH_PX - 1) / 2, (HEIGHT_PX - 1) / 2)
     return Intrinsics(WIDTH_PX, HEIGHT_PX, FOCAL_PX, FOCAL_PX, *centre, 30.0)

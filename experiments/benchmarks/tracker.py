@@ -5,16 +5,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from experiments.benchmarks.fusions import fusion_figures
-from experiments.evaluation.summary import is_tracked, stage_times, time_figures
-from experiments.runs import execution
-from experiments.runs.execution import Mode, RunRecord, SystemFactory, SystemKind, execute
-from experiments.runs.foreign_systems import ForeignRun, ForeignSystem
-from experiments.runs.pacing import RealTime
-from sim.sequence import Sequence
+from dslab.experiments.benchmarks.fusions import fusion_figures
+from dslab.experiments.evaluation.summary import is_tracked, stage_times, time_figures
+from dslab.experiments.runs import execution
+from dslab.experiments.runs.execution import Mode, RunRecord, SystemFactory, SystemKind, execute
+from dslab.experiments.runs.foreign_systems import ForeignRun, ForeignSystem
+from dslab.experiments.runs.pacing import RealTime
+from dslab.sim.sequence import Sequence
 
 if TYPE_CHECKING:
-    from slam.dual.config import DualConfig
+    from dslab.slam.dual.config import DualConfig
 
 
 def bench(
@@ -53,7 +53,7 @@ def bench(
     """
     show = progress or (lambda step, done, total: None)
     if build is None:
-        from slam.warmup import warm_up
+        from dslab.slam.warmup import warm_up
 
         warm_up(show)
         build = execution.system_factory(mode, dual)
@@ -77,7 +77,7 @@ def bench(
             show(f"peer, {title}", 1, 1)
     figures = _figures(sequence, system_kind, mode, records)
     if peer is not None:
-        from experiments.benchmarks.comparison import compare
+        from dslab.experiments.benchmarks.comparison import compare
 
         figures["comparison"] = compare(sequence, records, peer_runs)
     return figures

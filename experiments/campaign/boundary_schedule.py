@@ -6,11 +6,11 @@ on who ends first; a resumed search goes on with the doses that it would have ch
 
 from collections.abc import Sequence
 
-from experiments.campaign.schedule import Record
-from experiments.eq1.boundary_plan import BoundaryPlan
-from experiments.eq1.units import UnitSpec
-from experiments.statistics.boundary import SHAM, CurveGrid, Floats, curve_grid
-from scenarios.errors import InputError
+from dslab.experiments.campaign.schedule import Record
+from dslab.experiments.eq1.boundary_plan import BoundaryPlan
+from dslab.experiments.eq1.units import UnitSpec
+from dslab.experiments.statistics.boundary import SHAM, CurveGrid, Floats, curve_grid
+from dslab.scenarios.errors import InputError
 
 
 class BoundarySchedule:

@@ -9,10 +9,10 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from experiments.campaign.unit_job import Job, Task, unit_record
-from experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings
-from scenarios.errors import InputError, MachineError
-from sim.unfinished import scratch_folder
+from dslab.experiments.campaign.unit_job import Job, Task, unit_record
+from dslab.experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings
+from dslab.scenarios.errors import InputError, MachineError
+from dslab.sim.unfinished import scratch_folder
 
 if TYPE_CHECKING:
     from distributed import Client, LocalCluster
@@ -71,7 +71,7 @@ def embedded_worker_pool(settings: WorkerPoolSettings, task: Task) -> Iterator[W
             memory_limit=limit,
             silence_logs=logging.CRITICAL,
             dashboard_address=None,
-            preload=["experiments.campaign.unit_job"],
+            preload=["dslab.experiments.campaign.unit_job"],
             # Dask opens a port for HTTP even without a dashboard: any free one.
             scheduler_kwargs={"allowed_failures": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"},
         ) as cluster,

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from experiments.campaign.folder import read_rows, rewrite_table
-from experiments.eq1.records import SHAM
-from experiments.eq1.spec import ExperimentSpec
-from scenarios.errors import InputError
+from dslab.experiments.campaign.folder import read_rows, rewrite_table
+from dslab.experiments.eq1.records import SHAM
+from dslab.experiments.eq1.spec import ExperimentSpec
+from dslab.scenarios.errors import InputError
 
 Row = dict[str, Any]
 Progress = Callable[[str, int, int], None]
@@ -48,7 +48,7 @@ def draw_exposure(spec: ExperimentSpec, progress: Progress = lambda step, done, 
         spec: of the experiment.
         progress: called with a name, sequences drawn and sequences to draw.
     """
-    from sim.stress_check import stress_acts
+    from dslab.sim.stress_check import stress_acts
 
     cells = {cell.image: name for name, cell in spec.cells.items() if cell.dose is not None}
     worlds = range(DRAWN_WORLDS if spec.worlds >= DRAWN_WORLDS else 0)
@@ -122,7 +122,7 @@ def _by_world(rows: dict[tuple[Any, ...], Row]) -> Iterator[tuple[tuple[Any, ...
 
 
 def _seen(spec: ExperimentSpec, row: Row) -> bool | None:
-    from sim.stress_check import stress_acts
+    from dslab.sim.stress_check import stress_acts
 
     try:
         unit = spec.unit(row["cell"], row["index"])

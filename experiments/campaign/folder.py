@@ -5,26 +5,26 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.campaign.folder_lock import LOCK_FILE
-from experiments.campaign.ledger import LEDGER_FILE, Ledger
-from experiments.campaign.schedule import Experiment
-from experiments.campaign.table_file import (
+from dslab.experiments.campaign.folder_lock import LOCK_FILE
+from dslab.experiments.campaign.ledger import LEDGER_FILE, Ledger
+from dslab.experiments.campaign.schedule import Experiment
+from dslab.experiments.campaign.table_file import (
     read_error_table,
     read_table,
     table_has_digest,
     write_errors,
     write_table,
 )
-from experiments.eq1.record_table import data_frame
-from scenarios.errors import InputError
-from scenarios.input_files import SETTINGS_BYTES, is_given, read_bytes
-from sim.io.folders import unwritable, write_file
-from sim.unfinished import sweep
+from dslab.experiments.eq1.record_table import data_frame
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import SETTINGS_BYTES, is_given, read_bytes
+from dslab.sim.io.folders import unwritable, write_file
+from dslab.sim.unfinished import sweep
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from experiments.eq1.spec import ExperimentSpec
+    from dslab.experiments.eq1.spec import ExperimentSpec
 
 SPEC_FILE = "spec.yaml"
 TABLE_FILE = "units.parquet"
@@ -77,7 +77,7 @@ def read_spec(folder: Path) -> "ExperimentSpec":
     Raises:
         InputError: the folder has no spec.
     """
-    from experiments.eq1.former_spec import load_any_spec
+    from dslab.experiments.eq1.former_spec import load_any_spec
 
     if not is_given(folder / SPEC_FILE):
         raise InputError(str(folder), f"has no {SPEC_FILE}", "give the folder of an experiment that was run")

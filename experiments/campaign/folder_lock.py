@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from scenarios.errors import InputError
+from dslab.scenarios.errors import InputError
 
 LOCK_FILE = "driver.lock"
 

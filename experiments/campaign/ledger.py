@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
-from experiments.campaign.ledger_file import (
+from dslab.experiments.campaign.ledger_file import (
     ERROR_COLUMNS,
     RERUN,
     check_owner,
@@ -23,16 +23,16 @@ from experiments.campaign.ledger_file import (
     explained,
     transaction,
 )
-from experiments.eq1.record_checks import digest_of, joint_digest, record_fault
-from experiments.eq1.record_table import data_frame, storable
-from experiments.eq1.records import Outcome, columns
-from experiments.eq1.units import UnitSpec
-from scenarios.errors import InputError
+from dslab.experiments.eq1.record_checks import digest_of, joint_digest, record_fault
+from dslab.experiments.eq1.record_table import data_frame, storable
+from dslab.experiments.eq1.records import Outcome, columns
+from dslab.experiments.eq1.units import UnitSpec
+from dslab.scenarios.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from experiments.campaign.schedule import Experiment
+    from dslab.experiments.campaign.schedule import Experiment
 
 LEDGER_FILE = "ledger.sqlite"
 Table = Literal["units", "infrastructure_errors"]

@@ -6,13 +6,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from experiments.eq1.record_checks import digest_of, joint_digest
-from experiments.eq1.record_table import SQL_TYPES
-from experiments.eq1.records import ColumnType
-from scenarios.errors import InputError
+from dslab.experiments.eq1.record_checks import digest_of, joint_digest
+from dslab.experiments.eq1.record_table import SQL_TYPES
+from dslab.experiments.eq1.records import ColumnType
+from dslab.scenarios.errors import InputError
 
 if TYPE_CHECKING:
-    from experiments.campaign.schedule import Experiment
+    from dslab.experiments.campaign.schedule import Experiment
 
 SCHEMA_VERSION = 3
 """Since 3 units are replicates of sequences in worlds. Earlier ledgers are refused."""

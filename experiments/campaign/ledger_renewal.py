@@ -5,12 +5,12 @@ import shutil
 from contextlib import closing
 from pathlib import Path
 
-from experiments.campaign.folder import SPEC_FILE
-from experiments.campaign.ledger import LEDGER_FILE, Ledger
-from experiments.campaign.ledger_file import connect, explained, has_tables
-from experiments.campaign.schedule import Experiment
-from scenarios.errors import InputError
-from sim.io.folders import unwritable
+from dslab.experiments.campaign.folder import SPEC_FILE
+from dslab.experiments.campaign.ledger import LEDGER_FILE, Ledger
+from dslab.experiments.campaign.ledger_file import connect, explained, has_tables
+from dslab.experiments.campaign.schedule import Experiment
+from dslab.scenarios.errors import InputError
+from dslab.sim.io.folders import unwritable
 
 _RENEWED = ".ledger-renewed"
 

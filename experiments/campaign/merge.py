@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from experiments.campaign.folder import claim_folder, read_rows, read_spec, write_spec
-from experiments.campaign.folder_lock import sole_driver
-from experiments.campaign.ledger import LEDGER_FILE, Ledger
-from experiments.campaign.runner import check_units
-from experiments.campaign.unit_job import is_infrastructure_error
-from experiments.eq1.records import reproduced
-from scenarios.errors import InputError
+from dslab.experiments.campaign.folder import claim_folder, read_rows, read_spec, write_spec
+from dslab.experiments.campaign.folder_lock import sole_driver
+from dslab.experiments.campaign.ledger import LEDGER_FILE, Ledger
+from dslab.experiments.campaign.runner import check_units
+from dslab.experiments.campaign.unit_job import is_infrastructure_error
+from dslab.experiments.eq1.records import reproduced
+from dslab.scenarios.errors import InputError
 
 
 @dataclass(frozen=True)

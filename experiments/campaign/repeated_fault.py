@@ -2,8 +2,8 @@
 
 import re
 
-from experiments.eq1.units import UnitSpec
-from scenarios.errors import MachineError
+from dslab.experiments.eq1.units import UnitSpec
+from dslab.scenarios.errors import MachineError
 
 _ALIKE = 2
 _VARYING = re.compile(r"[0-9a-f]{8,}|[0-9.]+")

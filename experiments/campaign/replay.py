@@ -8,14 +8,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from experiments.campaign.clusters import embedded_worker_pool
-from experiments.campaign.folder import read_rows
-from experiments.campaign.schedule import Experiment
-from experiments.campaign.unit_job import Job, is_infrastructure_error, unit_record
-from experiments.campaign.worker_pool import WorkerPoolSettings
-from experiments.eq1.records import decided
-from experiments.eq1.units import UnitSpec
-from scenarios.errors import InputError, MachineError
+from dslab.experiments.campaign.clusters import embedded_worker_pool
+from dslab.experiments.campaign.folder import read_rows
+from dslab.experiments.campaign.schedule import Experiment
+from dslab.experiments.campaign.unit_job import Job, is_infrastructure_error, unit_record
+from dslab.experiments.campaign.worker_pool import WorkerPoolSettings
+from dslab.experiments.eq1.records import decided
+from dslab.experiments.eq1.units import UnitSpec
+from dslab.scenarios.errors import InputError, MachineError
 
 _ABOUT_THE_CODE = {"code", "commit"}
 

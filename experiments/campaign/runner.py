@@ -10,18 +10,18 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
-from experiments.campaign.folder import claim_folder, write_spec
-from experiments.campaign.folder_lock import sole_driver
-from experiments.campaign.ledger import Ledger
-from experiments.campaign.ledger_renewal import renew_ledger
-from experiments.campaign.repeated_fault import RepeatedFault
-from experiments.campaign.schedule import Experiment, Record, Schedule, UnitOrder
-from experiments.campaign.unit_job import is_infrastructure_error
-from experiments.campaign.worker_pool import Ended, WorkerPool
-from experiments.eq1.record_table import normalise
-from experiments.eq1.records import SHAM, Outcome, dual_column, empty_record, thread_column
-from experiments.eq1.units import UnitSpec
-from scenarios.errors import InputError, MachineError
+from dslab.experiments.campaign.folder import claim_folder, write_spec
+from dslab.experiments.campaign.folder_lock import sole_driver
+from dslab.experiments.campaign.ledger import Ledger
+from dslab.experiments.campaign.ledger_renewal import renew_ledger
+from dslab.experiments.campaign.repeated_fault import RepeatedFault
+from dslab.experiments.campaign.schedule import Experiment, Record, Schedule, UnitOrder
+from dslab.experiments.campaign.unit_job import is_infrastructure_error
+from dslab.experiments.campaign.worker_pool import Ended, WorkerPool
+from dslab.experiments.eq1.record_table import normalise
+from dslab.experiments.eq1.records import SHAM, Outcome, dual_column, empty_record, thread_column
+from dslab.experiments.eq1.units import UnitSpec
+from dslab.scenarios.errors import InputError, MachineError
 
 TRIES = 4
 """Attempts per unit: the first, and three more after infrastructure errors."""

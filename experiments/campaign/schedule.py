@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from itertools import chain
 from typing import Any, Protocol
 
-from experiments.eq1.units import ThreadChoice, UnitSpec
+from dslab.experiments.eq1.units import ThreadChoice, UnitSpec
 
 Record = Mapping[str, Any]
 

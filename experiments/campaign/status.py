@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from experiments.campaign.folder import read_errors, read_rows
-from experiments.campaign.schedule import Schedule
-from experiments.eq1.records import Outcome, dual_column
+from dslab.experiments.campaign.folder import read_errors, read_rows
+from dslab.experiments.campaign.schedule import Schedule
+from dslab.experiments.eq1.records import Outcome, dual_column
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,14 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from experiments.campaign.worker_pool import WorkerPoolSettings
-from experiments.eq1.free_systems import LIMITS
-from experiments.eq1.spec import ExperimentSpec
-from experiments.eq1.units import system_label
-from experiments.runs.systems.command import CommandSystem
-from experiments.runs.systems.own_class import ClassSystem
-from experiments.runs.systems.registry import Registry, System, system_digest
-from scenarios.errors import InputError
+from dslab.experiments.campaign.worker_pool import WorkerPoolSettings
+from dslab.experiments.eq1.free_systems import LIMITS
+from dslab.experiments.eq1.spec import ExperimentSpec
+from dslab.experiments.eq1.units import system_label
+from dslab.experiments.runs.systems.command import CommandSystem
+from dslab.experiments.runs.systems.own_class import ClassSystem
+from dslab.experiments.runs.systems.registry import Registry, System, system_digest
+from dslab.scenarios.errors import InputError
 
 
 def find_systems(spec: ExperimentSpec, folders: Iterable[Path] = ()) -> dict[str, System]:

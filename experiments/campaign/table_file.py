@@ -4,13 +4,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from experiments.campaign.ledger_file import ERROR_COLUMNS
-from experiments.campaign.schedule import Experiment
-from experiments.eq1.record_checks import digest_of, record_fault
-from experiments.eq1.record_table import arrow_table
-from experiments.eq1.records import FORMER_COLUMNS, added_later, columns, failure_column
-from scenarios.errors import InputError
-from scenarios.input_files import open_file
+from dslab.experiments.campaign.ledger_file import ERROR_COLUMNS
+from dslab.experiments.campaign.schedule import Experiment
+from dslab.experiments.eq1.record_checks import digest_of, record_fault
+from dslab.experiments.eq1.record_table import arrow_table
+from dslab.experiments.eq1.records import FORMER_COLUMNS, added_later, columns, failure_column
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import open_file
 
 _DIGEST, _SPEC_DIGEST = b"digest", b"spec_digest"
 _REMEDY = "export it anew from its ledger, by the version that wrote it"

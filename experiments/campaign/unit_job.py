@@ -12,10 +12,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from experiments.eq1.record_table import normalise
-from experiments.eq1.records import Outcome, empty_record, error_message
-from experiments.eq1.units import UnitSpec
-from experiments.plugins import load_plugins
+from dslab.experiments.eq1.record_table import normalise
+from dslab.experiments.eq1.records import Outcome, empty_record, error_message
+from dslab.experiments.eq1.units import UnitSpec
+from dslab.experiments.plugins import load_plugins
 
 Task = Callable[..., Any]
 """Takes an item and options, returns its result; pickled by name, hence a function of a module."""

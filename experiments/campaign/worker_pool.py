@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 from uuid import uuid4
 
-from experiments.campaign.unit_job import Task, run_task
-from scenarios.errors import InputError, MachineError
+from dslab.experiments.campaign.unit_job import Task, run_task
+from dslab.scenarios.errors import InputError, MachineError
 
 if TYPE_CHECKING:
     from distributed import Client, Future

@@ -4,9 +4,9 @@ import os
 import signal
 import sys
 
-from experiments.cli.signals import signals_as_interrupts
-from experiments.cli.streams import safe_streams
-from scenarios.errors import InputError
+from dslab.experiments.cli.signals import signals_as_interrupts
+from dslab.experiments.cli.streams import safe_streams
+from dslab.scenarios.errors import InputError
 
 
 def main() -> None:
@@ -19,9 +19,9 @@ def main() -> None:
     with safe_streams(), signals_as_interrupts() as received:
         try:
             # Imported here, so that a signal meanwhile is heeded too.
-            from experiments.cli.commands import app
-            from experiments.cli.usage import run_app
-            from experiments.plugins import load_plugins
+            from dslab.experiments.cli.commands import app
+            from dslab.experiments.cli.usage import run_app
+            from dslab.experiments.plugins import load_plugins
 
             load_plugins()
             run_app(app)
@@ -50,8 +50,8 @@ def _is_interrupt(ending: BaseException) -> bool:
 
 def _clear_up() -> None:
     """Remove what this process and its workers, which were killed, had no time to."""
-    from sim.cache import UNFINISHED, default_cache_dir
-    from sim.unfinished import remove_own, sweep, sweep_scratch
+    from dslab.sim.cache import UNFINISHED, default_cache_dir
+    from dslab.sim.unfinished import remove_own, sweep, sweep_scratch
 
     remove_own()
     sweep_scratch()
@@ -59,6 +59,6 @@ def _clear_up() -> None:
 
 
 def _say(line: str) -> None:
-    from experiments.cli.console import print_error_line
+    from dslab.experiments.cli.console import print_error_line
 
     print_error_line(line)

@@ -8,7 +8,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from experiments.cli.console import (
+from dslab.experiments.cli.console import (
     JsonOption,
     SystemsOption,
     number,
@@ -45,14 +45,14 @@ def batch_command(
 
     `dslab batch kitti.yaml --out out/kitti --figures`
     """
-    from experiments.batch.pairs import PAIRS_FILE, pairs
-    from experiments.batch.paper_figures import FIGURES_DIR, write_figures
-    from experiments.batch.paper_tables import TABLES_DIR, write_tables
-    from experiments.batch.run import CSV_FILE, run_batch
-    from experiments.batch.spec import read_batch
-    from experiments.batch.table import sums
-    from experiments.runs.files import plain
-    from sim.io.folders import write_file
+    from dslab.experiments.batch.pairs import PAIRS_FILE, pairs
+    from dslab.experiments.batch.paper_figures import FIGURES_DIR, write_figures
+    from dslab.experiments.batch.paper_tables import TABLES_DIR, write_tables
+    from dslab.experiments.batch.run import CSV_FILE, run_batch
+    from dslab.experiments.batch.spec import read_batch
+    from dslab.experiments.batch.table import sums
+    from dslab.experiments.runs.files import plain
+    from dslab.sim.io.folders import write_file
 
     spec, sources = read_batch(batch)
     with progress_bars() as show:
@@ -78,8 +78,8 @@ def batch_command(
 
 def _check_made(rows: "pd.DataFrame") -> None:
     """Raise MachineError, after all is printed, if runs could not be made."""
-    from experiments.batch.rows import ERROR
-    from scenarios.errors import MachineError
+    from dslab.experiments.batch.rows import ERROR
+    from dslab.scenarios.errors import MachineError
 
     lacking = rows[rows.ended == ERROR]
     if len(lacking):
@@ -114,7 +114,7 @@ def _beside(beside: "pd.DataFrame", first: str) -> Table:
 
 def _tables(found: "pd.DataFrame") -> Iterator[Table]:
     """A table per sequence, with the same columns."""
-    from experiments.batch.paper_tables import short_name
+    from dslab.experiments.batch.paper_tables import short_name
 
     columns = (
         "intact\nmap", "ended\nbadly", "break-\nages", "ATE m,\nkeyfr.", "ATE m,\nframes", "RPE m\nper s",

@@ -9,9 +9,9 @@ import typer
 from rich.table import Table
 from typer.core import TyperGroup
 
-from experiments.cli.bench_direct import direct_command
-from experiments.cli.bench_recoveries import recoveries_command
-from experiments.cli.console import (
+from dslab.experiments.cli.bench_direct import direct_command
+from dslab.experiments.cli.bench_recoveries import recoveries_command
+from dslab.experiments.cli.console import (
     JsonOption,
     ModeChoice,
     ModeOption,
@@ -28,14 +28,14 @@ from experiments.cli.console import (
     share,
     single_threaded_opencv,
 )
-from experiments.cli.run import SystemChoice, chosen_systems
-from scenarios.errors import InputError
-from scenarios.input_files import is_folder
+from dslab.experiments.cli.run import SystemChoice, chosen_systems
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import is_folder
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from slam.dual.config import DualConfig
+    from dslab.slam.dual.config import DualConfig
 
 _HELP = """Measure the speed of the tracker (`slam`), the simulator (`sim`) or whole units (`experiment`).
 
@@ -116,10 +116,10 @@ def slam_command(
 
     `dslab bench slam stressed --seed 3 --system dual --no-relocalization --mode threaded --real-time`
     """
-    from experiments.benchmarks.tracker import bench
-    from experiments.runs.files import plain
-    from experiments.runs.foreign_systems import check_command, open_foreign_system
-    from experiments.runs.sources import open_sequence
+    from dslab.experiments.benchmarks.tracker import bench
+    from dslab.experiments.runs.files import plain
+    from dslab.experiments.runs.foreign_systems import check_command, open_foreign_system
+    from dslab.experiments.runs.sources import open_sequence
 
     check_real_time(real_time, mode)
     if no_relocalization and system in (SystemChoice.BASE, SystemChoice.DSO):
@@ -167,7 +167,7 @@ def slam_command(
 
 
 def _without_relocalization() -> "DualConfig":
-    from slam.dual.config import DualConfig
+    from dslab.slam.dual.config import DualConfig
 
     return DualConfig(relocalization=False)
 
@@ -232,8 +232,8 @@ def sim_command(
 
     `dslab bench sim`
     """
-    from experiments.benchmarks.simulator import bench_sim
-    from sim.rendering.renderers import DEFAULT_RENDERER
+    from dslab.experiments.benchmarks.simulator import bench_sim
+    from dslab.sim.rendering.renderers import DEFAULT_RENDERER
 
     with progress_bars() as show:
         figures = bench_sim(processes, frames, show, renderer or DEFAULT_RENDERER)
@@ -293,9 +293,9 @@ def experiment_command(
 
     `dslab bench experiment eq1-quick --units 8 --workers 4`
     """
-    from experiments.benchmarks.experiment import bench_experiment
-    from experiments.eq1.spec import load_spec
-    from experiments.eq1.trial import run_unit
+    from dslab.experiments.benchmarks.experiment import bench_experiment
+    from dslab.experiments.eq1.spec import load_spec
+    from dslab.experiments.eq1.trial import run_unit
 
     with progress_bars() as show:
         figures = bench_experiment(load_spec(experiment), units, workers, run_unit, show)
@@ -332,7 +332,7 @@ def declarations_command(
 
     `dslab bench declarations aliased/room aliased/city --seeds 1-10 --workers 2 --out out/aliased.parquet`
     """
-    from experiments.benchmarks.declarations import COUNTS, measure_declarations
+    from dslab.experiments.benchmarks.declarations import COUNTS, measure_declarations
 
     systems = chosen_systems(system)
     single_threaded_opencv()
@@ -384,9 +384,9 @@ def accuracy_command(
 
     `dslab bench accuracy clean-room path/to/sequence --peer path/to/orbslam3.py --out out/accuracy.parquet`
     """
-    from experiments.benchmarks.accuracy import measure_accuracy, sums
-    from experiments.runs.files import plain
-    from experiments.runs.foreign_systems import check_command
+    from dslab.experiments.benchmarks.accuracy import measure_accuracy, sums
+    from dslab.experiments.runs.files import plain
+    from dslab.experiments.runs.foreign_systems import check_command
 
     if peer is not None:
         check_command(peer)

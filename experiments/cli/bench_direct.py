@@ -5,7 +5,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from experiments.cli.console import (
+from dslab.experiments.cli.console import (
     JsonOption,
     number,
     parse_seeds,
@@ -28,7 +28,7 @@ def direct_command(
 
     `dslab bench direct --seeds 301-302`
     """
-    from experiments.benchmarks.direct import bench_direct
+    from dslab.experiments.benchmarks.direct import bench_direct
 
     single_threaded_opencv()
     with progress_bars() as show:

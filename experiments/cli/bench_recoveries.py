@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from experiments.cli.console import (
+from dslab.experiments.cli.console import (
     JsonOption,
     number,
     out,
@@ -37,8 +37,8 @@ def recoveries_command(
 
     `dslab bench recoveries stressed --seeds 1-20 --threads orb,direct,sift --out out/rescued.parquet`
     """
-    from experiments.benchmarks.recoveries import measure_recoveries, recovery_sums
-    from slam.dual.recovery.registry import parse_threads
+    from dslab.experiments.benchmarks.recoveries import measure_recoveries, recovery_sums
+    from dslab.slam.dual.recovery.registry import parse_threads
 
     try:
         kinds = [spec.kind for spec in parse_threads(threads)]

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from experiments.cli.console import JsonOption, SystemsOption, check_seed, err, out, print_json_line
-from experiments.cli.experiment_progress import experiment_progress
+from dslab.experiments.cli.console import JsonOption, SystemsOption, check_seed, err, out, print_json_line
+from dslab.experiments.cli.experiment_progress import experiment_progress
 
 if TYPE_CHECKING:
-    from experiments.campaign.boundary_schedule import BoundarySchedule
-    from experiments.campaign.runner import Tally
-    from experiments.eq1.boundary_plan import BoundaryPlan
+    from dslab.experiments.campaign.boundary_schedule import BoundarySchedule
+    from dslab.experiments.campaign.runner import Tally
+    from dslab.experiments.eq1.boundary_plan import BoundaryPlan
 
 
 class FailureChoice(StrEnum):
@@ -100,16 +100,21 @@ def boundary_command(
     """
     from functools import partial
 
-    from experiments.campaign.clusters import open_worker_pool
-    from experiments.campaign.runner import run_experiment
-    from experiments.campaign.system_checks import check_workers, digests_of, find_systems, takes_real_time
-    from experiments.campaign.worker_pool import WorkerPoolSettings
-    from experiments.eq1.boundary_plan import boundary_plan
-    from experiments.eq1.doses import dose_axis
-    from experiments.eq1.spec import load_spec
-    from experiments.eq1.trial import run_unit
-    from experiments.report.boundary import PICTURE_FILE, write_boundary
-    from experiments.runs.provenance import usable_cores
+    from dslab.experiments.campaign.clusters import open_worker_pool
+    from dslab.experiments.campaign.runner import run_experiment
+    from dslab.experiments.campaign.system_checks import (
+        check_workers,
+        digests_of,
+        find_systems,
+        takes_real_time,
+    )
+    from dslab.experiments.campaign.worker_pool import WorkerPoolSettings
+    from dslab.experiments.eq1.boundary_plan import boundary_plan
+    from dslab.experiments.eq1.doses import dose_axis
+    from dslab.experiments.eq1.spec import load_spec
+    from dslab.experiments.eq1.trial import run_unit
+    from dslab.experiments.report.boundary import PICTURE_FILE, write_boundary
+    from dslab.experiments.runs.provenance import usable_cores
 
     plan = boundary_plan(
         load_spec(spec),
@@ -164,14 +169,14 @@ class _Estimating:
         self._shown = (-1, "")
 
     def schedule(self, _experiment: Any, rows: Any) -> "BoundarySchedule":
-        from experiments.campaign.boundary_schedule import BoundarySchedule
+        from dslab.experiments.campaign.boundary_schedule import BoundarySchedule
 
         self._schedule = BoundarySchedule(self._plan, rows)
         return self._schedule
 
     def text(self, tally: "Tally") -> str:
         """The answer so far, void trials and errors."""
-        from experiments.report.boundary import answer_text
+        from dslab.experiments.report.boundary import answer_text
 
         if self._schedule is None or tally.done <= self._plan.shams:
             return f"trials without stress, {tally.void} void"

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from experiments.cli.console import print_facts
+from dslab.experiments.cli.console import print_facts
 
 if TYPE_CHECKING:
-    from sim.cache import Entry, FolderCache
+    from dslab.sim.cache import Entry, FolderCache
 
 _HELP = """Show the cache of rendered frames: its folder, its size and how many entries it has.
 
@@ -27,7 +27,7 @@ app = typer.Typer(help=_HELP)
 def show(context: typer.Context) -> None:
     if context.invoked_subcommand is not None:
         return
-    from sim.cache import CACHE_DIR_VARIABLE, FolderCache
+    from dslab.sim.cache import CACHE_DIR_VARIABLE, FolderCache
 
     store = FolderCache()
     entries = store.entries()
@@ -55,7 +55,7 @@ def clean(
 
     `dslab cache clean --older-than 7`
     """
-    from sim.cache import FolderCache
+    from dslab.sim.cache import FolderCache
 
     store = FolderCache()
     deleted, used = store.clean(older_than * _DAY_S)
@@ -65,7 +65,7 @@ def clean(
 
 def size_text(store: "FolderCache") -> str:
     """Size and cap of a cache."""
-    from sim.cache import MAX_BYTES
+    from dslab.sim.cache import MAX_BYTES
 
     return f"{gigabytes(store.entries())} of at most {MAX_BYTES / 1e9:g} GB"
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli import (
+from dslab.experiments.cli import (
     bench,
     cache,
     config,
@@ -18,15 +18,15 @@ from experiments.cli import (
     vocabulary,
     warmup,
 )
-from experiments.cli.batch import batch_command
-from experiments.cli.compare import compare_command
-from experiments.cli.degrade import degrade_command
-from experiments.cli.evo import evo_command
-from experiments.cli.export import export_command
-from experiments.cli.footage import footage_command
-from experiments.cli.paper import paper_command
-from experiments.cli.render import render_command
-from experiments.cli.scenarios import app as scenarios_app
+from dslab.experiments.cli.batch import batch_command
+from dslab.experiments.cli.compare import compare_command
+from dslab.experiments.cli.degrade import degrade_command
+from dslab.experiments.cli.evo import evo_command
+from dslab.experiments.cli.export import export_command
+from dslab.experiments.cli.footage import footage_command
+from dslab.experiments.cli.paper import paper_command
+from dslab.experiments.cli.render import render_command
+from dslab.experiments.cli.scenarios import app as scenarios_app
 
 app = typer.Typer(
     name="dslab",

@@ -7,7 +7,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from experiments.cli.console import FolderOption, JsonOption, out, print_json_line, print_table
+from dslab.experiments.cli.console import FolderOption, JsonOption, out, print_json_line, print_table
 
 
 def compare_command(
@@ -29,7 +29,7 @@ def compare_command(
 
     `dslab compare out/base out/dual --out out/page`
     """
-    from experiments.comparison.compare import PAGE_FILE, compare_runs
+    from dslab.experiments.comparison.compare import PAGE_FILE, compare_runs
 
     content = compare_runs(folders, out_dir)
     if as_json:

@@ -4,7 +4,7 @@ import json
 
 import typer
 
-from experiments.cli.console import out
+from dslab.experiments.cli.console import out
 
 app = typer.Typer(
     no_args_is_help=True, help="Settings of the SLAM: see them all, check files against their schema."
@@ -17,7 +17,7 @@ def show_command() -> None:
 
     For example: `dslab config show > slam.yaml`
     """
-    from experiments.runs.slam_settings import settings_yaml
+    from dslab.experiments.runs.slam_settings import settings_yaml
 
     out.print(settings_yaml(), highlight=False, soft_wrap=True, end="")
 
@@ -28,6 +28,6 @@ def schema_command() -> None:
 
     For example: `dslab config schema > slam.schema.json`
     """
-    from experiments.runs.slam_settings import settings_schema
+    from dslab.experiments.runs.slam_settings import settings_schema
 
     out.print(json.dumps(settings_schema(), indent=2), highlight=False, soft_wrap=True)

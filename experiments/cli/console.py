@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from sim.sequence import SegmentTruth
+    from dslab.sim.sequence import SegmentTruth
 
 # Names of files and scenarios are printed everywhere: nothing that is printed is markup.
 _PLAIN: Any = {"markup": False, "emoji": False, "highlight": False}
@@ -95,7 +95,7 @@ def check_seed(seed: int | None) -> int | None:
 
 def check_real_time(real_time: bool, mode: ModeChoice) -> None:
     """Raise InputError for --real-time outside threaded mode."""
-    from scenarios.errors import InputError
+    from dslab.scenarios.errors import InputError
 
     if real_time and mode is not ModeChoice.THREADED:
         raise InputError("--real-time", f"the mode is {mode}", "add --mode threaded")
@@ -130,7 +130,7 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
 
 def parse_seeds(text: str) -> list[int]:
     """Parse one seed or a range of seeds, such as 7 or 1-10. Raises InputError."""
-    from scenarios.errors import InputError
+    from dslab.scenarios.errors import InputError
 
     first, _, last = text.partition("-")
     if not first.isdecimal() or ("-" in text and not last.isdecimal()) or int(last or first) < int(first):

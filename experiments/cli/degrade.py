@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli.console import (
+from dslab.experiments.cli.console import (
     CameraOption,
     FolderOption,
     ForceOption,
@@ -21,7 +21,7 @@ from experiments.cli.console import (
 def _print_kinds(requested: bool) -> None:
     if not requested:
         return
-    from experiments.cli.degrade_kinds import described_kinds
+    from dslab.experiments.cli.degrade_kinds import described_kinds
 
     for part in described_kinds():
         out.print(part)
@@ -86,13 +86,13 @@ def degrade_command(
 
     `dslab degrade MH_01 --segment "rain:start_s=10,duration_s=20,rate_mmph=40,ramp_s=2" --out out/rainy`
     """
-    from experiments.runs.sources import open_imu
-    from scenarios.errors import InputError
-    from scenarios.segment_text import parse_segment
-    from sim.degradations.recorded_kinds import check_recorded_sequence
-    from sim.degradations.recorded_sequences import degrade_sequence
-    from sim.io.folders import check_free, scratch_beside
-    from sim.io.forms import (
+    from dslab.experiments.runs.sources import open_imu
+    from dslab.scenarios.errors import InputError
+    from dslab.scenarios.segment_text import parse_segment
+    from dslab.sim.degradations.recorded_kinds import check_recorded_sequence
+    from dslab.sim.degradations.recorded_sequences import degrade_sequence
+    from dslab.sim.io.folders import check_free, scratch_beside
+    from dslab.sim.io.forms import (
         READ_ONLY,
         WITH_DEPTH,
         Form,
@@ -101,7 +101,7 @@ def degrade_command(
         sequence_folder,
         write_sequence,
     )
-    from sim.room import check_room, images_need
+    from dslab.sim.room import check_room, images_need
 
     segments = [parse_segment(text) for text in segment]
     with progress_bars() as show:

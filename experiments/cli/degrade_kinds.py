@@ -7,10 +7,10 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from scenarios.describe import label_and_unit
-from scenarios.segments import SEGMENT_KINDS, ImageSegment, SegmentBase
-from sim.degradations.recorded_kinds import recording_lacks
-from sim.degradations.registry import DEGRADATIONS
+from dslab.scenarios.describe import label_and_unit
+from dslab.scenarios.segments import SEGMENT_KINDS, ImageSegment, SegmentBase
+from dslab.sim.degradations.recorded_kinds import recording_lacks
+from dslab.sim.degradations.registry import DEGRADATIONS
 
 _OF_EVERY_KIND = ("kind", "start_s", "duration_s", "ramp_s", "fall_s")
 _WORLD = "a world"

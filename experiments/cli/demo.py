@@ -8,11 +8,18 @@ import typer
 from rich import box
 from rich.table import Table
 
-from experiments.cli.console import MOST_SEED, ForceOption, out, progress_bars, share, single_threaded_opencv
+from dslab.experiments.cli.console import (
+    MOST_SEED,
+    ForceOption,
+    out,
+    progress_bars,
+    share,
+    single_threaded_opencv,
+)
 
 if TYPE_CHECKING:
-    from experiments.eq1.spec import ExperimentSpec
-    from experiments.statistics.judged import JudgedCell
+    from dslab.experiments.eq1.spec import ExperimentSpec
+    from dslab.experiments.statistics.judged import JudgedCell
 
 SCENARIO, SEED = "stressed", 4
 """Default of the demonstration: of the seeds 0 to 4 the one in which the base stays lost and a recovery
@@ -57,13 +64,13 @@ def demo_command(
 
     `dslab demo --scenario breakage --no-units`
     """
-    from experiments.cli.run_tables import print_runs
-    from experiments.demo import EXPERIMENT_DIR, MARKER_FILE, run_demo
-    from experiments.eq1.spec import load_spec
-    from experiments.result_folder import PICTURE_FILE, RECORDING_FILE
-    from scenarios.loading import load_scenario
-    from sim.io.folders import check_free
-    from sim.sequence_rendering import render_sequence
+    from dslab.experiments.cli.run_tables import print_runs
+    from dslab.experiments.demo import EXPERIMENT_DIR, MARKER_FILE, run_demo
+    from dslab.experiments.eq1.spec import load_spec
+    from dslab.experiments.result_folder import PICTURE_FILE, RECORDING_FILE
+    from dslab.scenarios.loading import load_scenario
+    from dslab.sim.io.folders import check_free
+    from dslab.sim.sequence_rendering import render_sequence
 
     check_free(out_dir, MARKER_FILE)
     single_threaded_opencv()
@@ -91,7 +98,7 @@ def demo_command(
 
 def units_table(levels: Sequence["JudgedCell"], experiment: "ExperimentSpec") -> Table:
     """Predicted and measured shares of dual failures in one cell, a row for each number of threads."""
-    from scenarios.describe import describe_field, describe_kind
+    from dslab.scenarios.describe import describe_field, describe_kind
 
     cell, kinds = levels[0], [thread.kind for thread in experiment.threads]
     of_cell = experiment.cells[cell.cell]

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import typer
 
-from experiments.cli.cache import size_text
-from experiments.cli.console import err, print_facts
-from experiments.kernel_cache import VARIABLE
-from scenarios.errors import InputError
+from dslab.experiments.cli.cache import size_text
+from dslab.experiments.cli.console import err, print_facts
+from dslab.experiments.kernel_cache import VARIABLE
+from dslab.scenarios.errors import InputError
 
 
 def doctor_command() -> None:
@@ -17,7 +17,7 @@ def doctor_command() -> None:
 
     Example: `dslab doctor`
     """
-    from experiments.runs.provenance import commit, usable_cores, versions
+    from dslab.experiments.runs.provenance import commit, usable_cores, versions
 
     gl, gl_error = _gl()
     print_facts(
@@ -39,7 +39,7 @@ def doctor_command() -> None:
 
 
 def _gl() -> tuple[str, InputError | None]:
-    from sim.rendering.gl_context import gl_info
+    from dslab.sim.rendering.gl_context import gl_info
 
     try:
         info = gl_info()
@@ -49,7 +49,7 @@ def _gl() -> tuple[str, InputError | None]:
 
 
 def _renderers() -> str:
-    from sim.rendering.renderers import RENDERERS, load_renderer
+    from dslab.sim.rendering.renderers import RENDERERS, load_renderer
 
     def state(name: str) -> str:
         try:
@@ -69,14 +69,14 @@ def _memory() -> str:
 
 
 def _render_cache() -> str:
-    from sim.cache import CACHE_DIR_VARIABLE, FolderCache
+    from dslab.sim.cache import CACHE_DIR_VARIABLE, FolderCache
 
     store = FolderCache()
     return f"{store.root}, {size_text(store)}; {CACHE_DIR_VARIABLE} names another"
 
 
 def _kernel_cache() -> str:
-    import slam
+    from dslab import slam
 
     root = Path(str(slam.__file__)).parent
     if named := os.environ.get(VARIABLE):

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from experiments.cli.console import JsonOption, number, out, print_json_line, print_table
+from dslab.experiments.cli.console import JsonOption, number, out, print_json_line, print_table
 
 if TYPE_CHECKING:
-    from experiments.evaluation.evo_result import EvoResult
+    from dslab.experiments.evaluation.evo_result import EvoResult
 
 _ZIP = ".zip"
 _SHOWN = ("rmse", "mean", "median", "std", "max")
@@ -37,11 +37,11 @@ def evo_command(
 
     `dslab evo out/batch --out out/evo`
     """
-    from experiments.comparison.left_runs import find_runs
-    from experiments.evaluation.alignment import Undefined
-    from experiments.evaluation.evo_result import ate_result, read_evo_result, write_evo_result
-    from scenarios.errors import InputError
-    from sim.io.folders import check_free, new_directory
+    from dslab.experiments.comparison.left_runs import find_runs
+    from dslab.experiments.evaluation.alignment import Undefined
+    from dslab.experiments.evaluation.evo_result import ate_result, read_evo_result, write_evo_result
+    from dslab.scenarios.errors import InputError
+    from dslab.sim.io.folders import check_free, new_directory
 
     zips = [source for source in sources if source.suffix.lower() == _ZIP]
     folders = [source for source in sources if source not in zips]
@@ -78,7 +78,7 @@ def _names(places: list[Path]) -> list[str]:
     Raises:
         InputError: two are the same.
     """
-    from scenarios.errors import InputError
+    from dslab.scenarios.errors import InputError
 
     whole = [place.resolve().parts[1:] for place in places]
     for count in range(1, max(map(len, whole)) + 1):

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli.boundary import boundary_command
-from experiments.cli.console import (
+from dslab.experiments.cli.boundary import boundary_command
+from dslab.experiments.cli.console import (
     JsonOption,
     SystemsOption,
     err,
@@ -16,11 +16,11 @@ from experiments.cli.console import (
     print_table,
     progress_bars,
 )
-from experiments.cli.experiment_progress import estimates_text, experiment_progress
-from experiments.cli.experiment_tables import print_answer, print_replay, status_table
-from experiments.cli.exposure import exposure_command, tell_idle_cells
-from experiments.cli.fuzz import fuzz_command
-from experiments.cli.merge import merge_command
+from dslab.experiments.cli.experiment_progress import estimates_text, experiment_progress
+from dslab.experiments.cli.experiment_tables import print_answer, print_replay, status_table
+from dslab.experiments.cli.exposure import exposure_command, tell_idle_cells
+from dslab.experiments.cli.fuzz import fuzz_command
+from dslab.experiments.cli.merge import merge_command
 
 _HELP = """Run many units with base and Dual-SLAM: run, resume, status, replay, report.
 
@@ -97,14 +97,19 @@ def run_command(
     """
     from functools import partial
 
-    from experiments.campaign.clusters import open_worker_pool
-    from experiments.campaign.runner import run_experiment
-    from experiments.campaign.schedule import Schedule
-    from experiments.campaign.system_checks import check_workers, digests_of, find_systems, takes_real_time
-    from experiments.campaign.worker_pool import WorkerPoolSettings
-    from experiments.eq1.spec import load_spec
-    from experiments.eq1.trial import run_unit
-    from experiments.runs.provenance import usable_cores
+    from dslab.experiments.campaign.clusters import open_worker_pool
+    from dslab.experiments.campaign.runner import run_experiment
+    from dslab.experiments.campaign.schedule import Schedule
+    from dslab.experiments.campaign.system_checks import (
+        check_workers,
+        digests_of,
+        find_systems,
+        takes_real_time,
+    )
+    from dslab.experiments.campaign.worker_pool import WorkerPoolSettings
+    from dslab.experiments.eq1.spec import load_spec
+    from dslab.experiments.eq1.trial import run_unit
+    from dslab.experiments.runs.provenance import usable_cores
 
     spec = load_spec(experiment)
     if worlds is not None:
@@ -163,8 +168,8 @@ def status_command(folder: FolderArgument, as_json: JsonOption = False) -> None:
     """
     from dataclasses import asdict
 
-    from experiments.campaign.status import experiment_status
-    from experiments.runs.files import plain
+    from dslab.experiments.campaign.status import experiment_status
+    from dslab.experiments.runs.files import plain
 
     status = experiment_status(folder)
     _note_digests(folder)
@@ -211,8 +216,8 @@ def power_command(
     """
     from dataclasses import asdict
 
-    from experiments.statistics.power import MOST_WORLDS, Design, power_of, worlds_needed
-    from scenarios.errors import InputError
+    from dslab.experiments.statistics.power import MOST_WORLDS, Design, power_of, worlds_needed
+    from dslab.scenarios.errors import InputError
 
     if n is not None and len(pr) not in (1, n):
         raise InputError(
@@ -261,8 +266,8 @@ def prove_command(
 
     from rich.table import Table
 
-    from experiments.statistics.proofs import claims, prove
-    from scenarios.errors import InputError
+    from dslab.experiments.statistics.proofs import claims, prove
+    from dslab.scenarios.errors import InputError
 
     total = sum(only in claim.name for claim in claims())
     if total == 0:
@@ -309,10 +314,10 @@ def replay_command(
     """
     from functools import partial
 
-    from experiments.campaign.replay import replay
-    from experiments.campaign.worker_pool import WorkerPoolSettings
-    from experiments.eq1.trial import run_unit
-    from experiments.runs.files import plain
+    from dslab.experiments.campaign.replay import replay
+    from dslab.experiments.campaign.worker_pool import WorkerPoolSettings
+    from dslab.experiments.eq1.trial import run_unit
+    from dslab.experiments.runs.files import plain
 
     settings = WorkerPoolSettings(timeout_s=timeout, memory_mb=memory or None)
     with progress_bars() as show:
@@ -342,7 +347,7 @@ def export_command(
 
     `dslab experiment export out/smoke --csv`
     """
-    from experiments.campaign.folder import export
+    from dslab.experiments.campaign.folder import export
 
     out.print(f"one row per unit in {export(folder, csv)}", soft_wrap=True)
     _note_digests(folder)
@@ -361,8 +366,8 @@ def report_command(
 
     `dslab experiment report out/smoke --recordings 3`
     """
-    from experiments.report.write import FIGURES, write_report
-    from scenarios.input_files import read_json
+    from dslab.experiments.report.write import FIGURES, write_report
+    from dslab.scenarios.input_files import read_json
 
     with progress_bars() as show:
         path = write_report(folder, recordings, lambda done, total: show("recordings", done, total))
@@ -382,13 +387,13 @@ def schema_command() -> None:
     """
     import json
 
-    from experiments.eq1.spec_schema import json_schema
+    from dslab.experiments.eq1.spec_schema import json_schema
 
     print(json.dumps(json_schema(), indent=2))
 
 
 def _note_digests(folder: Path) -> None:
-    from experiments.campaign.folder import has_digests
+    from dslab.experiments.campaign.folder import has_digests
 
     if not has_digests(folder):
         note = "its rows were written before they had digests: a changed value may pass for a true one"

@@ -10,10 +10,10 @@ from rich.console import RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.text import Text
 
-from experiments.cli.console import err
+from dslab.experiments.cli.console import err
 
 if TYPE_CHECKING:
-    from experiments.campaign.runner import Tally
+    from dslab.experiments.campaign.runner import Tally
 
 
 class _Bar(Progress):

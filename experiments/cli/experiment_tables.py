@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
-from experiments.cli.console import out, print_table
+from dslab.experiments.cli.console import out, print_table
 
 if TYPE_CHECKING:
-    from experiments.campaign.replay import Replay
-    from experiments.campaign.status import ExperimentStatus
+    from dslab.experiments.campaign.replay import Replay
+    from dslab.experiments.campaign.status import ExperimentStatus
 
 
 def print_answer(answer: dict[str, Any]) -> None:
@@ -18,7 +18,7 @@ def print_answer(answer: dict[str, Any]) -> None:
     Args:
         answer: of report.json: ``headline``, ``sentences``, and ``rows`` per kind of world and n.
     """
-    from experiments.report.describe import ends_percent, percent
+    from dslab.experiments.report.describe import ends_percent, percent
 
     out.print(answer["headline"], markup=False)
     out.print(" ".join(answer["sentences"]), markup=False)

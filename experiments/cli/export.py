@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli.console import (
+from dslab.experiments.cli.console import (
     CameraOption,
     FolderOption,
     ForceOption,
@@ -55,10 +55,10 @@ def export_command(
 
     `dslab export path/to/images --camera cam.yaml --format vslam-lab --out out/walk`
     """
-    from experiments.runs.sources import open_imu, open_sequence
-    from scenarios.errors import InputError
-    from sim.io.folders import check_free
-    from sim.io.forms import WITH_DEPTH, Form, write_sequence
+    from dslab.experiments.runs.sources import open_imu, open_sequence
+    from dslab.scenarios.errors import InputError
+    from dslab.sim.io.folders import check_free
+    from dslab.sim.io.forms import WITH_DEPTH, Form, write_sequence
 
     if imu and form is not FormatChoice.EUROC:
         raise InputError("--imu", f"the form {form} has no inertial readings", "use --format euroc")

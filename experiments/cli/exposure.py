@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from experiments.cli.console import err, out, progress_bars
+from dslab.experiments.cli.console import err, out, progress_bars
 
 if TYPE_CHECKING:
-    from experiments.eq1.spec import ExperimentSpec
+    from dslab.experiments.eq1.spec import ExperimentSpec
 
 
 def exposure_command(
@@ -21,7 +21,7 @@ def exposure_command(
 
     `dslab experiment exposure docs/eq1`
     """
-    from experiments.campaign.exposure import fill_exposed
+    from dslab.experiments.campaign.exposure import fill_exposed
 
     with progress_bars() as progress:
         found = fill_exposed(folder, progress)
@@ -35,8 +35,8 @@ def exposure_command(
 
 def tell_idle_cells(spec: "ExperimentSpec", folder: Path) -> None:
     """Draw some worlds of an experiment that has not begun, and name the cells whose stress seldom acts."""
-    from experiments.campaign.exposure import draw_exposure
-    from experiments.campaign.ledger import LEDGER_FILE
+    from dslab.experiments.campaign.exposure import draw_exposure
+    from dslab.experiments.campaign.ledger import LEDGER_FILE
 
     if (folder / LEDGER_FILE).exists():
         return

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from experiments.cli.console import (
+from dslab.experiments.cli.console import (
     FolderOption,
     JsonOption,
     check_seed,
@@ -42,7 +42,7 @@ def footage_command(
 
     `dslab footage path/to/drive real/drive kitti-like/03 --out out/drives`
     """
-    from experiments.realism.compare import PAGE_FILE, compare_footage
+    from dslab.experiments.realism.compare import PAGE_FILE, compare_footage
 
     single_threaded_opencv()
     with progress_bars() as show:

@@ -6,7 +6,14 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from experiments.cli.console import FolderOption, ModeChoice, ModeOption, out, print_table, progress_bars
+from dslab.experiments.cli.console import (
+    FolderOption,
+    ModeChoice,
+    ModeOption,
+    out,
+    print_table,
+    progress_bars,
+)
 
 
 def fuzz_command(
@@ -25,8 +32,8 @@ def fuzz_command(
 
     `dslab experiment fuzz --units 20 --system base,dual --out out/fuzz`
     """
-    from experiments.fuzz.fuzzing import FuzzUnit, failed, run_fuzz
-    from sim.io.folders import check_free
+    from dslab.experiments.fuzz.fuzzing import FuzzUnit, failed, run_fuzz
+    from dslab.sim.io.folders import check_free
 
     check_free(out_dir)
     kinds = _kinds(systems)
@@ -47,7 +54,7 @@ def fuzz_command(
 
 def _print_failure(row: dict) -> None:
     """Print failure, traceback and repeat command of a failed run."""
-    from experiments.fuzz.fuzzing import failed, replay_command
+    from dslab.experiments.fuzz.fuzzing import failed, replay_command
 
     for bad in failed([row]):
         at = f" at {bad['stage']}" if bad["stage"] else ""
@@ -59,8 +66,8 @@ def _print_failure(row: dict) -> None:
 def _kinds(text: str) -> tuple:
     from typing import get_args
 
-    from experiments.runs.execution import SystemKind
-    from scenarios.errors import InputError
+    from dslab.experiments.runs.execution import SystemKind
+    from dslab.scenarios.errors import InputError
 
     kinds = tuple(text.split(","))
     known = get_args(SystemKind)

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli.console import FolderOption, out, progress_bars, single_threaded_opencv
+from dslab.experiments.cli.console import FolderOption, out, progress_bars, single_threaded_opencv
 
 
 def gallery_command(
@@ -25,8 +25,8 @@ def gallery_command(
 
     `dslab scenarios gallery kitti-like stressed mine.yaml --seeds 1 --out out/some`
     """
-    from experiments.gallery.build import make_gallery
-    from sim.io.folders import check_free
+    from dslab.experiments.gallery.build import make_gallery
+    from dslab.sim.io.folders import check_free
 
     check_free(out_dir)
     single_threaded_opencv()

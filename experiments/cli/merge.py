@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli.console import out
+from dslab.experiments.cli.console import out
 
 
 def merge_command(
@@ -25,7 +25,7 @@ def merge_command(
 
     `dslab experiment merge docs/eq1 --out out/eq1`
     """
-    from experiments.campaign.merge import merge
+    from dslab.experiments.campaign.merge import merge
 
     done = merge(out_dir, sources)
     known = f", {done.known} were known with the same outcome" if done.known else ""

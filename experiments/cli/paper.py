@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from experiments.cli.console import JsonOption, out, print_json_line, print_table
+from dslab.experiments.cli.console import JsonOption, out, print_json_line, print_table
 
 Row = dict[str, Any]
 
@@ -26,9 +26,9 @@ def paper_command(
 
     `dslab paper --out out/paper`
     """
-    from experiments.report.plain_data import as_data
-    from experiments.statistics.paper import CAVEATS, reanalyse
-    from sim.io.folders import check_free
+    from dslab.experiments.report.plain_data import as_data
+    from dslab.experiments.statistics.paper import CAVEATS, reanalyse
+    from dslab.sim.io.folders import check_free
 
     if out_dir is not None:
         check_free(out_dir)
@@ -48,11 +48,11 @@ def paper_command(
 
 
 def _write(figures: dict[str, Any], out_dir: Path) -> None:
-    from experiments.report.plots.draw import rendered
-    from experiments.report.plots.paper import draw_paper
-    from experiments.report.plots.style import settings
-    from experiments.runs.files import to_json
-    from sim.io.folders import new_directory
+    from dslab.experiments.report.plots.draw import rendered
+    from dslab.experiments.report.plots.paper import draw_paper
+    from dslab.experiments.report.plots.style import settings
+    from dslab.experiments.runs.files import to_json
+    from dslab.sim.io.folders import new_directory
 
     with settings(), new_directory(out_dir) as partial:
         plot = rendered("paper", "Prediction of Eq. 1 and published failures", draw_paper(figures["rows"]))
@@ -62,7 +62,7 @@ def _write(figures: dict[str, Any], out_dir: Path) -> None:
 
 
 def _print(rows: list[Row]) -> None:
-    from experiments.report.describe import ends, ends_percent, number, p_value, percent
+    from dslab.experiments.report.describe import ends, ends_percent, number, p_value, percent
 
     def between(share: Row) -> str:
         return ends_percent(share).removesuffix(" %")

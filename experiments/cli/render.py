@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli.console import (
+from dslab.experiments.cli.console import (
     FolderOption,
     ForceOption,
     FormatChoice,
@@ -52,13 +52,13 @@ def render_command(
 
     `dslab render mine.yaml --format euroc --no-cache --out out/mine`
     """
-    from experiments.runs.sources import open_imu
-    from scenarios.errors import InputError
-    from scenarios.loading import load_scenario
-    from sim.io.folders import check_free, scratch_beside
-    from sim.io.forms import WITH_DEPTH, Form, write_sequence
-    from sim.rendering.renderers import DEFAULT_RENDERER
-    from sim.sequence_rendering import images_need_of, render_backend, render_sequence
+    from dslab.experiments.runs.sources import open_imu
+    from dslab.scenarios.errors import InputError
+    from dslab.scenarios.loading import load_scenario
+    from dslab.sim.io.folders import check_free, scratch_beside
+    from dslab.sim.io.forms import WITH_DEPTH, Form, write_sequence
+    from dslab.sim.rendering.renderers import DEFAULT_RENDERER
+    from dslab.sim.sequence_rendering import images_need_of, render_backend, render_sequence
 
     spec = load_scenario(scenario, seed)
     if depth and Form(form.value) not in WITH_DEPTH:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from experiments.cli.console import (
+from dslab.experiments.cli.console import (
     CameraOption,
     ForceOption,
     ModeChoice,
@@ -24,7 +24,7 @@ from experiments.cli.console import (
 )
 
 if TYPE_CHECKING:
-    from experiments.runs.systems.registry import System
+    from dslab.experiments.runs.systems.registry import System
 
 
 class SystemChoice(StrEnum):
@@ -118,15 +118,15 @@ def run_command(
 
     `dslab run path/to/sequence --system base,orbslam3,my_slam:MySlam --out out/compared`
     """
-    from experiments.cli.run_tables import print_runs
-    from experiments.result_folder import PICTURE_FILE, run_systems
-    from experiments.runs.slam_settings import SlamSettings, factory_of, read_slam_settings
-    from experiments.runs.sources import open_sequence
-    from experiments.runs.systems.registry import Registry, split_names
-    from scenarios.errors import InputError
-    from sim.io.folders import check_free, new_directory
-    from slam.factory import SYSTEMS
-    from slam.warmup import warm_up
+    from dslab.experiments.cli.run_tables import print_runs
+    from dslab.experiments.result_folder import PICTURE_FILE, run_systems
+    from dslab.experiments.runs.slam_settings import SlamSettings, factory_of, read_slam_settings
+    from dslab.experiments.runs.sources import open_sequence
+    from dslab.experiments.runs.systems.registry import Registry, split_names
+    from dslab.scenarios.errors import InputError
+    from dslab.sim.io.folders import check_free, new_directory
+    from dslab.slam.factory import SYSTEMS
+    from dslab.slam.warmup import warm_up
 
     chosen = Registry.open(systems_dir or ()).find_all(split_names(system))
     systems = list(chosen)
@@ -171,7 +171,7 @@ def chosen_systems(names: str) -> list[str]:
     Raises:
         InputError: one is unknown, or named twice.
     """
-    from scenarios.errors import InputError
+    from dslab.scenarios.errors import InputError
 
     known = [choice.value for choice in SystemChoice]
     remedy = f"give one of {', '.join(known)}, or several with commas between"
@@ -186,10 +186,10 @@ def chosen_systems(names: str) -> list[str]:
 
 def _check_startable(chosen: "dict[str, System]", maps: bool) -> None:
     """Check, before frames are rendered, that programs are there, and that maps are asked of ours only."""
-    from experiments.runs.systems.command import CommandSystem
-    from experiments.runs.systems.registry import OwnSystem
-    from scenarios.errors import InputError
-    from slam.factory import DIRECT
+    from dslab.experiments.runs.systems.command import CommandSystem
+    from dslab.experiments.runs.systems.registry import OwnSystem
+    from dslab.scenarios.errors import InputError
+    from dslab.slam.factory import DIRECT
 
     for system in chosen.values():
         if isinstance(system, CommandSystem):
@@ -200,8 +200,8 @@ def _check_startable(chosen: "dict[str, System]", maps: bool) -> None:
 
 def _check_described(summaries: dict[str, dict]) -> None:
     """Raise InputError, after all is written, if a program left other files than described."""
-    from experiments.runs.ending import Ending, EndKind
-    from scenarios.errors import InputError
+    from dslab.experiments.runs.ending import Ending, EndKind
+    from dslab.scenarios.errors import InputError
 
     for name, summary in summaries.items():
         if Ending(EndKind(summary["ended"])).is_of_description:
@@ -212,9 +212,9 @@ def _dual_options(
     systems: list[str], recovery: str | None, exhaustive: bool, no_relocalization: bool
 ) -> dict[str, Any]:
     """The fields of the settings of Dual-SLAM that options give."""
-    from scenarios.errors import InputError
-    from slam.dual.recovery.registry import parse_threads
-    from slam.factory import DIRECT
+    from dslab.scenarios.errors import InputError
+    from dslab.slam.dual.recovery.registry import parse_threads
+    from dslab.slam.factory import DIRECT
 
     options: dict[str, Any] = {}
     if exhaustive:

@@ -6,9 +6,9 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from experiments.cli.console import number, out, share
-from experiments.evaluation.audit_text import audit_text, silent_losses
-from scenarios.describe import describe_kind
+from dslab.experiments.cli.console import number, out, share
+from dslab.experiments.evaluation.audit_text import audit_text, silent_losses
+from dslab.scenarios.describe import describe_kind
 
 _REASONS = {
     "too_few_matches_with_last_frame": "too few matches with the last frame",
@@ -236,6 +236,6 @@ def _table(title: str) -> Table:
 
 
 def _grace_s() -> float:
-    from experiments.evaluation.breakages import EXPOSURE_GRACE_S
+    from dslab.experiments.evaluation.breakages import EXPOSURE_GRACE_S
 
     return EXPOSURE_GRACE_S

@@ -11,12 +11,12 @@ from rich.syntax import Syntax
 from rich.table import Table
 from rich.text import Text
 
-from experiments.cli.console import err, out, print_error_line, print_table
-from experiments.cli.gallery import gallery_command
-from scenarios.errors import InputError, collect
+from dslab.experiments.cli.console import err, out, print_error_line, print_table
+from dslab.experiments.cli.gallery import gallery_command
+from dslab.scenarios.errors import InputError, collect
 
 if TYPE_CHECKING:
-    from scenarios.families import Family
+    from dslab.scenarios.families import Family
 
 CHECKED_SEEDS = 20
 MOST_FAULTS = 50
@@ -43,7 +43,7 @@ def list_scenarios(
 
     `dslab scenarios list --all`
     """
-    from scenarios.families import library_names, load_family
+    from dslab.scenarios.families import library_names, load_family
 
     families = {name: load_family(name) for name in library_names()}
     if everything:
@@ -61,7 +61,7 @@ def list_scenarios(
 
 def _print_family(name: str, family: "Family") -> None:
     """Print description, members and drawn parameters."""
-    from scenarios.describe_family import describe_parameters
+    from dslab.scenarios.describe_family import describe_parameters
 
     drawn = [f"{field}: {words}" for field, words in describe_parameters(family).items()]
     out.print(Text(name, "bold"))
@@ -89,8 +89,8 @@ def show(
 
     Example: `dslab scenarios show kitti-like/07 --seed 3 > mine.yaml`
     """
-    from scenarios.families import load_family
-    from scenarios.loading import dump_yaml
+    from dslab.scenarios.families import load_family
+    from dslab.scenarios.loading import dump_yaml
 
     family = load_family(scenario)
     text = family.as_yaml() if seed is None else dump_yaml(family.sample(seed))
@@ -110,7 +110,7 @@ def validate(
 
     Example: `dslab scenarios validate mine.yaml`
     """
-    from scenarios.families import in_order_of_lines
+    from dslab.scenarios.families import in_order_of_lines
 
     try:
         print(f"{file}: valid, {_valid_content(file)}")
@@ -125,11 +125,11 @@ def validate(
 
 def _valid_content(file: Path) -> str:
     """What a valid file holds. Raises InputError with every fault of another."""
-    from scenarios.families import file_faults, load_family_file
-    from scenarios.yaml_file import read_yaml
+    from dslab.scenarios.families import file_faults, load_family_file
+    from dslab.scenarios.yaml_file import read_yaml
 
     if "bases" in read_yaml(file, faults=[]).data:
-        from experiments.eq1.spec import load_spec
+        from dslab.experiments.eq1.spec import load_spec
 
         spec = load_spec(file)
         return f"{spec.name}, an experiment, {len(spec.cell_names())} cells of {spec.units} units"
@@ -149,7 +149,7 @@ def schema() -> None:
 
     Example: `dslab scenarios schema > scenario.schema.json`
     """
-    from scenarios.schema import json_schema
+    from dslab.scenarios.schema import json_schema
 
     print(json.dumps(json_schema(), indent=2))
 

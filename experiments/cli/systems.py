@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from experiments.cli.console import SystemsOption, out, print_facts, print_table, progress_bars
+from dslab.experiments.cli.console import SystemsOption, out, print_facts, print_table, progress_bars
 
 if TYPE_CHECKING:
-    from experiments.runs.execution import RunRecord
-    from experiments.runs.systems.registry import Registry
+    from dslab.experiments.runs.execution import RunRecord
+    from dslab.experiments.runs.systems.registry import Registry
 
 NameArgument = Annotated[str, typer.Argument(metavar="NAME", help="Name of a system, or module:Class.")]
 app = typer.Typer(
@@ -30,7 +30,7 @@ def list_command(systems_dir: SystemsOption = None) -> None:
 
     `dslab systems list --systems my/systems`
     """
-    from experiments.runs.systems.registry import Registry
+    from dslab.experiments.runs.systems.registry import Registry
 
     registry = Registry.open(systems_dir or ())
     table = Table()
@@ -61,11 +61,11 @@ def check_command(
 
     `dslab systems check my_slam:MySlam --source path/to/sequence`
     """
-    from experiments.runs.ending import EndKind
-    from experiments.runs.sources import open_sequence
-    from experiments.runs.systems.check import made_up_sequence, run_once
-    from experiments.runs.systems.registry import Registry
-    from scenarios.errors import InputError
+    from dslab.experiments.runs.ending import EndKind
+    from dslab.experiments.runs.sources import open_sequence
+    from dslab.experiments.runs.systems.check import made_up_sequence, run_once
+    from dslab.experiments.runs.systems.registry import Registry
+    from dslab.scenarios.errors import InputError
 
     system = Registry.open(systems_dir or ()).find(name)
     with progress_bars() as show:
@@ -90,10 +90,10 @@ def install_command(
 
     `dslab systems install orbslam3`
     """
-    from experiments.runs.systems.command import CommandSystem
-    from experiments.runs.systems.environments import install
-    from experiments.runs.systems.registry import Registry
-    from scenarios.errors import InputError
+    from dslab.experiments.runs.systems.command import CommandSystem
+    from dslab.experiments.runs.systems.environments import install
+    from dslab.experiments.runs.systems.registry import Registry
+    from dslab.scenarios.errors import InputError
 
     system = Registry.open(systems_dir or ()).find(name)
     environment = system.spec.environment if isinstance(system, CommandSystem) else None
@@ -105,9 +105,9 @@ def install_command(
 
 def _described(registry: "Registry", name: str) -> tuple[str, str]:
     """What a system is, and its state."""
-    from experiments.runs.systems.command import CommandSystem
-    from experiments.runs.systems.registry import OwnSystem
-    from scenarios.errors import InputError
+    from dslab.experiments.runs.systems.command import CommandSystem
+    from dslab.experiments.runs.systems.registry import OwnSystem
+    from dslab.scenarios.errors import InputError
 
     try:
         system = registry.find(name)
@@ -127,7 +127,7 @@ def _described(registry: "Registry", name: str) -> tuple[str, str]:
 
 
 def _facts(name: str, record: "RunRecord") -> dict[str, str]:
-    from experiments.evaluation.summary import is_tracked
+    from dslab.experiments.evaluation.summary import is_tracked
 
     posed = len(record.trajectories[0].frames) if record.trajectories else 0
     return {

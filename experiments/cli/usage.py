@@ -4,7 +4,7 @@ import sys
 
 import typer
 
-from scenarios.errors import InputError
+from dslab.scenarios.errors import InputError
 
 _UsageError: type[Exception] = typer.BadParameter.__mro__[1]  # Typer exports only this child of it
 

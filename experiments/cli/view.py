@@ -6,8 +6,8 @@ from typing import Annotated, Any
 
 import typer
 
-from experiments.cli.console import err
-from scenarios.errors import InputError
+from dslab.experiments.cli.console import err
+from dslab.scenarios.errors import InputError
 
 
 def view_command(
@@ -20,12 +20,12 @@ def view_command(
 
     Example: `dslab view out/demo`
     """
-    from scenarios.input_files import is_folder, open_file
+    from dslab.scenarios.input_files import is_folder, open_file
 
     recording = path / "recording.rrd" if is_folder(path) else path
     open_file(recording, if_missing="make a recording with dslab run --rerun").close()
     stamp_s = at if at is not None else _first_breakage_s(recording.parent)
-    from experiments.recording import open_viewer
+    from dslab.experiments.recording import open_viewer
 
     try:
         open_viewer(recording, stamp_s)
@@ -37,8 +37,8 @@ def view_command(
 
 def _first_breakage_s(folder: Path) -> float:
     """Time of the first breakage in the summaries beside the recording and one folder below, else 0."""
-    from experiments.result_folder import SUMMARY_FILE
-    from scenarios.input_files import is_given, read_json
+    from dslab.experiments.result_folder import SUMMARY_FILE
+    from dslab.scenarios.input_files import is_given, read_json
 
     places = [folder / SUMMARY_FILE, *sorted(folder.glob(f"*/{SUMMARY_FILE}"))]
     summaries = {str(path): read_json(path, dict) for path in places if is_given(path)}

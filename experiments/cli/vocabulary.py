@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli.console import err, out, progress_bars, single_threaded_opencv
+from dslab.experiments.cli.console import err, out, progress_bars, single_threaded_opencv
 
 app = typer.Typer(help="Train and show the vocabulary of place recognition.", no_args_is_help=True)
 
@@ -29,9 +29,9 @@ def train_command(
 
     For example: `dslab vocabulary train --out vocabulary.npz`
     """
-    from experiments.vocabulary import train, training_scenarios
-    from scenarios.errors import InputError
-    from scenarios.input_files import is_folder
+    from dslab.experiments.vocabulary import train, training_scenarios
+    from dslab.scenarios.errors import InputError
+    from dslab.scenarios.input_files import is_folder
 
     if file.suffix != ".npz" or not is_folder(file.parent):
         raise InputError(f"--out {file}", "not an .npz file in an existing folder", "name one")
@@ -54,10 +54,10 @@ def show_command(
 
     Example: `dslab vocabulary show`
     """
-    from experiments.cli.console import print_json_line
-    from scenarios.errors import InputError
-    from scenarios.input_files import open_file
-    from slam.places.recognition import VOCABULARY_FILE, Vocabulary
+    from dslab.experiments.cli.console import print_json_line
+    from dslab.scenarios.errors import InputError
+    from dslab.scenarios.input_files import open_file
+    from dslab.slam.places.recognition import VOCABULARY_FILE, Vocabulary
 
     path = file or VOCABULARY_FILE
     open_file(path).close()

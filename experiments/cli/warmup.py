@@ -1,6 +1,6 @@
 """``dslab warmup``."""
 
-from experiments.cli.console import err, progress_bars, single_threaded_opencv
+from dslab.experiments.cli.console import err, progress_bars, single_threaded_opencv
 
 
 def warmup_command() -> None:
@@ -8,10 +8,10 @@ def warmup_command() -> None:
 
     Example: `dslab warmup`
     """
-    from experiments.runs.processes import process_pool
-    from scenarios.errors import InputError
-    from sim import warmup as simulator
-    from slam import warmup as systems
+    from dslab.experiments.runs.processes import process_pool
+    from dslab.scenarios.errors import InputError
+    from dslab.sim import warmup as simulator
+    from dslab.slam import warmup as systems
 
     single_threaded_opencv()
     with process_pool(1) as beside, progress_bars() as show:

@@ -4,11 +4,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-from experiments.comparison.figures import comparison_content
-from experiments.comparison.left_runs import find_runs
-from experiments.comparison.page import comparison_html
-from experiments.runs.files import plain
-from sim.io.folders import check_free, new_directory
+from dslab.experiments.comparison.figures import comparison_content
+from dslab.experiments.comparison.left_runs import find_runs
+from dslab.experiments.comparison.page import comparison_html
+from dslab.experiments.runs.files import plain
+from dslab.sim.io.folders import check_free, new_directory
 
 PAGE_FILE, FIGURES_FILE = "index.html", "comparison.json"
 

@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from experiments.comparison.left_runs import LeftRun
-from experiments.evaluation import metrics
-from experiments.evaluation.alignment import Undefined
-from experiments.evaluation.audit_text import runs_text
-from experiments.evaluation.robustness import LEAST, MOST, robustness, share_within, step_errors
+from dslab.experiments.comparison.left_runs import LeftRun
+from dslab.experiments.evaluation import metrics
+from dslab.experiments.evaluation.alignment import Undefined
+from dslab.experiments.evaluation.audit_text import runs_text
+from dslab.experiments.evaluation.robustness import LEAST, MOST, robustness, share_within, step_errors
 
 FIGURES = {
     "robustness": "robustness",

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from experiments.evaluation.metrics import PosePairs
-from experiments.result_folder import SUMMARY_FILE, TRUTH_FILE
-from scenarios.errors import InputError
-from scenarios.input_files import read_json, read_text
-from sim.io.truth import read_tum_poses
+from dslab.experiments.evaluation.metrics import PosePairs
+from dslab.experiments.result_folder import SUMMARY_FILE, TRUTH_FILE
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import read_json, read_text
+from dslab.sim.io.truth import read_tum_poses
 
 _TOLERANCE_S = 1e-3
 _MOST_BYTES = 1_000_000_000

@@ -7,11 +7,11 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from experiments.comparison.figures import FIGURES
-from experiments.comparison.plots import draw_errors, draw_paths, draw_stages, draw_within
-from experiments.pages import render_page
-from experiments.report.plots.draw import Image, Plot, rendered
-from experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
+from dslab.experiments.comparison.figures import FIGURES
+from dslab.experiments.comparison.plots import draw_errors, draw_paths, draw_stages, draw_within
+from dslab.experiments.pages import render_page
+from dslab.experiments.report.plots.draw import Image, Plot, rendered
+from dslab.experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
 
 _TEMPLATES = Path(__file__).with_name("templates")
 

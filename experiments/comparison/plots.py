@@ -7,9 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from experiments.evaluation.robustness import LEAST, MOST
-from experiments.pictures.palette import TRUTH, system_color
-from experiments.report.plots.style import NARROW_IN, legend_above, log_ticks, new_figure, percent_axis
+from dslab.experiments.evaluation.robustness import LEAST, MOST
+from dslab.experiments.pictures.palette import TRUTH, system_color
+from dslab.experiments.report.plots.style import NARROW_IN, legend_above, log_ticks, new_figure, percent_axis
 
 _LINES = ("-", "--", "-.", ":")
 

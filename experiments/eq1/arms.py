@@ -11,17 +11,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from experiments.eq1.unit_settings import unit_settings
-from experiments.eq1.units import UnitSpec
-from experiments.evaluation.breakages import EXPOSURE_GRACE_S
-from experiments.runs.execution import RunRecord, record_of, slam_camera, without_features
-from experiments.runs.slam_settings import SlamSettings, factory_of
-from sim.sequence import SegmentTruth, Sequence
-from slam.core.events import Breakage, RecoveryStart
-from slam.core.results import TrackingResult
-from slam.core.snapshot import Snapshot
-from slam.dual.dual_slam import DualSlam
-from slam.system import MonocularSystem
+from dslab.experiments.eq1.unit_settings import unit_settings
+from dslab.experiments.eq1.units import UnitSpec
+from dslab.experiments.evaluation.breakages import EXPOSURE_GRACE_S
+from dslab.experiments.runs.execution import RunRecord, record_of, slam_camera, without_features
+from dslab.experiments.runs.slam_settings import SlamSettings, factory_of
+from dslab.sim.sequence import SegmentTruth, Sequence
+from dslab.slam.core.events import Breakage, RecoveryStart
+from dslab.slam.core.results import TrackingResult
+from dslab.slam.core.snapshot import Snapshot
+from dslab.slam.dual.dual_slam import DualSlam
+from dslab.slam.system import MonocularSystem
 
 _SAVE_EVERY_S = 1.0
 _ROUNDING_S = 1e-6

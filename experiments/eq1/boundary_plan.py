@@ -9,13 +9,13 @@ from typing import Any, Literal
 
 from pydantic import ValidationError
 
-from experiments.eq1.doses import DoseAxis, dose_axis
-from experiments.eq1.records import dual_column, failure_column, thread_column
-from experiments.eq1.spec import ExperimentSpec
-from experiments.eq1.spec_parts import Degradation
-from experiments.eq1.units import RECOVERING, ArmName, system_label
-from scenarios.errors import InputError
-from scenarios.faults import all_faults, guess
+from dslab.experiments.eq1.doses import DoseAxis, dose_axis
+from dslab.experiments.eq1.records import dual_column, failure_column, thread_column
+from dslab.experiments.eq1.spec import ExperimentSpec
+from dslab.experiments.eq1.spec_parts import Degradation
+from dslab.experiments.eq1.units import RECOVERING, ArmName, system_label
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.faults import all_faults, guess
 
 FailureName = Literal["base", "dual", "system", "mission", "recovery"]
 FAILURES: dict[FailureName, str] = {

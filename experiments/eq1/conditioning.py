@@ -12,16 +12,16 @@ from typing import Any
 import cv2
 import numpy as np
 
-from experiments.eq1.records import PAIR_GAPS, PAIRS_PER_GAP, pair_column
-from experiments.evaluation.alignment import rotation_angle_deg
-from experiments.runs.execution import slam_camera
-from scenarios.seeds import rng_for
-from sim.sequence import Sequence
-from slam.config import default_config
-from slam.core.camera import PinholeCamera
-from slam.core.frame import Features
-from slam.features.orb import OrbExtractor
-from slam.matching.brute_force import match_brute_force
+from dslab.experiments.eq1.records import PAIR_GAPS, PAIRS_PER_GAP, pair_column
+from dslab.experiments.evaluation.alignment import rotation_angle_deg
+from dslab.experiments.runs.execution import slam_camera
+from dslab.scenarios.seeds import rng_for
+from dslab.sim.sequence import Sequence
+from dslab.slam.config import default_config
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.frame import Features
+from dslab.slam.features.orb import OrbExtractor
+from dslab.slam.matching.brute_force import match_brute_force
 
 _MAX_DISTANCE, _RATIO = 50, 0.8
 _THRESHOLD_PX = 1.0

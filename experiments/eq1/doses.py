@@ -5,10 +5,10 @@ from math import exp, log
 
 from pydantic import ValidationError
 
-from experiments.eq1.spec_parts import severity_fields
-from scenarios.errors import InputError
-from scenarios.faults import guess, problem_and_remedy
-from scenarios.segments import SEGMENT_KINDS
+from dslab.experiments.eq1.spec_parts import severity_fields
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.faults import guess, problem_and_remedy
+from dslab.scenarios.segments import SEGMENT_KINDS
 
 DOSES = 20
 """Doses of an axis, in equal steps of their logarithm."""

@@ -4,7 +4,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from experiments.eq1.spec import ExperimentSpec, load_spec, read_spec_file, validated
+from dslab.experiments.eq1.spec import ExperimentSpec, load_spec, read_spec_file, validated
 
 _UNITS_PER_WORLD = "units_per_world"
 

@@ -8,8 +8,8 @@ where it declares what becomes of a loss, else by the truth.
 from dataclasses import dataclass
 from typing import Any
 
-from experiments.eq1.arms import Exposure
-from experiments.eq1.judging import (
+from dslab.experiments.eq1.arms import Exposure
+from dslab.experiments.eq1.judging import (
     accuracy_columns,
     audited_faults,
     declared_columns,
@@ -17,14 +17,14 @@ from experiments.eq1.judging import (
     silent_frame,
     true_loss,
 )
-from experiments.eq1.mission import Fault, final_pose_faults, first_cause
-from experiments.eq1.records import failure_column
-from experiments.evaluation.audit import LossAudit
-from experiments.evaluation.audit_report import declaration_delay_s
-from experiments.evaluation.breakages import BreakageOutcome
-from experiments.evaluation.summary import is_tracked
-from experiments.runs.ending import Declares, EndKind
-from experiments.runs.execution import RunRecord
+from dslab.experiments.eq1.mission import Fault, final_pose_faults, first_cause
+from dslab.experiments.eq1.records import failure_column
+from dslab.experiments.evaluation.audit import LossAudit
+from dslab.experiments.evaluation.audit_report import declaration_delay_s
+from dslab.experiments.evaluation.breakages import BreakageOutcome
+from dslab.experiments.evaluation.summary import is_tracked
+from dslab.experiments.runs.ending import Declares, EndKind
+from dslab.experiments.runs.execution import RunRecord
 
 NO_POSE, WRONG_POSE = "no_pose", "wrong_pose"
 """Reasons of a true loss that is not declared: it gives no poses, or wrong ones."""

@@ -8,22 +8,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.eq1.arms import CpuClock, Exposure, settings_of
-from experiments.eq1.lead_in import lead_in_fault
-from experiments.eq1.shared_lead_ins import lead_in_key
-from experiments.eq1.units import UnitSpec
-from experiments.evaluation.alignment import Undefined
-from experiments.evaluation.audit_report import audit_loss_in
-from experiments.runs.ending import EndKind
-from experiments.runs.execution import RunRecord, execute
-from experiments.runs.slam_settings import factory_of
-from experiments.runs.systems.class_process import run_class_apart
-from experiments.runs.systems.command import CommandSystem, run_command
-from experiments.runs.systems.command_spec import Limits
-from experiments.runs.systems.own_class import ClassSystem
-from experiments.runs.systems.registry import System, system_digest
-from sim.sequence import Sequence
-from sim.unfinished import scratch_folder
+from dslab.experiments.eq1.arms import CpuClock, Exposure, settings_of
+from dslab.experiments.eq1.lead_in import lead_in_fault
+from dslab.experiments.eq1.shared_lead_ins import lead_in_key
+from dslab.experiments.eq1.units import UnitSpec
+from dslab.experiments.evaluation.alignment import Undefined
+from dslab.experiments.evaluation.audit_report import audit_loss_in
+from dslab.experiments.runs.ending import EndKind
+from dslab.experiments.runs.execution import RunRecord, execute
+from dslab.experiments.runs.slam_settings import factory_of
+from dslab.experiments.runs.systems.class_process import run_class_apart
+from dslab.experiments.runs.systems.command import CommandSystem, run_command
+from dslab.experiments.runs.systems.command_spec import Limits
+from dslab.experiments.runs.systems.own_class import ClassSystem
+from dslab.experiments.runs.systems.registry import System, system_digest
+from dslab.sim.sequence import Sequence
+from dslab.sim.unfinished import scratch_folder
 
 LIMITS = Limits()
 """What a class may take, as a program whose description does not say."""

@@ -6,11 +6,11 @@ A cell that mixes two of which one breaks often and the other seldom contradicts
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from experiments.eq1.spec_parts import Base, Degradation
-from scenarios.distributions import is_distribution
-from scenarios.errors import InputError
-from scenarios.motions import Trajectory
-from scenarios.yaml_file import Location
+from dslab.experiments.eq1.spec_parts import Base, Degradation
+from dslab.scenarios.distributions import is_distribution
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.motions import Trajectory
+from dslab.scenarios.yaml_file import Location
 
 _DEFAULT_MOTION = Trajectory().kind
 

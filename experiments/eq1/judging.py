@@ -5,18 +5,18 @@ from typing import Any
 
 import numpy as np
 
-from experiments.eq1.arms import BranchRun, Exposure, FreeArm
-from experiments.eq1.mission import Fault, false_declarations, final_pose_faults, first_cause
-from experiments.eq1.records import dual_column, failure_column, thread_column
-from experiments.eq1.recovery_judging import Recovery, Reference, judge_recovery
-from experiments.evaluation import metrics
-from experiments.evaluation.alignment import Similarity, Undefined, align_poses
-from experiments.evaluation.audit import LossAudit
-from experiments.evaluation.audit_report import audit_loss_in, declaration_delay_s
-from experiments.evaluation.breakages import BreakageOutcome, breakage_outcomes
-from experiments.evaluation.declared_audit import audit_declared
-from experiments.evaluation.summary import main_map_pairs
-from experiments.runs.execution import RunRecord
+from dslab.experiments.eq1.arms import BranchRun, Exposure, FreeArm
+from dslab.experiments.eq1.mission import Fault, false_declarations, final_pose_faults, first_cause
+from dslab.experiments.eq1.records import dual_column, failure_column, thread_column
+from dslab.experiments.eq1.recovery_judging import Recovery, Reference, judge_recovery
+from dslab.experiments.evaluation import metrics
+from dslab.experiments.evaluation.alignment import Similarity, Undefined, align_poses
+from dslab.experiments.evaluation.audit import LossAudit
+from dslab.experiments.evaluation.audit_report import audit_loss_in, declaration_delay_s
+from dslab.experiments.evaluation.breakages import BreakageOutcome, breakage_outcomes
+from dslab.experiments.evaluation.declared_audit import audit_declared
+from dslab.experiments.evaluation.summary import main_map_pairs
+from dslab.experiments.runs.execution import RunRecord
 
 
 def judge_free(arm: FreeArm, reference: Reference) -> dict[str, Any]:

@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence as Many
 
-from experiments.evaluation import metrics
-from experiments.evaluation.alignment import Undefined, align_poses
-from experiments.evaluation.summary import is_tracked
-from experiments.runs.execution import live_trajectories
-from sim.sequence import Sequence
-from slam.core.events import Breakage, Event
-from slam.core.results import MapTrajectory, TrackingResult
+from dslab.experiments.evaluation import metrics
+from dslab.experiments.evaluation.alignment import Undefined, align_poses
+from dslab.experiments.evaluation.summary import is_tracked
+from dslab.experiments.runs.execution import live_trajectories
+from dslab.sim.sequence import Sequence
+from dslab.slam.core.events import Breakage, Event
+from dslab.slam.core.results import MapTrajectory, TrackingResult
 
 LEAD_IN_HEALTHY_S = 1.0
 """Time before the exposed segment for which the map must have been tracked without a gap."""

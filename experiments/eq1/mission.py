@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.eq1.arms import Exposure
-from experiments.evaluation.audit import RELATION_BOUNDS, audit_relation
-from experiments.evaluation.declared_audit import DeclaredAudit
-from experiments.runs.execution import RunRecord
-from slam.core.results import MapTrajectory
+from dslab.experiments.eq1.arms import Exposure
+from dslab.experiments.evaluation.audit import RELATION_BOUNDS, audit_relation
+from dslab.experiments.evaluation.declared_audit import DeclaredAudit
+from dslab.experiments.runs.execution import RunRecord
+from dslab.slam.core.results import MapTrajectory
 
 FINAL_S = 1.0
 """Time before the last pose over which the final pose is judged."""

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from experiments.eq1.records import (
+from dslab.experiments.eq1.records import (
     DOMAINS,
     GIVEN_BREAKAGE,
     NEVER_NULL,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from experiments.eq1.records import DOMAINS, ROUNDING, ColumnType, Domain, columns, domains
+from dslab.experiments.eq1.records import DOMAINS, ROUNDING, ColumnType, Domain, columns, domains
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -13,8 +13,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
-from experiments.eq1.units import UnitSpec, system_label
-from scenarios.errors import InputError
+from dslab.experiments.eq1.units import UnitSpec, system_label
+from dslab.scenarios.errors import InputError
 
 ColumnType = Literal["bool", "int", "float", "text"]
 Domain = Literal["bool", "int", "count", "float", "amount", "share", "text", "name"]

@@ -6,12 +6,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from experiments.eq1.arms import Exposure
-from experiments.eq1.records import thread_column
-from experiments.evaluation.audit import FusionAudit, audit_relation
-from sim.sequence import Sequence as ImageSequence
-from slam.core.events import Event, Fusion, MapDropped, RecoveryEnd, RecoveryStart, ReinitDone
-from slam.core.results import MapTrajectory
+from dslab.experiments.eq1.arms import Exposure
+from dslab.experiments.eq1.records import thread_column
+from dslab.experiments.evaluation.audit import FusionAudit, audit_relation
+from dslab.sim.sequence import Sequence as ImageSequence
+from dslab.slam.core.events import Event, Fusion, MapDropped, RecoveryEnd, RecoveryStart, ReinitDone
+from dslab.slam.core.results import MapTrajectory
 
 Arm = Literal["free", "cross"]
 

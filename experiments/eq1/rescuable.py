@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from experiments.eq1.arms import settings_of
-from experiments.eq1.units import UnitSpec
-from experiments.evaluation.view_overlap import best_overlap
-from experiments.runs.execution import slam_camera
-from sim.sequence import Sequence
+from dslab.experiments.eq1.arms import settings_of
+from dslab.experiments.eq1.units import UnitSpec
+from dslab.experiments.evaluation.view_overlap import best_overlap
+from dslab.experiments.runs.execution import slam_camera
+from dslab.sim.sequence import Sequence
 
 
 def overlap_columns(unit: UnitSpec, sequence: Sequence, cache_dir: Path | None = None) -> dict[str, Any]:

@@ -7,12 +7,12 @@ import hashlib
 from dataclasses import dataclass, replace
 from typing import Any
 
-from experiments.eq1.arms import CpuClock, Exposure, SavedBranch, run_lead_in
-from experiments.eq1.lead_in import lead_in_fault
-from experiments.eq1.units import UnitSpec, content_hash
-from experiments.runs.execution import slam_camera
-from sim.sequence import Sequence
-from slam.core.results import MapTrajectory
+from dslab.experiments.eq1.arms import CpuClock, Exposure, SavedBranch, run_lead_in
+from dslab.experiments.eq1.lead_in import lead_in_fault
+from dslab.experiments.eq1.units import UnitSpec, content_hash
+from dslab.experiments.runs.execution import slam_camera
+from dslab.sim.sequence import Sequence
+from dslab.slam.core.results import MapTrajectory
 
 KEPT = 2
 """Lead-ins that are kept: that of the system, and that of a plain one beside it."""

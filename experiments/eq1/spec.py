@@ -14,12 +14,12 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 import yaml
 from pydantic import Field, ValidationError, model_validator
 
-from experiments.eq1.homogeneity import base_mixtures, stress_mixtures
-from experiments.eq1.records import SHAM
-from experiments.eq1.spec_parts import Base, Degradation, Threads
-from experiments.eq1.unit_drawing import Cell, Place, draw_scenario, written_base
-from experiments.eq1.unit_settings import unit_settings
-from experiments.eq1.units import (
+from dslab.experiments.eq1.homogeneity import base_mixtures, stress_mixtures
+from dslab.experiments.eq1.records import SHAM
+from dslab.experiments.eq1.spec_parts import Base, Degradation, Threads
+from dslab.experiments.eq1.unit_drawing import Cell, Place, draw_scenario, written_base
+from dslab.experiments.eq1.unit_settings import unit_settings
+from dslab.experiments.eq1.units import (
     RECOVERING,
     SPEC_VERSION,
     ArmName,
@@ -28,14 +28,14 @@ from experiments.eq1.units import (
     content_hash,
     system_label,
 )
-from scenarios.distributions import NotationError
-from scenarios.errors import InputError, collect
-from scenarios.families import distributions_in, in_order_of_lines, load_family
-from scenarios.faults import all_faults, guess
-from scenarios.seeds import rng_for
-from scenarios.strict import Grown
-from scenarios.yaml_file import Location, YamlFile, read_yaml
-from slam.dual.recovery.registry import RECOVERY_KINDS
+from dslab.scenarios.distributions import NotationError
+from dslab.scenarios.errors import InputError, collect
+from dslab.scenarios.families import distributions_in, in_order_of_lines, load_family
+from dslab.scenarios.faults import all_faults, guess
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.strict import Grown
+from dslab.scenarios.yaml_file import Location, YamlFile, read_yaml
+from dslab.slam.dual.recovery.registry import RECOVERY_KINDS
 
 PRESET_DIR = Path(__file__).parent / "presets"
 START_WITHIN_S = 1.0

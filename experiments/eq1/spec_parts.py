@@ -6,12 +6,12 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from experiments.eq1.units import ThreadChoice
-from scenarios.distributions import is_distribution
-from scenarios.errors import InputError
-from scenarios.families import load_family
-from scenarios.segments import SEGMENT_KINDS, ImageSegment
-from scenarios.strict import Strict
+from dslab.experiments.eq1.units import ThreadChoice
+from dslab.scenarios.distributions import is_distribution
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.families import load_family
+from dslab.scenarios.segments import SEGMENT_KINDS, ImageSegment
+from dslab.scenarios.strict import Strict
 
 Node = dict[str, Any]
 """A part of a scenario, any node of which may be a distribution."""

@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from experiments.eq1.spec import ExperimentSpec
-from scenarios import schema as scenario_schema
-from scenarios.segments import SEGMENT_KINDS
-from slam.dual.recovery.registry import RECOVERY_KINDS
+from dslab.experiments.eq1.spec import ExperimentSpec
+from dslab.scenarios import schema as scenario_schema
+from dslab.scenarios.segments import SEGMENT_KINDS
+from dslab.slam.dual.recovery.registry import RECOVERY_KINDS
 
 _PARTS = ("world", "trajectory", "camera")
 

@@ -7,25 +7,25 @@ from typing import Any
 import cv2
 import numpy as np
 
-from experiments.eq1.arms import PLAIN, CpuClock, Exposure, run_crossing, run_free, settings_of
-from experiments.eq1.conditioning import judge_pairs
-from experiments.eq1.free_judging import ending_columns, judge_system
-from experiments.eq1.free_systems import run_free_system
-from experiments.eq1.judging import judge_crossing, judge_free
-from experiments.eq1.records import Outcome, empty_record, error_message
-from experiments.eq1.recovery_judging import Reference
-from experiments.eq1.rescuable import overlap_columns
-from experiments.eq1.shared_lead_ins import lead_in_of
-from experiments.eq1.units import UnitSpec
-from experiments.runs.ending import FINISHED, Declares
-from experiments.runs.execution import RunRecord, execute
-from experiments.runs.memory import peak_rss_mb, reset_peak
-from experiments.runs.provenance import code_hash, commit
-from experiments.runs.slam_settings import factory_of
-from experiments.runs.systems.command import CommandSystem, run_command
-from experiments.runs.systems.registry import Registry, System, factory_with, system_digest
-from sim.sequence import Sequence
-from sim.unfinished import scratch_folder
+from dslab.experiments.eq1.arms import PLAIN, CpuClock, Exposure, run_crossing, run_free, settings_of
+from dslab.experiments.eq1.conditioning import judge_pairs
+from dslab.experiments.eq1.free_judging import ending_columns, judge_system
+from dslab.experiments.eq1.free_systems import run_free_system
+from dslab.experiments.eq1.judging import judge_crossing, judge_free
+from dslab.experiments.eq1.records import Outcome, empty_record, error_message
+from dslab.experiments.eq1.recovery_judging import Reference
+from dslab.experiments.eq1.rescuable import overlap_columns
+from dslab.experiments.eq1.shared_lead_ins import lead_in_of
+from dslab.experiments.eq1.units import UnitSpec
+from dslab.experiments.runs.ending import FINISHED, Declares
+from dslab.experiments.runs.execution import RunRecord, execute
+from dslab.experiments.runs.memory import peak_rss_mb, reset_peak
+from dslab.experiments.runs.provenance import code_hash, commit
+from dslab.experiments.runs.slam_settings import factory_of
+from dslab.experiments.runs.systems.command import CommandSystem, run_command
+from dslab.experiments.runs.systems.registry import Registry, System, factory_with, system_digest
+from dslab.sim.sequence import Sequence
+from dslab.sim.unfinished import scratch_folder
 
 
 def run_unit(
@@ -76,7 +76,7 @@ def run_unit(
 
 def record_runs(unit: UnitSpec, system: System, sequence: Sequence, path: Path) -> list[RunRecord]:
     """Run and record the base and the unit's system from the start; ours behave as in the unit."""
-    from experiments.recording import Recording
+    from dslab.experiments.recording import Recording
 
     kinds = list(dict.fromkeys(("base", system.name)))
     build = factory_with({system.name: system}, factory_of(settings_of(unit)))
@@ -93,7 +93,7 @@ def record_runs(unit: UnitSpec, system: System, sequence: Sequence, path: Path) 
 
 
 def _render(unit: UnitSpec, cache_dir: Path | None) -> Sequence:
-    from sim.sequence_rendering import render_sequence
+    from dslab.sim.sequence_rendering import render_sequence
 
     whole = render_sequence(unit.scenario, cache_dir=cache_dir)
     return whole.only(np.arange(unit.start_frame, len(whole))) if unit.start_frame else whole

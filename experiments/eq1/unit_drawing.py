@@ -6,13 +6,13 @@ from typing import Any, Protocol
 
 from pydantic import ValidationError
 
-from experiments.eq1.spec_parts import Degradation
-from scenarios.drawing import Draw
-from scenarios.families import load_family, merged
-from scenarios.faults import all_faults
-from scenarios.seeds import rng_for
-from scenarios.spec import Scenario
-from scenarios.yaml_file import Location
+from dslab.experiments.eq1.spec_parts import Degradation
+from dslab.scenarios.drawing import Draw
+from dslab.scenarios.families import load_family, merged
+from dslab.scenarios.faults import all_faults
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.spec import Scenario
+from dslab.scenarios.yaml_file import Location
 
 _PARTS = ("world", "trajectory", "camera")
 

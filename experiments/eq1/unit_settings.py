@@ -4,10 +4,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from experiments.eq1.units import ThreadChoice
-from experiments.runs.slam_settings import SlamSettings, parse_slam_settings
-from scenarios.errors import InputError
-from scenarios.yaml_file import Location
+from dslab.experiments.eq1.units import ThreadChoice
+from dslab.experiments.runs.slam_settings import SlamSettings, parse_slam_settings
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.yaml_file import Location
 
 # What the design of the experiment sets.
 _OWN = ("recovery_threads", "exhaustive", "relocalization", "place_merging")

@@ -6,9 +6,9 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
-from scenarios.spec import Scenario
-from scenarios.strict import Grown
-from slam.dual.recovery.registry import RECOVERY_KINDS
+from dslab.scenarios.spec import Scenario
+from dslab.scenarios.strict import Grown
+from dslab.slam.dual.recovery.registry import RECOVERY_KINDS
 
 ArmName = Literal["free", "crossing", "pairs"]
 RECOVERING = ("dual", "dual+", "paper", "paper+")

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.evaluation.alignment import Similarity, Undefined, align_poses
-from experiments.evaluation.metrics import PosePairs, associate, path_length_m, walked_m
-from experiments.evaluation.pose_errors import PoseBounds, pose_errors
-from slam.core.results import MapTrajectory
+from dslab.experiments.evaluation.alignment import Similarity, Undefined, align_poses
+from dslab.experiments.evaluation.metrics import PosePairs, associate, path_length_m, walked_m
+from dslab.experiments.evaluation.pose_errors import PoseBounds, pose_errors
+from dslab.slam.core.results import MapTrajectory
 
 
 @dataclass(frozen=True)

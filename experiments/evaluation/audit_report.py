@@ -4,18 +4,18 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from experiments.evaluation.alignment import Undefined
-from experiments.evaluation.audit import AuditBounds, LossAudit, audit_loss
-from experiments.evaluation.breakages import (
+from dslab.experiments.evaluation.alignment import Undefined
+from dslab.experiments.evaluation.audit import AuditBounds, LossAudit, audit_loss
+from dslab.experiments.evaluation.breakages import (
     EXPOSURE_GRACE_S,
     BreakageOutcome,
     breakage_outcomes,
     segment_of_frame,
 )
-from experiments.evaluation.declared_audit import audit_declared
-from experiments.evaluation.relation_audit import RelationBounds
-from experiments.evaluation.whole_run_audit import LiveAudit, WrongStretch, audit_live, audit_maps
-from experiments.runs.execution import RunRecord
+from dslab.experiments.evaluation.declared_audit import audit_declared
+from dslab.experiments.evaluation.relation_audit import RelationBounds
+from dslab.experiments.evaluation.whole_run_audit import LiveAudit, WrongStretch, audit_live, audit_maps
+from dslab.experiments.runs.execution import RunRecord
 
 _LOOKBACK_S = 2.0
 """Time before a breakage outside every segment in which the loss may have started."""

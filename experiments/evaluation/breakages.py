@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from sim.sequence import SegmentTruth
-from slam.core.events import (
+from dslab.sim.sequence import SegmentTruth
+from dslab.slam.core.events import (
     Breakage,
     Event,
     Fusion,

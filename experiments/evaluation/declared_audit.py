@@ -4,17 +4,17 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from experiments.evaluation.alignment import Undefined
-from experiments.evaluation.metrics import PosePairs
-from experiments.evaluation.relation_audit import (
+from dslab.experiments.evaluation.alignment import Undefined
+from dslab.experiments.evaluation.metrics import PosePairs
+from dslab.experiments.evaluation.relation_audit import (
     RecognisedSide,
     RelationAudit,
     RelationBounds,
     audit_asserted,
 )
-from experiments.runs.execution import RunRecord
-from slam.core.events import Event, Fusion, LoopClosed, MapAdjusted, Relocalized, TrackingState
-from slam.core.relation import Relation
+from dslab.experiments.runs.execution import RunRecord
+from dslab.slam.core.events import Event, Fusion, LoopClosed, MapAdjusted, Relocalized, TrackingState
+from dslab.slam.core.relation import Relation
 
 _UNSAID = RelationAudit(None, None, None, None, None, "the system does not say what it asserts")
 

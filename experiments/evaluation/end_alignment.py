@@ -7,9 +7,9 @@ rotation is that of the orientations here, as straight ends leave that of the po
 
 import numpy as np
 
-from experiments.evaluation.alignment import Similarity, Undefined, align_poses
-from experiments.evaluation.metrics import rms
-from slam.core.results import MapTrajectory
+from dslab.experiments.evaluation.alignment import Similarity, Undefined, align_poses
+from dslab.experiments.evaluation.metrics import rms
+from dslab.slam.core.results import MapTrajectory
 
 END_S = 10.0
 """Length of start and end, or a third of what is known if that is less."""

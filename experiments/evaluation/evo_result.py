@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from experiments.evaluation.alignment import Undefined
-from experiments.evaluation.metrics import PosePairs, ate, position_errors_m
-from scenarios.errors import InputError
-from scenarios.input_files import open_file
+from dslab.experiments.evaluation.alignment import Undefined
+from dslab.experiments.evaluation.metrics import PosePairs, ate, position_errors_m
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import open_file
 
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "sse")
 """The figures of ``stats.json``."""

@@ -5,9 +5,9 @@ from enum import Enum
 
 import numpy as np
 
-from experiments.evaluation.summary import is_tracked, posed_frames
-from experiments.runs.execution import RunRecord
-from slam.core.events import Breakage, Event, Fusion
+from dslab.experiments.evaluation.summary import is_tracked, posed_frames
+from dslab.experiments.runs.execution import RunRecord
+from dslab.slam.core.events import Breakage, Event, Fusion
 
 
 class FrameOutcome(Enum):

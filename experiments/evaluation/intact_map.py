@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.core.results import MapTrajectory
+from dslab.slam.core.results import MapTrajectory
 
 MOST_GAP_S = 5.0
 """Longest section that an intact map may lack."""

@@ -5,8 +5,8 @@ from typing import Literal
 
 import numpy as np
 
-from experiments.evaluation.alignment import Similarity, Undefined, rotation_angle_deg, umeyama
-from slam.core.results import MapTrajectory
+from dslab.experiments.evaluation.alignment import Similarity, Undefined, rotation_angle_deg, umeyama
+from dslab.slam.core.results import MapTrajectory
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.evaluation.alignment import Similarity, Undefined, align_poses
-from experiments.evaluation.audit import AuditBounds, lacks_for_alignment, lost_from
-from experiments.evaluation.metrics import PosePairs, associate, path_length_m, rms, walked_m
-from experiments.evaluation.pose_errors import PoseErrors, pose_errors
-from slam.core.results import MapTrajectory
+from dslab.experiments.evaluation.alignment import Similarity, Undefined, align_poses
+from dslab.experiments.evaluation.audit import AuditBounds, lacks_for_alignment, lost_from
+from dslab.experiments.evaluation.metrics import PosePairs, associate, path_length_m, rms, walked_m
+from dslab.experiments.evaluation.pose_errors import PoseErrors, pose_errors
+from dslab.slam.core.results import MapTrajectory
 
 STEP_S = 1.0
 """From one window to the next."""

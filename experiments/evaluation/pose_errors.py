@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.evaluation.alignment import Similarity
-from experiments.evaluation.metrics import PosePairs, position_errors_m, rotation_errors_deg
+from dslab.experiments.evaluation.alignment import Similarity
+from dslab.experiments.evaluation.metrics import PosePairs, position_errors_m, rotation_errors_deg
 
 
 @dataclass(frozen=True)

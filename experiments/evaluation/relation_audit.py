@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.evaluation.alignment import Similarity, Undefined, align_poses
-from experiments.evaluation.metrics import PosePairs, associate
-from experiments.evaluation.pose_errors import PoseBounds, PoseErrors, pose_errors
-from slam.core.relation import PlacedFrames, Relation
-from slam.core.results import MapTrajectory
+from dslab.experiments.evaluation.alignment import Similarity, Undefined, align_poses
+from dslab.experiments.evaluation.metrics import PosePairs, associate
+from dslab.experiments.evaluation.pose_errors import PoseBounds, PoseErrors, pose_errors
+from dslab.slam.core.relation import PlacedFrames, Relation
+from dslab.slam.core.results import MapTrajectory
 
 
 @dataclass(frozen=True)

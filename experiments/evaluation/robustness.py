@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from experiments.evaluation import metrics
-from experiments.evaluation.alignment import Undefined
-from experiments.evaluation.metrics import PosePairs
+from dslab.experiments.evaluation import metrics
+from dslab.experiments.evaluation.alignment import Undefined
+from dslab.experiments.evaluation.metrics import PosePairs
 
 LEAST, MOST = 0.001, 0.1
 """Position errors, over the length of the true path, from which a share of the path is credited in part."""

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.evaluation.alignment import IDENTITY, Similarity, Undefined, align_poses
-from experiments.evaluation.metrics import associate
-from experiments.runs.execution import RunRecord
-from slam.core.results import MapTrajectory
+from dslab.experiments.evaluation.alignment import IDENTITY, Similarity, Undefined, align_poses
+from dslab.experiments.evaluation.metrics import associate
+from dslab.experiments.runs.execution import RunRecord
+from dslab.slam.core.results import MapTrajectory
 
 
 @dataclass(frozen=True)

@@ -6,17 +6,17 @@ from dataclasses import asdict
 
 import numpy as np
 
-from experiments.evaluation import metrics
-from experiments.evaluation.alignment import Undefined
-from experiments.evaluation.audit_report import audit_record
-from experiments.evaluation.breakages import BreakageOutcome, breakage_outcomes
-from experiments.runs.execution import RunRecord
-from experiments.runs.files import plain
-from experiments.runs.provenance import commit, versions
-from scenarios.describe import describe_kind
-from sim.sequence import Sequence
-from slam.core.events import Fusion, Relocalized, RescueEnd, TrackingState
-from slam.core.results import TrackingResult
+from dslab.experiments.evaluation import metrics
+from dslab.experiments.evaluation.alignment import Undefined
+from dslab.experiments.evaluation.audit_report import audit_record
+from dslab.experiments.evaluation.breakages import BreakageOutcome, breakage_outcomes
+from dslab.experiments.runs.execution import RunRecord
+from dslab.experiments.runs.files import plain
+from dslab.experiments.runs.provenance import commit, versions
+from dslab.scenarios.describe import describe_kind
+from dslab.sim.sequence import Sequence
+from dslab.slam.core.events import Fusion, Relocalized, RescueEnd, TrackingState
+from dslab.slam.core.results import TrackingResult
 
 RPE_STEP_S = 1.0
 

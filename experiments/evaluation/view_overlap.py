@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from scenarios.spec import Scenario
-from sim.depth_thumbnails import DepthOf, depth_renderer, thumbnail_camera
-from sim.frame_plan import RenderBackend
-from sim.sensors.camera import Intrinsics
-from sim.sensors.shared_view import seen_share
+from dslab.scenarios.spec import Scenario
+from dslab.sim.depth_thumbnails import DepthOf, depth_renderer, thumbnail_camera
+from dslab.sim.frame_plan import RenderBackend
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.shared_view import seen_share
 
 RESCUABLE_OVERLAP = 0.2
 """Least overlap of views that recovery by images can be asked to bridge."""

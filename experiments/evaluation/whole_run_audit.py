@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.evaluation.alignment import Undefined
-from experiments.evaluation.audit import AuditBounds, lacks_for_alignment
-from experiments.evaluation.metrics import associate, path_length_m
-from experiments.evaluation.path_audit import PathAudit, audit_path, fit, known_pieces
-from experiments.runs.execution import RunRecord
-from slam.core.events import Breakage, Fusion, LoopClosed, MapAdjusted, MapDropped, Relocalized
-from slam.core.results import MapTrajectory
+from dslab.experiments.evaluation.alignment import Undefined
+from dslab.experiments.evaluation.audit import AuditBounds, lacks_for_alignment
+from dslab.experiments.evaluation.metrics import associate, path_length_m
+from dslab.experiments.evaluation.path_audit import PathAudit, audit_path, fit, known_pieces
+from dslab.experiments.runs.execution import RunRecord
+from dslab.slam.core.events import Breakage, Fusion, LoopClosed, MapAdjusted, MapDropped, Relocalized
+from dslab.slam.core.results import MapTrajectory
 
 
 @dataclass(frozen=True)

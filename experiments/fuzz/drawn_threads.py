@@ -1,10 +1,10 @@
 """Recovery threads of a random run: any kinds in any order, drawn by seed."""
 
-from experiments.runs.execution import SystemKind
-from slam.core.seeds import rng_for
-from slam.dual.config import DualConfig
-from slam.dual.recovery.registry import ThreadSpec, parse_threads
-from slam.factory import PAPERS
+from dslab.experiments.runs.execution import SystemKind
+from dslab.slam.core.seeds import rng_for
+from dslab.slam.dual.config import DualConfig
+from dslab.slam.dual.recovery.registry import ThreadSpec, parse_threads
+from dslab.slam.factory import PAPERS
 
 KINDS = ("orb", "sift", "direct", "gms")
 """Kinds that are drawn; those of the paper are the first two with other settings."""

@@ -19,24 +19,31 @@ from typing import Any
 
 import numpy as np
 
-from experiments.campaign.clusters import embedded_worker_pool
-from experiments.campaign.unit_job import Task
-from experiments.campaign.worker_pool import Ended, WorkerPool, WorkerPoolSettings
-from experiments.fuzz.drawn_threads import drawn_kinds, drawn_settings
-from experiments.runs.execution import Mode, RunRecord, SystemFactory, SystemKind, execute, system_factory
-from experiments.runs.files import plain
-from experiments.runs.provenance import commit
-from scenarios.loading import dump_yaml
-from scenarios.random_scenarios import random_scenario
-from scenarios.spec import Scenario
-from sim.io.folders import new_directory
-from sim.sequence import Sequence as ImageSequence
-from sim.sequence_rendering import render_sequence
-from sim.unfinished import scratch_folder
-from slam.core.events import Event
-from slam.core.results import TrackingResult
-from slam.invariants import InvariantError, check_result, check_system
-from slam.system import MonocularSystem
+from dslab.experiments.campaign.clusters import embedded_worker_pool
+from dslab.experiments.campaign.unit_job import Task
+from dslab.experiments.campaign.worker_pool import Ended, WorkerPool, WorkerPoolSettings
+from dslab.experiments.fuzz.drawn_threads import drawn_kinds, drawn_settings
+from dslab.experiments.runs.execution import (
+    Mode,
+    RunRecord,
+    SystemFactory,
+    SystemKind,
+    execute,
+    system_factory,
+)
+from dslab.experiments.runs.files import plain
+from dslab.experiments.runs.provenance import commit
+from dslab.scenarios.loading import dump_yaml
+from dslab.scenarios.random_scenarios import random_scenario
+from dslab.scenarios.spec import Scenario
+from dslab.sim.io.folders import new_directory
+from dslab.sim.sequence import Sequence as ImageSequence
+from dslab.sim.sequence_rendering import render_sequence
+from dslab.sim.unfinished import scratch_folder
+from dslab.slam.core.events import Event
+from dslab.slam.core.results import TrackingResult
+from dslab.slam.invariants import InvariantError, check_result, check_system
+from dslab.slam.system import MonocularSystem
 
 UNITS_FILE = "units.jsonl"
 TIMES_FILE = "times.jsonl"

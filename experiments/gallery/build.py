@@ -6,14 +6,14 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from experiments.gallery.page import Entry, gallery_html
-from experiments.gallery.sheet import Sheet, make_sheet
-from experiments.runs.processes import process_pool
-from experiments.runs.provenance import DISTRIBUTION, commit, versions
-from scenarios.errors import InputError
-from scenarios.families import Family, family_names, load_family
-from scenarios.spec import Scenario
-from sim.io.folders import new_directory
+from dslab.experiments.gallery.page import Entry, gallery_html
+from dslab.experiments.gallery.sheet import Sheet, make_sheet
+from dslab.experiments.runs.processes import process_pool
+from dslab.experiments.runs.provenance import DISTRIBUTION, commit, versions
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.families import Family, family_names, load_family
+from dslab.scenarios.spec import Scenario
+from dslab.sim.io.folders import new_directory
 
 PAGE_FILE = "index.html"
 Progress = Callable[[int, int], None]

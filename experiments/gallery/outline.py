@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from sim.worlds.base import WorldModel
+from dslab.sim.worlds.base import WorldModel
 
 _SIZE = 480.0
 _SMALLEST = 170.0

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
-from experiments.gallery.plan_map import height_colour, height_range_m, plan_map
-from experiments.gallery.sheet import Sheet, Thumb
-from experiments.gallery.timeline import curves, ticks
-from experiments.pages import render_page
-from scenarios.describe import (
+from dslab.experiments.gallery.plan_map import height_colour, height_range_m, plan_map
+from dslab.experiments.gallery.sheet import Sheet, Thumb
+from dslab.experiments.gallery.timeline import curves, ticks
+from dslab.experiments.pages import render_page
+from dslab.scenarios.describe import (
     describe_camera,
     describe_kind,
     describe_motion,
@@ -18,9 +18,9 @@ from scenarios.describe import (
     describe_world,
     measured,
 )
-from scenarios.describe_family import describe_distribution, describe_parameter, parameter_label
-from scenarios.families import Family
-from scenarios.segments import SEGMENT_KINDS
+from dslab.scenarios.describe_family import describe_distribution, describe_parameter, parameter_label
+from dslab.scenarios.families import Family
+from dslab.scenarios.segments import SEGMENT_KINDS
 
 _TEMPLATES = Path(__file__).with_name("templates")
 _SHOWN_BLUR_PX = 2.0

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from markupsafe import Markup
 
-from experiments.gallery.sheet import Sheet
-from scenarios.describe import describe_kind, measured
-from sim.worlds.geometry.route import arc_length
+from dslab.experiments.gallery.sheet import Sheet
+from dslab.scenarios.describe import describe_kind, measured
+from dslab.sim.worlds.geometry.route import arc_length
 
 # A path that climbs less counts as level.
 _LEVEL_M = 1.0

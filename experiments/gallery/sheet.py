@@ -6,13 +6,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from experiments.gallery.outline import MapFrame, draw_outline, frame_of
-from scenarios.segments import SegmentBase
-from scenarios.spec import Scenario
-from sim.degradations.base import FramePlan
-from sim.motion.base import Motion
-from sim.preview import Preview, preview
-from sim.sequence_rendering import RenderBackend
+from dslab.experiments.gallery.outline import MapFrame, draw_outline, frame_of
+from dslab.scenarios.segments import SegmentBase
+from dslab.scenarios.spec import Scenario
+from dslab.sim.degradations.base import FramePlan
+from dslab.sim.motion.base import Motion
+from dslab.sim.preview import Preview, preview
+from dslab.sim.sequence_rendering import RenderBackend
 
 THUMB_PIXELS = 60_000
 """Pixels of a thumbnail of any shape."""

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from experiments.gallery.plan_map import height_range_m, svg_points
-from experiments.gallery.sheet import Sheet
-from scenarios.describe import measured
+from dslab.experiments.gallery.plan_map import height_range_m, svg_points
+from dslab.experiments.gallery.sheet import Sheet
+from dslab.scenarios.describe import measured
 
 WIDTH, HEIGHT = 1000.0, 36.0
 """Size of a curve's box in its own units."""

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 
-from experiments.evaluation.breakages import BreakageOutcome
-from experiments.evaluation.frame_outcomes import FrameOutcome
-from experiments.evaluation.scene import Scene
-from experiments.pictures import palette
-from experiments.runs.execution import RunRecord
+from dslab.experiments.evaluation.breakages import BreakageOutcome
+from dslab.experiments.evaluation.frame_outcomes import FrameOutcome
+from dslab.experiments.evaluation.scene import Scene
+from dslab.experiments.pictures import palette
+from dslab.experiments.runs.execution import RunRecord
 
 
 @dataclass(frozen=True)

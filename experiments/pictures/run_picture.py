@@ -9,15 +9,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from experiments.evaluation.breakages import breakage_outcomes
-from experiments.evaluation.frame_outcomes import frame_outcomes
-from experiments.evaluation.scene import lay_out
-from experiments.pictures import palette
-from experiments.pictures.path_panel import DrawnRun, draw_path
-from experiments.pictures.time_panel import draw_inliers, draw_lanes
-from experiments.runs.execution import RunRecord
-from scenarios.describe import describe_kind
-from sim.sequence import Sequence
+from dslab.experiments.evaluation.breakages import breakage_outcomes
+from dslab.experiments.evaluation.frame_outcomes import frame_outcomes
+from dslab.experiments.evaluation.scene import lay_out
+from dslab.experiments.pictures import palette
+from dslab.experiments.pictures.path_panel import DrawnRun, draw_path
+from dslab.experiments.pictures.time_panel import draw_inliers, draw_lanes
+from dslab.experiments.runs.execution import RunRecord
+from dslab.scenarios.describe import describe_kind
+from dslab.sim.sequence import Sequence
 
 _SAMPLES = 5
 _SAMPLE_WIDTH_PX = 320

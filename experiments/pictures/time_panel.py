@@ -5,11 +5,11 @@ from collections.abc import Sequence as Many
 import numpy as np
 from matplotlib.axes import Axes
 
-from experiments.evaluation.frame_outcomes import FrameOutcome
-from experiments.pictures import palette
-from experiments.pictures.path_panel import DrawnRun
-from scenarios.describe import describe_kind
-from sim.sequence import SegmentTruth
+from dslab.experiments.evaluation.frame_outcomes import FrameOutcome
+from dslab.experiments.pictures import palette
+from dslab.experiments.pictures.path_panel import DrawnRun
+from dslab.scenarios.describe import describe_kind
+from dslab.sim.sequence import SegmentTruth
 
 _MOST_ROWS = 3
 _LABEL_SHARE = 0.0062

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from experiments.realism.comparison import footage_content
-from experiments.realism.footage import Footage, measure_footage
-from experiments.realism.page import footage_html
-from experiments.runs.files import plain
-from experiments.runs.sources import open_sequence
-from scenarios.errors import InputError
-from sim.io.folders import check_free, new_directory
+from dslab.experiments.realism.comparison import footage_content
+from dslab.experiments.realism.footage import Footage, measure_footage
+from dslab.experiments.realism.page import footage_html
+from dslab.experiments.runs.files import plain
+from dslab.experiments.runs.sources import open_sequence
+from dslab.scenarios.errors import InputError
+from dslab.sim.io.folders import check_free, new_directory
 
 PAGE_FILE, FIGURES_FILE = "index.html", "footage.json"
 

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.realism.footage import Footage
-from experiments.realism.measures import MEASURES
+from dslab.experiments.realism.footage import Footage
+from dslab.experiments.realism.measures import MEASURES
 
 _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 

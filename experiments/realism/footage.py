@@ -5,17 +5,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from experiments.evaluation import metrics
-from experiments.evaluation.alignment import Undefined
-from experiments.realism.images import frame_statistics
-from experiments.realism.live import live_residuals
-from experiments.realism.measures import MEASURES
-from experiments.realism.tracked import map_statistics
-from experiments.runs.execution import RunRecord, SlamSystem, execute
-from sim.sequence import Sequence
-from slam.core.events import Breakage, CameraRefined, TrackingState
-from slam.core.results import TrackingResult
-from slam.system import MonocularSlam
+from dslab.experiments.evaluation import metrics
+from dslab.experiments.evaluation.alignment import Undefined
+from dslab.experiments.realism.images import frame_statistics
+from dslab.experiments.realism.live import live_residuals
+from dslab.experiments.realism.measures import MEASURES
+from dslab.experiments.realism.tracked import map_statistics
+from dslab.experiments.runs.execution import RunRecord, SlamSystem, execute
+from dslab.sim.sequence import Sequence
+from dslab.slam.core.events import Breakage, CameraRefined, TrackingState
+from dslab.slam.core.results import TrackingResult
+from dslab.slam.system import MonocularSlam
 
 _LOOKED_AT_EVERY = 10  # frames, for the statistics of images
 _MATCHED_EVERY = 5  # frames, for the residuals of all matches

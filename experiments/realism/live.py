@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from slam.matching import guided
-from slam.system import MonocularSlam
+from dslab.slam.matching import guided
+from dslab.slam.system import MonocularSlam
 
 WIDEN = 3.0
 """Windows of the search over the tracker's own."""

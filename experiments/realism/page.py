@@ -5,10 +5,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from experiments.pages import render_page
-from experiments.realism.plots import draw_measure, draw_scale
-from experiments.report.plots.draw import Image, Plot, rendered
-from experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
+from dslab.experiments.pages import render_page
+from dslab.experiments.realism.plots import draw_measure, draw_scale
+from dslab.experiments.report.plots.draw import Image, Plot, rendered
+from dslab.experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
 
 _TEMPLATES = Path(__file__).with_name("templates")
 """Folder of the page's template and style."""

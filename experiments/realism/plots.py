@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.report.plots.style import (
+from dslab.experiments.report.plots.style import (
     BLUE,
     GREEN,
     GREY,

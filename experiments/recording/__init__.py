@@ -5,7 +5,7 @@ import os
 # rerun reads this on import. Without it the writer logs errors that are raised here anyway.
 os.environ.setdefault("RUST_LOG", "off")
 
-from experiments.recording.recorder import Recording, SystemRecorder
-from experiments.recording.viewer import open_viewer
+from dslab.experiments.recording.recorder import Recording, SystemRecorder
+from dslab.experiments.recording.viewer import open_viewer
 
 __all__ = ["Recording", "SystemRecorder", "open_viewer"]

@@ -6,12 +6,12 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from experiments.evaluation.scene import Scene
-from experiments.recording.drawing import INJECTED, SYSTEMS
-from experiments.recording.key import key_rows, key_view
-from experiments.recording.stream import part
-from experiments.runs.execution import RunRecord
-from slam.core.events import Breakage
+from dslab.experiments.evaluation.scene import Scene
+from dslab.experiments.recording.drawing import INJECTED, SYSTEMS
+from dslab.experiments.recording.key import key_rows, key_view
+from dslab.experiments.recording.stream import part
+from dslab.experiments.runs.execution import RunRecord
+from dslab.slam.core.events import Breakage
 
 _HEIGHT_PX, _LANES_PX, _LANE_PX, _MOST_LANES_PX = 800, 56, 40, 560
 """Heights on a screen of usual size: of all, of the head of the timeline, of a lane, of the timeline."""

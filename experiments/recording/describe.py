@@ -1,8 +1,8 @@
 """Text and colour of events."""
 
-from experiments.recording import palette
-from experiments.recording.palette import Color
-from slam.core.events import CANCELLED, Event
+from dslab.experiments.recording import palette
+from dslab.experiments.recording.palette import Color
+from dslab.slam.core.events import CANCELLED, Event
 
 _TEXTS = {
     "initialized": "map {map_id} initialized with {points} points ({model})",

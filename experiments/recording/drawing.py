@@ -6,19 +6,19 @@ from dataclasses import dataclass
 import numpy as np
 import rerun as rr
 
-from experiments.evaluation.audit_report import audit_record
-from experiments.evaluation.audit_text import audit_text
-from experiments.evaluation.scene import Scene
-from experiments.recording import palette
-from experiments.recording.describe import describe_event
-from experiments.recording.lanes import Lane
-from experiments.recording.palette import Color
-from experiments.recording.paths import RunPaths, pins, thin
-from experiments.recording.stories import stories
-from experiments.recording.stream import Stream, part
-from experiments.runs.execution import RunRecord
-from sim.sequence import Sequence
-from slam.core.events import Breakage
+from dslab.experiments.evaluation.audit_report import audit_record
+from dslab.experiments.evaluation.audit_text import audit_text
+from dslab.experiments.evaluation.scene import Scene
+from dslab.experiments.recording import palette
+from dslab.experiments.recording.describe import describe_event
+from dslab.experiments.recording.lanes import Lane
+from dslab.experiments.recording.palette import Color
+from dslab.experiments.recording.paths import RunPaths, pins, thin
+from dslab.experiments.recording.stories import stories
+from dslab.experiments.recording.stream import Stream, part
+from dslab.experiments.runs.execution import RunRecord
+from dslab.sim.sequence import Sequence
+from dslab.slam.core.events import Breakage
 
 INJECTED, SYSTEMS = "injected", "slam"
 """Paths of the lanes of segments and of systems, in this order in the viewer."""

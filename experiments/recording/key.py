@@ -3,8 +3,8 @@
 import rerun as rr
 import rerun.blueprint as rrb
 
-from experiments.recording import palette
-from experiments.recording.stream import Stream
+from dslab.experiments.recording import palette
+from dslab.experiments.recording.stream import Stream
 
 _ENTITY = "key"
 _COLUMNS, _STEP = 4, (150.0, 34.0)

@@ -2,15 +2,15 @@
 
 from dataclasses import dataclass, field
 
-from experiments.evaluation.audit_report import audit_record
-from experiments.evaluation.audit_text import silent_losses
-from experiments.evaluation.frame_outcomes import FrameOutcome, frame_outcomes
-from experiments.evaluation.summary import is_tracked
-from experiments.recording import palette
-from experiments.recording.palette import Color
-from experiments.recording.stories import Story, stories
-from experiments.runs.execution import RunRecord
-from slam.core.events import CANCELLED, Event, Fusion, RecoveryEnd, RecoveryStart
+from dslab.experiments.evaluation.audit_report import audit_record
+from dslab.experiments.evaluation.audit_text import silent_losses
+from dslab.experiments.evaluation.frame_outcomes import FrameOutcome, frame_outcomes
+from dslab.experiments.evaluation.summary import is_tracked
+from dslab.experiments.recording import palette
+from dslab.experiments.recording.palette import Color
+from dslab.experiments.recording.stories import Story, stories
+from dslab.experiments.runs.execution import RunRecord
+from dslab.slam.core.events import CANCELLED, Event, Fusion, RecoveryEnd, RecoveryStart
 
 LETTERS = 72
 """Letters that fit into a lane on a screen of usual width."""

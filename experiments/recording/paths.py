@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from experiments.evaluation.frame_outcomes import FrameOutcome, frame_outcomes, known_from
-from experiments.evaluation.scene import Scene
-from experiments.evaluation.summary import is_tracked
-from experiments.runs.execution import RunRecord
-from slam.core.events import Breakage
+from dslab.experiments.evaluation.frame_outcomes import FrameOutcome, frame_outcomes, known_from
+from dslab.experiments.evaluation.scene import Scene
+from dslab.experiments.evaluation.summary import is_tracked
+from dslab.experiments.runs.execution import RunRecord
+from dslab.slam.core.events import Breakage
 
 MAX_PATH = 600
 """Largest number of points of a drawn path."""

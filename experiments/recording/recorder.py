@@ -8,18 +8,25 @@ import cv2
 import numpy as np
 import rerun as rr
 
-from experiments.evaluation.scene import lay_out, together
-from experiments.evaluation.summary import is_tracked
-from experiments.recording import palette
-from experiments.recording.blueprint import make_blueprint
-from experiments.recording.drawing import INJECTED, SYSTEMS, MapSnapshot, RunDrawing, draw_lane, draw_truth
-from experiments.recording.key import draw_key
-from experiments.recording.lanes import segment_lanes, system_lanes
-from experiments.recording.paths import thin
-from experiments.recording.stream import Stream, part
-from experiments.runs.execution import RunRecord, SlamSystem
-from sim.sequence import Sequence
-from slam.core.results import PhotometricView, TrackingResult
+from dslab.experiments.evaluation.scene import lay_out, together
+from dslab.experiments.evaluation.summary import is_tracked
+from dslab.experiments.recording import palette
+from dslab.experiments.recording.blueprint import make_blueprint
+from dslab.experiments.recording.drawing import (
+    INJECTED,
+    SYSTEMS,
+    MapSnapshot,
+    RunDrawing,
+    draw_lane,
+    draw_truth,
+)
+from dslab.experiments.recording.key import draw_key
+from dslab.experiments.recording.lanes import segment_lanes, system_lanes
+from dslab.experiments.recording.paths import thin
+from dslab.experiments.recording.stream import Stream, part
+from dslab.experiments.runs.execution import RunRecord, SlamSystem
+from dslab.sim.sequence import Sequence
+from dslab.slam.core.results import PhotometricView, TrackingResult
 
 IMAGES_PER_S = 10.0
 _JPEG = [cv2.IMWRITE_JPEG_QUALITY, 60]

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from experiments.evaluation.breakages import BreakageOutcome, breakage_outcomes
-from experiments.runs.execution import RunRecord
-from slam.core.events import Relocalized
+from dslab.experiments.evaluation.breakages import BreakageOutcome, breakage_outcomes
+from dslab.experiments.runs.execution import RunRecord
+from dslab.slam.core.events import Relocalized
 
 _DROPPED = "map dropped"
 

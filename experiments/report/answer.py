@@ -5,8 +5,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from experiments.report.conditions import describe_label, describe_stress, thread_names
-from experiments.report.describe import interval_of_share, listed, percent, plural
+from dslab.experiments.report.conditions import describe_label, describe_stress, thread_names
+from dslab.experiments.report.describe import interval_of_share, listed, percent, plural
 
 LEAST_WORLDS = 10
 """Worlds with the event below which nothing is tested (`statistics.verdicts`)."""

@@ -7,19 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from experiments.campaign.boundary_schedule import BoundarySchedule
-from experiments.campaign.folder import read_rows
-from experiments.eq1.boundary_plan import FAILURES, BoundaryPlan
-from experiments.eq1.records import Outcome
-from experiments.eq1.units import RECOVERING
-from experiments.report.conditions import describe_label
-from experiments.report.plots.boundary import draw_boundary
-from experiments.report.plots.draw import rendered
-from experiments.report.plots.style import WIDE_IN, settings
-from experiments.runs.files import to_json
-from experiments.statistics.boundary import CONFIDENCE, Boundary
-from scenarios.describe import describe_field, label_and_unit, measured
-from sim.io.folders import write_file
+from dslab.experiments.campaign.boundary_schedule import BoundarySchedule
+from dslab.experiments.campaign.folder import read_rows
+from dslab.experiments.eq1.boundary_plan import FAILURES, BoundaryPlan
+from dslab.experiments.eq1.records import Outcome
+from dslab.experiments.eq1.units import RECOVERING
+from dslab.experiments.report.conditions import describe_label
+from dslab.experiments.report.plots.boundary import draw_boundary
+from dslab.experiments.report.plots.draw import rendered
+from dslab.experiments.report.plots.style import WIDE_IN, settings
+from dslab.experiments.runs.files import to_json
+from dslab.experiments.statistics.boundary import CONFIDENCE, Boundary
+from dslab.scenarios.describe import describe_field, label_and_unit, measured
+from dslab.sim.io.folders import write_file
 
 JSON_FILE, PICTURE_FILE = "boundary.json", "boundary.png"
 FORMAT = 1

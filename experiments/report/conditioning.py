@@ -4,10 +4,10 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.eq1.records import PAIR_GAPS, pair_column
-from experiments.report.describe import ends, number, plural
-from experiments.report.plain_data import as_data
-from experiments.statistics.conditioning import QUANTITIES, lead_ins
+from dslab.experiments.eq1.records import PAIR_GAPS, pair_column
+from dslab.experiments.report.describe import ends, number, plural
+from dslab.experiments.report.plain_data import as_data
+from dslab.experiments.statistics.conditioning import QUANTITIES, lead_ins
 
 QUANTITY_WORDS = {"rotation_deg": "rotation", "direction_deg": "direction of translation"}
 

@@ -2,13 +2,13 @@
 
 from typing import TYPE_CHECKING, Any
 
-from experiments.eq1.records import SHAM
-from experiments.eq1.units import system_label
-from experiments.report.describe import listed
-from scenarios.describe import describe_field, describe_kind, label_and_unit, plain
+from dslab.experiments.eq1.records import SHAM
+from dslab.experiments.eq1.units import system_label
+from dslab.experiments.report.describe import listed
+from dslab.scenarios.describe import describe_field, describe_kind, label_and_unit, plain
 
 if TYPE_CHECKING:
-    from experiments.eq1.spec import ExperimentSpec
+    from dslab.experiments.eq1.spec import ExperimentSpec
 
 _ABBREVIATIONS = ("orb", "sift", "gms")
 

@@ -5,20 +5,20 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from experiments.eq1.records import SHAM, failure_column
-from experiments.eq1.units import system_label
-from experiments.report import outcomes, reproductions
-from experiments.report.answer import answer
-from experiments.report.conditioning import conditioning
-from experiments.report.conditions import conditions
-from experiments.report.describe import plural
-from experiments.report.plain_data import as_data
-from experiments.report.systems import asks_eq1, beside_each_other, labels
-from experiments.runs import provenance
-from experiments.statistics.analysis import analyse
+from dslab.experiments.eq1.records import SHAM, failure_column
+from dslab.experiments.eq1.units import system_label
+from dslab.experiments.report import outcomes, reproductions
+from dslab.experiments.report.answer import answer
+from dslab.experiments.report.conditioning import conditioning
+from dslab.experiments.report.conditions import conditions
+from dslab.experiments.report.describe import plural
+from dslab.experiments.report.plain_data import as_data
+from dslab.experiments.report.systems import asks_eq1, beside_each_other, labels
+from dslab.experiments.runs import provenance
+from dslab.experiments.statistics.analysis import analyse
 
 if TYPE_CHECKING:
-    from experiments.eq1.spec import ExperimentSpec
+    from dslab.experiments.eq1.spec import ExperimentSpec
 
 FORMAT = 2
 PAPER_THREAD = "paper_orb"

@@ -7,9 +7,9 @@ from typing import Any, Literal
 
 import pandas as pd
 
-from experiments.eq1.records import SHAM, Outcome, dual_column, failure_column, thread_column
-from experiments.report.plain_data import as_data, counted, is_false, is_true, of_trials, spread
-from experiments.statistics.from_records import is_exposed
+from dslab.experiments.eq1.records import SHAM, Outcome, dual_column, failure_column, thread_column
+from dslab.experiments.report.plain_data import as_data, counted, is_false, is_true, of_trials, spread
+from dslab.experiments.statistics.from_records import is_exposed
 
 ARMS = ("free", "cross")
 

@@ -7,12 +7,12 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from experiments.pages import render_page
-from experiments.report.answer import MEANINGS
-from experiments.report.conditions import describe_label, thread_names
-from experiments.report.describe import FILTERS
-from experiments.report.paper_figures import PAPER
-from experiments.report.plots.draw import Image, Plot
+from dslab.experiments.pages import render_page
+from dslab.experiments.report.answer import MEANINGS
+from dslab.experiments.report.conditions import describe_label, thread_names
+from dslab.experiments.report.describe import FILTERS
+from dslab.experiments.report.paper_figures import PAPER
+from dslab.experiments.report.plots.draw import Image, Plot
 
 _TEMPLATES = Path(__file__).with_name("templates")
 

@@ -7,7 +7,7 @@ Tables II and III are in ``statistics.paper``.
 from dataclasses import dataclass
 from typing import Any
 
-from experiments.statistics.paper import TABLE_II, TABLE_III
+from dslab.experiments.statistics.paper import TABLE_II, TABLE_III
 
 
 @dataclass(frozen=True)

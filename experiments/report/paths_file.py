@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.evaluation.scene import lay_out
-from experiments.runs.execution import RunRecord
-from scenarios.errors import InputError
-from scenarios.input_files import is_given
-from sim.cache import CorruptEntryError
-from sim.io.folders import write_file
-from sim.io.raw import stored_archive
+from dslab.experiments.evaluation.scene import lay_out
+from dslab.experiments.runs.execution import RunRecord
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import is_given
+from dslab.sim.cache import CorruptEntryError
+from dslab.sim.io.folders import write_file
+from dslab.sim.io.raw import stored_archive
 
 PATHS_FILE = "trajectories.npz"
 WHICH = ("truth", "base", "dual")

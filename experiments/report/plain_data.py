@@ -6,8 +6,8 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.runs.files import plain
-from experiments.statistics.intervals import Proportion
+from dslab.experiments.runs.files import plain
+from dslab.experiments.statistics.intervals import Proportion
 
 
 def of_trials(column: pd.Series) -> dict[str, Any]:

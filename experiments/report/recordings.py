@@ -4,12 +4,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.report.paths_file import add_paths, paths_of
-from sim.io.folders import write_file
+from dslab.experiments.report.paths_file import add_paths, paths_of
+from dslab.sim.io.folders import write_file
 
 if TYPE_CHECKING:
-    from experiments.eq1.spec import ExperimentSpec
-    from experiments.eq1.units import UnitSpec
+    from dslab.experiments.eq1.spec import ExperimentSpec
+    from dslab.experiments.eq1.units import UnitSpec
 
 FOLDER = "recordings"
 
@@ -42,8 +42,8 @@ def add_recordings(
 
 
 def _record(unit: "UnitSpec", unit_id: str, folder: Path) -> None:
-    from experiments.eq1.trial import record_runs
-    from sim.sequence_rendering import render_sequence
+    from dslab.experiments.eq1.trial import record_runs
+    from dslab.sim.sequence_rendering import render_sequence
 
     def write(path: Path) -> None:
         runs = record_runs(unit, render_sequence(unit.scenario), path)

@@ -9,9 +9,9 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.eq1.records import SHAM, dual_column, thread_column
-from experiments.report.outcomes import completed, recovered, rows_where
-from experiments.report.plain_data import as_data, is_true, numbers, of_trials, spread
+from dslab.experiments.eq1.records import SHAM, dual_column, thread_column
+from dslab.experiments.report.outcomes import completed, recovered, rows_where
+from dslab.experiments.report.plain_data import as_data, is_true, numbers, of_trials, spread
 
 UNITS_PER_CELL_OF_TIMELINE = 10
 """Number of trials per sequence in the paper."""

@@ -4,15 +4,15 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from experiments.eq1.records import Outcome
-from experiments.eq1.units import RECOVERING, system_label
-from experiments.report.outcomes import completed, rows_where
-from experiments.report.plain_data import as_data, counted
-from experiments.statistics.systems import compare_systems
+from dslab.experiments.eq1.records import Outcome
+from dslab.experiments.eq1.units import RECOVERING, system_label
+from dslab.experiments.report.outcomes import completed, rows_where
+from dslab.experiments.report.plain_data import as_data, counted
+from dslab.experiments.statistics.systems import compare_systems
 
 if TYPE_CHECKING:
-    from experiments.eq1.spec import ExperimentSpec
-    from experiments.eq1.unit_drawing import Cell
+    from dslab.experiments.eq1.spec import ExperimentSpec
+    from dslab.experiments.eq1.unit_drawing import Cell
 
 
 def asks_eq1(cell: "Cell") -> bool:

@@ -5,14 +5,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from experiments.eq1.boundary_plan import is_search
-from experiments.report.content import report_content
-from experiments.report.page import report_html
-from experiments.report.plots.draw import draw_plots
-from experiments.report.recordings import add_recordings
-from experiments.runs.files import to_json
-from scenarios.errors import InputError
-from sim.io.folders import new_directory, unwritable, write_file
+from dslab.experiments.eq1.boundary_plan import is_search
+from dslab.experiments.report.content import report_content
+from dslab.experiments.report.page import report_html
+from dslab.experiments.report.plots.draw import draw_plots
+from dslab.experiments.report.recordings import add_recordings
+from dslab.experiments.runs.files import to_json
+from dslab.scenarios.errors import InputError
+from dslab.sim.io.folders import new_directory, unwritable, write_file
 
 PAGE, FIGURES, PLOTS = "report.html", "report.json", "plots"
 
@@ -36,7 +36,7 @@ def write_report(
     Raises:
         InputError: the folder holds no experiment or a boundary search, or is not writable.
     """
-    from experiments.campaign.folder import read_experiment
+    from dslab.experiments.campaign.folder import read_experiment
 
     folder = Path(folder)
     spec, table = read_experiment(folder)

@@ -7,18 +7,18 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from experiments.runs.ending import FINISHED, Declares, Ending
-from experiments.runs.memory import peak_rss_mb, reset_peak
-from experiments.runs.pacing import RealTime
-from scenarios.errors import InputError
-from sim.sensors.camera import Intrinsics
-from sim.sequence import Sequence
-from slam.config import SlamConfig
-from slam.core.camera import PinholeCamera
-from slam.core.events import Event, TrackingState
-from slam.core.results import MapTrajectory, TrackingResult
-from slam.dual.config import DualConfig
-from slam.map.map import Map
+from dslab.experiments.runs.ending import FINISHED, Declares, Ending
+from dslab.experiments.runs.memory import peak_rss_mb, reset_peak
+from dslab.experiments.runs.pacing import RealTime
+from dslab.scenarios.errors import InputError
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sequence import Sequence
+from dslab.slam.config import SlamConfig
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.events import Event, TrackingState
+from dslab.slam.core.results import MapTrajectory, TrackingResult
+from dslab.slam.dual.config import DualConfig
+from dslab.slam.map.map import Map
 
 SystemKind = Literal["base", "dual", "dual+", "paper", "paper+", "dso", "ldso"]
 """Our systems, see ``slam.factory``; a plug-in goes by any other name."""
@@ -212,8 +212,8 @@ def system_factory(
         dual: settings of Dual-SLAM; None for its own.
         config: settings of the base; None for the system's own.
     """
-    from slam.factory import build_system
-    from slam.runtime.backend import ExecutionMode
+    from dslab.slam.factory import build_system
+    from dslab.slam.runtime.backend import ExecutionMode
 
     execution_mode = ExecutionMode(mode)
     return lambda kind, camera, seed: build_system(kind, camera, seed, config, execution_mode, dual)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slam.core.events import Event
-from slam.core.results import MapTrajectory, TrackingResult
+from dslab.slam.core.events import Event
+from dslab.slam.core.results import MapTrajectory, TrackingResult
 
 
 def write_tum(path: Path, trajectory: MapTrajectory | None) -> None:

@@ -20,15 +20,15 @@ from pathlib import Path
 
 import numpy as np
 
-from scenarios.errors import InputError
-from scenarios.input_files import is_folder, is_given, read_json
-from sim.cache import FolderCache, content_key
-from sim.io.forms import Form, detect_form, write_sequence
-from sim.io.text import check_words, read_rows, to_numbers
-from sim.io.truth import check_position, check_quaternion, half_interval_s, nearest, poses_of
-from sim.sequence import Sequence
-from sim.unfinished import scratch_folder
-from slam.core.results import MapTrajectory
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import is_folder, is_given, read_json
+from dslab.sim.cache import FolderCache, content_key
+from dslab.sim.io.forms import Form, detect_form, write_sequence
+from dslab.sim.io.text import check_words, read_rows, to_numbers
+from dslab.sim.io.truth import check_position, check_quaternion, half_interval_s, nearest, poses_of
+from dslab.sim.sequence import Sequence
+from dslab.sim.unfinished import scratch_folder
+from dslab.slam.core.results import MapTrajectory
 
 _TUM_NAMES = ["stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
 

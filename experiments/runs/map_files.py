@@ -3,9 +3,9 @@
 from dataclasses import replace
 from pathlib import Path
 
-from experiments.runs.execution import SlamSystem, slam_camera
-from sim.sequence import Sequence
-from slam.map.export import colmap_model, write_colmap
+from dslab.experiments.runs.execution import SlamSystem, slam_camera
+from dslab.sim.sequence import Sequence
+from dslab.slam.map.export import colmap_model, write_colmap
 
 
 def write_maps(folder: Path, system: SlamSystem, sequence: Sequence) -> None:

@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sim.sequence import Sequence
+from dslab.sim.sequence import Sequence
 
 
 class Clock(Protocol):

@@ -9,7 +9,7 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
-from scenarios.extensions import extension_digests, source_digest
+from dslab.scenarios.extensions import extension_digests, source_digest
 
 DISTRIBUTION = "dual-slam-lab"
 _REPORTED = (
@@ -38,7 +38,7 @@ def commit() -> str | None:
 
 def code_hash() -> str:
     """Hash of all that makes images and poses: scenarios, sim and slam with their data, and extensions."""
-    from slam.dual.recovery.registry import RECOVERY_KINDS
+    from dslab.slam.dual.recovery.registry import RECOVERY_KINDS
 
     extensions = extension_digests() | {
         f"recovery thread: {kind}": source_digest(thread)

@@ -16,18 +16,18 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 import yaml
 from pydantic import TypeAdapter, ValidationError
 
-from experiments.runs.execution import Mode, SlamSystem, SystemFactory
-from scenarios.errors import InputError
-from scenarios.faults import guess
-from scenarios.yaml_file import Location, read_yaml
-from slam.config import SlamConfig
-from slam.core.camera import PinholeCamera
-from slam.dual.config import DualConfig
-from slam.dual.recovery.interface import RecoveryConfig
-from slam.dual.recovery.registry import RECOVERY_KINDS, ThreadSpec
-from slam.factory import build_system, default_settings
-from slam.ldso.config import DsoConfig
-from slam.runtime.backend import ExecutionMode
+from dslab.experiments.runs.execution import Mode, SlamSystem, SystemFactory
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.faults import guess
+from dslab.scenarios.yaml_file import Location, read_yaml
+from dslab.slam.config import SlamConfig
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.dual.config import DualConfig
+from dslab.slam.dual.recovery.interface import RecoveryConfig
+from dslab.slam.dual.recovery.registry import RECOVERY_KINDS, ThreadSpec
+from dslab.slam.factory import build_system, default_settings
+from dslab.slam.ldso.config import DsoConfig
+from dslab.slam.runtime.backend import ExecutionMode
 
 _SUMMARY_KEY = "config"
 _DUAL, _DSO, _MODE = "dual", "dso", "mode"

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from scenarios.errors import InputError
-from scenarios.input_files import is_folder, is_given
-from sim.io.video import is_video
-from sim.room import check_room, images_need
-from sim.sensors.imu import ImuReadings, ImuTruth
-from sim.sequence import Sequence
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import is_folder, is_given
+from dslab.sim.io.video import is_video
+from dslab.sim.room import check_room, images_need
+from dslab.sim.sensors.imu import ImuReadings, ImuTruth
+from dslab.sim.sequence import Sequence
 
 Progress = Callable[[str, int, int], None]
 """Called with the name of the step, frames done and frames in all."""
@@ -51,7 +51,7 @@ def open_sequence(
         if renderer is not None:
             problem = "the frames are already there"
             raise InputError(f"--renderer: {source}", problem, "name a scenario, or leave out --renderer")
-        from sim.io.forms import load_sequence
+        from dslab.sim.io.forms import load_sequence
 
         sequence = load_sequence(path, camera, progress, force)
         if out_dir is not None:
@@ -62,14 +62,14 @@ def open_sequence(
             names = sequence.image_names or _image_names(path)
             sequence = replace(sequence, image_names=names) if len(names) == len(sequence) else sequence
         return sequence if first_s is None else sequence.first(first_s)
-    from scenarios.families import is_scenario_name
-    from scenarios.loading import load_scenario
+    from dslab.scenarios.families import is_scenario_name
+    from dslab.scenarios.loading import load_scenario
 
     if not is_given(path) and len(path.parts) > 1 and not is_scenario_name(source):
         raise InputError(
             source, "no such folder", "check the path, or name a scenario (dslab scenarios list)"
         )
-    from sim.sequence_rendering import images_need_of, render_backend, render_sequence
+    from dslab.sim.sequence_rendering import images_need_of, render_backend, render_sequence
 
     backend = render_backend(renderer) if renderer is not None else None
     scenario = load_scenario(source, seed)
@@ -110,9 +110,9 @@ def open_imu(
             problem = "the folder has no inertial readings, and no continuous motion to make them from"
             raise InputError(f"--imu: {source}", problem, "name a scenario, or leave out --imu")
         return None if readings is None else (readings, None)
-    from scenarios.loading import load_scenario
-    from sim.frame_plan import mujoco_backend, plan_path
-    from sim.sensors.imu import ImuModel, record_imu
+    from dslab.scenarios.loading import load_scenario
+    from dslab.sim.frame_plan import mujoco_backend, plan_path
+    from dslab.sim.sensors.imu import ImuModel, record_imu
 
     scenario = load_scenario(source, seed)
     if scenario.imu is None and not wanted:
@@ -123,9 +123,9 @@ def open_imu(
 
 def _image_names(folder: Path) -> tuple[str, ...]:
     """Names of the image files, relative to the folder, in its order; empty for the TUM-mono form."""
-    from sim.io import euroc_layout, kitti, layout
-    from sim.io.forms import Form, detect_form, sequence_folder
-    from sim.io.text import read_rows
+    from dslab.sim.io import euroc_layout, kitti, layout
+    from dslab.sim.io.forms import Form, detect_form, sequence_folder
+    from dslab.sim.io.text import read_rows
 
     folder = sequence_folder(folder)
     form = detect_form(folder)
@@ -141,8 +141,8 @@ def _image_names(folder: Path) -> tuple[str, ...]:
 
 
 def _folder_imu(folder: Path) -> ImuReadings | None:
-    from sim.io.euroc_reader import load_euroc_imu
-    from sim.io.forms import Form, detect_form, sequence_folder
+    from dslab.sim.io.euroc_reader import load_euroc_imu
+    from dslab.sim.io.forms import Form, detect_form, sequence_folder
 
     folder = sequence_folder(folder)
     return load_euroc_imu(folder) if detect_form(folder) is Form.EUROC else None

@@ -6,31 +6,31 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from experiments.eq1.records import thread_column
-from experiments.statistics.by_conditions import (
+from dslab.experiments.eq1.records import thread_column
+from dslab.experiments.statistics.by_conditions import (
     DosePoint,
     Part,
     delay_parts,
     dose_points,
     rescuable_parts,
 )
-from experiments.statistics.conditional import EventPair, event_pairs
-from experiments.statistics.conditioning import QUANTITIES, BaselineErrors, baseline_errors, lead_ins
-from experiments.statistics.direction import Direction, directions
-from experiments.statistics.from_records import cells_of
-from experiments.statistics.judged import JudgedCell, judge_cells, share_of_chance
-from experiments.statistics.over_cells import (
+from dslab.experiments.statistics.conditional import EventPair, event_pairs
+from dslab.experiments.statistics.conditioning import QUANTITIES, BaselineErrors, baseline_errors, lead_ins
+from dslab.experiments.statistics.direction import Direction, directions
+from dslab.experiments.statistics.from_records import cells_of
+from dslab.experiments.statistics.judged import JudgedCell, judge_cells, share_of_chance
+from dslab.experiments.statistics.over_cells import (
     Formulas,
     WithinSequences,
     permuted_within,
     score_formulas,
 )
-from experiments.statistics.permutations import permutations_for
-from experiments.statistics.pooled import KindOfWorld, Level, by_world, kind_of_world, level
-from experiments.statistics.readings import Readings, Rescuable, both_readings, rescuable_readings
-from experiments.statistics.repeats import Repeats, repeats
-from experiments.statistics.threads import ThreadPair, ThreadShares, thread_pairs, thread_shares
-from experiments.statistics.world_intervals import Interval, share_interval
+from dslab.experiments.statistics.permutations import permutations_for
+from dslab.experiments.statistics.pooled import KindOfWorld, Level, by_world, kind_of_world, level
+from dslab.experiments.statistics.readings import Readings, Rescuable, both_readings, rescuable_readings
+from dslab.experiments.statistics.repeats import Repeats, repeats
+from dslab.experiments.statistics.threads import ThreadPair, ThreadShares, thread_pairs, thread_shares
+from dslab.experiments.statistics.world_intervals import Interval, share_interval
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from math import exp, inf, log
 
 import numpy as np
 
-from experiments.statistics.boundary import SHAM, Boundary, curve_grid
+from dslab.experiments.statistics.boundary import SHAM, Boundary, curve_grid
 
 STRENGTHS = tuple(np.linspace(0.0, log(80.0), 20).tolist())
 """Doses of the simulated stress, whose strongest is 80 times its weakest."""

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.eq1.records import SHAM, thread_column
-from experiments.statistics.estimates import Figure
-from experiments.statistics.from_records import HomogeneousCell
-from experiments.statistics.judged import share_among, share_by_world
-from experiments.statistics.outcomes import Floats, world_means
-from experiments.statistics.world_intervals import Interval
+from dslab.experiments.eq1.records import SHAM, thread_column
+from dslab.experiments.statistics.estimates import Figure
+from dslab.experiments.statistics.from_records import HomogeneousCell
+from dslab.experiments.statistics.judged import share_among, share_by_world
+from dslab.experiments.statistics.outcomes import Floats, world_means
+from dslab.experiments.statistics.world_intervals import Interval
 
 DELAYS_S = (0.1, 0.5)
 """Ends of the classes of delay from the true loss to its declaration."""

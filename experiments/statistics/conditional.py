@@ -10,10 +10,10 @@ from scipy import stats
 from scipy.optimize import brentq
 from scipy.special import gammaln
 
-from experiments.statistics.estimates import Figure
-from experiments.statistics.from_records import HomogeneousCell
-from experiments.statistics.outcomes import Floats
-from experiments.statistics.world_intervals import Interval
+from dslab.experiments.statistics.estimates import Figure
+from dslab.experiments.statistics.from_records import HomogeneousCell
+from dslab.experiments.statistics.outcomes import Floats
+from dslab.experiments.statistics.world_intervals import Interval
 
 _LEAST_WORLDS = 3
 _HALF = 0.5

@@ -6,10 +6,10 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
-from experiments.eq1.records import PAIR_COLUMNS, PAIR_GAPS, Outcome, pair_column
-from experiments.statistics.estimates import Figure
-from experiments.statistics.products import ROUNDING
-from experiments.statistics.world_intervals import Interval, ratio_interval
+from dslab.experiments.eq1.records import PAIR_COLUMNS, PAIR_GAPS, Outcome, pair_column
+from dslab.experiments.statistics.estimates import Figure
+from dslab.experiments.statistics.products import ROUNDING
+from dslab.experiments.statistics.world_intervals import Interval, ratio_interval
 
 QUANTITIES = ("rotation_deg", "direction_deg")
 

@@ -15,8 +15,8 @@ from scipy import stats
 from scipy.optimize import brentq, minimize, minimize_scalar
 from scipy.special import comb, ndtr, ndtri
 
-from experiments.statistics.outcomes import Floats
-from experiments.statistics.world_intervals import Interval
+from dslab.experiments.statistics.outcomes import Floats
+from dslab.experiments.statistics.world_intervals import Interval
 
 # Equal steps: Gauss-Hermite nodes lie too far apart for sequences that nearly always or never fail.
 NODES = np.linspace(-6, 6, 121)

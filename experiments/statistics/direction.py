@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from experiments.eq1.records import thread_column
-from experiments.statistics.estimates import Figure
-from experiments.statistics.from_records import HomogeneousCell
-from experiments.statistics.outcomes import world_means
-from experiments.statistics.verdicts import holm
-from experiments.statistics.world_intervals import Interval, difference_interval
+from dslab.experiments.eq1.records import thread_column
+from dslab.experiments.statistics.estimates import Figure
+from dslab.experiments.statistics.from_records import HomogeneousCell
+from dslab.experiments.statistics.outcomes import world_means
+from dslab.experiments.statistics.verdicts import holm
+from dslab.experiments.statistics.world_intervals import Interval, difference_interval
 
 
 @dataclass(frozen=True)

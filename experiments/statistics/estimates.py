@@ -7,8 +7,8 @@ from math import copysign, inf, log, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.statistics.outcomes import Floats, Outcomes, sequence_means, world_means
-from experiments.statistics.products import ROUNDING, product_of_distinct, product_without_each
+from dslab.experiments.statistics.outcomes import Floats, Outcomes, sequence_means, world_means
+from dslab.experiments.statistics.products import ROUNDING, product_of_distinct, product_without_each
 
 World = tuple[str, int]
 """A world by its kind and its seed."""

@@ -9,10 +9,10 @@ from scipy import stats
 from scipy.optimize import minimize_scalar
 from scipy.special import ndtr, ndtri
 
-from experiments.statistics.estimates import Figure, World, mean_over_cells
-from experiments.statistics.outcomes import Floats, Outcomes, world_means
-from experiments.statistics.verdicts import holm
-from experiments.statistics.world_intervals import Interval, difference_interval
+from dslab.experiments.statistics.estimates import Figure, World, mean_over_cells
+from dslab.experiments.statistics.outcomes import Floats, Outcomes, world_means
+from dslab.experiments.statistics.verdicts import holm
+from dslab.experiments.statistics.world_intervals import Interval, difference_interval
 
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(40)
 _WEIGHTS = _WEIGHTS / _WEIGHTS.sum()

@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from experiments.eq1.records import SHAM, Outcome, dual_column, failure_column, thread_column
-from experiments.statistics.outcomes import Floats, Outcomes
+from dslab.experiments.eq1.records import SHAM, Outcome, dual_column, failure_column, thread_column
+from dslab.experiments.statistics.outcomes import Floats, Outcomes
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from math import isfinite
 
 import numpy as np
 
-from experiments.statistics.estimates import (
+from dslab.experiments.statistics.estimates import (
     Figure,
     World,
     chain,
@@ -14,10 +14,10 @@ from experiments.statistics.estimates import (
     measured_in_units,
     over_cells,
 )
-from experiments.statistics.from_records import HomogeneousCell
-from experiments.statistics.outcomes import Floats, Outcomes, world_means
-from experiments.statistics.permutations import independence, permutations_for
-from experiments.statistics.verdicts import (
+from dslab.experiments.statistics.from_records import HomogeneousCell
+from dslab.experiments.statistics.outcomes import Floats, Outcomes, world_means
+from dslab.experiments.statistics.permutations import independence, permutations_for
+from dslab.experiments.statistics.verdicts import (
     Comparison,
     Verdict,
     compare_forecast,
@@ -25,8 +25,8 @@ from experiments.statistics.verdicts import (
     corrected,
     verdicts,
 )
-from experiments.statistics.way import way_interval
-from experiments.statistics.world_intervals import (
+from dslab.experiments.statistics.way import way_interval
+from dslab.experiments.statistics.world_intervals import (
     Interval,
     Rare,
     few_events,

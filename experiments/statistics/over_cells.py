@@ -9,14 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.statistics.estimates import mean_over_cells
-from experiments.statistics.formulas import FORMULAS, FormulaScore, Unseen, second_thread_gain
-from experiments.statistics.from_records import HomogeneousCell
-from experiments.statistics.judged import JudgedCell, usable, worlds_of
-from experiments.statistics.outcomes import Outcomes
-from experiments.statistics.permutations import within_sequences
-from experiments.statistics.verdicts import Verdict
-from experiments.statistics.world_intervals import Interval, difference_interval
+from dslab.experiments.statistics.estimates import mean_over_cells
+from dslab.experiments.statistics.formulas import FORMULAS, FormulaScore, Unseen, second_thread_gain
+from dslab.experiments.statistics.from_records import HomogeneousCell
+from dslab.experiments.statistics.judged import JudgedCell, usable, worlds_of
+from dslab.experiments.statistics.outcomes import Outcomes
+from dslab.experiments.statistics.permutations import within_sequences
+from dslab.experiments.statistics.verdicts import Verdict
+from dslab.experiments.statistics.world_intervals import Interval, difference_interval
 
 
 @dataclass(frozen=True)

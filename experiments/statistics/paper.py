@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import fisher_exact
 
-from experiments.statistics.intervals import Proportion, clopper_pearson
-from experiments.statistics.outcomes import Floats
-from experiments.statistics.world_intervals import Interval
-from scenarios.seeds import rng_for
+from dslab.experiments.statistics.intervals import Proportion, clopper_pearson
+from dslab.experiments.statistics.outcomes import Floats
+from dslab.experiments.statistics.world_intervals import Interval
+from dslab.scenarios.seeds import rng_for
 
 TRIALS_PER_SEQUENCE = 10
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.statistics.outcomes import Floats, Outcomes, world_means
+from dslab.experiments.statistics.outcomes import Floats, Outcomes, world_means
 
 _LEAST_TELLING = 20  # sequences
 _AT_ONCE = 1_000_000  # outcomes of the permutations that are in memory together

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.statistics import estimates
-from experiments.statistics.estimates import mean_over_cells
-from experiments.statistics.from_records import HomogeneousCell
-from experiments.statistics.judged import JudgedCell, usable, worlds_of
-from experiments.statistics.outcomes import Floats, world_means
-from experiments.statistics.world_intervals import Interval, share_interval_of
+from dslab.experiments.statistics import estimates
+from dslab.experiments.statistics.estimates import mean_over_cells
+from dslab.experiments.statistics.from_records import HomogeneousCell
+from dslab.experiments.statistics.judged import JudgedCell, usable, worlds_of
+from dslab.experiments.statistics.outcomes import Floats, world_means
+from dslab.experiments.statistics.world_intervals import Interval, share_interval_of
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.statistics.permutations import independence
-from experiments.statistics.simulated import Truth, simulate
-from experiments.statistics.verdicts import LEVEL, compare_forecast
+from dslab.experiments.statistics.permutations import independence
+from dslab.experiments.statistics.simulated import Truth, simulate
+from dslab.experiments.statistics.verdicts import LEVEL, compare_forecast
 
 MOST_WORLDS = 2000
 _LEAST_WORLDS = 10  # with fewer nothing is tested

@@ -5,7 +5,7 @@ from math import factorial
 
 import numpy as np
 
-from experiments.statistics.outcomes import Floats
+from dslab.experiments.statistics.outcomes import Floats
 
 ROUNDING = 1e-12
 """What is less than this, of the figures that it is a sum or difference of, is nothing."""

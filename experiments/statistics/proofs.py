@@ -8,16 +8,22 @@ from math import inf, sqrt
 import numpy as np
 import pandas as pd
 
-from experiments.eq1.records import Outcome
-from experiments.runs.processes import process_pool
-from experiments.statistics import boundary_proofs, estimates
-from experiments.statistics.formulas import RIVALS, compare_formulas
-from experiments.statistics.from_records import cells_of
-from experiments.statistics.outcomes import Outcomes, world_means
-from experiments.statistics.permutations import PermutationTest, independence, within_sequences
-from experiments.statistics.simulated import Truth, simulate
-from experiments.statistics.verdicts import LEVEL, Verdict, compare_forecast, compare_units, verdicts
-from experiments.statistics.world_intervals import Interval, Rare, few_events, ratio_interval, share_interval
+from dslab.experiments.eq1.records import Outcome
+from dslab.experiments.runs.processes import process_pool
+from dslab.experiments.statistics import boundary_proofs, estimates
+from dslab.experiments.statistics.formulas import RIVALS, compare_formulas
+from dslab.experiments.statistics.from_records import cells_of
+from dslab.experiments.statistics.outcomes import Outcomes, world_means
+from dslab.experiments.statistics.permutations import PermutationTest, independence, within_sequences
+from dslab.experiments.statistics.simulated import Truth, simulate
+from dslab.experiments.statistics.verdicts import LEVEL, Verdict, compare_forecast, compare_units, verdicts
+from dslab.experiments.statistics.world_intervals import (
+    Interval,
+    Rare,
+    few_events,
+    ratio_interval,
+    share_interval,
+)
 
 _CHUNK = 50  # experiments with one random stream
 _PERMUTATIONS = 599  # 2 (1 + 14) / 600 is .05

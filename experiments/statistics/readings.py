@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.statistics.estimates import (
+from dslab.experiments.statistics.estimates import (
     Figure,
     dual_failure,
     measured_in_units,
@@ -13,10 +13,10 @@ from experiments.statistics.estimates import (
     product_in_sequences,
     product_of_margins,
 )
-from experiments.statistics.from_records import HomogeneousCell
-from experiments.statistics.judged import ratio_of_shares
-from experiments.statistics.outcomes import Outcomes, world_means
-from experiments.statistics.world_intervals import Interval, difference_interval, share_interval_of
+from dslab.experiments.statistics.from_records import HomogeneousCell
+from dslab.experiments.statistics.judged import ratio_of_shares
+from dslab.experiments.statistics.outcomes import Outcomes, world_means
+from dslab.experiments.statistics.world_intervals import Interval, difference_interval, share_interval_of
 
 
 @dataclass(frozen=True)

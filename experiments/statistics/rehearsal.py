@@ -7,7 +7,7 @@ from math import sqrt
 
 import numpy as np
 
-from experiments.statistics.difficulties import (
+from dslab.experiments.statistics.difficulties import (
     NODES,
     WEIGHTS,
     Counts,
@@ -16,9 +16,9 @@ from experiments.statistics.difficulties import (
     fit_margin,
     smoothing,
 )
-from experiments.statistics.outcomes import Floats, Outcomes
-from experiments.statistics.permutations import independence, within_sequences
-from experiments.statistics.verdicts import LEVEL, compare_forecast, compare_units, verdicts
+from dslab.experiments.statistics.outcomes import Floats, Outcomes
+from dslab.experiments.statistics.permutations import independence, within_sequences
+from dslab.experiments.statistics.verdicts import LEVEL, compare_forecast, compare_units, verdicts
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.statistics.from_records import HomogeneousCell
+from dslab.experiments.statistics.from_records import HomogeneousCell
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.statistics.outcomes import Floats, Outcomes
+from dslab.experiments.statistics.outcomes import Floats, Outcomes
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,13 @@ from itertools import combinations, product
 import numpy as np
 import pandas as pd
 
-from experiments.eq1.records import SHAM, failure_column
-from experiments.statistics.estimates import Figure
-from experiments.statistics.from_records import HomogeneousCell, cells_of
-from experiments.statistics.judged import share_by_world, share_of_part
-from experiments.statistics.outcomes import Floats
-from experiments.statistics.verdicts import holm
-from experiments.statistics.world_intervals import Interval, difference_interval
+from dslab.experiments.eq1.records import SHAM, failure_column
+from dslab.experiments.statistics.estimates import Figure
+from dslab.experiments.statistics.from_records import HomogeneousCell, cells_of
+from dslab.experiments.statistics.judged import share_by_world, share_of_part
+from dslab.experiments.statistics.outcomes import Floats
+from dslab.experiments.statistics.verdicts import holm
+from dslab.experiments.statistics.world_intervals import Interval, difference_interval
 
 _EXACT = 13
 """Worlds up to which every exchange is tried; of more, some are drawn."""

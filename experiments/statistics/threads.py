@@ -8,12 +8,12 @@ from math import exp, sqrt
 import numpy as np
 from scipy import stats
 
-from experiments.eq1.records import thread_column
-from experiments.statistics.estimates import Figure
-from experiments.statistics.from_records import HomogeneousCell
-from experiments.statistics.judged import share_by_world, share_of_part
-from experiments.statistics.outcomes import Floats
-from experiments.statistics.world_intervals import Interval
+from dslab.experiments.eq1.records import thread_column
+from dslab.experiments.statistics.estimates import Figure
+from dslab.experiments.statistics.from_records import HomogeneousCell
+from dslab.experiments.statistics.judged import share_by_world, share_of_part
+from dslab.experiments.statistics.outcomes import Floats
+from dslab.experiments.statistics.world_intervals import Interval
 
 _LEAST_WORLDS = 3
 _HALF = 0.5

@@ -7,11 +7,11 @@ from functools import partial
 import numpy as np
 from scipy import stats
 
-from experiments.statistics.difficulties import Counts, Margin, common_correlation, fit_margin, predict
-from experiments.statistics.estimates import Figure, World, mean_over_cells, measured_in_units
-from experiments.statistics.formulas import beta_factor, eq1, fit_parameter, one_factor, weakest_link
-from experiments.statistics.outcomes import Floats, Outcomes, world_means
-from experiments.statistics.world_intervals import Interval, difference_interval
+from dslab.experiments.statistics.difficulties import Counts, Margin, common_correlation, fit_margin, predict
+from dslab.experiments.statistics.estimates import Figure, World, mean_over_cells, measured_in_units
+from dslab.experiments.statistics.formulas import beta_factor, eq1, fit_parameter, one_factor, weakest_link
+from dslab.experiments.statistics.outcomes import Floats, Outcomes, world_means
+from dslab.experiments.statistics.world_intervals import Interval, difference_interval
 
 TRANSFERRED = ("Eq. 1", "weakest link", "beta factor", "one factor", "correlated difficulties")
 

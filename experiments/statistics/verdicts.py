@@ -12,11 +12,11 @@ from math import prod
 import numpy as np
 from scipy import stats
 
-from experiments.statistics import estimates
-from experiments.statistics.estimates import Figure
-from experiments.statistics.outcomes import Floats, Outcomes, world_means
-from experiments.statistics.permutations import PermutationTest
-from experiments.statistics.world_intervals import FEW, Rare, few_events, t_of_log_ratio
+from dslab.experiments.statistics import estimates
+from dslab.experiments.statistics.estimates import Figure
+from dslab.experiments.statistics.outcomes import Floats, Outcomes, world_means
+from dslab.experiments.statistics.permutations import PermutationTest
+from dslab.experiments.statistics.world_intervals import FEW, Rare, few_events, t_of_log_ratio
 
 LEVEL = 0.05
 _LEAST_WORLDS = 10  # with the event, to be tested

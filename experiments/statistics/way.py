@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from experiments.statistics.estimates import Figure
-from experiments.statistics.world_intervals import Interval, few_events, ratio_interval, wilson_interval
+from dslab.experiments.statistics.estimates import Figure
+from dslab.experiments.statistics.world_intervals import Interval, few_events, ratio_interval, wilson_interval
 
 
 def way_interval(measured: Figure, product: Figure, weakest: Figure) -> Interval | None:

@@ -6,9 +6,9 @@ from math import inf, sqrt
 import numpy as np
 from scipy import stats
 
-from experiments.statistics.estimates import Figure
-from experiments.statistics.outcomes import Floats
-from experiments.statistics.products import ROUNDING
+from dslab.experiments.statistics.estimates import Figure
+from dslab.experiments.statistics.outcomes import Floats
+from dslab.experiments.statistics.products import ROUNDING
 
 FEW = 5
 """Worlds with an event, or expected to have it, below which their spread is not known."""

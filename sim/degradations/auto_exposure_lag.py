@@ -4,11 +4,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from scenarios.segments import AutoExposureLag
-from sim.degradations.base import Stage
-from sim.degradations.image import Filter, ImageDegradation, Streams, View
-from sim.degradations.tone import map_light
-from sim.sensors.camera import Intrinsics
+from dslab.scenarios.segments import AutoExposureLag
+from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
+from dslab.sim.degradations.tone import map_light
+from dslab.sim.sensors.camera import Intrinsics
 
 FELT_STOPS = 0.5
 

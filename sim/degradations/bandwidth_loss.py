@@ -4,11 +4,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from scenarios.segments import BandwidthLoss
-from sim.degradations.base import Stage
-from sim.degradations.image import Filter, ImageDegradation, Streams, View
-from sim.degradations.sprites import acting_share
-from sim.sensors.camera import Intrinsics
+from dslab.scenarios.segments import BandwidthLoss
+from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
+from dslab.sim.degradations.sprites import acting_share
+from dslab.sim.sensors.camera import Intrinsics
 
 _GRAY = 128  # of blocks before which none has arrived
 _LEAST_PACKET, _MOST_PACKET = 3, 40  # blocks

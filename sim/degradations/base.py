@@ -12,10 +12,10 @@ from typing import ClassVar, Protocol, TypeVar
 
 import numpy as np
 
-from scenarios.seeds import rng_for
-from scenarios.segments import Segment, SegmentBase
-from sim.motion.base import Motion
-from sim.sequence import SegmentTruth
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.segments import Segment, SegmentBase
+from dslab.sim.motion.base import Motion
+from dslab.sim.sequence import SegmentTruth
 
 
 class Stage(IntEnum):

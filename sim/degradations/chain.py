@@ -6,13 +6,13 @@ from functools import partial
 
 import numpy as np
 
-from scenarios.segments import ImageSegment, Segment
-from sim.degradations.base import Stage, streams_of, truth_of
-from sim.degradations.image import USUAL_EXPOSURE_S, View, ramp
-from sim.degradations.registry import IMAGE_KINDS, in_order_of_action
-from sim.motion.base import Motion
-from sim.sensors.camera import Intrinsics
-from sim.sequence import SegmentTruth
+from dslab.scenarios.segments import ImageSegment, Segment
+from dslab.sim.degradations.base import Stage, streams_of, truth_of
+from dslab.sim.degradations.image import USUAL_EXPOSURE_S, View, ramp
+from dslab.sim.degradations.registry import IMAGE_KINDS, in_order_of_action
+from dslab.sim.motion.base import Motion
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sequence import SegmentTruth
 
 
 class ImageChain:

@@ -4,11 +4,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from scenarios.segments import CoveredLens
-from sim.degradations.base import Stage
-from sim.degradations.image import Filter, ImageDegradation, Streams, View
-from sim.degradations.tone import map_light
-from sim.sensors.camera import Intrinsics
+from dslab.scenarios.segments import CoveredLens
+from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
+from dslab.sim.degradations.tone import map_light
+from dslab.sim.sensors.camera import Intrinsics
 
 HALF_THE_LIGHT = 0.5
 

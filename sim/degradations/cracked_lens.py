@@ -6,11 +6,11 @@ from typing import ClassVar
 import cv2
 import numpy as np
 
-from scenarios.segments import CrackedLens
-from sim.degradations.base import Stage
-from sim.degradations.image import Filter, ImageDegradation, Streams, View
-from sim.degradations.tone import decode, encode
-from sim.sensors.camera import Intrinsics
+from dslab.scenarios.segments import CrackedLens
+from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
+from dslab.sim.degradations.tone import decode, encode
+from dslab.sim.sensors.camera import Intrinsics
 
 _STEP_DEG, _WANDER = 0.8, 0.12  # of the pieces of a crack, and how they turn, radians
 _BRANCH_SHARE, _BRANCH_TURN = 0.12, (0.5, 1.4)  # per piece; radians off the crack

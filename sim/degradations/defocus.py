@@ -6,11 +6,11 @@ from typing import ClassVar
 import cv2
 import numpy as np
 
-from scenarios.segments import Defocus
-from sim.degradations.base import Stage
-from sim.degradations.image import Filter, ImageDegradation, Streams, View
-from sim.degradations.tone import decode, encode
-from sim.sensors.camera import Intrinsics
+from dslab.scenarios.segments import Defocus
+from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
+from dslab.sim.degradations.tone import decode, encode
+from dslab.sim.sensors.camera import Intrinsics
 
 # A pixel averages over such a disc anyway.
 SHARP_PX = 1.0

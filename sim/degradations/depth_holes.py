@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.camera import Intrinsics
 
 _NARROW_DEG = 3.0
 """Half of the width of the widest hole that is filled, visual angle."""

@@ -5,7 +5,7 @@ import math
 import cv2
 import numpy as np
 
-from sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.camera import Intrinsics
 
 DETAIL_DEG = 4.0
 """Standard deviation of the Gaussian whose mean is no detail, visual angle: features of every scale are."""

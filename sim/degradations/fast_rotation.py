@@ -6,9 +6,9 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scenarios.spec import FastRotation
-from sim.degradations.base import FramePlan, Stage
-from sim.motion.base import Motion
+from dslab.scenarios.spec import FastRotation
+from dslab.sim.degradations.base import FramePlan, Stage
+from dslab.sim.motion.base import Motion
 
 # The camera's x is right, y down, z forward: a yaw to the right, a pitch upward, a roll to the right.
 AXES = {"yaw": (0.0, 1.0, 0.0), "pitch": (1.0, 0.0, 0.0), "roll": (0.0, 0.0, 1.0)}

@@ -4,11 +4,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from scenarios.segments import Fog
-from sim.degradations.base import Stage
-from sim.degradations.image import Filter, ImageDegradation, Streams, View
-from sim.degradations.scattering import Scattering
-from sim.sensors.camera import Intrinsics
+from dslab.scenarios.segments import Fog
+from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
+from dslab.sim.degradations.scattering import Scattering
+from dslab.sim.sensors.camera import Intrinsics
 
 HALF_THE_LIGHT = 0.5
 

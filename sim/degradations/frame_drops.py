@@ -4,8 +4,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from scenarios.segments import FrameDrops
-from sim.degradations.base import FramePlan, Stage, streams_of
+from dslab.scenarios.segments import FrameDrops
+from dslab.sim.degradations.base import FramePlan, Stage, streams_of
 
 
 class FrameDropsDegradation:

@@ -7,10 +7,10 @@ from typing import ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from scenarios.segments import ImageSegment
-from sim.degradations.base import Stage
-from sim.motion.base import Motion
-from sim.sensors.camera import Intrinsics
+from dslab.scenarios.segments import ImageSegment
+from dslab.sim.degradations.base import Stage
+from dslab.sim.motion.base import Motion
+from dslab.sim.sensors.camera import Intrinsics
 
 Streams = Callable[..., np.random.Generator]
 """Gives the random stream of one segment for a consumer's names."""

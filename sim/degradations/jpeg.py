@@ -5,10 +5,10 @@ from typing import ClassVar
 import cv2
 import numpy as np
 
-from scenarios.segments import Jpeg
-from sim.degradations.base import Stage
-from sim.degradations.image import Filter, ImageDegradation, Streams, View
-from sim.sensors.camera import Intrinsics
+from dslab.scenarios.segments import Jpeg
+from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
+from dslab.sim.sensors.camera import Intrinsics
 
 FELT_LOSS = 50.0
 

@@ -5,12 +5,12 @@ from typing import ClassVar
 import cv2
 import numpy as np
 
-from scenarios.segments import LensDirt
-from sim.degradations.base import Stage
-from sim.degradations.image import Filter, ImageDegradation, Streams, View
-from sim.degradations.sprites import acting_share, fill_share, filled, smooth_outline
-from sim.degradations.tone import decode, encode
-from sim.sensors.camera import Intrinsics
+from dslab.scenarios.segments import LensDirt
+from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
+from dslab.sim.degradations.sprites import acting_share, fill_share, filled, smooth_outline
+from dslab.sim.degradations.tone import decode, encode
+from dslab.sim.sensors.camera import Intrinsics
 
 # Spots are placed and light is smeared on grids this much coarser than the image.
 _COARSE, _SMEAR = 4, 32

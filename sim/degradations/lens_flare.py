@@ -6,12 +6,12 @@ from typing import ClassVar
 import cv2
 import numpy as np
 
-from scenarios.segments import LensFlare
-from sim.degradations.base import Stage
-from sim.degradations.image import Filter, ImageDegradation, Streams, View
-from sim.degradations.tone import decode, encode
-from sim.motion.base import Motion
-from sim.sensors.camera import Intrinsics
+from dslab.scenarios.segments import LensFlare
+from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
+from dslab.sim.degradations.tone import decode, encode
+from dslab.sim.motion.base import Motion
+from dslab.sim.sensors.camera import Intrinsics
 
 FELT_VEIL = 0.05
 _COARSE = 4  # light is added on a grid this much coarser than the image

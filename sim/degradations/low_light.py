@@ -5,11 +5,11 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
-from scenarios.segments import LowLight
-from sim.degradations.base import Stage
-from sim.degradations.image import Filter, ImageDegradation, Streams, View
-from sim.degradations.tone import DECODE, ENCODE
-from sim.sensors.camera import Intrinsics
+from dslab.scenarios.segments import LowLight
+from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
+from dslab.sim.degradations.tone import DECODE, ENCODE
+from dslab.sim.sensors.camera import Intrinsics
 
 ONE_STOP = 1.0
 _BANK_SIZE = 1 << 22

@@ -5,8 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from scenarios.segments import LowTexture, SegmentBase
-from sim.degradations.base import FramePlan, Stage, during
+from dslab.scenarios.segments import LowTexture, SegmentBase
+from dslab.sim.degradations.base import FramePlan, Stage, during
 
 HALF_THE_VIEW = 0.5
 _NEVER, _ROUNDING = 1e-12, 1e-9

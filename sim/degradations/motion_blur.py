@@ -5,8 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from scenarios.spec import MotionBlur
-from sim.degradations.base import FramePlan, Stage
+from dslab.scenarios.spec import MotionBlur
+from dslab.sim.degradations.base import FramePlan, Stage
 
 # A shorter smear leaves corners intact.
 FELT_PX = 4.0

@@ -5,12 +5,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from scenarios.segments import MovingObjects
-from sim.degradations.base import Stage
-from sim.degradations.image import Filter, ImageDegradation, Streams, View
-from sim.degradations.passers_by import CAR_M, PERSON_M, POSES, VAN_M, person, vehicle
-from sim.degradations.sprites import Sprite, acting_share, draw_behind, fill_share
-from sim.sensors.camera import Intrinsics
+from dslab.scenarios.segments import MovingObjects
+from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
+from dslab.sim.degradations.passers_by import CAR_M, PERSON_M, POSES, VAN_M, person, vehicle
+from dslab.sim.degradations.sprites import Sprite, acting_share, draw_behind, fill_share
+from dslab.sim.sensors.camera import Intrinsics
 
 _SPEEDS = (0.6, 1.4)  # of the stated rate
 _MOST = 400

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from sim.degradations.sprites import Sprite, filled, smooth_outline
+from dslab.sim.degradations.sprites import Sprite, filled, smooth_outline
 
 _TORSO = [
     (-0.1, 0.84),

@@ -5,10 +5,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from scenarios.segments import PureRotation
-from sim.degradations.base import FramePlan, Stage
-from sim.degradations.fast_rotation import AXES, PEAK, SwungMotion
-from sim.motion.base import Motion
+from dslab.scenarios.segments import PureRotation
+from dslab.sim.degradations.base import FramePlan, Stage
+from dslab.sim.degradations.fast_rotation import AXES, PEAK, SwungMotion
+from dslab.sim.motion.base import Motion
 
 FELT_SHARE = 0.1
 # Share of the segment for braking at its start, and for setting off at its end.

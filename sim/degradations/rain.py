@@ -5,13 +5,13 @@ from typing import ClassVar
 import cv2
 import numpy as np
 
-from scenarios.segments import Rain
-from sim.degradations.base import Stage
-from sim.degradations.image import Filter, ImageDegradation, Streams, View
-from sim.degradations.raindrops import REACH_M, RainField, extinction_per_m
-from sim.degradations.tone import decode, encode
-from sim.degradations.wet_glass import WetGlass
-from sim.sensors.camera import Intrinsics
+from dslab.scenarios.segments import Rain
+from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
+from dslab.sim.degradations.raindrops import REACH_M, RainField, extinction_per_m
+from dslab.sim.degradations.tone import decode, encode
+from dslab.sim.degradations.wet_glass import WetGlass
+from dslab.sim.sensors.camera import Intrinsics
 
 FELT_VEIL = 0.02
 _VERY_FAR_M = 1e4

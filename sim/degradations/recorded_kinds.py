@@ -5,14 +5,14 @@ from collections.abc import Sequence as Many
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scenarios.errors import InputError
-from scenarios.segments import FastRotation, MotionBlur, Segment, self_overlap
-from sim.degradations.base import Stage, during
-from sim.degradations.fast_rotation import swing_angle_rad, swing_axis
-from sim.degradations.registry import DEGRADATIONS, IMAGE_KINDS
-from sim.degradations.turned_view import TurnedView
-from sim.sensors.camera import Intrinsics
-from sim.sequence import Sequence
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.segments import FastRotation, MotionBlur, Segment, self_overlap
+from dslab.sim.degradations.base import Stage, during
+from dslab.sim.degradations.fast_rotation import swing_angle_rad, swing_axis
+from dslab.sim.degradations.registry import DEGRADATIONS, IMAGE_KINDS
+from dslab.sim.degradations.turned_view import TurnedView
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sequence import Sequence
 
 # Kinds of the frame plan that a retake can stand in for.
 RETAKEN = ("fast_rotation", "low_texture", "motion_blur")

@@ -7,17 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from scenarios.segments import LowTexture, Segment
-from sim.degradations.base import FramePlan, Stage, during, true_runs
-from sim.degradations.chain import ImageChain
-from sim.degradations.depth_holes import fill_narrow_holes
-from sim.degradations.image import USUAL_EXPOSURE_S
-from sim.degradations.recorded_kinds import check_recorded_sequence, view_of
-from sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
-from sim.degradations.retake import Retake
-from sim.degradations.truths import truths_of
-from sim.io.raw import RawFrames, RawWriter
-from sim.sequence import SegmentTruth, Sequence
+from dslab.scenarios.segments import LowTexture, Segment
+from dslab.sim.degradations.base import FramePlan, Stage, during, true_runs
+from dslab.sim.degradations.chain import ImageChain
+from dslab.sim.degradations.depth_holes import fill_narrow_holes
+from dslab.sim.degradations.image import USUAL_EXPOSURE_S
+from dslab.sim.degradations.recorded_kinds import check_recorded_sequence, view_of
+from dslab.sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
+from dslab.sim.degradations.retake import Retake
+from dslab.sim.degradations.truths import truths_of
+from dslab.sim.io.raw import RawFrames, RawWriter
+from dslab.sim.sequence import SegmentTruth, Sequence
 
 _STAGES = (Stage.SCENE, Stage.READOUT, Stage.LENS, Stage.SENSOR, Stage.ENCODER)
 

@@ -8,36 +8,36 @@ the list below, and segments of one kind by their start.
 from collections.abc import Iterable
 from typing import Any, TypeVar
 
-from scenarios.extensions import note_extension
-from scenarios.kinds import kind_of
-from scenarios.segments import SEGMENT_KINDS, ImageSegment, SegmentBase
-from sim.degradations.auto_exposure_lag import AutoExposureLagDegradation
-from sim.degradations.bandwidth_loss import BandwidthLossDegradation
-from sim.degradations.base import Degradation, Stage
-from sim.degradations.covered_lens import CoveredLensDegradation
-from sim.degradations.cracked_lens import CrackedLensDegradation
-from sim.degradations.day_to_night import DayToNightDegradation
-from sim.degradations.defocus import DefocusDegradation
-from sim.degradations.fast_rotation import FastRotationDegradation
-from sim.degradations.flicker import FlickerDegradation
-from sim.degradations.fog import FogDegradation
-from sim.degradations.frame_drops import FrameDropsDegradation
-from sim.degradations.image import ImageDegradation
-from sim.degradations.jpeg import JpegDegradation
-from sim.degradations.lens_dirt import LensDirtDegradation
-from sim.degradations.lens_flare import LensFlareDegradation
-from sim.degradations.low_light import LowLightDegradation
-from sim.degradations.low_texture import LowTextureDegradation
-from sim.degradations.motion_blur import MotionBlurDegradation
-from sim.degradations.moving_objects import MovingObjectsDegradation
-from sim.degradations.over_exposure import OverExposureDegradation
-from sim.degradations.pure_rotation import PureRotationDegradation
-from sim.degradations.rain import RainDegradation
-from sim.degradations.repeated_texture import RepeatedTextureDegradation
-from sim.degradations.rolling_shutter import RollingShutterDegradation
-from sim.degradations.shallow_focus import ShallowFocusDegradation
-from sim.degradations.time_jitter import TimeJitterDegradation
-from sim.degradations.vignetting import VignettingDegradation
+from dslab.scenarios.extensions import note_extension
+from dslab.scenarios.kinds import kind_of
+from dslab.scenarios.segments import SEGMENT_KINDS, ImageSegment, SegmentBase
+from dslab.sim.degradations.auto_exposure_lag import AutoExposureLagDegradation
+from dslab.sim.degradations.bandwidth_loss import BandwidthLossDegradation
+from dslab.sim.degradations.base import Degradation, Stage
+from dslab.sim.degradations.covered_lens import CoveredLensDegradation
+from dslab.sim.degradations.cracked_lens import CrackedLensDegradation
+from dslab.sim.degradations.day_to_night import DayToNightDegradation
+from dslab.sim.degradations.defocus import DefocusDegradation
+from dslab.sim.degradations.fast_rotation import FastRotationDegradation
+from dslab.sim.degradations.flicker import FlickerDegradation
+from dslab.sim.degradations.fog import FogDegradation
+from dslab.sim.degradations.frame_drops import FrameDropsDegradation
+from dslab.sim.degradations.image import ImageDegradation
+from dslab.sim.degradations.jpeg import JpegDegradation
+from dslab.sim.degradations.lens_dirt import LensDirtDegradation
+from dslab.sim.degradations.lens_flare import LensFlareDegradation
+from dslab.sim.degradations.low_light import LowLightDegradation
+from dslab.sim.degradations.low_texture import LowTextureDegradation
+from dslab.sim.degradations.motion_blur import MotionBlurDegradation
+from dslab.sim.degradations.moving_objects import MovingObjectsDegradation
+from dslab.sim.degradations.over_exposure import OverExposureDegradation
+from dslab.sim.degradations.pure_rotation import PureRotationDegradation
+from dslab.sim.degradations.rain import RainDegradation
+from dslab.sim.degradations.repeated_texture import RepeatedTextureDegradation
+from dslab.sim.degradations.rolling_shutter import RollingShutterDegradation
+from dslab.sim.degradations.shallow_focus import ShallowFocusDegradation
+from dslab.sim.degradations.time_jitter import TimeJitterDegradation
+from dslab.sim.degradations.vignetting import VignettingDegradation
 
 _ALL: tuple[Degradation[Any] | ImageDegradation[Any], ...] = (
     # A stop delays what follows on the path; a swing keeps its own time.

@@ -6,10 +6,10 @@ from typing import ClassVar
 import cv2
 import numpy as np
 
-from scenarios.segments import RepeatedTexture
-from sim.degradations.base import FramePlan, Stage
-from sim.degradations.low_texture import passed
-from sim.worlds.base import Surface, WorldModel
+from dslab.scenarios.segments import RepeatedTexture
+from dslab.sim.degradations.base import FramePlan, Stage
+from dslab.sim.degradations.low_texture import passed
+from dslab.sim.worlds.base import Surface, WorldModel
 
 HALF_THE_VIEW = 0.5
 

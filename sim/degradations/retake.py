@@ -4,14 +4,14 @@ from functools import cached_property
 
 import numpy as np
 
-from scenarios.seeds import rng_for
-from sim.degradations.base import FramePlan
-from sim.degradations.faded_detail import fade, noise_level
-from sim.degradations.frame_interpolation import FrameInterpolation
-from sim.degradations.tone import decode, encode
-from sim.degradations.turned_view import TurnedView
-from sim.sensors.exposure import GRID_PX, PX_PER_SAMPLE, SHARP_PX, linear_to_srgb
-from sim.sequence import Sequence
+from dslab.scenarios.seeds import rng_for
+from dslab.sim.degradations.base import FramePlan
+from dslab.sim.degradations.faded_detail import fade, noise_level
+from dslab.sim.degradations.frame_interpolation import FrameInterpolation
+from dslab.sim.degradations.tone import decode, encode
+from dslab.sim.degradations.turned_view import TurnedView
+from dslab.sim.sensors.exposure import GRID_PX, PX_PER_SAMPLE, SHARP_PX, linear_to_srgb
+from dslab.sim.sequence import Sequence
 
 _LEAST_SAMPLES, _MOST_SAMPLES = 4, 64
 # The smear of the fastest pixels but these decides on the number of samples.

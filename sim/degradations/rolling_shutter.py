@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 from numba import njit
 
-from scenarios.segments import RollingShutter
-from sim.degradations.base import Stage
-from sim.degradations.image import Filter, ImageDegradation, Streams, View
-from sim.sensors.camera import Intrinsics
-from sim.sensors.exposure import row_shifts
+from dslab.scenarios.segments import RollingShutter
+from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.exposure import row_shifts
 
 FELT_PX = 2.0
 # Poses are computed at this many times of the readout and interpolated linearly.

@@ -3,9 +3,9 @@
 import cv2
 import numpy as np
 
-from sim.degradations.tone import decode, encode
-from sim.sensors.camera import Intrinsics
-from sim.sensors.exposure import srgb_to_linear
+from dslab.sim.degradations.tone import decode, encode
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.exposure import srgb_to_linear
 
 _VERY_FAR_M = 1e4
 

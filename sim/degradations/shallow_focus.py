@@ -5,12 +5,12 @@ from typing import ClassVar
 import cv2
 import numpy as np
 
-from scenarios.segments import ShallowFocus
-from sim.degradations.base import Stage
-from sim.degradations.defocus import SHARP_PX, disc
-from sim.degradations.image import Filter, ImageDegradation, Streams, View
-from sim.degradations.tone import decode, encode
-from sim.sensors.camera import Intrinsics
+from dslab.scenarios.segments import ShallowFocus
+from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.defocus import SHARP_PX, disc
+from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
+from dslab.sim.degradations.tone import decode, encode
+from dslab.sim.sensors.camera import Intrinsics
 
 FELT_PX = 2.0
 _MOST_PX = 80.0

@@ -5,8 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from scenarios.segments import TimeJitter
-from sim.degradations.base import FramePlan, Stage, streams_of
+from dslab.scenarios.segments import TimeJitter
+from dslab.sim.degradations.base import FramePlan, Stage, streams_of
 
 FELT_SHARE = 0.1
 # Share of the interval to the neighbouring frame: two such errors cannot swap stamps.

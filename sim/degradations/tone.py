@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from sim.sensors.exposure import linear_to_srgb, srgb_to_linear
+from dslab.sim.sensors.exposure import linear_to_srgb, srgb_to_linear
 
 _CODES = 16384
 DECODE = srgb_to_linear(np.arange(256) / 255).astype(np.float32)

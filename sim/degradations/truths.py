@@ -4,11 +4,11 @@ from collections.abc import Sequence as Many
 
 import numpy as np
 
-from scenarios.segments import Segment
-from sim.degradations.base import FramePlan, segment_truth
-from sim.degradations.chain import ImageChain
-from sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
-from sim.sequence import SegmentTruth
+from dslab.scenarios.segments import Segment
+from dslab.sim.degradations.base import FramePlan, segment_truth
+from dslab.sim.degradations.chain import ImageChain
+from dslab.sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
+from dslab.sim.sequence import SegmentTruth
 
 
 def truths_of(

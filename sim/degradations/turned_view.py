@@ -13,8 +13,8 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from sim.sensors.camera import Intrinsics
-from sim.sensors.distortion import project, sample_depth, unproject
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.distortion import project, sample_depth, unproject
 
 LEAST_SHARE = 0.5
 """Least share of the recording's width and height that the window may have."""

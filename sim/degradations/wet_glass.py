@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numba import njit
 
-from sim.degradations.raindrops import MOST_MMPH, draw_drops, drops_per_m3
-from sim.sensors.camera import Intrinsics
+from dslab.sim.degradations.raindrops import MOST_MMPH, draw_drops, drops_per_m3
+from dslab.sim.sensors.camera import Intrinsics
 
 _SMALLEST_MM = 0.5
 _RADIUS_PER_DIAMETER = 0.25 ** (1 / 3)  # radius of a half ball relative to the ball of the same volume

@@ -5,12 +5,12 @@ from typing import Any
 
 import yaml
 
-from scenarios.errors import InputError
-from scenarios.lenses import lens_fault
-from scenarios.yaml_file import read_yaml
-from sim.io.layout import CAMERA_KEYS
-from sim.io.text import number_at
-from sim.sensors.camera import DISTORTION_KEYS, LEAST_SIDE_PX, MOST_PIXELS, MOST_SIDE_PX, Intrinsics
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.lenses import lens_fault
+from dslab.scenarios.yaml_file import read_yaml
+from dslab.sim.io.layout import CAMERA_KEYS
+from dslab.sim.io.text import number_at
+from dslab.sim.sensors.camera import DISTORTION_KEYS, LEAST_SIDE_PX, MOST_PIXELS, MOST_SIDE_PX, Intrinsics
 
 _LEAST_FOCAL_SHARE, _MOST_FOCAL_SHARE = 0.1, 20
 

@@ -16,7 +16,7 @@ hold those; ``stamp_origin_ns`` in the sequence's ``meta`` keeps the first frame
 
 import numpy as np
 
-from sim.sequence import Sequence
+from dslab.sim.sequence import Sequence
 
 CAMERA_DIR, IMU_DIR, TRUTH_DIR = "mav0/cam0", "mav0/imu0", "mav0/state_groundtruth_estimate0"
 TABLE_FILE, SENSOR_FILE = "data.csv", "sensor.yaml"

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scenarios.errors import InputError
-from scenarios.input_files import is_given
-from scenarios.yaml_file import read_yaml
-from sim.io import euroc_layout as layout
-from sim.io.camera_file import check_camera
-from sim.io.images import GrayFolder
-from sim.io.sidecars import read_sidecars
-from sim.io.text import (
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import is_given
+from dslab.scenarios.yaml_file import read_yaml
+from dslab.sim.io import euroc_layout as layout
+from dslab.sim.io.camera_file import check_camera
+from dslab.sim.io.images import GrayFolder
+from dslab.sim.io.sidecars import read_sidecars
+from dslab.sim.io.text import (
     check_order,
     check_present,
     check_words,
@@ -26,7 +26,7 @@ from sim.io.text import (
     to_nanoseconds,
     to_numbers,
 )
-from sim.io.truth import (
+from dslab.sim.io.truth import (
     check_position,
     check_quaternion,
     half_interval_s,
@@ -34,9 +34,9 @@ from sim.io.truth import (
     nearest_poses,
     poses_of,
 )
-from sim.sensors.camera import DISTORTION_KEYS, Intrinsics
-from sim.sensors.imu import ImuModel, ImuReadings
-from sim.sequence import Sequence
+from dslab.sim.sensors.camera import DISTORTION_KEYS, Intrinsics
+from dslab.sim.sensors.imu import ImuModel, ImuReadings
+from dslab.sim.sequence import Sequence
 
 _SENSOR_KEYS = "T_BS, rate_hz, resolution, intrinsics, distortion_model, distortion_coefficients"
 

@@ -7,12 +7,12 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from sim.io import euroc_layout as layout
-from sim.io.folders import Progress, new_directory, write_images
-from sim.io.sidecars import write_sidecars
-from sim.sensors.camera import Intrinsics
-from sim.sensors.imu import ImuModel, ImuReadings, ImuTruth
-from sim.sequence import Sequence
+from dslab.sim.io import euroc_layout as layout
+from dslab.sim.io.folders import Progress, new_directory, write_images
+from dslab.sim.io.sidecars import write_sidecars
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.imu import ImuModel, ImuReadings, ImuTruth
+from dslab.sim.sequence import Sequence
 
 
 def write_euroc(

@@ -12,10 +12,10 @@ from typing import Any
 
 import cv2
 
-from scenarios.errors import InputError
-from scenarios.input_files import is_folder, is_given
-from sim.sequence import FrameSource
-from sim.unfinished import SCRATCH, unfinished_folder
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import is_folder, is_given
+from dslab.sim.sequence import FrameSource
+from dslab.sim.unfinished import SCRATCH, unfinished_folder
 
 Progress = Callable[[str, int, int], None]
 """Called with the name of the step, frames done and frames in all."""

@@ -3,20 +3,20 @@
 from enum import StrEnum
 from pathlib import Path
 
-from scenarios.errors import InputError
-from scenarios.input_files import is_folder, is_given
-from sim.io import euroc_layout, kitti, layout, tartanair, tum_mono, vslam_lab_layout
-from sim.io.euroc_reader import load_euroc
-from sim.io.euroc_writer import write_euroc
-from sim.io.folders import Progress
-from sim.io.loose_images import load_images
-from sim.io.tum_reader import load_tum
-from sim.io.tum_writer import write_tum
-from sim.io.video import is_video, load_video
-from sim.io.vslam_lab_reader import load_vslam_lab
-from sim.io.vslam_lab_writer import write_vslam_lab
-from sim.sensors.imu import ImuReadings, ImuTruth
-from sim.sequence import Sequence
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import is_folder, is_given
+from dslab.sim.io import euroc_layout, kitti, layout, tartanair, tum_mono, vslam_lab_layout
+from dslab.sim.io.euroc_reader import load_euroc
+from dslab.sim.io.euroc_writer import write_euroc
+from dslab.sim.io.folders import Progress
+from dslab.sim.io.loose_images import load_images
+from dslab.sim.io.tum_reader import load_tum
+from dslab.sim.io.tum_writer import write_tum
+from dslab.sim.io.video import is_video, load_video
+from dslab.sim.io.vslam_lab_reader import load_vslam_lab
+from dslab.sim.io.vslam_lab_writer import write_vslam_lab
+from dslab.sim.sensors.imu import ImuReadings, ImuTruth
+from dslab.sim.sequence import Sequence
 
 
 class Form(StrEnum):

@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from scenarios.errors import InputError
-from scenarios.input_files import SETTINGS_BYTES
-from sim.io.camera_file import check_size
-from sim.io.text import check_words, read_rows, to_numbers
-from sim.sensors.camera import Intrinsics
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import SETTINGS_BYTES
+from dslab.sim.io.camera_file import check_size
+from dslab.sim.io.text import check_words, read_rows, to_numbers
+from dslab.sim.sensors.camera import Intrinsics
 
 _LENS_NAMES = ["fx", "fy", "cx", "cy", "omega"]
 _SIZE_NAMES = ["width", "height"]

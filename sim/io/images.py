@@ -12,12 +12,12 @@ from pathlib import Path, PurePosixPath
 import cv2
 import numpy as np
 
-from scenarios.errors import InputError
-from scenarios.input_files import IMAGE_BYTES, file_names, open_file, read_bytes
-from sim.io.camera_file import check_size
-from sim.io.image_header import header_size, is_whole
-from sim.io.layout import DEPTH_PER_M
-from sim.io.text import to_frame_number
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import IMAGE_BYTES, file_names, open_file, read_bytes
+from dslab.sim.io.camera_file import check_size
+from dslab.sim.io.image_header import header_size, is_whole
+from dslab.sim.io.layout import DEPTH_PER_M
+from dslab.sim.io.text import to_frame_number
 
 _COPY = "copy the folder again"
 _NOTED_BYTES = 1 << 16

@@ -15,16 +15,16 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scenarios.errors import InputError
-from scenarios.input_files import SETTINGS_BYTES, file_names, is_folder, is_given
-from sim.io.camera_file import check_camera
-from sim.io.folders import Progress, new_directory, write_images
-from sim.io.images import GrayFolder, image_shape, numbered_images
-from sim.io.sidecars import read_sidecars, write_sidecars
-from sim.io.text import check_order, check_present, check_words, read_rows, to_numbers, to_stamp
-from sim.io.truth import check_position, is_rotation
-from sim.sensors.camera import Intrinsics
-from sim.sequence import Sequence
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import SETTINGS_BYTES, file_names, is_folder, is_given
+from dslab.sim.io.camera_file import check_camera
+from dslab.sim.io.folders import Progress, new_directory, write_images
+from dslab.sim.io.images import GrayFolder, image_shape, numbered_images
+from dslab.sim.io.sidecars import read_sidecars, write_sidecars
+from dslab.sim.io.text import check_order, check_present, check_words, read_rows, to_numbers, to_stamp
+from dslab.sim.io.truth import check_position, is_rotation
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sequence import Sequence
 
 IMAGES_DIR, TIMES_FILE, CALIBRATION_FILE, POSES_DIR = "image_0", "times.txt", "calib.txt", "poses"
 _POSE_NAMES = [f"r{row}{column}" for row in range(3) for column in range(4)]

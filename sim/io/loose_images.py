@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from scenarios.errors import InputError
-from scenarios.input_files import file_names, is_folder, is_given
-from sim.io.camera_file import read_camera
-from sim.io.images import GrayFolder
-from sim.io.text import check_present
-from sim.sequence import Sequence
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import file_names, is_folder, is_given
+from dslab.sim.io.camera_file import read_camera
+from dslab.sim.io.images import GrayFolder
+from dslab.sim.io.text import check_present
+from dslab.sim.sequence import Sequence
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm")
 """Of the names of images, in either case."""

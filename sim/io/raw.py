@@ -9,10 +9,10 @@ from types import TracebackType
 
 import numpy as np
 
-from scenarios.errors import InputError
-from scenarios.input_files import open_file
-from sim.cache import CorruptEntryError
-from sim.unfinished import hold
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import open_file
+from dslab.sim.cache import CorruptEntryError
+from dslab.sim.unfinished import hold
 
 UNREADABLE = (
     EOFError,

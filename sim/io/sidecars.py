@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from scenarios.errors import InputError
-from scenarios.input_files import is_given, read_json
-from sim.io import layout
-from sim.io.euroc_layout import ORIGIN_KEY
-from sim.io.text import check_words, read_rows, to_numbers
-from sim.sequence import SegmentTruth, Sequence
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import is_given, read_json
+from dslab.sim.io import layout
+from dslab.sim.io.euroc_layout import ORIGIN_KEY
+from dslab.sim.io.text import check_words, read_rows, to_numbers
+from dslab.sim.sequence import SegmentTruth, Sequence
 
 _LONGEST_EXPOSURE_S = 3600.0
 

@@ -17,17 +17,17 @@ from pathlib import Path
 
 import numpy as np
 
-from scenarios.errors import InputError
-from scenarios.input_files import IMAGE_BYTES, is_folder, is_given, read_bytes
-from sim.io import layout
-from sim.io.camera_file import read_camera
-from sim.io.images import GrayFolder, image_shape, numbered_images
-from sim.io.raw import UNREADABLE
-from sim.io.sidecars import read_sidecars
-from sim.io.text import check_words, read_rows, to_numbers
-from sim.io.truth import check_position, check_quaternion, poses_of
-from sim.sensors.camera import Intrinsics
-from sim.sequence import Sequence
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import IMAGE_BYTES, is_folder, is_given, read_bytes
+from dslab.sim.io import layout
+from dslab.sim.io.camera_file import read_camera
+from dslab.sim.io.images import GrayFolder, image_shape, numbered_images
+from dslab.sim.io.raw import UNREADABLE
+from dslab.sim.io.sidecars import read_sidecars
+from dslab.sim.io.text import check_words, read_rows, to_numbers
+from dslab.sim.io.truth import check_position, check_quaternion, poses_of
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sequence import Sequence
 
 _FPS = 10.0
 _NAMES = ["tx", "ty", "tz", "qx", "qy", "qz", "qw"]

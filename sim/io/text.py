@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from scenarios.errors import InputError
-from scenarios.input_files import TABLE_BYTES, read_text
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import TABLE_BYTES, read_text
 
 _MOST_ROWS, _LONGEST_ROW = 4_000_000, 100_000
 # Two thousand years: more are no seconds, but micro- or nanoseconds.

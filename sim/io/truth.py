@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scenarios.errors import InputError
-from scenarios.input_files import is_given
-from sim.io.text import check_order, check_words, read_rows, to_numbers, to_stamp
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import is_given
+from dslab.sim.io.text import check_order, check_words, read_rows, to_numbers, to_stamp
 
 # Farther positions are no metres; their squares would leave the alignment no digits.
 _MOST_POSITION_M = 1e9

@@ -16,16 +16,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from scenarios.errors import InputError
-from scenarios.input_files import SETTINGS_BYTES, is_folder, is_given
-from sim.io.camera_file import check_camera
-from sim.io.fov_camera import FovCamera, read_fov_camera
-from sim.io.images import GrayFolder, GrayZip, numbered_images, read_raw
-from sim.io.sidecars import check_exposure, read_sidecars
-from sim.io.text import check_order, check_words, read_rows, to_frame_number, to_numbers, to_stamp
-from sim.io.truth import half_interval_s, read_tum_poses
-from sim.sensors.camera import Intrinsics
-from sim.sequence import FrameSource, Sequence
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import SETTINGS_BYTES, is_folder, is_given
+from dslab.sim.io.camera_file import check_camera
+from dslab.sim.io.fov_camera import FovCamera, read_fov_camera
+from dslab.sim.io.images import GrayFolder, GrayZip, numbered_images, read_raw
+from dslab.sim.io.sidecars import check_exposure, read_sidecars
+from dslab.sim.io.text import check_order, check_words, read_rows, to_frame_number, to_numbers, to_stamp
+from dslab.sim.io.truth import half_interval_s, read_tum_poses
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sequence import FrameSource, Sequence
 
 IMAGES_DIR, IMAGES_ZIP = "images", "images.zip"
 TIMES_FILE, CAMERA_FILE = "times.txt", "camera.txt"

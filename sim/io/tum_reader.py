@@ -4,16 +4,16 @@ from pathlib import Path
 
 import numpy as np
 
-from scenarios.errors import InputError
-from scenarios.input_files import is_given
-from sim.io import layout
-from sim.io.camera_file import read_camera
-from sim.io.images import DepthFolder, GrayFolder
-from sim.io.sidecars import read_sidecars
-from sim.io.text import check_order, check_present, read_rows, to_stamp
-from sim.io.truth import half_interval_s, nearest, read_tum_poses
-from sim.sensors.camera import Intrinsics
-from sim.sequence import Sequence
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import is_given
+from dslab.sim.io import layout
+from dslab.sim.io.camera_file import read_camera
+from dslab.sim.io.images import DepthFolder, GrayFolder
+from dslab.sim.io.sidecars import read_sidecars
+from dslab.sim.io.text import check_order, check_present, read_rows, to_stamp
+from dslab.sim.io.truth import half_interval_s, nearest, read_tum_poses
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sequence import Sequence
 
 
 def load_tum(folder: Path) -> Sequence:

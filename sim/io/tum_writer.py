@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 
-from scenarios.errors import InputError
-from sim.io import layout
-from sim.io.camera_file import write_camera
-from sim.io.folders import Progress, new_directory, write_images
-from sim.io.sidecars import write_sidecars
-from sim.io.truth import tum_poses_text
-from sim.sequence import FrameSource, Sequence
+from dslab.scenarios.errors import InputError
+from dslab.sim.io import layout
+from dslab.sim.io.camera_file import write_camera
+from dslab.sim.io.folders import Progress, new_directory, write_images
+from dslab.sim.io.sidecars import write_sidecars
+from dslab.sim.io.truth import tum_poses_text
+from dslab.sim.sequence import FrameSource, Sequence
 
 
 def write_tum(

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scenarios.errors import InputError
-from scenarios.input_files import open_file
-from sim.cache import FolderCache, content_key
-from sim.io.camera_file import check_camera, read_camera
-from sim.io.raw import RawFrames, RawWriter
-from sim.room import Need, check_room
-from sim.sequence import Sequence
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import open_file
+from dslab.sim.cache import FolderCache, content_key
+from dslab.sim.io.camera_file import check_camera, read_camera
+from dslab.sim.io.raw import RawFrames, RawWriter
+from dslab.sim.room import Need, check_room
+from dslab.sim.sequence import Sequence
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

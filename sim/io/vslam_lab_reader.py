@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from scenarios.errors import InputError
-from scenarios.input_files import is_given
-from scenarios.yaml_file import read_yaml
-from sim.io import euroc_layout
-from sim.io import vslam_lab_layout as layout
-from sim.io.camera_file import check_camera
-from sim.io.images import DepthFolder, GrayFolder
-from sim.io.sidecars import read_sidecars
-from sim.io.text import (
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import is_given
+from dslab.scenarios.yaml_file import read_yaml
+from dslab.sim.io import euroc_layout
+from dslab.sim.io import vslam_lab_layout as layout
+from dslab.sim.io.camera_file import check_camera
+from dslab.sim.io.images import DepthFolder, GrayFolder
+from dslab.sim.io.sidecars import read_sidecars
+from dslab.sim.io.text import (
     check_order,
     check_present,
     check_words,
@@ -28,9 +28,9 @@ from sim.io.text import (
     to_nanoseconds,
     to_numbers,
 )
-from sim.io.truth import check_position, check_quaternion, half_interval_s, nearest_poses, poses_of
-from sim.sensors.camera import DISTORTION_KEYS, Intrinsics
-from sim.sequence import Sequence
+from dslab.sim.io.truth import check_position, check_quaternion, half_interval_s, nearest_poses, poses_of
+from dslab.sim.sensors.camera import DISTORTION_KEYS, Intrinsics
+from dslab.sim.sequence import Sequence
 
 _EXAMPLE = "the list `cameras` with cam_name, focal_length, principal_point, image_dimension, fps"
 # Programs that hold stamps as floating-point numbers write them so.

@@ -5,15 +5,15 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scenarios.errors import InputError
-from sim.io import vslam_lab_layout as layout
-from sim.io.euroc_layout import origin_ns, to_ns
-from sim.io.folders import Progress, new_directory, write_images
-from sim.io.layout import DEPTH_PER_M
-from sim.io.sidecars import write_sidecars
-from sim.io.tum_writer import CodedDepth
-from sim.sensors.camera import Intrinsics
-from sim.sequence import Sequence
+from dslab.scenarios.errors import InputError
+from dslab.sim.io import vslam_lab_layout as layout
+from dslab.sim.io.euroc_layout import origin_ns, to_ns
+from dslab.sim.io.folders import Progress, new_directory, write_images
+from dslab.sim.io.layout import DEPTH_PER_M
+from dslab.sim.io.sidecars import write_sidecars
+from dslab.sim.io.tum_writer import CodedDepth
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sequence import Sequence
 
 
 def write_vslam_lab(

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Mapping
 
-from scenarios.extensions import note_extension
-from scenarios.motions import Trajectory, add_motion_kind
-from sim.motion.base import Motion
-from sim.motion.car import plan_car
-from sim.motion.spline import PoseSpline
-from sim.motion.walker import plan_handheld, plan_walk
-from sim.worlds.base import Route
+from dslab.scenarios.extensions import note_extension
+from dslab.scenarios.motions import Trajectory, add_motion_kind
+from dslab.sim.motion.base import Motion
+from dslab.sim.motion.car import plan_car
+from dslab.sim.motion.spline import PoseSpline
+from dslab.sim.motion.walker import plan_handheld, plan_walk
+from dslab.sim.worlds.base import Route
 
 
 def plan_motion(route: Route, trajectory: Trajectory, duration_s: float, seed: int) -> Motion:
@@ -25,7 +25,7 @@ def plan_motion(route: Route, trajectory: Trajectory, duration_s: float, seed: i
 
 def _plan_drone(route: Route, trajectory: Trajectory, duration_s: float, seed: int) -> PoseSpline:
     # MuJoCo is loaded for drones only.
-    from sim.motion.drone import plan_drone
+    from dslab.sim.motion.drone import plan_drone
 
     return plan_drone(route, trajectory, duration_s, seed)
 

@@ -6,13 +6,13 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
-from scenarios.motions import Trajectory
-from scenarios.seeds import rng_for
-from sim.motion.path import STEP_M, ground, smooth_path
-from sim.motion.planning import knot_times, limited_pace, long_enough, progress, sway, within_limits
-from sim.motion.spline import PoseSpline
-from sim.worlds.base import Route
-from sim.worlds.geometry.route import arc_length
+from dslab.scenarios.motions import Trajectory
+from dslab.scenarios.seeds import rng_for
+from dslab.sim.motion.path import STEP_M, ground, smooth_path
+from dslab.sim.motion.planning import knot_times, limited_pace, long_enough, progress, sway, within_limits
+from dslab.sim.motion.spline import PoseSpline
+from dslab.sim.worlds.base import Route
+from dslab.sim.worlds.geometry.route import arc_length
 
 _KNOT_S = 0.05
 # The plan stays this far below the limits; springs and spline use the rest.

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from sim.worlds.base import Route
-from sim.worlds.geometry.route import arc_length
+from dslab.sim.worlds.base import Route
+from dslab.sim.worlds.geometry.route import arc_length
 
 STEP_M = 0.05
 # Shares of the clearance for cutting corners and for wandering sideways; the rest is for the sway.

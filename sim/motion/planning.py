@@ -5,11 +5,11 @@ import math
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from scenarios.motions import Trajectory
-from scenarios.seeds import rng_for
-from sim.motion.path import STEP_M
-from sim.motion.spline import PoseSpline
-from sim.worlds.base import Route
+from dslab.scenarios.motions import Trajectory
+from dslab.scenarios.seeds import rng_for
+from dslab.sim.motion.path import STEP_M
+from dslab.sim.motion.spline import PoseSpline
+from dslab.sim.worlds.base import Route
 
 # Exposures reach beyond the first and the last frame.
 PAD_S = 1.0

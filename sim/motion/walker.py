@@ -9,13 +9,13 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
-from scenarios.seeds import rng_for
-from scenarios.spec import Trajectory
-from sim.motion.path import STEP_M, ground, smooth_path
-from sim.motion.planning import PAD_S, knot_times, long_enough, progress, sway, within_limits
-from sim.motion.spline import PoseSpline
-from sim.worlds.base import Route
-from sim.worlds.geometry.route import arc_length
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.spec import Trajectory
+from dslab.sim.motion.path import STEP_M, ground, smooth_path
+from dslab.sim.motion.planning import PAD_S, knot_times, long_enough, progress, sway, within_limits
+from dslab.sim.motion.spline import PoseSpline
+from dslab.sim.worlds.base import Route
+from dslab.sim.worlds.geometry.route import arc_length
 
 __all__ = ["PAD_S", "plan_handheld", "plan_walk"]
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scenarios.errors import InputError
-from sim.sensors.camera import Intrinsics
-from sim.worlds.base import Surface, WorldModel
+from dslab.scenarios.errors import InputError
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.worlds.base import Surface, WorldModel
 
 NEAR_M = 0.05
 

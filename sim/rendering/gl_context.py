@@ -16,7 +16,7 @@ from ctypes import c_char_p, c_int, c_void_p
 from pathlib import Path
 from typing import Protocol
 
-from scenarios.errors import InputError
+from dslab.scenarios.errors import InputError
 
 # MuJoCo must not load a GL library itself.
 os.environ["MUJOCO_GL"] = "disable"

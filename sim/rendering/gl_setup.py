@@ -1,4 +1,4 @@
-"""Check headless OpenGL once after the install: ``python -m sim.rendering.gl_setup --uv PATH``.
+"""Check headless OpenGL once after the install: ``python -m dslab.sim.rendering.gl_setup --uv PATH``.
 
 Where no driver works it adds the OSMesa wheel, which needs no root, and names the command for EGL.
 """
@@ -8,11 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-from sim.rendering.gl_context import EGL_COMMAND, OSMESA_WHEEL, REMEDY
+from dslab.sim.rendering.gl_context import EGL_COMMAND, OSMESA_WHEEL, REMEDY
 
 _PROBE = """
-from scenarios.errors import InputError
-from sim.rendering.gl_context import gl_info
+from dslab.scenarios.errors import InputError
+from dslab.sim.rendering.gl_context import gl_info
 try:
     info = gl_info()
 except InputError as error:

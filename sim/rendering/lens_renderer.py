@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sim.rendering.renderer import Renderer
-from sim.sensors.camera import Intrinsics
-from sim.sensors.distortion import Lens
+from dslab.sim.rendering.renderer import Renderer
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.distortion import Lens
 
 
 class DistortingRenderer:

@@ -12,12 +12,12 @@ from itertools import product
 import cv2
 import numpy as np
 
-from scenarios.errors import InputError
-from sim.rendering.compositing import metric_depth, put_nearer
-from sim.rendering.frustum import Frustum, bounding_balls
-from sim.rendering.gl_context import gl_info, shared_context
-from sim.sensors.camera import Intrinsics
-from sim.worlds.base import Surface, WorldModel, faded_texture
+from dslab.scenarios.errors import InputError
+from dslab.sim.rendering.compositing import metric_depth, put_nearer
+from dslab.sim.rendering.frustum import Frustum, bounding_balls
+from dslab.sim.rendering.gl_context import gl_info, shared_context
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.worlds.base import Surface, WorldModel, faded_texture
 
 # MuJoCo's import must come after sim.rendering.gl_context's, which tells it to load no GL library.
 import mujoco  # isort: skip

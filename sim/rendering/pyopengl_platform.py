@@ -8,7 +8,7 @@ import ctypes
 
 from OpenGL.platform.baseplatform import BasePlatform
 
-from sim.rendering.gl_context import PYRENDER, shared_context
+from dslab.sim.rendering.gl_context import PYRENDER, shared_context
 
 
 class ContextPlatform(BasePlatform):

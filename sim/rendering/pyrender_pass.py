@@ -15,8 +15,8 @@ import numpy as np
 import OpenGL
 from OpenGL.plugins import FormatHandler, PlatformPlugin
 
-from scenarios.errors import InputError
-from sim.rendering.gl_context import PYRENDER, GlContext, shared_context
+from dslab.scenarios.errors import InputError
+from dslab.sim.rendering.gl_context import PYRENDER, GlContext, shared_context
 
 _PLATFORM = "dslab"
 _GL_LOWER_LEFT, _GL_ZERO_TO_ONE = 0x8CA1, 0x935F  # arguments of glClipControl
@@ -25,7 +25,7 @@ _GL_LOWER_LEFT, _GL_ZERO_TO_ONE = 0x8CA1, 0x935F  # arguments of glClipControl
 def _prepare_imports() -> None:
     """Set the state of the process that PyOpenGL and pyrender read on import."""
     shared_context(PYRENDER).make_current()
-    PlatformPlugin(_PLATFORM, "sim.rendering.pyopengl_platform.ContextPlatform")
+    PlatformPlugin(_PLATFORM, "dslab.sim.rendering.pyopengl_platform.ContextPlatform")
     os.environ["PYOPENGL_PLATFORM"] = _PLATFORM
     # pyrender pins PyOpenGL 3.1.0, which knows the type of ctypes.byref by its name before Python 3.12.
     reference = type(ctypes.byref(ctypes.c_int()))

@@ -7,11 +7,11 @@ llvmpipe). It takes one sample per pixel, even if a world requests more: 3.3 % t
 
 import numpy as np
 
-from sim.rendering.frustum import NEAR_M, Frustum, bounding_balls
-from sim.rendering.gl_context import gl_info
-from sim.rendering.pyrender_pass import Pass
-from sim.sensors.camera import Intrinsics
-from sim.worlds.base import Surface, WorldModel, faded_texture
+from dslab.sim.rendering.frustum import NEAR_M, Frustum, bounding_balls
+from dslab.sim.rendering.gl_context import gl_info
+from dslab.sim.rendering.pyrender_pass import Pass
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.worlds.base import Surface, WorldModel, faded_texture
 
 # After sim.rendering.pyrender_pass, which prepares the import.
 import pyrender  # isort: skip

@@ -3,15 +3,15 @@
 from collections.abc import Callable
 from importlib import import_module
 
-from scenarios.errors import InputError
-from sim.rendering.renderer import Renderer
-from sim.sensors.camera import Intrinsics
-from sim.worlds.base import WorldModel
+from dslab.scenarios.errors import InputError
+from dslab.sim.rendering.renderer import Renderer
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.worlds.base import WorldModel
 
 # Import paths: the libraries of a renderer are imported only when it is used.
 RENDERERS = {
-    "mujoco": "sim.rendering.mujoco_renderer:MujocoRenderer",
-    "pyrender": "sim.rendering.pyrender_renderer:PyrenderRenderer",
+    "mujoco": "dslab.sim.rendering.mujoco_renderer:MujocoRenderer",
+    "pyrender": "dslab.sim.rendering.pyrender_renderer:PyrenderRenderer",
 }
 DEFAULT_RENDERER = "mujoco"
 

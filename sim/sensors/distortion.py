@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 from numba import njit
 
-from scenarios.errors import InputError
-from scenarios.lenses import MOST_HALF_ANGLE_DEG
-from sim.sensors.camera import Intrinsics
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.lenses import MOST_HALF_ANGLE_DEG
+from dslab.sim.sensors.camera import Intrinsics
 
 MOST_IDEAL_PX = 8192
 _SOLVED = 1e-10  # negligible error of a normalised point

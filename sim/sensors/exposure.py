@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numba import njit
 
-from sim.sensors.camera import Intrinsics
-from sim.sensors.outlines import TILE_PX, integrate_outlines, inverse_depths, outline_tiles
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.outlines import TILE_PX, integrate_outlines, inverse_depths, outline_tiles
 
 # A shorter smear than this is invisible.
 SHARP_PX = np.float32(0.3)

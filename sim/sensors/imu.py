@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scenarios.errors import InputError
-from scenarios.imu import Imu
-from scenarios.seeds import rng_for
-from sim.motion.base import Motion
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.imu import Imu
+from dslab.scenarios.seeds import rng_for
+from dslab.sim.motion.base import Motion
 
 GRAVITY_MPS2 = np.array([0.0, 0.0, -9.81])
 """World frame, z up."""

@@ -5,7 +5,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from scenarios.seeds import rng_for
+from dslab.scenarios.seeds import rng_for
 
 _BANK_SIZE = 1 << 22
 

@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 
-from scenarios.spec import Camera
-from sim.sensors.noise import SensorNoise
+from dslab.scenarios.spec import Camera
+from dslab.sim.sensors.noise import SensorNoise
 
 _MIDDLE_LEVEL = 128
 

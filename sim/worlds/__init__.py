@@ -4,13 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from scenarios.extensions import note_extension
-from scenarios.worlds import WORLD_KINDS, Lamps, Outdoors, World, WorldBase
-from sim.worlds.ambience import dimmed, hazed
-from sim.worlds.base import Route, WorldModel
-from sim.worlds.country import field, motorway
-from sim.worlds.indoor import building, corridor, room, warehouse
-from sim.worlds.town import city
+from dslab.scenarios.extensions import note_extension
+from dslab.scenarios.worlds import WORLD_KINDS, Lamps, Outdoors, World, WorldBase
+from dslab.sim.worlds.ambience import dimmed, hazed
+from dslab.sim.worlds.base import Route, WorldModel
+from dslab.sim.worlds.country import field, motorway
+from dslab.sim.worlds.indoor import building, corridor, room, warehouse
+from dslab.sim.worlds.town import city
 
 
 class WorldMaker(Protocol):

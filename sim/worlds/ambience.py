@@ -5,8 +5,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from scenarios.worlds import Outdoors
-from sim.worlds.base import Haze, WorldModel
+from dslab.scenarios.worlds import Outdoors
+from dslab.sim.worlds.base import Haze, WorldModel
 
 # Visibility is where a contrast of 1 is down to 0.02: ln 50. Source: Koschmieder's law.
 _VISIBILITY_EXPONENT = 3.912

@@ -7,14 +7,14 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from scenarios.seeds import rng_for
-from scenarios.worlds import Aliasing
-from sim.worlds.base import Surface, WorldModel
-from sim.worlds.geometry.meshes import Piece
-from sim.worlds.geometry.panels import Panel
-from sim.worlds.materials.finishes import CLEAN_INSTEAD, FINISHES, PIECE_FINISHES, draw, paint
-from sim.worlds.materials.textures import multiply
-from sim.worlds.recurrence import Recurrence
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.worlds import Aliasing
+from dslab.sim.worlds.base import Surface, WorldModel
+from dslab.sim.worlds.geometry.meshes import Piece
+from dslab.sim.worlds.geometry.panels import Panel
+from dslab.sim.worlds.materials.finishes import CLEAN_INSTEAD, FINISHES, PIECE_FINISHES, draw, paint
+from dslab.sim.worlds.materials.textures import multiply
+from dslab.sim.worlds.recurrence import Recurrence
 
 # The level to which every texture fades. One for all: without contrast, surfaces meet without an edge.
 MEAN_LEVEL = 118.0

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from scenarios.seeds import rng_for
-from scenarios.worlds import Aliasing
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.worlds import Aliasing
 
 _PICTURES = 2  # different pictures of a finish
 _MAGNIFIED = 1.8  # largest factor of size, up or down

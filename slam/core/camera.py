@@ -7,7 +7,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from slam.core import _camera_kernels as kernels
+from dslab.slam.core import _camera_kernels as kernels
 
 # OpenCV's default of five iterations leaves pixels of error at the corners of a wide-angle lens.
 _UNDISTORT_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)

@@ -4,8 +4,8 @@ from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import ClassVar
 
-from slam.core.relation import Relation
-from slam.core.snapshot import Unchanging
+from dslab.slam.core.relation import Relation
+from dslab.slam.core.snapshot import Unchanging
 
 CANCELLED = "cancelled"
 """Stage of a recovery that was ended because nothing depended on it any more."""

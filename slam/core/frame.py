@@ -4,10 +4,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from slam.core._frame_kernels import motion_between, sort_into_cells
-from slam.core.camera import PinholeCamera
-from slam.core.geometry import ViewGeometry
-from slam.core.snapshot import Unchanging
+from dslab.slam.core._frame_kernels import motion_between, sort_into_cells
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.geometry import ViewGeometry
+from dslab.slam.core.snapshot import Unchanging
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from numbers import Real
 
 import numpy as np
 
-from slam.core.camera import PinholeCamera
+from dslab.slam.core.camera import PinholeCamera
 
 
 def check_frame(

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slam.core.camera import PinholeCamera
+from dslab.slam.core.camera import PinholeCamera
 
 CELL_PX = 16.0
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.core.snapshot import Unchanging
+from dslab.slam.core.snapshot import Unchanging
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slam.core.events import TrackingState
+from dslab.slam.core.events import TrackingState
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 2.2 and 2.3
 import numpy as np
 from numba import njit
 
-from slam.direct._outer_products import SIZE, add_outer_products
-from slam.optimization._se3 import retract
+from dslab.slam.direct._outer_products import SIZE, add_outer_products
+from dslab.slam.optimization._se3 import retract
 
 PATTERN = np.array(
     [[0, -2], [-1, -1], [1, -1], [-2, 0], [0, 0], [2, 0], [-1, 1], [0, 2]], np.float64

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from slam.direct._alignment_kernels import _bilinear
+from dslab.slam.direct._alignment_kernels import _bilinear
 
 
 @njit(cache=True, nogil=True)

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from slam.direct._alignment_kernels import _bilinear
+from dslab.slam.direct._alignment_kernels import _bilinear
 
 _STEPS = 4  # of the refinement
 _MOST_SHIFT_PX = 2.0

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam.direct._alignment_kernels import (
+from dslab.slam.direct._alignment_kernels import (
     PATTERN,
     advance,
     damped_system,
@@ -23,8 +23,8 @@ from slam.direct._alignment_kernels import (
     residual_energy,
     sample_patterns,
 )
-from slam.direct.pyramid import ImagePyramid
-from slam.optimization._se3 import retract
+from dslab.slam.direct.pyramid import ImagePyramid
+from dslab.slam.optimization._se3 import retract
 
 _SPACING_PX = 2  # of points on the coarser levels, where more would see the same pixels
 _DAMPING = 1e-2

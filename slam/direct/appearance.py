@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.direct._alignment_kernels import sample_patterns
-from slam.direct._appearance_kernels import correlations
-from slam.direct.pyramid import ImagePyramid
+from dslab.slam.direct._alignment_kernels import sample_patterns
+from dslab.slam.direct._appearance_kernels import correlations
+from dslab.slam.direct.pyramid import ImagePyramid
 
 _SIDE = 5
 _PATCH = np.array(

@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 
-from slam.direct._blur_kernels import line_of_light
-from slam.direct.alignment import Aligned, Reference, align
-from slam.direct.pyramid import ImagePyramid, Rectifier
+from dslab.slam.direct._blur_kernels import line_of_light
+from dslab.slam.direct.alignment import Aligned, Reference, align
+from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
 
 _LENGTHS = tuple(2.0 * 1.4**i for i in range(13))  # px of the second finest level, on which this is done
 _MOST_OF_WIDTH = 0.4

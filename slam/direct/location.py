@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from slam.direct._alignment_kernels import PATTERN, sample_patterns
-from slam.direct._location_kernels import locate, search_line
-from slam.direct.alignment import Aligned, Reference
-from slam.direct.pyramid import ImagePyramid
+from dslab.slam.direct._alignment_kernels import PATTERN, sample_patterns
+from dslab.slam.direct._location_kernels import locate, search_line
+from dslab.slam.direct.alignment import Aligned, Reference
+from dslab.slam.direct.pyramid import ImagePyramid
 
 _NEAREST, _FARTHEST = 0.25, 20.0  # depths that are searched, of the usual one
 _GRADIENT_SCALE = 50.0

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slam.direct.alignment import Aligned, AlignmentConfig, Reference, align, fan
-from slam.direct.blur import align_through_blur
-from slam.direct.pyramid import ImagePyramid, Rectifier
+from dslab.slam.direct.alignment import Aligned, AlignmentConfig, Reference, align, fan
+from dslab.slam.direct.blur import align_through_blur
+from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
 
 _SPEEDS = (0.65, 0.8, 1.25, 1.5)  # of the predicted motion over a gap that are tried too
 _LONG_GAP = 3

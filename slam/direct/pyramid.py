@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from slam.core.camera import PinholeCamera
-from slam.direct._pyramid_kernels import halved, with_gradients
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.direct._pyramid_kernels import halved, with_gradients
 
 LEAST_SIDE_PX = 64
 _LEAST_COARSE_SIDE_PX = 24

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slam.direct._selection_kernels import select_in_blocks, squared_gradients, thresholds
-from slam.direct.pyramid import ImagePyramid
+from dslab.slam.direct._selection_kernels import select_in_blocks, squared_gradients, thresholds
+from dslab.slam.direct.pyramid import ImagePyramid
 
 _REGION_PX = 32
 _ROUNDS = 3

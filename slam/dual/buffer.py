@@ -6,8 +6,8 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
-from slam.core.camera import PinholeCamera
-from slam.core.frame import FrameFeatures
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.frame import FrameFeatures
 
 # Of 100: at this quality SIFT finds the same features as in the image, at a fifth of its size.
 JPEG_QUALITY = 95

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, field
 
-from slam.dual.fusion.fuse import FusionConfig
-from slam.dual.recovery.registry import ThreadSpec
+from dslab.slam.dual.fusion.fuse import FusionConfig
+from dslab.slam.dual.recovery.registry import ThreadSpec
 
 
 @dataclass(frozen=True)

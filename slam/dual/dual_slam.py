@@ -10,23 +10,23 @@ from functools import partial
 
 import numpy as np
 
-from slam.config import SlamConfig
-from slam.core import events as ev
-from slam.core.camera import PinholeCamera
-from slam.core.events import TrackingState
-from slam.core.frame import Frame
-from slam.core.results import TrackingResult
-from slam.dual.buffer import FeatureBuffer
-from slam.dual.config import DualConfig
-from slam.dual.fusion.map_merger import MapMerger
-from slam.dual.fusion.merge_recovered import Recovered
-from slam.dual.recovery.interface import RecoveryResult
-from slam.dual.recovery_jobs import Copies, NewMap, RecoveryJob, RecoveryJobs
-from slam.initialization.initializer import InitialMap
-from slam.map.map import Map
-from slam.runtime.backend import ExecutionMode, TakeOver
-from slam.system import MonocularSlam, MonocularSystem
-from slam.tracking.tracker import TrackingOutcome
+from dslab.slam.config import SlamConfig
+from dslab.slam.core import events as ev
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.events import TrackingState
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.results import TrackingResult
+from dslab.slam.dual.buffer import FeatureBuffer
+from dslab.slam.dual.config import DualConfig
+from dslab.slam.dual.fusion.map_merger import MapMerger
+from dslab.slam.dual.fusion.merge_recovered import Recovered
+from dslab.slam.dual.recovery.interface import RecoveryResult
+from dslab.slam.dual.recovery_jobs import Copies, NewMap, RecoveryJob, RecoveryJobs
+from dslab.slam.initialization.initializer import InitialMap
+from dslab.slam.map.map import Map
+from dslab.slam.runtime.backend import ExecutionMode, TakeOver
+from dslab.slam.system import MonocularSlam, MonocularSystem
+from dslab.slam.tracking.tracker import TrackingOutcome
 
 
 @dataclass

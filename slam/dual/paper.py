@@ -7,10 +7,10 @@ Source: paper, Sec. III; Mur-Artal, Montiel, Tardós, "ORB-SLAM", 2015.
 
 from dataclasses import replace
 
-from slam.config import SlamConfig, default_config
-from slam.core.camera import PinholeCamera
-from slam.dual.config import DualConfig
-from slam.dual.recovery.registry import ThreadSpec
+from dslab.slam.config import SlamConfig, default_config
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.dual.config import DualConfig
+from dslab.slam.dual.recovery.registry import ThreadSpec
 
 PAPER = DualConfig(
     buffer_s=10.0,

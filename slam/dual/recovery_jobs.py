@@ -6,21 +6,21 @@ from math import inf
 
 import numpy as np
 
-from slam.config import SlamConfig
-from slam.core import events as ev
-from slam.core.camera import PinholeCamera
-from slam.core.frame import Frame
-from slam.core.geometry import share_of_motion
-from slam.core.seeds import rng_for
-from slam.dual.buffer import FeatureBuffer
-from slam.dual.config import DualConfig
-from slam.dual.recovery.interface import RecoveryResult, RecoveryTask
-from slam.dual.recovery.registry import build_thread
-from slam.dual.recovery.scheduler import RecoveryRun, build_scheduler
-from slam.features.remembered import Remembered
-from slam.loop_closing.map_alignment import Alignment
-from slam.map.map import Map
-from slam.runtime.backend import ExecutionMode
+from dslab.slam.config import SlamConfig
+from dslab.slam.core import events as ev
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.geometry import share_of_motion
+from dslab.slam.core.seeds import rng_for
+from dslab.slam.dual.buffer import FeatureBuffer
+from dslab.slam.dual.config import DualConfig
+from dslab.slam.dual.recovery.interface import RecoveryResult, RecoveryTask
+from dslab.slam.dual.recovery.registry import build_thread
+from dslab.slam.dual.recovery.scheduler import RecoveryRun, build_scheduler
+from dslab.slam.features.remembered import Remembered
+from dslab.slam.loop_closing.map_alignment import Alignment
+from dslab.slam.map.map import Map
+from dslab.slam.runtime.backend import ExecutionMode
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numba import njit
 
-from slam.features._brief_pattern import BRIEF_PAIRS
+from dslab.slam.features._brief_pattern import BRIEF_PAIRS
 
 # Farthest pixel that a rotated pair reaches, hence the least distance of a keypoint to the image's edge.
 BORDER_PX = round(float(np.hypot(*BRIEF_PAIRS.reshape(-1, 2).T.astype(float)).max()))

@@ -8,7 +8,7 @@ Source: Lowe, "Distinctive image features from scale-invariant keypoints", IJCV 
 import numpy as np
 from numba import njit
 
-from slam.features._dog_kernels import LAYERS
+from dslab.slam.features._dog_kernels import LAYERS
 
 _BINS = 36
 _PEAK = 0.8  # of the highest peak (Sec. 5)

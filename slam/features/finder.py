@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from slam.core.camera import PinholeCamera
-from slam.core.frame import Features
-from slam.features.orb import OrbConfig, OrbExtractor
-from slam.features.remembered import Remembered
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.frame import Features
+from dslab.slam.features.orb import OrbConfig, OrbExtractor
+from dslab.slam.features.remembered import Remembered
 
 _PX_PER_FEATURE = 45.0  # an image has room for at most one feature in this many pixels
 

@@ -6,12 +6,12 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from slam.core.frame import Features
-from slam.features._fast_kernels import corner_contrast, refine_corners, select_corners
-from slam.features._orb_kernels import BORDER_PX, descriptors, orientations
-from slam.features._spread_kernels import spread_corners
-from slam.features.faint import Amplifier
-from slam.features.remembered import Remembered
+from dslab.slam.core.frame import Features
+from dslab.slam.features._fast_kernels import corner_contrast, refine_corners, select_corners
+from dslab.slam.features._orb_kernels import BORDER_PX, descriptors, orientations
+from dslab.slam.features._spread_kernels import spread_corners
+from dslab.slam.features.faint import Amplifier
+from dslab.slam.features.remembered import Remembered
 
 # The blur of OpenCV's ORB: rounding differs from cv2.GaussianBlur at some pixels; it takes half the time.
 _BLUR = cv2.getGaussianKernel(7, 2)

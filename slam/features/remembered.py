@@ -6,7 +6,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from slam.core.snapshot import Unchanging
+from dslab.slam.core.snapshot import Unchanging
 
 Found = TypeVar("Found")
 

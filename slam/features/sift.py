@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.core.camera import PinholeCamera
-from slam.core.frame import Frame
-from slam.features._sift_matching import nearest
-from slam.features.sift_detector import SIGMA0_PX, SiftFeatures
-from slam.features.tracks import TrackedFrame
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.frame import Frame
+from dslab.slam.features._sift_matching import nearest
+from dslab.slam.features.sift_detector import SIGMA0_PX, SiftFeatures
+from dslab.slam.features.tracks import TrackedFrame
 
 
 @dataclass

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from slam.features._dog_kernels import BORDER_PX, LAYERS, find_extrema, refine_extrema
-from slam.features._sift_kernels import describe, orient
+from dslab.slam.features._dog_kernels import BORDER_PX, LAYERS, find_extrema, refine_extrema
+from dslab.slam.features._sift_kernels import describe, orient
 
 SIGMA0_PX = 1.6
 """Standard deviation of the finest Gaussian."""

@@ -6,9 +6,9 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
-from slam.core.frame import Frame
-from slam.core.geometry import ViewGeometry
-from slam.optimization._triangulation import triangulate
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.geometry import ViewGeometry
+from dslab.slam.optimization._triangulation import triangulate
 
 
 @dataclass

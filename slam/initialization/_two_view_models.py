@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from slam.optimization._triangulation import triangulate
+from dslab.slam.optimization._triangulation import triangulate
 
 _CHI2_1DOF = 3.841
 _CHI2_2DOF = 5.991

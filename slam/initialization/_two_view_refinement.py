@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from slam.initialization._two_view_errors import motion_errors, normal_equations
-from slam.optimization._cholesky import factor, solve, whole_rows
-from slam.optimization._se3 import so3_exp
+from dslab.slam.initialization._two_view_errors import motion_errors, normal_equations
+from dslab.slam.optimization._cholesky import factor, solve, whole_rows
+from dslab.slam.optimization._se3 import so3_exp
 
 TUKEY = 4.685
 """Errors of more sigmas have no influence; this loses 5 % of efficiency under normal noise."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from slam.initialization._two_view_refinement import TUKEY, RefinedMotion, refined, tangent
+from dslab.slam.initialization._two_view_refinement import TUKEY, RefinedMotion, refined, tangent
 
 _SAMPLE = 200
 """Most matches used by the search."""

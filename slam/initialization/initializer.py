@@ -6,18 +6,18 @@ from typing import get_args
 
 import numpy as np
 
-from slam.core.camera import PinholeCamera
-from slam.core.frame import Frame
-from slam.core.geometry import ViewGeometry, share_of_motion
-from slam.core.timing import StageTimer
-from slam.initialization.second_motion import SecondMotion, SecondMotionConfig
-from slam.initialization.two_view import TwoViewConfig, TwoViewResult, two_view_reconstruction
-from slam.map import _map_kernels as kernels
-from slam.map.map import Map
-from slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
-from slam.matching.gms import GmsConfig
-from slam.matching.initial import GmsMatcher, InitialMatcher, MatcherKind, WindowedMatcher
-from slam.tracking.tracker import Tracker, TrackingConfig
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.geometry import ViewGeometry, share_of_motion
+from dslab.slam.core.timing import StageTimer
+from dslab.slam.initialization.second_motion import SecondMotion, SecondMotionConfig
+from dslab.slam.initialization.two_view import TwoViewConfig, TwoViewResult, two_view_reconstruction
+from dslab.slam.map import _map_kernels as kernels
+from dslab.slam.map.map import Map
+from dslab.slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
+from dslab.slam.matching.gms import GmsConfig
+from dslab.slam.matching.initial import GmsMatcher, InitialMatcher, MatcherKind, WindowedMatcher
+from dslab.slam.tracking.tracker import Tracker, TrackingConfig
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,12 @@ from typing import Literal
 
 import numpy as np
 
-from slam.core.frame import Frame
-from slam.core.geometry import ViewGeometry
-from slam.initialization.two_view import lead_sigmas
-from slam.optimization._triangulation import triangulate
-from slam.optimization.bundle_adjustment import bundle_adjust
-from slam.optimization.pose import CHI2_2DOF, optimize_pose
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.geometry import ViewGeometry
+from dslab.slam.initialization.two_view import lead_sigmas
+from dslab.slam.optimization._triangulation import triangulate
+from dslab.slam.optimization.bundle_adjustment import bundle_adjust
+from dslab.slam.optimization.pose import CHI2_2DOF, optimize_pose
 
 _HUBER_DELTA = float(np.sqrt(CHI2_2DOF))
 _MAX_CHI2 = 4.0 * CHI2_2DOF

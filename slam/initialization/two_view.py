@@ -14,9 +14,9 @@ from typing import Literal
 
 import numpy as np
 
-from slam.initialization import _two_view_models as models
-from slam.initialization._two_view_refinement import RefinedMotion
-from slam.initialization._two_view_search import motions_around, search_motions
+from dslab.slam.initialization import _two_view_models as models
+from dslab.slam.initialization._two_view_refinement import RefinedMotion
+from dslab.slam.initialization._two_view_search import motions_around, search_motions
 
 Reason = Literal[
     "", "too_few_matches", "no_model", "low_parallax", "few_points", "ambiguous", "ill_conditioned"

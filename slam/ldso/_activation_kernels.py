@@ -7,7 +7,7 @@ Where it says less, ``refine_depths`` follows the authors' public code step by s
 import numpy as np
 from numba import njit
 
-from slam.direct._alignment_kernels import _bilinear
+from dslab.slam.direct._alignment_kernels import _bilinear
 
 _DAMPING = 0.1
 _MOST_DAMPING = 1e3

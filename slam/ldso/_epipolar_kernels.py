@@ -7,7 +7,7 @@ Where it says less, the search follows the authors' public code step by step.
 import numpy as np
 from numba import njit
 
-from slam.direct._alignment_kernels import _bilinear
+from dslab.slam.direct._alignment_kernels import _bilinear
 
 GOOD, OUTSIDE, OUTLIER, CERTAIN, ALONG_EDGE, NEW = 0, 1, 2, 3, 4, 5
 """Outcomes of the last search: found; out of the image; nothing alike; the interval is short already; the

@@ -7,8 +7,8 @@ Sparse Odometry".
 import numpy as np
 from numba import njit
 
-from slam.direct._alignment_kernels import linearise, residual_energy
-from slam.optimization._se3 import retract
+from dslab.slam.direct._alignment_kernels import linearise, residual_energy
+from dslab.slam.optimization._se3 import retract
 
 _DAMPING = 1e-2
 _LEAST_DAMPING = 1e-6

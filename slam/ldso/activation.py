@@ -6,11 +6,11 @@ Where it says less, this follows the authors' public code step by step.
 
 import numpy as np
 
-from slam.direct._alignment_kernels import PATTERN
-from slam.ldso._activation_kernels import refine_depths, spread
-from slam.ldso.config import ImmatureConfig, PhotometricConfig
-from slam.ldso.points import Active, Immature
-from slam.ldso.window import Window
+from dslab.slam.direct._alignment_kernels import PATTERN
+from dslab.slam.ldso._activation_kernels import refine_depths, spread
+from dslab.slam.ldso.config import ImmatureConfig, PhotometricConfig
+from dslab.slam.ldso.points import Active, Immature
+from dslab.slam.ldso.window import Window
 
 _FIRST_SPACING_PX = 4.0
 _MOST_SPACING_PX = 8.0

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.ldso.config import PhotometricConfig
-from slam.ldso.model import WindowModel, model_of
-from slam.ldso.window import PARAMETERS, Window
+from dslab.slam.ldso.config import PhotometricConfig
+from dslab.slam.ldso.model import WindowModel, model_of
+from dslab.slam.ldso.window import PARAMETERS, Window
 
 _DAMPING = 1e-4
 _LEAST_DAMPING = 1e-5

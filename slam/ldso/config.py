@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from slam.direct.selection import SelectionConfig
+from dslab.slam.direct.selection import SelectionConfig
 
 
 @dataclass(frozen=True)

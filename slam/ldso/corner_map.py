@@ -9,12 +9,12 @@ is found says what to expect of a view.
 import numpy as np
 from scipy.spatial import cKDTree
 
-from slam.core.frame import Frame
-from slam.core.geometry import ViewGeometry
-from slam.ldso.config import CornerConfig
-from slam.ldso.window import Keyframe
-from slam.map.map import Map
-from slam.places._evidence_kernels import look_for
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.geometry import ViewGeometry
+from dslab.slam.ldso.config import CornerConfig
+from dslab.slam.ldso.window import Keyframe
+from dslab.slam.map.map import Map
+from dslab.slam.places._evidence_kernels import look_for
 
 _SAME_PX = 0.1
 

@@ -10,14 +10,14 @@ Tomasi, "Good Features to Track", 1994.
 import cv2
 import numpy as np
 
-from slam.core._frame_kernels import sort_into_cells
-from slam.core.camera import PinholeCamera
-from slam.core.frame import FrameFeatures
-from slam.core.geometry import ViewGeometry, view_geometry
-from slam.direct.selection import Selection
-from slam.features._orb_kernels import BORDER_PX, descriptors, orientations
-from slam.ldso._corner_kernels import gradient_products, lesser_eigenvalues, peaks
-from slam.ldso.config import CornerConfig
+from dslab.slam.core._frame_kernels import sort_into_cells
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.frame import FrameFeatures
+from dslab.slam.core.geometry import ViewGeometry, view_geometry
+from dslab.slam.direct.selection import Selection
+from dslab.slam.features._orb_kernels import BORDER_PX, descriptors, orientations
+from dslab.slam.ldso._corner_kernels import gradient_products, lesser_eigenvalues, peaks
+from dslab.slam.ldso.config import CornerConfig
 
 _BLUR = cv2.getGaussianKernel(7, 2)  # that of ORB
 # All corners are of the image's own resolution. It is level 2 of the map's pyramid, so that a point counts as

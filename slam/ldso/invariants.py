@@ -4,11 +4,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from slam.core.events import TrackingState
-from slam.ldso.odometry import Odometry
-from slam.ldso.system import DsoSlam
-from slam.ldso.window import PARAMETERS, Window
-from slam.map.invariants import InvariantError, require, require_rigid
+from dslab.slam.core.events import TrackingState
+from dslab.slam.ldso.odometry import Odometry
+from dslab.slam.ldso.system import DsoSlam
+from dslab.slam.ldso.window import PARAMETERS, Window
+from dslab.slam.map.invariants import InvariantError, require, require_rigid
 
 
 def check_direct_maps(system: DsoSlam) -> None:

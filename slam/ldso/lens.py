@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri, fdtrc
 
-from slam.core.camera import PinholeCamera, Residual, distort_residual
-from slam.ldso.adjustment import affine_prior, gauge
-from slam.ldso.config import LensConfig, PhotometricConfig
-from slam.ldso.model import LEAST_INFORMATION, WindowModel, model_of, of_keyframes, pair_derivatives
-from slam.ldso.points import Active
-from slam.ldso.window import PARAMETERS, Window
+from dslab.slam.core.camera import PinholeCamera, Residual, distort_residual
+from dslab.slam.ldso.adjustment import affine_prior, gauge
+from dslab.slam.ldso.config import LensConfig, PhotometricConfig
+from dslab.slam.ldso.model import LEAST_INFORMATION, WindowModel, model_of, of_keyframes, pair_derivatives
+from dslab.slam.ldso.points import Active
+from dslab.slam.ldso.window import PARAMETERS, Window
 
 LENS = 4  # k1, k2, p1, p2
 _GRID = 21

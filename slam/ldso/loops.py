@@ -13,19 +13,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.core.camera import PinholeCamera
-from slam.core.geometry import ViewGeometry
-from slam.core.relation import Relation
-from slam.ldso.config import CornerConfig
-from slam.ldso.corner_map import CornerMap
-from slam.ldso.odometry import Odometry
-from slam.loop_closing.correction import Loop, move_map
-from slam.loop_closing.detection import LoopClosingConfig, LoopDetector, Refusal
-from slam.loop_closing.judgement import judge
-from slam.map.relation import loop_relation
-from slam.optimization.pose_graph import optimize_pose_graph
-from slam.optimization.sim3_algebra import invert_sim3
-from slam.places.recognition import KeyframeDatabase
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.geometry import ViewGeometry
+from dslab.slam.core.relation import Relation
+from dslab.slam.ldso.config import CornerConfig
+from dslab.slam.ldso.corner_map import CornerMap
+from dslab.slam.ldso.odometry import Odometry
+from dslab.slam.loop_closing.correction import Loop, move_map
+from dslab.slam.loop_closing.detection import LoopClosingConfig, LoopDetector, Refusal
+from dslab.slam.loop_closing.judgement import judge
+from dslab.slam.map.relation import loop_relation
+from dslab.slam.optimization.pose_graph import optimize_pose_graph
+from dslab.slam.optimization.sim3_algebra import invert_sim3
+from dslab.slam.places.recognition import KeyframeDatabase
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from collections import deque
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slam.ldso.config import LossConfig
-from slam.ldso.tracking import Tracked
+from dslab.slam.ldso.config import LossConfig
+from dslab.slam.ldso.tracking import Tracked
 
 _USUAL = 30  # frames
 _SPEEDS = 10

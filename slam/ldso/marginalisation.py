@@ -6,11 +6,11 @@ Where it says less, the choice of what leaves follows the authors' public code.
 
 import numpy as np
 
-from slam.core.geometry import camera_centre
-from slam.ldso.adjustment import affine_prior
-from slam.ldso.config import PhotometricConfig
-from slam.ldso.model import model_of
-from slam.ldso.window import PARAMETERS, Window
+from dslab.slam.core.geometry import camera_centre
+from dslab.slam.ldso.adjustment import affine_prior
+from dslab.slam.ldso.config import PhotometricConfig
+from dslab.slam.ldso.model import model_of
+from dslab.slam.ldso.window import PARAMETERS, Window
 
 _LEAST_GOOD = 3  # residuals of a point that is marginalised, not dropped, now or ever
 _TINY = 1e-5

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.direct._alignment_kernels import PATTERN
-from slam.ldso._window_kernels import linearise_window, to_keyframes
-from slam.ldso.points import Active
-from slam.ldso.window import PARAMETERS, Window
+from dslab.slam.direct._alignment_kernels import PATTERN
+from dslab.slam.ldso._window_kernels import linearise_window, to_keyframes
+from dslab.slam.ldso.points import Active
+from dslab.slam.ldso.window import PARAMETERS, Window
 
 LEAST_INFORMATION = 1e-6
 _NO_SUMS = np.empty((0, 0, 9))

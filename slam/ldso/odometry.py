@@ -10,23 +10,23 @@ from itertools import islice
 
 import numpy as np
 
-from slam.core.camera import PinholeCamera, distort_residual, undistort_residual
-from slam.core.geometry import ViewGeometry
-from slam.core.results import MapTrajectory
-from slam.direct.alignment import fan
-from slam.direct.pyramid import ImagePyramid, Rectifier
-from slam.direct.selection import select
-from slam.ldso.activation import Activator
-from slam.ldso.adjustment import adjust
-from slam.ldso.brightness import composed, relative
-from slam.ldso.config import DsoConfig
-from slam.ldso.corners import described, with_corners
-from slam.ldso.lens import LensEstimator
-from slam.ldso.marginalisation import leaving, remove_keyframe, remove_points
-from slam.ldso.points import Immature
-from slam.ldso.tracking import PhotometricTracker, Tracked, TrackingReference
-from slam.ldso.window import Keyframe, Window
-from slam.optimization.sim3 import sim3_decompose
+from dslab.slam.core.camera import PinholeCamera, distort_residual, undistort_residual
+from dslab.slam.core.geometry import ViewGeometry
+from dslab.slam.core.results import MapTrajectory
+from dslab.slam.direct.alignment import fan
+from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
+from dslab.slam.direct.selection import select
+from dslab.slam.ldso.activation import Activator
+from dslab.slam.ldso.adjustment import adjust
+from dslab.slam.ldso.brightness import composed, relative
+from dslab.slam.ldso.config import DsoConfig
+from dslab.slam.ldso.corners import described, with_corners
+from dslab.slam.ldso.lens import LensEstimator
+from dslab.slam.ldso.marginalisation import leaving, remove_keyframe, remove_points
+from dslab.slam.ldso.points import Immature
+from dslab.slam.ldso.tracking import PhotometricTracker, Tracked, TrackingReference
+from dslab.slam.ldso.window import Keyframe, Window
+from dslab.slam.optimization.sim3 import sim3_decompose
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from typing import Self
 
 import numpy as np
 
-from slam.direct._alignment_kernels import PATTERN, sample_patterns
-from slam.direct.pyramid import ImagePyramid
-from slam.ldso._epipolar_kernels import ALONG_EDGE, CERTAIN, GOOD, NEW, OUTLIER, OUTSIDE, search
-from slam.ldso.config import ImmatureConfig, PhotometricConfig
+from dslab.slam.direct._alignment_kernels import PATTERN, sample_patterns
+from dslab.slam.direct.pyramid import ImagePyramid
+from dslab.slam.ldso._epipolar_kernels import ALONG_EDGE, CERTAIN, GOOD, NEW, OUTLIER, OUTSIDE, search
+from dslab.slam.ldso.config import ImmatureConfig, PhotometricConfig
 
 
 @dataclass

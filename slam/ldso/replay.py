@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from slam.direct.pyramid import Rectifier
-from slam.ldso.loss import LossRule
-from slam.ldso.odometry import Odometry
-from slam.ldso.start import Starter, Waiting
+from dslab.slam.direct.pyramid import Rectifier
+from dslab.slam.ldso.loss import LossRule
+from dslab.slam.ldso.odometry import Odometry
+from dslab.slam.ldso.start import Starter, Waiting
 
 
 @dataclass(frozen=True)

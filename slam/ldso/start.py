@@ -10,19 +10,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.config import SlamConfig
-from slam.core.camera import PinholeCamera
-from slam.core.frame import Frame, FrameFeatures
-from slam.core.geometry import ViewGeometry, share_of_motion, view_geometry
-from slam.core.seeds import rng_for
-from slam.direct.pyramid import ImagePyramid
-from slam.features.finder import FeatureFinder
-from slam.initialization.initializer import Initializer, InitialMap
-from slam.ldso.brightness import composed
-from slam.ldso.config import DsoConfig
-from slam.ldso.odometry import Odometry
-from slam.ldso.tracking import PhotometricTracker, TrackingReference
-from slam.ldso.window import Keyframe
+from dslab.slam.config import SlamConfig
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.frame import Frame, FrameFeatures
+from dslab.slam.core.geometry import ViewGeometry, share_of_motion, view_geometry
+from dslab.slam.core.seeds import rng_for
+from dslab.slam.direct.pyramid import ImagePyramid
+from dslab.slam.features.finder import FeatureFinder
+from dslab.slam.initialization.initializer import Initializer, InitialMap
+from dslab.slam.ldso.brightness import composed
+from dslab.slam.ldso.config import DsoConfig
+from dslab.slam.ldso.odometry import Odometry
+from dslab.slam.ldso.tracking import PhotometricTracker, TrackingReference
+from dslab.slam.ldso.window import Keyframe
 
 _PATCH = np.stack(np.meshgrid(np.arange(-1.0, 2.0), np.arange(-1.0, 2.0)), axis=-1).reshape(-1, 2)
 _LEAST_POINTS = 150

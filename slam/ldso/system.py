@@ -9,25 +9,25 @@ from typing import Self
 
 import numpy as np
 
-from slam.config import SlamConfig
-from slam.core import events as ev
-from slam.core.camera import PinholeCamera
-from slam.core.events import TrackingState
-from slam.core.frame_input import check_frame
-from slam.core.results import MapTrajectory, PhotometricView, TrackingResult
-from slam.core.seeds import rng_for
-from slam.core.snapshot import Snapshot
-from slam.core.timing import StageTimer
-from slam.direct.pyramid import ImagePyramid, Rectifier
-from slam.ldso.config import DsoConfig
-from slam.ldso.corners import corner_view
-from slam.ldso.loops import LoopCloser
-from slam.ldso.loss import LossRule
-from slam.ldso.odometry import Odometry
-from slam.ldso.replay import Replayed, replayed
-from slam.ldso.start import Starter, Waiting
-from slam.ldso.tracking import Tracked
-from slam.map.map import Map
+from dslab.slam.config import SlamConfig
+from dslab.slam.core import events as ev
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.events import TrackingState
+from dslab.slam.core.frame_input import check_frame
+from dslab.slam.core.results import MapTrajectory, PhotometricView, TrackingResult
+from dslab.slam.core.seeds import rng_for
+from dslab.slam.core.snapshot import Snapshot
+from dslab.slam.core.timing import StageTimer
+from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
+from dslab.slam.ldso.config import DsoConfig
+from dslab.slam.ldso.corners import corner_view
+from dslab.slam.ldso.loops import LoopCloser
+from dslab.slam.ldso.loss import LossRule
+from dslab.slam.ldso.odometry import Odometry
+from dslab.slam.ldso.replay import Replayed, replayed
+from dslab.slam.ldso.start import Starter, Waiting
+from dslab.slam.ldso.tracking import Tracked
+from dslab.slam.map.map import Map
 
 _USED = ("orb", "initial_features", "initialization", "mapping", "loops")  # of the settings of the base
 

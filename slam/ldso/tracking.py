@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from slam.direct._alignment_kernels import PATTERN, likeness, sample_patterns
-from slam.direct.pyramid import ImagePyramid
-from slam.ldso._reference_kernels import gather, halved_sums, splat
-from slam.ldso._tracking_kernels import mean_squared_flow, refine, widened_cutoff
-from slam.ldso.config import KeyframeConfig, PhotometricConfig, TrackingConfig
+from dslab.slam.direct._alignment_kernels import PATTERN, likeness, sample_patterns
+from dslab.slam.direct.pyramid import ImagePyramid
+from dslab.slam.ldso._reference_kernels import gather, halved_sums, splat
+from dslab.slam.ldso._tracking_kernels import mean_squared_flow, refine, widened_cutoff
+from dslab.slam.ldso.config import KeyframeConfig, PhotometricConfig, TrackingConfig
 
 _ONE_PIXEL = np.zeros((1, 2))
 _MARGIN_PX = 3

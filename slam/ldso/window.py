@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slam.core.camera import PinholeCamera
-from slam.core.frame import FrameFeatures
-from slam.direct.pyramid import ImagePyramid
-from slam.ldso.brightness import relative_of_all
-from slam.ldso.config import WindowConfig
-from slam.ldso.points import Active, Immature
-from slam.optimization._se3 import retract
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.frame import FrameFeatures
+from dslab.slam.direct.pyramid import ImagePyramid
+from dslab.slam.ldso.brightness import relative_of_all
+from dslab.slam.ldso.config import WindowConfig
+from dslab.slam.ldso.points import Active, Immature
+from dslab.slam.optimization._se3 import retract
 
 PARAMETERS = 8  # of a keyframe: translation, rotation, a, b
 _FIRST_OUTLIER = 8.0  # residual, of 255, beyond which the first keyframe's patterns are outliers

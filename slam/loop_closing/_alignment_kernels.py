@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from slam.matching.guided import FAR, in_view, nearest_in_window, predicted_octave, project
+from dslab.slam.matching.guided import FAR, in_view, nearest_in_window, predicted_octave, project
 
 
 @njit(cache=True, nogil=True)

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.loop_closing.essential_graph import optimize_essential_graph
-from slam.loop_closing.map_alignment import Alignment
-from slam.map import _map_kernels as kernels
-from slam.map.map import Map
-from slam.matching.guided import fuse_into_keyframe
-from slam.optimization.sim3_algebra import invert_sim3
+from dslab.slam.loop_closing.essential_graph import optimize_essential_graph
+from dslab.slam.loop_closing.map_alignment import Alignment
+from dslab.slam.map import _map_kernels as kernels
+from dslab.slam.map.map import Map
+from dslab.slam.matching.guided import fuse_into_keyframe
+from dslab.slam.optimization.sim3_algebra import invert_sim3
 
 # Window of the search for duplicates, px on level 0: the loop's alignment is good to a few pixels.
 _FUSE_RADIUS_PX = 4.0

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slam.loop_closing._alignment_kernels import match_across
-from slam.loop_closing.correction import Loop
-from slam.loop_closing.judgement import JudgementConfig
-from slam.loop_closing.look_alikes import note_look_alike
-from slam.loop_closing.map_alignment import Alignment, AlignmentConfig, agree, align
-from slam.loop_closing.place_check import PlaceCheckConfig, doubt
-from slam.map.map import Map
-from slam.optimization.sim3 import sim3_decompose, sim3_inverse
-from slam.places.recognition import KeyframeDatabase
+from dslab.slam.loop_closing._alignment_kernels import match_across
+from dslab.slam.loop_closing.correction import Loop
+from dslab.slam.loop_closing.judgement import JudgementConfig
+from dslab.slam.loop_closing.look_alikes import note_look_alike
+from dslab.slam.loop_closing.map_alignment import Alignment, AlignmentConfig, agree, align
+from dslab.slam.loop_closing.place_check import PlaceCheckConfig, doubt
+from dslab.slam.map.map import Map
+from dslab.slam.optimization.sim3 import sim3_decompose, sim3_inverse
+from dslab.slam.places.recognition import KeyframeDatabase
 
 _REFUTED = ("map_is_stretched", "map_does_not_fit")  # by the geometry of the map
 

@@ -5,9 +5,9 @@ Source: Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, sections III-D and VII-C.
 
 import numpy as np
 
-from slam.map.map import Map
-from slam.optimization.pose_graph import optimize_pose_graph
-from slam.optimization.sim3_algebra import invert_sim3
+from dslab.slam.map.map import Map
+from dslab.slam.optimization.pose_graph import optimize_pose_graph
+from dslab.slam.optimization.sim3_algebra import invert_sim3
 
 MIN_SHARED = 100
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from slam.map.adjustment import MapAdjustment
-from slam.map.map import Map
-from slam.mapping._local_problem import local_problem
-from slam.optimization.global_bundle_adjustment import global_bundle_adjust
-from slam.optimization.pose import CHI2_2DOF
+from dslab.slam.map.adjustment import MapAdjustment
+from dslab.slam.map.map import Map
+from dslab.slam.mapping._local_problem import local_problem
+from dslab.slam.optimization.global_bundle_adjustment import global_bundle_adjust
+from dslab.slam.optimization.pose import CHI2_2DOF
 
 
 def adjust_globally(map_: Map, iterations: int = 10, apart: bool = False) -> MapAdjustment:

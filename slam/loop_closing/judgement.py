@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.loop_closing.correction import Loop
-from slam.map import _map_kernels as kernels
-from slam.map.adjustment import MapAdjustment
-from slam.map.map import Map
-from slam.optimization import _ba_kernels as ba
-from slam.optimization.pose import CHI2_2DOF
+from dslab.slam.loop_closing.correction import Loop
+from dslab.slam.map import _map_kernels as kernels
+from dslab.slam.map.adjustment import MapAdjustment
+from dslab.slam.map.map import Map
+from dslab.slam.optimization import _ba_kernels as ba
+from dslab.slam.optimization.pose import CHI2_2DOF
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ itself once may do so elsewhere: whoever supposes a place has to ask whether its
 
 import numpy as np
 
-from slam.core.geometry import camera_centre
-from slam.loop_closing.correction import Loop
-from slam.map import _map_kernels as kernels
-from slam.map.map import Map
-from slam.optimization.sim3 import sim3_decompose, sim3_inverse
+from dslab.slam.core.geometry import camera_centre
+from dslab.slam.loop_closing.correction import Loop
+from dslab.slam.map import _map_kernels as kernels
+from dslab.slam.map.map import Map
+from dslab.slam.optimization.sim3 import sim3_decompose, sim3_inverse
 
 _MIN_TURN_DEG = 30.0
 _MIN_SHIFT = 3.0  # median depths; a smaller misfit may be drift

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.core.frame import Frame
-from slam.loop_closing._alignment_kernels import match_across
-from slam.map import _map_kernels as kernels
-from slam.map.map import Map
-from slam.matching.brute_force import match_oriented
-from slam.matching.guided import NEAR
-from slam.optimization.sim3 import (
+from dslab.slam.core.frame import Frame
+from dslab.slam.loop_closing._alignment_kernels import match_across
+from dslab.slam.map import _map_kernels as kernels
+from dslab.slam.map.map import Map
+from dslab.slam.matching.brute_force import match_oriented
+from dslab.slam.matching.guided import NEAR
+from dslab.slam.optimization.sim3 import (
     Sim3Result,
     optimize_sim3,
     ransac_sim3,

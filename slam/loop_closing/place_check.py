@@ -4,14 +4,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from slam.core.results import MapTrajectory
-from slam.loop_closing.look_alikes import doubles
-from slam.loop_closing.map_alignment import Agreement, Alignment, AlignmentConfig, agree, align
-from slam.map.map import Map
-from slam.map.trajectory import keyframe_trajectory
-from slam.optimization.sim3 import sim3_decompose, sim3_inverse
-from slam.places.evidence import EvidenceBar, support
-from slam.tracking.reach import Reach, ReachConfig
+from dslab.slam.core.results import MapTrajectory
+from dslab.slam.loop_closing.look_alikes import doubles
+from dslab.slam.loop_closing.map_alignment import Agreement, Alignment, AlignmentConfig, agree, align
+from dslab.slam.map.map import Map
+from dslab.slam.map.trajectory import keyframe_trajectory
+from dslab.slam.optimization.sim3 import sim3_decompose, sim3_inverse
+from dslab.slam.places.evidence import EvidenceBar, support
+from dslab.slam.tracking.reach import Reach, ReachConfig
 
 _SAME_WAY_DEG = 45.0
 

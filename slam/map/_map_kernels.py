@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from slam.features._hamming import hamming256
+from dslab.slam.features._hamming import hamming256
 
 
 class MapArrays(NamedTuple):

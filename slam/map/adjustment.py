@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.map import _map_kernels as kernels
-from slam.map._map_kernels import MapArrays
-from slam.map.map import MIN_OBSERVATIONS, Map
+from dslab.slam.map import _map_kernels as kernels
+from dslab.slam.map._map_kernels import MapArrays
+from dslab.slam.map.map import MIN_OBSERVATIONS, Map
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from slam.map._map_kernels import MapArrays
+from dslab.slam.map._map_kernels import MapArrays
 
 
 def culled_keypoints(a: MapArrays, n_keyframes: int) -> int:

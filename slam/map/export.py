@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.colmap import pycolmap
-from slam.core.camera import PinholeCamera
-from slam.map.map import Map
+from dslab.slam.colmap import pycolmap
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.map.map import Map
 
 # COLMAP's pixel coordinates start at the corner of a pixel, ours at its centre.
 _HALF_PX = 0.5

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from slam.map.map import Map
+from dslab.slam.map.map import Map
 
 ROTATION_TOLERANCE = 1e-6
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from slam.core.frame import Frame, FrameFeatures
-from slam.core.geometry import ViewGeometry
-from slam.map import _map_kernels as kernels
-from slam.map._map_kernels import MapArrays
-from slam.map.compaction import culled_keypoints, drop_culled_keypoints
-from slam.optimization.sim3 import sim3_decompose
+from dslab.slam.core.frame import Frame, FrameFeatures
+from dslab.slam.core.geometry import ViewGeometry
+from dslab.slam.map import _map_kernels as kernels
+from dslab.slam.map._map_kernels import MapArrays
+from dslab.slam.map.compaction import culled_keypoints, drop_culled_keypoints
+from dslab.slam.optimization.sim3 import sim3_decompose
 
 _MIN_CULLED_SHARE = 0.25  # culled share of the keypoints in use, from which they are removed
 MIN_OBSERVATIONS = 3  # a point with fewer, once it has lost an observation, is dropped

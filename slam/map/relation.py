@@ -4,11 +4,11 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from slam.core.frame import Frame
-from slam.core.relation import PlacedFrames, Relation
-from slam.map import _map_kernels as kernels
-from slam.map.map import Map
-from slam.optimization.sim3 import sim3_decompose, sim3_inverse
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.relation import PlacedFrames, Relation
+from dslab.slam.map import _map_kernels as kernels
+from dslab.slam.map.map import Map
+from dslab.slam.optimization.sim3 import sim3_decompose, sim3_inverse
 
 _COVISIBLE = 20  # most covisible keyframes of a side
 _IN_TIME = 20  # most further keyframes of a side, the next ones in time: covisible ones may stand too close

@@ -5,10 +5,10 @@ from math import inf
 
 import numpy as np
 
-from slam.core.frame import Frame
-from slam.core.results import MapTrajectory
-from slam.core.snapshot import Unchanging
-from slam.map.map import Map
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.results import MapTrajectory
+from dslab.slam.core.snapshot import Unchanging
+from dslab.slam.map.map import Map
 
 
 @dataclass(frozen=True)

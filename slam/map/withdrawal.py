@@ -1,6 +1,6 @@
 """Removal from a map of what it has learned since a frame."""
 
-from slam.map.map import Map
+from dslab.slam.map.map import Map
 
 
 def cull_since(map_: Map, first_frame: int) -> tuple[int, ...]:

@@ -6,9 +6,9 @@ Search and checks follow ORB-SLAM's public code step by step.
 import numpy as np
 from numba import njit
 
-from slam.features._hamming import hamming256
-from slam.matching.guided import NEAR
-from slam.optimization._triangulation import triangulate
+from dslab.slam.features._hamming import hamming256
+from dslab.slam.matching.guided import NEAR
+from dslab.slam.optimization._triangulation import triangulate
 
 _LEAST_SIGMAS = 2.0  # of their noise, by which two rays must differ
 

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.core.frame import Frame
-from slam.core.geometry import camera_centre
-from slam.map import _map_kernels as kernels
-from slam.map.map import MIN_OBSERVATIONS, Map
-from slam.mapping._local_problem import local_problem
-from slam.mapping._triangulation_search import new_points, surrounding_depths
-from slam.matching.guided import fuse_into_keyframe
-from slam.optimization.bundle_adjustment import local_bundle_adjust
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.geometry import camera_centre
+from dslab.slam.map import _map_kernels as kernels
+from dslab.slam.map.map import MIN_OBSERVATIONS, Map
+from dslab.slam.mapping._local_problem import local_problem
+from dslab.slam.mapping._triangulation_search import new_points, surrounding_depths
+from dslab.slam.matching.guided import fuse_into_keyframe
+from dslab.slam.optimization.bundle_adjustment import local_bundle_adjust
 
 
 @dataclass(frozen=True)

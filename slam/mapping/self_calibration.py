@@ -4,11 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slam.core.camera import PinholeCamera, distort_residual, undistort_residual
-from slam.map.adjustment import MapAdjustment, apply_adjustment
-from slam.map.map import Map
-from slam.mapping._local_problem import local_problem
-from slam.optimization.lens import LensEstimate, estimate_lens
+from dslab.slam.core.camera import PinholeCamera, distort_residual, undistort_residual
+from dslab.slam.map.adjustment import MapAdjustment, apply_adjustment
+from dslab.slam.map.map import Map
+from dslab.slam.mapping._local_problem import local_problem
+from dslab.slam.optimization.lens import LensEstimate, estimate_lens
 
 
 @dataclass(frozen=True)

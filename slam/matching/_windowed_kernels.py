@@ -3,8 +3,8 @@
 import numpy as np
 from numba import njit
 
-from slam.features._hamming import popcount64
-from slam.matching.guided import NEAR, keep_common_rotation
+from dslab.slam.features._hamming import popcount64
+from dslab.slam.matching.guided import NEAR, keep_common_rotation
 
 
 @njit(cache=True, nogil=True)

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from slam.features._hamming import popcount64
+from dslab.slam.features._hamming import popcount64
 
 _N_BINS = 30
 _N_BEST_BINS = 3

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from slam.core.frame import FrameFeatures
-from slam.matching.brute_force import match_brute_force
+from dslab.slam.core.frame import FrameFeatures
+from dslab.slam.matching.brute_force import match_brute_force
 
 _ANY_DISTANCE = 256
 _ANY_RATIO = 1e3

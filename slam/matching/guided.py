@@ -6,8 +6,8 @@ It follows ORB-SLAM's public code step by step.
 import numpy as np
 from numba import njit
 
-from slam.features._hamming import hamming256
-from slam.map._map_kernels import add_observation, observed_in, refresh_point, replace_point
+from dslab.slam.features._hamming import hamming256
+from dslab.slam.map._map_kernels import add_observation, observed_in, refresh_point, replace_point
 
 FAR = 100  # largest distance of a guided match, bits
 NEAR = 50  # largest distance of an unguided match, bits

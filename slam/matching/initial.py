@@ -4,11 +4,11 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from slam.core.camera import PinholeCamera
-from slam.core.frame import FrameFeatures
-from slam.core.geometry import ViewGeometry
-from slam.matching._windowed_kernels import match_for_initialization
-from slam.matching.gms import GmsConfig, match_gms
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.frame import FrameFeatures
+from dslab.slam.core.geometry import ViewGeometry
+from dslab.slam.matching._windowed_kernels import match_for_initialization
+from dslab.slam.matching.gms import GmsConfig, match_gms
 
 MatcherKind = Literal["windowed", "gms", "gms_alone"]
 

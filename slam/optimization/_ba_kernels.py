@@ -10,10 +10,10 @@ of a camera among the free ones, -1 where fixed; ``intrinsics`` (4,) fx, fy, cx,
 import numpy as np
 from numba import njit
 
-from slam.optimization._block_sums import add_outer_products
-from slam.optimization._cholesky import factor, solve
-from slam.optimization._schur import back_substitute, eliminate_points, predicted_gain, skyline
-from slam.optimization._se3 import retract
+from dslab.slam.optimization._block_sums import add_outer_products
+from dslab.slam.optimization._cholesky import factor, solve
+from dslab.slam.optimization._schur import back_substitute, eliminate_points, predicted_gain, skyline
+from dslab.slam.optimization._se3 import retract
 
 MIN_DEPTH = 1e-6
 # Cost of an observation behind its camera: a hundred sigma, so that no step gains by moving it there.

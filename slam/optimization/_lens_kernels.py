@@ -9,10 +9,10 @@ themselves, the cameras and the points.
 import numpy as np
 from numba import njit
 
-from slam.optimization._ba_kernels import MIN_DEPTH
-from slam.optimization._cholesky import factor, solve
-from slam.optimization._schur import back_substitute, eliminate_points, skyline
-from slam.optimization._se3 import retract
+from dslab.slam.optimization._ba_kernels import MIN_DEPTH
+from dslab.slam.optimization._cholesky import factor, solve
+from dslab.slam.optimization._schur import back_substitute, eliminate_points, skyline
+from dslab.slam.optimization._se3 import retract
 
 _BEHIND_CHI2 = 1e4
 _N = 5  # coefficients

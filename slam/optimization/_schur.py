@@ -7,7 +7,7 @@ camera against point, observations sorted by point.
 import numpy as np
 from numba import njit
 
-from slam.optimization._block_sums import subtract_products
+from dslab.slam.optimization._block_sums import subtract_products
 
 
 @njit(cache=True, nogil=True)

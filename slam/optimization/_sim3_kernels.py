@@ -7,8 +7,8 @@ Names: ``points_1``, ``points_2`` (N, 3) pairs, each in its own camera's frame; 
 import numpy as np
 from numba import njit
 
-from slam.optimization._cholesky import factor, solve, whole_rows
-from slam.optimization._se3 import so3_exp
+from dslab.slam.optimization._cholesky import factor, solve, whole_rows
+from dslab.slam.optimization._se3 import so3_exp
 
 _MIN_DEPTH = 1e-6
 # Cost of a point behind the camera; see the pose optimisation.

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.optimization import _ba_kernels as kernels
-from slam.optimization._se3 import orthonormalise
-from slam.optimization.pose import CHI2_2DOF
+from dslab.slam.optimization import _ba_kernels as kernels
+from dslab.slam.optimization._se3 import orthonormalise
+from dslab.slam.optimization.pose import CHI2_2DOF
 
 _HUBER_DELTA = float(np.sqrt(CHI2_2DOF))
 _FINAL_ITERATIONS = 10

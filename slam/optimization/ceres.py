@@ -14,7 +14,7 @@ import sys
 
 import numpy as np
 
-from slam.colmap import pycolmap
+from dslab.slam.colmap import pycolmap
 
 HUBER_DELTA = 5.991**0.5
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.optimization import _ba_kernels as kernels
-from slam.optimization import ceres
-from slam.optimization.pose import CHI2_2DOF
+from dslab.slam.optimization import _ba_kernels as kernels
+from dslab.slam.optimization import ceres
+from dslab.slam.optimization.pose import CHI2_2DOF
 
 
 @dataclass(frozen=True)

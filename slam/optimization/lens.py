@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.optimization import _ba_kernels, _lens_kernels
-from slam.optimization._se3 import orthonormalise
-from slam.optimization.pose import CHI2_2DOF
+from dslab.slam.optimization import _ba_kernels, _lens_kernels
+from dslab.slam.optimization._se3 import orthonormalise
+from dslab.slam.optimization.pose import CHI2_2DOF
 
 Coefficients = tuple[float, float, float, float]
 

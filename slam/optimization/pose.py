@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from slam.optimization._cholesky import factor, solve, whole_rows
-from slam.optimization._se3 import orthonormalise, retract
+from dslab.slam.optimization._cholesky import factor, solve, whole_rows
+from dslab.slam.optimization._se3 import orthonormalise, retract
 
 CHI2_2DOF = 5.991
 """95% of the squared errors of a good observation, in units of its variance, lie below this."""

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import coo_matrix, identity
 from scipy.sparse.linalg import splu
 
-from slam.optimization.sim3_algebra import (
+from dslab.slam.optimization.sim3_algebra import (
     adjoint_sim3,
     exp_sim3,
     inverse_jacobians,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.optimization import _sim3_kernels as kernels
+from dslab.slam.optimization import _sim3_kernels as kernels
 
 _CONFIDENCE = 0.999
 _REFITS = 3

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from slam.matching.guided import in_view, nearest_in_window, predicted_octave, project
+from dslab.slam.matching.guided import in_view, nearest_in_window, predicted_octave, project
 
 _BORDER_PX = 20.0  # no features are extracted nearer to the border of an image
 _MIN_COSINE = 0.8  # between the direction of view and a point's mean one

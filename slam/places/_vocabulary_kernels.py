@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from slam.features._hamming import hamming
+from dslab.slam.features._hamming import hamming
 
 
 class Tree(NamedTuple):

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.core.frame import FrameFeatures
-from slam.core.geometry import ViewGeometry
-from slam.map.map import Map
-from slam.optimization.sim3 import sim3_decompose
-from slam.places._evidence_kernels import look_for
+from dslab.slam.core.frame import FrameFeatures
+from dslab.slam.core.geometry import ViewGeometry
+from dslab.slam.map.map import Map
+from dslab.slam.optimization.sim3 import sim3_decompose
+from dslab.slam.places._evidence_kernels import look_for
 
 _COLUMNS = 8  # of the grid on which found and missing points are counted
 _CHANCE = 0.06  # to find by chance a point of another place

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.core.snapshot import Unchanging
-from slam.map.map import Map
-from slam.places import _vocabulary_kernels as kernels
-from slam.places._vocabulary_kernels import InvertedFile, Tree
+from dslab.slam.core.snapshot import Unchanging
+from dslab.slam.map.map import Map
+from dslab.slam.places import _vocabulary_kernels as kernels
+from dslab.slam.places._vocabulary_kernels import InvertedFile, Tree
 
 VOCABULARY_FILE = Path(__file__).parent / "data" / "vocabulary.npz"
 

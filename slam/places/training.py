@@ -7,11 +7,11 @@ section III; seeding as in Arthur, Vassilvitskii, "k-means++", 2007.
 import numpy as np
 from numba import njit
 
-from slam.core.seeds import rng_for
-from slam.features._hamming import hamming
-from slam.places import _vocabulary_kernels as kernels
-from slam.places._vocabulary_kernels import Tree
-from slam.places.recognition import Vocabulary
+from dslab.slam.core.seeds import rng_for
+from dslab.slam.features._hamming import hamming
+from dslab.slam.places import _vocabulary_kernels as kernels
+from dslab.slam.places._vocabulary_kernels import Tree
+from dslab.slam.places.recognition import Vocabulary
 
 _ITERATIONS = 12
 

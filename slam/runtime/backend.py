@@ -15,18 +15,18 @@ from enum import StrEnum
 
 import numpy as np
 
-from slam.core.camera import PinholeCamera
-from slam.core.frame import Frame
-from slam.core.timing import StageTimer
-from slam.loop_closing.correction import Loop, correct_loop
-from slam.loop_closing.detection import LoopClosingConfig, LoopDetector, Refusal
-from slam.loop_closing.global_adjustment import adjust_globally
-from slam.loop_closing.judgement import judge
-from slam.map.adjustment import MapAdjustment
-from slam.map.map import Map
-from slam.mapping.local_mapping import LocalMapper
-from slam.mapping.self_calibration import Refinement, SelfCalibration
-from slam.runtime.worker import Worker
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.timing import StageTimer
+from dslab.slam.loop_closing.correction import Loop, correct_loop
+from dslab.slam.loop_closing.detection import LoopClosingConfig, LoopDetector, Refusal
+from dslab.slam.loop_closing.global_adjustment import adjust_globally
+from dslab.slam.loop_closing.judgement import judge
+from dslab.slam.map.adjustment import MapAdjustment
+from dslab.slam.map.map import Map
+from dslab.slam.mapping.local_mapping import LocalMapper
+from dslab.slam.mapping.self_calibration import Refinement, SelfCalibration
+from dslab.slam.runtime.worker import Worker
 
 
 class ExecutionMode(StrEnum):

@@ -7,9 +7,9 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from slam.core.frame import Frame
-from slam.core.geometry import camera_centre
-from slam.tracking._doubt_kernels import median_angles
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.geometry import camera_centre
+from dslab.slam.tracking._doubt_kernels import median_angles
 
 _MIN_POINTS = 10
 

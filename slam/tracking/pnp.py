@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from slam.core.geometry import ViewGeometry
+from dslab.slam.core.geometry import ViewGeometry
 
 
 def ransac_pnp(

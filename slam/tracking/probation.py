@@ -6,15 +6,15 @@ from enum import StrEnum
 
 import numpy as np
 
-from slam.core.frame import Frame
-from slam.core.geometry import camera_centre
-from slam.map.map import Map
-from slam.matching.guided import collect_local_map
-from slam.optimization.pose import direction_deviation
-from slam.places.evidence import VIEW_IS_UNKNOWN, EvidenceBar, support
-from slam.tracking.doubt import Doubt
-from slam.tracking.reach import Reach
-from slam.tracking.tracker import Tracker, TrackingOutcome
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.geometry import camera_centre
+from dslab.slam.map.map import Map
+from dslab.slam.matching.guided import collect_local_map
+from dslab.slam.optimization.pose import direction_deviation
+from dslab.slam.places.evidence import VIEW_IS_UNKNOWN, EvidenceBar, support
+from dslab.slam.tracking.doubt import Doubt
+from dslab.slam.tracking.reach import Reach
+from dslab.slam.tracking.tracker import Tracker, TrackingOutcome
 
 
 @dataclass(frozen=True)

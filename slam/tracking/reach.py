@@ -5,7 +5,7 @@ from typing import Self
 
 import numpy as np
 
-from slam.core.results import MapTrajectory
+from dslab.slam.core.results import MapTrajectory
 
 
 @dataclass(frozen=True)

@@ -10,16 +10,16 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from slam.core.frame import Frame
-from slam.core.geometry import camera_centre
-from slam.map import _map_kernels as kernels
-from slam.map.map import Map
-from slam.matching import guided
-from slam.matching.brute_force import match_oriented
-from slam.places.recognition import KeyframeDatabase
-from slam.tracking.pnp import ransac_pnp
-from slam.tracking.reach import Reach
-from slam.tracking.tracker import optimize_frame
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.geometry import camera_centre
+from dslab.slam.map import _map_kernels as kernels
+from dslab.slam.map.map import Map
+from dslab.slam.matching import guided
+from dslab.slam.matching.brute_force import match_oriented
+from dslab.slam.places.recognition import KeyframeDatabase
+from dslab.slam.tracking.pnp import ransac_pnp
+from dslab.slam.tracking.reach import Reach
+from dslab.slam.tracking.tracker import optimize_frame
 
 
 @dataclass(frozen=True)

@@ -9,15 +9,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slam.core.camera import PinholeCamera
-from slam.core.frame import Frame
-from slam.core.geometry import share_of_motion
-from slam.direct.alignment import Reference, fan
-from slam.direct.placement import PlacementConfig, place
-from slam.direct.pyramid import ImagePyramid, Rectifier
-from slam.direct.selection import SelectionConfig, select
-from slam.features.tracks import TrackedFrame, take_depth_from_points
-from slam.map.map import Map
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.geometry import share_of_motion
+from dslab.slam.direct.alignment import Reference, fan
+from dslab.slam.direct.placement import PlacementConfig, place
+from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
+from dslab.slam.direct.selection import SelectionConfig, select
+from dslab.slam.features.tracks import TrackedFrame, take_depth_from_points
+from dslab.slam.map.map import Map
 
 _STEADY = 6  # frames over which the motion is taken: steps between two rescued frames are too uncertain
 

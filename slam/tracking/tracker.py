@@ -5,15 +5,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slam.core.frame import Frame, FrameFeatures, twist_between
-from slam.core.timing import StageTimer
-from slam.map._map_kernels import count_observed, resolve_points
-from slam.map.map import Map
-from slam.matching import guided
-from slam.matching.brute_force import match_oriented
-from slam.optimization.pose import direction_deviation, optimize_pose
-from slam.places.evidence import EvidenceBar, cells_of, support
-from slam.tracking.doubt import Doubt, DoubtConfig
+from dslab.slam.core.frame import Frame, FrameFeatures, twist_between
+from dslab.slam.core.timing import StageTimer
+from dslab.slam.map._map_kernels import count_observed, resolve_points
+from dslab.slam.map.map import Map
+from dslab.slam.matching import guided
+from dslab.slam.matching.brute_force import match_oriented
+from dslab.slam.optimization.pose import direction_deviation, optimize_pose
+from dslab.slam.places.evidence import EvidenceBar, cells_of, support
+from dslab.slam.tracking.doubt import Doubt, DoubtConfig
 
 _KEYPOINTS_TO_SEE = 3  # in a cell, of which chance puts one or two anywhere
 

@@ -3,8 +3,8 @@
 import time
 from pathlib import Path
 
-from experiments.batch.job import Job
-from experiments.batch.rows import Row
+from dslab.experiments.batch.job import Job
+from dslab.experiments.batch.rows import Row
 
 _MET_S = 30.0
 

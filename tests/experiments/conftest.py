@@ -6,10 +6,10 @@ from functools import partial
 import pytest
 from unit_fakes import made_up_unit
 
-from experiments.campaign.clusters import embedded_worker_pool
-from experiments.campaign.runner import run_experiment
-from experiments.campaign.unit_job import unit_record
-from experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings
+from dslab.experiments.campaign.clusters import embedded_worker_pool
+from dslab.experiments.campaign.runner import run_experiment
+from dslab.experiments.campaign.unit_job import unit_record
+from dslab.experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings
 
 
 @pytest.fixture(scope="session")
@@ -22,7 +22,9 @@ def shared_pool():
 @pytest.fixture
 def no_picture(monkeypatch):
     """Runs write an empty trajectory.png, as drawing takes a third of a second."""
-    monkeypatch.setattr("experiments.pictures.run_picture.draw_runs", lambda path, records: path.touch())
+    monkeypatch.setattr(
+        "dslab.experiments.pictures.run_picture.draw_runs", lambda path, records: path.touch()
+    )
 
 
 @pytest.fixture

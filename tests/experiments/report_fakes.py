@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 
-from experiments.eq1.records import columns, dual_column, thread_column
-from experiments.eq1.spec_parts import Degradation
-from experiments.eq1.units import ThreadChoice
+from dslab.experiments.eq1.records import columns, dual_column, thread_column
+from dslab.experiments.eq1.spec_parts import Degradation
+from dslab.experiments.eq1.units import ThreadChoice
 
 KINDS = ("low_texture", "motion_blur", "fast_rotation")
 _DOSES = (

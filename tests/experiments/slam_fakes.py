@@ -6,13 +6,13 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sim.sensors.camera import Intrinsics
-from sim.sequence import SegmentTruth, Sequence
-from slam.core import events as ev
-from slam.core.camera import PinholeCamera
-from slam.core.events import TrackingState
-from slam.core.relation import PlacedFrames, Relation
-from slam.core.results import MapTrajectory, TrackingResult
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sequence import SegmentTruth, Sequence
+from dslab.slam.core import events as ev
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.events import TrackingState
+from dslab.slam.core.relation import PlacedFrames, Relation
+from dslab.slam.core.results import MapTrajectory, TrackingResult
 
 CAMERA = Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5, 30.0)
 

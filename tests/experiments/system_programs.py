@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.runs.systems.command import CommandSystem
-from experiments.runs.systems.command_spec import read_command_spec
+from dslab.experiments.runs.systems.command import CommandSystem
+from dslab.experiments.runs.systems.command_spec import read_command_spec
 
 # Copies the poses beside it for the stamps of rgb.txt, at half the scale; EDIT is done before it writes.
 COPY = """

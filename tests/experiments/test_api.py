@@ -7,11 +7,8 @@ import numpy as np
 import pytest
 from slam_fakes import fake_factory, make_sequence
 
-import experiments
-import scenarios
-import sim
-import slam
-from scenarios.errors import InputError
+from dslab import experiments, scenarios, sim, slam
+from dslab.scenarios.errors import InputError
 
 
 @pytest.fixture(scope="module")

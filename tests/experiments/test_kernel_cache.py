@@ -7,8 +7,8 @@ import tempfile
 
 import pytest
 
-from experiments import kernel_cache
-from experiments.kernel_cache import VARIABLE, choose_kernel_cache
+from dslab.experiments import kernel_cache
+from dslab.experiments.kernel_cache import VARIABLE, choose_kernel_cache
 
 LOCATORS = "NUMBA_CACHE_LOCATOR_CLASSES"
 
@@ -66,7 +66,7 @@ def test_without_any_folder_kernels_are_compiled_anew_with_one_line(tmp_path):
     )
     ended = subprocess.run(
         [sys.executable, str(tmp_path / "kernel.py")],
-        env={**os.environ, LOCATORS: "experiments.uncached_kernels.NoCache"},
+        env={**os.environ, LOCATORS: "dslab.experiments.uncached_kernels.NoCache"},
         capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
     assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (0, "42\n", 1)

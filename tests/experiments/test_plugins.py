@@ -2,8 +2,8 @@
 
 import pytest
 
-from experiments.plugins import VARIABLE, load_plugins
-from scenarios.errors import InputError
+from dslab.experiments.plugins import VARIABLE, load_plugins
+from dslab.scenarios.errors import InputError
 
 
 @pytest.fixture

@@ -4,12 +4,12 @@ import json
 
 import pytest
 
-from experiments import vocabulary
-from experiments.cli.vocabulary import show_command, train_command
-from experiments.vocabulary import FIRST_SEED, train, training_scenarios
-from scenarios.errors import InputError
-from scenarios.spec import Scenario
-from slam.places.recognition import Vocabulary
+from dslab.experiments import vocabulary
+from dslab.experiments.cli.vocabulary import show_command, train_command
+from dslab.experiments.vocabulary import FIRST_SEED, train, training_scenarios
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.spec import Scenario
+from dslab.slam.places.recognition import Vocabulary
 
 
 def little_room() -> Scenario:

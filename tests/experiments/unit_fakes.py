@@ -10,10 +10,10 @@ from pathlib import Path
 
 import yaml
 
-from experiments.campaign.ledger import Ledger
-from experiments.campaign.schedule import Experiment
-from experiments.campaign.worker_pool import Ended, WorkerPool
-from experiments.eq1.records import (
+from dslab.experiments.campaign.ledger import Ledger
+from dslab.experiments.campaign.schedule import Experiment
+from dslab.experiments.campaign.worker_pool import Ended, WorkerPool
+from dslab.experiments.eq1.records import (
     SHAM,
     decided,
     dual_column,
@@ -21,9 +21,9 @@ from experiments.eq1.records import (
     failure_column,
     thread_column,
 )
-from experiments.eq1.units import ThreadChoice, UnitSpec, content_hash
-from scenarios.seeds import rng_for
-from scenarios.spec import RoomWorld, Scenario
+from dslab.experiments.eq1.units import ThreadChoice, UnitSpec, content_hash
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.spec import RoomWorld, Scenario
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def made_up_unit(
 
 def imports_of_a_unit(_: object) -> bool:
     """Import all that a real unit needs."""
-    return import_module("experiments.eq1.trial") is not None
+    return import_module("dslab.experiments.eq1.trial") is not None
 
 
 def slow_unit(
@@ -141,7 +141,7 @@ def rendered_unit(
 
     from small_world import CAMERA, CORRIDOR
 
-    from sim.sequence_rendering import render_sequence
+    from dslab.sim.sequence_rendering import render_sequence
 
     spec = {"name": "small", "duration_s": 1.0, "seed": unit.index, "world": CORRIDOR, "camera": CAMERA}
     frames = render_sequence(Scenario.model_validate(spec), cache_dir=cache_dir).frames

@@ -4,12 +4,12 @@ from functools import cache
 
 import numpy as np
 
-from experiments.eq1 import trial
-from experiments.eq1.units import ThreadChoice, UnitSpec
-from scenarios.spec import LowTexture, RoomWorld, Scenario
-from sim.sensors.camera import Intrinsics
-from sim.sequence import SegmentTruth, Sequence
-from slam.warmup import CAMERA, toy_frames
+from dslab.experiments.eq1 import trial
+from dslab.experiments.eq1.units import ThreadChoice, UnitSpec
+from dslab.scenarios.spec import LowTexture, RoomWorld, Scenario
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sequence import SegmentTruth, Sequence
+from dslab.slam.warmup import CAMERA, toy_frames
 
 FRAMES, ONSET, END = 170, 75, 104
 FPS = CAMERA.fps

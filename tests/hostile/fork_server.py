@@ -68,7 +68,7 @@ def _run_forked(job: dict) -> dict:
 
 def _enter(job: dict) -> None:
     """Take the folder, the environment, the files and the limits of a job."""
-    from experiments.plugins import load_plugins
+    from dslab.experiments.plugins import load_plugins
 
     os.setsid()
     os.chdir(job["cwd"])
@@ -91,10 +91,10 @@ def _enter(job: dict) -> None:
 
 def _call(argv: list[str]) -> int:
     """Run the command as the interpreter would; its exit code."""
-    from experiments import cli
+    from dslab.experiments import cli
 
     if argv[0] == "view":
-        from experiments import recording
+        from dslab.experiments import recording
 
         # The viewer needs a display, and outlives the command.
         recording.open_viewer = lambda path, stamp_s: None

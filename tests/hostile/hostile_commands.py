@@ -5,7 +5,7 @@ from typing import Any
 
 import typer
 
-from experiments.cli.commands import app
+from dslab.experiments.cli.commands import app
 
 ARGUMENTS = {
     "demo": "--scenario {in}/scenario/scenario.yaml --out {in}/result",

@@ -21,15 +21,15 @@ from hostile_sequences import (
 )
 from small_world import CAMERA, CORRIDOR
 
-from experiments.campaign.folder import claim_folder, export, write_spec
-from experiments.campaign.ledger import Ledger
-from experiments.eq1.record_table import normalise
-from experiments.eq1.records import empty_record
-from experiments.eq1.spec import ExperimentSpec, load_spec
-from experiments.report.paths_file import add_paths
-from experiments.runs.slam_settings import settings_yaml
-from scenarios.loading import load_scenario
-from sim.sequence_rendering import render_sequence
+from dslab.experiments.campaign.folder import claim_folder, export, write_spec
+from dslab.experiments.campaign.ledger import Ledger
+from dslab.experiments.eq1.record_table import normalise
+from dslab.experiments.eq1.records import empty_record
+from dslab.experiments.eq1.spec import ExperimentSpec, load_spec
+from dslab.experiments.report.paths_file import add_paths
+from dslab.experiments.runs.slam_settings import settings_yaml
+from dslab.scenarios.loading import load_scenario
+from dslab.sim.sequence_rendering import render_sequence
 
 SCENARIO = {
     "name": "tiny", "duration_s": 0.5, "seed": 3, "world": CORRIDOR,

@@ -8,12 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from experiments.evaluation.evo_result import EvoResult, statistics, write_evo_result
-from sim.io.camera_file import write_camera
-from sim.io.forms import Form, write_sequence
-from sim.sensors.camera import Intrinsics
-from sim.sensors.imu import ImuModel, ImuReadings
-from sim.sequence import SegmentTruth, Sequence
+from dslab.experiments.evaluation.evo_result import EvoResult, statistics, write_evo_result
+from dslab.sim.io.camera_file import write_camera
+from dslab.sim.io.forms import Form, write_sequence
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.imu import ImuModel, ImuReadings
+from dslab.sim.sequence import SegmentTruth, Sequence
 
 FRAMES, SHAPE = 5, (64, 96)
 

@@ -29,7 +29,7 @@ _BAD = ("Traceback", "Fatal Python error", "Segmentation", "Aborted", "core dump
 _START = """
 import os
 from contextlib import contextmanager
-from experiments import cli
+from dslab.experiments import cli
 heeding = cli.signals_as_interrupts
 
 @contextmanager

@@ -14,8 +14,8 @@ from hostile_oracle import faults_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-import sim
-from scenarios.segments import SEGMENT_KINDS
+from dslab import sim
+from dslab.scenarios.segments import SEGMENT_KINDS
 
 _NAMES = [word for word in WORDS if word.strip(".") and not {"/", "{"} & {*word} and len(word) < 256]
 _RENDER, _DEGRADE = "render {in}/scenario/scenario.yaml --out {out}", "degrade {in}/tum --out {out}"

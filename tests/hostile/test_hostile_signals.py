@@ -7,7 +7,7 @@ import time
 import pytest
 from hostile_signals import COMMANDS, LONG, Place, faults_of, survivors
 
-from scenarios.seeds import rng_for
+from dslab.scenarios.seeds import rng_for
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL)
 _LATEST_MS = 5000

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from scenarios.loading import load_scenario
+from dslab.scenarios.loading import load_scenario
 
 WALL_M = 1.2
 """Distance from the middle of the corridor to its wall."""

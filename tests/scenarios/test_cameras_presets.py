@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from scenarios.cameras import PRESETS, Camera, Distortion
-from scenarios.errors import InputError
-from scenarios.loading import dump_yaml, load_scenario
-from scenarios.spec import Scenario
+from dslab.scenarios.cameras import PRESETS, Camera, Distortion
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.loading import dump_yaml, load_scenario
+from dslab.scenarios.spec import Scenario
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -2,11 +2,11 @@
 
 import pytest
 
-from scenarios.describe import describe_camera, describe_motion, describe_severity, describe_world
-from scenarios.describe_family import describe_distribution, describe_parameter, parameter_label
-from scenarios.distributions import LogUniform, Uniform, parse_distribution
-from scenarios.families import load_family
-from scenarios.segment_text import parse_segment
+from dslab.scenarios.describe import describe_camera, describe_motion, describe_severity, describe_world
+from dslab.scenarios.describe_family import describe_distribution, describe_parameter, parameter_label
+from dslab.scenarios.distributions import LogUniform, Uniform, parse_distribution
+from dslab.scenarios.families import load_family
+from dslab.scenarios.segment_text import parse_segment
 
 
 def test_severities_have_their_units():

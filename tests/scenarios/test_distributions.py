@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from scenarios.distributions import (
+from dslab.scenarios.distributions import (
     KEYS,
     Choice,
     LogUniform,
@@ -13,9 +13,9 @@ from scenarios.distributions import (
     is_distribution,
     parse_distribution,
 )
-from scenarios.kinds import models_in
-from scenarios.seeds import rng_for
-from scenarios.spec import Scenario
+from dslab.scenarios.kinds import models_in
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.spec import Scenario
 
 
 def draws(distribution, count: int = 2000) -> np.ndarray:

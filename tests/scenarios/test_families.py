@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import yaml
 
-from scenarios.errors import InputError
-from scenarios.families import Family, is_scenario_name, load_family
-from scenarios.loading import dump_yaml, load_scenario
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.families import Family, is_scenario_name, load_family
+from dslab.scenarios.loading import dump_yaml, load_scenario
 
 FAMILY = """\
 name: trial

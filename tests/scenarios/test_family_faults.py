@@ -3,8 +3,8 @@
 import pytest
 from test_families import FAMILY, MEMBERS, write
 
-from scenarios.errors import InputError
-from scenarios.families import load_family
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.families import load_family
 
 
 def load_and_sample(name: str, seeds: int) -> None:

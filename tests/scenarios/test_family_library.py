@@ -4,12 +4,12 @@ from itertools import pairwise
 
 import pytest
 
-from scenarios.describe_family import describe_parameters
-from scenarios.families import LIBRARY_DIR, family_names, library_names, load_family
-from scenarios.loading import dump_yaml, load_scenario
-from scenarios.spec import Scenario
-from scenarios.worlds import WORLD_KINDS
-from sim.worlds import layout
+from dslab.scenarios.describe_family import describe_parameters
+from dslab.scenarios.families import LIBRARY_DIR, family_names, library_names, load_family
+from dslab.scenarios.loading import dump_yaml, load_scenario
+from dslab.scenarios.spec import Scenario
+from dslab.scenarios.worlds import WORLD_KINDS
+from dslab.sim.worlds import layout
 
 WANTED = {
     "clean", "kitti-like", "tum-mono-like", "low-texture", "blur", "fast-rotation", "mixed", "slow-start",

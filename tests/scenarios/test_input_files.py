@@ -7,8 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from scenarios.errors import InputError
-from scenarios.input_files import file_names, is_folder, is_given, open_file, read_bytes, read_json, read_text
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import (
+    file_names,
+    is_folder,
+    is_given,
+    open_file,
+    read_bytes,
+    read_json,
+    read_text,
+)
 
 
 def one_line(read, *arguments) -> str:
@@ -63,7 +71,7 @@ def test_a_pipe_that_takes_the_place_of_a_file_is_not_waited_for(tmp_path, monke
     (tmp_path / "file").write_text("")
     regular = os.stat(tmp_path / "file")
     pipe = make_pipe(tmp_path)
-    monkeypatch.setattr("scenarios.input_files.os.stat", lambda path: regular)
+    monkeypatch.setattr("dslab.scenarios.input_files.os.stat", lambda path: regular)
     assert "is a pipe" in one_line(read_bytes, pipe, 100)
 
 
@@ -71,7 +79,7 @@ def test_a_file_is_read_up_to_its_limit_even_if_its_size_is_not_stated(tmp_path,
     (tmp_path / "file").write_bytes(b"x" * 101)
     assert read_bytes(tmp_path / "file", 101) == b"x" * 101
     assert "more than the 0.0001 MB" in one_line(read_bytes, tmp_path / "file", 100)
-    monkeypatch.setattr("scenarios.input_files._check_regular", lambda path, status, most_bytes: None)
+    monkeypatch.setattr("dslab.scenarios.input_files._check_regular", lambda path, status, most_bytes: None)
     assert "more than" in one_line(read_bytes, tmp_path / "file", 100)
     assert "more than" in one_line(read_bytes, Path("/dev/zero"), 100)
 

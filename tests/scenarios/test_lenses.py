@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from scenarios.errors import InputError
-from scenarios.lenses import lens_fault
-from scenarios.loading import load_scenario
-from scenarios.spec import Camera
-from sim.sensors.camera import Intrinsics
-from sim.sensors.distortion import Lens
-from slam.core.camera import PinholeCamera
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.lenses import lens_fault
+from dslab.scenarios.loading import load_scenario
+from dslab.scenarios.spec import Camera
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.distortion import Lens
+from dslab.slam.core.camera import PinholeCamera
 
 FOLDS = {"model": "radtan", "k1": -2.0}
 

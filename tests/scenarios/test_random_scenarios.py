@@ -4,11 +4,11 @@ from itertools import combinations
 
 import pytest
 
-from scenarios.loading import dump_yaml, load_scenario
-from scenarios.random_scenarios import SEVERITIES, random_scenario
-from scenarios.segments import ImageSegment
-from sim.degradations.registry import DEGRADATIONS
-from sim.worlds import layout
+from dslab.scenarios.loading import dump_yaml, load_scenario
+from dslab.scenarios.random_scenarios import SEVERITIES, random_scenario
+from dslab.scenarios.segments import ImageSegment
+from dslab.sim.degradations.registry import DEGRADATIONS
+from dslab.sim.worlds import layout
 
 DRAWN = [random_scenario(seed) for seed in range(80)]
 

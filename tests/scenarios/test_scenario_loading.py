@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scenarios.errors import InputError
-from scenarios.families import family_names
-from scenarios.loading import dump_yaml, load_scenario
-from scenarios.spec import Camera, FastRotation, LowTexture, MotionBlur, RoomWorld, Scenario
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.families import family_names
+from dslab.scenarios.loading import dump_yaml, load_scenario
+from dslab.scenarios.spec import Camera, FastRotation, LowTexture, MotionBlur, RoomWorld, Scenario
 
 VALID = """\
 name: trial

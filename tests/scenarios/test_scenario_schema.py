@@ -6,9 +6,9 @@ import jsonschema
 import yaml
 from test_families import FAMILY, MEMBERS
 
-from scenarios.families import library_names, load_family
-from scenarios.schema import json_schema
-from scenarios.spec import Scenario
+from dslab.scenarios.families import library_names, load_family
+from dslab.scenarios.schema import json_schema
+from dslab.scenarios.spec import Scenario
 
 
 def test_the_schema_knows_every_part_and_forbids_unknown_keys():

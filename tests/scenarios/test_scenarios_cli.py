@@ -7,12 +7,12 @@ import sys
 import pytest
 from test_families import FAMILY, MEMBERS, write
 
-from experiments import cli
-from experiments.eq1.spec import PRESET_DIR
-from scenarios.errors import InputError
-from scenarios.families import library_names
-from scenarios.loading import load_scenario
-from scenarios.spec import Scenario
+from dslab.experiments import cli
+from dslab.experiments.eq1.spec import PRESET_DIR
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.families import library_names
+from dslab.scenarios.loading import load_scenario
+from dslab.scenarios.spec import Scenario
 
 
 def test_the_full_list_has_every_family_with_members_and_draws(dslab):
@@ -167,7 +167,7 @@ def test_commands_draw_with_their_seed(monkeypatch, capsys, tmp_path, command, s
         rendered.append(scenario)
         raise _RenderedEnoughError
 
-    monkeypatch.setattr("sim.sequence_rendering.render_sequence", render_sequence)
+    monkeypatch.setattr("dslab.sim.sequence_rendering.render_sequence", render_sequence)
     words = [*command, "kitti-like/07", *(["--seed", str(seed)] if seed is not None else [])]
     words += [] if command == ["bench"] else ["--out", str(tmp_path / "out")]
     monkeypatch.setattr(sys, "argv", ["dslab", *words])

@@ -2,9 +2,9 @@
 
 import pytest
 
-from scenarios.errors import InputError
-from scenarios.segment_text import parse_segment
-from scenarios.segments import SEGMENT_KINDS, Jpeg, LowLight
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.segment_text import parse_segment
+from dslab.scenarios.segments import SEGMENT_KINDS, Jpeg, LowLight
 
 
 def test_a_text_gives_the_segment_with_its_defaults():

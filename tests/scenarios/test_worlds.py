@@ -2,9 +2,9 @@
 
 import pytest
 
-from scenarios.errors import InputError
-from scenarios.loading import dump_yaml, load_scenario
-from scenarios.worlds import WORLD_KINDS, CityWorld
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.loading import dump_yaml, load_scenario
+from dslab.scenarios.worlds import WORLD_KINDS, CityWorld
 
 KINDS = list(WORLD_KINDS)
 MOTIONS = ("walk", "handheld", "car", "drone")

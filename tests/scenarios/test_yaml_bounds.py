@@ -4,9 +4,9 @@ import time
 
 import pytest
 
-from scenarios.errors import InputError
-from scenarios.loading import load_scenario
-from scenarios.yaml_file import read_yaml
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.loading import load_scenario
+from dslab.scenarios.yaml_file import read_yaml
 
 PLAIN = "name: plain\nworld: {kind: room}\n"
 

@@ -7,11 +7,11 @@ from functools import cache
 import cv2
 import numpy as np
 
-from scenarios.spec import Scenario
-from sim.degradations.base import Stage
-from sim.degradations.registry import DEGRADATIONS
-from sim.frame_plan import RenderBackend, mujoco_backend
-from sim.sequence import Sequence
+from dslab.scenarios.spec import Scenario
+from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.registry import DEGRADATIONS
+from dslab.sim.frame_plan import RenderBackend, mujoco_backend
+from dslab.sim.sequence import Sequence
 
 START_S, DURATION_S = 0.2, 0.4
 WORLDS = {

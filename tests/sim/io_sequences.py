@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from scenarios.errors import InputError
-from sim.io.forms import load_sequence
-from sim.sensors.camera import Intrinsics
-from sim.sequence import SegmentTruth, Sequence
+from dslab.scenarios.errors import InputError
+from dslab.sim.io.forms import load_sequence
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sequence import SegmentTruth, Sequence
 
 COUNT, SHAPE = 6, (48, 64)
 PINHOLE = Intrinsics(64, 48, 50.0, 51.1, 30.5, 20.25, 30.0)

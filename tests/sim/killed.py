@@ -8,7 +8,7 @@ from pathlib import Path
 _PROGRAM = """
 import os, sys
 from pathlib import Path
-from sim.unfinished import unfinished_folder
+from dslab.sim.unfinished import unfinished_folder
 with unfinished_folder(Path(sys.argv[1]), sys.argv[2]) as folder:
     (folder / "x").write_text("half")
     os.kill(os.getpid(), 9)

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from test_render_sequence import SPEC, digest, fake_backend
 
-from scenarios.spec import Scenario
-from sim.cache import CorruptEntryError, FolderCache, _write_manifest
-from sim.io.raw import RawFrames, RawWriter, stored_array, stored_columns
-from sim.sequence_rendering import render_sequence
+from dslab.scenarios.spec import Scenario
+from dslab.sim.cache import CorruptEntryError, FolderCache, _write_manifest
+from dslab.sim.io.raw import RawFrames, RawWriter, stored_array, stored_columns
+from dslab.sim.sequence_rendering import render_sequence
 
 JPEG = {"kind": "jpeg", "start_s": 0.1, "duration_s": 0.2, "quality": 5}
 SHORT = Scenario.model_validate({**SPEC, "duration_s": 0.5, "segments": [JPEG]})

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from killed import killed_in_a_folder
 
-from scenarios.errors import InputError
-from sim import cache
-from sim.cache import FolderCache, content_key, default_cache_dir
-from sim.io.raw import RawFrames, RawWriter
-from sim.unfinished import is_held
+from dslab.scenarios.errors import InputError
+from dslab.sim import cache
+from dslab.sim.cache import FolderCache, content_key, default_cache_dir
+from dslab.sim.io.raw import RawFrames, RawWriter
+from dslab.sim.unfinished import is_held
 
 
 def store(root: Path, key: str, text: str = "frames", max_bytes: int = 10**9) -> Path:

@@ -8,12 +8,12 @@ import pytest
 from small_world import CAMERA, CORRIDOR
 from world_views import cheap_textures, poses
 
-from scenarios.spec import Scenario
-from sim.depth_thumbnails import depth_thumbnails, thumbnail_camera
-from sim.frame_plan import mujoco_backend, taking_intrinsics
-from sim.rendering.renderers import RENDERERS, load_renderer
-from sim.sensors.distortion import unproject
-from sim.worlds import build_world, layout
+from dslab.scenarios.spec import Scenario
+from dslab.sim.depth_thumbnails import depth_thumbnails, thumbnail_camera
+from dslab.sim.frame_plan import mujoco_backend, taking_intrinsics
+from dslab.sim.rendering.renderers import RENDERERS, load_renderer
+from dslab.sim.sensors.distortion import unproject
+from dslab.sim.worlds import build_world, layout
 
 SCENARIO = Scenario.model_validate(
     {"name": "thumbs", "duration_s": 2, "world": CORRIDOR, "camera": CAMERA, "seed": 3}

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from scenarios.spec import Scenario
-from sim.degradations.registry import DEGRADATIONS, FRAME_PLAN_KINDS, IMAGE_KINDS
-from sim.preview import preview
-from sim.sequence_rendering import render_sequence
+from dslab.scenarios.spec import Scenario
+from dslab.sim.degradations.registry import DEGRADATIONS, FRAME_PLAN_KINDS, IMAGE_KINDS
+from dslab.sim.preview import preview
+from dslab.sim.sequence_rendering import render_sequence
 
 CAMERA = {"width_px": 128, "height_px": 96, "fx_px": 90, "fy_px": 90, "cx_px": 63.5, "cy_px": 47.5, "fps": 10}
 SEGMENT_S, EVERY_S = 0.7, 0.9

@@ -6,18 +6,17 @@ import numpy as np
 import pytest
 from degradation_worlds import digest, small_backend, small_scenario
 
-import scenarios
-import sim
-from scenarios import motions
-from scenarios.extensions import extension_digests
-from scenarios.schema import json_schema
-from scenarios.segments import SEGMENT_KINDS
-from scenarios.worlds import WORLD_KINDS
-from sim.degradations import registry
-from sim.motion import _PLANS, plan_motion
-from sim.motion.walker import plan_walk
-from sim.provenance import sources
-from sim.worlds import WORLDS, room
+from dslab import scenarios, sim
+from dslab.scenarios import motions
+from dslab.scenarios.extensions import extension_digests
+from dslab.scenarios.schema import json_schema
+from dslab.scenarios.segments import SEGMENT_KINDS
+from dslab.scenarios.worlds import WORLD_KINDS
+from dslab.sim.degradations import registry
+from dslab.sim.motion import _PLANS, plan_motion
+from dslab.sim.motion.walker import plan_walk
+from dslab.sim.provenance import sources
+from dslab.sim.worlds import WORLDS, room
 
 
 class Inverted(scenarios.ImageSegment):

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from small_world import CAMERA, CORRIDOR
 
-from scenarios.errors import InputError
-from scenarios.spec import Scenario
-from sim.io.tum import load_sequence
-from sim.sequence_rendering import RenderBackend, mujoco_backend, render_sequence
-from sim.worlds.base import Route, Surface, WorldModel
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.spec import Scenario
+from dslab.sim.io.tum import load_sequence
+from dslab.sim.sequence_rendering import RenderBackend, mujoco_backend, render_sequence
+from dslab.sim.worlds.base import Route, Surface, WorldModel
 
 SPEC = {
     "name": "trial",
@@ -337,7 +337,7 @@ def test_the_written_folder_is_the_sequence(tmp_path):
 
 
 def test_a_full_disk_is_an_input_error_and_leaves_no_half_entry(tmp_path, monkeypatch):
-    from sim.io.raw import RawWriter
+    from dslab.sim.io.raw import RawWriter
 
     def full(self, frame):
         raise OSError(28, "No space left on device")
@@ -351,8 +351,8 @@ def test_a_full_disk_is_an_input_error_and_leaves_no_half_entry(tmp_path, monkey
 _IN_ANOTHER_PROCESS = """
 import hashlib, json, sys
 from pathlib import Path
-from scenarios.spec import Scenario
-from sim.sequence_rendering import render_sequence
+from dslab.scenarios.spec import Scenario
+from dslab.sim.sequence_rendering import render_sequence
 s = render_sequence(Scenario.model_validate(json.loads(sys.argv[1])), 5, cache_dir=Path(sys.argv[2]))
 print(hashlib.sha256(b"".join(f.tobytes() for f in s.frames)).hexdigest())
 """

@@ -6,11 +6,11 @@ from types import SimpleNamespace
 import psutil
 import pytest
 
-from scenarios.errors import InputError
-from scenarios.spec import Scenario
-from sim.preview import preview
-from sim.room import MOST_BYTES, Need, check_memory, check_room, images_need
-from sim.sequence_rendering import render_sequence
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.spec import Scenario
+from dslab.sim.preview import preview
+from dslab.sim.room import MOST_BYTES, Need, check_memory, check_room, images_need
+from dslab.sim.sequence_rendering import render_sequence
 
 HUGE = Scenario(
     name="huge",

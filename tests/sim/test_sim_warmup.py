@@ -5,8 +5,8 @@ from importlib import import_module
 
 import pytest
 
-import sim
-from sim.warmup import warm_up
+from dslab import sim
+from dslab.sim.warmup import warm_up
 
 # For images of fisheye lenses, which few scenarios have.
 LATER = {"undistort_equidistant"}

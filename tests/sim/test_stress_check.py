@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from scenarios.spec import Scenario
-from sim.frame_plan import mujoco_backend, plan_frames
-from sim.sequence_rendering import render_sequence
-from sim.stress_check import stress_acts
+from dslab.scenarios.spec import Scenario
+from dslab.sim.frame_plan import mujoco_backend, plan_frames
+from dslab.sim.sequence_rendering import render_sequence
+from dslab.sim.stress_check import stress_acts
 
 CAMERA = {"width_px": 128, "height_px": 96, "fx_px": 90, "fy_px": 90, "cx_px": 63.5, "cy_px": 47.5, "fps": 10}
 

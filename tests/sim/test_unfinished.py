@@ -7,8 +7,8 @@ import shutil
 import pytest
 from killed import killed_in_a_folder
 
-from sim import unfinished
-from sim.unfinished import remove_own, sweep, unfinished_folder
+from dslab.sim import unfinished
+from dslab.sim.unfinished import remove_own, sweep, unfinished_folder
 
 ALIKE = "p-0123456789ab"
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from scenarios.worlds import (
+from dslab.scenarios.worlds import (
     BuildingWorld,
     CityWorld,
     CorridorWorld,
@@ -18,11 +18,11 @@ from scenarios.worlds import (
     RoomWorld,
     WarehouseWorld,
 )
-from sim.rendering.renderer import Renderer
-from sim.sensors.camera import Intrinsics
-from sim.worlds import build_world
-from sim.worlds.base import Route, WorldModel
-from sim.worlds.geometry.route import arc_length
+from dslab.sim.rendering.renderer import Renderer
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.worlds import build_world
+from dslab.sim.worlds.base import Route, WorldModel
+from dslab.sim.worlds.geometry.route import arc_length
 
 CAMERA = Intrinsics(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
 SMALL = {
@@ -44,9 +44,9 @@ def cheap_textures() -> Iterator[None]:
         return rng.integers(80, 140, (8, 8), dtype=np.uint8)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sim.worlds.assembly.paint", tiny)
-        patch.setattr("sim.worlds.assembly.draw", tiny)
-        patch.setattr("sim.worlds.indoor.light.Light.gain", lambda *_: np.ones((2, 2), np.float32))
+        patch.setattr("dslab.sim.worlds.assembly.paint", tiny)
+        patch.setattr("dslab.sim.worlds.assembly.draw", tiny)
+        patch.setattr("dslab.sim.worlds.indoor.light.Light.gain", lambda *_: np.ones((2, 2), np.float32))
         yield
 
 

@@ -5,17 +5,17 @@ from unittest.mock import patch
 
 from slam_scenes import blanked, feed, toy
 
-from slam.config import default_config
-from slam.core.results import MapTrajectory
-from slam.dual.config import DualConfig
-from slam.dual.dual_slam import DualSlam
-from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost
-from slam.dual.recovery.orb import OrbRecovery
-from slam.dual.recovery.registry import RECOVERY_KINDS, ThreadSpec
-from slam.map.invariants import check_map
-from slam.optimization.sim3 import horn_sim3
-from slam.runtime.backend import ExecutionMode
-from slam.warmup import CAMERA
+from dslab.slam.config import default_config
+from dslab.slam.core.results import MapTrajectory
+from dslab.slam.dual.config import DualConfig
+from dslab.slam.dual.dual_slam import DualSlam
+from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryCost
+from dslab.slam.dual.recovery.orb import OrbRecovery
+from dslab.slam.dual.recovery.registry import RECOVERY_KINDS, ThreadSpec
+from dslab.slam.map.invariants import check_map
+from dslab.slam.optimization.sim3 import horn_sim3
+from dslab.slam.runtime.backend import ExecutionMode
+from dslab.slam.warmup import CAMERA
 
 STEP_M = 0.05
 # The events of a breakage with a successful recovery.

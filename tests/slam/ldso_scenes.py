@@ -3,13 +3,13 @@
 import cv2
 import numpy as np
 
-from slam.core.camera import PinholeCamera
-from slam.direct.pyramid import Rectifier
-from slam.direct.selection import select
-from slam.ldso.config import DsoConfig, WindowConfig
-from slam.ldso.points import Active, Immature
-from slam.ldso.window import Keyframe, Window
-from slam.optimization._se3 import retract
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.direct.pyramid import Rectifier
+from dslab.slam.direct.selection import select
+from dslab.slam.ldso.config import DsoConfig, WindowConfig
+from dslab.slam.ldso.points import Active, Immature
+from dslab.slam.ldso.window import Keyframe, Window
+from dslab.slam.optimization._se3 import retract
 
 WIDTH, HEIGHT = 320, 240
 CAMERA = PinholeCamera(WIDTH, HEIGHT, 250.0, 250.0, 159.5, 119.5, 30.0)

@@ -6,11 +6,11 @@ from functools import cache
 import numpy as np
 from slam_scenes import CAMERA, VIEW
 
-from slam.core.frame import Features, Frame, FrameFeatures
-from slam.loop_closing.correction import Loop
-from slam.map import _map_kernels as kernels
-from slam.map.map import Map
-from slam.optimization.sim3_algebra import exp_sim3, invert_sim3
+from dslab.slam.core.frame import Features, Frame, FrameFeatures
+from dslab.slam.loop_closing.correction import Loop
+from dslab.slam.map import _map_kernels as kernels
+from dslab.slam.map.map import Map
+from dslab.slam.optimization.sim3_algebra import exp_sim3, invert_sim3
 
 RADIUS_M, WALL_M = 4.0, 9.0
 

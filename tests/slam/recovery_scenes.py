@@ -7,10 +7,10 @@ import numpy as np
 from dual_scenes import STEP_M, with_own_threads
 from slam_scenes import blanked, errors_m, feed, toy
 
-from slam.core.results import MapTrajectory
-from slam.dual.recovery.interface import RecoveryCost, RecoveryResult, RecoveryTask
-from slam.dual.recovery.registry import ThreadSpec, build_thread
-from slam.map.trajectory import keyframe_trajectory
+from dslab.slam.core.results import MapTrajectory
+from dslab.slam.dual.recovery.interface import RecoveryCost, RecoveryResult, RecoveryTask
+from dslab.slam.dual.recovery.registry import ThreadSpec, build_thread
+from dslab.slam.map.trajectory import keyframe_trajectory
 
 BLIND = range(50, 56)
 FADED = range(50, 80)

@@ -12,19 +12,19 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slam import warmup
-from slam.core.camera import PinholeCamera
-from slam.core.frame import Features, Frame, FrameFeatures
-from slam.core.geometry import view_geometry
-from slam.core.results import MapTrajectory
-from slam.dual.config import DualConfig
-from slam.dual.recovery.registry import ThreadSpec
-from slam.factory import build_system
-from slam.initialization.initializer import Initializer
-from slam.map import _map_kernels as kernels
-from slam.map.invariants import check_map
-from slam.map.map import Map
-from slam.optimization.sim3 import horn_sim3
+from dslab.slam import warmup
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.frame import Features, Frame, FrameFeatures
+from dslab.slam.core.geometry import view_geometry
+from dslab.slam.core.results import MapTrajectory
+from dslab.slam.dual.config import DualConfig
+from dslab.slam.dual.recovery.registry import ThreadSpec
+from dslab.slam.factory import build_system
+from dslab.slam.initialization.initializer import Initializer
+from dslab.slam.map import _map_kernels as kernels
+from dslab.slam.map.invariants import check_map
+from dslab.slam.map.map import Map
+from dslab.slam.optimization.sim3 import horn_sim3
 
 CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
 VIEW = view_geometry(CAMERA, 8, 1.2)

@@ -7,11 +7,11 @@ import pytest
 from dual_scenes import CONFIG, RECOVERY_ONLY, STEP_M
 from slam_scenes import blanked, feed, kinds, toy
 
-from slam.core import events as ev
-from slam.core.events import TrackingState
-from slam.factory import build_system
-from slam.invariants import InvariantError, check_events, check_result, check_system
-from slam.warmup import CAMERA
+from dslab.slam.core import events as ev
+from dslab.slam.core.events import TrackingState
+from dslab.slam.factory import build_system
+from dslab.slam.invariants import InvariantError, check_events, check_result, check_system
+from dslab.slam.warmup import CAMERA
 
 
 @pytest.fixture(scope="module")

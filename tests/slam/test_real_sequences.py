@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from slam_scenes import errors_m, feed, kinds, rms
 
-from sim.io.forms import load_sequence
-from slam.core.camera import PinholeCamera
-from slam.core.events import TrackingState
-from slam.factory import build_system
-from slam.map.invariants import check_map
+from dslab.sim.io.forms import load_sequence
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.events import TrackingState
+from dslab.slam.factory import build_system
+from dslab.slam.map.invariants import check_map
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 

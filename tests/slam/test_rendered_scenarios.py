@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from slam_scenes import feed, kinds
 
-from experiments.evaluation import metrics
-from experiments.evaluation.declared_audit import audit_declared
-from experiments.runs.execution import record_of, slam_camera
-from scenarios.loading import load_scenario
-from sim.sequence_rendering import render_sequence
-from slam.config import SlamConfig
-from slam.factory import build_system
-from slam.features.orb import OrbConfig
+from dslab.experiments.evaluation import metrics
+from dslab.experiments.evaluation.declared_audit import audit_declared
+from dslab.experiments.runs.execution import record_of, slam_camera
+from dslab.scenarios.loading import load_scenario
+from dslab.sim.sequence_rendering import render_sequence
+from dslab.slam.config import SlamConfig
+from dslab.slam.factory import build_system
+from dslab.slam.features.orb import OrbConfig
 
 pytestmark = pytest.mark.slow
 

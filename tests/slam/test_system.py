@@ -21,11 +21,11 @@ from slam_scenes import (
     toy,
 )
 
-from slam.config import SlamConfig
-from slam.core.events import TrackingState
-from slam.factory import build_system
-from slam.mapping.self_calibration import SelfCalibrationConfig
-from slam.warmup import CAMERA
+from dslab.slam.config import SlamConfig
+from dslab.slam.core.events import TrackingState
+from dslab.slam.factory import build_system
+from dslab.slam.mapping.self_calibration import SelfCalibrationConfig
+from dslab.slam.warmup import CAMERA
 
 COUNT, STEP_M = 100, 0.05
 REPOSITORY = Path(__file__).parents[2]

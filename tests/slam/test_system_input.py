@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from slam_scenes import feed, fingerprint, kinds, toy
 
-from slam.config import default_config
-from slam.core.events import TrackingState
-from slam.factory import build_system
-from slam.system import MonocularSlam
-from slam.warmup import CAMERA
+from dslab.slam.config import default_config
+from dslab.slam.core.events import TrackingState
+from dslab.slam.factory import build_system
+from dslab.slam.system import MonocularSlam
+from dslab.slam.warmup import CAMERA
 
 SHAPE = (CAMERA.height_px, CAMERA.width_px)
 GREY = np.zeros(SHAPE, np.uint8)

@@ -2,8 +2,8 @@
 
 import pytest
 
-from slam import factory
-from slam.warmup import warm_up
+from dslab.slam import factory
+from dslab.slam.warmup import warm_up
 
 
 @pytest.mark.slow

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from slam.initialization._two_view_errors import motion_errors
-from slam.initialization._two_view_refinement import TUKEY
-from slam.optimization._se3 import so3_exp
+from dslab.slam.initialization._two_view_errors import motion_errors
+from dslab.slam.initialization._two_view_refinement import TUKEY
+from dslab.slam.optimization._se3 import so3_exp
 
 FOCAL = 500.0
 

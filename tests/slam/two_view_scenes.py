@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from slam.optimization._se3 import so3_exp
+from dslab.slam.optimization._se3 import so3_exp
 
 K = np.array([[500.0, 0, 320], [0, 505, 240], [0, 0, 1]])
 

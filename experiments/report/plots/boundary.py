@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from experiments.report.plots.style import (
+from dslab.experiments.report.plots.style import (
     BLUE,
     GREY,
     NARROW_IN,
@@ -21,7 +21,7 @@ from experiments.report.plots.style import (
     new_figure,
     percent_axis,
 )
-from scenarios.describe import plain
+from dslab.scenarios.describe import plain
 
 _ROW, _PILE = 0.035, 0.4
 """Distance of two trials of the same dose and outcome, and most height of them all, as probabilities."""

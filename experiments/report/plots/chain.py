@@ -6,8 +6,8 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.report.plots.style import GREY, NARROW_IN, bars, log_ticks, new_figure, thread_colour
-from experiments.statistics.judged import STEPS
+from dslab.experiments.report.plots.style import GREY, NARROW_IN, bars, log_ticks, new_figure, thread_colour
+from dslab.experiments.statistics.judged import STEPS
 
 _NAMES = {"whole": "D / Eq. 1"}
 _LEAST, _MOST = 3.0, 30.0

@@ -7,9 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from experiments.report.conditioning import QUANTITY_WORDS
-from experiments.report.describe import number
-from experiments.report.plots.style import (
+from dslab.experiments.report.conditioning import QUANTITY_WORDS
+from dslab.experiments.report.describe import number
+from dslab.experiments.report.plots.style import (
     BLUE,
     GREEN,
     GREY,

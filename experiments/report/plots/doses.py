@@ -5,8 +5,8 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.report.conditions import describe_label, thread_names
-from experiments.report.plots.style import (
+from dslab.experiments.report.conditions import describe_label, thread_names
+from dslab.experiments.report.plots.style import (
     BLUE,
     NARROW_IN,
     bars,
@@ -16,7 +16,7 @@ from experiments.report.plots.style import (
     percent_axis,
     thread_colour,
 )
-from scenarios.describe import plain
+from dslab.scenarios.describe import plain
 
 _APART = 0.13
 

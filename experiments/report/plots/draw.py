@@ -9,17 +9,17 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from experiments.report.conditions import describe_label
-from experiments.report.paths_file import read_paths
-from experiments.report.plots.chain import draw_chain
-from experiments.report.plots.conditioning import draw_conditioning
-from experiments.report.plots.doses import draw_doses
-from experiments.report.plots.formulas import draw_formulas
-from experiments.report.plots.paths import draw_paths
-from experiments.report.plots.repeats import draw_repeats
-from experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
-from experiments.report.plots.systems import draw_systems
-from experiments.report.plots.trials import draw_end_errors, draw_timeline
+from dslab.experiments.report.conditions import describe_label
+from dslab.experiments.report.paths_file import read_paths
+from dslab.experiments.report.plots.chain import draw_chain
+from dslab.experiments.report.plots.conditioning import draw_conditioning
+from dslab.experiments.report.plots.doses import draw_doses
+from dslab.experiments.report.plots.formulas import draw_formulas
+from dslab.experiments.report.plots.paths import draw_paths
+from dslab.experiments.report.plots.repeats import draw_repeats
+from dslab.experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
+from dslab.experiments.report.plots.systems import draw_systems
+from dslab.experiments.report.plots.trials import draw_end_errors, draw_timeline
 
 _PNG_DPI = 110
 

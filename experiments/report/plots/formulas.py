@@ -4,7 +4,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from experiments.report.plots.style import (
+from dslab.experiments.report.plots.style import (
     BLUE,
     GREEN,
     GREY,

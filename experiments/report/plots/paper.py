@@ -4,7 +4,15 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from experiments.report.plots.style import GREEN, ORANGE, WIDE_IN, bars, log_ticks, new_figure, percent_axis
+from dslab.experiments.report.plots.style import (
+    GREEN,
+    ORANGE,
+    WIDE_IN,
+    bars,
+    log_ticks,
+    new_figure,
+    percent_axis,
+)
 
 
 def draw_paper(rows: list[dict[str, Any]]) -> Figure:

@@ -5,7 +5,15 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.report.plots.style import BLUE, GREEN, NARROW_IN, ORANGE, legend_above, new_figure, wrapped
+from dslab.experiments.report.plots.style import (
+    BLUE,
+    GREEN,
+    NARROW_IN,
+    ORANGE,
+    legend_above,
+    new_figure,
+    wrapped,
+)
 
 _COLUMNS = 3
 _STYLES = {

@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.report.conditions import thread_names
-from experiments.report.plots.style import NARROW_IN, new_figure
+from dslab.experiments.report.conditions import thread_names
+from dslab.experiments.report.plots.style import NARROW_IN, new_figure
 
 _MOST_THREADS = 2
 _COLUMNS = 4

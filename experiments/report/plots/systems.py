@@ -5,8 +5,8 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.report.conditions import describe_label
-from experiments.report.plots.style import (
+from dslab.experiments.report.conditions import describe_label
+from dslab.experiments.report.plots.style import (
     BLUE,
     GREEN,
     GREY,
@@ -20,7 +20,7 @@ from experiments.report.plots.style import (
     new_figure,
     percent_axis,
 )
-from scenarios.describe import plain
+from dslab.scenarios.describe import plain
 
 _STYLES = ((BLUE, "o"), (ORANGE, "^"), (GREEN, "s"), (PURPLE, "D"), (SKY, "v"), (GREY, "P"))
 _FAILURES = {"breakage": "breaks", "mission_failure": "mission fails"}

@@ -8,7 +8,16 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from experiments.report.plots.style import BLUE, GREEN, NARROW_IN, ORANGE, PALE, SKY, legend_above, new_figure
+from dslab.experiments.report.plots.style import (
+    BLUE,
+    GREEN,
+    NARROW_IN,
+    ORANGE,
+    PALE,
+    SKY,
+    legend_above,
+    new_figure,
+)
 
 _EXPOSED: dict[str, Any] = {"facecolor": "none", "edgecolor": "#222222", "linewidth": 0.9, "zorder": 3}
 _PARTS = {

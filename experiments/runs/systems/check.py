@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from experiments.runs.execution import RunRecord, execute, system_factory
-from experiments.runs.systems.command import LOG_FILE, CommandSystem, run_command
-from experiments.runs.systems.registry import System, factory_with
-from sim.sensors.camera import Intrinsics
-from sim.sequence import Sequence
-from sim.unfinished import scratch_folder
-from slam.warmup import CAMERA, toy_frames
+from dslab.experiments.runs.execution import RunRecord, execute, system_factory
+from dslab.experiments.runs.systems.command import LOG_FILE, CommandSystem, run_command
+from dslab.experiments.runs.systems.registry import System, factory_with
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sequence import Sequence
+from dslab.sim.unfinished import scratch_folder
+from dslab.slam.warmup import CAMERA, toy_frames
 
 _FRAMES = 60
 _LOG_CHARACTERS = 2000

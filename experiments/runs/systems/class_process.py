@@ -1,6 +1,6 @@
 """A class of one's own in a process of its own, in which it may crash, hang or fill the memory.
 
-    python -m experiments.runs.systems.class_process FOLDER NAME SEED
+    python -m dslab.experiments.runs.systems.class_process FOLDER NAME SEED
 
 runs the class of a name over the frames in a folder, and writes what it says there, frame by frame: whatever
 ends the process, what it had said until then stays known.
@@ -15,16 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from experiments.runs.ending import Declares, Ending, EndKind
-from experiments.runs.execution import RunRecord, live_trajectories, slam_camera
-from experiments.runs.systems.command_spec import Limits
-from experiments.runs.systems.guarded import GuardedRun, run_guarded
-from experiments.runs.systems.own_class import ClassSystem
-from experiments.runs.systems.poses_only import PosesOnly, frame_result
-from sim.sequence import Sequence
-from sim.unfinished import scratch_folder
-from slam.core.events import Event
-from slam.core.results import MapTrajectory, TrackingResult
+from dslab.experiments.runs.ending import Declares, Ending, EndKind
+from dslab.experiments.runs.execution import RunRecord, live_trajectories, slam_camera
+from dslab.experiments.runs.systems.command_spec import Limits
+from dslab.experiments.runs.systems.guarded import GuardedRun, run_guarded
+from dslab.experiments.runs.systems.own_class import ClassSystem
+from dslab.experiments.runs.systems.poses_only import PosesOnly, frame_result
+from dslab.sim.sequence import Sequence
+from dslab.sim.unfinished import scratch_folder
+from dslab.slam.core.events import Event
+from dslab.slam.core.results import MapTrajectory, TrackingResult
 
 _FRAMES, _ABOUT, _SAID, _LOG = "frames.npy", "about.pickle", "said.pickle", "log.txt"
 
@@ -139,8 +139,8 @@ def _run(folder: Path, named: str, seed: int) -> None:
     """Run the class of a name in this process."""
     import cv2
 
-    from experiments.plugins import load_plugins
-    from experiments.runs.systems.registry import Registry
+    from dslab.experiments.plugins import load_plugins
+    from dslab.experiments.runs.systems.registry import Registry
 
     cv2.setNumThreads(1)
     load_plugins()
@@ -163,6 +163,6 @@ def _run(folder: Path, named: str, seed: int) -> None:
 
 if __name__ == "__main__":
     # Under its own name, so that what is pickled here is known there.
-    from experiments.runs.systems.class_process import _run as run
+    from dslab.experiments.runs.systems.class_process import _run as run
 
     run(Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]))

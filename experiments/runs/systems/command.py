@@ -11,19 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from experiments.runs.ending import Declares, Ending, EndKind
-from experiments.runs.execution import Observer, RunRecord, live_trajectories
-from experiments.runs.systems.command_spec import CommandSpec, filled
-from experiments.runs.systems.environments import python_of
-from experiments.runs.systems.guarded import GuardedRun, run_guarded
-from experiments.runs.systems.left_files import LeftFrames, read_frames, read_poses
-from experiments.runs.systems.poses_only import PosesOnly, frame_result
-from experiments.runs.systems.vocabulary_text import vocabulary_of
-from scenarios.errors import InputError
-from sim.io.forms import Form, write_sequence
-from sim.sequence import Sequence
-from slam.core.events import Breakage, Event
-from slam.core.results import MapTrajectory, TrackingResult
+from dslab.experiments.runs.ending import Declares, Ending, EndKind
+from dslab.experiments.runs.execution import Observer, RunRecord, live_trajectories
+from dslab.experiments.runs.systems.command_spec import CommandSpec, filled
+from dslab.experiments.runs.systems.environments import python_of
+from dslab.experiments.runs.systems.guarded import GuardedRun, run_guarded
+from dslab.experiments.runs.systems.left_files import LeftFrames, read_frames, read_poses
+from dslab.experiments.runs.systems.poses_only import PosesOnly, frame_result
+from dslab.experiments.runs.systems.vocabulary_text import vocabulary_of
+from dslab.scenarios.errors import InputError
+from dslab.sim.io.forms import Form, write_sequence
+from dslab.sim.sequence import Sequence
+from dslab.slam.core.events import Breakage, Event
+from dslab.slam.core.results import MapTrajectory, TrackingResult
 
 LOG_FILE = "log.txt"
 SETTINGS_FILE = "settings.json"

@@ -7,10 +7,10 @@ from typing import Any, Literal
 
 from pydantic import Field, ValidationError, field_validator
 
-from scenarios.errors import InputError
-from scenarios.faults import all_faults, guess
-from scenarios.strict import Strict
-from scenarios.yaml_file import read_yaml
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.faults import all_faults, guess
+from dslab.scenarios.strict import Strict
+from dslab.scenarios.yaml_file import read_yaml
 
 OWN_FOLDER = Path(__file__).parent
 """Folder of the descriptions that come with the lab."""

@@ -6,10 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-from experiments.runs.systems.command_spec import Environment
-from scenarios.errors import InputError, MachineError
-from sim.cache import default_cache_dir
-from sim.unfinished import unfinished_folder
+from dslab.experiments.runs.systems.command_spec import Environment
+from dslab.scenarios.errors import InputError, MachineError
+from dslab.sim.cache import default_cache_dir
+from dslab.sim.unfinished import unfinished_folder
 
 _FOLDER = "systems"
 _MARK = "dslab-packages.txt"

@@ -15,8 +15,8 @@ from typing import IO
 
 import psutil
 
-from experiments.runs.ending import Ending, EndKind
-from scenarios.errors import InputError
+from dslab.experiments.runs.ending import Ending, EndKind
+from dslab.scenarios.errors import InputError
 
 _GUARD = Path(__file__).with_name("guard.py")
 _LOOK_S = 0.05

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.runs.ending import FINISHED, Ending, EndKind
-from scenarios.errors import InputError
-from scenarios.input_files import TABLE_BYTES, is_given, read_text
-from sim.io.text import read_rows
-from sim.io.truth import half_interval_s, nearest, poses_of
-from sim.sequence import Sequence
-from slam.core.results import MapTrajectory
+from dslab.experiments.runs.ending import FINISHED, Ending, EndKind
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import TABLE_BYTES, is_given, read_text
+from dslab.sim.io.text import read_rows
+from dslab.sim.io.truth import half_interval_s, nearest, poses_of
+from dslab.sim.sequence import Sequence
+from dslab.slam.core.results import MapTrajectory
 
 _COLUMNS = {
     "tum": "stamp tx ty tz qx qy qz qw",

@@ -10,9 +10,9 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
-from experiments.runs.systems.poses_only import PosesOnly
-from scenarios.errors import InputError
-from slam.core.camera import PinholeCamera
+from dslab.experiments.runs.systems.poses_only import PosesOnly
+from dslab.scenarios.errors import InputError
+from dslab.slam.core.camera import PinholeCamera
 
 GROUP = "dslab.systems"
 """Group of entry points; each names a class, made with (camera, seed)."""

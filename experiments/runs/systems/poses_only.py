@@ -6,11 +6,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from experiments.runs.ending import Declares, Ending, EndKind
-from slam.core.camera import PinholeCamera
-from slam.core.events import Breakage, Event, TrackingState
-from slam.core.results import MapTrajectory, TrackingResult
-from slam.map.map import Map
+from dslab.experiments.runs.ending import Declares, Ending, EndKind
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.events import Breakage, Event, TrackingState
+from dslab.slam.core.results import MapTrajectory, TrackingResult
+from dslab.slam.map.map import Map
 
 _MOST_SKEW = 1e-2
 _NO_FEATURES = np.empty((0, 2), np.float32), np.empty(0, bool)

@@ -7,23 +7,23 @@ from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
-from experiments.runs.execution import SlamSystem, SystemFactory
-from experiments.runs.systems.command import CommandSystem
-from experiments.runs.systems.command_spec import OWN_FOLDER, read_command_spec
-from experiments.runs.systems.own_class import (
+from dslab.experiments.runs.execution import SlamSystem, SystemFactory
+from dslab.experiments.runs.systems.command import CommandSystem
+from dslab.experiments.runs.systems.command_spec import OWN_FOLDER, read_command_spec
+from dslab.experiments.runs.systems.own_class import (
     ClassSystem,
     class_system,
     entry_point_names,
     entry_point_system,
     is_class_name,
 )
-from scenarios.errors import InputError
-from scenarios.extensions import source_digest
-from scenarios.faults import guess
-from scenarios.input_files import file_names, is_folder
-from sim.cache import content_key
-from slam.core.camera import PinholeCamera
-from slam.factory import SYSTEMS
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.extensions import source_digest
+from dslab.scenarios.faults import guess
+from dslab.scenarios.input_files import file_names, is_folder
+from dslab.sim.cache import content_key
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.factory import SYSTEMS
 
 VARIABLE = "DSLAB_SYSTEMS"
 """Environment variable with the folders of further descriptions, separated as in PATH."""

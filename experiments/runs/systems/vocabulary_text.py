@@ -11,11 +11,11 @@ in the first line they take its second, too, where features are matched among ab
 import hashlib
 from pathlib import Path
 
-from scenarios.errors import InputError
-from scenarios.input_files import is_given
-from sim.cache import FolderCache, content_key
-from slam.places._vocabulary_kernels import Tree
-from slam.places.recognition import VOCABULARY_FILE, Vocabulary, shipped_vocabulary
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import is_given
+from dslab.sim.cache import FolderCache, content_key
+from dslab.slam.places._vocabulary_kernels import Tree
+from dslab.slam.places.recognition import VOCABULARY_FILE, Vocabulary, shipped_vocabulary
 
 _FILE = "vocabulary.txt"
 _FORM = 1

@@ -4,9 +4,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from sim.worlds.geometry.meshes import Mesh, Piece, grid_triangles, rise
-from sim.worlds.geometry.outdoor import Daylight
-from sim.worlds.geometry.route import arc_length
+from dslab.sim.worlds.geometry.meshes import Mesh, Piece, grid_triangles, rise
+from dslab.sim.worlds.geometry.outdoor import Daylight
+from dslab.sim.worlds.geometry.route import arc_length
 
 _STONE_RINGS, _STONE_SIDES = 7, 10
 _BALE_SIDES, _BALE_M = 20, (1.25, 0.65)  # width and radius

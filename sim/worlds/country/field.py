@@ -4,17 +4,17 @@ from itertools import pairwise
 
 import numpy as np
 
-from scenarios.seeds import rng_for
-from scenarios.worlds import FieldWorld
-from sim.worlds.assembly import assemble_pieces
-from sim.worlds.base import Route, WorldModel
-from sim.worlds.country.farm import bale, barn, fence, fence_feet, field_wall, stone
-from sim.worlds.country.terrain import Relief, Tiling
-from sim.worlds.geometry.meshes import Piece
-from sim.worlds.geometry.outdoor import Daylight, Sky
-from sim.worlds.geometry.plants import bush, conifer, hedge, ragged_woods, tree
-from sim.worlds.geometry.route import arc_length, rounded
-from sim.worlds.geometry.twins import with_twins
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.worlds import FieldWorld
+from dslab.sim.worlds.assembly import assemble_pieces
+from dslab.sim.worlds.base import Route, WorldModel
+from dslab.sim.worlds.country.farm import bale, barn, fence, fence_feet, field_wall, stone
+from dslab.sim.worlds.country.terrain import Relief, Tiling
+from dslab.sim.worlds.geometry.meshes import Piece
+from dslab.sim.worlds.geometry.outdoor import Daylight, Sky
+from dslab.sim.worlds.geometry.plants import bush, conifer, hedge, ragged_woods, tree
+from dslab.sim.worlds.geometry.route import arc_length, rounded
+from dslab.sim.worlds.geometry.twins import with_twins
 
 _CLEARANCE_M = 1.5
 _RING_SHARE = 0.33  # of the size, from the middle to the route

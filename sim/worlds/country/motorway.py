@@ -4,16 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from scenarios.seeds import rng_for
-from scenarios.worlds import MotorwayWorld
-from sim.worlds.assembly import assemble_pieces
-from sim.worlds.base import Route, WorldModel
-from sim.worlds.country.roadworks import bridge, gantry, guard_rail, noise_wall
-from sim.worlds.geometry.meshes import Mesh, Piece
-from sim.worlds.geometry.outdoor import Daylight, Sky
-from sim.worlds.geometry.plants import bush, conifer, ragged_woods, tree
-from sim.worlds.geometry.street_furniture import sign_post
-from sim.worlds.geometry.twins import with_twins
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.worlds import MotorwayWorld
+from dslab.sim.worlds.assembly import assemble_pieces
+from dslab.sim.worlds.base import Route, WorldModel
+from dslab.sim.worlds.country.roadworks import bridge, gantry, guard_rail, noise_wall
+from dslab.sim.worlds.geometry.meshes import Mesh, Piece
+from dslab.sim.worlds.geometry.outdoor import Daylight, Sky
+from dslab.sim.worlds.geometry.plants import bush, conifer, ragged_woods, tree
+from dslab.sim.worlds.geometry.street_furniture import sign_post
+from dslab.sim.worlds.geometry.twins import with_twins
 
 _STEP_M = 20.0
 _BEHIND_M, _BEYOND_M = 60.0, 500.0

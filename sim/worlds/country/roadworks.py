@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from sim.worlds.geometry.meshes import Mesh, Piece, block, grid_triangles
-from sim.worlds.geometry.outdoor import Daylight
-from sim.worlds.geometry.route import arc_length
-from sim.worlds.geometry.street_furniture import hung_sign
+from dslab.sim.worlds.geometry.meshes import Mesh, Piece, block, grid_triangles
+from dslab.sim.worlds.geometry.outdoor import Daylight
+from dslab.sim.worlds.geometry.route import arc_length
+from dslab.sim.worlds.geometry.street_furniture import hung_sign
 
 # A beam in the shape of a W: distance from the posts and height, from the top down.
 _BEAM_M = np.array(

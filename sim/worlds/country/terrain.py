@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
-from sim.worlds.geometry.meshes import Mesh, Piece, Sheet, grid_triangles
-from sim.worlds.geometry.outdoor import Daylight
+from dslab.sim.worlds.geometry.meshes import Mesh, Piece, Sheet, grid_triangles
+from dslab.sim.worlds.geometry.outdoor import Daylight
 
 _CELL_M = 0.5  # of the height map
 _VERTEX_M, _LIGHT_M = 1.0, 0.5

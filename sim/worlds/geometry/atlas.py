@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.worlds.base import Surface
+from dslab.sim.worlds.base import Surface
 
 _BORDER_PX = 4  # of repeated pixels around every texture, so that blurred lookups do not see its neighbours
 

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sim.worlds.geometry.meshes import Mesh, grid_triangles
+from dslab.sim.worlds.geometry.meshes import Mesh, grid_triangles
 
 FLANK_M, STRIP_M, WAIST_M, WHEEL_M = 2.0, 1.8, 0.95, 0.32
 """Heights of the flank and of the strip on the sheet; height of the waist; radius of the wheels."""

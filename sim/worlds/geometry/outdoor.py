@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from scenarios.worlds import Outdoors
-from sim.worlds.geometry.meshes import Mesh, Piece, grid_triangles
+from dslab.scenarios.worlds import Outdoors
+from dslab.sim.worlds.geometry.meshes import Mesh, Piece, grid_triangles
 
 _CELL_M, _SHADOW_STEP_M = 0.4, 0.7
 _TALLEST_M, _SHADOW_REACH_M = 18.5, (22.0, 90.0)  # what shadows are cast by, and how far they are followed

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.worlds.base import Surface
+from dslab.sim.worlds.base import Surface
 
 # Panels overlap their neighbours by this much: single-precision edges would leave visible cracks.
 _OVERLAP_M = 5e-4

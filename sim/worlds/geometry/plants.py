@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sim.worlds.geometry.meshes import Mesh, Piece, grid_triangles, rise
+from dslab.sim.worlds.geometry.meshes import Mesh, Piece, grid_triangles, rise
 
 _SHEET_M = (6.0, 5.0)
 _BARK_M = (5.25, 0.75)  # where the bark begins on the sheet, and how wide it is

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sim.worlds.geometry.meshes import Mesh, Piece, rise
+from dslab.sim.worlds.geometry.meshes import Mesh, Piece, rise
 
 
 def lamp_post(spot: np.ndarray, towards: np.ndarray, label: str) -> Piece:

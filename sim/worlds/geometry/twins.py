@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from scenarios.worlds import Aliasing
-from sim.worlds.geometry.meshes import Piece
-from sim.worlds.geometry.panels import Panel
-from sim.worlds.recurrence import is_there
+from dslab.scenarios.worlds import Aliasing
+from dslab.sim.worlds.geometry.meshes import Piece
+from dslab.sim.worlds.geometry.panels import Panel
+from dslab.sim.worlds.recurrence import is_there
 
 
 def turned_plan(plan: np.ndarray, centre: np.ndarray) -> np.ndarray:

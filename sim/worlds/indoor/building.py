@@ -4,19 +4,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from scenarios.seeds import rng_for
-from scenarios.worlds import BuildingWorld
-from sim.worlds.assembly import Lighting, assemble_panels, assemble_pieces
-from sim.worlds.base import Route, WorldModel
-from sim.worlds.geometry.atlas import gathered
-from sim.worlds.geometry.panels import Panel
-from sim.worlds.geometry.route import arc_length
-from sim.worlds.geometry.twins import turned_panel
-from sim.worlds.indoor.building_light import Lamplight, stair_light
-from sim.worlds.indoor.building_plan import Plan, clearance_m, route_nodes, walked_floors
-from sim.worlds.indoor.interior import storey_panels
-from sim.worlds.indoor.stairs import stair_panels, stair_pieces
-from sim.worlds.indoor.storey import plan_storey
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.worlds import BuildingWorld
+from dslab.sim.worlds.assembly import Lighting, assemble_panels, assemble_pieces
+from dslab.sim.worlds.base import Route, WorldModel
+from dslab.sim.worlds.geometry.atlas import gathered
+from dslab.sim.worlds.geometry.panels import Panel
+from dslab.sim.worlds.geometry.route import arc_length
+from dslab.sim.worlds.geometry.twins import turned_panel
+from dslab.sim.worlds.indoor.building_light import Lamplight, stair_light
+from dslab.sim.worlds.indoor.building_plan import Plan, clearance_m, route_nodes, walked_floors
+from dslab.sim.worlds.indoor.interior import storey_panels
+from dslab.sim.worlds.indoor.stairs import stair_panels, stair_pieces
+from dslab.sim.worlds.indoor.storey import plan_storey
 
 _EYE_M = 1.5
 _GROWTH_M = 0.0015

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.worlds.geometry.meshes import Piece
-from sim.worlds.geometry.panels import Panel
-from sim.worlds.indoor.building_plan import Plan
+from dslab.sim.worlds.geometry.meshes import Piece
+from dslab.sim.worlds.geometry.panels import Panel
+from dslab.sim.worlds.indoor.building_plan import Plan
 
 _GRID_M = 0.2
 _REACH_M2 = 1.5

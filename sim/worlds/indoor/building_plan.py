@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scenarios.worlds import BuildingWorld
-from sim.worlds.geometry.route import arc
+from dslab.scenarios.worlds import BuildingWorld
+from dslab.sim.worlds.geometry.route import arc
 
 WALL_M = 0.15
 SLAB_M = 0.35  # from a ceiling to the floor above it

@@ -4,13 +4,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.worlds.assembly import Lighting
-from sim.worlds.geometry.panels import Box, Fitting, Panel, slab, wall
-from sim.worlds.indoor.building_light import Lamplight
-from sim.worlds.indoor.building_plan import WALL_M
-from sim.worlds.indoor.light import Light, lamp_boxes
-from sim.worlds.indoor.storey import OPPOSITE, Door, Side, Space, Storey
-from sim.worlds.materials.finishes import FLOOR_FINISHES, WALL_FINISHES
+from dslab.sim.worlds.assembly import Lighting
+from dslab.sim.worlds.geometry.panels import Box, Fitting, Panel, slab, wall
+from dslab.sim.worlds.indoor.building_light import Lamplight
+from dslab.sim.worlds.indoor.building_plan import WALL_M
+from dslab.sim.worlds.indoor.light import Light, lamp_boxes
+from dslab.sim.worlds.indoor.storey import OPPOSITE, Door, Side, Space, Storey
+from dslab.sim.worlds.materials.finishes import FLOOR_FINISHES, WALL_FINISHES
 
 _DOOR_HEIGHT_M, _RECESS_M, _LEAF_M = 2.08, 0.1, 0.04
 _PANEL_M, _SLAB_M = 2.0, 2.6

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.worlds.geometry.panels import Box, Panel
+from dslab.sim.worlds.geometry.panels import Box, Panel
 
 _GRID_M = 0.08  # spacing of the light samples on a panel
 _LAMP_SIZE_M = (1.2, 0.3, 0.06)

@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from scenarios.seeds import rng_for
-from scenarios.spec import RoomWorld
-from sim.worlds.assembly import assemble_panels
-from sim.worlds.base import Route, WorldModel
-from sim.worlds.geometry.panels import Box, Panel, slab, wall
-from sim.worlds.geometry.route import rounded
-from sim.worlds.geometry.twins import turned_panel, turned_plan
-from sim.worlds.indoor.light import Light, lamp_boxes
-from sim.worlds.materials.finishes import FLOOR_FINISHES, WALL_FINISHES
-from sim.worlds.recurrence import is_there
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.spec import RoomWorld
+from dslab.sim.worlds.assembly import assemble_panels
+from dslab.sim.worlds.base import Route, WorldModel
+from dslab.sim.worlds.geometry.panels import Box, Panel, slab, wall
+from dslab.sim.worlds.geometry.route import rounded
+from dslab.sim.worlds.geometry.twins import turned_panel, turned_plan
+from dslab.sim.worlds.indoor.light import Light, lamp_boxes
+from dslab.sim.worlds.materials.finishes import FLOOR_FINISHES, WALL_FINISHES
+from dslab.sim.worlds.recurrence import is_there
 
 _PANEL_M = 1.9
 _MIDDLE = np.zeros(2)

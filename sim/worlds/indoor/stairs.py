@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from sim.worlds.geometry.meshes import Mesh, Piece
-from sim.worlds.geometry.panels import Box, Panel, slab, wall
-from sim.worlds.geometry.twins import raised_panel
-from sim.worlds.indoor.building_plan import SLAB_M, Stairwell
-from sim.worlds.materials.stair_finishes import STEP_M
+from dslab.sim.worlds.geometry.meshes import Mesh, Piece
+from dslab.sim.worlds.geometry.panels import Box, Panel, slab, wall
+from dslab.sim.worlds.geometry.twins import raised_panel
+from dslab.sim.worlds.indoor.building_plan import SLAB_M, Stairwell
+from dslab.sim.worlds.materials.stair_finishes import STEP_M
 
 _WAIST_M = 0.17  # of a flight under the inner edge of its steps, upright
 _SET_BACK_M = 0.004  # of a slab's edge behind the riser in its plane

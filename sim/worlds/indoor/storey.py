@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sim.worlds.indoor.building_plan import CROSS_M, WALL_M, Plan
+from dslab.sim.worlds.indoor.building_plan import CROSS_M, WALL_M, Plan
 
 _DOOR_M, _STUB_M = 0.95, 1.8
 _OPEN_SHARE = 0.35

@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from scenarios.seeds import rng_for
-from scenarios.worlds import WarehouseWorld
-from sim.worlds.assembly import assemble_pieces
-from sim.worlds.base import Route, WorldModel
-from sim.worlds.geometry.meshes import Mesh, Piece
-from sim.worlds.geometry.panels import Panel, slab, wall
-from sim.worlds.geometry.route import rounded
-from sim.worlds.geometry.twins import turned_piece
-from sim.worlds.materials.store_finishes import RACK_CELLS
-from sim.worlds.recurrence import is_alike
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.worlds import WarehouseWorld
+from dslab.sim.worlds.assembly import assemble_pieces
+from dslab.sim.worlds.base import Route, WorldModel
+from dslab.sim.worlds.geometry.meshes import Mesh, Piece
+from dslab.sim.worlds.geometry.panels import Panel, slab, wall
+from dslab.sim.worlds.geometry.route import rounded
+from dslab.sim.worlds.geometry.twins import turned_piece
+from dslab.sim.worlds.materials.store_finishes import RACK_CELLS
+from dslab.sim.worlds.recurrence import is_alike
 
 _AISLE_M, _RACK_M, _BAY_M, _CROSS_M = 3.0, 1.1, 2.7, 5.0
 _CLEARANCE_M, _CORNER_M = 0.8, 1.1

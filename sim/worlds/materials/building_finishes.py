@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 
-from sim.worlds.materials import motifs
-from sim.worlds.materials.textures import add_noise, courses, dead_leaves, grain
+from dslab.sim.worlds.materials import motifs
+from dslab.sim.worlds.materials.textures import add_noise, courses, dead_leaves, grain
 
 _SKIRTING_M, _CORNICE_M = 0.09, 0.05
 _RESOLVED_PX = 0.6

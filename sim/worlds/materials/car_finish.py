@@ -3,9 +3,9 @@
 import cv2
 import numpy as np
 
-from sim.worlds.geometry.car_shapes import FLANK_M, STRIP_M, WAIST_M, WHEEL_M, Shape
-from sim.worlds.materials import motifs
-from sim.worlds.materials.textures import add_noise, dead_leaves
+from dslab.sim.worlds.geometry.car_shapes import FLANK_M, STRIP_M, WAIST_M, WHEEL_M, Shape
+from dslab.sim.worlds.materials import motifs
+from dslab.sim.worlds.materials.textures import add_noise, dead_leaves
 
 _PAINTS = (22, 30, 45, 60, 85, 120, 150, 175, 200, 222, 235)
 

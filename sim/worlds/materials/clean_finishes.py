@@ -9,8 +9,8 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from sim.worlds.materials import motifs
-from sim.worlds.materials.textures import add_noise, grain, text_block
+from dslab.sim.worlds.materials import motifs
+from dslab.sim.worlds.materials.textures import add_noise, grain, text_block
 
 _GRAIN_LEVELS = 1.5  # of paint and lacquer
 _TILE_M, _CARPET_M, _STRIPE_M = 0.1, 0.5, 0.025

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from sim.worlds.materials import motifs
-from sim.worlds.materials.textures import add_noise, courses, dead_leaves
+from dslab.sim.worlds.materials import motifs
+from dslab.sim.worlds.materials.textures import add_noise, courses, dead_leaves
 
 _GROUND_FLOOR_M, _STOREY_M = 3.9, 3.1
 _SMALLEST_LEAF_PX = 10

@@ -6,17 +6,17 @@ from functools import partial
 
 import numpy as np
 
-from sim.worlds.geometry.car_shapes import SHAPES
-from sim.worlds.materials import building_finishes as building
-from sim.worlds.materials import car_finish, motifs
-from sim.worlds.materials import clean_finishes as clean
-from sim.worlds.materials import country_finishes as country
-from sim.worlds.materials import facade_finishes as facade
-from sim.worlds.materials import furniture_finishes as furniture
-from sim.worlds.materials import stair_finishes as stair
-from sim.worlds.materials import store_finishes as store
-from sim.worlds.materials import street_finishes as street
-from sim.worlds.materials.textures import fit_levels
+from dslab.sim.worlds.geometry.car_shapes import SHAPES
+from dslab.sim.worlds.materials import building_finishes as building
+from dslab.sim.worlds.materials import car_finish, motifs
+from dslab.sim.worlds.materials import clean_finishes as clean
+from dslab.sim.worlds.materials import country_finishes as country
+from dslab.sim.worlds.materials import facade_finishes as facade
+from dslab.sim.worlds.materials import furniture_finishes as furniture
+from dslab.sim.worlds.materials import stair_finishes as stair
+from dslab.sim.worlds.materials import store_finishes as store
+from dslab.sim.worlds.materials import street_finishes as street
+from dslab.sim.worlds.materials.textures import fit_levels
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from sim.worlds.materials import motifs
-from sim.worlds.materials.textures import add_noise, dead_leaves, grain, text_block
+from dslab.sim.worlds.materials import motifs
+from dslab.sim.worlds.materials.textures import add_noise, dead_leaves, grain, text_block
 
 
 def bookshelf(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:

@@ -6,7 +6,7 @@ Positions and sizes are pixels inside the function and metres in its arguments; 
 import cv2
 import numpy as np
 
-from sim.worlds.materials.textures import add_noise, dead_leaves, text_block
+from dslab.sim.worlds.materials.textures import add_noise, dead_leaves, text_block
 
 _FONTS = (
     cv2.FONT_HERSHEY_SIMPLEX,

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from sim.worlds.materials import motifs
-from sim.worlds.materials.textures import add_noise, courses, dead_leaves, grain
+from dslab.sim.worlds.materials import motifs
+from dslab.sim.worlds.materials.textures import add_noise, courses, dead_leaves, grain
 
 STEP_M = 0.45  # metres of a flight's sheet per step: its tread above, its riser below
 _NOSING_M = 0.045

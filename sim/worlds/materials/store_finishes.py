@@ -3,9 +3,9 @@
 import cv2
 import numpy as np
 
-from sim.worlds.materials import motifs
-from sim.worlds.materials.furniture_finishes import crate
-from sim.worlds.materials.textures import add_noise, dead_leaves
+from dslab.sim.worlds.materials import motifs
+from dslab.sim.worlds.materials.furniture_finishes import crate
+from dslab.sim.worlds.materials.textures import add_noise, dead_leaves
 
 RACK_CELLS = (4, 5)
 """Columns and rows of a rack's sheet: goods, in the last row steel and the dark behind the goods."""

@@ -3,8 +3,15 @@
 import cv2
 import numpy as np
 
-from sim.worlds.materials import motifs
-from sim.worlds.materials.textures import add_noise, blotches, courses, dead_leaves, fractal_noise, grain
+from dslab.sim.worlds.materials import motifs
+from dslab.sim.worlds.materials.textures import (
+    add_noise,
+    blotches,
+    courses,
+    dead_leaves,
+    fractal_noise,
+    grain,
+)
 
 _CLOUD_EDGE_PX = 4.0
 KERB_SHARE = 0.06

@@ -2,18 +2,18 @@
 
 import numpy as np
 
-from scenarios.seeds import rng_for
-from scenarios.worlds import CityWorld
-from sim.worlds.assembly import assemble_pieces
-from sim.worlds.base import Route, WorldModel
-from sim.worlds.geometry.meshes import Piece
-from sim.worlds.geometry.outdoor import Daylight, Sky
-from sim.worlds.geometry.route import rounded
-from sim.worlds.geometry.twins import with_twins
-from sim.worlds.town.houses import houses_along, houses_at_end
-from sim.worlds.town.pavements import carriageways, pavements
-from sim.worlds.town.roadside import roadside
-from sim.worlds.town.streets import LANE_M, Plan, plan_streets
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.worlds import CityWorld
+from dslab.sim.worlds.assembly import assemble_pieces
+from dslab.sim.worlds.base import Route, WorldModel
+from dslab.sim.worlds.geometry.meshes import Piece
+from dslab.sim.worlds.geometry.outdoor import Daylight, Sky
+from dslab.sim.worlds.geometry.route import rounded
+from dslab.sim.worlds.geometry.twins import with_twins
+from dslab.sim.worlds.town.houses import houses_along, houses_at_end
+from dslab.sim.worlds.town.pavements import carriageways, pavements
+from dslab.sim.worlds.town.roadside import roadside
+from dslab.sim.worlds.town.streets import LANE_M, Plan, plan_streets
 
 _CORNER_RADIUS_M, _CLEARANCE_M = 7.0, 1.2
 _SKY_BEYOND_M = 1500.0

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.worlds.geometry.meshes import Mesh, Piece
-from sim.worlds.geometry.outdoor import Daylight
-from sim.worlds.town.streets import FRONT_M, Plan, Street
+from dslab.sim.worlds.geometry.meshes import Mesh, Piece
+from dslab.sim.worlds.geometry.outdoor import Daylight
+from dslab.sim.worlds.town.streets import FRONT_M, Plan, Street
 
 _WIDTH_M, _HEIGHT_M, _DEPTH_M, _RIDGE_M = (8.0, 15.0), (8.5, 18.0), 9.0, (1.0, 3.2)
 _INSET_M = 0.15  # bodies keep clear of the fronts around a corner

@@ -4,10 +4,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from sim.worlds.geometry.meshes import Mesh, Piece
-from sim.worlds.geometry.outdoor import Daylight, ground_gain, ground_piece
-from sim.worlds.materials.street_finishes import KERB_SHARE
-from sim.worlds.town.streets import CARRIAGEWAY_M, FRONT_M, Plan, Street
+from dslab.sim.worlds.geometry.meshes import Mesh, Piece
+from dslab.sim.worlds.geometry.outdoor import Daylight, ground_gain, ground_piece
+from dslab.sim.worlds.materials.street_finishes import KERB_SHARE
+from dslab.sim.worlds.town.streets import CARRIAGEWAY_M, FRONT_M, Plan, Street
 
 KERB_M = 0.13
 _LONGEST_M = 14.0

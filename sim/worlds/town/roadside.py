@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from sim.worlds.geometry.car_shapes import SHAPES
-from sim.worlds.geometry.meshes import Piece
-from sim.worlds.geometry.outdoor import Daylight
-from sim.worlds.geometry.plants import tree
-from sim.worlds.geometry.street_furniture import bollards, lamp_post, sign_post
-from sim.worlds.town.pavements import KERB_M
-from sim.worlds.town.streets import CARRIAGEWAY_M, Plan, Street
+from dslab.sim.worlds.geometry.car_shapes import SHAPES
+from dslab.sim.worlds.geometry.meshes import Piece
+from dslab.sim.worlds.geometry.outdoor import Daylight
+from dslab.sim.worlds.geometry.plants import tree
+from dslab.sim.worlds.geometry.street_furniture import bollards, lamp_post, sign_post
+from dslab.sim.worlds.town.pavements import KERB_M
+from dslab.sim.worlds.town.streets import CARRIAGEWAY_M, Plan, Street
 
 _PARKED_M = CARRIAGEWAY_M - 1.08  # middle of a parked car, from the middle of the street
 _KEEP_CLEAR_M = 13.0  # of a crossing's middle

@@ -5,10 +5,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from scenarios.errors import InputError
-from scenarios.seeds import rng_for
-from scenarios.worlds import CityWorld
-from sim.worlds.geometry.twins import turned_plan
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.worlds import CityWorld
+from dslab.sim.worlds.geometry.twins import turned_plan
 
 CARRIAGEWAY_M, FRONT_M = 5.0, 8.0  # from the middle of a street to its kerbs and to its houses
 LANE_M = 1.5  # from the middle of a street to the middle of a lane

@@ -5,17 +5,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slam.loop_closing.correction import move_map
-from slam.loop_closing.essential_graph import essential_edges
-from slam.loop_closing.map_alignment import Agreement, Alignment, AlignmentConfig, agree
-from slam.loop_closing.place_check import PlaceCheckConfig
-from slam.map import _map_kernels as kernels
-from slam.map.map import Map
-from slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
-from slam.matching.guided import fuse_into_keyframe
-from slam.optimization.pose_graph import optimize_pose_graph
-from slam.optimization.sim3 import sim3_decompose, sim3_inverse
-from slam.optimization.sim3_algebra import invert_sim3
+from dslab.slam.loop_closing.correction import move_map
+from dslab.slam.loop_closing.essential_graph import essential_edges
+from dslab.slam.loop_closing.map_alignment import Agreement, Alignment, AlignmentConfig, agree
+from dslab.slam.loop_closing.place_check import PlaceCheckConfig
+from dslab.slam.map import _map_kernels as kernels
+from dslab.slam.map.map import Map
+from dslab.slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
+from dslab.slam.matching.guided import fuse_into_keyframe
+from dslab.slam.optimization.pose_graph import optimize_pose_graph
+from dslab.slam.optimization.sim3 import sim3_decompose, sim3_inverse
+from dslab.slam.optimization.sim3_algebra import invert_sim3
 
 
 @dataclass(frozen=True)

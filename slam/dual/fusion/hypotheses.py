@@ -4,11 +4,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slam.dual.fusion.fuse import FusionConfig
-from slam.loop_closing.map_alignment import Alignment, agree
-from slam.loop_closing.place_check import asked_span_s, double_in_reach, fault_of_view, within_reach
-from slam.map.map import Map
-from slam.optimization.sim3 import sim3_inverse
+from dslab.slam.dual.fusion.fuse import FusionConfig
+from dslab.slam.loop_closing.map_alignment import Alignment, agree
+from dslab.slam.loop_closing.place_check import asked_span_s, double_in_reach, fault_of_view, within_reach
+from dslab.slam.map.map import Map
+from dslab.slam.optimization.sim3 import sim3_inverse
 
 
 @dataclass

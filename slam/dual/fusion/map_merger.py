@@ -9,19 +9,19 @@ frames, and those that wait to become keyframes.
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from slam.core import events as ev
-from slam.core.frame import Frame
-from slam.dual.fusion.fuse import FusionConfig, seam_frame
-from slam.dual.fusion.merge_recovered import Recovered, Whereabouts, in_present_map, merge_recovered
-from slam.dual.fusion.place_merging import PlaceMerger, inverted
-from slam.dual.fusion.prepared import PreparedFusion
-from slam.dual.fusion.rebase import rebase_frames, rebase_tracking
-from slam.engine import SlamEngine
-from slam.loop_closing.map_alignment import Alignment
-from slam.map.map import Map
-from slam.map.relation import Relation
-from slam.map_store import Loss
-from slam.runtime.backend import TakeOver
+from dslab.slam.core import events as ev
+from dslab.slam.core.frame import Frame
+from dslab.slam.dual.fusion.fuse import FusionConfig, seam_frame
+from dslab.slam.dual.fusion.merge_recovered import Recovered, Whereabouts, in_present_map, merge_recovered
+from dslab.slam.dual.fusion.place_merging import PlaceMerger, inverted
+from dslab.slam.dual.fusion.prepared import PreparedFusion
+from dslab.slam.dual.fusion.rebase import rebase_frames, rebase_tracking
+from dslab.slam.engine import SlamEngine
+from dslab.slam.loop_closing.map_alignment import Alignment
+from dslab.slam.map.map import Map
+from dslab.slam.map.relation import Relation
+from dslab.slam.map_store import Loss
+from dslab.slam.runtime.backend import TakeOver
 
 STAGE = "fusion"
 """Stage of a frame in which the tracking thread takes over a fusion."""

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slam.core.frame import Frame
-from slam.loop_closing.map_alignment import Alignment
-from slam.map import _map_kernels as kernels
-from slam.map.map import Map
-from slam.optimization.sim3 import horn_sim3, sim3_decompose, sim3_inverse, sim3_matrix
+from dslab.slam.core.frame import Frame
+from dslab.slam.loop_closing.map_alignment import Alignment
+from dslab.slam.map import _map_kernels as kernels
+from dslab.slam.map.map import Map
+from dslab.slam.optimization.sim3 import horn_sim3, sim3_decompose, sim3_inverse, sim3_matrix
 
 _MIN_SHARED = 20
 

@@ -5,17 +5,17 @@ from contextlib import AbstractContextManager
 
 import numpy as np
 
-from slam.core.frame import Frame
-from slam.core.seeds import rng_for
-from slam.dual.fusion.fuse import FusionConfig
-from slam.dual.fusion.hypotheses import Hypothesis, rival
-from slam.loop_closing.map_alignment import Alignment, agree, align, align_relocalized
-from slam.loop_closing.place_check import double_in_reach, doubt, within_reach
-from slam.map._map_kernels import resolve_points
-from slam.map.map import Map
-from slam.map_store import Places
-from slam.optimization.sim3 import sim3_inverse
-from slam.places.recognition import shipped_vocabulary
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.seeds import rng_for
+from dslab.slam.dual.fusion.fuse import FusionConfig
+from dslab.slam.dual.fusion.hypotheses import Hypothesis, rival
+from dslab.slam.loop_closing.map_alignment import Alignment, agree, align, align_relocalized
+from dslab.slam.loop_closing.place_check import double_in_reach, doubt, within_reach
+from dslab.slam.map._map_kernels import resolve_points
+from dslab.slam.map.map import Map
+from dslab.slam.map_store import Places
+from dslab.slam.optimization.sim3 import sim3_inverse
+from dslab.slam.places.recognition import shipped_vocabulary
 
 _CANDIDATES = 2  # most similar keyframes of a saved map that are compared with a new keyframe
 _WAITING = 3  # newest keyframes that are searched when the search was delayed

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
-from slam.core.relation import Relation
-from slam.dual.fusion.fuse import Fused, fuse, seam_frame
-from slam.loop_closing.map_alignment import Alignment
-from slam.map.map import Map
-from slam.map.relation import fusion_relation
-from slam.mapping.local_mapping import LocalMappingConfig
-from slam.places.recognition import BowVector, shipped_vocabulary
+from dslab.slam.core.relation import Relation
+from dslab.slam.dual.fusion.fuse import Fused, fuse, seam_frame
+from dslab.slam.loop_closing.map_alignment import Alignment
+from dslab.slam.map.map import Map
+from dslab.slam.map.relation import fusion_relation
+from dslab.slam.mapping.local_mapping import LocalMappingConfig
+from dslab.slam.places.recognition import BowVector, shipped_vocabulary
 
 
 @dataclass(frozen=True)

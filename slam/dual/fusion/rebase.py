@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 
-from slam.core.frame import Frame
-from slam.dual.fusion.fuse import Fused
-from slam.map._map_kernels import resolve_points
-from slam.map.map import Map
-from slam.mapping.local_mapping import LocalMapper
-from slam.tracking.tracker import Tracker
+from dslab.slam.core.frame import Frame
+from dslab.slam.dual.fusion.fuse import Fused
+from dslab.slam.map._map_kernels import resolve_points
+from dslab.slam.map.map import Map
+from dslab.slam.mapping.local_mapping import LocalMapper
+from dslab.slam.tracking.tracker import Tracker
 
 
 def rebase_tracking(

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.direct.appearance import Looks, Surface, looks_in, together
-from slam.direct.pyramid import ImagePyramid, Rectifier
-from slam.dual.recovery.interface import RecoveryTask
-from slam.loop_closing.map_alignment import Alignment
-from slam.map.map import Map
-from slam.optimization.sim3 import sim3_decompose
+from dslab.slam.direct.appearance import Looks, Surface, looks_in, together
+from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
+from dslab.slam.dual.recovery.interface import RecoveryTask
+from dslab.slam.loop_closing.map_alignment import Alignment
+from dslab.slam.map.map import Map
+from dslab.slam.optimization.sim3 import sim3_decompose
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.dual.fusion.fuse import FusionConfig
-from slam.loop_closing.map_alignment import Alignment, AlignmentConfig, matched_keypoints
-from slam.map.map import Map
-from slam.optimization.sim3 import horn_sim3, sim3_inverse, sim3_matrix
+from dslab.slam.dual.fusion.fuse import FusionConfig
+from dslab.slam.loop_closing.map_alignment import Alignment, AlignmentConfig, matched_keypoints
+from dslab.slam.map.map import Map
+from dslab.slam.optimization.sim3 import horn_sim3, sim3_inverse, sim3_matrix
 
 _ITERATIONS = 300
 _REFITS = 3

@@ -16,22 +16,22 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slam.core.events import CANCELLED
-from slam.core.frame import Frame
-from slam.core.geometry import share_of_motion
-from slam.direct.alignment import Aligned, Reference
-from slam.direct.blur import sharpness
-from slam.direct.location import locate_on_lines, locate_points
-from slam.direct.placement import PlacementConfig, guesses_ahead, place
-from slam.direct.pyramid import ImagePyramid, Rectifier
-from slam.direct.selection import Selection, SelectionConfig, select
-from slam.dual.recovery.appearance import LooksCheck, LooksConfig
-from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
-from slam.dual.recovery.other_way import OtherWayConfig, doubt_of_other_way
-from slam.dual.recovery.propagation import propagate
-from slam.dual.recovery.tracks import TrackRecoveryConfig, TrackTracker
-from slam.features.tracks import TrackedFrame, take_depth_from_points
-from slam.tracking.tracker import TrackingOutcome
+from dslab.slam.core.events import CANCELLED
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.geometry import share_of_motion
+from dslab.slam.direct.alignment import Aligned, Reference
+from dslab.slam.direct.blur import sharpness
+from dslab.slam.direct.location import locate_on_lines, locate_points
+from dslab.slam.direct.placement import PlacementConfig, guesses_ahead, place
+from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
+from dslab.slam.direct.selection import Selection, SelectionConfig, select
+from dslab.slam.dual.recovery.appearance import LooksCheck, LooksConfig
+from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
+from dslab.slam.dual.recovery.other_way import OtherWayConfig, doubt_of_other_way
+from dslab.slam.dual.recovery.propagation import propagate
+from dslab.slam.dual.recovery.tracks import TrackRecoveryConfig, TrackTracker
+from dslab.slam.features.tracks import TrackedFrame, take_depth_from_points
+from dslab.slam.tracking.tracker import TrackingOutcome
 
 _CELL_PX = 8  # in which a located point leaves no room for a new one
 _BLURRED = 0.6  # of the sharpness of the sharpest image

@@ -5,14 +5,14 @@ Source: Dual-SLAM's public code, step by step: every frame is matched with the l
 
 from dataclasses import dataclass
 
-from slam.core.frame import Frame
-from slam.core.timing import StageTimer
-from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
-from slam.dual.recovery.propagation import propagate
-from slam.mapping.local_mapping import LocalMapper
-from slam.matching.gms import GmsConfig, match_gms
-from slam.tracking.pnp import ransac_pnp
-from slam.tracking.tracker import Tracker, TrackingOutcome
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.timing import StageTimer
+from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
+from dslab.slam.dual.recovery.propagation import propagate
+from dslab.slam.mapping.local_mapping import LocalMapper
+from dslab.slam.matching.gms import GmsConfig, match_gms
+from dslab.slam.tracking.pnp import ransac_pnp
+from dslab.slam.tracking.tracker import Tracker, TrackingOutcome
 
 
 @dataclass(frozen=True)

@@ -10,16 +10,16 @@ from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 
-from slam.config import SlamConfig
-from slam.core.camera import PinholeCamera
-from slam.core.frame import Frame, FrameFeatures
-from slam.dual.fusion.fuse import FusionConfig
-from slam.features.remembered import Remembered
-from slam.loop_closing.map_alignment import Alignment
-from slam.map.map import Map
-from slam.mapping.local_mapping import LocalMappingConfig
-from slam.tracking.doubt import DoubtConfig
-from slam.tracking.tracker import TrackingConfig
+from dslab.slam.config import SlamConfig
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.frame import Frame, FrameFeatures
+from dslab.slam.dual.fusion.fuse import FusionConfig
+from dslab.slam.features.remembered import Remembered
+from dslab.slam.loop_closing.map_alignment import Alignment
+from dslab.slam.map.map import Map
+from dslab.slam.mapping.local_mapping import LocalMappingConfig
+from dslab.slam.tracking.doubt import DoubtConfig
+from dslab.slam.tracking.tracker import TrackingConfig
 
 Found = TypeVar("Found")
 

@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass, replace
 
-from slam.core.timing import StageTimer
-from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
-from slam.dual.recovery.propagation import propagate
-from slam.mapping.local_mapping import LocalMapper
-from slam.tracking.tracker import Tracker
+from dslab.slam.core.timing import StageTimer
+from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
+from dslab.slam.dual.recovery.propagation import propagate
+from dslab.slam.mapping.local_mapping import LocalMapper
+from dslab.slam.tracking.tracker import Tracker
 
 
 @dataclass(frozen=True)

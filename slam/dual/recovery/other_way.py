@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slam.core.events import CANCELLED
-from slam.core.frame import Frame
-from slam.core.geometry import camera_centre, share_of_motion
-from slam.dual.recovery.interface import RecoveryConfig, RecoveryResult, RecoveryTask
-from slam.dual.recovery.tracks import TrackTracker
-from slam.loop_closing.map_alignment import Alignment, align
-from slam.map.map import Map
-from slam.optimization.sim3 import sim3_decompose
+from dslab.slam.core.events import CANCELLED
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.geometry import camera_centre, share_of_motion
+from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryResult, RecoveryTask
+from dslab.slam.dual.recovery.tracks import TrackTracker
+from dslab.slam.loop_closing.map_alignment import Alignment, align
+from dslab.slam.map.map import Map
+from dslab.slam.optimization.sim3 import sim3_decompose
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from slam.core.frame import Frame
-from slam.dual.fusion.fuse import FusionConfig, confirms
-from slam.dual.recovery.common_points import align_all, pairs_close_in_time
-from slam.dual.recovery.interface import RecoveryTask
-from slam.loop_closing.map_alignment import Alignment, align
-from slam.loop_closing.place_check import double_in_reach, doubt
-from slam.map.map import Map
+from dslab.slam.core.frame import Frame
+from dslab.slam.dual.fusion.fuse import FusionConfig, confirms
+from dslab.slam.dual.recovery.common_points import align_all, pairs_close_in_time
+from dslab.slam.dual.recovery.interface import RecoveryTask
+from dslab.slam.loop_closing.map_alignment import Alignment, align
+from dslab.slam.loop_closing.place_check import double_in_reach, doubt
+from dslab.slam.map.map import Map
 
 Doubt = Callable[[Map, Alignment], str]
 """What speaks against an alignment with an old map; empty if nothing does."""

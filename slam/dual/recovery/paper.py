@@ -6,10 +6,10 @@ in the bundle adjustment stay, which the text does not have.
 Source: paper, Sec. III-B, III-C and Algorithm 1.
 """
 
-from slam.dual.fusion.fuse import FusionConfig
-from slam.dual.recovery.orb import OrbRecoveryConfig
-from slam.dual.recovery.sift import SiftRecoveryConfig
-from slam.tracking.doubt import DoubtConfig
+from dslab.slam.dual.fusion.fuse import FusionConfig
+from dslab.slam.dual.recovery.orb import OrbRecoveryConfig
+from dslab.slam.dual.recovery.sift import SiftRecoveryConfig
+from dslab.slam.tracking.doubt import DoubtConfig
 
 # One similarity, to which the matches need not fit by any share.
 _FUSION = FusionConfig(confirmations=1, min_share=0.0, min_matches=20)

@@ -3,12 +3,12 @@
 Source: paper, Sec. III-B and Algorithm 1.
 """
 
-from slam.core.events import CANCELLED
-from slam.core.frame import Frame
-from slam.dual.recovery.interface import RecoveryConfig, RecoveryResult, RecoveryTask
-from slam.dual.recovery.overlap import Doubt, Overlap
-from slam.mapping.local_mapping import LocalMapper
-from slam.tracking.tracker import Tracker
+from dslab.slam.core.events import CANCELLED
+from dslab.slam.core.frame import Frame
+from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryResult, RecoveryTask
+from dslab.slam.dual.recovery.overlap import Doubt, Overlap
+from dslab.slam.mapping.local_mapping import LocalMapper
+from dslab.slam.tracking.tracker import Tracker
 
 
 def propagate(

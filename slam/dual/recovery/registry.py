@@ -5,44 +5,44 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from slam.dual.recovery.interface import RecoveryConfig, RecoveryThread
+    from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryThread
 
 RecoveryFactory = Callable[["RecoveryConfig | None"], "RecoveryThread"]
 """Makes a thread from its settings; from None with its defaults."""
 
 
 def _orb(config: "RecoveryConfig | None") -> "RecoveryThread":
-    from slam.dual.recovery.orb import OrbRecovery
+    from dslab.slam.dual.recovery.orb import OrbRecovery
 
     return OrbRecovery(config)
 
 
 def _sift(config: "RecoveryConfig | None") -> "RecoveryThread":
-    from slam.dual.recovery.sift import SiftRecovery
+    from dslab.slam.dual.recovery.sift import SiftRecovery
 
     return SiftRecovery(config)
 
 
 def _gms(config: "RecoveryConfig | None") -> "RecoveryThread":
-    from slam.dual.recovery.gms import GmsRecovery
+    from dslab.slam.dual.recovery.gms import GmsRecovery
 
     return GmsRecovery(config)
 
 
 def _direct(config: "RecoveryConfig | None") -> "RecoveryThread":
-    from slam.dual.recovery.direct import DirectRecovery
+    from dslab.slam.dual.recovery.direct import DirectRecovery
 
     return DirectRecovery(config)
 
 
 def _paper_orb(config: "RecoveryConfig | None") -> "RecoveryThread":
-    from slam.dual.recovery.paper import paper_orb_config
+    from dslab.slam.dual.recovery.paper import paper_orb_config
 
     return _orb(config or paper_orb_config())
 
 
 def _paper_sift(config: "RecoveryConfig | None") -> "RecoveryThread":
-    from slam.dual.recovery.paper import paper_sift_config
+    from dslab.slam.dual.recovery.paper import paper_sift_config
 
     return _sift(config or paper_sift_config())
 

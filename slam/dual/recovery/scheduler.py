@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import Protocol
 
-from slam.core.timing import StageTimer
-from slam.dual.recovery.interface import RecoveryResult, RecoveryTask, RecoveryThread
-from slam.runtime.backend import ExecutionMode
-from slam.runtime.worker import Worker
+from dslab.slam.core.timing import StageTimer
+from dslab.slam.dual.recovery.interface import RecoveryResult, RecoveryTask, RecoveryThread
+from dslab.slam.runtime.backend import ExecutionMode
+from dslab.slam.runtime.worker import Worker
 
 _NICENESS = (
     10  # tracking and mapping come first: with two cores a frame takes 16 ms beside a recovery, else 23

@@ -9,16 +9,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.core.frame import Frame
-from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
-from slam.dual.recovery.propagation import propagate
-from slam.dual.recovery.tracks import TrackRecoveryConfig, TrackTracker
-from slam.features.sift import SiftFrame, match, sift_frame
-from slam.features.sift_detector import SiftDetector
-from slam.features.tracks import rays, triangulate_pairs
-from slam.optimization.pose import CHI2_2DOF
-from slam.tracking.pnp import ransac_pnp
-from slam.tracking.tracker import TrackingOutcome
+from dslab.slam.core.frame import Frame
+from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
+from dslab.slam.dual.recovery.propagation import propagate
+from dslab.slam.dual.recovery.tracks import TrackRecoveryConfig, TrackTracker
+from dslab.slam.features.sift import SiftFrame, match, sift_frame
+from dslab.slam.features.sift_detector import SiftDetector
+from dslab.slam.features.tracks import rays, triangulate_pairs
+from dslab.slam.optimization.pose import CHI2_2DOF
+from dslab.slam.tracking.pnp import ransac_pnp
+from dslab.slam.tracking.tracker import TrackingOutcome
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.features.tracks import TrackedFrame
-from slam.map import _map_kernels as kernels
-from slam.map.map import MIN_OBSERVATIONS, Map
-from slam.mapping._local_problem import local_problem
-from slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
-from slam.optimization.bundle_adjustment import local_bundle_adjust
+from dslab.slam.features.tracks import TrackedFrame
+from dslab.slam.map import _map_kernels as kernels
+from dslab.slam.map.map import MIN_OBSERVATIONS, Map
+from dslab.slam.mapping._local_problem import local_problem
+from dslab.slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
+from dslab.slam.optimization.bundle_adjustment import local_bundle_adjust
 
 _MIN_VIEWS = 3  # of a track: two views agree on any point along their epipolar line
 _FIXED = 2  # oldest of the newest keyframes, which fix position and scale for the others

@@ -4,15 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.core.frame import Frame
-from slam.core.timing import StageTimer
-from slam.dual.recovery.interface import RecoveryConfig, RecoveryTask
-from slam.dual.recovery.track_mapping import TrackMapper
-from slam.features.tracks import TrackedFrame, rays, take_depth_from_points, triangulate_pairs
-from slam.map._map_kernels import count_observed, resolve_points
-from slam.matching import guided
-from slam.optimization.pose import CHI2_2DOF, optimize_pose
-from slam.tracking.tracker import Tracker, TrackingOutcome
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.timing import StageTimer
+from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryTask
+from dslab.slam.dual.recovery.track_mapping import TrackMapper
+from dslab.slam.features.tracks import TrackedFrame, rays, take_depth_from_points, triangulate_pairs
+from dslab.slam.map._map_kernels import count_observed, resolve_points
+from dslab.slam.matching import guided
+from dslab.slam.optimization.pose import CHI2_2DOF, optimize_pose
+from dslab.slam.tracking.tracker import Tracker, TrackingOutcome
 
 
 @dataclass(frozen=True)

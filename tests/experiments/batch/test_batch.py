@@ -16,17 +16,17 @@ import pytest
 from slam_fakes import circle, make_sequence
 from system_programs import write_program
 
-from experiments.batch import run as batch_run
-from experiments.batch.pairs import pairs
-from experiments.batch.rows import COLUMNS
-from experiments.batch.run import CSV_FILE, ROWS_FILE, run_batch
-from experiments.batch.spec import BatchSpec, read_batch
-from experiments.batch.table import sums
-from experiments.evaluation.intact_map import judge_intact
-from scenarios.errors import InputError
-from sim.io.forms import load_sequence
-from sim.io.tum import write_tum
-from slam.core.results import MapTrajectory
+from dslab.experiments.batch import run as batch_run
+from dslab.experiments.batch.pairs import pairs
+from dslab.experiments.batch.rows import COLUMNS
+from dslab.experiments.batch.run import CSV_FILE, ROWS_FILE, run_batch
+from dslab.experiments.batch.spec import BatchSpec, read_batch
+from dslab.experiments.batch.table import sums
+from dslab.experiments.evaluation.intact_map import judge_intact
+from dslab.scenarios.errors import InputError
+from dslab.sim.io.forms import load_sequence
+from dslab.sim.io.tum import write_tum
+from dslab.slam.core.results import MapTrajectory
 
 ROOT = Path(__file__).parents[3]
 EXAMPLE = f"{ROOT / 'examples' / 'own_slam.py'}:ConstantVelocity"
@@ -157,8 +157,8 @@ def test_a_batch_that_was_killed_goes_on_and_gives_the_same_table(tmp_path, in_t
 import sys; sys.path.insert(0, {str(Path(batch_fakes.__file__).parent)!r})
 import batch_fakes
 from pathlib import Path
-from experiments.batch.run import run_batch
-from experiments.batch.spec import BatchSpec
+from dslab.experiments.batch.run import run_batch
+from dslab.experiments.batch.spec import BatchSpec
 if __name__ == "__main__":
     spec = BatchSpec(sequences=("drive",), systems=("base",), runs=2)
     run_batch(spec, ["drive"], Path({str(there / "b")!r}), task=batch_fakes.slow)
@@ -285,7 +285,7 @@ def test_a_folder_that_cannot_be_made_is_one_line(tmp_path):
 
 
 def test_one_batch_at_a_time_works_in_a_folder(tmp_path):
-    from experiments.campaign.folder_lock import sole_driver
+    from dslab.experiments.campaign.folder_lock import sole_driver
 
     (tmp_path / "b").mkdir()
     with sole_driver(tmp_path / "b"), pytest.raises(InputError, match="another run is at work"):

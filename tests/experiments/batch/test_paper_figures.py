@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 from slam_fakes import fake_factory, make_sequence
 
-from experiments.batch import paper_figures
-from experiments.batch.paper_figures import (
+from dslab.experiments.batch import paper_figures
+from dslab.experiments.batch.paper_figures import (
     OTHER_DATA,
     draw_end_errors,
     draw_initialisation,
@@ -16,10 +16,10 @@ from experiments.batch.paper_figures import (
     draw_profiles,
     write_figures,
 )
-from experiments.batch.rows import About, typed
-from experiments.evaluation.summary import summarise
-from experiments.result_folder import write_run
-from experiments.runs.execution import execute
+from dslab.experiments.batch.rows import About, typed
+from dslab.experiments.evaluation.summary import summarise
+from dslab.experiments.result_folder import write_run
+from dslab.experiments.runs.execution import execute
 
 FRAMES, BROKE = 300, 150
 

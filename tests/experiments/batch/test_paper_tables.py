@@ -2,7 +2,7 @@
 
 import pandas as pd
 
-from experiments.batch.paper_tables import NO_MAP, UNSTABLE, table_1, table_2, table_3, write_tables
+from dslab.experiments.batch.paper_tables import NO_MAP, UNSTABLE, table_1, table_2, table_3, write_tables
 
 
 def trial(source, system, ate_m, intact, needed=0, first=0, later=0, took_s=None):

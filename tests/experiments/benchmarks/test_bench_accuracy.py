@@ -9,10 +9,10 @@ from peer_programs import PEER, command
 from slam_fakes import FakeSystem, make_sequence
 from typer.testing import CliRunner
 
-from experiments.benchmarks import accuracy
-from experiments.cli.commands import app
-from scenarios.errors import InputError
-from sim.io.tum import write_tum
+from dslab.experiments.benchmarks import accuracy
+from dslab.experiments.cli.commands import app
+from dslab.scenarios.errors import InputError
+from dslab.sim.io.tum import write_tum
 
 FRAMES = 60
 

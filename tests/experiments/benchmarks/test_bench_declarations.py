@@ -6,9 +6,9 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from experiments.benchmarks import declarations
-from experiments.cli.commands import app
-from scenarios.errors import InputError
+from dslab.experiments.benchmarks import declarations
+from dslab.experiments.cli.commands import app
+from dslab.scenarios.errors import InputError
 
 
 def test_rows_are_kept_and_a_second_run_makes_only_what_is_missing(tmp_path, monkeypatch):

@@ -2,8 +2,8 @@
 
 import pytest
 
-from experiments.benchmarks import direct
-from experiments.benchmarks.direct import ASKED, BASIN_PX, bench_direct
+from dslab.experiments.benchmarks import direct
+from dslab.experiments.benchmarks.direct import ASKED, BASIN_PX, bench_direct
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import time
 import pytest
 from unit_fakes import MadeUp, made_up_record
 
-from experiments.benchmarks.experiment import bench_experiment
+from dslab.experiments.benchmarks.experiment import bench_experiment
 
 
 def busy_unit(unit, cache_dir=None, recording=None):

@@ -9,12 +9,12 @@ import pytest
 from slam_fakes import fake_factory, make_sequence
 from typer.testing import CliRunner
 
-from experiments.benchmarks import recoveries
-from experiments.cli.commands import app
-from experiments.evaluation.view_overlap import BestOverlap
-from experiments.runs.execution import execute
-from scenarios.errors import InputError
-from slam.core.events import RecoveryStart
+from dslab.experiments.benchmarks import recoveries
+from dslab.experiments.cli.commands import app
+from dslab.experiments.evaluation.view_overlap import BestOverlap
+from dslab.experiments.runs.execution import execute
+from dslab.scenarios.errors import InputError
+from dslab.slam.core.events import RecoveryStart
 
 
 def record(**script):

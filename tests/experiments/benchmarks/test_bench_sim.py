@@ -8,9 +8,9 @@ import sys
 import pytest
 from bench_work import fail_in_one, start_time, which_process
 
-from experiments import cli
-from experiments.benchmarks import simulator as bench_sim
-from experiments.benchmarks.simulator import Lap, rates, run_together
+from dslab.experiments import cli
+from dslab.experiments.benchmarks import simulator as bench_sim
+from dslab.experiments.benchmarks.simulator import Lap, rates, run_together
 
 
 @pytest.mark.slow

@@ -10,16 +10,16 @@ import pytest
 from pydantic import Field
 from unit_fakes import LocalPool, planted_unit, rows_of
 
-from experiments.campaign.boundary_schedule import BoundarySchedule
-from experiments.campaign.ledger import Ledger
-from experiments.campaign.runner import run_experiment
-from experiments.campaign.unit_job import unit_record
-from experiments.eq1.boundary_plan import boundary_plan
-from experiments.eq1.doses import AXES, DoseAxis, dose_axis
-from experiments.eq1.records import dual_column
-from experiments.eq1.spec import load_spec
-from scenarios.errors import InputError, MachineError
-from scenarios.segments import SEGMENT_KINDS, SegmentBase
+from dslab.experiments.campaign.boundary_schedule import BoundarySchedule
+from dslab.experiments.campaign.ledger import Ledger
+from dslab.experiments.campaign.runner import run_experiment
+from dslab.experiments.campaign.unit_job import unit_record
+from dslab.experiments.eq1.boundary_plan import boundary_plan
+from dslab.experiments.eq1.doses import AXES, DoseAxis, dose_axis
+from dslab.experiments.eq1.records import dual_column
+from dslab.experiments.eq1.spec import load_spec
+from dslab.scenarios.errors import InputError, MachineError
+from dslab.scenarios.segments import SEGMENT_KINDS, SegmentBase
 
 SPEC = load_spec("smoke")
 

@@ -12,14 +12,14 @@ import psutil
 import pytest
 from unit_fakes import MadeUp, made_up_record, planted_unit, rows_of
 
-from experiments.campaign.boundary_schedule import BoundarySchedule
-from experiments.campaign.ledger import LEDGER_FILE, Ledger
-from experiments.campaign.unit_job import unit_record
-from experiments.eq1.boundary_plan import boundary_plan
-from experiments.eq1.record_table import normalise
-from experiments.eq1.records import decided
-from experiments.eq1.spec import load_spec
-from scenarios.errors import InputError
+from dslab.experiments.campaign.boundary_schedule import BoundarySchedule
+from dslab.experiments.campaign.ledger import LEDGER_FILE, Ledger
+from dslab.experiments.campaign.unit_job import unit_record
+from dslab.experiments.eq1.boundary_plan import boundary_plan
+from dslab.experiments.eq1.record_table import normalise
+from dslab.experiments.eq1.records import decided
+from dslab.experiments.eq1.spec import load_spec
+from dslab.scenarios.errors import InputError
 
 # Programs that a shell starts in the background ignore interrupts.
 HANDLES_INTERRUPTS = f"""
@@ -28,9 +28,9 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 """
 DRIVER = """
 from pathlib import Path
-from experiments.campaign.clusters import open_worker_pool
-from experiments.campaign.worker_pool import WorkerPoolSettings
-from experiments.campaign.runner import run_experiment
+from dslab.experiments.campaign.clusters import open_worker_pool
+from dslab.experiments.campaign.worker_pool import WorkerPoolSettings
+from dslab.experiments.campaign.runner import run_experiment
 from unit_fakes import MadeUp, made_up_unit
 if __name__ == "__main__":
     plan, settings = MadeUp({"slow-0.05": 40}), WorkerPoolSettings(workers=2)
@@ -38,8 +38,8 @@ if __name__ == "__main__":
 """
 DSLAB = """
 if __name__ == "__main__":
-    import experiments.eq1.trial
-    from experiments.cli import main
+    import dslab.experiments.eq1.trial
+    from dslab.experiments.cli import main
     from unit_fakes import slow_unit
     experiments.eq1.trial.run_unit = slow_unit
     main()

@@ -15,15 +15,15 @@ from dask import config
 from distributed import Client, Security
 from unit_fakes import MadeUp, OneWorker, made_up_record, made_up_unit, rows_of
 
-from experiments.campaign import clusters
-from experiments.campaign.folder import SPEC_FILE, claim_folder
-from experiments.campaign.folder_lock import sole_driver
-from experiments.campaign.ledger import LEDGER_FILE
-from experiments.campaign.runner import run_experiment
-from experiments.campaign.unit_job import unit_record
-from experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings
-from experiments.eq1.records import decided
-from scenarios.errors import InputError
+from dslab.experiments.campaign import clusters
+from dslab.experiments.campaign.folder import SPEC_FILE, claim_folder
+from dslab.experiments.campaign.folder_lock import sole_driver
+from dslab.experiments.campaign.ledger import LEDGER_FILE
+from dslab.experiments.campaign.runner import run_experiment
+from dslab.experiments.campaign.unit_job import unit_record
+from dslab.experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings
+from dslab.experiments.eq1.records import decided
+from dslab.scenarios.errors import InputError
 
 PLAN = MadeUp({"ok": 25, "slow-0.01": 25})
 

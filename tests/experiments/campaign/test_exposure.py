@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from experiments.campaign import exposure
-from experiments.campaign.exposure import draw_exposure, fill_exposed
-from experiments.campaign.folder import read_experiment, read_rows, read_spec, rewrite_table
-from experiments.eq1.spec import load_spec
-from scenarios.errors import InputError
+from dslab.experiments.campaign import exposure
+from dslab.experiments.campaign.exposure import draw_exposure, fill_exposed
+from dslab.experiments.campaign.folder import read_experiment, read_rows, read_spec, rewrite_table
+from dslab.experiments.eq1.spec import load_spec
+from dslab.scenarios.errors import InputError
 
 PUBLISHED = Path(__file__).resolve().parents[3] / "docs" / "eq1-vga"
 

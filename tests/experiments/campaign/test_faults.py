@@ -11,15 +11,15 @@ import pytest
 from dask import config
 from unit_fakes import MadeUp, imports_of_a_unit, made_up_record, made_up_unit, rendered_unit
 
-from experiments.campaign import clusters, runner
-from experiments.campaign import worker_pool as pool
-from experiments.campaign.clusters import embedded_worker_pool
-from experiments.campaign.ledger import Ledger
-from experiments.campaign.unit_job import unit_record
-from experiments.campaign.worker_pool import WorkerPoolSettings
-from experiments.eq1.record_table import normalise
-from experiments.eq1.records import decided
-from scenarios.errors import MachineError
+from dslab.experiments.campaign import clusters, runner
+from dslab.experiments.campaign import worker_pool as pool
+from dslab.experiments.campaign.clusters import embedded_worker_pool
+from dslab.experiments.campaign.ledger import Ledger
+from dslab.experiments.campaign.unit_job import unit_record
+from dslab.experiments.campaign.worker_pool import WorkerPoolSettings
+from dslab.experiments.eq1.record_table import normalise
+from dslab.experiments.eq1.records import decided
+from dslab.scenarios.errors import MachineError
 
 LOST = "distributed.deploy.lost-worker-timeout"
 pytestmark = pytest.mark.usefixtures("shared_pool")

@@ -13,11 +13,11 @@ import pandas as pd
 import pytest
 from unit_fakes import MadeUp, made_up_record
 
-from experiments.campaign.folder_lock import LOCK_FILE, sole_driver
-from experiments.campaign.ledger import LEDGER_FILE, Ledger
-from experiments.eq1.record_table import data_frame, normalise
-from experiments.eq1.records import columns, decided, domains, empty_record
-from scenarios.errors import InputError
+from dslab.experiments.campaign.folder_lock import LOCK_FILE, sole_driver
+from dslab.experiments.campaign.ledger import LEDGER_FILE, Ledger
+from dslab.experiments.eq1.record_table import data_frame, normalise
+from dslab.experiments.eq1.records import columns, decided, domains, empty_record
+from dslab.scenarios.errors import InputError
 
 PLAN = MadeUp({"b": 3, "a": 2})
 
@@ -166,7 +166,7 @@ def test_added_rows_outlive_kill_9(tmp_path):
 def test_the_folder_has_one_driver_at_a_time_and_is_free_after_kill_9(tmp_path):
     script = (
         "import sys, time; from pathlib import Path\n"
-        "from experiments.campaign.folder_lock import sole_driver\n"
+        "from dslab.experiments.campaign.folder_lock import sole_driver\n"
         "with sole_driver(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
     )
     with subprocess.Popen([sys.executable, "-c", script, tmp_path], stdout=subprocess.PIPE) as other:

@@ -7,13 +7,13 @@ from functools import partial
 import pytest
 from unit_fakes import LocalPool, made_up_record, made_up_unit
 
-from experiments.campaign.folder import TABLE_FILE, export, read_rows
-from experiments.campaign.merge import merge
-from experiments.campaign.runner import run_experiment
-from experiments.campaign.schedule import Schedule
-from experiments.campaign.unit_job import unit_record
-from experiments.eq1.spec import load_spec
-from scenarios.errors import InputError
+from dslab.experiments.campaign.folder import TABLE_FILE, export, read_rows
+from dslab.experiments.campaign.merge import merge
+from dslab.experiments.campaign.runner import run_experiment
+from dslab.experiments.campaign.schedule import Schedule
+from dslab.experiments.campaign.unit_job import unit_record
+from dslab.experiments.eq1.spec import load_spec
+from dslab.scenarios.errors import InputError
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,10 @@ from functools import partial
 import pytest
 from unit_fakes import LocalPool, MadeUp, made_up_record, rows_of
 
-from experiments.campaign.ledger import Ledger
-from experiments.campaign.runner import run_experiment
-from experiments.campaign.unit_job import unit_record
-from scenarios.errors import MachineError
+from dslab.experiments.campaign.ledger import Ledger
+from dslab.experiments.campaign.runner import run_experiment
+from dslab.experiments.campaign.unit_job import unit_record
+from dslab.scenarios.errors import MachineError
 
 PLAN = MadeUp(dict.fromkeys("abc", 8))
 

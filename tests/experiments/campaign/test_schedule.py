@@ -5,7 +5,7 @@ import random
 import pytest
 from unit_fakes import MadeUp, made_up_record
 
-from experiments.campaign.schedule import Schedule
+from dslab.experiments.campaign.schedule import Schedule
 
 PLAN = MadeUp({"a": 3, "b": 5})
 

@@ -7,11 +7,11 @@ from slam_fakes import make_sequence
 from system_programs import write_program
 from unit_fakes import MadeUp, made_up_unit
 
-from experiments.campaign.system_checks import check_workers, digests_of, find_systems
-from experiments.campaign.worker_pool import WorkerPoolSettings
-from experiments.eq1.boundary_plan import boundary_plan
-from experiments.eq1.spec import load_spec
-from scenarios.errors import InputError
+from dslab.experiments.campaign.system_checks import check_workers, digests_of, find_systems
+from dslab.experiments.campaign.worker_pool import WorkerPoolSettings
+from dslab.experiments.eq1.boundary_plan import boundary_plan
+from dslab.experiments.eq1.spec import load_spec
+from dslab.scenarios.errors import InputError
 
 SMOKE = load_spec("smoke")
 EXAMPLE = f"{Path(__file__).parents[3] / 'examples' / 'own_slam.py'}:ConstantVelocity"

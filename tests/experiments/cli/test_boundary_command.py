@@ -7,13 +7,13 @@ import pytest
 from PIL import Image
 from unit_fakes import LocalPool, planted_unit
 
-from experiments.campaign.boundary_schedule import BoundarySchedule
-from experiments.campaign.folder import read_rows
-from experiments.eq1.boundary_plan import boundary_plan
-from experiments.eq1.doses import DoseAxis
-from experiments.eq1.spec import load_spec
-from experiments.report.boundary import answer_text, boundary_content
-from experiments.statistics.boundary import Boundary
+from dslab.experiments.campaign.boundary_schedule import BoundarySchedule
+from dslab.experiments.campaign.folder import read_rows
+from dslab.experiments.eq1.boundary_plan import boundary_plan
+from dslab.experiments.eq1.doses import DoseAxis
+from dslab.experiments.eq1.spec import load_spec
+from dslab.experiments.report.boundary import answer_text, boundary_content
+from dslab.experiments.statistics.boundary import Boundary
 
 BLUR = ("experiment", "boundary", "motion_blur", "--of", "base", "--fail", "0.5", "--spec", "smoke")
 
@@ -25,8 +25,8 @@ def search(dslab, monkeypatch, tmp_path):
     def opened(settings, task):
         return nullcontext(LocalPool(task))
 
-    monkeypatch.setattr("experiments.campaign.clusters.embedded_worker_pool", opened)
-    monkeypatch.setattr("experiments.eq1.trial.run_unit", planted_unit)
+    monkeypatch.setattr("dslab.experiments.campaign.clusters.embedded_worker_pool", opened)
+    monkeypatch.setattr("dslab.experiments.eq1.trial.run_unit", planted_unit)
     return lambda *arguments: dslab(*arguments, "--out", tmp_path / "b")
 
 
@@ -104,7 +104,7 @@ def test_a_boundary_outside_the_doses_is_said(search, ends, status, said):
 
 def test_the_folder_of_a_search_is_that_of_an_experiment(search, dslab, monkeypatch, tmp_path):
     monkeypatch.setattr(
-        "experiments.campaign.replay.embedded_worker_pool", lambda _, task: nullcontext(LocalPool(task))
+        "dslab.experiments.campaign.replay.embedded_worker_pool", lambda _, task: nullcontext(LocalPool(task))
     )
     search(*BLUR, "--trials", 20)
     code, out, _ = dslab("experiment", "replay", tmp_path / "b", read_rows(tmp_path / "b")[1][12]["unit_id"])

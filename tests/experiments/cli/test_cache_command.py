@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from scenarios.errors import InputError
-from sim.cache import FolderCache
+from dslab.scenarios.errors import InputError
+from dslab.sim.cache import FolderCache
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def test_doctor_names_the_folder_and_the_cap(dslab, cache, monkeypatch):
     def none() -> dict:
         raise InputError("GL", "not of interest here", "install none")
 
-    monkeypatch.setattr("sim.rendering.gl_context.gl_info", none)
+    monkeypatch.setattr("dslab.sim.rendering.gl_context.gl_info", none)
     out = dslab("doctor")[1]
     (line,) = [line for line in out.splitlines() if "render cache" in line]
     assert str(cache) in line and "0.02 GB of at most 20 GB" in line

@@ -13,9 +13,9 @@ import pytest
 from slam_fakes import fake_factory, make_sequence
 from typer.main import get_command
 
-from experiments.cli.commands import app
-from experiments.runs import execution, slam_settings, sources
-from scenarios.errors import InputError
+from dslab.experiments.cli.commands import app
+from dslab.experiments.runs import execution, slam_settings, sources
+from dslab.scenarios.errors import InputError
 
 
 @pytest.fixture
@@ -59,7 +59,7 @@ def test_help_loads_nothing_heavy():
 def test_linear_algebra_has_one_thread():
     """Sums have other bits with other numbers of threads, and BLAS reads its number when it is loaded."""
     script = (
-        "import os, sys; from experiments.cli import main; early = 'numpy' in sys.modules\n"
+        "import os, sys; from dslab.experiments.cli import main; early = 'numpy' in sys.modules\n"
         "try: sys.argv = ['dslab', '--version']; main()\n"
         "finally: print(early, os.environ['OPENBLAS_NUM_THREADS'])"
     )
@@ -139,14 +139,14 @@ def test_doctor_without_gl_reports_the_rest_and_exits_2(dslab, monkeypatch):
     def none() -> dict:
         raise InputError("GL", "no headless OpenGL here", "install libegl1")
 
-    monkeypatch.setattr("sim.rendering.gl_context.gl_info", none)
+    monkeypatch.setattr("dslab.sim.rendering.gl_context.gl_info", none)
     code, out, err = dslab("doctor")
     assert code == 2 and "numpy" in out and "cores" in out
     assert err.startswith("error: GL: ") and err.count("\n") == 1
 
 
 def test_bench_pools_the_frames_of_all_runs(dslab, monkeypatch, synthetic):
-    monkeypatch.setattr("slam.warmup.warm_up", lambda progress: None)
+    monkeypatch.setattr("dslab.slam.warmup.warm_up", lambda progress: None)
     code, out, _ = dslab("bench", "x", "--runs", "2", "--json")
     figures = json.loads(out.splitlines()[-1])
     assert code == 0
@@ -156,7 +156,7 @@ def test_bench_pools_the_frames_of_all_runs(dslab, monkeypatch, synthetic):
 
 @pytest.mark.parametrize("arguments", [["x"], ["slam", "x"], ["--seed", "3", "x"]], ids=" ".join)
 def test_bench_without_a_command_measures_the_tracker(dslab, monkeypatch, synthetic, arguments):
-    monkeypatch.setattr("slam.warmup.warm_up", lambda progress: None)
+    monkeypatch.setattr("dslab.slam.warmup.warm_up", lambda progress: None)
     code, out, _ = dslab("bench", *arguments, "--json")
     assert code == 0
     assert json.loads(out.splitlines()[-1])["system"] == "base"

@@ -7,14 +7,14 @@ from rerun.chunk import RrdReader
 from slam_fakes import fake_factory, make_sequence
 from unit_fakes import LocalPool, made_up_unit
 
-from experiments.campaign.folder import read_experiment
-from experiments.cli.demo import SCENARIO
-from experiments.cli.run_tables import systems_table
-from experiments.cli.view import view_command
-from experiments.demo import run_demo
-from experiments.statistics.analysis import analyse
-from scenarios.errors import InputError
-from scenarios.loading import load_scenario
+from dslab.experiments.campaign.folder import read_experiment
+from dslab.experiments.cli.demo import SCENARIO
+from dslab.experiments.cli.run_tables import systems_table
+from dslab.experiments.cli.view import view_command
+from dslab.experiments.demo import run_demo
+from dslab.experiments.statistics.analysis import analyse
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.loading import load_scenario
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def test_each_system_has_a_folder_and_all_share_one_recording_and_picture(demo):
 def test_the_viewer_opens_the_demonstration_at_the_first_breakage(demo, monkeypatch):
     out, _, _ = demo
     opened = []
-    monkeypatch.setattr("experiments.recording.open_viewer", lambda path, at: opened.append((path, at)))
+    monkeypatch.setattr("dslab.experiments.recording.open_viewer", lambda path, at: opened.append((path, at)))
     view_command(out)
     assert opened == [(out / "recording.rrd", pytest.approx(160 / 30))]
 
@@ -73,18 +73,19 @@ def test_the_table_separates_the_systems(demo):
 def made_up_units(monkeypatch):
     """Synthetic units, run in this process."""
     monkeypatch.setattr(
-        "experiments.campaign.clusters.embedded_worker_pool", lambda _, task: nullcontext(LocalPool(task))
+        "dslab.experiments.campaign.clusters.embedded_worker_pool",
+        lambda _, task: nullcontext(LocalPool(task)),
     )
-    monkeypatch.setattr("experiments.demo.run_unit", made_up_unit)
+    monkeypatch.setattr("dslab.experiments.demo.run_unit", made_up_unit)
 
 
 @pytest.fixture
 def demo_command(dslab, made_up_units, no_picture, monkeypatch, tmp_path):
     """`dslab demo` of the fake system and synthetic units, into tmp_path / "d"."""
     sequence = make_sequence(60, segment=(20, 30))
-    monkeypatch.setattr("sim.sequence_rendering.render_sequence", lambda *_, **__: sequence)
+    monkeypatch.setattr("dslab.sim.sequence_rendering.render_sequence", lambda *_, **__: sequence)
     monkeypatch.setattr(
-        "experiments.runs.execution.system_factory", lambda: fake_factory(sequence, breaks_at=25)
+        "dslab.experiments.runs.execution.system_factory", lambda: fake_factory(sequence, breaks_at=25)
     )
     monkeypatch.setenv("COLUMNS", "80")
     return lambda *words: dslab("demo", "--out", tmp_path / "d", *words)
@@ -116,7 +117,7 @@ def test_an_interrupted_demonstration_leaves_nothing(demo_command, monkeypatch, 
     def interrupted(unit, cache_dir=None, recording=None):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("experiments.demo.run_unit", interrupted)
+    monkeypatch.setattr("dslab.experiments.demo.run_unit", interrupted)
     assert demo_command()[0] == 130
     assert list(tmp_path.iterdir()) == []
 

@@ -13,11 +13,11 @@ import pytest
 from rich.table import Table
 from slam_fakes import fake_factory, make_sequence
 
-from experiments.cli import console
-from experiments.cli.experiment_progress import experiment_progress
-from experiments.cli.signals import signals_as_interrupts
-from experiments.cli.streams import safe_streams
-from experiments.runs import slam_settings, sources
+from dslab.experiments.cli import console
+from dslab.experiments.cli.experiment_progress import experiment_progress
+from dslab.experiments.cli.signals import signals_as_interrupts
+from dslab.experiments.cli.streams import safe_streams
+from dslab.experiments.runs import slam_settings, sources
 
 HOSTILE = "a[/b] :smile: [red]\udcff{x}"
 
@@ -47,7 +47,7 @@ def test_a_signal_is_one_line_and_128_plus_its_number_and_leaves_nothing(
         os.kill(os.getpid(), number)
         wait_for_the_signal()
 
-    monkeypatch.setattr("experiments.result_folder.execute_recorded", signalled)
+    monkeypatch.setattr("dslab.experiments.result_folder.execute_recorded", signalled)
     number = getattr(signal, sent)
     if signal.getsignal(number) is signal.SIG_IGN:  # these tests may run in the background, or under nohup
         signal.signal(number, signal.default_int_handler)
@@ -115,7 +115,7 @@ def test_an_interruption_that_a_callback_swallows_comes_again():
 
 
 def test_the_solver_leaves_sigterm_alone():
-    program = "import slam.colmap, os, signal; os.kill(os.getpid(), signal.SIGTERM)"
+    program = "import dslab.slam.colmap, os, signal; os.kill(os.getpid(), signal.SIGTERM)"
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, check=False, timeout=60)
     assert (ended.returncode, ended.stderr) == (-signal.SIGTERM, b"")
 
@@ -160,8 +160,8 @@ def test_whatever_is_in_a_name_is_printed(dslab, monkeypatch, source, tmp_path, 
 def test_whatever_is_in_a_name_is_shown_in_progress(monkeypatch):
     shown = io.StringIO()
     terminal = console.Console(file=shown, force_terminal=True, width=200)
-    monkeypatch.setattr("experiments.cli.console.err", terminal)
-    monkeypatch.setattr("experiments.cli.experiment_progress.err", terminal)
+    monkeypatch.setattr("dslab.experiments.cli.console.err", terminal)
+    monkeypatch.setattr("dslab.experiments.cli.experiment_progress.err", terminal)
     with console.progress_bars() as show:
         show(HOSTILE, 1, 2)
     with experiment_progress(HOSTILE):

@@ -15,15 +15,15 @@ import pyarrow.parquet as pq
 import pytest
 from unit_fakes import LocalPool, made_up_record, made_up_unit
 
-from experiments.campaign.folder import TABLE_FILE, export, has_digests, read_experiment
-from experiments.campaign.ledger import LEDGER_FILE, Ledger
-from experiments.campaign.runner import Tally, run_experiment
-from experiments.campaign.unit_job import unit_record
-from experiments.cli.experiment_progress import estimates_text, pace_text
-from experiments.eq1.record_checks import digest_of
-from experiments.eq1.records import added_later, columns, decided
-from experiments.eq1.spec import load_spec
-from scenarios.errors import InputError
+from dslab.experiments.campaign.folder import TABLE_FILE, export, has_digests, read_experiment
+from dslab.experiments.campaign.ledger import LEDGER_FILE, Ledger
+from dslab.experiments.campaign.runner import Tally, run_experiment
+from dslab.experiments.campaign.unit_job import unit_record
+from dslab.experiments.cli.experiment_progress import estimates_text, pace_text
+from dslab.experiments.eq1.record_checks import digest_of
+from dslab.experiments.eq1.records import added_later, columns, decided
+from dslab.experiments.eq1.spec import load_spec
+from dslab.scenarios.errors import InputError
 
 ROOT = Path(__file__).parents[3]
 
@@ -52,9 +52,9 @@ def smoke(finished, monkeypatch, tmp_path):
     def opened(settings, task):
         return nullcontext(LocalPool(task))
 
-    monkeypatch.setattr("experiments.campaign.clusters.embedded_worker_pool", opened)
-    monkeypatch.setattr("experiments.campaign.replay.embedded_worker_pool", opened)
-    monkeypatch.setattr("experiments.eq1.trial.run_unit", made_up_unit)
+    monkeypatch.setattr("dslab.experiments.campaign.clusters.embedded_worker_pool", opened)
+    monkeypatch.setattr("dslab.experiments.campaign.replay.embedded_worker_pool", opened)
+    monkeypatch.setattr("dslab.experiments.eq1.trial.run_unit", made_up_unit)
     return shutil.copytree(finished, tmp_path / "s")
 
 
@@ -164,7 +164,7 @@ def failing(smoke, monkeypatch):
                 raise OSError(28, "No space left on device", f"/cache/{unit.unit_id}")
             return made_up_unit(unit)
 
-        monkeypatch.setattr("experiments.eq1.trial.run_unit", job)
+        monkeypatch.setattr("dslab.experiments.eq1.trial.run_unit", job)
 
     return fail
 

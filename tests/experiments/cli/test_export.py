@@ -5,11 +5,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from experiments.cli.commands import app
-from experiments.runs.sources import open_sequence
-from scenarios.errors import InputError
-from sim.io.euroc_reader import load_euroc_imu
-from sim.sensors.imu import GRAVITY_MPS2
+from dslab.experiments.cli.commands import app
+from dslab.experiments.runs.sources import open_sequence
+from dslab.scenarios.errors import InputError
+from dslab.sim.io.euroc_reader import load_euroc_imu
+from dslab.sim.sensors.imu import GRAVITY_MPS2
 
 SPEC = """
 name: trial

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from experiments.cli.view import _first_breakage_s
-from experiments.runs.execution import slam_camera
-from scenarios.errors import InputError
-from sim.sensors.camera import Intrinsics
+from dslab.experiments.cli.view import _first_breakage_s
+from dslab.experiments.runs.execution import slam_camera
+from dslab.scenarios.errors import InputError
+from dslab.sim.sensors.camera import Intrinsics
 
 LONG = "a" * 300
 SCENARIO = "name: x\nworld: {kind: room}\n"
@@ -95,7 +95,7 @@ def test_a_seed_that_could_not_be_read_back_is_no_option(dslab, tmp_path, comman
 
 
 def test_no_place_has_a_zero_byte_in_its_name():
-    from sim.io.folders import check_free
+    from dslab.sim.io.folders import check_free
 
     with pytest.raises(InputError, match="no possible name"):
         check_free(Path("a\0b"))

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import pytest
 from slam_fakes import make_sequence
 
-from sim.io.tum import write_tum
-from sim.rendering import gl_context
+from dslab.sim.io.tum import write_tum
+from dslab.sim.rendering import gl_context
 
 HUGE = """
 name: huge

@@ -6,14 +6,14 @@ from dataclasses import replace
 import pytest
 from slam_fakes import fake_factory, make_sequence
 
-from experiments.cli import run_tables
-from experiments.cli.run_tables import breakage_table
-from experiments.cli.view import view_command
-from experiments.evaluation.audit_text import audit_text
-from experiments.evaluation.summary import summarise
-from experiments.runs import slam_settings, sources
-from experiments.runs.execution import execute
-from slam.core.events import Breakage
+from dslab.experiments.cli import run_tables
+from dslab.experiments.cli.run_tables import breakage_table
+from dslab.experiments.cli.view import view_command
+from dslab.experiments.evaluation.audit_text import audit_text
+from dslab.experiments.evaluation.summary import summarise
+from dslab.experiments.runs import slam_settings, sources
+from dslab.experiments.runs.execution import execute
+from dslab.slam.core.events import Breakage
 
 
 def summary_of(kind="dual", sequence=None, **script):
@@ -114,7 +114,7 @@ def test_several_systems_have_a_folder_each_and_one_picture_table_and_recording(
         assert {"summary.json", "trajectory.txt", "trajectory.png"} <= own
         assert sum(line.startswith(f"{kind} ") for line in out.splitlines()) >= 2
     opened = []
-    monkeypatch.setattr("experiments.recording.open_viewer", lambda path, at: opened.append((path, at)))
+    monkeypatch.setattr("dslab.experiments.recording.open_viewer", lambda path, at: opened.append((path, at)))
     view_command(folder)
     assert opened == [(folder / "recording.rrd", pytest.approx(160 / 30))]
 

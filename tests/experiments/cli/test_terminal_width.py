@@ -11,12 +11,12 @@ import pytest
 from rich.console import Console
 from typer.main import get_command
 
-from experiments.campaign.folder import ERRORS_FILE
-from experiments.campaign.runner import Tally
-from experiments.cli import bench, console, fuzz
-from experiments.cli.commands import app
-from experiments.cli.experiment_progress import experiment_progress
-from scenarios.families import library_names, load_family
+from dslab.experiments.campaign.folder import ERRORS_FILE
+from dslab.experiments.campaign.runner import Tally
+from dslab.experiments.cli import bench, console, fuzz
+from dslab.experiments.cli.commands import app
+from dslab.experiments.cli.experiment_progress import experiment_progress
+from dslab.scenarios.families import library_names, load_family
 
 PUBLISHED = Path(__file__).resolve().parents[3] / "docs" / "eq1-quick"
 
@@ -78,7 +78,7 @@ def test_the_report_prints_its_answer(dslab, monkeypatch, tmp_path):
         (folder / "report.json").write_text(json.dumps({"answer": answer}))
         return folder / "report.html"
 
-    monkeypatch.setattr("experiments.report.write.write_report", write)
+    monkeypatch.setattr("dslab.experiments.report.write.write_report", write)
     shutil.copytree(PUBLISHED, tmp_path / "p")
     code, out, _ = dslab("experiment", "report", tmp_path / "p")
     assert code == 0 and out.startswith("No.\nAsked.\n") and out.endswith("report.html\n")
@@ -88,7 +88,7 @@ def test_the_report_prints_its_answer(dslab, monkeypatch, tmp_path):
 def test_progress_shows_count_bar_and_time_left(monkeypatch):
     shown = io.StringIO()
     terminal = Console(file=shown, force_terminal=True, width=80, color_system=None)
-    monkeypatch.setattr("experiments.cli.experiment_progress.err", terminal)
+    monkeypatch.setattr("dslab.experiments.cli.experiment_progress.err", terminal)
     with experiment_progress("eq1-full") as show:
         show(Tally(1234, 5400, 1180, 44, 10, 50, breakages=401, failures=211, ended_here=617, workers=8))
     lines = shown.getvalue().splitlines()
@@ -121,7 +121,7 @@ def test_every_column_has_a_name_of_its_own(capsys, table):
 def test_the_viewer_says_nothing_of_its_own(capfd, monkeypatch, tmp_path):
     from rerun.experimental import ViewerClient
 
-    from experiments.recording import open_viewer
+    from dslab.experiments.recording import open_viewer
 
     def spawn(**_):
         os.write(2, b"Error: winit EventLoopError\n")

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from slam_fakes import FakeSystem, make_sequence
 
-from experiments.comparison.compare import FIGURES_FILE, PAGE_FILE, compare_runs
-from experiments.evaluation.audit_text import audit_text
-from experiments.evaluation.metrics import PosePairs
-from experiments.evaluation.robustness import robustness, share_within, step_errors
-from experiments.result_folder import run_systems
-from scenarios.errors import InputError
+from dslab.experiments.comparison.compare import FIGURES_FILE, PAGE_FILE, compare_runs
+from dslab.experiments.evaluation.audit_text import audit_text
+from dslab.experiments.evaluation.metrics import PosePairs
+from dslab.experiments.evaluation.robustness import robustness, share_within, step_errors
+from dslab.experiments.result_folder import run_systems
+from dslab.scenarios.errors import InputError
 
 FRAMES = 60
 

@@ -12,16 +12,16 @@ from report_fakes import FakeSpec, fake_table
 from scipy.spatial.transform import Rotation
 from unit_scenes import ONSET, run, synthetic, unit
 
-from experiments.eq1.conditioning import PAIRS_PER_GAP, first_frames, judge_pairs, relative_pose
-from experiments.eq1.record_table import normalise
-from experiments.eq1.records import PAIR_COLUMNS, PAIR_GAPS, columns, decided, pair_column
-from experiments.report.content import report_content
-from experiments.report.page import report_html
-from experiments.report.plots.conditioning import draw_conditioning
-from experiments.report.plots.draw import rendered
-from experiments.report.plots.style import settings
-from experiments.statistics.conditioning import baseline_errors, lead_ins
-from slam.warmup import CAMERA
+from dslab.experiments.eq1.conditioning import PAIRS_PER_GAP, first_frames, judge_pairs, relative_pose
+from dslab.experiments.eq1.record_table import normalise
+from dslab.experiments.eq1.records import PAIR_COLUMNS, PAIR_GAPS, columns, decided, pair_column
+from dslab.experiments.report.content import report_content
+from dslab.experiments.report.page import report_html
+from dslab.experiments.report.plots.conditioning import draw_conditioning
+from dslab.experiments.report.plots.draw import rendered
+from dslab.experiments.report.plots.style import settings
+from dslab.experiments.statistics.conditioning import baseline_errors, lead_ins
+from dslab.slam.warmup import CAMERA
 
 QUICK = 19
 NAMES = [pair_column(gap, name) for gap in PAIR_GAPS for name in PAIR_COLUMNS]

@@ -4,14 +4,14 @@ import jsonschema
 import pytest
 import yaml
 
-from experiments.eq1.arms import settings_of
-from experiments.eq1.spec import ExperimentSpec, load_spec, preset_names
-from experiments.eq1.spec_schema import json_schema
-from experiments.eq1.units import UnitSpec
-from scenarios.errors import InputError
-from slam.core.camera import PinholeCamera
-from slam.dual.recovery.direct import DirectRecoveryConfig
-from slam.tracking.tracker import TrackingConfig
+from dslab.experiments.eq1.arms import settings_of
+from dslab.experiments.eq1.spec import ExperimentSpec, load_spec, preset_names
+from dslab.experiments.eq1.spec_schema import json_schema
+from dslab.experiments.eq1.units import UnitSpec
+from dslab.scenarios.errors import InputError
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.dual.recovery.direct import DirectRecoveryConfig
+from dslab.slam.tracking.tracker import TrackingConfig
 
 VALIDATOR = jsonschema.Draft202012Validator(json_schema())
 SPEC = """\

@@ -7,10 +7,10 @@ import pytest
 from system_programs import write_program
 from unit_scenes import END, ONSET, run, synthetic, unit
 
-from experiments.eq1 import free_systems
-from experiments.eq1.records import decided
-from experiments.eq1.trial import run_unit
-from experiments.runs.systems.command_spec import Limits
+from dslab.experiments.eq1 import free_systems
+from dslab.experiments.eq1.records import decided
+from dslab.experiments.eq1.trial import run_unit
+from dslab.experiments.runs.systems.command_spec import Limits
 
 SEQUENCE = synthetic()
 EXAMPLE = Path(__file__).parents[3] / "examples" / "own_slam.py"

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from slam_fakes import fake_factory, make_sequence
 
-from experiments.eq1 import judging
-from experiments.eq1.arms import Exposure, FreeArm
-from experiments.eq1.judging import judge_free
-from experiments.eq1.mission import Fault, false_declarations
-from experiments.eq1.recovery_judging import Reference
-from experiments.runs.execution import execute
+from dslab.experiments.eq1 import judging
+from dslab.experiments.eq1.arms import Exposure, FreeArm
+from dslab.experiments.eq1.judging import judge_free
+from dslab.experiments.eq1.mission import Fault, false_declarations
+from dslab.experiments.eq1.recovery_judging import Reference
+from dslab.experiments.runs.execution import execute
 
 SEQUENCE = make_sequence()
 FIRST, LAST = 150, 180

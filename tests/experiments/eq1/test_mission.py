@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from unit_scenes import END, FPS, FRAMES, ONSET, run, synthetic, unit
 
-from experiments.eq1 import arms, rescuable, shared_lead_ins
-from experiments.eq1.arms import Exposure
-from experiments.eq1.mission import Fault, final_pose_faults, first_cause
-from experiments.eq1.records import decided
-from experiments.evaluation.view_overlap import BestOverlap
-from slam.core.results import MapTrajectory
+from dslab.experiments.eq1 import arms, rescuable, shared_lead_ins
+from dslab.experiments.eq1.arms import Exposure
+from dslab.experiments.eq1.mission import Fault, final_pose_faults, first_cause
+from dslab.experiments.eq1.records import decided
+from dslab.experiments.evaluation.view_overlap import BestOverlap
+from dslab.slam.core.results import MapTrajectory
 
 EXPOSURE = Exposure(ONSET / FPS, (END - ONSET + 1) / FPS, ONSET, END, END + 7)
 
@@ -53,7 +53,7 @@ def test_the_first_cause_is_the_earliest_and_what_was_declared_before_what_was_a
 
 def test_a_false_first_success_fails_the_system_though_a_later_thread_is_right():
     """Planted: thread 1 declares success falsely, thread 2 rightly; so S_2 without D_2."""
-    from experiments.eq1.judging import system_failures
+    from dslab.experiments.eq1.judging import system_failures
 
     assert system_failures(True, failed=[True, False], declared=[True, True]) == ([True, False], [True, True])
     assert system_failures(True, failed=[True, False], declared=[False, True]) == (

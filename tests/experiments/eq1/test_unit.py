@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from unit_scenes import END, FRAMES, ONSET, run, synthetic, unit
 
-from experiments.eq1 import shared_lead_ins, trial
-from experiments.eq1.arms import CpuClock, Exposure, run_crossing, run_free, run_lead_in, settings_of
-from experiments.eq1.records import columns, decided, thread_column
-from experiments.runs.execution import execute
-from experiments.runs.slam_settings import factory_of
-from scenarios.errors import InputError
-from slam.core.events import RecoveryEnd
-from slam.engine import SlamEngine
-from slam.features.orb import OrbExtractor
-from slam.features.sift_detector import SiftDetector
+from dslab.experiments.eq1 import shared_lead_ins, trial
+from dslab.experiments.eq1.arms import CpuClock, Exposure, run_crossing, run_free, run_lead_in, settings_of
+from dslab.experiments.eq1.records import columns, decided, thread_column
+from dslab.experiments.runs.execution import execute
+from dslab.experiments.runs.slam_settings import factory_of
+from dslab.scenarios.errors import InputError
+from dslab.slam.core.events import RecoveryEnd
+from dslab.slam.engine import SlamEngine
+from dslab.slam.features.orb import OrbExtractor
+from dslab.slam.features.sift_detector import SiftDetector
 
 BROKEN = synthetic(range(85, 91))
 
@@ -135,7 +135,7 @@ def test_an_error_in_the_programs_is_an_infrastructure_error(monkeypatch):
     monkeypatch.setattr(trial, "_render", refuse)
     record = trial.run_unit(unit())
     assert record["outcome"] == "infrastructure_error" and "libegl1" in record["message"]
-    monkeypatch.setattr("experiments.eq1.arms.run_lead_in", None)
+    monkeypatch.setattr("dslab.experiments.eq1.arms.run_lead_in", None)
     record = run(monkeypatch, synthetic(frames=ONSET + 3))  # ends within the exposed segment
     assert record["outcome"] == "infrastructure_error" and "arms.py" in record["message"]
     assert record["d1"] is None and record["wall_s"] > 0

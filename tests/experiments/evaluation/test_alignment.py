@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from experiments.evaluation.alignment import Similarity, Undefined, align_poses, rotation_angle_deg, umeyama
+from dslab.experiments.evaluation.alignment import (
+    Similarity,
+    Undefined,
+    align_poses,
+    rotation_angle_deg,
+    umeyama,
+)
 
 
 def random_similarity(rng) -> Similarity:

@@ -5,11 +5,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from slam_fakes import circle, fake_factory, make_sequence
 
-from experiments.evaluation.alignment import Undefined
-from experiments.evaluation.audit import AuditBounds, audit_fusion, audit_loss, audit_relation
-from experiments.evaluation.summary import summarise
-from experiments.runs.execution import execute
-from slam.core.results import MapTrajectory
+from dslab.experiments.evaluation.alignment import Undefined
+from dslab.experiments.evaluation.audit import AuditBounds, audit_fusion, audit_loss, audit_relation
+from dslab.experiments.evaluation.summary import summarise
+from dslab.experiments.runs.execution import execute
+from dslab.slam.core.results import MapTrajectory
 
 N = 300
 STAMPS = np.arange(N) / 30

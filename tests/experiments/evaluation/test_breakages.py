@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from slam_fakes import make_sequence
 
-from experiments.evaluation.breakages import breakage_outcomes, segment_of_frame, segments_of_frame
-from slam.core import events as ev
+from dslab.experiments.evaluation.breakages import breakage_outcomes, segment_of_frame, segments_of_frame
+from dslab.slam.core import events as ev
 
 SEQUENCE = make_sequence()
 STAMPS = list(SEQUENCE.stamps_s)

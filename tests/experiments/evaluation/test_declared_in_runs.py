@@ -7,22 +7,22 @@ import pytest
 from loop_scenes import ring
 from slam_fakes import simulated_camera
 
-from experiments.evaluation.declared_audit import audit_declared
-from experiments.evaluation.relation_audit import RelationBounds, audit_asserted
-from experiments.runs.execution import execute, system_factory
-from sim.sequence import Sequence
-from slam.core.frame import Frame
-from slam.dual.config import DualConfig
-from slam.dual.fusion import fuse
-from slam.dual.fusion.prepared import PreparedFusion
-from slam.dual.recovery.registry import ThreadSpec
-from slam.loop_closing.detection import LoopClosingConfig, LoopDetector
-from slam.loop_closing.judgement import JudgementConfig
-from slam.map.relation import loop_relation
-from slam.runtime.backend import KeyframeTask
-from slam.system import MonocularSlam
-from slam.tracking.probation import Probation
-from slam.warmup import CAMERA, toy_frames
+from dslab.experiments.evaluation.declared_audit import audit_declared
+from dslab.experiments.evaluation.relation_audit import RelationBounds, audit_asserted
+from dslab.experiments.runs.execution import execute, system_factory
+from dslab.sim.sequence import Sequence
+from dslab.slam.core.frame import Frame
+from dslab.slam.dual.config import DualConfig
+from dslab.slam.dual.fusion import fuse
+from dslab.slam.dual.fusion.prepared import PreparedFusion
+from dslab.slam.dual.recovery.registry import ThreadSpec
+from dslab.slam.loop_closing.detection import LoopClosingConfig, LoopDetector
+from dslab.slam.loop_closing.judgement import JudgementConfig
+from dslab.slam.map.relation import loop_relation
+from dslab.slam.runtime.backend import KeyframeTask
+from dslab.slam.system import MonocularSlam
+from dslab.slam.tracking.probation import Probation
+from dslab.slam.warmup import CAMERA, toy_frames
 
 RECOVERY_ALONE = DualConfig(recovery_threads=(ThreadSpec("orb"),), relocalization=False, place_merging=None)
 PLACE_ALONE = DualConfig(recovery_threads=(), relocalization=False)

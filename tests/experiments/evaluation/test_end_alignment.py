@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from slam_fakes import circle
 
-from experiments.evaluation.alignment import Undefined
-from experiments.evaluation.end_alignment import END_S, end_alignment_error_m
-from slam.core.results import MapTrajectory
+from dslab.experiments.evaluation.alignment import Undefined
+from dslab.experiments.evaluation.end_alignment import END_S, end_alignment_error_m
+from dslab.slam.core.results import MapTrajectory
 
 FRAMES, FPS = 600, 10.0
 STAMPS_S = np.arange(FRAMES) / FPS

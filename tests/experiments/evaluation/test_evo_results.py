@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from scenarios.errors import InputError
-from sim.io.truth import tum_poses_text
+from dslab.scenarios.errors import InputError
+from dslab.sim.io.truth import tum_poses_text
 
 evo_ape = pytest.importorskip("evo.main_ape")
 from evo.core import sync  # noqa: E402
 from evo.core.metrics import PoseRelation  # noqa: E402
 from evo.tools import file_interface  # noqa: E402
 
-from experiments.evaluation.evo_result import STATISTICS, read_evo_result  # noqa: E402
+from dslab.experiments.evaluation.evo_result import STATISTICS, read_evo_result  # noqa: E402
 
 COUNT = 40
 

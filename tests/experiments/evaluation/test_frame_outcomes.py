@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from slam_fakes import fake_factory, make_sequence
 
-from experiments.evaluation.frame_outcomes import FrameOutcome, frame_outcomes
-from experiments.runs.execution import execute
+from dslab.experiments.evaluation.frame_outcomes import FrameOutcome, frame_outcomes
+from dslab.experiments.runs.execution import execute
 
 
 def with_posed(record, first, last):

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from slam_fakes import circle
 
-from experiments.evaluation.alignment import Similarity, Undefined
-from experiments.evaluation.metrics import (
+from dslab.experiments.evaluation.alignment import Similarity, Undefined
+from dslab.experiments.evaluation.metrics import (
     PosePairs,
     associate,
     ate,
@@ -15,7 +15,7 @@ from experiments.evaluation.metrics import (
     rpe,
     scale_along,
 )
-from slam.core.results import MapTrajectory
+from dslab.slam.core.results import MapTrajectory
 
 S = Similarity(0.3, Rotation.from_euler("xyz", [0.4, 1.0, -2.0]).as_matrix(), np.array([3.0, -1, 7]))
 

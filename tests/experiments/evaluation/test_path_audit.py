@@ -7,13 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from slam_fakes import circle, fake_factory, make_sequence
 
-from experiments.evaluation.audit import AuditBounds
-from experiments.evaluation.audit_text import audit_text, runs_text
-from experiments.evaluation.path_audit import audit_path
-from experiments.evaluation.summary import summarise
-from experiments.runs.execution import execute
-from slam.core.events import LoopClosed
-from slam.core.results import MapTrajectory
+from dslab.experiments.evaluation.audit import AuditBounds
+from dslab.experiments.evaluation.audit_text import audit_text, runs_text
+from dslab.experiments.evaluation.path_audit import audit_path
+from dslab.experiments.evaluation.summary import summarise
+from dslab.experiments.runs.execution import execute
+from dslab.slam.core.events import LoopClosed
+from dslab.slam.core.results import MapTrajectory
 
 FPS = 30
 

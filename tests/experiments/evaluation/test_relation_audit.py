@@ -5,13 +5,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from slam_fakes import circle, fake_factory, make_sequence
 
-from experiments.eq1.judging import declared_columns
-from experiments.evaluation.declared_audit import audit_declared
-from experiments.evaluation.relation_audit import RelationBounds, audit_asserted
-from experiments.evaluation.summary import summarise
-from experiments.runs.execution import execute
-from slam.core import events as ev
-from slam.core.relation import PlacedFrames, Relation
+from dslab.experiments.eq1.judging import declared_columns
+from dslab.experiments.evaluation.declared_audit import audit_declared
+from dslab.experiments.evaluation.relation_audit import RelationBounds, audit_asserted
+from dslab.experiments.evaluation.summary import summarise
+from dslab.experiments.runs.execution import execute
+from dslab.slam.core import events as ev
+from dslab.slam.core.relation import PlacedFrames, Relation
 
 N = 600
 STAMPS = np.arange(N) / 30

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from world_views import along, cheap_textures, length
 
-from experiments.evaluation.view_overlap import (
+from dslab.experiments.evaluation.view_overlap import (
     RESCUABLE_OVERLAP,
     best_overlap,
     is_rescuable,
     view_overlap,
 )
-from scenarios.spec import Scenario
-from sim.depth_thumbnails import depth_thumbnails
-from sim.frame_plan import mujoco_backend
-from sim.sensors.camera import Intrinsics
-from sim.sensors.shared_view import seen_share
-from sim.worlds import layout
+from dslab.scenarios.spec import Scenario
+from dslab.sim.depth_thumbnails import depth_thumbnails
+from dslab.sim.frame_plan import mujoco_backend
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.shared_view import seen_share
+from dslab.sim.worlds import layout
 
 CAMERA = Intrinsics(80, 60, 64.0, 64.0, 39.5, 29.5, 30.0)
 ROW, COLUMN = np.mgrid[:60, :80].astype(float)
@@ -188,7 +188,7 @@ def walked(tmp_path_factory):
 
 def uncached_worlds():
     """A backend whose worlds with cheap textures are not kept for other tests."""
-    from sim.worlds import build_world
+    from dslab.sim.worlds import build_world
 
     return replace(mujoco_backend(), build_world=build_world)
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from slam_fakes import simulated_camera
 
-from experiments import cli
-from experiments.campaign.worker_pool import Ended, WorkerPool
-from experiments.fuzz.drawn_threads import drawn_threads
-from experiments.fuzz.fuzzing import (
+from dslab.experiments import cli
+from dslab.experiments.campaign.worker_pool import Ended, WorkerPool
+from dslab.experiments.fuzz.drawn_threads import drawn_threads
+from dslab.experiments.fuzz.fuzzing import (
     FuzzUnit,
     empty_row,
     failed,
@@ -21,11 +21,11 @@ from experiments.fuzz.fuzzing import (
     replay_command,
     run_fuzz,
 )
-from scenarios.loading import load_scenario
-from scenarios.random_scenarios import random_scenario
-from sim.sequence import Sequence
-from slam.factory import build_system
-from slam.warmup import CAMERA, toy_frames
+from dslab.scenarios.loading import load_scenario
+from dslab.scenarios.random_scenarios import random_scenario
+from dslab.sim.sequence import Sequence
+from dslab.slam.factory import build_system
+from dslab.slam.warmup import CAMERA, toy_frames
 
 UNIT = FuzzUnit(4, ("base", "dual"))
 
@@ -93,7 +93,7 @@ def test_a_failure_to_render_is_reported(monkeypatch):
     def broken(scenario, cache_dir):
         raise RuntimeError("no light")
 
-    monkeypatch.setattr("experiments.fuzz.fuzzing.render_sequence", broken)
+    monkeypatch.setattr("dslab.experiments.fuzz.fuzzing.render_sequence", broken)
     rows = list(fuzz_unit(UNIT))
     assert [(r["system"], r["outcome"], r["stage"]) for r in rows] == [
         ("base", "exception", "render"), ("dual", "exception", "render"),
@@ -112,7 +112,7 @@ def test_recovery_threads_are_drawn_by_seed_in_many_orders(monkeypatch, sequence
         built.append(build(kind, CAMERA, seed).dual.recovery_threads)
         raise ZeroDivisionError
 
-    monkeypatch.setattr("experiments.fuzz.fuzzing.execute", run)
+    monkeypatch.setattr("dslab.experiments.fuzz.fuzzing.execute", run)
     row = fuzz_run(FuzzUnit(seed, ("dual",)), "dual", random_scenario(seed), sequence)
     assert built == [drawn_threads(seed)] and row["recovery"] == "orb,direct,sift"
     assert empty_row(UNIT, "base")["recovery"] == "" == empty_row(UNIT, "paper")["recovery"]
@@ -206,7 +206,7 @@ def dslab(monkeypatch, capsys, *arguments):
 
 @pytest.mark.slow
 def test_the_command_fails_if_a_run_fails(monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr("experiments.fuzz.fuzzing.fuzz_unit", scripted)
+    monkeypatch.setattr("dslab.experiments.fuzz.fuzzing.fuzz_unit", scripted)
     code, out, _ = dslab(monkeypatch, capsys, "--units", "2", "--out", str(tmp_path / "a"))
     assert code == 0 and "4 runs" in out and "replay" not in out
     code, out, _ = dslab(

@@ -9,10 +9,10 @@ import cv2
 import pytest
 from html_page import Page
 
-from experiments.gallery.build import Gallery, make_gallery
-from scenarios.errors import InputError
-from scenarios.families import load_family
-from sim.sequence_rendering import render_sequence
+from dslab.experiments.gallery.build import Gallery, make_gallery
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.families import load_family
+from dslab.sim.sequence_rendering import render_sequence
 
 CAMERA = "{width_px: 320, height_px: 240, fx_px: 230, fy_px: 230, cx_px: 159.5, cy_px: 119.5, fps: 10}"
 PAIR = f"""
@@ -179,7 +179,7 @@ def test_the_command_passes_its_options_on_and_prints_the_page(dslab, monkeypatc
         asked.append(arguments[:-1])
         return Gallery(arguments[1] / "index.html", 1, 2, 10)
 
-    monkeypatch.setattr("experiments.gallery.build.make_gallery", make)
+    monkeypatch.setattr("dslab.experiments.gallery.build.make_gallery", make)
     out = tmp_path / "out"
     code, printed, _ = dslab("scenarios", "gallery", "lone", "--out", out, "--seeds", "2", "--frames", "3")
     assert code == 0 and asked == [(["lone"], out, 2, 3, 1)]

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from html_page import Page
 
-from experiments.gallery.outline import draw_outline, frame_of, level_cut
-from experiments.gallery.page import Entry, gallery_html
-from experiments.gallery.plan_map import plan_map
-from experiments.gallery.sheet import Sheet, Thumb, Track, chosen_frames
-from experiments.gallery.timeline import curves
-from scenarios.families import load_family
-from scenarios.segment_text import parse_segment
-from scenarios.spec import Scenario
-from sim.degradations.base import FramePlan
-from sim.degradations.frame_drops import FrameDropsDegradation
-from sim.worlds.base import Surface, WorldModel
+from dslab.experiments.gallery.outline import draw_outline, frame_of, level_cut
+from dslab.experiments.gallery.page import Entry, gallery_html
+from dslab.experiments.gallery.plan_map import plan_map
+from dslab.experiments.gallery.sheet import Sheet, Thumb, Track, chosen_frames
+from dslab.experiments.gallery.timeline import curves
+from dslab.scenarios.families import load_family
+from dslab.scenarios.segment_text import parse_segment
+from dslab.scenarios.spec import Scenario
+from dslab.sim.degradations.base import FramePlan
+from dslab.sim.degradations.frame_drops import FrameDropsDegradation
+from dslab.sim.worlds.base import Surface, WorldModel
 
 
 def plan_of(frames: int) -> FramePlan:

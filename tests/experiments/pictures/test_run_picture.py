@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from slam_fakes import fake_factory, make_sequence
 
-from experiments.pictures.run_picture import runs_figure
-from experiments.runs.execution import execute
-from sim.sequence import SegmentTruth
-from slam.core.events import Breakage
+from dslab.experiments.pictures.run_picture import runs_figure
+from dslab.experiments.runs.execution import execute
+from dslab.sim.sequence import SegmentTruth
+from dslab.slam.core.events import Breakage
 
 KINDS = ("low_texture", "motion_blur", "fast_rotation", "repeated_texture", "covered_lens", "rain", "fog")
 

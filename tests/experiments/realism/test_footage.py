@@ -11,11 +11,11 @@ from slam_scenes import CAMERA as SLAM_CAMERA
 from slam_scenes import random_map, scene
 from small_world import CAMERA, CORRIDOR
 
-from experiments.realism.comparison import distance
-from experiments.realism.images import frame_statistics
-from experiments.realism.live import live_residuals
-from experiments.realism.measures import MEASURES
-from experiments.realism.tracked import map_statistics
+from dslab.experiments.realism.comparison import distance
+from dslab.experiments.realism.images import frame_statistics
+from dslab.experiments.realism.live import live_residuals
+from dslab.experiments.realism.measures import MEASURES
+from dslab.experiments.realism.tracked import map_statistics
 
 
 def image(noise=1.0, blur_px=0.0, seed=0):

@@ -6,16 +6,16 @@ from itertools import pairwise
 import numpy as np
 from slam_fakes import CAMERA, fake_factory, make_sequence
 
-from experiments.evaluation.frame_outcomes import FrameOutcome, frame_outcomes, known_from
-from experiments.evaluation.scene import lay_out
-from experiments.recording import palette
-from experiments.recording.describe import describe_event
-from experiments.recording.lanes import LETTERS, Lane, segment_lanes, system_lanes
-from experiments.recording.paths import RunPaths, pins, strips
-from experiments.recording.stories import stories
-from experiments.runs.execution import RunRecord, execute
-from slam.core import events as ev
-from slam.core.results import MapTrajectory
+from dslab.experiments.evaluation.frame_outcomes import FrameOutcome, frame_outcomes, known_from
+from dslab.experiments.evaluation.scene import lay_out
+from dslab.experiments.recording import palette
+from dslab.experiments.recording.describe import describe_event
+from dslab.experiments.recording.lanes import LETTERS, Lane, segment_lanes, system_lanes
+from dslab.experiments.recording.paths import RunPaths, pins, strips
+from dslab.experiments.recording.stories import stories
+from dslab.experiments.runs.execution import RunRecord, execute
+from dslab.slam.core import events as ev
+from dslab.slam.core.results import MapTrajectory
 
 BREAKS, NEW_MAP = 160, 180
 

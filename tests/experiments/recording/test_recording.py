@@ -12,13 +12,13 @@ import pytest
 from rerun.chunk import RrdReader
 from slam_fakes import CAMERA, FakeSystem, fake_factory, make_sequence
 
-from experiments.evaluation.scene import lay_out
-from experiments.recording import Recording, palette
-from experiments.recording.describe import describe_event
-from experiments.result_folder import run_sequence
-from experiments.runs.execution import execute
-from slam.core.events import Event, RelatingEvent, TrackingState
-from slam.core.results import PhotometricView
+from dslab.experiments.evaluation.scene import lay_out
+from dslab.experiments.recording import Recording, palette
+from dslab.experiments.recording.describe import describe_event
+from dslab.experiments.result_folder import run_sequence
+from dslab.experiments.runs.execution import execute
+from dslab.slam.core.events import Event, RelatingEvent, TrackingState
+from dslab.slam.core.results import PhotometricView
 
 PER_SYSTEM = (
     "/world/{}/camera", "/world/{}/map_0/path", "/world/{}/map_0/points", "/world/{}/map_0/keyframes",
@@ -145,7 +145,7 @@ def test_the_blueprint_shows_each_system_and_opens_at_the_breakage(side_by_side)
 
 def test_the_viewer_opens_at_the_breakage_as_counted_from_the_first_frame(dslab, monkeypatch, tmp_path):
     opened = []
-    monkeypatch.setattr("experiments.recording.open_viewer", lambda path, at: opened.append(at))
+    monkeypatch.setattr("dslab.experiments.recording.open_viewer", lambda path, at: opened.append(at))
     (tmp_path / "recording.rrd").touch()
     breakage = {"stamp_s": 1305031106.75, "time_s": 4.5}
     (tmp_path / "summary.json").write_text(json.dumps({"breakage_list": [breakage]}))

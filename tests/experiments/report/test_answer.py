@@ -6,12 +6,12 @@ import pytest
 from report_fakes import FakeSpec, fake_table
 from test_documented_results import FIRST
 
-from experiments.campaign.folder import read_experiment
-from experiments.eq1.former_spec import load_any_spec
-from experiments.eq1.spec import load_spec, preset_names
-from experiments.report.answer import MEANINGS, answer
-from experiments.report.conditions import conditions, describe_stress, doses_of
-from experiments.report.content import report_content
+from dslab.experiments.campaign.folder import read_experiment
+from dslab.experiments.eq1.former_spec import load_any_spec
+from dslab.experiments.eq1.spec import load_spec, preset_names
+from dslab.experiments.report.answer import MEANINGS, answer
+from dslab.experiments.report.conditions import conditions, describe_stress, doses_of
+from dslab.experiments.report.content import report_content
 
 
 @pytest.fixture(scope="module")

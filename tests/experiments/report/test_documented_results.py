@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from experiments.campaign.folder import read_experiment
-from experiments.eq1.spec import load_spec
-from experiments.report.content import report_content
-from experiments.report.describe import interval_of_share, percent
-from experiments.runs.files import to_json
+from dslab.experiments.campaign.folder import read_experiment
+from dslab.experiments.eq1.spec import load_spec
+from dslab.experiments.report.content import report_content
+from dslab.experiments.report.describe import interval_of_share, percent
+from dslab.experiments.runs.files import to_json
 
 ROOT = Path(__file__).resolve().parents[3]
 FIRST, RUN = ROOT / "docs" / "eq1-quick", ROOT / "docs" / "eq1"

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from experiments.report.paths_file import PATHS_FILE, add_paths, read_paths
-from scenarios.errors import InputError
+from dslab.experiments.report.paths_file import PATHS_FILE, add_paths, read_paths
+from dslab.scenarios.errors import InputError
 
 
 @pytest.mark.parametrize("content", [b"", b"PK", {"u.truth": np.zeros(3)}, {"u.truth": np.array(["x"])}])

@@ -17,20 +17,20 @@ from html_page import Page
 from report_fakes import FakeSpec, fake_table
 from slam_fakes import fake_factory, make_sequence
 
-from experiments.eq1.units import ThreadChoice
-from experiments.report import recordings, write
-from experiments.report.content import report_content
-from experiments.report.describe import percent
-from experiments.report.page import report_html
-from experiments.report.paths_file import add_paths, paths_of, read_paths
-from experiments.report.plots import draw
-from experiments.report.plots.doses import draw_doses
-from experiments.report.plots.draw import Image, Plot, rendered
-from experiments.report.plots.paths import draw_paths
-from experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
-from experiments.report.write import write_files, write_report
-from experiments.runs.execution import execute
-from scenarios.errors import InputError
+from dslab.experiments.eq1.units import ThreadChoice
+from dslab.experiments.report import recordings, write
+from dslab.experiments.report.content import report_content
+from dslab.experiments.report.describe import percent
+from dslab.experiments.report.page import report_html
+from dslab.experiments.report.paths_file import add_paths, paths_of, read_paths
+from dslab.experiments.report.plots import draw
+from dslab.experiments.report.plots.doses import draw_doses
+from dslab.experiments.report.plots.draw import Image, Plot, rendered
+from dslab.experiments.report.plots.paths import draw_paths
+from dslab.experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
+from dslab.experiments.report.write import write_files, write_report
+from dslab.experiments.runs.execution import execute
+from dslab.scenarios.errors import InputError
 
 IMAGE = Image(b"<svg xmlns='http://www.w3.org/2000/svg' width='300' height='150'/>", 300, 150)
 PLOT = Plot("doses", "A plot.", IMAGE, IMAGE, b"png")
@@ -330,7 +330,9 @@ def test_text_from_specs_and_records_is_escaped(made):
 @pytest.fixture
 def folder(made, tmp_path, monkeypatch) -> Path:
     """A folder that `read_experiment` knows, with the figures of the made report and one plot."""
-    monkeypatch.setattr("experiments.campaign.folder.read_experiment", lambda where: (made.spec, made.table))
+    monkeypatch.setattr(
+        "dslab.experiments.campaign.folder.read_experiment", lambda where: (made.spec, made.table)
+    )
     monkeypatch.setattr(
         write, "report_content", lambda spec, table, where: json.loads(json.dumps(made.report))
     )
@@ -346,8 +348,8 @@ def test_recordings_are_made_once_and_linked(made, folder, monkeypatch):
         path.write_bytes(b"rrd")
         return "runs"
 
-    monkeypatch.setattr("experiments.eq1.trial.record_runs", record_runs, raising=False)
-    monkeypatch.setattr("sim.sequence_rendering.render_sequence", lambda scenario: scenario.frame_count)
+    monkeypatch.setattr("dslab.experiments.eq1.trial.record_runs", record_runs, raising=False)
+    monkeypatch.setattr("dslab.sim.sequence_rendering.render_sequence", lambda scenario: scenario.frame_count)
     monkeypatch.setattr(recordings, "paths_of", lambda runs: {"truth": np.zeros((4, 3))})
     steps = []
     page = write_report(folder, recordings=3, progress=lambda done, total: steps.append((done, total)))
@@ -377,7 +379,7 @@ def test_a_full_disk_leaves_the_earlier_report(folder, monkeypatch):
     def replace(source, target):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("sim.io.folders.os.replace", replace)
+    monkeypatch.setattr("dslab.sim.io.folders.os.replace", replace)
     with pytest.raises(InputError, match="the disk is full"):
         write_report(folder)
     assert (folder / "report.html").read_text() == "earlier"

@@ -4,7 +4,7 @@ import pandas as pd
 import pytest
 from report_fakes import KINDS, FakeSpec, fake_table
 
-from experiments.report.describe import (
+from dslab.experiments.report.describe import (
     counts,
     ends,
     interval_of_share,
@@ -14,13 +14,13 @@ from experiments.report.describe import (
     proportion,
     ratio,
 )
-from experiments.report.outcomes import set_aside, taxonomy, unit_counts
-from experiments.report.plots.chain import draw_chain
-from experiments.report.plots.doses import draw_doses
-from experiments.report.plots.repeats import draw_repeats
-from experiments.report.plots.style import NARROW_IN, WIDE_IN
-from experiments.report.plots.trials import base_parts, dual_parts
-from experiments.report.reproductions import table_1, table_2, table_3
+from dslab.experiments.report.outcomes import set_aside, taxonomy, unit_counts
+from dslab.experiments.report.plots.chain import draw_chain
+from dslab.experiments.report.plots.doses import draw_doses
+from dslab.experiments.report.plots.repeats import draw_repeats
+from dslab.experiments.report.plots.style import NARROW_IN, WIDE_IN
+from dslab.experiments.report.plots.trials import base_parts, dual_parts
+from dslab.experiments.report.reproductions import table_1, table_2, table_3
 
 PROFILE = {
     "breakage": True,

@@ -6,10 +6,10 @@ import pytest
 from html_page import Page
 from report_fakes import FakeSpec, fake_table
 
-from experiments.report.content import report_content
-from experiments.report.page import report_html
-from experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
-from experiments.report.plots.systems import draw_systems
+from dslab.experiments.report.content import report_content
+from dslab.experiments.report.page import report_html
+from dslab.experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
+from dslab.experiments.report.plots.systems import draw_systems
 
 FEW = 99
 

@@ -9,11 +9,11 @@ import pytest
 from peer_programs import PEER, command
 from slam_fakes import FakeSystem, fake_factory, make_sequence
 
-from experiments.benchmarks.tracker import bench
-from experiments.runs import execution, sources
-from experiments.runs.foreign_systems import open_foreign_system
-from scenarios.errors import InputError
-from sim.io.tum import write_tum
+from dslab.experiments.benchmarks.tracker import bench
+from dslab.experiments.runs import execution, sources
+from dslab.experiments.runs.foreign_systems import open_foreign_system
+from dslab.scenarios.errors import InputError
+from dslab.sim.io.tum import write_tum
 
 FRAMES = 60
 
@@ -163,7 +163,7 @@ def faked(monkeypatch, sequence):
         modes.append(mode)
         return fake_factory(sequence)
 
-    monkeypatch.setattr("slam.warmup.warm_up", lambda progress: None)
+    monkeypatch.setattr("dslab.slam.warmup.warm_up", lambda progress: None)
     monkeypatch.setattr(sources, "open_sequence", lambda source, seed, show, **options: sequence)
     monkeypatch.setattr(execution, "system_factory", factory)
     return modes

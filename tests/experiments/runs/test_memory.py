@@ -5,7 +5,7 @@ import platform
 import psutil
 import pytest
 
-from experiments.runs.memory import peak_rss_mb, reset_peak
+from dslab.experiments.runs.memory import peak_rss_mb, reset_peak
 
 PIECE = 100_000  # bytes, small enough for the heap
 

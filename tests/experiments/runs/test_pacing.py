@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from slam_fakes import FakeSystem, make_sequence
 
-from experiments.evaluation.summary import summarise
-from experiments.runs.execution import execute
-from experiments.runs.pacing import RealTime
-from sim.sequence import SegmentTruth
+from dslab.experiments.evaluation.summary import summarise
+from dslab.experiments.runs.execution import execute
+from dslab.experiments.runs.pacing import RealTime
+from dslab.sim.sequence import SegmentTruth
 
 
 class FakeClock:

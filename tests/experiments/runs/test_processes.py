@@ -10,11 +10,11 @@ from multiprocessing import active_children, get_context
 import psutil
 import pytest
 
-from experiments.runs.processes import call_in_process, process_pool, side_by_side
+from dslab.experiments.runs.processes import call_in_process, process_pool, side_by_side
 
 KILLED = """
 import os, signal
-from experiments.runs.processes import process_pool
+from dslab.experiments.runs.processes import process_pool
 if __name__ == "__main__":
     with process_pool(1) as pool:
         print(pool.submit(os.getpid).result(), flush=True)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from slam_fakes import simulated_camera
 
-from experiments.result_folder import run_sequence
-from experiments.runs.execution import system_factory
-from sim.sequence import SegmentTruth, Sequence
-from slam.dual.config import DualConfig
-from slam.dual.recovery.registry import ThreadSpec
-from slam.warmup import CAMERA, toy_frames
+from dslab.experiments.result_folder import run_sequence
+from dslab.experiments.runs.execution import system_factory
+from dslab.sim.sequence import SegmentTruth, Sequence
+from dslab.slam.dual.config import DualConfig
+from dslab.slam.dual.recovery.registry import ThreadSpec
+from dslab.slam.warmup import CAMERA, toy_frames
 
 RECOVERY_ALONE = DualConfig(recovery_threads=(ThreadSpec("orb"),), relocalization=False, place_merging=None)
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from slam_fakes import fake_factory, make_sequence
 
-from experiments.result_folder import run_sequence
-from experiments.runs.execution import execute
-from experiments.runs.files import plain
-from scenarios.errors import InputError
+from dslab.experiments.result_folder import run_sequence
+from dslab.experiments.runs.execution import execute
+from dslab.experiments.runs.files import plain
+from dslab.scenarios.errors import InputError
 
 REQUIRED = [
     "frames", "tracked", "first_tracked_frame", "maps", "keyframes", "breakages", "recoveries", "ate_m",
@@ -110,7 +110,7 @@ def test_the_system_is_given_no_truth(sequence, tmp_path):
     run_sequence(sequence, "base", 7, tmp_path / "r", build=build)
     ((kind, camera, seed),) = seen
     assert (kind, seed) == ("base", 7)
-    assert type(camera).__module__ == "slam.core.camera" and camera.fx == sequence.camera.fx
+    assert type(camera).__module__ == "dslab.slam.core.camera" and camera.fx == sequence.camera.fx
 
 
 def test_without_truth_the_accuracy_is_null(sequence, tmp_path):

@@ -9,14 +9,14 @@ import pycolmap
 import pytest
 from slam_fakes import fake_factory, make_sequence, simulated_camera
 
-from experiments.result_folder import run_sequence
-from experiments.runs import execution, sources
-from experiments.runs.execution import system_factory
-from experiments.runs.map_files import write_maps
-from experiments.runs.sources import open_sequence
-from sim.io.forms import Form, write_sequence
-from sim.sequence import Sequence
-from slam.warmup import CAMERA, toy_frames
+from dslab.experiments.result_folder import run_sequence
+from dslab.experiments.runs import execution, sources
+from dslab.experiments.runs.execution import system_factory
+from dslab.experiments.runs.map_files import write_maps
+from dslab.experiments.runs.sources import open_sequence
+from dslab.sim.io.forms import Form, write_sequence
+from dslab.sim.sequence import Sequence
+from dslab.slam.warmup import CAMERA, toy_frames
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +116,7 @@ def test_images_are_named_as_in_the_folder(tmp_path, form, first):
 def dslab(dslab, monkeypatch):
     """The command on a few synthetic frames, with the fake system."""
     few = make_sequence(12, segment=None)
-    monkeypatch.setattr("slam.warmup.warm_up", lambda progress: None)
+    monkeypatch.setattr("dslab.slam.warmup.warm_up", lambda progress: None)
     monkeypatch.setattr(sources, "open_sequence", lambda source, seed, show, **options: few)
     monkeypatch.setattr(execution, "system_factory", lambda mode="lockstep", dual=None: fake_factory(few))
     return dslab
@@ -132,7 +132,7 @@ def test_bench_in_real_time_counts_dropped_frames(dslab):
 
 def test_run_in_real_time_is_warm_and_counts_dropped_frames(dslab, tmp_path, monkeypatch):
     warmed = []
-    monkeypatch.setattr("slam.warmup.warm_up", warmed.append)
+    monkeypatch.setattr("dslab.slam.warmup.warm_up", warmed.append)
     code, out, _ = dslab("run", "x", "--out", tmp_path / "r", "--mode", "threaded", "--real-time", "--json")
     summary = json.loads(out.splitlines()[-1])
     assert code == 0 and summary["frames"] + summary["dropped_frames"] == 12

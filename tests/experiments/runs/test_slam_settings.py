@@ -8,19 +8,24 @@ import jsonschema
 import pytest
 import yaml
 
-from experiments.runs.files import to_json
-from experiments.runs.slam_settings import factory_of, read_slam_settings, settings_schema, settings_yaml
-from scenarios.errors import InputError
-from slam.config import SlamConfig
-from slam.core.camera import PinholeCamera
-from slam.dual.config import DualConfig
-from slam.dual.fusion.fuse import FusionConfig
-from slam.dual.paper import PAPER, paper_config
-from slam.dual.recovery.orb import OrbRecoveryConfig
-from slam.dual.recovery.registry import ThreadSpec
-from slam.factory import build_system
-from slam.ldso.config import WindowConfig
-from slam.tracking.tracker import TrackingConfig
+from dslab.experiments.runs.files import to_json
+from dslab.experiments.runs.slam_settings import (
+    factory_of,
+    read_slam_settings,
+    settings_schema,
+    settings_yaml,
+)
+from dslab.scenarios.errors import InputError
+from dslab.slam.config import SlamConfig
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.dual.config import DualConfig
+from dslab.slam.dual.fusion.fuse import FusionConfig
+from dslab.slam.dual.paper import PAPER, paper_config
+from dslab.slam.dual.recovery.orb import OrbRecoveryConfig
+from dslab.slam.dual.recovery.registry import ThreadSpec
+from dslab.slam.factory import build_system
+from dslab.slam.ldso.config import WindowConfig
+from dslab.slam.tracking.tracker import TrackingConfig
 
 CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
 KITTI = PinholeCamera(1241, 376, 718.0, 718.0, 607.0, 185.0, 10.0)

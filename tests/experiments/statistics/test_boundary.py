@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from experiments.statistics.boundary import MOST_AT_ONCE, SHAM, CurveGrid, curve_grid, quantile
-from experiments.statistics.boundary_proofs import STRENGTHS, Planted, answer, search
+from dslab.experiments.statistics.boundary import MOST_AT_ONCE, SHAM, CurveGrid, curve_grid, quantile
+from dslab.experiments.statistics.boundary_proofs import STRENGTHS, Planted, answer, search
 
 GRID = curve_grid(STRENGTHS)
 TRIALS = [SHAM, SHAM, 9, 9, 14, 5, 11, 12, 19], [False, True, False, True, True, False, False, True, True]

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments.statistics.conditional import conditional_odds_ratio, event_pairs
-from experiments.statistics.difficulties import Margin, draw
-from experiments.statistics.repeats import repeats
+from dslab.experiments.statistics.conditional import conditional_odds_ratio, event_pairs
+from dslab.experiments.statistics.difficulties import Margin, draw
+from dslab.experiments.statistics.repeats import repeats
 
 HALF = Margin(0.5, 0.5)
 

@@ -5,7 +5,7 @@ from math import asin, pi
 import numpy as np
 import pytest
 
-from experiments.statistics.difficulties import (
+from dslab.experiments.statistics.difficulties import (
     Counts,
     Margin,
     common_correlation,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from experiments.statistics.intervals import clopper_pearson
+from dslab.experiments.statistics.intervals import clopper_pearson
 
 
 @pytest.mark.parametrize(

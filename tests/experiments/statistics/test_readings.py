@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments.statistics import estimates
-from experiments.statistics.difficulties import Margin, draw
-from experiments.statistics.outcomes import Outcomes, world_means
-from experiments.statistics.readings import both_readings, rescuable_readings
-from experiments.statistics.way import way_interval
+from dslab.experiments.statistics import estimates
+from dslab.experiments.statistics.difficulties import Margin, draw
+from dslab.experiments.statistics.outcomes import Outcomes, world_means
+from dslab.experiments.statistics.readings import both_readings, rescuable_readings
+from dslab.experiments.statistics.way import way_interval
 
 HALF = Margin(0.5, 0.5)
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from experiments.statistics.difficulties import Margin, draw
-from experiments.statistics.outcomes import Outcomes
-from experiments.statistics.rehearsal import exchange_power, rehearse_words
+from dslab.experiments.statistics.difficulties import Margin, draw
+from dslab.experiments.statistics.outcomes import Outcomes
+from dslab.experiments.statistics.rehearsal import exchange_power, rehearse_words
 
 
 def outcomes(columns):

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.statistics.analysis import analyse
-from experiments.statistics.from_records import cells_of
-from experiments.statistics.products import product_of_distinct
+from dslab.experiments.statistics.analysis import analyse
+from dslab.experiments.statistics.from_records import cells_of
+from dslab.experiments.statistics.products import product_of_distinct
 
 RECORDS = Path(__file__).resolve().parents[3] / "docs" / "eq1-quick"
 TABLE = pd.read_parquet(RECORDS / "units.parquet")

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from experiments.statistics import estimates
-from experiments.statistics.estimates import Figure
-from experiments.statistics.formulas import beta_factor, compare_formulas, eq1, one_factor, weakest_link
-from experiments.statistics.outcomes import Outcomes, sequence_means, world_means
-from experiments.statistics.permutations import independence, within_sequences
-from experiments.statistics.products import product_of_distinct, product_without_each
-from experiments.statistics.simulated import Truth, simulate
-from experiments.statistics.verdicts import (
+from dslab.experiments.statistics import estimates
+from dslab.experiments.statistics.estimates import Figure
+from dslab.experiments.statistics.formulas import beta_factor, compare_formulas, eq1, one_factor, weakest_link
+from dslab.experiments.statistics.outcomes import Outcomes, sequence_means, world_means
+from dslab.experiments.statistics.permutations import independence, within_sequences
+from dslab.experiments.statistics.products import product_of_distinct, product_without_each
+from dslab.experiments.statistics.simulated import Truth, simulate
+from dslab.experiments.statistics.verdicts import (
     Comparison,
     Verdict,
     compare_forecast,
@@ -23,7 +23,7 @@ from experiments.statistics.verdicts import (
     holm,
     verdicts,
 )
-from experiments.statistics.world_intervals import (
+from dslab.experiments.statistics.world_intervals import (
     Rare,
     few_events,
     ratio_interval,
@@ -313,7 +313,7 @@ def test_independence_takes_many_threads_and_does_not_depend_on_what_is_in_memor
     outcomes = simulate(Truth((0.5,) * 6, 0.3, 0.4), rng, 40, 2, 2, void=0.1)
     found = independence(outcomes, np.random.default_rng(1), 300)
     assert found.p < 0.05 and found.expected < found.statistic
-    monkeypatch.setattr("experiments.statistics.permutations._AT_ONCE", 1000)
+    monkeypatch.setattr("dslab.experiments.statistics.permutations._AT_ONCE", 1000)
     assert independence(outcomes, np.random.default_rng(1), 300) == found
 
 

@@ -3,7 +3,7 @@
 import pytest
 from scipy.stats import binom
 
-from experiments.statistics.paper import CAVEATS, TABLE_II, TABLE_III, reanalyse
+from dslab.experiments.statistics.paper import CAVEATS, TABLE_II, TABLE_III, reanalyse
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments.statistics.power import Design, power_of, worlds_needed
+from dslab.experiments.statistics.power import Design, power_of, worlds_needed
 
 
 @pytest.mark.parametrize(("p", "ratio", "expected"), [(0.2, 2.0, 0.82), (0.5, 1.29, 0.95), (0.8, 1.06, 0.80)])

@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments.statistics.proofs import prove
+from dslab.experiments.statistics.proofs import prove
 
 
 @pytest.mark.slow

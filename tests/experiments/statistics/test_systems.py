@@ -5,9 +5,9 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from experiments.eq1.record_table import data_frame
-from experiments.eq1.records import columns
-from experiments.statistics.systems import compare_systems, exchange_test
+from dslab.experiments.eq1.record_table import data_frame
+from dslab.experiments.eq1.records import columns
+from dslab.experiments.statistics.systems import compare_systems, exchange_test
 
 SYSTEMS = {f"{image}/{system}": system for image in ("low_texture/1", "sham") for system in ("a", "b")}
 IMAGES = {cell: cell.rpartition("/")[0] for cell in SYSTEMS}

@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.eq1.records import columns, thread_column
-from experiments.statistics.from_records import cells_of
-from experiments.statistics.threads import thread_pairs, thread_shares
+from dslab.experiments.eq1.records import columns, thread_column
+from dslab.experiments.statistics.from_records import cells_of
+from dslab.experiments.statistics.threads import thread_pairs, thread_shares
 
 
 def table(failures, rescuable=None):

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.statistics.difficulties import Margin, draw
-from experiments.statistics.formulas import beta_factor
-from experiments.statistics.outcomes import Outcomes
-from experiments.statistics.transfer import Condition, beta_of, transfer
+from dslab.experiments.statistics.difficulties import Margin, draw
+from dslab.experiments.statistics.formulas import beta_factor
+from dslab.experiments.statistics.outcomes import Outcomes
+from dslab.experiments.statistics.transfer import Condition, beta_of, transfer
 
 CORRELATION = 0.8
 SHARES = ((0.5, 0.5, 0.1), (0.3, 0.6, 0.9), (0.4, 0.3, 0.95), (0.6, 0.4, 0.3))

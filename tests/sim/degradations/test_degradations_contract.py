@@ -17,11 +17,11 @@ from degradation_worlds import (
 )
 from scipy.stats import spearmanr
 
-from sim.degradations.registry import DEGRADATIONS, IMAGE_KINDS
-from sim.degradations.tone import map_light
-from sim.frame_plan import camera_intrinsics, plan_frames
-from sim.rendering.lens_renderer import lens_renderer
-from sim.sequence_rendering import render_sequence
+from dslab.sim.degradations.registry import DEGRADATIONS, IMAGE_KINDS
+from dslab.sim.degradations.tone import map_light
+from dslab.sim.frame_plan import camera_intrinsics, plan_frames
+from dslab.sim.rendering.lens_renderer import lens_renderer
+from dslab.sim.sequence_rendering import render_sequence
 
 SEED = 4
 # Kinds that draw random numbers.

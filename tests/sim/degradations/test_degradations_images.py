@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from degradation_worlds import small_backend, small_scenario
 
-from scenarios.segments import SEGMENT_KINDS
-from sim.degradations.base import streams_of
-from sim.degradations.defocus import disc
-from sim.degradations.image import View, ramp
-from sim.degradations.low_light import noise_table
-from sim.degradations.registry import IMAGE_KINDS
-from sim.degradations.rolling_shutter import row_maps
-from sim.degradations.tone import DECODE, decode, encode
-from sim.frame_plan import camera_intrinsics, plan_frames, plan_path, rendered_clean_frames
-from sim.sensors.camera import Intrinsics
-from sim.sensors.exposure import linear_to_srgb, srgb_to_linear
+from dslab.scenarios.segments import SEGMENT_KINDS
+from dslab.sim.degradations.base import streams_of
+from dslab.sim.degradations.defocus import disc
+from dslab.sim.degradations.image import View, ramp
+from dslab.sim.degradations.low_light import noise_table
+from dslab.sim.degradations.registry import IMAGE_KINDS
+from dslab.sim.degradations.rolling_shutter import row_maps
+from dslab.sim.degradations.tone import DECODE, decode, encode
+from dslab.sim.frame_plan import camera_intrinsics, plan_frames, plan_path, rendered_clean_frames
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.exposure import linear_to_srgb, srgb_to_linear
 
 CAMERA = Intrinsics(160, 120, 120.0, 120.0, 79.5, 59.5, 30.0)
 

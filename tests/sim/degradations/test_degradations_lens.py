@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from degradation_worlds import SEVERITIES, segment, small_backend, small_scenario
 
-from sim.degradations.registry import IMAGE_KINDS
-from sim.sequence_rendering import render_sequence
+from dslab.sim.degradations.registry import IMAGE_KINDS
+from dslab.sim.sequence_rendering import render_sequence
 
 LENS = {"model": "radtan", "k1": -0.28, "k2": 0.07}
 # One kind of each stage.

@@ -8,10 +8,10 @@ import pytest
 from degradation_worlds import small_scenario
 from scipy.integrate import quad
 
-from scenarios.segments import SEGMENT_KINDS
-from sim.degradations.base import streams_of
-from sim.degradations.image import View
-from sim.degradations.raindrops import (
+from dslab.scenarios.segments import SEGMENT_KINDS
+from dslab.sim.degradations.base import streams_of
+from dslab.sim.degradations.image import View
+from dslab.sim.degradations.raindrops import (
     BOX_M,
     MOST_MMPH,
     RainField,
@@ -20,9 +20,9 @@ from sim.degradations.raindrops import (
     extinction_per_m,
     fall_mps,
 )
-from sim.degradations.registry import IMAGE_KINDS
-from sim.degradations.wet_glass import WetGlass, merge, paint_drops, radius_of
-from sim.sensors.camera import Intrinsics
+from dslab.sim.degradations.registry import IMAGE_KINDS
+from dslab.sim.degradations.wet_glass import WetGlass, merge, paint_drops, radius_of
+from dslab.sim.sensors.camera import Intrinsics
 
 CAMERA = Intrinsics(160, 120, 120.0, 120.0, 79.5, 59.5, 30.0)
 K = np.array([120.0, 120.0, 79.5, 59.5])

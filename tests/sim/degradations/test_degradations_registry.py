@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from scenarios import spec
-from scenarios.seeds import rng_for
-from scenarios.segments import SEGMENT_KINDS
-from sim.degradations.base import FramePlan, segment_truth, true_runs
-from sim.degradations.registry import DEGRADATIONS, FRAME_PLAN_KINDS
-from sim.motion.walker import plan_walk
-from sim.sensors.noise import SensorNoise
-from sim.worlds.base import Route
+from dslab.scenarios import spec
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.segments import SEGMENT_KINDS
+from dslab.sim.degradations.base import FramePlan, segment_truth, true_runs
+from dslab.sim.degradations.registry import DEGRADATIONS, FRAME_PLAN_KINDS
+from dslab.sim.motion.walker import plan_walk
+from dslab.sim.sensors.noise import SensorNoise
+from dslab.sim.worlds.base import Route
 
 FPS, FRAMES = 30.0, 300
 

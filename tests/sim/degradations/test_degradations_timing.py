@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from scenarios.segments import FrameDrops, PureRotation, RepeatedTexture, TimeJitter
-from scenarios.spec import Trajectory
-from sim.degradations.base import FramePlan, segment_truth
-from sim.degradations.registry import DEGRADATIONS
-from sim.degradations.repeated_texture import px_per_m, with_repeated_texture
-from sim.motion.walker import plan_walk
-from sim.worlds.base import Route, Surface, WorldModel
+from dslab.scenarios.segments import FrameDrops, PureRotation, RepeatedTexture, TimeJitter
+from dslab.scenarios.spec import Trajectory
+from dslab.sim.degradations.base import FramePlan, segment_truth
+from dslab.sim.degradations.registry import DEGRADATIONS
+from dslab.sim.degradations.repeated_texture import px_per_m, with_repeated_texture
+from dslab.sim.motion.walker import plan_walk
+from dslab.sim.worlds.base import Route, Surface, WorldModel
 
 TIMES = {"start_s": 2.0, "duration_s": 1.0}
 

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from scenarios.segments import SEGMENT_KINDS
-from sim.degradations.recorded_kinds import check_recorded_sequence, recorded_sequence_kinds
-from sim.degradations.registry import DEGRADATIONS
-from sim.io.tum import load_sequence
+from dslab.scenarios.segments import SEGMENT_KINDS
+from dslab.sim.degradations.recorded_kinds import check_recorded_sequence, recorded_sequence_kinds
+from dslab.sim.degradations.registry import DEGRADATIONS
+from dslab.sim.io.tum import load_sequence
 
 COUNT, FPS = 40, 20.0
 START_S = 1305031102.25
@@ -74,7 +74,7 @@ def test_inertial_readings_that_would_not_turn_are_refused(dslab, recorded, tmp_
     turn = "fast_rotation:start_s=0.5,duration_s=0.5,rate_degps=50"
     euroc = tmp_path / "euroc"
     assert dslab("degrade", recorded, "--segment", turn, "--format", "euroc", "--out", euroc)[0] == 0
-    monkeypatch.setattr("experiments.runs.sources.open_imu", lambda *arguments: (None, None))
+    monkeypatch.setattr("dslab.experiments.runs.sources.open_imu", lambda *arguments: (None, None))
     code, _, err = dslab("degrade", euroc, "--segment", turn, "--out", tmp_path / "out")
     assert code == 2 and "inertial" in err and "--format tum" in err and err.count("\n") == 1
     assert not (tmp_path / "out").exists()

@@ -6,15 +6,15 @@ import cv2
 import numpy as np
 import pytest
 
-from scenarios.errors import InputError
-from scenarios.segment_text import parse_segment
-from sim.degradations.faded_detail import DETAIL_DEG, noise_level
-from sim.degradations.recorded_kinds import check_recorded_sequence
-from sim.degradations.recorded_sequences import degrade_sequence
-from sim.degradations.tone import decode, encode
-from sim.sensors.camera import Intrinsics
-from sim.sensors.distortion import project
-from sim.sequence import Sequence
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.segment_text import parse_segment
+from dslab.sim.degradations.faded_detail import DETAIL_DEG, noise_level
+from dslab.sim.degradations.recorded_kinds import check_recorded_sequence
+from dslab.sim.degradations.recorded_sequences import degrade_sequence
+from dslab.sim.degradations.tone import decode, encode
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.distortion import project
+from dslab.sim.sequence import Sequence
 
 WIDTH, HEIGHT, FPS = 200, 150, 20.0
 PINHOLE = Intrinsics(WIDTH, HEIGHT, 150.0, 151.0, 101.5, 73.25, FPS)

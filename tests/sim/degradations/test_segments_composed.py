@@ -8,16 +8,16 @@ import pytest
 from degradation_worlds import SEVERITIES, digest, small_backend, small_scenario
 from io_sequences import PINHOLE, Stack, make_sequence
 
-from scenarios.segments import SEGMENT_KINDS
-from sim.degradations.base import FramePlan, Stage
-from sim.degradations.chain import ImageChain
-from sim.degradations.recorded_sequences import degrade_sequence
-from sim.degradations.registry import DEGRADATIONS, FRAME_PLAN_KINDS, IMAGE_KINDS, in_order_of_action
-from sim.io.forms import Form, load_sequence, write_sequence
-from sim.motion.spline import PoseSpline
-from sim.sensors.camera import Intrinsics
-from sim.sequence import SegmentTruth
-from sim.sequence_rendering import render_sequence
+from dslab.scenarios.segments import SEGMENT_KINDS
+from dslab.sim.degradations.base import FramePlan, Stage
+from dslab.sim.degradations.chain import ImageChain
+from dslab.sim.degradations.recorded_sequences import degrade_sequence
+from dslab.sim.degradations.registry import DEGRADATIONS, FRAME_PLAN_KINDS, IMAGE_KINDS, in_order_of_action
+from dslab.sim.io.forms import Form, load_sequence, write_sequence
+from dslab.sim.motion.spline import PoseSpline
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sequence import SegmentTruth
+from dslab.sim.sequence_rendering import render_sequence
 
 CAMERA = Intrinsics(160, 120, 120.0, 120.0, 79.5, 59.5, 30.0)
 STAGES = tuple(Stage)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sim.degradations.passers_by import POSES, person, vehicle
-from sim.degradations.sprites import draw_behind, fill_share, filled, smooth_outline
+from dslab.sim.degradations.passers_by import POSES, person, vehicle
+from dslab.sim.degradations.sprites import draw_behind, fill_share, filled, smooth_outline
 
 
 def drawn_in_python(gray, alpha, left, top, scale, shape):

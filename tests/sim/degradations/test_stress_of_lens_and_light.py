@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from degradation_worlds import SEVERITIES
 
-from scenarios.segment_text import parse_segment
-from scenarios.segments import SEGMENT_KINDS
-from sim.degradations.base import streams_of
-from sim.degradations.depth_holes import fill_narrow_holes
-from sim.degradations.image import View
-from sim.degradations.recorded_sequences import degrade_sequence
-from sim.degradations.registry import IMAGE_KINDS
-from sim.degradations.tone import decode
-from sim.sensors.camera import Intrinsics
-from sim.sequence import Sequence
+from dslab.scenarios.segment_text import parse_segment
+from dslab.scenarios.segments import SEGMENT_KINDS
+from dslab.sim.degradations.base import streams_of
+from dslab.sim.degradations.depth_holes import fill_narrow_holes
+from dslab.sim.degradations.image import View
+from dslab.sim.degradations.recorded_sequences import degrade_sequence
+from dslab.sim.degradations.registry import IMAGE_KINDS
+from dslab.sim.degradations.tone import decode
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sequence import Sequence
 
 CAMERA = Intrinsics(160, 120, 120.0, 120.0, 79.5, 59.5, 30.0)
 KINDS = (

@@ -6,8 +6,8 @@ import os
 import pytest
 from killed import killed_in_a_folder
 
-from scenarios.errors import InputError
-from sim.io.folders import check_free, new_directory, scratch_beside, write_file
+from dslab.scenarios.errors import InputError
+from dslab.sim.io.folders import check_free, new_directory, scratch_beside, write_file
 
 
 def left_behind(root) -> list[str]:

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from scenarios.errors import InputError
-from sim.io.image_header import header_size, is_whole
-from sim.io.images import DepthFolder, GrayFolder, GrayZip, by_number, image_shape, numbered_images
+from dslab.scenarios.errors import InputError
+from dslab.sim.io.image_header import header_size, is_whole
+from dslab.sim.io.images import DepthFolder, GrayFolder, GrayZip, by_number, image_shape, numbered_images
 
 SHAPE = (48, 64)
 IMAGE = np.random.default_rng(0).integers(0, 256, SHAPE, dtype=np.uint8)

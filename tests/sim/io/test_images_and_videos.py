@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from scenarios.errors import InputError
-from sim.io.forms import load_sequence
+from dslab.scenarios.errors import InputError
+from dslab.sim.io.forms import load_sequence
 
 SIZE, FPS = (96, 64), 12.5
 CAMERA = "fx: 80\nfy: 80\ncx: 47.5\ncy: 31.5\nwidth: 96\nheight: 64\nfps: 20\n"

@@ -9,11 +9,11 @@ import yaml
 from io_sequences import COUNT, edit, fault, make_sequence
 from scipy.spatial.transform import Rotation
 
-from scenarios.errors import InputError
-from sim.io.euroc_reader import load_euroc_imu
-from sim.io.forms import Form, detect_form, load_sequence, write_sequence
-from sim.sensors.camera import Intrinsics
-from sim.sensors.imu import ImuModel, ImuReadings, ImuTruth
+from dslab.scenarios.errors import InputError
+from dslab.sim.io.euroc_reader import load_euroc_imu
+from dslab.sim.io.forms import Form, detect_form, load_sequence, write_sequence
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.imu import ImuModel, ImuReadings, ImuTruth
 
 FISHEYE = Intrinsics(64, 48, 50.0, 51.0, 30.5, 20.25, 20.0, (0.1, -0.2, 0.01, 0.002), "equidistant")
 STAMPS = "mav0/cam0/data.csv"

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from io_sequences import COUNT, PINHOLE, edit, fault, make_sequence
 
-from scenarios.errors import InputError
-from sim.io.forms import Form, detect_form, load_sequence, write_sequence
+from dslab.scenarios.errors import InputError
+from dslab.sim.io.forms import Form, detect_form, load_sequence, write_sequence
 
 
 @pytest.fixture

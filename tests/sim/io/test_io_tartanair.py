@@ -8,8 +8,8 @@ import pytest
 from io_sequences import edit, fault
 from scipy.spatial.transform import Rotation
 
-from scenarios.errors import InputError
-from sim.io.forms import Form, detect_form, load_sequence
+from dslab.scenarios.errors import InputError
+from dslab.sim.io.forms import Form, detect_form, load_sequence
 
 COUNT = 3
 # Forward (north) 1 m a frame, 2 m to the right (east), 3 m below the origin; it looks to the east.

@@ -12,9 +12,9 @@ import yaml
 from io_sequences import COUNT, SHAPE, edit, fault, make_sequence
 from scipy.spatial.transform import Rotation
 
-from scenarios.errors import InputError
-from sim.io.tum import load_sequence, write_tum
-from sim.sensors.camera import Intrinsics
+from dslab.scenarios.errors import InputError
+from dslab.sim.io.tum import load_sequence, write_tum
+from dslab.sim.sensors.camera import Intrinsics
 
 
 @pytest.fixture

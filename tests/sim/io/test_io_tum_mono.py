@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from io_sequences import edit, fault
 
-from scenarios.errors import InputError
-from sim.io.forms import Form, detect_form, load_sequence, write_sequence
-from sim.io.fov_camera import FovCamera, read_fov_camera
+from dslab.scenarios.errors import InputError
+from dslab.sim.io.forms import Form, detect_form, load_sequence, write_sequence
+from dslab.sim.io.fov_camera import FovCamera, read_fov_camera
 
 # The lens and size of the data set.
 LENS = "0.535719308086809 0.669566858850269 0.493248545285398 0.500408664348414 0.897966326944875"

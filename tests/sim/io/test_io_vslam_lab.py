@@ -8,7 +8,7 @@ import pytest
 import yaml
 from io_sequences import COUNT, SHAPE, edit, fault, make_sequence
 
-from sim.io.forms import Form, detect_form, load_sequence, write_sequence
+from dslab.sim.io.forms import Form, detect_form, load_sequence, write_sequence
 
 ORIGIN = 1403636579763555584
 CALIBRATION = """%YAML 1.2

@@ -10,10 +10,10 @@ from io_sequences import COUNT, PINHOLE, edit, fault, make_sequence
 from test_image_files import png_of_size
 from test_io_tum_mono import folder as mono  # noqa: F401
 
-from sim.io.forms import Form, load_sequence, write_sequence
-from sim.sensors.camera import LEAST_SIDE_PX
-from sim.sequence import SegmentTruth
-from slam.features._orb_kernels import BORDER_PX
+from dslab.sim.io.forms import Form, load_sequence, write_sequence
+from dslab.sim.sensors.camera import LEAST_SIDE_PX
+from dslab.sim.sequence import SegmentTruth
+from dslab.slam.features._orb_kernels import BORDER_PX
 
 SENSOR, TRUTH = "mav0/cam0/sensor.yaml", "mav0/state_groundtruth_estimate0/data.csv"
 HUGE = "9" * 401

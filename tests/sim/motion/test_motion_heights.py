@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from scenarios.motions import KINDS, Trajectory
-from sim.motion import plan_motion
-from sim.motion.base import Motion
-from sim.motion.path import arc_length, ground, smooth_path
-from sim.worlds.base import Route
+from dslab.scenarios.motions import KINDS, Trajectory
+from dslab.sim.motion import plan_motion
+from dslab.sim.motion.base import Motion
+from dslab.sim.motion.path import arc_length, ground, smooth_path
+from dslab.sim.worlds.base import Route
 
 CORNERS = np.array([[0.0, 0], [10, 0], [10, 6], [16, 6], [16, 12], [30, 12]])
 LEVELS = np.array([0.0, 0, 0, 3.5, 3.5, 3.5])

@@ -5,13 +5,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from world_views import distance_to_route
 
-from scenarios.motions import KINDS, Trajectory
-from scenarios.worlds import CityWorld
-from sim.motion import plan_motion
-from sim.motion.planning import PAD_S, limited_pace
-from sim.motion.walker import plan_walk
-from sim.worlds import layout
-from sim.worlds.base import Route
+from dslab.scenarios.motions import KINDS, Trajectory
+from dslab.scenarios.worlds import CityWorld
+from dslab.sim.motion import plan_motion
+from dslab.sim.motion.planning import PAD_S, limited_pace
+from dslab.sim.motion.walker import plan_walk
+from dslab.sim.worlds import layout
+from dslab.sim.worlds.base import Route
 
 LOOP = layout(CityWorld(length_m=400, loop=True), 1)
 STREETS = layout(CityWorld(length_m=400, turns=2), 1)

@@ -5,11 +5,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from world_views import distance_to_route
 
-from scenarios.spec import Trajectory
-from sim.motion.path import smooth_path
-from sim.motion.spline import PoseSpline
-from sim.motion.walker import PAD_S, plan_walk
-from sim.worlds.base import Route
+from dslab.scenarios.spec import Trajectory
+from dslab.sim.motion.path import smooth_path
+from dslab.sim.motion.spline import PoseSpline
+from dslab.sim.motion.walker import PAD_S, plan_walk
+from dslab.sim.worlds.base import Route
 
 RING = Route(np.array([[-4.0, -2.5], [4, -2.5], [4, 2.5], [-4, 2.5]]), 0.8, True)
 CORNERS = Route(np.array([[0.0, 0], [14, 0], [14, 12], [28, 12]]), 0.7, False)

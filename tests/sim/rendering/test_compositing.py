@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.rendering.compositing import metric_depth, put_nearer
+from dslab.sim.rendering.compositing import metric_depth, put_nearer
 
 
 @pytest.fixture

@@ -4,8 +4,8 @@ import sys
 
 import pytest
 
-from scenarios.errors import InputError
-from sim.rendering.gl_context import gl_info, shared_context
+from dslab.scenarios.errors import InputError
+from dslab.sim.rendering.gl_context import gl_info, shared_context
 
 
 def test_info_describes_the_implementation():
@@ -36,7 +36,7 @@ def test_without_any_gl_one_line_says_what_to_install(monkeypatch):
 
 def test_a_forced_mujoco_backend_is_overruled():
     # MuJoCo would otherwise import its own OSMesa wrapper, whose library may be absent.
-    code = "from sim.rendering.gl_context import gl_info; import mujoco; print(gl_info()['backend'])"
+    code = "from dslab.sim.rendering.gl_context import gl_info; import mujoco; print(gl_info()['backend'])"
     environment = {**os.environ, "MUJOCO_GL": "osmesa"}
     run = subprocess.run(
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False

@@ -3,8 +3,8 @@ import sys
 
 import pytest
 
-from sim.rendering import gl_setup
-from sim.rendering.gl_context import EGL_COMMAND, OSMESA_WHEEL
+from dslab.sim.rendering import gl_setup
+from dslab.sim.rendering.gl_context import EGL_COMMAND, OSMESA_WHEEL
 
 UV = ["--uv", "tools/uv"]
 

@@ -9,18 +9,18 @@ import psutil
 import pytest
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from scenarios.errors import InputError
-from scenarios.loading import load_scenario
-from scenarios.spec import Scenario
-from sim.frame_plan import render_backend
-from sim.motion import plan_motion
-from sim.rendering.mujoco_renderer import MujocoRenderer
-from sim.rendering.pyrender_renderer import PyrenderRenderer
-from sim.rendering.renderers import RENDERERS, load_renderer
-from sim.sensors.camera import Intrinsics
-from sim.sequence_rendering import render_sequence
-from sim.worlds import build_world, layout
-from sim.worlds.base import Surface, WorldModel
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.loading import load_scenario
+from dslab.scenarios.spec import Scenario
+from dslab.sim.frame_plan import render_backend
+from dslab.sim.motion import plan_motion
+from dslab.sim.rendering.mujoco_renderer import MujocoRenderer
+from dslab.sim.rendering.pyrender_renderer import PyrenderRenderer
+from dslab.sim.rendering.renderers import RENDERERS, load_renderer
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sequence_rendering import render_sequence
+from dslab.sim.worlds import build_world, layout
+from dslab.sim.worlds.base import Surface, WorldModel
 
 CAMERA = Intrinsics(200, 150, 151.0, 163.0, 91.3, 80.7, 30.0)
 VGA = Intrinsics(640, 480, 483.2, 521.6, 292.2, 258.2, 30.0)
@@ -180,7 +180,7 @@ def test_an_unknown_renderer_is_one_line_that_names_the_known_ones():
 
 
 def test_a_renderer_whose_library_is_missing_is_bad_input(monkeypatch):
-    monkeypatch.setitem(RENDERERS, "third", "sim.no_such_module:Third")
+    monkeypatch.setitem(RENDERERS, "third", "dslab.sim.no_such_module:Third")
     with pytest.raises(InputError, match="no_such_module"):
         load_renderer("third")
 

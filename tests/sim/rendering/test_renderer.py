@@ -7,12 +7,12 @@ import sys
 import numpy as np
 import pytest
 
-from scenarios.errors import InputError
-from sim.rendering import mujoco_renderer
-from sim.rendering.mujoco_renderer import MujocoRenderer
-from sim.rendering.renderers import RENDERERS, load_renderer
-from sim.sensors.camera import Intrinsics
-from sim.worlds.base import Surface, WorldModel
+from dslab.scenarios.errors import InputError
+from dslab.sim.rendering import mujoco_renderer
+from dslab.sim.rendering.mujoco_renderer import MujocoRenderer
+from dslab.sim.rendering.renderers import RENDERERS, load_renderer
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.worlds.base import Surface, WorldModel
 
 MEAN = 118.0
 CAMERA = Intrinsics(640, 480, 520.0, 430.0, 290.3, 262.7, 30.0)  # off-centre, fx unlike fy
@@ -227,9 +227,9 @@ def test_distortion_is_refused(kind):
 
 _FRAME = """
 import hashlib, numpy as np
-from sim.sensors.camera import Intrinsics
-from sim.rendering.renderers import load_renderer
-from sim.worlds.base import Surface, WorldModel
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.rendering.renderers import load_renderer
+from dslab.sim.worlds.base import Surface, WorldModel
 texture = np.random.default_rng(3).integers(0, 256, (512, 512), dtype=np.uint8)
 vertices = np.array([[-4.0, -4, 5], [4, -4, 5], [4, 4, 6], [-4, 4, 6]])
 uv = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])

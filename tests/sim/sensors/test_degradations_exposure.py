@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from scenarios.seeds import rng_for
-from sim.rendering.mujoco_renderer import MujocoRenderer
-from sim.sensors import exposure
-from sim.sensors.camera import Intrinsics
-from sim.sensors.exposure import expose, linear_to_srgb, srgb_to_linear
-from sim.worlds.base import Surface, WorldModel
+from dslab.scenarios.seeds import rng_for
+from dslab.sim.rendering.mujoco_renderer import MujocoRenderer
+from dslab.sim.sensors import exposure
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.exposure import expose, linear_to_srgb, srgb_to_linear
+from dslab.sim.worlds.base import Surface, WorldModel
 
 CAMERA = Intrinsics(320, 240, 250.0, 260.0, 150.0, 125.0, 30.0)
 

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from scenarios.errors import InputError
-from sim.rendering.lens_renderer import DistortingRenderer, lens_renderer
-from sim.sensors.camera import Intrinsics
-from sim.sensors.distortion import (
+from dslab.scenarios.errors import InputError
+from dslab.sim.rendering.lens_renderer import DistortingRenderer, lens_renderer
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.distortion import (
     Lens,
     project,
     sample_depth,

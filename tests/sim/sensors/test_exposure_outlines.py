@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from scenarios.seeds import rng_for
-from sim.sensors import exposure, outlines
-from sim.sensors.camera import Intrinsics
-from sim.sensors.exposure import expose, linear_to_srgb, srgb_to_linear
+from dslab.scenarios.seeds import rng_for
+from dslab.sim.sensors import exposure, outlines
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.exposure import expose, linear_to_srgb, srgb_to_linear
 
 CAMERA = Intrinsics(160, 120, 100.0, 100.0, 79.5, 59.5, 30.0)
 K = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy], np.float32)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from scenarios.worlds import CityWorld, CorridorWorld, RoomWorld
-from sim.frame_plan import mujoco_backend
-from sim.sensors.camera import Intrinsics
-from sim.sensors.exposure import expose, linear_to_srgb, srgb_to_linear
+from dslab.scenarios.worlds import CityWorld, CorridorWorld, RoomWorld
+from dslab.sim.frame_plan import mujoco_backend
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.exposure import expose, linear_to_srgb, srgb_to_linear
 
 CAMERA = Intrinsics(480, 360, 315.0, 315.0, 239.5, 179.5, 30.0)
 BLUR_PX, SUB_FRAMES, SEED, EYE_M = 24.0, 48, 3, 1.5

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from scenarios.errors import InputError
-from scenarios.spec import Trajectory
-from sim.motion.spline import PoseSpline
-from sim.motion.walker import plan_walk
-from sim.sensors.imu import GRAVITY_MPS2, ImuModel, ideal_readings, record_imu
-from sim.worlds.base import Route
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.spec import Trajectory
+from dslab.sim.motion.spline import PoseSpline
+from dslab.sim.motion.walker import plan_walk
+from dslab.sim.sensors.imu import GRAVITY_MPS2, ImuModel, ideal_readings, record_imu
+from dslab.sim.worlds.base import Route
 
 ROUTE = Route(np.array([[0.0, 0], [8, 0], [8, 6], [0, 6]]), 1.0, closed=True)
 FRAMES_S = np.arange(301) / 30

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from small_world import CAMERA, CORRIDOR
 
-from scenarios.cameras import Camera
-from scenarios.spec import Scenario
-from sim.sensors import noise
-from sim.sensors.noise import SensorNoise
-from sim.sensors.sensor import Sensor
-from sim.sequence_rendering import render_sequence
+from dslab.scenarios.cameras import Camera
+from dslab.scenarios.spec import Scenario
+from dslab.sim.sensors import noise
+from dslab.sim.sensors.noise import SensorNoise
+from dslab.sim.sensors.sensor import Sensor
+from dslab.sim.sequence_rendering import render_sequence
 
 SMALL = {**CAMERA, "noise_sigma": 0}
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from world_views import SMALL, cheap_textures
 
-from scenarios.families import load_family
-from scenarios.worlds import Aliasing, BuildingWorld
-from sim.worlds import build_world, layout
-from sim.worlds.base import WorldModel
-from sim.worlds.recurrence import Recurrence
+from dslab.scenarios.families import load_family
+from dslab.scenarios.worlds import Aliasing, BuildingWorld
+from dslab.sim.worlds import build_world, layout
+from dslab.sim.worlds.base import WorldModel
+from dslab.sim.worlds.recurrence import Recurrence
 
 LOOPS = {"corridor": {"length_m": 36}, "city": {"length_m": 280}, "motorway": {"length_m": 480}}
 TURNED = ("room", "corridor", "warehouse", "city", "motorway", "field")
@@ -22,9 +22,9 @@ def aliased_world(kind: str, things: float, places: float) -> WorldModel:
     fields = {key: value for key, value in own.items() if key in type(SMALL[kind]).model_fields}
     aliasing = Aliasing(things=things, scaled=0.0, places=places)
     with cheap_textures(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sim.worlds.indoor.building.gathered", lambda surfaces, *_: surfaces)
+        patch.setattr("dslab.sim.worlds.indoor.building.gathered", lambda surfaces, *_: surfaces)
         patch.setattr(
-            "sim.worlds.indoor.building_light.Lamplight.gain", lambda *_: np.ones((2, 2), np.float32)
+            "dslab.sim.worlds.indoor.building_light.Lamplight.gain", lambda *_: np.ones((2, 2), np.float32)
         )
         return build_world(SMALL[kind].model_copy(update={**fields, "aliased": aliasing}), 3)
 

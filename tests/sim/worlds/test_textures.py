@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from scenarios.seeds import rng_for
-from sim.worlds.materials.finishes import CLEAN_INSTEAD, FINISHES, FLOOR_FINISHES, WALL_FINISHES, paint
-from sim.worlds.materials.textures import (
+from dslab.scenarios.seeds import rng_for
+from dslab.sim.worlds.materials.finishes import CLEAN_INSTEAD, FINISHES, FLOOR_FINISHES, WALL_FINISHES, paint
+from dslab.sim.worlds.materials.textures import (
     BLACK_LEVEL,
     WHITE_LEVEL,
     dead_leaves,

@@ -20,12 +20,12 @@ from world_views import (
     reproject,
 )
 
-from scenarios.errors import InputError
-from scenarios.worlds import CorridorWorld, RoomWorld
-from sim.rendering.mujoco_renderer import MujocoRenderer
-from sim.sensors.camera import Intrinsics
-from sim.worlds import WORLDS, assembly, build_world, layout
-from sim.worlds.base import WorldModel
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.worlds import CorridorWorld, RoomWorld
+from dslab.sim.rendering.mujoco_renderer import MujocoRenderer
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.worlds import WORLDS, assembly, build_world, layout
+from dslab.sim.worlds.base import WorldModel
 
 INDOORS = ("room", "corridor")
 QUICK = "room"

@@ -6,19 +6,19 @@ import pytest
 from scipy.spatial import cKDTree
 from world_views import cheap_textures, check_flow, every, flow_errors
 
-from scenarios.motions import Trajectory
-from scenarios.seeds import rng_for
-from scenarios.worlds import BuildingWorld
-from sim.motion import plan_motion
-from sim.rendering.mujoco_renderer import MOST_SURFACES, MujocoRenderer
-from sim.sensors.camera import Intrinsics
-from sim.worlds import build_world, layout
-from sim.worlds.base import Surface, WorldModel
-from sim.worlds.geometry.atlas import gathered
-from sim.worlds.geometry.panels import wall
-from sim.worlds.indoor.building_light import Lamplight
-from sim.worlds.indoor.building_plan import Plan, walked_floors
-from sim.worlds.indoor.storey import Space, plan_storey
+from dslab.scenarios.motions import Trajectory
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.worlds import BuildingWorld
+from dslab.sim.motion import plan_motion
+from dslab.sim.rendering.mujoco_renderer import MOST_SURFACES, MujocoRenderer
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.worlds import build_world, layout
+from dslab.sim.worlds.base import Surface, WorldModel
+from dslab.sim.worlds.geometry.atlas import gathered
+from dslab.sim.worlds.geometry.panels import wall
+from dslab.sim.worlds.indoor.building_light import Lamplight
+from dslab.sim.worlds.indoor.building_plan import Plan, walked_floors
+from dslab.sim.worlds.indoor.storey import Space, plan_storey
 
 CAMERA = Intrinsics(640, 480, 277.307, 291.357, 312.23, 239.77, 25.0)
 SMALL_CAMERA = Intrinsics(320, 240, 138.0, 145.0, 159.5, 119.5, 25.0)

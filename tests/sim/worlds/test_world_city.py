@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from world_views import every, length
 
-from scenarios.errors import InputError
-from scenarios.seeds import rng_for
-from scenarios.worlds import CityWorld
-from sim.worlds import layout
-from sim.worlds.geometry.car_shapes import FLANK_M, SHAPES, WHEEL_M
-from sim.worlds.geometry.outdoor import Daylight
-from sim.worlds.town.houses import houses_along, houses_at_end
-from sim.worlds.town.roadside import roadside
-from sim.worlds.town.streets import CARRIAGEWAY_M, FRONT_M, LANE_M, Plan, plan_streets
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.worlds import CityWorld
+from dslab.sim.worlds import layout
+from dslab.sim.worlds.geometry.car_shapes import FLANK_M, SHAPES, WHEEL_M
+from dslab.sim.worlds.geometry.outdoor import Daylight
+from dslab.sim.worlds.town.houses import houses_along, houses_at_end
+from dslab.sim.worlds.town.roadside import roadside
+from dslab.sim.worlds.town.streets import CARRIAGEWAY_M, FRONT_M, LANE_M, Plan, plan_streets
 
 SPECS = {
     "straight": CityWorld(length_m=150, turns=0),

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from world_views import SMALL, cheap_world, every
 
-from scenarios.seeds import rng_for
-from sim.worlds import build_world, layout
-from sim.worlds.base import Surface
-from sim.worlds.country.farm import bale, field_wall, stone
-from sim.worlds.country.roadworks import guard_rail
-from sim.worlds.geometry.meshes import Piece
-from sim.worlds.geometry.outdoor import Daylight
+from dslab.scenarios.seeds import rng_for
+from dslab.sim.worlds import build_world, layout
+from dslab.sim.worlds.base import Surface
+from dslab.sim.worlds.country.farm import bale, field_wall, stone
+from dslab.sim.worlds.country.roadworks import guard_rail
+from dslab.sim.worlds.geometry.meshes import Piece
+from dslab.sim.worlds.geometry.outdoor import Daylight
 
 SPECS = {name: SMALL[name] for name in ("field", "motorway")}
 HEAD_M = 2.2

@@ -4,7 +4,7 @@ import numpy as np
 from degradation_worlds import small_scenario
 from world_views import cheap_textures
 
-from sim.frame_plan import mujoco_backend, plan_frames
+from dslab.sim.frame_plan import mujoco_backend, plan_frames
 
 
 def planned(world_seed, seed):

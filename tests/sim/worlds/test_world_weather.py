@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 from world_views import cheap_textures
 
-from scenarios.seeds import rng_for
-from scenarios.spec import Camera
-from scenarios.worlds import MotorwayWorld, Outdoors, RoomWorld
-from sim.degradations.scattering import Scattering
-from sim.degradations.tone import DECODE
-from sim.frame_plan import mujoco_backend, rendered_clean_frames
-from sim.sensors.camera import Intrinsics
-from sim.worlds import build_world
-from sim.worlds.ambience import dimmed, hazed
-from sim.worlds.base import Surface, WorldModel
-from sim.worlds.geometry.outdoor import Daylight
+from dslab.scenarios.seeds import rng_for
+from dslab.scenarios.spec import Camera
+from dslab.scenarios.worlds import MotorwayWorld, Outdoors, RoomWorld
+from dslab.sim.degradations.scattering import Scattering
+from dslab.sim.degradations.tone import DECODE
+from dslab.sim.frame_plan import mujoco_backend, rendered_clean_frames
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.worlds import build_world
+from dslab.sim.worlds.ambience import dimmed, hazed
+from dslab.sim.worlds.base import Surface, WorldModel
+from dslab.sim.worlds.geometry.outdoor import Daylight
 
 UP = np.array([0.0, 0.0, 1.0])
 FAR = np.array([30.0, 30.0])

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from slam.core.camera import NO_RESIDUAL, PinholeCamera, distort_residual
+from dslab.slam.core.camera import NO_RESIDUAL, PinholeCamera, distort_residual
 
 CAMERA = PinholeCamera(640, 480, 500.0, 510.0, 318.0, 242.0, 30.0)
 LENSES = {

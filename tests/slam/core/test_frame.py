@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from slam_scenes import CAMERA, VIEW
 
-from slam.core.frame import Features, Frame, FrameFeatures, twist_between
+from dslab.slam.core.frame import Features, Frame, FrameFeatures, twist_between
 
 NO_FEATURES = Features(
     np.empty((0, 2), np.float32),

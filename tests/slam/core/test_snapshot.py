@@ -5,9 +5,9 @@ import pytest
 from dual_scenes import CONFIG, STEP_M
 from slam_scenes import blanked, feed, fingerprint, toy
 
-from slam.dual.config import DualConfig
-from slam.factory import build_system
-from slam.warmup import CAMERA
+from dslab.slam.dual.config import DualConfig
+from dslab.slam.factory import build_system
+from dslab.slam.warmup import CAMERA
 
 # Cuts: initializing, tracking, just broken, initializing the second map, after the fusion.
 CUTS = (2, 40, 51, 58, 110)

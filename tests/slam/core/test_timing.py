@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from slam_scenes import toy
 
-from slam.core.timing import OTHER, StageTimer
-from slam.factory import build_system
-from slam.warmup import CAMERA
+from dslab.slam.core.timing import OTHER, StageTimer
+from dslab.slam.factory import build_system
+from dslab.slam.warmup import CAMERA
 
 
 def busy(cpu_s):

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from slam.core.camera import PinholeCamera
-from slam.direct._alignment_kernels import (
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.direct._alignment_kernels import (
     PATTERN,
     damped_system,
     linearise,
@@ -15,12 +15,12 @@ from slam.direct._alignment_kernels import (
     residual_energy,
     sample_patterns,
 )
-from slam.direct._blur_kernels import line_of_light
-from slam.direct._outer_products import add_outer_products
-from slam.direct.alignment import Reference, align, fan
-from slam.direct.pyramid import ImagePyramid, Rectifier
-from slam.direct.selection import select
-from slam.optimization._se3 import retract
+from dslab.slam.direct._blur_kernels import line_of_light
+from dslab.slam.direct._outer_products import add_outer_products
+from dslab.slam.direct.alignment import Reference, align, fan
+from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
+from dslab.slam.direct.selection import select
+from dslab.slam.optimization._se3 import retract
 
 WIDTH, HEIGHT = 320, 240
 CAMERA = PinholeCamera(WIDTH, HEIGHT, 250.0, 250.0, 159.5, 119.5, 30.0)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from test_direct_alignment import HEIGHT, RECTIFIER, WIDTH, motion, view
 
-from slam.direct._appearance_kernels import correlations
-from slam.direct.appearance import Surface, looks_in, together
-from slam.direct.selection import select
+from dslab.slam.direct._appearance_kernels import correlations
+from dslab.slam.direct.appearance import Surface, looks_in, together
+from dslab.slam.direct.selection import select
 
 BASELINE = [0.15, 0.05, -0.1, 0.02, -0.03, 0.05]
 

@@ -3,10 +3,10 @@
 import numpy as np
 from test_direct_alignment import RECTIFIER, TEXTURE, motion, plane_depth, reference, view  # noqa: F401
 
-from slam.direct.alignment import Reference, align
-from slam.direct.blur import align_through_blur
-from slam.direct.location import locate_on_lines, locate_points
-from slam.direct.selection import select
+from dslab.slam.direct.alignment import Reference, align
+from dslab.slam.direct.blur import align_through_blur
+from dslab.slam.direct.location import locate_on_lines, locate_points
+from dslab.slam.direct.selection import select
 
 TURN = motion([0.15, 0.03, -0.05, 0.01, -0.03, 0.02])
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from slam.core.camera import PinholeCamera
-from slam.direct.pyramid import Rectifier
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.direct.pyramid import Rectifier
 
 PLAIN = PinholeCamera(160, 120, 150.0, 150.0, 79.5, 59.5, 30.0)
 LENSES = {

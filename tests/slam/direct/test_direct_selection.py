@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from slam.core.camera import PinholeCamera
-from slam.direct.pyramid import Rectifier
-from slam.direct.selection import SelectionConfig, select
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.direct.pyramid import Rectifier
+from dslab.slam.direct.selection import SelectionConfig, select
 
 WIDTH, HEIGHT = 320, 240
 RECTIFIER = Rectifier(PinholeCamera(WIDTH, HEIGHT, 250.0, 250.0, 159.5, 119.5, 30.0))

@@ -5,9 +5,9 @@ import pytest
 from dual_scenes import RECOVERY_ONLY, STEP_M, dual, with_own_threads
 from slam_scenes import FPS, make_frame, toy
 
-from slam.dual.buffer import FeatureBuffer
-from slam.dual.recovery.interface import RecoveryConfig
-from slam.dual.recovery.orb import OrbRecovery
+from dslab.slam.dual.buffer import FeatureBuffer
+from dslab.slam.dual.recovery.interface import RecoveryConfig
+from dslab.slam.dual.recovery.orb import OrbRecovery
 
 RNG = np.random.default_rng(0)
 FRAMES = [make_frame(i, RNG, n=8 + i % 5).features for i in range(200)]

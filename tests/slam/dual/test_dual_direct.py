@@ -7,15 +7,15 @@ import pytest
 from recovery_scenes import FADED, SMEARED, blind_scene, faded_scene, same_map, smeared_scene
 from slam_scenes import rigid
 
-from slam.core.events import CANCELLED
-from slam.dual.recovery import other_way, overlap
-from slam.dual.recovery.appearance import LooksConfig
-from slam.dual.recovery.direct import DirectRecoveryConfig
-from slam.dual.recovery.other_way import OtherWayConfig
-from slam.dual.recovery.registry import ThreadSpec, build_thread
-from slam.map._map_kernels import median_depth
-from slam.map.invariants import check_map
-from slam.optimization.sim3 import sim3_decompose, sim3_matrix
+from dslab.slam.core.events import CANCELLED
+from dslab.slam.dual.recovery import other_way, overlap
+from dslab.slam.dual.recovery.appearance import LooksConfig
+from dslab.slam.dual.recovery.direct import DirectRecoveryConfig
+from dslab.slam.dual.recovery.other_way import OtherWayConfig
+from dslab.slam.dual.recovery.registry import ThreadSpec, build_thread
+from dslab.slam.map._map_kernels import median_depth
+from dslab.slam.map.invariants import check_map
+from dslab.slam.optimization.sim3 import sim3_decompose, sim3_matrix
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,10 @@ from dual_scenes import RECOVERED, RECOVERY_ONLY, STEP_M, dual, of, with_threads
 from recovery_scenes import blind_scene
 from slam_scenes import blanked, errors_m, feed, feed_until, fingerprint, kinds, rms, toy
 
-from slam.core.events import TrackingState
-from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult
-from slam.dual.recovery.orb import OrbRecovery
-from slam.map.invariants import check_map
+from dslab.slam.core.events import TrackingState
+from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult
+from dslab.slam.dual.recovery.orb import OrbRecovery
+from dslab.slam.map.invariants import check_map
 
 
 def same_map(m, arrays):

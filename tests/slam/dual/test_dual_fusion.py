@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from slam_scenes import NO_POINT, VIEW, PointWorld, pose_error, rigid, rms, walk, world_ids
 
-from slam.dual.fusion.fuse import FusionConfig, confirms, fuse
-from slam.loop_closing.map_alignment import align
-from slam.map.invariants import check_map
-from slam.mapping.local_mapping import LocalMappingConfig
-from slam.optimization.sim3 import horn_sim3, sim3_decompose, sim3_inverse, sim3_matrix
+from dslab.slam.dual.fusion.fuse import FusionConfig, confirms, fuse
+from dslab.slam.loop_closing.map_alignment import align
+from dslab.slam.map.invariants import check_map
+from dslab.slam.mapping.local_mapping import LocalMappingConfig
+from dslab.slam.optimization.sim3 import horn_sim3, sim3_decompose, sim3_inverse, sim3_matrix
 
 CONFIG = FusionConfig()
 SCALE = 0.37

@@ -8,16 +8,16 @@ import pytest
 from dual_scenes import STEP_M, of, with_own_threads
 from slam_scenes import blanked, errors_m, feed_until, rms, toy
 
-from slam.core.events import TrackingState
-from slam.dual.fusion import prepared
-from slam.dual.fusion.fuse import FusionConfig
-from slam.dual.fusion.place_merging import PlaceMerger
-from slam.dual.recovery.interface import RecoveryConfig
-from slam.dual.recovery.orb import OrbRecovery
-from slam.dual.recovery_jobs import RecoveryJobs
-from slam.invariants import check_system
-from slam.runtime.backend import Backend, ExecutionMode
-from slam.tracking.tracker import TrackingOutcome
+from dslab.slam.core.events import TrackingState
+from dslab.slam.dual.fusion import prepared
+from dslab.slam.dual.fusion.fuse import FusionConfig
+from dslab.slam.dual.fusion.place_merging import PlaceMerger
+from dslab.slam.dual.recovery.interface import RecoveryConfig
+from dslab.slam.dual.recovery.orb import OrbRecovery
+from dslab.slam.dual.recovery_jobs import RecoveryJobs
+from dslab.slam.invariants import check_system
+from dslab.slam.runtime.backend import Backend, ExecutionMode
+from dslab.slam.tracking.tracker import TrackingOutcome
 
 COUNT, BLANK, PATIENCE_S = 150, range(50, 56), 60.0
 

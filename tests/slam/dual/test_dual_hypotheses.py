@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from slam_scenes import PointWorld, rigid, tracked_in, walk
 
-from slam.dual.fusion.fuse import FusionConfig
-from slam.dual.fusion.hypotheses import Hypothesis, rival
-from slam.dual.fusion.place_merging import PlaceMerger
-from slam.loop_closing.map_alignment import AlignmentConfig, align
-from slam.loop_closing.place_check import PlaceCheckConfig
-from slam.tracking.reach import ReachConfig
-from slam.tracking.relocalization import RelocalizationOutcome
+from dslab.slam.dual.fusion.fuse import FusionConfig
+from dslab.slam.dual.fusion.hypotheses import Hypothesis, rival
+from dslab.slam.dual.fusion.place_merging import PlaceMerger
+from dslab.slam.loop_closing.map_alignment import AlignmentConfig, align
+from dslab.slam.loop_closing.place_check import PlaceCheckConfig
+from dslab.slam.tracking.reach import ReachConfig
+from dslab.slam.tracking.relocalization import RelocalizationOutcome
 
 LAX = AlignmentConfig(min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20)
 LATER = 900  # frames, half a minute

@@ -17,12 +17,12 @@ from dual_scenes import (
 )  # fmt: skip
 from slam_scenes import blanked, errors_m, feed, fingerprint, kinds, rms, toy
 
-from slam.core.events import TrackingState
-from slam.dual.config import DualConfig
-from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost
-from slam.dual.recovery.orb import OrbRecovery
-from slam.map.invariants import check_map
-from slam.warmup import CAMERA
+from dslab.slam.core.events import TrackingState
+from dslab.slam.dual.config import DualConfig
+from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryCost
+from dslab.slam.dual.recovery.orb import OrbRecovery
+from dslab.slam.map.invariants import check_map
+from dslab.slam.warmup import CAMERA
 
 FPS = CAMERA.fps
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from slam_scenes import CAMERA, FPS, PointWorld, pose_error, rigid, tracked_in, walk
 
-from slam.dual.fusion.merge_recovered import merge_recovered
-from slam.dual.recovery.interface import RecoveryConfig, RecoveryTask
-from slam.dual.recovery.orb import OrbRecovery
-from slam.map._map_kernels import add_observation
-from slam.map.invariants import check_map
-from slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
-from slam.optimization.sim3 import sim3_decompose, sim3_inverse, sim3_matrix
+from dslab.slam.dual.fusion.merge_recovered import merge_recovered
+from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryTask
+from dslab.slam.dual.recovery.orb import OrbRecovery
+from dslab.slam.map._map_kernels import add_observation
+from dslab.slam.map.invariants import check_map
+from dslab.slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
+from dslab.slam.optimization.sim3 import sim3_decompose, sim3_inverse, sim3_matrix
 
 OLD = range(0, 35, 5)  # frames that are the old map's keyframes
 FIRST, LAST = 45, 65  # frames of the new map when it is copied

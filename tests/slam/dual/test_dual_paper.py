@@ -5,12 +5,12 @@ import pytest
 from recovery_scenes import blind_scene
 from slam_scenes import PointWorld, feed, rigid, toy, walk
 
-from slam.dual.fusion.fuse import FusionConfig
-from slam.dual.recovery.common_points import align_all, pairs_close_in_time
-from slam.dual.recovery.interface import RecoveryConfig
-from slam.factory import build_system
-from slam.optimization.sim3 import sim3_decompose
-from slam.warmup import CAMERA
+from dslab.slam.dual.fusion.fuse import FusionConfig
+from dslab.slam.dual.recovery.common_points import align_all, pairs_close_in_time
+from dslab.slam.dual.recovery.interface import RecoveryConfig
+from dslab.slam.factory import build_system
+from dslab.slam.optimization.sim3 import sim3_decompose
+from dslab.slam.warmup import CAMERA
 
 CONFIG = FusionConfig(confirmations=1, min_share=0.0, min_matches=20)
 SCALE, MOVED = 0.5, rigid((1.0, -2.0, 0.5), (10, -20, 15))

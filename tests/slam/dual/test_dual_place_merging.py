@@ -7,19 +7,19 @@ import pytest
 from dual_scenes import RECOVERED, RECOVERY_ONLY, STEP_M, dual, of, scale_between
 from slam_scenes import blanked, errors_m, feed, kinds, rms, toy
 
-from slam.core.events import TrackingState
-from slam.core.frame import Frame
-from slam.dual.dual_slam import DualSlam
-from slam.dual.fusion import place_merging
-from slam.dual.fusion.fuse import FusionConfig
-from slam.dual.fusion.map_merger import MapMerger
-from slam.dual.fusion.place_merging import PlaceMerger
-from slam.dual.recovery.interface import RecoveryConfig
-from slam.dual.recovery.registry import ThreadSpec
-from slam.loop_closing.place_check import PlaceCheckConfig
-from slam.map.invariants import check_map
-from slam.tracking.probation import ProbationConfig
-from slam.tracking.tracker import TrackingOutcome
+from dslab.slam.core.events import TrackingState
+from dslab.slam.core.frame import Frame
+from dslab.slam.dual.dual_slam import DualSlam
+from dslab.slam.dual.fusion import place_merging
+from dslab.slam.dual.fusion.fuse import FusionConfig
+from dslab.slam.dual.fusion.map_merger import MapMerger
+from dslab.slam.dual.fusion.place_merging import PlaceMerger
+from dslab.slam.dual.recovery.interface import RecoveryConfig
+from dslab.slam.dual.recovery.registry import ThreadSpec
+from dslab.slam.loop_closing.place_check import PlaceCheckConfig
+from dslab.slam.map.invariants import check_map
+from dslab.slam.tracking.probation import ProbationConfig
+from dslab.slam.tracking.tracker import TrackingOutcome
 
 # Recovery fails at the first unusable frame: only place recognition is left.
 BY_PLACE = replace(

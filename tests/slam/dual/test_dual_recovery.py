@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from slam_scenes import CAMERA, FPS, PointWorld, make_frame, pose_error, rigid, tracked_in, walk
 
-from slam.core.frame import Frame
-from slam.dual.fusion.fuse import FusionConfig
-from slam.dual.recovery.interface import RecoveryConfig, RecoveryTask, Spared
-from slam.dual.recovery.orb import OrbRecovery, OrbRecoveryConfig
-from slam.dual.recovery.overlap import Overlap
-from slam.dual.recovery_jobs import placed_keyframes
-from slam.features.remembered import Remembered
-from slam.map.invariants import check_map
-from slam.optimization.sim3 import sim3_decompose
-from slam.tracking.tracker import CrossingConfig, TrackingConfig
+from dslab.slam.core.frame import Frame
+from dslab.slam.dual.fusion.fuse import FusionConfig
+from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryTask, Spared
+from dslab.slam.dual.recovery.orb import OrbRecovery, OrbRecoveryConfig
+from dslab.slam.dual.recovery.overlap import Overlap
+from dslab.slam.dual.recovery_jobs import placed_keyframes
+from dslab.slam.features.remembered import Remembered
+from dslab.slam.map.invariants import check_map
+from dslab.slam.optimization.sim3 import sim3_decompose
+from dslab.slam.tracking.tracker import CrossingConfig, TrackingConfig
 
 OLD = range(0, 35, 5)  # frames that are the old map's keyframes
 BLIND = range(31, 38)  # frames that show nothing

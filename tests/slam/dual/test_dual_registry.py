@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from recovery_scenes import BLIND, blind_scene, same_map
 
-from slam.config import SlamConfig
-from slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult
-from slam.dual.recovery.registry import ThreadSpec, build_thread, parse_threads
-from slam.map.invariants import check_map
-from slam.mapping.local_mapping import LocalMappingConfig
-from slam.tracking.doubt import DoubtConfig
-from slam.tracking.tracker import TrackingConfig
+from dslab.slam.config import SlamConfig
+from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult
+from dslab.slam.dual.recovery.registry import ThreadSpec, build_thread, parse_threads
+from dslab.slam.map.invariants import check_map
+from dslab.slam.mapping.local_mapping import LocalMappingConfig
+from dslab.slam.tracking.doubt import DoubtConfig
+from dslab.slam.tracking.tracker import TrackingConfig
 
 # Those of the paper are these with other settings.
 KINDS = ("orb", "sift", "gms", "direct")

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from slam_scenes import PointWorld, pose_error, rigid, walk
 
-from slam.dual.fusion import fuse as fusion
-from slam.dual.fusion.fuse import FusionConfig, confirms, fuse
-from slam.dual.fusion.place_merging import inverted
-from slam.loop_closing.map_alignment import align
-from slam.map.invariants import check_map
-from slam.mapping.local_mapping import LocalMappingConfig
-from slam.optimization.sim3 import sim3_inverse, sim3_matrix
+from dslab.slam.dual.fusion import fuse as fusion
+from dslab.slam.dual.fusion.fuse import FusionConfig, confirms, fuse
+from dslab.slam.dual.fusion.place_merging import inverted
+from dslab.slam.loop_closing.map_alignment import align
+from dslab.slam.map.invariants import check_map
+from dslab.slam.mapping.local_mapping import LocalMappingConfig
+from dslab.slam.optimization.sim3 import sim3_inverse, sim3_matrix
 
 OLD = range(0, 35, 5)
 NEW = range(20, 65, 5)

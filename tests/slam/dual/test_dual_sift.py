@@ -9,14 +9,14 @@ from dual_scenes import STEP_M
 from recovery_scenes import BLIND, FADED, blind_scene, faded_scene, same_map
 from slam_scenes import CAMERA, VIEW, make_frame, rigid, toy
 
-from slam.core.frame import Frame
-from slam.dual.recovery.interface import RecoveryConfig
-from slam.dual.recovery.registry import ThreadSpec, build_thread
-from slam.dual.recovery.sift import SiftRecoveryConfig, SiftTracker, detector
-from slam.features import sift, tracks
-from slam.features.sift import SiftFrame
-from slam.features.sift_detector import SiftDetector
-from slam.map.invariants import check_map
+from dslab.slam.core.frame import Frame
+from dslab.slam.dual.recovery.interface import RecoveryConfig
+from dslab.slam.dual.recovery.registry import ThreadSpec, build_thread
+from dslab.slam.dual.recovery.sift import SiftRecoveryConfig, SiftTracker, detector
+from dslab.slam.features import sift, tracks
+from dslab.slam.features.sift import SiftFrame
+from dslab.slam.features.sift_detector import SiftDetector
+from dslab.slam.map.invariants import check_map
 
 # -- a scene in which the motion model fails -----------------------------------------------------------------
 

@@ -8,13 +8,13 @@ import pytest
 from dual_scenes import CONFIG, RECOVERED, RECOVERY_ONLY, STEP_M, of, play, scale_between, with_threads
 from slam_scenes import accuse, blanked, check_maps, errors_m, feed, kinds, rms, toy
 
-from slam.core.events import TrackingState
-from slam.dual.dual_slam import DualSlam
-from slam.dual.recovery.interface import RecoveryConfig
-from slam.dual.recovery.orb import OrbRecovery
-from slam.engine import SlamEngine
-from slam.factory import build_system
-from slam.warmup import CAMERA
+from dslab.slam.core.events import TrackingState
+from dslab.slam.dual.dual_slam import DualSlam
+from dslab.slam.dual.recovery.interface import RecoveryConfig
+from dslab.slam.dual.recovery.orb import OrbRecovery
+from dslab.slam.engine import SlamEngine
+from dslab.slam.factory import build_system
+from dslab.slam.warmup import CAMERA
 
 # -- one breakage --------------------------------------------------------------------------------------------
 

@@ -7,11 +7,11 @@ import pytest
 from dual_scenes import RECOVERED, STEP_M, of, scale_between, with_own_threads
 from slam_scenes import blanked, errors_m, kinds, rms, toy
 
-from slam.core.events import TrackingState
-from slam.dual.recovery.interface import RecoveryConfig
-from slam.dual.recovery.orb import OrbRecovery
-from slam.map.invariants import check_map
-from slam.runtime.backend import ExecutionMode
+from dslab.slam.core.events import TrackingState
+from dslab.slam.dual.recovery.interface import RecoveryConfig
+from dslab.slam.dual.recovery.orb import OrbRecovery
+from dslab.slam.map.invariants import check_map
+from dslab.slam.runtime.backend import ExecutionMode
 
 BLANK = range(50, 56)
 PATIENCE_S = 60.0

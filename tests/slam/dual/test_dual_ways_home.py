@@ -8,10 +8,10 @@ from dual_scenes import RECOVERY_ONLY, STEP_M, dual, of, with_own_threads
 from slam_scenes import blanked, check_maps, errors_m, feed, kinds, reconfigure, rms, toy
 from test_dual_lifecycle import Lasting
 
-from slam.core.events import TrackingState
-from slam.dual.config import DualConfig
-from slam.dual.fusion.fuse import FusionConfig
-from slam.tracking.probation import ProbationConfig
+from dslab.slam.core.events import TrackingState
+from dslab.slam.dual.config import DualConfig
+from dslab.slam.dual.fusion.fuse import FusionConfig
+from dslab.slam.tracking.probation import ProbationConfig
 
 BLANK = range(50, 56)
 

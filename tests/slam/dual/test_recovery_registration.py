@@ -2,8 +2,8 @@
 
 import pytest
 
-import slam
-from slam.dual.recovery.registry import RECOVERY_KINDS, build_thread, parse_threads
+from dslab import slam
+from dslab.slam.dual.recovery.registry import RECOVERY_KINDS, build_thread, parse_threads
 
 CAMERA = slam.PinholeCamera(64, 48, 50.0, 50.0, 31.5, 23.5, 30.0)
 
@@ -15,7 +15,7 @@ class StrictOrb(slam.OrbRecovery):
 def test_a_registered_thread_is_built_by_name(monkeypatch):
     with pytest.raises(ValueError, match="unknown recovery thread 'strict_orb'"):
         parse_threads("strict_orb")
-    monkeypatch.setattr("slam.dual.recovery.registry.RECOVERY_KINDS", RECOVERY_KINDS.copy())
+    monkeypatch.setattr("dslab.slam.dual.recovery.registry.RECOVERY_KINDS", RECOVERY_KINDS.copy())
     slam.register_recovery_thread("strict_orb", StrictOrb)
     (spec,) = parse_threads("strict_orb")
     assert isinstance(build_thread(spec), StrictOrb)

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from slam.dual.recovery.interface import Cancellation, RecoveryCost, RecoveryResult, Spared
-from slam.dual.recovery.scheduler import RecoveryRun, build_scheduler
-from slam.runtime.backend import ExecutionMode
+from dslab.slam.dual.recovery.interface import Cancellation, RecoveryCost, RecoveryResult, Spared
+from dslab.slam.dual.recovery.scheduler import RecoveryRun, build_scheduler
+from dslab.slam.runtime.backend import ExecutionMode
 
 PATIENCE_S = 30.0
 

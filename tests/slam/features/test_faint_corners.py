@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from slam_scenes import CAMERA
 
-from slam.core.frame import Features
-from slam.dual.paper import paper_config
-from slam.features.faint import Amplifier, noise_of
-from slam.features.finder import FeatureFinder
-from slam.features.orb import OrbConfig, OrbExtractor
-from slam.matching.brute_force import match_brute_force
+from dslab.slam.core.frame import Features
+from dslab.slam.dual.paper import paper_config
+from dslab.slam.features.faint import Amplifier, noise_of
+from dslab.slam.features.finder import FeatureFinder
+from dslab.slam.features.orb import OrbConfig, OrbExtractor
+from dslab.slam.matching.brute_force import match_brute_force
 
 WIDTH, HEIGHT = 640, 480
 

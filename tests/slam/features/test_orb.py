@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from slam.core.frame import Features
-from slam.features.orb import OrbConfig, OrbExtractor, share_out
-from slam.features.remembered import Remembered
-from slam.matching.brute_force import match_brute_force
+from dslab.slam.core.frame import Features
+from dslab.slam.features.orb import OrbConfig, OrbExtractor, share_out
+from dslab.slam.features.remembered import Remembered
+from dslab.slam.matching.brute_force import match_brute_force
 
 WIDTH, HEIGHT = 640, 480
 REAL_FRAMES = Path(__file__).parents[4] / "shared" / "data" / "sevenscenes_redkitchen" / "images"

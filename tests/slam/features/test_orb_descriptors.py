@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from slam.features._brief_pattern import BRIEF_PAIRS
-from slam.features._orb_kernels import BORDER_PX, descriptors, orientations
+from dslab.slam.features._brief_pattern import BRIEF_PAIRS
+from dslab.slam.features._orb_kernels import BORDER_PX, descriptors, orientations
 
 HEIGHT, WIDTH = 260, 340
 

@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slam.features._fast_kernels import corner_contrast, refine_corners, select_corners
+from dslab.slam.features._fast_kernels import corner_contrast, refine_corners, select_corners
 
 CIRCLE = [
     *((0, 3), (1, 3), (2, 2), (3, 1), (3, 0), (3, -1), (2, -2), (1, -3)),

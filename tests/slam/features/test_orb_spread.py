@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from slam.features._spread_kernels import spread_corners
+from dslab.slam.features._spread_kernels import spread_corners
 
 WIDTH, HEIGHT = 200, 150
 

@@ -6,10 +6,10 @@ import pytest
 from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
-from slam.features._dog_kernels import BORDER_PX, find_extrema, refine_extrema
-from slam.features._sift_kernels import _turns
-from slam.features._sift_matching import nearest
-from slam.features.sift_detector import SiftDetector, SiftFeatures
+from dslab.slam.features._dog_kernels import BORDER_PX, find_extrema, refine_extrema
+from dslab.slam.features._sift_kernels import _turns
+from dslab.slam.features._sift_matching import nearest
+from dslab.slam.features.sift_detector import SiftDetector, SiftFeatures
 
 SIZE = 240, 320
 ALL = 10**6

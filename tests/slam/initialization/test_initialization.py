@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from slam_scenes import CAMERA, VIEW, PointWorld, make_frame, pose_error, rigid, world_ids
 
-from slam.core.frame import Frame
-from slam.initialization import initializer as initialization
-from slam.initialization.initializer import InitializationConfig, Initializer
-from slam.initialization.two_view import TwoViewConfig
-from slam.map.invariants import check_map
-from slam.mapping.local_mapping import LocalMappingConfig
-from slam.optimization.sim3 import horn_sim3
+from dslab.slam.core.frame import Frame
+from dslab.slam.initialization import initializer as initialization
+from dslab.slam.initialization.initializer import InitializationConfig, Initializer
+from dslab.slam.initialization.two_view import TwoViewConfig
+from dslab.slam.map.invariants import check_map
+from dslab.slam.mapping.local_mapping import LocalMappingConfig
+from dslab.slam.optimization.sim3 import horn_sim3
 
 MATCHERS = ("windowed", "gms")
 WORLD = PointWorld(seed=3, points=6000, reach=(-6.0, 6.0))

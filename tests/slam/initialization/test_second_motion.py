@@ -5,10 +5,10 @@ import pytest
 from slam_scenes import CAMERA, VIEW, PointWorld, rigid, world_ids
 from two_view_scenes import direction_error_deg
 
-from slam.initialization.initializer import InitializationConfig, Initializer
-from slam.initialization.second_motion import SecondMotionConfig
-from slam.initialization.two_view import TwoViewConfig
-from slam.mapping.local_mapping import LocalMappingConfig
+from dslab.slam.initialization.initializer import InitializationConfig, Initializer
+from dslab.slam.initialization.second_motion import SecondMotionConfig
+from dslab.slam.initialization.two_view import TwoViewConfig
+from dslab.slam.mapping.local_mapping import LocalMappingConfig
 
 WALL = PointWorld(seed=3, points=6000, reach=(-6.0, 6.0))
 WALL.xyz[:, 2] = 6.0 + 0.4 * WALL.xyz[:, 0] - 0.3 * WALL.xyz[:, 1]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from two_view_scenes import K, direction_error_deg, project, rigid, rotation_error_deg, scene
 
-from slam.initialization._two_view_refinement import RefinedMotion
-from slam.initialization.two_view import TwoViewConfig, _least_lead, two_view_reconstruction
+from dslab.slam.initialization._two_view_refinement import RefinedMotion
+from dslab.slam.initialization.two_view import TwoViewConfig, _least_lead, two_view_reconstruction
 
 
 def reconstruct(pixels_1, pixels_2, config=None, seed=1):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from two_view_rays import FOCAL, errors_of, errors_reference, loss, matches_of, rigid, views
 
-from slam.initialization._two_view_errors import motion_errors, normal_equations
-from slam.initialization._two_view_refinement import TUKEY, moved, tangent
-from slam.optimization._se3 import so3_exp
+from dslab.slam.initialization._two_view_errors import motion_errors, normal_equations
+from dslab.slam.initialization._two_view_refinement import TUKEY, moved, tangent
+from dslab.slam.optimization._se3 import so3_exp
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from two_view_scenes import K, direction_error_deg, rotation_error_deg, scene
 
-from slam.initialization._two_view_models import (
+from dslab.slam.initialization._two_view_models import (
     epipolar_score,
     essential_motions,
     homography_motions,

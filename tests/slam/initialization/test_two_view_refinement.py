@@ -5,8 +5,8 @@ import pytest
 from scipy.optimize import least_squares
 from two_view_rays import FOCAL, angle_deg, errors_of, errors_reference, loss, rigid, views
 
-from slam.initialization._two_view_refinement import TUKEY, moved, refined, tangent
-from slam.optimization._se3 import so3_exp
+from dslab.slam.initialization._two_view_refinement import TUKEY, moved, refined, tangent
+from dslab.slam.optimization._se3 import so3_exp
 
 
 def test_the_tangent_and_the_moved_direction_are_unit_vectors():

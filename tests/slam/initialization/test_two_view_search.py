@@ -5,9 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from slam.initialization._two_view_refinement import TUKEY, refined
-from slam.initialization._two_view_search import distinct, motions_around, search_motions
-from slam.optimization._se3 import so3_exp
+from dslab.slam.initialization._two_view_refinement import TUKEY, refined
+from dslab.slam.initialization._two_view_search import distinct, motions_around, search_motions
+from dslab.slam.optimization._se3 import so3_exp
 
 FOCAL = 500.0
 

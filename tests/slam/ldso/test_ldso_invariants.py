@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam.core.events import TrackingState
-from slam.factory import build_system
-from slam.invariants import InvariantError, check_result, check_system
-from slam.warmup import CAMERA, toy_frames
+from dslab.slam.core.events import TrackingState
+from dslab.slam.factory import build_system
+from dslab.slam.invariants import InvariantError, check_result, check_system
+from dslab.slam.warmup import CAMERA, toy_frames
 
 FRAMES, BLANK = 80, range(44, 47)
 

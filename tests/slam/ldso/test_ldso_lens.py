@@ -20,18 +20,18 @@ from ldso_scenes import (
     window_of,
 )
 
-from slam.config import SlamConfig
-from slam.core import events as ev
-from slam.core.camera import undistort_residual
-from slam.direct.pyramid import Rectifier
-from slam.factory import build_system
-from slam.ldso.adjustment import adjust, affine_prior, gauge
-from slam.ldso.config import LensConfig
-from slam.ldso.lens import LensEstimator, displacements, lens_information, lens_model
-from slam.ldso.model import model_of
-from slam.ldso.replay import replayed
-from slam.ldso.start import Starter, Waiting
-from slam.ldso.system import DsoSlam
+from dslab.slam.config import SlamConfig
+from dslab.slam.core import events as ev
+from dslab.slam.core.camera import undistort_residual
+from dslab.slam.direct.pyramid import Rectifier
+from dslab.slam.factory import build_system
+from dslab.slam.ldso.adjustment import adjust, affine_prior, gauge
+from dslab.slam.ldso.config import LensConfig
+from dslab.slam.ldso.lens import LensEstimator, displacements, lens_information, lens_model
+from dslab.slam.ldso.model import model_of
+from dslab.slam.ldso.replay import replayed
+from dslab.slam.ldso.start import Starter, Waiting
+from dslab.slam.ldso.system import DsoSlam
 
 PHOTOMETRIC = CONFIG.photometric
 LENS = (0.03, -0.02, 0.002, -0.001)
@@ -57,7 +57,7 @@ def shift_px(residual):
 
 def test_the_model_is_the_derivative_of_the_cost(monkeypatch):
     """A change of the lens moves host pixels, and samples the other images elsewhere."""
-    monkeypatch.setattr("slam.ldso.model.PATTERN", np.zeros((8, 2)))
+    monkeypatch.setattr("dslab.slam.ldso.model.PATTERN", np.zeros((8, 2)))
     window = window_of(POSES[:3], 90)
     window.images[window.slots] = smooth_level()
     window.outlier[:] = 1e12
@@ -186,7 +186,7 @@ def test_chance_alone_is_rarely_significant(monkeypatch, count):
     """How far a few windows scatter is not well known: they have to say the same more clearly than many."""
     rng, root = np.random.default_rng(count), np.diag([300.0, 100.0, 500.0, 400.0])
     monkeypatch.setattr(
-        "slam.ldso.lens.lens_information", lambda *_: (root @ root, root @ rng.normal(size=4))
+        "dslab.slam.ldso.lens.lens_information", lambda *_: (root @ root, root @ rng.normal(size=4))
     )
     window, bar, n = window_of(POSES + MORE, 8), 9.49, 600  # by chance once in twenty
     config = LensConfig(

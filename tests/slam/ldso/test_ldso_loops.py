@@ -17,19 +17,19 @@ from ldso_scenes import (
     view,
 )
 
-from slam.core import events as ev
-from slam.core.seeds import rng_for
-from slam.direct.selection import select
-from slam.factory import build_system
-from slam.features._orb_kernels import BORDER_PX
-from slam.ldso.corner_map import CornerMap, depths_of
-from slam.ldso.corners import corner_view, corners_of, described, with_corners
-from slam.ldso.loops import distributed
-from slam.ldso.window import Keyframe
-from slam.loop_closing.correction import move_map
-from slam.loop_closing.map_alignment import AlignmentConfig, align
-from slam.optimization.sim3 import sim3_matrix
-from slam.optimization.sim3_algebra import invert_sim3, scales
+from dslab.slam.core import events as ev
+from dslab.slam.core.seeds import rng_for
+from dslab.slam.direct.selection import select
+from dslab.slam.factory import build_system
+from dslab.slam.features._orb_kernels import BORDER_PX
+from dslab.slam.ldso.corner_map import CornerMap, depths_of
+from dslab.slam.ldso.corners import corner_view, corners_of, described, with_corners
+from dslab.slam.ldso.loops import distributed
+from dslab.slam.ldso.window import Keyframe
+from dslab.slam.loop_closing.correction import move_map
+from dslab.slam.loop_closing.map_alignment import AlignmentConfig, align
+from dslab.slam.optimization.sim3 import sim3_matrix
+from dslab.slam.optimization.sim3_algebra import invert_sim3, scales
 
 VIEW = corner_view(CAMERA, CONFIG.corners)
 DRIFT = sim3_matrix(1.2, motion([0, 0, 0, 0.05, -0.1, 0.08])[:3, :3], np.array([0.4, -0.2, 0.3]))

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from slam.ldso.config import LossConfig
-from slam.ldso.loss import LossRule
-from slam.ldso.tracking import Tracked
+from dslab.slam.ldso.config import LossConfig
+from dslab.slam.ldso.loss import LossRule
+from dslab.slam.ldso.tracking import Tracked
 
 DEPTH = 2.0
 SEEN = Tracked(np.eye(4), np.zeros(2), 3.0, 0.9, 0.0, 0.98, (1.0, 1.0))

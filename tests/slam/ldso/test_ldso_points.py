@@ -3,9 +3,9 @@
 import numpy as np
 from ldso_scenes import CONFIG, INTRINSICS, POSES, RECTIFIER, depth_of, motion, selected, view, window_of
 
-from slam.direct._alignment_kernels import PATTERN
-from slam.ldso._activation_kernels import refine_depths, spread
-from slam.ldso._epipolar_kernels import ALONG_EDGE, CERTAIN, GOOD
+from dslab.slam.direct._alignment_kernels import PATTERN
+from dslab.slam.ldso._activation_kernels import refine_depths, spread
+from dslab.slam.ldso._epipolar_kernels import ALONG_EDGE, CERTAIN, GOOD
 
 HUBER = CONFIG.photometric.huber
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from ldso_scenes import position_error
 
-from slam.core import events as ev
-from slam.core.events import TrackingState
-from slam.factory import build_system
-from slam.ldso.config import DsoConfig, PhotometricConfig
-from slam.ldso.system import DsoSlam
-from slam.warmup import CAMERA, toy_frames
+from dslab.slam.core import events as ev
+from dslab.slam.core.events import TrackingState
+from dslab.slam.factory import build_system
+from dslab.slam.ldso.config import DsoConfig, PhotometricConfig
+from dslab.slam.ldso.system import DsoSlam
+from dslab.slam.warmup import CAMERA, toy_frames
 
 FRAMES, BLANK = 90, range(50, 54)
 

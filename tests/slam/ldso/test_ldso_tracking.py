@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from ldso_scenes import CAMERA, CONFIG, INTRINSICS, RECTIFIER, motion, view
 
-from slam.direct.selection import select
-from slam.ldso._reference_kernels import gather, halved_sums, splat
-from slam.ldso._tracking_kernels import mean_squared_flow
-from slam.ldso.tracking import PhotometricTracker, TrackingReference
+from dslab.slam.direct.selection import select
+from dslab.slam.ldso._reference_kernels import gather, halved_sums, splat
+from dslab.slam.ldso._tracking_kernels import mean_squared_flow
+from dslab.slam.ldso.tracking import PhotometricTracker, TrackingReference
 
 
 def reference():

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from ldso_scenes import CONFIG, POSES, motion, smooth_level, window_of
 
-from slam.direct._alignment_kernels import PATTERN
-from slam.ldso.adjustment import adjust, gauge
-from slam.ldso.marginalisation import leaving, remove_keyframe, remove_points, without
-from slam.ldso.model import model_of
+from dslab.slam.direct._alignment_kernels import PATTERN
+from dslab.slam.ldso.adjustment import adjust, gauge
+from dslab.slam.ldso.marginalisation import leaving, remove_keyframe, remove_points, without
+from dslab.slam.ldso.model import model_of
 
 PHOTOMETRIC = CONFIG.photometric
 
@@ -34,7 +34,7 @@ def smooth_window():
 
 def test_the_model_is_the_derivative_of_the_cost(monkeypatch):
     """The pattern moves as one in the Jacobians, so that a pattern of equal pixels makes them exact."""
-    monkeypatch.setattr("slam.ldso.model.PATTERN", np.zeros((8, 2)))
+    monkeypatch.setattr("dslab.slam.ldso.model.PATTERN", np.zeros((8, 2)))
     window = smooth_window()
     taken = window.active.seen >= 0
     depths = window.active.inverse_depth.copy()

@@ -5,11 +5,11 @@ import pytest
 from loop_scenes import ring
 from slam_scenes import make_frame
 
-from slam.loop_closing.correction import correct_loop
-from slam.loop_closing.global_adjustment import adjust_globally
-from slam.map.adjustment import apply_adjustment
-from slam.map.compaction import drop_culled_keypoints
-from slam.map.invariants import check_map
+from dslab.slam.loop_closing.correction import correct_loop
+from dslab.slam.loop_closing.global_adjustment import adjust_globally
+from dslab.slam.map.adjustment import apply_adjustment
+from dslab.slam.map.compaction import drop_culled_keypoints
+from dslab.slam.map.invariants import check_map
 
 
 @pytest.fixture
@@ -55,7 +55,7 @@ def test_what_was_culled_since_stays_culled(closed):
     adjustment = adjust_globally(closed)
     closed.cull_keyframe(12)
     lost = int(closed.points()[5])
-    from slam.map._map_kernels import remove_point
+    from dslab.slam.map._map_kernels import remove_point
 
     remove_point(closed.arrays, lost)
     apply_adjustment(closed, adjustment)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from loop_scenes import ring
 
-from slam.loop_closing.correction import correct_loop
-from slam.loop_closing.detection import LoopClosingConfig, LoopDetector
-from slam.map.invariants import check_map
-from slam.optimization.sim3 import horn_sim3, sim3_decompose
+from dslab.slam.loop_closing.correction import correct_loop
+from dslab.slam.loop_closing.detection import LoopClosingConfig, LoopDetector
+from dslab.slam.map.invariants import check_map
+from dslab.slam.optimization.sim3 import horn_sim3, sim3_decompose
 
 
 class Oracle:

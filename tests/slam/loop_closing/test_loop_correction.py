@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from loop_scenes import ring
 
-from slam.loop_closing.correction import correct_loop
-from slam.loop_closing.essential_graph import essential_edges, optimize_essential_graph
-from slam.loop_closing.global_adjustment import adjust_globally
-from slam.map.adjustment import apply_adjustment
-from slam.map.compaction import drop_culled_keypoints
-from slam.map.invariants import check_map
-from slam.optimization.sim3 import horn_sim3
+from dslab.slam.loop_closing.correction import correct_loop
+from dslab.slam.loop_closing.essential_graph import essential_edges, optimize_essential_graph
+from dslab.slam.loop_closing.global_adjustment import adjust_globally
+from dslab.slam.map.adjustment import apply_adjustment
+from dslab.slam.map.compaction import drop_culled_keypoints
+from dslab.slam.map.invariants import check_map
+from dslab.slam.optimization.sim3 import horn_sim3
 
 
 def error_m(r):

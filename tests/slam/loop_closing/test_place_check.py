@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from slam_scenes import PointWorld, rigid, walk
 
-from slam.loop_closing.correction import Loop
-from slam.loop_closing.detection import LoopClosingConfig, LoopDetector
-from slam.loop_closing.look_alikes import look_alikes, note_look_alike
-from slam.loop_closing.map_alignment import Alignment, AlignmentConfig, align
-from slam.loop_closing.place_check import PlaceCheckConfig, double_in_reach, doubt
-from slam.map._map_kernels import median_depth
-from slam.optimization.sim3 import sim3_decompose, sim3_matrix
-from slam.places.recognition import KeyframeDatabase
-from slam.tracking.reach import ReachConfig
+from dslab.slam.loop_closing.correction import Loop
+from dslab.slam.loop_closing.detection import LoopClosingConfig, LoopDetector
+from dslab.slam.loop_closing.look_alikes import look_alikes, note_look_alike
+from dslab.slam.loop_closing.map_alignment import Alignment, AlignmentConfig, align
+from dslab.slam.loop_closing.place_check import PlaceCheckConfig, double_in_reach, doubt
+from dslab.slam.map._map_kernels import median_depth
+from dslab.slam.optimization.sim3 import sim3_decompose, sim3_matrix
+from dslab.slam.places.recognition import KeyframeDatabase
+from dslab.slam.tracking.reach import ReachConfig
 
 LAX = AlignmentConfig(min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20)
 ANYWHERE = PlaceCheckConfig(reach=ReachConfig(factor=1e9))

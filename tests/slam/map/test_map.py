@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from slam_scenes import FPS, VIEW, random_map
 
-from slam.map import _map_kernels as kernels
-from slam.map.invariants import check_map
-from slam.map.map import MIN_OBSERVATIONS
+from dslab.slam.map import _map_kernels as kernels
+from dslab.slam.map.invariants import check_map
+from dslab.slam.map.map import MIN_OBSERVATIONS
 
 
 def test_invariants_hold_after_random_edits():

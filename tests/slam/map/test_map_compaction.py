@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from slam_scenes import make_frame, random_map
 
-from slam.map.compaction import culled_keypoints, drop_culled_keypoints
-from slam.map.invariants import check_map
+from dslab.slam.map.compaction import culled_keypoints, drop_culled_keypoints
+from dslab.slam.map.invariants import check_map
 
 KEYFRAMES, CULLED = 12, (2, 3, 7, 11)
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from slam_scenes import random_map
 
-from slam.map.invariants import InvariantError, check_map
+from dslab.slam.map.invariants import InvariantError, check_map
 
 
 @pytest.fixture
 def sound():
     """A valid map with a culled keyframe and a replaced point."""
-    from slam.map import _map_kernels as kernels
+    from dslab.slam.map import _map_kernels as kernels
 
     m = random_map(np.random.default_rng(11))
     m.cull_keyframe(3)
@@ -250,8 +250,8 @@ def test_checking_changes_nothing(sound):
 
 
 def test_a_map_without_points_and_one_without_keyframes_are_valid():
-    from slam.map import _map_kernels as kernels
-    from slam.map.map import Map
+    from dslab.slam.map import _map_kernels as kernels
+    from dslab.slam.map.map import Map
 
     m = random_map(np.random.default_rng(12))
     kernels.remove_points(m.arrays, m.points())

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from slam_scenes import make_frame, random_map, rigid
 
-from slam.core.frame import Frame
-from slam.map.trajectory import FramePoses, keyframe_trajectory
+from dslab.slam.core.frame import Frame
+from dslab.slam.map.trajectory import FramePoses, keyframe_trajectory
 
 RNG = np.random.default_rng(0)
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from slam_scenes import PointWorld, pose_error, rigid, rms, tracked_in, walk, world_ids
 
-from slam.map import _map_kernels as kernels
-from slam.map.invariants import check_map
-from slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
-from slam.optimization.sim3 import horn_sim3
+from dslab.slam.map import _map_kernels as kernels
+from dslab.slam.map.invariants import check_map
+from dslab.slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
+from dslab.slam.optimization.sim3 import horn_sim3
 
 NOISE_PX = 0.5
 

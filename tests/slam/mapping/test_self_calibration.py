@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from slam.config import default_config
-from slam.core.camera import Residual, undistort_residual
-from slam.dual.dual_slam import DualSlam
-from slam.factory import build_system
-from slam.mapping.self_calibration import SelfCalibrationConfig
-from slam.runtime.backend import ExecutionMode
-from slam.warmup import CAMERA, toy_frames
+from dslab.slam.config import default_config
+from dslab.slam.core.camera import Residual, undistort_residual
+from dslab.slam.dual.dual_slam import DualSlam
+from dslab.slam.factory import build_system
+from dslab.slam.mapping.self_calibration import SelfCalibrationConfig
+from dslab.slam.runtime.backend import ExecutionMode
+from dslab.slam.warmup import CAMERA, toy_frames
 
 PLANTED = (0.06, 0.0, 0.0, 0.0)
 CONFIG = replace(default_config(CAMERA), self_calibration=SelfCalibrationConfig(at_keyframes=(12,)))

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from slam.features._hamming import hamming, hamming256, popcount64
-from slam.matching.brute_force import match_brute_force, rotation_consistent
+from dslab.slam.features._hamming import hamming, hamming256, popcount64
+from dslab.slam.matching.brute_force import match_brute_force, rotation_consistent
 
 
 def random_descriptors(rng, n):

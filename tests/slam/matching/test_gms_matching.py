@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from slam_scenes import CAMERA, VIEW, PointWorld, make_frame, rigid
 
-from slam.core.frame import Features, FrameFeatures
-from slam.matching.brute_force import match_brute_force
-from slam.matching.gms import GmsConfig, match_gms
+from dslab.slam.core.frame import Features, FrameFeatures
+from dslab.slam.matching.brute_force import match_brute_force
+from dslab.slam.matching.gms import GmsConfig, match_gms
 
 WORLD = PointWorld(seed=5, points=9000, reach=(-8.0, 8.0))
 SIZE_PX = (CAMERA.width_px, CAMERA.height_px)

@@ -3,10 +3,10 @@
 import numpy as np
 from slam_scenes import VIEW, make_frame, random_map, scene, seen_from
 
-from slam.core.frame import Frame
-from slam.map.invariants import check_map
-from slam.mapping._local_problem import local_problem
-from slam.matching import guided
+from dslab.slam.core.frame import Frame
+from dslab.slam.map.invariants import check_map
+from dslab.slam.mapping._local_problem import local_problem
+from dslab.slam.matching import guided
 
 
 def nearest_in_window_reference(features, taken, u, v, radius, low, high, query, ratio):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from slam_scenes import CAMERA, VIEW, PointWorld, rigid
 
-from slam.matching._windowed_kernels import match_for_initialization
-from slam.matching.gms import GmsConfig, match_gms
-from slam.matching.guided import NEAR, keep_common_rotation
-from slam.matching.initial import GmsMatcher, WindowedMatcher
+from dslab.slam.matching._windowed_kernels import match_for_initialization
+from dslab.slam.matching.gms import GmsConfig, match_gms
+from dslab.slam.matching.guided import NEAR, keep_common_rotation
+from dslab.slam.matching.initial import GmsMatcher, WindowedMatcher
 
 WORLD = PointWorld(seed=5, points=9000, reach=(-8.0, 8.0))
 SIZE_PX = (CAMERA.width_px, CAMERA.height_px)

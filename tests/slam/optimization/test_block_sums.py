@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from slam.optimization._block_sums import add_outer_products, subtract_products
+from dslab.slam.optimization._block_sums import add_outer_products, subtract_products
 
 
 @njit

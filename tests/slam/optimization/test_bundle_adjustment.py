@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from slam.optimization import _ba_kernels, _schur
-from slam.optimization._se3 import retract, so3_exp
-from slam.optimization.bundle_adjustment import bundle_adjust, local_bundle_adjust
-from slam.optimization.pose import CHI2_2DOF
+from dslab.slam.optimization import _ba_kernels, _schur
+from dslab.slam.optimization._se3 import retract, so3_exp
+from dslab.slam.optimization.bundle_adjustment import bundle_adjust, local_bundle_adjust
+from dslab.slam.optimization.pose import CHI2_2DOF
 
 INTRINSICS = (500.0, 510.0, 320.0, 240.0)
 DELTA = float(np.sqrt(CHI2_2DOF))

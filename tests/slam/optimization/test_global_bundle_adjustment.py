@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from test_bundle_adjustment import DELTA, INTRINSICS, scene
 
-from slam.optimization.bundle_adjustment import bundle_adjust
-from slam.optimization.global_bundle_adjustment import global_bundle_adjust
-from slam.optimization.pose import CHI2_2DOF
+from dslab.slam.optimization.bundle_adjustment import bundle_adjust
+from dslab.slam.optimization.global_bundle_adjustment import global_bundle_adjust
+from dslab.slam.optimization.pose import CHI2_2DOF
 
 SIGMA = 1.2 ** np.arange(8)
 

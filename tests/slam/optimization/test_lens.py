@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from slam.core.camera import NO_RESIDUAL, Residual, distort_residual
-from slam.optimization.lens import LensEstimate, estimate_lens
+from dslab.slam.core.camera import NO_RESIDUAL, Residual, distort_residual
+from dslab.slam.optimization.lens import LensEstimate, estimate_lens
 
 K = np.array([700.0, 700.0, 600.0, 180.0])
 PLANTED = (0.02, -0.006, 0.0005, 0.0015)

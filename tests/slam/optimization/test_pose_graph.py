@@ -5,8 +5,8 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import least_squares
 
-from slam.optimization.pose_graph import optimize_pose_graph
-from slam.optimization.sim3_algebra import (
+from dslab.slam.optimization.pose_graph import optimize_pose_graph
+from dslab.slam.optimization.sim3_algebra import (
     adjoint_sim3,
     exp_sim3,
     hat,

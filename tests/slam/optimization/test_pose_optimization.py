@@ -3,10 +3,10 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import least_squares
 
-from slam.optimization import pose as pose_module
-from slam.optimization._cholesky import factor, solve
-from slam.optimization._se3 import orthonormalise, retract, so3_exp
-from slam.optimization.pose import CHI2_2DOF, direction_deviation, linearise, optimize_pose, refine_pose
+from dslab.slam.optimization import pose as pose_module
+from dslab.slam.optimization._cholesky import factor, solve
+from dslab.slam.optimization._se3 import orthonormalise, retract, so3_exp
+from dslab.slam.optimization.pose import CHI2_2DOF, direction_deviation, linearise, optimize_pose, refine_pose
 
 FX, FY, CX, CY = 500.0, 510.0, 320.0, 240.0
 INTRINSICS = (FX, FY, CX, CY)

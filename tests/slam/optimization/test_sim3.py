@@ -6,8 +6,8 @@ from scipy.linalg import expm
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from slam.optimization import _sim3_kernels as kernels
-from slam.optimization.sim3 import (
+from dslab.slam.optimization import _sim3_kernels as kernels
+from dslab.slam.optimization.sim3 import (
     depth_information,
     horn_sim3,
     optimize_sim3,

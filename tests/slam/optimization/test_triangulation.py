@@ -6,7 +6,7 @@ from numba import njit
 from scipy.optimize import least_squares
 from two_view_scenes import rigid
 
-from slam.optimization._triangulation import triangulate
+from dslab.slam.optimization._triangulation import triangulate
 
 
 def normalised(T, point):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from slam_scenes import PointWorld, rigid, walk
 
-from slam.optimization.sim3 import sim3_matrix
-from slam.places._evidence_kernels import look_for
-from slam.places.evidence import EvidenceBar, Support, cells_of, support
+from dslab.slam.optimization.sim3 import sim3_matrix
+from dslab.slam.places._evidence_kernels import look_for
+from dslab.slam.places.evidence import EvidenceBar, Support, cells_of, support
 
 
 @pytest.fixture(scope="module")

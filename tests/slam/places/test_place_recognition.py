@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from slam_scenes import VIEW, PointWorld, walk
 
-from slam.places.recognition import KeyframeDatabase
-from slam.places.training import train_vocabulary
+from dslab.slam.places.recognition import KeyframeDatabase
+from dslab.slam.places.training import train_vocabulary
 
 KEYFRAMES, PLACES = 24, 3
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from slam.places import _vocabulary_kernels as kernels
-from slam.places.recognition import VOCABULARY_FILE, BowVector, Vocabulary, shipped_vocabulary
-from slam.places.training import cluster, train_vocabulary
+from dslab.slam.places import _vocabulary_kernels as kernels
+from dslab.slam.places.recognition import VOCABULARY_FILE, BowVector, Vocabulary, shipped_vocabulary
+from dslab.slam.places.training import cluster, train_vocabulary
 
 
 def random_images(seed=0, images=12, features=300, places=40, flips=12):

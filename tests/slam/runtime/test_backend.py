@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from slam_scenes import blanked, errors_m, feed, kinds, rms, toy
 
-from slam.config import default_config
-from slam.core.events import TrackingState
-from slam.factory import build_system
-from slam.loop_closing.correction import Loop
-from slam.loop_closing.judgement import JudgementConfig
-from slam.map.adjustment import MapAdjustment
-from slam.map.invariants import check_map
-from slam.runtime.backend import ExecutionMode
-from slam.warmup import CAMERA
+from dslab.slam.config import default_config
+from dslab.slam.core.events import TrackingState
+from dslab.slam.factory import build_system
+from dslab.slam.loop_closing.correction import Loop
+from dslab.slam.loop_closing.judgement import JudgementConfig
+from dslab.slam.map.adjustment import MapAdjustment
+from dslab.slam.map.invariants import check_map
+from dslab.slam.runtime.backend import ExecutionMode
+from dslab.slam.warmup import CAMERA
 
 COUNT, STEP_M = 65, 0.05
 THREADED = ExecutionMode.THREADED
@@ -143,9 +143,9 @@ def accepting_all():
 @pytest.mark.parametrize("mode", list(ExecutionMode))
 def test_a_loop_is_corrected_and_tracking_continues(sequence, monkeypatch, mode):
     images, stamps_s, _ = sequence
-    monkeypatch.setattr("slam.loop_closing.detection.LoopDetector.detect", drifted(1.25))
+    monkeypatch.setattr("dslab.slam.loop_closing.detection.LoopDetector.detect", drifted(1.25))
     monkeypatch.setattr(
-        "slam.runtime.backend.adjust_globally", lambda map_, iterations, apart: _unchanged(map_)
+        "dslab.slam.runtime.backend.adjust_globally", lambda map_, iterations, apart: _unchanged(map_)
     )
     system = build_system("base", CAMERA, 0, accepting_all(), mode=mode)
     feeding = fed_in_time if mode is THREADED else feed
@@ -167,7 +167,7 @@ def test_a_loop_that_the_corrected_map_contradicts_is_refused(sequence, monkeypa
     images, stamps_s, _ = sequence
     plain = build_system("base", CAMERA, 0)
     feed(plain, images, stamps_s)
-    monkeypatch.setattr("slam.loop_closing.detection.LoopDetector.detect", drifted(1.25))
+    monkeypatch.setattr("dslab.slam.loop_closing.detection.LoopDetector.detect", drifted(1.25))
     system = build_system("base", CAMERA, 0, mode=mode)
     (fed_in_time if mode is THREADED else feed)(system, images, stamps_s)
     refused = [e for e in system.events if e.kind == "loop_refused"]

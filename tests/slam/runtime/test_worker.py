@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from slam.runtime.worker import Worker
+from dslab.slam.runtime.worker import Worker
 
 
 @pytest.fixture

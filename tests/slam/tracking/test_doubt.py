@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from slam_scenes import VIEW, blanked, check_maps, errors_m, feed, kinds, pose_error, rigid, rms, toy
 
-from slam.config import SlamConfig
-from slam.core.events import Breakage, PosesWithdrawn, Relocalized, TrackingState
-from slam.core.frame import Features, Frame, FrameFeatures
-from slam.factory import build_system
-from slam.tracking import tracker
-from slam.tracking.doubt import Doubt, DoubtConfig, hidden_motion
-from slam.tracking.tracker import TrackingConfig
-from slam.warmup import CAMERA
+from dslab.slam.config import SlamConfig
+from dslab.slam.core.events import Breakage, PosesWithdrawn, Relocalized, TrackingState
+from dslab.slam.core.frame import Features, Frame, FrameFeatures
+from dslab.slam.factory import build_system
+from dslab.slam.tracking import tracker
+from dslab.slam.tracking.doubt import Doubt, DoubtConfig, hidden_motion
+from dslab.slam.tracking.tracker import TrackingConfig
+from dslab.slam.warmup import CAMERA
 
 FPS = 15.0
 STEP_M, DEPTH_M, PLANTED_AT = 0.06, 5.0, 70

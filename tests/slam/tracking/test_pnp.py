@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from slam_scenes import VIEW, pose_error, rigid
 
-from slam.tracking.pnp import ransac_pnp
+from dslab.slam.tracking.pnp import ransac_pnp
 
 
 def seen(rng, n, wrong, flat=False):

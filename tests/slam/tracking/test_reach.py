@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from slam.core.results import MapTrajectory
-from slam.tracking.reach import Reach, ReachConfig
+from dslab.slam.core.results import MapTrajectory
+from dslab.slam.tracking.reach import Reach, ReachConfig
 
 
 @pytest.fixture

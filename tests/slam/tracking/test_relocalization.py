@@ -20,17 +20,17 @@ from slam_scenes import (
     walk,
 )
 
-from slam.core.events import Breakage, RelocalizationWithdrawn, Relocalized, TrackingState
-from slam.core.results import MapTrajectory
-from slam.factory import build_system
-from slam.map.map import Map
-from slam.places.evidence import Support
-from slam.places.recognition import KeyframeDatabase
-from slam.places.training import train_vocabulary
-from slam.tracking.probation import ProbationConfig, Withdrawn
-from slam.tracking.reach import Reach, ReachConfig
-from slam.tracking.relocalization import RelocalizationConfig, Relocalizer
-from slam.warmup import CAMERA
+from dslab.slam.core.events import Breakage, RelocalizationWithdrawn, Relocalized, TrackingState
+from dslab.slam.core.results import MapTrajectory
+from dslab.slam.factory import build_system
+from dslab.slam.map.map import Map
+from dslab.slam.places.evidence import Support
+from dslab.slam.places.recognition import KeyframeDatabase
+from dslab.slam.places.training import train_vocabulary
+from dslab.slam.tracking.probation import ProbationConfig, Withdrawn
+from dslab.slam.tracking.reach import Reach, ReachConfig
+from dslab.slam.tracking.relocalization import RelocalizationConfig, Relocalizer
+from dslab.slam.warmup import CAMERA
 
 STEP_M = 0.05
 
@@ -300,7 +300,7 @@ def test_frames_that_show_little_of_what_is_known_say_nothing(
         extent = 0.2 if n == 58 else 0.05
         return Support(float(n), round(0.8 * n), extent, 0.5, 0.0)
 
-    monkeypatch.setattr("slam.tracking.probation.support", leaving)
+    monkeypatch.setattr("dslab.slam.tracking.probation.support", leaving)
     feed(system, images[88:], stamps_s[88:], check=False)
     assert kinds(system)[2] == ("relocalization_withdrawn" if reason else "relocalized")
     assert not reason or system.events[2].reason == reason
@@ -314,7 +314,7 @@ def test_a_place_is_known_by_what_was_seen_from_near_it(recovered, there_and_bac
     def as_recorded(*_, near):
         return Support(100.0, 83 if near else 60, 20, 0.8, 0.1)
 
-    monkeypatch.setattr("slam.tracking.probation.support", as_recorded)
+    monkeypatch.setattr("dslab.slam.tracking.probation.support", as_recorded)
     feed(system, images[88:98], stamps_s[88:98], check=False)
     assert kinds(system)[2] == "relocalized"
 
@@ -326,7 +326,7 @@ def test_a_frame_that_does_not_determine_its_pose_says_nothing_and_gets_none(
     images, stamps_s, _ = there_and_back
     system = recovered[2].restore()
     deviations = chain(repeat(np.deg2rad(1.0), uncertain), repeat(np.deg2rad(0.1)))
-    monkeypatch.setattr("slam.tracking.probation.direction_deviation", lambda *_: next(deviations))
+    monkeypatch.setattr("dslab.slam.tracking.probation.direction_deviation", lambda *_: next(deviations))
     feed(system, images[88:], stamps_s[88:], check=False)
     last = system.events[2]
     if frames is None:
@@ -449,7 +449,7 @@ def test_a_view_that_no_keyframe_has_been_near_does_not_speak_for_a_far_place(
     system = recovered[2].restore()
     reconfigure(system, probation=ProbationConfig(far_s=0.1, far_max_s=0.2))
     seen = Support(100.0, found, 20, 1.0, 0.0)
-    monkeypatch.setattr("slam.tracking.probation.support", lambda *_, near: seen)
+    monkeypatch.setattr("dslab.slam.tracking.probation.support", lambda *_, near: seen)
     feed(system, images[88:], stamps_s[88:], check=False)
     assert kinds(system)[2] == ("relocalization_withdrawn" if reason else "relocalized")
     assert not reason or system.events[2].reason == reason
@@ -464,7 +464,7 @@ def test_frames_that_say_nothing_do_not_confirm_a_far_place(recovered, there_and
         reconfigure(system, probation=ProbationConfig(far_s=0.1, far_share=1e3, far_max_s=0.2))
         expected = iter([0.0] * silent)
         monkeypatch.setattr(
-            "slam.tracking.probation.support",
+            "dslab.slam.tracking.probation.support",
             lambda *_, near, expected=expected: Support(next(expected, 100.0), 100, 20, 1.0, 0.0),
         )
         feed(system, images[88:], stamps_s[88:], check=False)

@@ -7,13 +7,13 @@ import pytest
 from recovery_scenes import SMEARED, smeared_scene
 from slam_scenes import blanked, errors_m, feed, kinds, toy
 
-from slam.config import SlamConfig, default_config
-from slam.core import events as ev
-from slam.dual.paper import paper_config
-from slam.invariants import check_system
-from slam.system import MonocularSlam
-from slam.tracking.rescue import RescueConfig
-from slam.warmup import CAMERA
+from dslab.slam.config import SlamConfig, default_config
+from dslab.slam.core import events as ev
+from dslab.slam.dual.paper import paper_config
+from dslab.slam.invariants import check_system
+from dslab.slam.system import MonocularSlam
+from dslab.slam.tracking.rescue import RescueConfig
+from dslab.slam.warmup import CAMERA
 
 STAMPS_S = np.arange(200) / 30.0
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from slam_scenes import CAMERA, FPS, PointWorld, Sighting, pose_error, rigid, tracked_in, walk
 
-from slam.core.frame import Frame, FrameFeatures
-from slam.core.timing import StageTimer
-from slam.map._map_kernels import count_observed
-from slam.map.invariants import check_map
-from slam.tracking.tracker import Tracker, TrackingConfig
+from dslab.slam.core.frame import Frame, FrameFeatures
+from dslab.slam.core.timing import StageTimer
+from dslab.slam.map._map_kernels import count_observed
+from dslab.slam.map.invariants import check_map
+from dslab.slam.tracking.tracker import Tracker, TrackingConfig
 
 LAST = 40
 NO_FALLBACK = TrackingConfig(min_reference_matches=10**6)

@@ -14,17 +14,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 from slam_fakes import make_sequence
 
-from experiments.runs.ending import EndKind
-from experiments.runs.systems import environments
-from experiments.runs.systems.check import made_up_sequence, run_once
-from experiments.runs.systems.command_spec import OWN_FOLDER, Environment
-from experiments.runs.systems.environments import install, is_installed, python_of
-from experiments.runs.systems.registry import Registry
-from experiments.runs.systems.vocabulary_text import vocabulary_of, write_dbow2
-from scenarios.errors import InputError, MachineError
-from sim.io.tum import write_tum
-from slam.places import _vocabulary_kernels as kernels
-from slam.places.recognition import shipped_vocabulary
+from dslab.experiments.runs.ending import EndKind
+from dslab.experiments.runs.systems import environments
+from dslab.experiments.runs.systems.check import made_up_sequence, run_once
+from dslab.experiments.runs.systems.command_spec import OWN_FOLDER, Environment
+from dslab.experiments.runs.systems.environments import install, is_installed, python_of
+from dslab.experiments.runs.systems.registry import Registry
+from dslab.experiments.runs.systems.vocabulary_text import vocabulary_of, write_dbow2
+from dslab.scenarios.errors import InputError, MachineError
+from dslab.sim.io.tum import write_tum
+from dslab.slam.places import _vocabulary_kernels as kernels
+from dslab.slam.places.recognition import shipped_vocabulary
 
 DRIVERS = OWN_FOLDER / "drivers"
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from slam_fakes import make_sequence
 
-from experiments.runs import sources
-from experiments.runs.ending import Declares, EndKind
-from experiments.runs.execution import execute
-from experiments.runs.systems import own_class
-from experiments.runs.systems.own_class import ClassSystem, class_system
-from experiments.runs.systems.registry import Registry, factory_with, system_digest
-from scenarios.errors import InputError
-from slam.core.events import Breakage
+from dslab.experiments.runs import sources
+from dslab.experiments.runs.ending import Declares, EndKind
+from dslab.experiments.runs.execution import execute
+from dslab.experiments.runs.systems import own_class
+from dslab.experiments.runs.systems.own_class import ClassSystem, class_system
+from dslab.experiments.runs.systems.registry import Registry, factory_with, system_digest
+from dslab.scenarios.errors import InputError
+from dslab.slam.core.events import Breakage
 
 EXAMPLE = Path(__file__).parents[4] / "examples" / "own_slam.py"
 FRAMES = 60
@@ -107,7 +107,7 @@ def test_what_it_does_wrong_is_an_outcome_and_the_other_poses_count(sequence, gi
 def test_the_example_runs_by_the_command_beside_ours(dslab, monkeypatch, no_picture, tmp_path, sequence):
     from slam_fakes import fake_factory
 
-    from experiments.runs import slam_settings
+    from dslab.experiments.runs import slam_settings
 
     monkeypatch.setattr(sources, "open_sequence", lambda *_, **__: sequence)
     monkeypatch.setattr(slam_settings, "factory_of", lambda _: fake_factory(sequence))
@@ -180,7 +180,7 @@ def test_a_sequence_without_truth_runs_too(sequence):
 
 
 def test_python_takes_it_by_its_name_too(sequence):
-    import experiments
+    from dslab import experiments
 
     ran = experiments.run(sequence, f"{EXAMPLE}:ConstantVelocity")
     assert ran.system == "ConstantVelocity" and ran.metrics["share_posed"] == 1.0

@@ -14,13 +14,13 @@ import pytest
 from slam_fakes import make_sequence
 from system_programs import program, write_program
 
-from experiments.evaluation.summary import summarise
-from experiments.runs import sources
-from experiments.runs.ending import Declares, EndKind
-from experiments.runs.systems import guarded
-from experiments.runs.systems.command import LOG_FILE, run_command
-from experiments.runs.systems.command_spec import read_command_spec
-from scenarios.errors import InputError
+from dslab.experiments.evaluation.summary import summarise
+from dslab.experiments.runs import sources
+from dslab.experiments.runs.ending import Declares, EndKind
+from dslab.experiments.runs.systems import guarded
+from dslab.experiments.runs.systems.command import LOG_FILE, run_command
+from dslab.experiments.runs.systems.command_spec import read_command_spec
+from dslab.scenarios.errors import InputError
 
 FRAMES = 40
 
@@ -146,7 +146,7 @@ def test_it_ends_when_the_lab_is_killed(tmp_path):
     script = f"""
 import sys
 from pathlib import Path
-from experiments.runs.systems.guarded import run_guarded
+from dslab.experiments.runs.systems.guarded import run_guarded
 code = "import os, time; open({str(tmp_path / "pid")!r}, 'w').write(str(os.getpid())); time.sleep(300)"
 run_guarded([sys.executable, "-c", code], Path({str(tmp_path / "log")!r}), 300, 1000, Path({str(tmp_path)!r}))
 """
