@@ -28,10 +28,10 @@ setup: .venv/.ready
 	@touch $@
 
 .venv/.ready: .venv/.installed
-	@$(BIN)/python -m sim.rendering.gl_setup --uv $(UV)
+	@$(BIN)/python -m dslab.sim.rendering.gl_setup --uv $(UV)
 	@# Sources are compiled here, beside the kernels: not everywhere may Python write what it compiles.
 	@packages=$$($(BIN)/python -c "import sysconfig; print(sysconfig.get_path('purelib'))"); \
-	$(BIN)/python -m compileall -qq -x '/tests?/' "$$packages" experiments scenarios sim slam & \
+	$(BIN)/python -m compileall -qq -x '/tests?/' "$$packages" dslab/*/ & \
 	$(BIN)/dslab warmup && wait
 	@echo "dslab setup: done; \`source .venv/bin/activate\` puts dslab onto the PATH"
 	@touch $@

@@ -43,7 +43,7 @@ def code_hash() -> str:
     extensions = extension_digests() | {
         f"recovery thread: {kind}": source_digest(thread)
         for kind, thread in RECOVERY_KINDS.items()
-        if not thread.__module__.startswith("slam.")
+        if not thread.__module__.startswith("dslab.slam.")
     }
     own = _package_hash()
     if not extensions:

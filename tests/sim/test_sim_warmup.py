@@ -17,7 +17,7 @@ INNER = {"row_shifts"}
 @pytest.mark.slow
 def test_every_kernel_is_compiled():
     warm_up()
-    modules = [import_module(found.name) for found in pkgutil.walk_packages(sim.__path__, "sim.")]
+    modules = [import_module(found.name) for found in pkgutil.walk_packages(sim.__path__, "dslab.sim.")]
     kernels = {
         name: kernel.signatures
         for module in modules

@@ -48,7 +48,7 @@ def test_version_is_one_line(dslab):
 
 
 def test_help_loads_nothing_heavy():
-    script = "import sys, experiments.cli; print(*sorted(m.split('.')[0] for m in sys.modules))"
+    script = "import sys, dslab.experiments.cli; print(*sorted(m.split('.')[0] for m in sys.modules))"
     started = time.process_time()
     loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert time.process_time() - started < 1
