@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dslab.sim.degradations.base import Degradation, FramePlan, Stage
-    from dslab.sim.degradations.image import Filter, ImageDegradation, View
+    from dslab.sim.degradations.image import Filter, ImageDegradation
     from dslab.sim.degradations.recorded_sequences import degrade_sequence as degrade
     from dslab.sim.degradations.registry import register_degradation
     from dslab.sim.io.forms import load_sequence, write_sequence
+    from dslab.sim.link import View
     from dslab.sim.motion import register_motion
     from dslab.sim.motion.base import Motion
     from dslab.sim.motion.spline import PoseSpline
@@ -35,7 +36,7 @@ _HOMES = {
     "Sequence": "dslab.sim.sequence",
     "Stage": "dslab.sim.degradations.base",
     "Surface": "dslab.sim.worlds.base",
-    "View": "dslab.sim.degradations.image",
+    "View": "dslab.sim.link",
     "WorldModel": "dslab.sim.worlds.base",
     "degrade": "dslab.sim.degradations.recorded_sequences:degrade_sequence",
     "load_sequence": "dslab.sim.io.forms",

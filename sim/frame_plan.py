@@ -1,22 +1,15 @@
-"""From a scenario to its frames: frame plan, clean frames, exposure."""
+"""From a scenario to its frame plan: all that decides the frames before one is rendered."""
 
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from dslab.scenarios.spec import Camera, Scenario, World
 from dslab.sim.degradations.base import FramePlan, Stage
-from dslab.sim.degradations.chain import ImageChain
 from dslab.sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
 from dslab.sim.degradations.repeated_texture import with_repeated_texture
-from dslab.sim.degradations.scattering import Scattering
-from dslab.sim.exposed_frames import ExposedFrames
-from dslab.sim.io.raw import RawWriter
 from dslab.sim.motion import plan_motion
 from dslab.sim.motion.base import Motion
 from dslab.sim.rendering.lens_renderer import lens_renderer
@@ -25,8 +18,6 @@ from dslab.sim.rendering.renderers import DEFAULT_RENDERER, load_renderer
 from dslab.sim.room import check_memory
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sensors.distortion import Lens
-from dslab.sim.sensors.exposure import expose
-from dslab.sim.sensors.sensor import Sensor
 from dslab.sim.worlds.base import Route, WorldModel
 
 Progress = Callable[[str, int, int], None]
@@ -174,124 +165,9 @@ def plan_path(scenario: Scenario, seed: int, backend: RenderBackend) -> Motion:
     return plan_in_world(moved, seed, backend, 0, lambda plan: plan.view_share).motion
 
 
-class CleanFrames(Protocol):
-    """Sharp frames of an ideal camera; only segments on motion and world change them."""
-
-    def __call__(self, frame: int, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gray (H, W) uint8 and depth (H, W) float32 of a frame with its number and pose."""
-        ...
-
-
-@contextmanager
-def rendered_clean_frames(world: WorldModel, camera: Camera, backend: RenderBackend) -> Iterator[CleanFrames]:
-    """Yield CleanFrames that are rendered on demand, through the world's haze."""
-    ideal = ideal_camera(taking_intrinsics(camera))
-    renderer = backend.renderer(world, ideal)
-    haze = world.haze
-    scattering = Scattering(ideal, haze.airlight_level) if haze else None
-
-    def clean_frame(frame: int, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        gray, depth_m = renderer.render(T_world_cam)
-        if scattering and haze:
-            gray, _ = scattering.drawn(gray, depth_m, haze.extinction_per_m)
-        return gray, depth_m
-
-    try:
-        yield clean_frame
-    finally:
-        renderer.close()
-
-
 def ideal_camera(camera: Intrinsics) -> Intrinsics:
     """The distortion-free camera through which a camera's frames are rendered."""
     return camera if camera.is_pinhole else Lens(camera).ideal
-
-
-def expose_frames(
-    folder: Path,
-    plan: FramePlan,
-    clean_frames: CleanFrames,
-    camera: Camera,
-    sensor: Sensor,
-    chain: ImageChain,
-    depth: bool,
-    progress: Progress,
-    known: ExposedFrames | None = None,
-) -> np.ndarray:
-    """Expose, degrade and write every frame.
-
-    Args:
-        folder: gets ``gray.npy`` and, with ``depth``, ``depth.npy``.
-        plan: with every segment applied.
-        clean_frames: the sharp frames.
-        camera: of the scenario.
-        sensor: of the camera.
-        chain: the image-space segments.
-        depth: write depth images too.
-        progress: called after every frame.
-        known: frames that need not be rendered again, where no segment on images acts; none with ``depth``.
-
-    Returns:
-        (N,) float64 median length of each frame's motion blur, pixels.
-    """
-    own = taking_intrinsics(camera)
-    lens = None if own.is_pinhole else Lens(own)
-    ideal = lens.ideal if lens else own
-    count, size = len(plan.stamps_s), (camera.height_px, camera.width_px)
-    T_world_mid, T_mid_open, T_mid_close = _shutter_poses(plan)
-    blur_px = np.zeros(count)
-    with ExitStack() as files:
-        grays = files.enter_context(RawWriter(folder / "gray.npy", (count, *size), np.uint8))
-        depths = (
-            files.enter_context(RawWriter(folder / "depth.npy", (count, *size), np.float32))
-            if depth
-            else None
-        )
-        for index, frame in enumerate(plan.frame.tolist()):
-            poses = T_world_mid[index], T_mid_open[index], T_mid_close[index]
-            shared = None if chain.acts(index, (Stage.SCENE, Stage.READOUT)) else known
-            key = shared.key(*poses) if shared else b""
-            found = shared.find(key) if shared else None
-            if found:
-                image, blur_px[index] = found.image, found.blur_px
-            else:
-                image, depth_m = clean_frames(frame, poses[0])
-                image = chain.apply(image, index, (Stage.SCENE,), depth_m, plan.motion)
-                image, blur_px[index] = expose(image, depth_m, ideal, *poses[1:])
-                image = chain.apply(image, index, (Stage.READOUT,), depth_m, plan.motion)
-                if lens:
-                    image, depth_m = lens.distort(image), lens.distort_depth(depth_m)
-                if depths:
-                    depths.append(depth_m)
-                if shared:
-                    shared.keep(key, image, blur_px[index])
-            grays.append(sense(image, index, frame, chain, sensor))
-            progress("exposing", index + 1, count)
-    return blur_px
-
-
-def sense(image: np.ndarray, index: int, frame: int, chain: ImageChain, sensor: Sensor) -> np.ndarray:
-    """The frame as it is stored, from the light that reaches the lens.
-
-    Args:
-        image: (H, W) uint8, exposed and, with a distorting lens, distorted.
-        index: of the frame in the sequence.
-        frame: its number before any was dropped.
-        chain: the image-space segments.
-        sensor: softness, tone curve and noise.
-    """
-    image = chain.apply(sensor.soften(image), index, (Stage.LENS, Stage.SENSOR))
-    return chain.apply(sensor.develop(image, frame), index, (Stage.ENCODER,))
-
-
-def _shutter_poses(plan: FramePlan) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(N, 4, 4) each: camera to world mid-exposure; camera at opening, at closing to mid-exposure."""
-    half_s = plan.exposure_s / 2
-    T_world_mid = plan.motion.T_world_cam(plan.stamps_s)
-    T_mid_world = np.linalg.inv(T_world_mid)
-    T_mid_open = T_mid_world @ plan.motion.T_world_cam(plan.stamps_s - half_s)
-    T_mid_close = T_mid_world @ plan.motion.T_world_cam(plan.stamps_s + half_s)
-    return T_world_mid, T_mid_open, T_mid_close
 
 
 def _survey(

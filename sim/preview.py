@@ -7,21 +7,10 @@ import numpy as np
 
 from dslab.scenarios.spec import Scenario
 from dslab.sim.degradations.base import FramePlan
-from dslab.sim.degradations.chain import ImageChain
-from dslab.sim.frame_plan import (
-    RenderBackend,
-    expose_frames,
-    ideal_camera,
-    mujoco_backend,
-    noise_seed,
-    plan_frames,
-    rendered_clean_frames,
-    taking_intrinsics,
-)
-from dslab.sim.io.raw import RawFrames
+from dslab.sim.degradations.segment_link import SegmentLink
+from dslab.sim.frame_plan import RenderBackend, mujoco_backend, noise_seed, plan_frames
+from dslab.sim.imaging import ImagingChain, rendered
 from dslab.sim.room import check_memory, check_room
-from dslab.sim.sensors.sensor import Sensor
-from dslab.sim.unfinished import scratch_folder
 from dslab.sim.worlds.base import WorldModel
 
 
@@ -56,33 +45,17 @@ class Preview:
         images, blur_px, _ = self.exposed(indices)
         return images, blur_px
 
-    def exposed(self, indices: Many[int]) -> tuple[list[np.ndarray], np.ndarray, ImageChain]:
+    def exposed(self, indices: Many[int]) -> tuple[list[np.ndarray], np.ndarray, list[SegmentLink]]:
         """Return the same, and the segments on images as they have acted on these frames."""
         kept = np.zeros(len(self.plan.stamps_s), bool)
         kept[list(indices)] = True
-        part, camera, seed = self.plan.only(kept), self.scenario.camera, self.scenario.seed
-        own = taking_intrinsics(camera)
-        check_memory(self.scenario.name, len(indices), 2 * len(indices) * own.width_px * own.height_px)
-        chain = ImageChain(
-            self.scenario.segments,
-            own,
-            part.stamps_s,
-            part.frame,
-            noise_seed(self.scenario, seed),
-            part.exposure_s,
-            ideal_camera(own),
-        )
-        sensor = Sensor(camera, noise_seed(self.scenario, seed))
-        with (
-            scratch_folder() as folder,
-            rendered_clean_frames(self.world, camera, self.backend) as clean_frames,
-        ):
-            blur_px = expose_frames(
-                folder, part, clean_frames, camera, sensor, chain, False, lambda step, done, total: None
-            )
-            shape = (len(part.frame), camera.height_px, camera.width_px)
-            frames = RawFrames(folder / "gray.npy", shape, np.uint8)
-            return [frames[k] for k in range(len(frames))], blur_px, chain
+        part, scenario = self.plan.only(kept), self.scenario
+        camera = scenario.camera
+        check_memory(scenario.name, len(indices), 2 * len(indices) * camera.width_px * camera.height_px)
+        chain = ImagingChain(camera, scenario.segments, part, noise_seed(scenario, scenario.seed))
+        with rendered(self.world, chain.ideal, self.backend) as sharp:
+            images = [image for image, _ in chain.images([*sharp, *chain.to_lens])]
+        return images, chain.exposure.blur_px, chain.segments
 
 
 def preview(scenario: Scenario, backend: RenderBackend | None = None) -> Preview:

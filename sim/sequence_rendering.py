@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Sequence as Many
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -13,34 +14,28 @@ import numpy as np
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import read_json
 from dslab.scenarios.segments import ImageSegment, Segment
-from dslab.scenarios.spec import Camera, Scenario
+from dslab.scenarios.spec import Scenario
 from dslab.sim.cache import CorruptEntryError, FolderCache
 from dslab.sim.degradations.base import FramePlan, Stage
-from dslab.sim.degradations.chain import ImageChain
 from dslab.sim.degradations.registry import DEGRADATIONS, IMAGE_KINDS, in_order_of_action
 from dslab.sim.degradations.truths import truths_of
-from dslab.sim.exposed_frames import ExposedFrames
 from dslab.sim.frame_plan import (
     Progress,
     RenderBackend,
     camera_intrinsics,
-    expose_frames,
-    ideal_camera,
     mujoco_backend,
     noise_seed,
     plan_frames,
     plan_in_world,
     render_backend,
-    rendered_clean_frames,
-    sense,
-    taking_intrinsics,
 )
+from dslab.sim.imaging import ImagingChain, KeptExposures, SharedExposures, rendered
 from dslab.sim.io.folders import check_free
 from dslab.sim.io.raw import RawFrames, RawWriter, stored_array, stored_columns
 from dslab.sim.io.tum import write_tum
+from dslab.sim.link import Link
 from dslab.sim.provenance import entry_key, provenance
 from dslab.sim.room import Need, check_room, images_need
-from dslab.sim.sensors.sensor import Sensor
 from dslab.sim.sequence import SegmentTruth, Sequence
 
 __all__ = [
@@ -165,12 +160,12 @@ def _render_into(
     progress: Progress,
     shared: str = "",
     first_s: float | None = None,
-) -> tuple[FramePlan, ImageChain]:
+) -> tuple[FramePlan, ImagingChain]:
     """Write the frames and the truth of a sequence into a folder of the cache; return its plan and segments.
 
     ``shared``, for exposed frames, is the key of those without segments: frames that look alike are shared.
     """
-    camera, own = scenario.camera, taking_intrinsics(scenario.camera)
+    camera = scenario.camera
     exposed = world = None
     # Frames that are shared are exposed frames themselves.
     if _keeps_exposed_frames(scenario) and not depth and not shared:
@@ -181,45 +176,25 @@ def _render_into(
         plan, world = plan_frames(scenario, seed, backend, progress)
     if first_s is not None:
         plan = plan.first(first_s)
-    chain = ImageChain(
-        scenario.segments,
-        own,
-        plan.stamps_s,
-        plan.frame,
-        noise_seed(scenario, seed),
-        exposure_s=plan.exposure_s,
-        ideal=ideal_camera(own),
-        measured={s: values[plan.frame] for s, values in exposed.measures.items()} if exposed else None,
-    )
-    if exposed:
-        blur_px = exposed.blur_px[plan.frame]
-        _sense_frames(folder, plan, exposed.frames, camera, chain, noise_seed(scenario, seed), progress)
-    else:
-        assert world is not None
-        with rendered_clean_frames(world, camera, backend) as clean_frames:
-            sensor = Sensor(camera, noise_seed(scenario, seed))
-            known = ExposedFrames(shared, plan) if shared else None
-            blur_px = expose_frames(folder, plan, clean_frames, camera, sensor, chain, depth, progress, known)
-    _write_truth(folder, scenario, plan, chain, blur_px)
+    chain = ImagingChain(camera, scenario.segments, plan, noise_seed(scenario, seed))
+    count, size = len(plan.frame), (camera.height_px, camera.width_px)
+    with ExitStack() as files:
+        if exposed:
+            source = exposed.links(chain, plan)
+        else:
+            assert world is not None
+            source = [*files.enter_context(rendered(world, chain.ideal, backend)), *chain.to_lens]
+            source = [SharedExposures(source, chain, shared, plan)] if shared else source
+        grays = files.enter_context(RawWriter(folder / "gray.npy", (count, *size), np.uint8))
+        depths = RawWriter(folder / "depth.npy", (count, *size), np.float32) if depth else None
+        depths = depths and files.enter_context(depths)
+        for index, (image, depth_m) in enumerate(chain.images(source), start=1):
+            grays.append(image)
+            if depths:
+                depths.append(depth_m)
+            progress("degrading" if exposed else "exposing", index, count)
+    _write_truth(folder, scenario, plan, chain)
     return plan, chain
-
-
-def _sense_frames(
-    folder: Path,
-    plan: FramePlan,
-    exposed: RawFrames,
-    camera: Camera,
-    chain: ImageChain,
-    seed: int,
-    progress: Progress,
-) -> None:
-    """Degrade exposed frames behind the lens and write them."""
-    size = (camera.height_px, camera.width_px)
-    sensor = Sensor(camera, seed)
-    with RawWriter(folder / "gray.npy", (len(plan.frame), *size), np.uint8) as grays:
-        for index, frame in enumerate(plan.frame.tolist()):
-            grays.append(sense(exposed[frame], index, frame, chain, sensor))
-            progress("degrading", index + 1, len(plan.frame))
 
 
 @dataclass(frozen=True)
@@ -237,6 +212,14 @@ class _ExposedFrames:
     blur_px: np.ndarray
     view_share: np.ndarray
     measures: dict[Segment, np.ndarray]
+
+    def links(self, chain: ImagingChain, plan: FramePlan) -> list[Link]:
+        """Stand in for a chain's links up to the lens, and for what these would have measured."""
+        chain.exposure.blur_px[:] = self.blur_px[plan.frame]
+        for link in chain.segments:
+            if link.segment in self.measures:
+                link.measure[:] = self.measures[link.segment][plan.frame]
+        return [KeptExposures(self.frames)]
 
 
 def _exposed_frames_of(
@@ -262,7 +245,7 @@ def _exposed_frames_of(
             shared = f"{store.root} {plain}"
             plan, chain = _render_into(folder, bare, seed, False, backend, store, progress, shared)
             np.save(folder / _VIEW_SHARE, plan.view_share)
-            if measures := [measure for _, measure in chain.truths().values()]:
+            if measures := [link.measure for link in chain.segments]:
                 np.save(folder / _MEASURES, measures)
         found = read(store.root / key)
     return found
@@ -284,10 +267,9 @@ def _read_exposed_frames(entry: Path, scenario: Scenario) -> _ExposedFrames:
     )
 
 
-def _write_truth(
-    folder: Path, scenario: Scenario, plan: FramePlan, chain: ImageChain, blur_px: np.ndarray
-) -> None:
-    truths, measured = truths_of(scenario.segments, plan, chain, blur_px)
+def _write_truth(folder: Path, scenario: Scenario, plan: FramePlan, chain: ImagingChain) -> None:
+    blur_px = chain.exposure.blur_px
+    truths, measured = truths_of(scenario.segments, plan, chain.segments, blur_px)
     # Every frame has an exposure and some blur, with or without a segment.
     columns = {**measured, "exposure_s": plan.exposure_s, "blur_px": blur_px}
     (folder / "segments.json").write_text(json.dumps([asdict(truth) for truth in truths]))

@@ -2,43 +2,19 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 
 from dslab.scenarios.segments import ImageSegment
 from dslab.sim.degradations.base import Stage
-from dslab.sim.motion.base import Motion
+from dslab.sim.link import View
 from dslab.sim.sensors.camera import Intrinsics
 
 Streams = Callable[..., np.random.Generator]
 """Gives the random stream of one segment for a consumer's names."""
 
-USUAL_EXPOSURE_S = 0.01
-
 SegmentT = TypeVar("SegmentT", bound=ImageSegment)
-
-
-@dataclass(frozen=True)
-class View:
-    """Data of a frame that a filter may use besides its image.
-
-    Attributes:
-        frame: its number before any frame was dropped.
-        stamp_s: true centre of its exposure.
-        strength: position on the segment's ramp, above 0 to 1; severity grows in proportion.
-        depth_m: (H, W) float32 depth along the optical axis, 0 for none; None where unknown.
-        motion: the camera's motion; None where unknown.
-        exposure_s: shutter time; a usual one where unknown.
-    """
-
-    frame: int
-    stamp_s: float
-    strength: float
-    depth_m: np.ndarray | None = None
-    motion: Motion | None = None
-    exposure_s: float = USUAL_EXPOSURE_S
 
 
 class Filter(Protocol):

@@ -9,17 +9,15 @@ import numpy as np
 
 from dslab.scenarios.segments import LowTexture, Segment
 from dslab.sim.degradations.base import FramePlan, Stage, during, true_runs
-from dslab.sim.degradations.chain import ImageChain
 from dslab.sim.degradations.depth_holes import fill_narrow_holes
-from dslab.sim.degradations.image import USUAL_EXPOSURE_S
 from dslab.sim.degradations.recorded_kinds import check_recorded_sequence, view_of
 from dslab.sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
 from dslab.sim.degradations.retake import Retake
+from dslab.sim.degradations.segment_link import SegmentLink, segment_links
 from dslab.sim.degradations.truths import truths_of
 from dslab.sim.io.raw import RawFrames, RawWriter
+from dslab.sim.link import USUAL_EXPOSURE_S, View, fold
 from dslab.sim.sequence import SegmentTruth, Sequence
-
-_STAGES = (Stage.SCENE, Stage.READOUT, Stage.LENS, Stage.SENSOR, Stage.ENCODER)
 
 
 class _AsRecorded:
@@ -67,7 +65,7 @@ def degrade_sequence(
     retake = Retake(sequence, replace(whole, exposure_s=whole.exposure_s - own_s), view)
     known = "exposure_s" in sequence.frame_truth
     exposure_s = plan.exposure_s if known else np.maximum(plan.exposure_s, USUAL_EXPOSURE_S)
-    chain = ImageChain(segments, view.camera, plan.stamps_s, plan.frame, seed, exposure_s=exposure_s)
+    links = segment_links(segments, view.camera, plan.stamps_s, seed)
     size, blur_px = (view.camera.height_px, view.camera.width_px), np.zeros(len(plan.frame))
     exact_depth = "spec" in sequence.meta
     with RawWriter(scratch / "gray.npy", (len(plan.frame), *size), np.uint8) as grays:
@@ -76,10 +74,12 @@ def degrade_sequence(
             depth_m = retake.depth(frame)
             if depth_m is not None and not exact_depth:
                 depth_m = fill_narrow_holes(depth_m, view.camera)
-            grays.append(chain.apply(image, index, _STAGES, depth_m))
+            stamp_s, open_s = float(plan.stamps_s[index]), float(exposure_s[index])
+            taken = View(frame, stamp_s, depth_m=depth_m, exposure_s=open_s, index=index)
+            grays.append(fold(links, image, taken)[0])
             if progress:
                 progress("degrading", index + 1, len(plan.frame))
-    truths, columns = _truths(sequence, segments, plan, chain, blur_px)
+    truths, columns = _truths(sequence, segments, plan, links, blur_px)
     kept = plan.frame
     degraded = {"segments": [segment.model_dump(mode="json") for segment in segments], "seed": seed}
     if view.camera != sequence.camera:
@@ -143,13 +143,13 @@ def _truths(
     sequence: Sequence,
     segments: Many[Segment],
     plan: FramePlan,
-    chain: ImageChain,
+    links: list[SegmentLink],
     blur_px: np.ndarray,
 ) -> tuple[tuple[SegmentTruth, ...], dict[str, np.ndarray]]:
     """Truths of the earlier and the new segments, and the columns of both."""
     truths = [_renumbered(truth, plan.frame) for truth in sequence.segments]
     columns = {name: values[plan.frame] for name, values in sequence.frame_truth.items()}
-    added, measured = truths_of(segments, plan, chain, blur_px)
+    added, measured = truths_of(segments, plan, links, blur_px)
     for name, measure in measured.items():
         columns[name] = np.maximum(columns.get(name, 0.0), measure)
     if "exposure_s" in columns:

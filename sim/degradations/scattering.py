@@ -4,8 +4,10 @@ import cv2
 import numpy as np
 
 from dslab.sim.degradations.tone import decode, encode
+from dslab.sim.link import View
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sensors.exposure import srgb_to_linear
+from dslab.sim.worlds.base import Haze
 
 _VERY_FAR_M = 1e4
 
@@ -38,6 +40,18 @@ class Scattering:
         passing = cv2.exp(np.float32(-extinction_per_m) * distance_m)
         light = (decode(image) - self._airlight) * passing + self._airlight
         return encode(light), 1 - float(cv2.mean(passing)[0])
+
+
+class HazeLink:
+    """The haze of a world, as a link of the imaging chain."""
+
+    def __init__(self, camera: Intrinsics, haze: Haze) -> None:
+        self._scattering, self._haze = Scattering(camera, haze.airlight_level), haze
+
+    def apply(self, image: np.ndarray, view: View) -> tuple[np.ndarray, View]:
+        """See ``Link``."""
+        assert view.depth_m is not None
+        return self._scattering.drawn(image, view.depth_m, self._haze.extinction_per_m)[0], view
 
 
 def _ray_lengths(camera: Intrinsics) -> np.ndarray:

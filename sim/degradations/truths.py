@@ -1,18 +1,19 @@
 """The truths of a sequence's segments, in an order independent of their declaration."""
 
+from collections.abc import Iterable
 from collections.abc import Sequence as Many
 
 import numpy as np
 
 from dslab.scenarios.segments import Segment
 from dslab.sim.degradations.base import FramePlan, segment_truth
-from dslab.sim.degradations.chain import ImageChain
 from dslab.sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
+from dslab.sim.degradations.segment_link import SegmentLink
 from dslab.sim.sequence import SegmentTruth
 
 
 def truths_of(
-    segments: Many[Segment], plan: FramePlan, chain: ImageChain, blur_px: np.ndarray
+    segments: Many[Segment], plan: FramePlan, links: Iterable[SegmentLink], blur_px: np.ndarray
 ) -> tuple[list[SegmentTruth], dict[str, np.ndarray]]:
     """Truths by start, then by order of action, and the columns of their measures.
 
@@ -22,10 +23,10 @@ def truths_of(
     Args:
         segments: all of the sequence.
         plan: with every segment applied.
-        chain: the image-space segments, after all frames.
+        links: the segments that act on images, after all frames.
         blur_px: (N,) median length of each frame's motion blur, pixels.
     """
-    of_images = chain.truths()
+    of_images = {link.segment: (link.truth(), link.measure) for link in links}
     truths: list[SegmentTruth] = []
     columns: dict[str, np.ndarray] = {}
     for segment in sorted(in_order_of_action(segments), key=lambda segment: segment.start_s):

@@ -5,6 +5,7 @@ pixel. Where the lens compresses the view, several samples make a pixel, like it
 """
 
 import math
+from dataclasses import replace
 from functools import cached_property
 
 import cv2
@@ -13,6 +14,7 @@ from numba import njit
 
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.lenses import MOST_HALF_ANGLE_DEG
+from dslab.sim.link import View
 from dslab.sim.sensors.camera import Intrinsics
 
 MOST_IDEAL_PX = 8192
@@ -26,7 +28,7 @@ _NEWTON_ROUNDS = 30
 
 
 class Lens:
-    """The distortion of one camera, applied to images of the ideal camera.
+    """The distortion of one camera, a link of the imaging chain after images of the ideal camera.
 
     Args:
         camera: the distorted camera.
@@ -60,6 +62,11 @@ class Lens:
         )
         self._samples = 1 if camera.is_pinhole else _samples_per_pixel(at)
         self._low = low
+
+    def apply(self, image: np.ndarray, view: View) -> tuple[np.ndarray, View]:
+        """See ``Link``: image and depth through the lens."""
+        depth_m = None if view.depth_m is None else self.distort_depth(view.depth_m)
+        return self.distort(image), replace(view, depth_m=depth_m)
 
     def distort(self, gray: np.ndarray) -> np.ndarray:
         """The camera's image (H, W) uint8 from the ideal camera's."""

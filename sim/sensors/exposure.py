@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numba import njit
 
+from dslab.sim.link import View
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sensors.outlines import TILE_PX, integrate_outlines, inverse_depths, outline_tiles
 
@@ -35,6 +36,28 @@ def linear_to_srgb(light: np.ndarray) -> np.ndarray:
 
 _DECODE = srgb_to_linear(np.arange(256) / 255).astype(np.float32)
 _ENCODE = np.rint(255 * linear_to_srgb(np.arange(_CODES) / (_CODES - 1))).astype(np.uint8)
+
+
+class Exposure:
+    """The open shutter, as a link of the imaging chain.
+
+    Args:
+        camera: intrinsics without distortion.
+        frames: number of frames of the plan, N.
+
+    Attributes:
+        blur_px: (N,) float64 median length of the motion blur of each frame that was exposed, pixels.
+    """
+
+    def __init__(self, camera: Intrinsics, frames: int) -> None:
+        self._camera, self.blur_px = camera, np.zeros(frames)
+
+    def apply(self, image: np.ndarray, view: View) -> tuple[np.ndarray, View]:
+        """See ``Link``."""
+        assert view.depth_m is not None and view.shutter is not None
+        _, opening, closing = view.shutter
+        image, self.blur_px[view.index] = expose(image, view.depth_m, self._camera, opening, closing)
+        return image, view
 
 
 def expose(

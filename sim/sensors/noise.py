@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from dslab.scenarios.seeds import rng_for
+from dslab.sim.link import View
 
 _BANK_SIZE = 1 << 22
 
@@ -32,8 +33,12 @@ class SensorNoise:
         elif sigma:
             self._bank = _levels(size, seed, sigma)
 
-    def apply(self, image: np.ndarray, frame: int) -> np.ndarray:
-        """The (H, W) uint8 image with the noise of one frame index."""
+    def apply(self, image: np.ndarray, view: View) -> tuple[np.ndarray, View]:
+        """See ``Link``."""
+        return self.added(image, view.frame), view
+
+    def added(self, image: np.ndarray, frame: int) -> np.ndarray:
+        """The (H, W) uint8 image with the noise of one frame number."""
         if self._sigma == 0 and not self._shot:
             return image.copy()
         pixels = self._shape[0] * self._shape[1]

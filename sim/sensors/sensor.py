@@ -4,35 +4,43 @@ import cv2
 import numpy as np
 
 from dslab.scenarios.spec import Camera
+from dslab.sim.link import Link, View
 from dslab.sim.sensors.noise import SensorNoise
 
 _MIDDLE_LEVEL = 128
 
 
-class Sensor:
-    """Softness, tone curve and noise of a scenario's camera.
+class Softness:
+    """The image that reaches the sensor, of one that reaches the lens: a Gaussian blur."""
+
+    def __init__(self, sigma_px: float) -> None:
+        self._sigma_px = sigma_px
+
+    def apply(self, image: np.ndarray, view: View) -> tuple[np.ndarray, View]:
+        """See ``Link``."""
+        return cv2.GaussianBlur(image, (0, 0), self._sigma_px, borderType=cv2.BORDER_REFLECT_101), view
+
+
+class ToneCurve:
+    """Contrast about the middle grey level."""
+
+    def __init__(self, contrast: float) -> None:
+        levels = _MIDDLE_LEVEL * (np.arange(256) / _MIDDLE_LEVEL) ** contrast
+        self._level_of = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+
+    def apply(self, image: np.ndarray, view: View) -> tuple[np.ndarray, View]:
+        """See ``Link``."""
+        return cv2.LUT(image, self._level_of), view
+
+
+def sensor_links(camera: Camera, seed: int) -> tuple[list[Link], list[Link]]:
+    """Make the links of a scenario's camera before and after the segments on lens and sensor.
 
     Args:
         camera: of the scenario.
         seed: root seed of the noise.
     """
-
-    def __init__(self, camera: Camera, seed: int) -> None:
-        size = (camera.height_px, camera.width_px)
-        self._noise = SensorNoise(size, camera.noise_sigma, seed, camera.shot_noise)
-        self._softness_px = camera.softness_px
-        levels = _MIDDLE_LEVEL * (np.arange(256) / _MIDDLE_LEVEL) ** camera.contrast
-        tone = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
-        self._tone = tone if camera.contrast != 1 else None
-
-    def soften(self, image: np.ndarray) -> np.ndarray:
-        """The (H, W) uint8 image that reaches the sensor, of one that reaches the lens."""
-        if not self._softness_px:
-            return image
-        return cv2.GaussianBlur(image, (0, 0), self._softness_px, borderType=cv2.BORDER_REFLECT_101)
-
-    def develop(self, image: np.ndarray, frame: int) -> np.ndarray:
-        """The (H, W) uint8 image that the camera gives, of one on its sensor, by the frame's number."""
-        if self._tone is not None:
-            image = cv2.LUT(image, self._tone)
-        return self._noise.apply(image, frame)
+    noise = SensorNoise((camera.height_px, camera.width_px), camera.noise_sigma, seed, camera.shot_noise)
+    soft: list[Link] = [Softness(camera.softness_px)] if camera.softness_px else []
+    tone: list[Link] = [ToneCurve(camera.contrast)] if camera.contrast != 1 else []
+    return soft, [*tone, noise]

@@ -11,6 +11,7 @@ from dslab.scenarios.spec import Scenario
 from dslab.sim.degradations.base import Stage
 from dslab.sim.degradations.registry import DEGRADATIONS
 from dslab.sim.frame_plan import RenderBackend, mujoco_backend
+from dslab.sim.link import NO_IMAGE, Link, Shutter, View, fold
 from dslab.sim.sequence import Sequence
 
 START_S, DURATION_S = 0.2, 0.4
@@ -105,6 +106,14 @@ def small_backend() -> RenderBackend:
             pass
 
     return RenderBackend(real.layout, build_world, Kept, real.gl_info)
+
+
+def sharp_frame(links: list[Link], T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Image and depth that the links of ``sim.imaging.rendered`` give at a pose."""
+    still = Shutter(T_world_cam, np.eye(4), np.eye(4))
+    image, view = fold(links, NO_IMAGE, View(0, 0.0, shutter=still))
+    assert view.depth_m is not None
+    return image, view.depth_m
 
 
 def digest(sequence: Sequence) -> str:

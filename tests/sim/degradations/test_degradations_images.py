@@ -5,7 +5,7 @@ from functools import partial
 import cv2
 import numpy as np
 import pytest
-from degradation_worlds import small_backend, small_scenario
+from degradation_worlds import sharp_frame, small_backend, small_scenario
 
 from dslab.scenarios.segments import SEGMENT_KINDS
 from dslab.sim.degradations.base import streams_of
@@ -15,7 +15,8 @@ from dslab.sim.degradations.low_light import noise_table
 from dslab.sim.degradations.registry import IMAGE_KINDS
 from dslab.sim.degradations.rolling_shutter import row_maps
 from dslab.sim.degradations.tone import DECODE, decode, encode
-from dslab.sim.frame_plan import camera_intrinsics, plan_frames, plan_path, rendered_clean_frames
+from dslab.sim.frame_plan import camera_intrinsics, plan_frames, plan_path
+from dslab.sim.imaging import rendered
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sensors.exposure import linear_to_srgb, srgb_to_linear
 
@@ -208,13 +209,13 @@ def test_every_row_of_a_rolling_shutter_is_the_row_of_a_frame_at_its_own_time():
     camera, readout_s, stamp_s = camera_intrinsics(scenario.camera), 0.25, 0.4
     plan, world = plan_frames(scenario, 4, backend, lambda step, done, total: None)
     rolling = make("rolling_shutter", camera=camera, readout_s=readout_s)
-    with rendered_clean_frames(world, scenario.camera, backend) as clean_frames:
-        middle, depth_m = clean_frames(0, plan.motion.T_world_cam(stamp_s))
+    with rendered(world, camera, backend) as links:
+        middle, depth_m = sharp_frame(links, plan.motion.T_world_cam(stamp_s))
         out, shift_px = rolling(middle, at(stamp_s, depth_m=depth_m, motion=plan.motion))
         errors, without = [], []
         for row in range(4, camera.height_px, 12):
             row_s = stamp_s + readout_s * (row / (camera.height_px - 1) - 0.5)
-            truth = clean_frames(0, plan.motion.T_world_cam(row_s))[0][row, 20:-20].astype(int)
+            truth = sharp_frame(links, plan.motion.T_world_cam(row_s))[0][row, 20:-20].astype(int)
             errors.append(np.median(np.abs(out[row, 20:-20] - truth)))
             without.append(np.median(np.abs(middle[row, 20:-20] - truth)))
     assert shift_px > 4

@@ -142,7 +142,7 @@ def test_true_runs_are_the_runs_that_touch_the_segment(acts, expected):
 
 def test_noise_has_its_sigma_no_bias_and_differs_between_frames():
     noise, gray = SensorNoise((480, 640), 3.0, 7), np.full((480, 640), 128, np.uint8)
-    one, two = (noise.apply(gray, frame).astype(float) - 128 for frame in (0, 1))
+    one, two = (noise.added(gray, frame).astype(float) - 128 for frame in (0, 1))
     assert one.std() == pytest.approx(3.0, rel=0.02)
     assert abs(one.mean()) < 0.02
     assert abs(np.corrcoef(one.ravel(), two.ravel())[0, 1]) < 0.01
@@ -151,15 +151,15 @@ def test_noise_has_its_sigma_no_bias_and_differs_between_frames():
 
 def test_noise_is_fixed_by_seed_and_frame_and_saturates():
     gray = np.full((48, 64), 254, np.uint8)
-    noisy = SensorNoise((48, 64), 5.0, 1).apply(gray, 9)
-    np.testing.assert_array_equal(noisy, SensorNoise((48, 64), 5.0, 1).apply(gray, 9))
-    assert not np.array_equal(noisy, SensorNoise((48, 64), 5.0, 2).apply(gray, 9))
+    noisy = SensorNoise((48, 64), 5.0, 1).added(gray, 9)
+    np.testing.assert_array_equal(noisy, SensorNoise((48, 64), 5.0, 1).added(gray, 9))
+    assert not np.array_equal(noisy, SensorNoise((48, 64), 5.0, 2).added(gray, 9))
     assert (gray == 254).all()
     assert noisy.min() > 200
 
 
 def test_no_noise_is_no_change():
     gray = np.arange(48 * 64, dtype=np.uint8).reshape(48, 64)
-    out = SensorNoise((48, 64), 0.0, 1).apply(gray, 0)
+    out = SensorNoise((48, 64), 0.0, 1).added(gray, 0)
     np.testing.assert_array_equal(out, gray)
     assert out is not gray

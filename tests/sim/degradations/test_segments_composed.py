@@ -9,18 +9,18 @@ from degradation_worlds import SEVERITIES, digest, small_backend, small_scenario
 from io_sequences import PINHOLE, Stack, make_sequence
 
 from dslab.scenarios.segments import SEGMENT_KINDS
-from dslab.sim.degradations.base import FramePlan, Stage
-from dslab.sim.degradations.chain import ImageChain
+from dslab.sim.degradations.base import FramePlan
 from dslab.sim.degradations.recorded_sequences import degrade_sequence
-from dslab.sim.degradations.registry import DEGRADATIONS, FRAME_PLAN_KINDS, IMAGE_KINDS, in_order_of_action
+from dslab.sim.degradations.registry import FRAME_PLAN_KINDS, IMAGE_KINDS, in_order_of_action
+from dslab.sim.degradations.segment_link import SegmentLink, segment_links
 from dslab.sim.io.forms import Form, load_sequence, write_sequence
+from dslab.sim.link import View, fold
 from dslab.sim.motion.spline import PoseSpline
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sequence import SegmentTruth
 from dslab.sim.sequence_rendering import render_sequence
 
 CAMERA = Intrinsics(160, 120, 120.0, 120.0, 79.5, 59.5, 30.0)
-STAGES = tuple(Stage)
 
 
 def declared(kind: str, start_s: float, duration_s: float, level: int = 2) -> dict:
@@ -105,27 +105,24 @@ def chain_input() -> tuple[Stack, np.ndarray, np.ndarray, PoseSpline]:
     return images, np.full((120, 160), 3.0, np.float32), np.arange(12) / 10, walk
 
 
-def test_the_chain_is_its_parts_one_after_the_other():
+def test_the_segments_act_one_after_the_other_in_their_order():
     images, depth_m, stamps_s, walk = chain_input()
     segments = [
         SEGMENT_KINDS[kind](**declared(kind, 0.1 + 0.03 * i, 0.7), ramp_s=0.1)
         for i, kind in enumerate(reversed(IMAGE_KINDS))
     ]
-    frame = np.arange(12)
-    chain = ImageChain(segments, CAMERA, stamps_s, frame, 7)
-    parts = [ImageChain([s], CAMERA, stamps_s, frame, 7) for s in in_order_of_action(segments)]
-    stages = [DEGRADATIONS[s.kind].stage for s in in_order_of_action(segments)]
-    assert all(a <= b for a, b in pairwise(stages))
+    whole = segment_links(segments, CAMERA, stamps_s, 7)
+    parts = [SegmentLink(s, CAMERA, stamps_s, 7) for s in in_order_of_action(segments)]
+    assert all(a.kind.stage <= b.kind.stage for a, b in pairwise(whole))
     for index, image in enumerate(images):
+        view = View(index, float(stamps_s[index]), depth_m=depth_m, motion=walk, index=index)
         expected = image
         for part in parts:
-            expected = part.apply(expected, index, STAGES, depth_m, walk)
-        np.testing.assert_array_equal(chain.apply(image, index, STAGES, depth_m, walk), expected)
-    whole = chain.truths()
-    for part in parts:
-        ((segment, (truth, measure)),) = part.truths().items()
-        assert whole[segment][0] == truth
-        np.testing.assert_array_equal(whole[segment][1], measure)
+            expected, _ = part.apply(expected, view)
+        np.testing.assert_array_equal(fold(whole, image, view)[0], expected)
+    for link, part in zip(whole, parts, strict=True):
+        assert link.segment == part.segment and link.truth() == part.truth()
+        np.testing.assert_array_equal(link.measure, part.measure)
 
 
 def test_degrading_a_recorded_sequence_twice_is_degrading_it_at_once(tmp_path):

@@ -6,37 +6,38 @@ from small_world import CAMERA, CORRIDOR
 
 from dslab.scenarios.cameras import Camera
 from dslab.scenarios.spec import Scenario
+from dslab.sim.link import View, fold
 from dslab.sim.sensors import noise
 from dslab.sim.sensors.noise import SensorNoise
-from dslab.sim.sensors.sensor import Sensor
+from dslab.sim.sensors.sensor import sensor_links
 from dslab.sim.sequence_rendering import render_sequence
 
 SMALL = {**CAMERA, "noise_sigma": 0}
 
 
-def sensor(**fields):
-    return Sensor(Camera.model_validate(SMALL | fields), 3)
+def sensed(image, frame=0, **fields):
+    """The image behind all links of a sensor."""
+    soft, developed = sensor_links(Camera.model_validate(SMALL | fields), 3)
+    return fold([*soft, *developed], image, View(frame, 0.0))[0]
 
 
 def test_a_camera_without_the_options_has_noise_alone():
     image = np.full((64, 96), 90, np.uint8)
-    plain = sensor(noise_sigma=2.0)
-    np.testing.assert_array_equal(
-        plain.develop(plain.soften(image), 5), SensorNoise((64, 96), 2.0, 3).apply(image, 5)
-    )
+    noisy = SensorNoise((64, 96), 2.0, 3).added(image, 5)
+    np.testing.assert_array_equal(sensed(image, 5, noise_sigma=2.0), noisy)
 
 
 def test_softness_spreads_a_point_by_its_standard_deviation():
     image = np.zeros((65, 65), np.uint8)
     image[32, 32] = 255
-    soft = sensor(softness_px=1.5).soften(image).astype(float)
+    soft = sensed(image, softness_px=1.5).astype(float)
     rows = np.arange(65) - 32
     assert np.sqrt((soft.sum(1) * rows**2).sum() / soft.sum()) == pytest.approx(1.5, rel=0.1)
 
 
 def test_contrast_keeps_the_middle_and_clips_lights():
     ramp = np.arange(256, dtype=np.uint8).reshape(16, 16)
-    out = sensor(contrast=1.5).develop(ramp, 0).ravel()
+    out = sensed(ramp, contrast=1.5).ravel()
     assert (
         out[128] == 128
         and out[64] < 64
@@ -46,8 +47,8 @@ def test_contrast_keeps_the_middle_and_clips_lights():
 
 
 def test_shot_noise_grows_with_the_root_of_the_level():
-    taken = sensor(shot_noise=6.0)
-    spread = [taken.develop(np.full((64, 96), level, np.uint8), 1).std() for level in (40, 160)]
+    grays = (np.full((64, 96), level, np.uint8) for level in (40, 160))
+    spread = [sensed(gray, 1, shot_noise=6.0).std() for gray in grays]
     assert spread[1] / spread[0] == pytest.approx(2, rel=0.1)
     assert spread[1] == pytest.approx(6 * np.sqrt(160 / 255), rel=0.1)
 
@@ -73,8 +74,8 @@ def test_the_noise_of_a_seed_is_drawn_once_and_none_where_there_is_none(monkeypa
     monkeypatch.setattr(noise, "_drawn", lambda size, seed: drawn.append(seed) or draw(size, seed))
     gray = np.full((64, 96), 128, np.uint8)
     for shot in (0.0, 2.0):
-        first = SensorNoise((64, 96), 2.0, 41, shot).apply(gray, 5)
-        np.testing.assert_array_equal(SensorNoise((64, 96), 2.0, 41, shot).apply(gray, 5), first)
-        assert not np.array_equal(SensorNoise((64, 96), 2.0, 42, shot).apply(gray, 5), first)
-    SensorNoise((64, 96), 0.0, 43).apply(gray, 5)
+        first = SensorNoise((64, 96), 2.0, 41, shot).added(gray, 5)
+        np.testing.assert_array_equal(SensorNoise((64, 96), 2.0, 41, shot).added(gray, 5), first)
+        assert not np.array_equal(SensorNoise((64, 96), 2.0, 42, shot).added(gray, 5), first)
+    SensorNoise((64, 96), 0.0, 43).added(gray, 5)
     assert drawn == [41, 42, 41, 42]

@@ -2,14 +2,15 @@
 
 import numpy as np
 import pytest
+from degradation_worlds import sharp_frame
 from world_views import cheap_textures
 
 from dslab.scenarios.seeds import rng_for
-from dslab.scenarios.spec import Camera
 from dslab.scenarios.worlds import MotorwayWorld, Outdoors, RoomWorld
 from dslab.sim.degradations.scattering import Scattering
 from dslab.sim.degradations.tone import DECODE
-from dslab.sim.frame_plan import mujoco_backend, rendered_clean_frames
+from dslab.sim.frame_plan import mujoco_backend
+from dslab.sim.imaging import rendered
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.worlds import build_world
 from dslab.sim.worlds.ambience import dimmed, hazed
@@ -72,15 +73,15 @@ class TestSun:
 
 
 class TestHaze:
-    CAMERA = Camera(width_px=64, height_px=64, fx_px=50, fy_px=50, cx_px=31.5, cy_px=31.5)
+    CAMERA = Intrinsics(64, 64, 50.0, 50.0, 31.5, 31.5, 30.0)
 
     def contrast(self, distance_m: float, haze_m: float | None) -> float:
         """Contrast of the light of a checkered wall near the optical axis."""
         world = hazed(wall(distance_m), Outdoors(haze_m=haze_m))
         T = np.eye(4)
         T[:3, :3] = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
-        with rendered_clean_frames(world, self.CAMERA, mujoco_backend()) as clean_frames:
-            return float(np.ptp(DECODE[clean_frames(0, T)[0][22:42, 22:42]]))
+        with rendered(world, self.CAMERA, mujoco_backend()) as links:
+            return float(np.ptp(DECODE[sharp_frame(links, T)[0][22:42, 22:42]]))
 
     def test_at_the_visibility_two_percent_of_the_contrast_is_left(self):
         share = self.contrast(300.0, 300.0) / self.contrast(300.0, None)
