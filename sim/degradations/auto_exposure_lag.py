@@ -1,11 +1,9 @@
 """Auto-exposure lag: the exposure follows a jump of the light late."""
 
-from typing import ClassVar
-
 import numpy as np
 
 from dslab.scenarios.segments import AutoExposureLag
-from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.base import Stage, drawn, log_uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.tone import map_light
 from dslab.sim.sensors.camera import Intrinsics
@@ -16,14 +14,12 @@ FELT_STOPS = 0.5
 class AutoExposureLagDegradation(ImageDegradation[AutoExposureLag]):
     """Exposure error that starts with the jump's stops and decays exponentially."""
 
-    kind: ClassVar[str] = "auto_exposure_lag"
-    stage: ClassVar[Stage] = Stage.SENSOR
-    measure_name: ClassVar[str] = "exposure_error_stops"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Jump, brighter or darker, and time constant."""
-        stops = float(rng.uniform(1, 7)) * float(rng.choice([-1, 1]))
-        return {"stops": stops, "time_constant_s": float(np.exp(rng.uniform(np.log(0.1), np.log(1.5))))}
+    kind = "auto_exposure_lag"
+    stage = Stage.SENSOR
+    measure_name = "exposure_error_stops"
+    sample = drawn(
+        stops=lambda rng: rng.uniform(1, 7) * rng.choice([-1, 1]), time_constant_s=log_uniform(0.1, 1.5)
+    )
 
     def prepare(self, segment: AutoExposureLag, camera: Intrinsics, streams: Streams) -> Filter:
         """See ``ImageDegradation``."""

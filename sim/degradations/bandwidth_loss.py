@@ -1,11 +1,9 @@
 """Bandwidth loss: packets of the coded video do not arrive."""
 
-from typing import ClassVar
-
 import numpy as np
 
 from dslab.scenarios.segments import BandwidthLoss
-from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.base import Stage, drawn, uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.sprites import acting_share
 from dslab.sim.sensors.camera import Intrinsics
@@ -22,13 +20,10 @@ class BandwidthLossDegradation(ImageDegradation[BandwidthLoss]):
     blocks are those of some rows above. Nothing is taken from earlier frames: each is coded by itself.
     """
 
-    kind: ClassVar[str] = "bandwidth_loss"
-    stage: ClassVar[Stage] = Stage.ENCODER
-    measure_name: ClassVar[str] = "lost_share"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Share of the packets, uniform."""
-        return {"share": float(rng.uniform(0.05, 0.95))}
+    kind = "bandwidth_loss"
+    stage = Stage.ENCODER
+    measure_name = "lost_share"
+    sample = drawn(share=uniform(0.05, 0.95))
 
     def prepare(self, segment: BandwidthLoss, camera: Intrinsics, streams: Streams) -> Filter:
         """See ``ImageDegradation``."""

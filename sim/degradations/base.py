@@ -6,9 +6,11 @@ textures, then on the shutter, then on frame timing. The second family acts on t
 true onset and end.
 """
 
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
@@ -109,10 +111,32 @@ def during(segment: SegmentBase, stamps_s: np.ndarray) -> np.ndarray:
     return (stamps_s >= segment.start_s - 1e-9) & (stamps_s < segment.end_s - 1e-9)
 
 
-SegmentT_contra = TypeVar("SegmentT_contra", contravariant=True)
+SegmentT = TypeVar("SegmentT", bound=SegmentBase)
+Draw = Callable[[np.random.Generator], Any]
+"""Draws the value of a field."""
 
 
-class Degradation(Protocol[SegmentT_contra]):
+def uniform(low: float, high: float) -> Draw:
+    """Draw evenly between two numbers."""
+    return lambda rng: float(rng.uniform(low, high))
+
+
+def log_uniform(low: float, high: float) -> Draw:
+    """Draw evenly between the logarithms of two numbers."""
+    return lambda rng: float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def one_of(*values: float | str) -> Draw:
+    """Draw one of some values."""
+    return lambda rng: values[rng.integers(len(values))]
+
+
+def drawn(**fields: Draw) -> Callable[[Any, np.random.Generator], dict[str, Any]]:
+    """Make a ``sample`` method of a kind, which draws each field of a severity."""
+    return lambda self, rng: {name: draw(rng) for name, draw in fields.items()}
+
+
+class Kind(ABC, Generic[SegmentT]):
     """One kind of segment.
 
     Attributes:
@@ -125,15 +149,24 @@ class Degradation(Protocol[SegmentT_contra]):
     stage: ClassVar[Stage]
     measure_name: ClassVar[str]
 
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Draw severity parameters from the range between harmless and fatal."""
-        ...
+    @abstractmethod
+    def sample(self, rng: np.random.Generator, /) -> dict[str, Any]:
+        """Draw severity parameters from the range between harmless and fatal; see ``drawn``."""
 
-    def apply(self, plan: FramePlan, segment: SegmentT_contra) -> FramePlan:
+    @abstractmethod
+    def threshold(self, segment: SegmentT) -> float:
+        """The measure from which on the segment counts as acting."""
+
+
+class Degradation(Kind[SegmentT]):
+    """A kind that changes the frame plan; see ``Kind``."""
+
+    @abstractmethod
+    def apply(self, plan: FramePlan, segment: SegmentT) -> FramePlan:
         """Return the plan with the segment applied; the given plan is left unchanged."""
-        ...
 
-    def measure(self, plan: FramePlan, segment: SegmentT_contra, blur_px: np.ndarray) -> np.ndarray:
+    @abstractmethod
+    def measure(self, plan: FramePlan, segment: SegmentT, blur_px: np.ndarray) -> np.ndarray:
         """(N,) float64 strength of the segment on each frame.
 
         Args:
@@ -141,11 +174,6 @@ class Degradation(Protocol[SegmentT_contra]):
             segment: the segment to measure.
             blur_px: (N,) median length of each frame's motion blur, pixels.
         """
-        ...
-
-    def threshold(self, segment: SegmentT_contra) -> float:
-        """The measure from which on the segment counts as acting."""
-        ...
 
 
 def true_runs(acts: np.ndarray, within: np.ndarray) -> tuple[tuple[int, int], ...]:
@@ -165,7 +193,7 @@ def true_runs(acts: np.ndarray, within: np.ndarray) -> tuple[tuple[int, int], ..
 
 
 def segment_truth(
-    degradation: Degradation[Segment], plan: FramePlan, segment: Segment, blur_px: np.ndarray
+    degradation: Degradation[Any], plan: FramePlan, segment: Segment, blur_px: np.ndarray
 ) -> tuple[SegmentTruth, np.ndarray]:
     """The segment's truth and its (N,) measure per frame."""
     measure = degradation.measure(plan, segment, blur_px)

@@ -1,11 +1,9 @@
 """Covered lens: a cover withholds light, up to blank frames."""
 
-from typing import ClassVar
-
 import numpy as np
 
 from dslab.scenarios.segments import CoveredLens
-from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.base import Stage, drawn, log_uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.tone import map_light
 from dslab.sim.sensors.camera import Intrinsics
@@ -16,13 +14,10 @@ HALF_THE_LIGHT = 0.5
 class CoveredLensDegradation(ImageDegradation[CoveredLens]):
     """Multiplies the light by the cover's transmission."""
 
-    kind: ClassVar[str] = "covered_lens"
-    stage: ClassVar[Stage] = Stage.LENS
-    measure_name: ClassVar[str] = "light_withheld"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Transmission, uniform in its logarithm."""
-        return {"transmission": float(np.exp(rng.uniform(np.log(0.0005), np.log(0.5))))}
+    kind = "covered_lens"
+    stage = Stage.LENS
+    measure_name = "light_withheld"
+    sample = drawn(transmission=log_uniform(0.0005, 0.5))
 
     def prepare(self, segment: CoveredLens, camera: Intrinsics, streams: Streams) -> Filter:
         """See ``ImageDegradation``."""

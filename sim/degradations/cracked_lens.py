@@ -1,13 +1,12 @@
 """Cracked lens: cracks in the glass before it scatter and bend the light."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import cv2
 import numpy as np
 
 from dslab.scenarios.segments import CrackedLens
-from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.base import Stage, drawn, log_uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.tone import decode, encode
 from dslab.sim.sensors.camera import Intrinsics
@@ -49,14 +48,10 @@ class CrackedLensDegradation(ImageDegradation[CrackedLens]):
     moves the image away from the crack or towards it.
     """
 
-    kind: ClassVar[str] = "cracked_lens"
-    stage: ClassVar[Stage] = Stage.LENS
-    measure_name: ClassVar[str] = "cracked_share"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Cracks, uniform in their logarithm, and how they bend the light."""
-        cracks, bend_deg = np.exp(rng.uniform(np.log([3, 0.1]), np.log([120, 3])))
-        return {"cracks": float(cracks), "bend_deg": float(bend_deg)}
+    kind = "cracked_lens"
+    stage = Stage.LENS
+    measure_name = "cracked_share"
+    sample = drawn(cracks=log_uniform(3, 120), bend_deg=log_uniform(0.1, 3))
 
     def prepare(self, segment: CrackedLens, camera: Intrinsics, streams: Streams) -> Filter:
         """See ``ImageDegradation``."""

@@ -1,11 +1,9 @@
 """Day to night: daylight goes, and the camera amplifies what is left."""
 
-from typing import ClassVar
-
 import numpy as np
 
 from dslab.scenarios.segments import DayToNight
-from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.base import Stage, drawn, log_uniform, uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.tone import decode, encode
 from dslab.sim.sensors.camera import Intrinsics
@@ -13,6 +11,7 @@ from dslab.sim.sensors.camera import Intrinsics
 ONE_STOP = 1.0
 _BEAM_DEG = 18.0  # standard deviation of the lamp's beam
 _FULL_WELL_E, _READ_NOISE_E = 10000.0, 5.0
+_LAMP = log_uniform(0.002, 0.1)
 
 
 class DayToNightDegradation(ImageDegradation[DayToNight]):
@@ -22,14 +21,10 @@ class DayToNightDegradation(ImageDegradation[DayToNight]):
     noise is approximated as normal.
     """
 
-    kind: ClassVar[str] = "day_to_night"
-    stage: ClassVar[Stage] = Stage.SENSOR
-    measure_name: ClassVar[str] = "night_stops"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Stops, uniform, and every second time a lamp."""
-        lamp = float(np.exp(rng.uniform(np.log(0.002), np.log(0.1)))) * float(rng.integers(2))
-        return {"stops": float(rng.uniform(2, 14)), "lamp": lamp}
+    kind = "day_to_night"
+    stage = Stage.SENSOR
+    measure_name = "night_stops"
+    sample = drawn(stops=uniform(2, 14), lamp=lambda rng: rng.integers(2) * _LAMP(rng))
 
     def prepare(self, segment: DayToNight, camera: Intrinsics, streams: Streams) -> Filter:
         """See ``ImageDegradation``."""

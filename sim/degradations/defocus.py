@@ -1,13 +1,12 @@
 """Defocus: every point is a disc of light."""
 
 from functools import lru_cache
-from typing import ClassVar
 
 import cv2
 import numpy as np
 
 from dslab.scenarios.segments import Defocus
-from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.base import Stage, drawn, log_uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.tone import decode, encode
 from dslab.sim.sensors.camera import Intrinsics
@@ -21,13 +20,10 @@ _SUBPIXELS = 8
 class DefocusDegradation(ImageDegradation[Defocus]):
     """Spreads the light evenly over a disc."""
 
-    kind: ClassVar[str] = "defocus"
-    stage: ClassVar[Stage] = Stage.LENS
-    measure_name: ClassVar[str] = "defocus_px"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Diameter, uniform in its logarithm."""
-        return {"diameter_px": float(np.exp(rng.uniform(np.log(2), np.log(40))))}
+    kind = "defocus"
+    stage = Stage.LENS
+    measure_name = "defocus_px"
+    sample = drawn(diameter_px=log_uniform(2, 40))
 
     def prepare(self, segment: Defocus, camera: Intrinsics, streams: Streams) -> Filter:
         """See ``ImageDegradation``."""

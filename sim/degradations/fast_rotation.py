@@ -1,13 +1,12 @@
 """Fast rotation: a swing out and back, added to the motion."""
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dslab.scenarios.spec import FastRotation
-from dslab.sim.degradations.base import FramePlan, Stage
+from dslab.sim.degradations.base import Degradation, FramePlan, Stage, drawn, one_of, uniform
 from dslab.sim.motion.base import Motion
 
 # The camera's x is right, y down, z forward: a yaw to the right, a pitch upward, a roll to the right.
@@ -67,16 +66,13 @@ class SwungMotion:
         return np.pi * u
 
 
-class FastRotationDegradation:
+class FastRotationDegradation(Degradation[FastRotation]):
     """Swings the camera out and back."""
 
-    kind: ClassVar[str] = "fast_rotation"
-    stage: ClassVar[Stage] = Stage.MOTION
-    measure_name: ClassVar[str] = "swing_degps"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Peak rate and axis."""
-        return {"rate_degps": float(rng.uniform(40, 400)), "axis": str(rng.choice(list(AXES)))}
+    kind = "fast_rotation"
+    stage = Stage.MOTION
+    measure_name = "swing_degps"
+    sample = drawn(rate_degps=uniform(40, 400), axis=one_of(*AXES))
 
     def apply(self, plan: FramePlan, segment: FastRotation) -> FramePlan:
         """See ``Degradation``."""

@@ -1,11 +1,9 @@
 """Flicker: lamps that rise and fall with the mains, seen row by row."""
 
-from typing import ClassVar
-
 import numpy as np
 
 from dslab.scenarios.segments import Flicker
-from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.base import Stage, drawn, one_of, uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.tone import decode, encode
 from dslab.sim.sensors.camera import Intrinsics
@@ -20,17 +18,10 @@ class FlickerDegradation(ImageDegradation[Flicker]):
     is what the shutter leaves of the lamps' own: an exposure of whole periods would leave none.
     """
 
-    kind: ClassVar[str] = "flicker"
-    stage: ClassVar[Stage] = Stage.SENSOR
-    measure_name: ClassVar[str] = "flicker_modulation"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Modulation, uniform, at 50 or 60 Hz of the mains, and how fast the rows are read."""
-        return {
-            "modulation": float(rng.uniform(0.1, 1)),
-            "rate_hz": float(rng.choice([100.0, 120.0])),
-            "readout_s": float(rng.uniform(0.005, 0.03)),
-        }
+    kind = "flicker"
+    stage = Stage.SENSOR
+    measure_name = "flicker_modulation"
+    sample = drawn(modulation=uniform(0.1, 1), rate_hz=one_of(100.0, 120.0), readout_s=uniform(0.005, 0.03))
 
     def prepare(self, segment: Flicker, camera: Intrinsics, streams: Streams) -> Filter:
         """See ``ImageDegradation``."""

@@ -1,11 +1,9 @@
 """Fog: airlight replaces the light of distant surfaces."""
 
-from typing import ClassVar
-
 import numpy as np
 
 from dslab.scenarios.segments import Fog
-from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.base import Stage, drawn, log_uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.scattering import Scattering
 from dslab.sim.sensors.camera import Intrinsics
@@ -16,15 +14,12 @@ HALF_THE_LIGHT = 0.5
 class FogDegradation(ImageDegradation[Fog]):
     """Fog that comes and goes; see ``Scattering``."""
 
-    kind: ClassVar[str] = "fog"
-    stage: ClassVar[Stage] = Stage.SCENE
-    measure_name: ClassVar[str] = "fog_veil"
-    needs_depth: ClassVar[bool] = True
-    is_drawn: ClassVar[bool] = False
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Extinction, uniform in its logarithm."""
-        return {"extinction_per_m": float(np.exp(rng.uniform(np.log(0.05), np.log(5))))}
+    kind = "fog"
+    stage = Stage.SCENE
+    measure_name = "fog_veil"
+    sample = drawn(extinction_per_m=log_uniform(0.05, 5))
+    needs_depth = True
+    is_drawn = False
 
     def prepare(self, segment: Fog, camera: Intrinsics, streams: Streams) -> Filter:
         """See ``ImageDegradation``."""

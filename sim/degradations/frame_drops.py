@@ -1,26 +1,21 @@
 """Dropped frames."""
 
-from typing import ClassVar
-
 import numpy as np
 
 from dslab.scenarios.segments import FrameDrops
-from dslab.sim.degradations.base import FramePlan, Stage, streams_of
+from dslab.sim.degradations.base import Degradation, FramePlan, Stage, drawn, streams_of, uniform
 
 
-class FrameDropsDegradation:
+class FrameDropsDegradation(Degradation[FrameDrops]):
     """Drops random frames of the segment; a larger share drops a superset.
 
     The segment's last frame always stays: it shows where the gap ends.
     """
 
-    kind: ClassVar[str] = "frame_drops"
-    stage: ClassVar[Stage] = Stage.TIMING
-    measure_name: ClassVar[str] = "frames_missing"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Share, uniform."""
-        return {"share": float(rng.uniform(0.2, 1))}
+    kind = "frame_drops"
+    stage = Stage.TIMING
+    measure_name = "frames_missing"
+    sample = drawn(share=uniform(0.2, 1))
 
     def apply(self, plan: FramePlan, segment: FrameDrops) -> FramePlan:
         """See ``Degradation``."""

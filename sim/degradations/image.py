@@ -1,13 +1,13 @@
 """Interface of degradations that act on images, frame by frame."""
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
-from typing import ClassVar, Generic, Protocol, TypeVar
+from typing import ClassVar, Protocol, TypeVar
 
 import numpy as np
 
 from dslab.scenarios.segments import ImageSegment
-from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.base import Kind
 from dslab.sim.link import View
 from dslab.sim.sensors.camera import Intrinsics
 
@@ -30,36 +30,22 @@ class Filter(Protocol):
         ...
 
 
-class ImageDegradation(ABC, Generic[SegmentT]):
-    """One kind of segment that acts on images.
+class ImageDegradation(Kind[SegmentT]):
+    """A kind that acts on images; see ``Kind``.
 
     Attributes:
-        kind: as in the scenario.
-        stage: one of the later stages.
-        measure_name: name of the filter's measure, with its unit.
         needs_depth: frames need a depth image.
         needs_motion: frames need the camera's motion.
         is_drawn: chance has a part in it; False if its filter takes no number from its streams.
     """
 
-    kind: ClassVar[str]
-    stage: ClassVar[Stage]
-    measure_name: ClassVar[str]
     needs_depth: ClassVar[bool] = False
     needs_motion: ClassVar[bool] = False
     is_drawn: ClassVar[bool] = True
 
     @abstractmethod
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Draw severity parameters from the range between harmless and fatal."""
-
-    @abstractmethod
     def prepare(self, segment: SegmentT, camera: Intrinsics, streams: Streams) -> Filter:
         """Prepare the segment: compute once everything that is the same for all frames."""
-
-    @abstractmethod
-    def threshold(self, segment: SegmentT) -> float:
-        """The measure from which on the segment counts as acting."""
 
 
 def ramp(segment: ImageSegment, stamps_s: np.ndarray) -> np.ndarray:

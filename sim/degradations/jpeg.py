@@ -1,12 +1,10 @@
 """JPEG artefacts."""
 
-from typing import ClassVar
-
 import cv2
 import numpy as np
 
 from dslab.scenarios.segments import Jpeg
-from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.base import Stage, drawn, log_uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.sensors.camera import Intrinsics
 
@@ -16,13 +14,10 @@ FELT_LOSS = 50.0
 class JpegDegradation(ImageDegradation[Jpeg]):
     """Encodes and decodes the frame."""
 
-    kind: ClassVar[str] = "jpeg"
-    stage: ClassVar[Stage] = Stage.ENCODER
-    measure_name: ClassVar[str] = "jpeg_loss"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Quality, uniform in its logarithm."""
-        return {"quality": float(np.exp(rng.uniform(np.log(2), np.log(60))))}
+    kind = "jpeg"
+    stage = Stage.ENCODER
+    measure_name = "jpeg_loss"
+    sample = drawn(quality=log_uniform(2, 60))
 
     def prepare(self, segment: Jpeg, camera: Intrinsics, streams: Streams) -> Filter:
         """See ``ImageDegradation``; libjpeg's quality is a whole number."""

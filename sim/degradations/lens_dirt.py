@@ -1,12 +1,10 @@
 """Dirt and drops on the lens: fixed spots that smear and darken the view."""
 
-from typing import ClassVar
-
 import cv2
 import numpy as np
 
 from dslab.scenarios.segments import LensDirt
-from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.base import Stage, drawn, uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.sprites import acting_share, fill_share, filled, smooth_outline
 from dslab.sim.degradations.tone import decode, encode
@@ -24,13 +22,10 @@ _WIDTHS = (0.5, 1.6)  # of a spot, about the mean
 class LensDirtDegradation(ImageDegradation[LensDirt]):
     """Covers part of the view with soft spots that smear and darken the scene."""
 
-    kind: ClassVar[str] = "lens_dirt"
-    stage: ClassVar[Stage] = Stage.LENS
-    measure_name: ClassVar[str] = "dirty_share"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Share of the view, uniform, and width of the spots."""
-        return {"share": float(rng.uniform(0.1, 0.9)), "spot_deg": float(rng.uniform(3, 12))}
+    kind = "lens_dirt"
+    stage = Stage.LENS
+    measure_name = "dirty_share"
+    sample = drawn(share=uniform(0.1, 0.9), spot_deg=uniform(3, 12))
 
     def prepare(self, segment: LensDirt, camera: Intrinsics, streams: Streams) -> Filter:
         """See ``ImageDegradation``."""

@@ -1,13 +1,12 @@
 """Lens flare: a bright light's glare, streaks and ghosts."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import cv2
 import numpy as np
 
 from dslab.scenarios.segments import LensFlare
-from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.base import Stage, drawn, log_uniform, uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.tone import decode, encode
 from dslab.sim.motion.base import Motion
@@ -55,15 +54,11 @@ class LensFlareDegradation(ImageDegradation[LensFlare]):
     to the side it is. Source: Holladay, 1926 (the glare).
     """
 
-    kind: ClassVar[str] = "lens_flare"
+    kind = "lens_flare"
     # It needs the motion, which is known up to the lens.
-    stage: ClassVar[Stage] = Stage.READOUT
-    measure_name: ClassVar[str] = "flare_veil"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Veil, uniform in its logarithm, of a light in the view or beside it."""
-        veil = float(np.exp(rng.uniform(np.log(0.02), np.log(3))))
-        return {"veil": veil, "off_axis_deg": float(rng.uniform(0, 45))}
+    stage = Stage.READOUT
+    measure_name = "flare_veil"
+    sample = drawn(veil=log_uniform(0.02, 3), off_axis_deg=uniform(0, 45))
 
     def prepare(self, segment: LensFlare, camera: Intrinsics, streams: Streams) -> Filter:
         """See ``ImageDegradation``."""

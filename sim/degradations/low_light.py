@@ -1,12 +1,10 @@
 """Low light: a darker image with shot and read noise."""
 
-from typing import ClassVar
-
 import numpy as np
 from numba import njit
 
 from dslab.scenarios.segments import LowLight
-from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.base import Stage, drawn, log_uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.tone import DECODE, ENCODE
 from dslab.sim.sensors.camera import Intrinsics
@@ -20,13 +18,10 @@ _CODES_PER_SIGMA = 32
 class LowLightDegradation(ImageDegradation[LowLight]):
     """Scales the light, adds electron noise, amplifies and saturates."""
 
-    kind: ClassVar[str] = "low_light"
-    stage: ClassVar[Stage] = Stage.SENSOR
-    measure_name: ClassVar[str] = "light_lost_stops"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Illumination, uniform in its logarithm."""
-        return {"illumination": float(np.exp(rng.uniform(np.log(0.0005), np.log(0.5))))}
+    kind = "low_light"
+    stage = Stage.SENSOR
+    measure_name = "light_lost_stops"
+    sample = drawn(illumination=log_uniform(0.0005, 0.5))
 
     def prepare(self, segment: LowLight, camera: Intrinsics, streams: Streams) -> Filter:
         """See ``ImageDegradation``."""

@@ -1,31 +1,28 @@
 """Low texture of the surfaces along the path."""
 
 from dataclasses import replace
-from typing import ClassVar
 
 import numpy as np
 
 from dslab.scenarios.segments import LowTexture, SegmentBase
-from dslab.sim.degradations.base import FramePlan, Stage, during
+from dslab.sim.degradations.base import Degradation, FramePlan, Stage, drawn, during, log_uniform
 
 HALF_THE_VIEW = 0.5
 _NEVER, _ROUNDING = 1e-12, 1e-9
 
 
-class LowTextureDegradation:
+class LowTextureDegradation(Degradation[LowTexture]):
     """Lowers the texture contrast of surfaces that the camera passes during the segment.
 
     A surface is passed when it fills most of the view. With ``view_share`` surfaces fade until they fill that
     share of the view, on average over the segment.
     """
 
-    kind: ClassVar[str] = "low_texture"
-    stage: ClassVar[Stage] = Stage.WORLD
-    measure_name: ClassVar[str] = "faded_share"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Contrast, uniform in its logarithm: matches fall with log contrast from .5 to .05."""
-        return {"contrast": float(np.exp(rng.uniform(np.log(0.02), np.log(0.5))))}
+    kind = "low_texture"
+    stage = Stage.WORLD
+    measure_name = "faded_share"
+    # Matches fall with log contrast from .5 to .05.
+    sample = drawn(contrast=log_uniform(0.02, 0.5))
 
     def apply(self, plan: FramePlan, segment: LowTexture) -> FramePlan:
         """See ``Degradation``."""

@@ -1,27 +1,23 @@
 """Motion blur: the shutter stays open longer."""
 
 from dataclasses import replace
-from typing import ClassVar
 
 import numpy as np
 
 from dslab.scenarios.spec import MotionBlur
-from dslab.sim.degradations.base import FramePlan, Stage
+from dslab.sim.degradations.base import Degradation, FramePlan, Stage, drawn, log_uniform
 
 # A shorter smear leaves corners intact.
 FELT_PX = 4.0
 
 
-class MotionBlurDegradation:
+class MotionBlurDegradation(Degradation[MotionBlur]):
     """Sets the shutter time of the segment's frames; the smear depends on the motion."""
 
-    kind: ClassVar[str] = "motion_blur"
-    stage: ClassVar[Stage] = Stage.SHUTTER
-    measure_name: ClassVar[str] = "blur_px"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Exposure, uniform in its logarithm."""
-        return {"exposure_s": float(np.exp(rng.uniform(np.log(0.01), np.log(0.3))))}
+    kind = "motion_blur"
+    stage = Stage.SHUTTER
+    measure_name = "blur_px"
+    sample = drawn(exposure_s=log_uniform(0.01, 0.3))
 
     def apply(self, plan: FramePlan, segment: MotionBlur) -> FramePlan:
         """See ``Degradation``."""

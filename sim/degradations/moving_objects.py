@@ -1,12 +1,11 @@
 """Moving objects: people and vehicles that pass in front of the scene."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
 from dslab.scenarios.segments import MovingObjects
-from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.base import Stage, drawn, uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.passers_by import CAR_M, PERSON_M, POSES, VAN_M, person, vehicle
 from dslab.sim.degradations.sprites import Sprite, acting_share, draw_behind, fill_share
@@ -53,13 +52,10 @@ class Passer:
 class MovingObjectsDegradation(ImageDegradation[MovingObjects]):
     """Draws objects that leave the view on one side and return on the other."""
 
-    kind: ClassVar[str] = "moving_objects"
-    stage: ClassVar[Stage] = Stage.SCENE
-    measure_name: ClassVar[str] = "foreign_share"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Share of the view and speed."""
-        return {"share": float(rng.uniform(0.1, 0.9)), "rate_degps": float(rng.uniform(5, 60))}
+    kind = "moving_objects"
+    stage = Stage.SCENE
+    measure_name = "foreign_share"
+    sample = drawn(share=uniform(0.1, 0.9), rate_degps=uniform(5, 60))
 
     def prepare(self, segment: MovingObjects, camera: Intrinsics, streams: Streams) -> Filter:
         """See ``ImageDegradation``."""

@@ -1,12 +1,11 @@
 """Pure rotation: the camera stops and turns on the spot, without parallax."""
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
 from dslab.scenarios.segments import PureRotation
-from dslab.sim.degradations.base import FramePlan, Stage
+from dslab.sim.degradations.base import Degradation, FramePlan, Stage, drawn, one_of, uniform
 from dslab.sim.degradations.fast_rotation import AXES, PEAK, SwungMotion
 from dslab.sim.motion.base import Motion
 
@@ -72,20 +71,17 @@ def _smooth_area(u: np.ndarray) -> np.ndarray:
     return inside**4 * (2.5 - 3 * inside + inside**2) + np.maximum(u - 1, 0)
 
 
-class PureRotationDegradation:
+class PureRotationDegradation(Degradation[PureRotation]):
     """Stops the camera, turns it about one of its axes and back, and continues.
 
     The motion after the stop is delayed by its duration. A stop at the first frame starts at rest: the
     sequence has no parallax before the camera sets off.
     """
 
-    kind: ClassVar[str] = "pure_rotation"
-    stage: ClassVar[Stage] = Stage.MOTION
-    measure_name: ClassVar[str] = "turn_on_spot_degps"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Angle and axis."""
-        return {"angle_deg": float(rng.uniform(15, 120)), "axis": str(rng.choice(list(AXES)))}
+    kind = "pure_rotation"
+    stage = Stage.MOTION
+    measure_name = "turn_on_spot_degps"
+    sample = drawn(angle_deg=uniform(15, 120), axis=one_of(*AXES))
 
     def apply(self, plan: FramePlan, segment: PureRotation) -> FramePlan:
         """See ``Degradation``."""

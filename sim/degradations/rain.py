@@ -1,12 +1,10 @@
 """Rain: streaks of near drops, haze of distant ones, drops on the glass."""
 
-from typing import ClassVar
-
 import cv2
 import numpy as np
 
 from dslab.scenarios.segments import Rain
-from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.base import Stage, drawn, log_uniform, uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.raindrops import REACH_M, RainField, extinction_per_m
 from dslab.sim.degradations.tone import decode, encode
@@ -28,16 +26,12 @@ class RainDegradation(ImageDegradation[Rain]):
     Source: Garg, Nayar, "Vision and rain", IJCV 2007.
     """
 
-    kind: ClassVar[str] = "rain"
+    kind = "rain"
     # After the shutter, which would smear it: streaks have their own exposure, the glass moves with the
     # camera.
-    stage: ClassVar[Stage] = Stage.READOUT
-    measure_name: ClassVar[str] = "rain_veil"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Rain rate, uniform in its logarithm from a light shower to a cloudburst, and wind."""
-        rate = float(np.exp(rng.uniform(np.log(2), np.log(200))))
-        return {"rate_mmph": rate, "wind_mps": float(rng.uniform(1, 8))}
+    stage = Stage.READOUT
+    measure_name = "rain_veil"
+    sample = drawn(rate_mmph=log_uniform(2, 200), wind_mps=uniform(1, 8))
 
     def prepare(self, segment: Rain, camera: Intrinsics, streams: Streams) -> Filter:
         """See ``ImageDegradation``."""

@@ -1,29 +1,25 @@
 """Repeated texture: surfaces repeat one patch, so that places look alike."""
 
 from dataclasses import replace
-from typing import ClassVar
 
 import cv2
 import numpy as np
 
 from dslab.scenarios.segments import RepeatedTexture
-from dslab.sim.degradations.base import FramePlan, Stage
+from dslab.sim.degradations.base import Degradation, FramePlan, Stage, drawn, uniform
 from dslab.sim.degradations.low_texture import passed
 from dslab.sim.worlds.base import Surface, WorldModel
 
 HALF_THE_VIEW = 0.5
 
 
-class RepeatedTextureDegradation:
+class RepeatedTextureDegradation(Degradation[RepeatedTexture]):
     """Repeats a patch of the most seen surface on those passed during the segment."""
 
-    kind: ClassVar[str] = "repeated_texture"
-    stage: ClassVar[Stage] = Stage.WORLD
-    measure_name: ClassVar[str] = "repeated_share"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Share of the surfaces, uniform."""
-        return {"share": float(rng.uniform(0.3, 1))}
+    kind = "repeated_texture"
+    stage = Stage.WORLD
+    measure_name = "repeated_share"
+    sample = drawn(share=uniform(0.3, 1))
 
     def apply(self, plan: FramePlan, segment: RepeatedTexture) -> FramePlan:
         """See ``Degradation``."""

@@ -1,13 +1,11 @@
 """Rolling shutter: rows are read one after the other while the camera moves."""
 
-from typing import ClassVar
-
 import cv2
 import numpy as np
 from numba import njit
 
 from dslab.scenarios.segments import RollingShutter
-from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.base import Stage, drawn, log_uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sensors.exposure import row_shifts
@@ -25,16 +23,13 @@ class RollingShutterDegradation(ImageDegradation[RollingShutter]):
     image.
     """
 
-    kind: ClassVar[str] = "rolling_shutter"
-    stage: ClassVar[Stage] = Stage.READOUT
-    measure_name: ClassVar[str] = "row_shift_px"
-    needs_depth: ClassVar[bool] = True
-    is_drawn: ClassVar[bool] = False
-    needs_motion: ClassVar[bool] = True
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Readout time, uniform in its logarithm."""
-        return {"readout_s": float(np.exp(rng.uniform(np.log(0.005), np.log(0.3))))}
+    kind = "rolling_shutter"
+    stage = Stage.READOUT
+    measure_name = "row_shift_px"
+    sample = drawn(readout_s=log_uniform(0.005, 0.3))
+    needs_depth = True
+    is_drawn = False
+    needs_motion = True
 
     def prepare(self, segment: RollingShutter, camera: Intrinsics, streams: Streams) -> Filter:
         """See ``ImageDegradation``."""

@@ -1,12 +1,10 @@
 """Shallow focus: blur that depends on depth."""
 
-from typing import ClassVar
-
 import cv2
 import numpy as np
 
 from dslab.scenarios.segments import ShallowFocus
-from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.base import Stage, drawn, log_uniform
 from dslab.sim.degradations.defocus import SHARP_PX, disc
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.tone import decode, encode
@@ -27,17 +25,13 @@ class ShallowFocusDegradation(ImageDegradation[ShallowFocus]):
     another, the farthest first, so that a sharp thing has a sharp outline before a blurred background.
     """
 
-    kind: ClassVar[str] = "shallow_focus"
+    kind = "shallow_focus"
     # It needs the depth before a distorting lens.
-    stage: ClassVar[Stage] = Stage.READOUT
-    measure_name: ClassVar[str] = "focus_blur_px"
-    needs_depth: ClassVar[bool] = True
-    is_drawn: ClassVar[bool] = False
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Opening and distance, uniform in their logarithms."""
-        aperture_mm, focus_m = np.exp(rng.uniform(np.log([2, 0.3]), np.log([60, 5])))
-        return {"aperture_mm": float(aperture_mm), "focus_m": float(focus_m)}
+    stage = Stage.READOUT
+    measure_name = "focus_blur_px"
+    sample = drawn(aperture_mm=log_uniform(2, 60), focus_m=log_uniform(0.3, 5))
+    needs_depth = True
+    is_drawn = False
 
     def prepare(self, segment: ShallowFocus, camera: Intrinsics, streams: Streams) -> Filter:
         """See ``ImageDegradation``."""

@@ -1,28 +1,24 @@
 """Time jitter: wrong stamps."""
 
 from dataclasses import replace
-from typing import ClassVar
 
 import numpy as np
 
 from dslab.scenarios.segments import TimeJitter
-from dslab.sim.degradations.base import FramePlan, Stage, streams_of
+from dslab.sim.degradations.base import Degradation, FramePlan, Stage, drawn, log_uniform, streams_of
 
 FELT_SHARE = 0.1
 # Share of the interval to the neighbouring frame: two such errors cannot swap stamps.
 _FARTHEST = 0.49
 
 
-class TimeJitterDegradation:
+class TimeJitterDegradation(Degradation[TimeJitter]):
     """Adds a normal error to each stamp, limited so that stamps keep their order."""
 
-    kind: ClassVar[str] = "time_jitter"
-    stage: ClassVar[Stage] = Stage.TIMING
-    measure_name: ClassVar[str] = "stamp_error_s"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Standard deviation, uniform in its logarithm."""
-        return {"sigma_s": float(np.exp(rng.uniform(np.log(0.001), np.log(0.03))))}
+    kind = "time_jitter"
+    stage = Stage.TIMING
+    measure_name = "stamp_error_s"
+    sample = drawn(sigma_s=log_uniform(0.001, 0.03))
 
     def apply(self, plan: FramePlan, segment: TimeJitter) -> FramePlan:
         """See ``Degradation``."""

@@ -1,11 +1,9 @@
 """Vignetting: less light towards the corners."""
 
-from typing import ClassVar
-
 import numpy as np
 
 from dslab.scenarios.segments import Vignetting
-from dslab.sim.degradations.base import Stage
+from dslab.sim.degradations.base import Stage, drawn, uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.tone import decode, encode
 from dslab.sim.sensors.camera import Intrinsics
@@ -16,13 +14,10 @@ ONE_STOP = 1.0
 class VignettingDegradation(ImageDegradation[Vignetting]):
     """Halves the light once per stop; stops grow with the square of the distance from the optical axis."""
 
-    kind: ClassVar[str] = "vignetting"
-    stage: ClassVar[Stage] = Stage.LENS
-    measure_name: ClassVar[str] = "vignetting_stops"
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float | str]:
-        """Stops, uniform."""
-        return {"stops": float(rng.uniform(1, 12))}
+    kind = "vignetting"
+    stage = Stage.LENS
+    measure_name = "vignetting_stops"
+    sample = drawn(stops=uniform(1, 12))
 
     def prepare(self, segment: Vignetting, camera: Intrinsics, streams: Streams) -> Filter:
         """See ``ImageDegradation``."""
