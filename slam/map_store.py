@@ -29,7 +29,7 @@ class Places:
         database = KeyframeDatabase(map_)
         return cls(
             database,
-            LoopDetector(map_, database, config.loops),
+            LoopDetector(map_, database, config.loops, config.place),
             Relocalizer(map_, database, config.relocalization),
         )
 
@@ -137,5 +137,5 @@ class MapStore:
         """Where the camera can be since it was lost in a map; None if unknown."""
         if map_id not in self._reaches:
             path = self.poses.trajectory(map_id, self._maps[map_id])
-            self._reaches[map_id] = Reach.of(path, self._config.reach)
+            self._reaches[map_id] = Reach.of(path, self._config.place.reach)
         return self._reaches[map_id]

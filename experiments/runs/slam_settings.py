@@ -1,27 +1,27 @@
 """Settings of a system from and as YAML: every field described, unknown keys refused.
 
-The descriptions are those of the ``Attributes:`` sections of the settings' classes.
+What a setting means, its unit and its bounds are said where it is declared (:mod:`slam.core.settings`).
 """
 
 import dataclasses
-import inspect
 import math
-import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 import yaml
-from pydantic import TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from dslab.experiments.runs.execution import Mode, SlamSystem, SystemFactory
 from dslab.scenarios.errors import InputError
-from dslab.scenarios.faults import guess
+from dslab.scenarios.faults import guess, problem_and_remedy
 from dslab.scenarios.yaml_file import Location, read_yaml
 from dslab.slam.config import SlamConfig
 from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.core.settings import MOST
 from dslab.slam.dual.config import DualConfig
 from dslab.slam.dual.recovery.interface import RecoveryConfig
 from dslab.slam.dual.recovery.registry import RECOVERY_KINDS, ThreadSpec
@@ -31,15 +31,8 @@ from dslab.slam.runtime.backend import ExecutionMode
 
 _SUMMARY_KEY = "config"
 _DUAL, _DSO, _MODE = "dual", "dso", "mode"
-# Names of earlier versions, with what to use now.
-_RENAMED = {
-    "max_frame_gap": "max_time_gap_s, in seconds: 5 frames at 30 Hz are 0.17",
-    "threads": "recovery_threads: how many run at a time is workers",
-}
-_POSITIVE = frozenset({"n_features", "n_levels", "cell_px", "initial_features", "buffer_s", "buffer_cap_s"})
-_ABOVE_ONE = frozenset({"scale_factor"})
-# Far beyond every sensible setting, and within the integers and floats of the kernels.
-_MOST = 10**6
+_UNITS = {"_s": "s", "_ms": "ms", "_px": "px", "_deg": "deg"}
+_Seed = Annotated[int, Field(ge=0)]
 
 
 @dataclass(frozen=True)
@@ -123,8 +116,9 @@ def factory_of(settings: SlamSettings, mode: Mode = "lockstep") -> SystemFactory
 
 
 def settings_yaml() -> str:
-    """All settings with their defaults as YAML, each with its description above it."""
-    lines = ["# Settings of the base; orb.n_features is 2000 for images wider than 640x480."]
+    """All settings with their defaults as YAML, each with meaning, unit and range above it."""
+    lines = ["# Numbers are 0 or more where nothing else is said.", ""]
+    lines += ["# Settings of the base; orb.n_features is 2000 for images wider than 640x480."]
     lines += _described(SlamConfig(), 0)
     lines += ["", "# Settings of Dual-SLAM.", f"{_DUAL}:", *_described(DualConfig(), 1)]
     lines += ["", "# Settings of direct sparse odometry.", f"{_DSO}:", *_described(DsoConfig(), 1)]
@@ -140,16 +134,25 @@ def settings_schema() -> dict[str, Any]:
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 
-def descriptions(of: type) -> dict[str, str]:
-    """Descriptions of a settings class's fields, from the ``Attributes:`` sections of it and its bases."""
-    found: dict[str, str] = {}
-    for base in reversed(of.__mro__):
-        text = inspect.cleandoc(base.__doc__ or "")
-        _, _, section = text.partition("Attributes:\n")
-        for names, words in re.findall(r"(?m)^    ([\w, ]+): ((?:.|\n(?=     ))*)", section):
-            described = " ".join(words.split())
-            found |= {name.strip(): described for name in names.split(",")}
-    return found
+def fields_of(settings: type) -> dict[str, dict[str, Any]]:
+    """JSON Schema of each field of a class of settings: meaning, bounds, ``unit`` where there is one."""
+    described = TypeAdapter(settings).json_schema()["properties"]
+    for name, node in described.items():
+        unit = next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), None)
+        if unit is not None:
+            node["unit"] = unit
+    return described
+
+
+def unit_and_range(field: Mapping[str, Any]) -> str:
+    """A field's unit and its bounds, as far as they are not those of all: ``px, more than 0``."""
+    above, least, most = (field.get(key) for key in ("exclusiveMinimum", "minimum", "maximum"))
+    words = [field.get("unit", "")]
+    if most is not None and most < MOST:
+        words.append(f"{least:g} to {most:g}")
+    elif above is not None or least:
+        words.append(f"more than {above:g}" if above is not None else f"{least:g} or more")
+    return ", ".join(filter(None, words))
 
 
 def _unlocated(at: Location) -> str:
@@ -177,16 +180,14 @@ def _overlaid(
     for key, value in written.items():
         if key not in known:
             allowed = [*known, *extra]
-            remedy = f"use {_RENAMED.get(key) or guess(str(key), allowed) + 'one of ' + ', '.join(allowed)}"
+            remedy = f"use {guess(str(key), allowed)}one of {', '.join(allowed)}"
             raise InputError(locate((*at, str(key))), "unknown key", remedy)
         own = getattr(default, key)
         if own is None and base is not None:
             own = getattr(base, key, None)
         changes[key] = _value(own, value, hints[key], (*at, key), locate, base)
-    try:
+    with _faults_at(at, locate):
         return replace(default, **changes)
-    except ValueError as error:
-        raise InputError(locate(at), str(error), "see `dslab config show`") from None
 
 
 def _value(default: Any, written: Any, hint: Any, at: Location, locate: Any, base: SlamConfig | None) -> Any:
@@ -194,12 +195,12 @@ def _value(default: Any, written: Any, hint: Any, at: Location, locate: Any, bas
         if not isinstance(written, list):
             raise InputError(locate(at), f"{written!r} is no list", "give kinds, such as [orb, sift]")
         return tuple(_thread(item, (*at, i), locate, base) for i, item in enumerate(written))
-    nested = next((t for t in _options(hint) if is_dataclass(t)), None)
-    if nested is None:
-        return _checked(written, hint, at, locate)
-    if written is None and NoneType in _options(hint):
-        return None
-    return _overlaid(default if is_dataclass(default) else nested(), written, at, locate, base=base)
+    nested = _nested(hint)
+    if nested is not None and not (written is None and NoneType in _options(hint)):
+        return _overlaid(default if is_dataclass(default) else nested(), written, at, locate, base=base)
+    if written is None and hint is float:
+        return math.inf  # JSON has no infinity: a summary says null
+    return tuple(written) if isinstance(written, list) else written
 
 
 def _thread(written: Any, at: Location, locate: Any, base: SlamConfig | None) -> ThreadSpec:
@@ -214,7 +215,7 @@ def _thread(written: Any, at: Location, locate: Any, base: SlamConfig | None) ->
     if kind not in kinds:
         remedy = f"use {guess(kind, kinds)}one of {', '.join(kinds)}"
         raise InputError(locate((*at, "kind")), f"unknown recovery thread {kind!r}", remedy)
-    seed = _checked(data.get("seed", 0), int, (*at, "seed"), locate)
+    seed = _checked(data.get("seed", 0), _Seed, (*at, "seed"), locate)
     config = data.get("config")
     if config is not None:
         config = _overlaid(_thread_defaults(kind), config, (*at, "config"), locate, base=base)
@@ -226,78 +227,65 @@ def _thread_defaults(kind: str) -> RecoveryConfig:
 
 
 def _checked(written: Any, hint: Any, at: Location, locate: Any) -> Any:
-    """A plain value of the right type; numbers are 0 or more."""
-    if written is None and hint is float:
-        return math.inf  # JSON has no infinity: a summary says null
-    value = tuple(written) if isinstance(written, list) else written
+    with _faults_at(at, locate):
+        return TypeAdapter(hint).validate_python(written, strict=True)
+
+
+@contextmanager
+def _faults_at(at: Location, locate: Callable[[Location], str]) -> Iterator[None]:
+    """Turn the first of pydantic's errors into one of the file's."""
     try:
-        value = TypeAdapter(hint).validate_python(value, strict=True)
+        yield
     except ValidationError as error:
-        fault = error.errors()[0]["msg"]
-        raise InputError(locate(at), f"{written!r} is not valid", fault[0].lower() + fault[1:]) from None
-    name = at[-1]
-    for number in value if isinstance(value, tuple) else (value,):
-        if isinstance(number, bool) or not isinstance(number, int | float):
-            continue
-        low = 1 if name in _ABOVE_ONE else 0
-        if not (number > low if name in _POSITIVE | _ABOVE_ONE else number >= low):
-            more = "more than" if name in _POSITIVE | _ABOVE_ONE else "at least"
-            raise InputError(locate(at), f"{written!r} is out of range", f"give {more} {low}")
-        if name != "seed" and _MOST < number < math.inf:
-            raise InputError(locate(at), f"{written!r} is out of range", f"give at most {_MOST}")
-    return value
+        fault = error.errors()[0]
+        raise InputError(locate((*at, *fault["loc"])), *problem_and_remedy(fault)) from None
 
 
 def _options(hint: Any) -> tuple[Any, ...]:
     return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
 
 
+def _nested(hint: Any) -> Any:
+    """The class of settings that a field holds, None for a plain value."""
+    return next((t for t in _options(hint) if is_dataclass(t)), None)
+
+
 def _described(settings: Any, depth: int) -> Iterator[str]:
     indent = "  " * depth
-    words = descriptions(type(settings))
-    for field in fields(settings):
-        value = getattr(settings, field.name)
-        if field.name in words:
-            yield f"{indent}# {words[field.name]}"
+    for name, field in fields_of(type(settings)).items():
+        value, span = getattr(settings, name), unit_and_range(field)
+        yield f"{indent}# {field['description']}{f' [{span}]' if span else ''}"
         if is_dataclass(value):
-            yield f"{indent}{field.name}:"
+            yield f"{indent}{name}:"
             yield from _described(value, depth + 1)
         else:
-            yield f"{indent}{field.name}: {_flow(value)}"
+            yield f"{indent}{name}: {_flow(value)}"
 
 
 def _flow(value: Any) -> str:
+    return yaml.safe_dump(_plain(value), default_flow_style=True).strip().removesuffix("...").strip()
+
+
+def _plain(value: Any) -> Any:
+    """A setting as JSON and YAML have it."""
     if isinstance(value, tuple):
-        value = [item.kind if isinstance(item, ThreadSpec) else item for item in value]
-    return yaml.safe_dump(value, default_flow_style=True).strip().removesuffix("...").strip()
+        return [item.kind if isinstance(item, ThreadSpec) else item for item in value]
+    return value
 
 
 def _schema_of(settings: Any) -> dict[str, Any]:
-    words = descriptions(type(settings))
-    hints = get_type_hints(type(settings))
-    properties = {}
-    for field in fields(settings):
-        value = getattr(settings, field.name)
-        hint = hints[field.name]
-        nested = next((t for t in _options(hint) if is_dataclass(t)), None)
+    hints, described = get_type_hints(type(settings)), fields_of(type(settings))
+    for name, node in described.items():
+        value, nested = getattr(settings, name), _nested(hints[name])
         if nested is not None:
-            node = _schema_of(value or nested())
-            if NoneType in _options(hint):
-                node = {"anyOf": [node, {"type": "null"}]}
-        elif hint == tuple[ThreadSpec, ...]:
-            node = {"type": "array", "items": _thread_schema()}
+            whole = _schema_of(value or nested())
+            shown = whole if NoneType not in _options(hints[name]) else {"anyOf": [whole, {"type": "null"}]}
+        elif hints[name] == tuple[ThreadSpec, ...]:
+            shown = {"type": "array", "items": _thread_schema(), "default": _plain(value)}
         else:
-            node = TypeAdapter(hint).json_schema()
-        if field.name in words:
-            node["description"] = words[field.name]
-        if nested is None and field.default is not MISSING:
-            node["default"] = (
-                [t.kind if isinstance(t, ThreadSpec) else t for t in value]
-                if isinstance(value, tuple)
-                else value
-            )
-        properties[field.name] = node
-    return {"type": "object", "properties": properties, "additionalProperties": False}
+            shown = node | {"default": _plain(value)}
+        described[name] = {**shown, "description": node["description"]}
+    return {"type": "object", "properties": described, "additionalProperties": False}
 
 
 def _thread_schema() -> dict[str, Any]:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dslab.slam.core.settings import GREY, setting, settings
 from dslab.slam.direct._alignment_kernels import (
     PATTERN,
     advance,
@@ -37,30 +38,21 @@ _LARGE_OFFSET = 30.0
 _STILL_PX = 0.02  # a smaller step is none
 
 
-@dataclass(frozen=True)
-class AlignmentConfig:
-    """Settings of photometric alignment.
+@settings
+class PhotometricAlignmentConfig:
+    """Settings of photometric alignment."""
 
-    Attributes:
-        huber: residual beyond which it counts linearly, of 255.
-        gradient_scale: gradient per pixel at which a residual counts half.
-        cutoff: residual beyond which it counts as this, doubled while too many do.
-        most_saturated: share of such residuals that is too many.
-        most_cutoff_factor: largest factor of ``cutoff``.
-        iterations: most steps on a level.
-        gain_sigma, offset_sigma: what is expected of a and b: images gain brightness little.
-        tried: most of the guesses that are followed from the coarsest level on.
-    """
-
-    huber: float = 9.0
-    gradient_scale: float = 50.0
-    cutoff: float = 20.0
-    most_saturated: float = 0.6
-    most_cutoff_factor: float = 8.0
-    iterations: int = 12
-    gain_sigma: float = 0.3
-    offset_sigma: float = 20.0
-    tried: int = 3
+    huber: float = setting(9.0, "residual beyond which it counts linearly", unit=GREY, gt=0)
+    gradient_scale: float = setting(
+        50.0, "gradient at which a residual counts half", unit="grey levels per px", gt=0
+    )
+    cutoff: float = setting(20.0, "residual counted at most, doubled while too many are", unit=GREY, gt=0)
+    most_saturated: float = setting(0.6, "share of residuals beyond the cutoff that is too many", le=1)
+    most_cutoff_factor: float = setting(8.0, "largest factor of the cutoff", ge=1)
+    iterations: int = setting(12, "most steps on a level")
+    gain_sigma: float = setting(0.3, "expected logarithm of the gain between two images", gt=0)
+    offset_sigma: float = setting(20.0, "expected offset of brightness between two images", unit=GREY, gt=0)
+    tried: int = setting(3, "most guesses of the motion that are followed from the coarsest level on")
 
     @cached_property
     def affine_prior(self) -> np.ndarray:
@@ -111,10 +103,10 @@ class Reference:
         intrinsics: np.ndarray,
         xy: np.ndarray,
         inverse_depth: np.ndarray,
-        config: AlignmentConfig | None = None,
+        config: PhotometricAlignmentConfig | None = None,
     ) -> None:
         self.intrinsics = intrinsics
-        self.config = config or AlignmentConfig()
+        self.config = config or PhotometricAlignmentConfig()
         self.depth = 1.0 / float(np.median(inverse_depth)) if len(inverse_depth) else np.nan
         self._mean, self._contrast = _moments(pyramid)
         self.levels: tuple[Patterns, ...] = tuple(

@@ -4,11 +4,12 @@ Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from dslab.slam.direct.alignment import Aligned, AlignmentConfig, Reference, align, fan
+from dslab.slam.core.settings import GREY, setting, settings
+from dslab.slam.direct.alignment import Aligned, PhotometricAlignmentConfig, Reference, align, fan
 from dslab.slam.direct.blur import align_through_blur
 from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
 
@@ -17,29 +18,18 @@ _LONG_GAP = 3
 _MOST_SPREAD_CHANGE = 4.0
 
 
-@dataclass(frozen=True)
+@settings
 class PlacementConfig:
-    """Settings of the placement of a view.
+    """Settings of the placement of a view."""
 
-    Attributes:
-        alignment: of photometric alignment.
-        most_error: error of an alignment, of 255, beyond which the images differ.
-        most_saturated: share of its pixels beyond the cutoff, likewise.
-        least_likeness: correlation of the views within the patterns, below which they differ too.
-        least_visible: share of the reference's points that must be in view.
-        through_blur: compare a sharp image with a blurred one by blurring it.
-        blurred_error: as ``most_error``, for such a comparison.
-        blurred_share: least gain by it: its error over that of the images as they are.
-    """
-
-    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
-    most_error: float = 9.0
-    most_saturated: float = 0.25
-    least_likeness: float = 0.5
-    least_visible: float = 0.25
-    through_blur: bool = True
-    blurred_error: float = 8.0
-    blurred_share: float = 0.65
+    alignment: PhotometricAlignmentConfig = setting(PhotometricAlignmentConfig(), "photometric alignment")
+    most_error: float = setting(9.0, "error of an alignment beyond which the images differ", unit=GREY)
+    most_saturated: float = setting(0.25, "share of residuals beyond the cutoff that is too many", le=1)
+    least_likeness: float = setting(0.5, "correlation of views, below which they differ", le=1)
+    least_visible: float = setting(0.25, "share of the reference's points that must be in view", le=1)
+    through_blur: bool = setting(True, "compare a sharp image with a blurred one by blurring it")
+    blurred_error: float = setting(8.0, "error beyond which an image and a blurred one differ", unit=GREY)
+    blurred_share: float = setting(0.65, "largest error through blur, over that without", le=1)
 
     def looks_alike(self, found: Aligned) -> bool:
         """True if two views, aligned as they are, look alike."""

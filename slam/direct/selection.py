@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dslab.slam.core.settings import setting, settings
 from dslab.slam.direct._selection_kernels import select_in_blocks, squared_gradients, thresholds
 from dslab.slam.direct.pyramid import ImagePyramid
 
@@ -20,22 +21,16 @@ _LEAST_THRESHOLD = 1.0
 _CLOSE = 1.25  # a number of points this near to the wanted one needs no other blocks
 
 
-@dataclass(frozen=True)
+@settings
 class SelectionConfig:
-    """Settings of the selection of points.
+    """Settings of the selection of points."""
 
-    Attributes:
-        points: number of points wanted.
-        margin_px: pixels along the border without points.
-        threshold: least gradient beyond the median of its region of 32x32 px, per pixel; halved while
-            there are too few points.
-        coarser: factor of that threshold for every coarser gradient.
-    """
-
-    points: int = 2000
-    margin_px: int = 4
-    threshold: float = 7.0
-    coarser: float = 0.75
+    points: int = setting(2000, "number of points wanted")
+    margin_px: int = setting(4, "border without points")
+    threshold: float = setting(
+        7.0, "least gradient beyond its region's median, halved if need be", unit="grey levels per px"
+    )
+    coarser: float = setting(0.75, "factor of the threshold for every coarser gradient", le=1)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from dslab.slam.core.frame import Features
+from dslab.slam.core.settings import GREY, setting, settings
 from dslab.slam.features._fast_kernels import corner_contrast, refine_corners, select_corners
 from dslab.slam.features._orb_kernels import BORDER_PX, descriptors, orientations
 from dslab.slam.features._spread_kernels import spread_corners
@@ -17,34 +18,25 @@ from dslab.slam.features.remembered import Remembered
 _BLUR = cv2.getGaussianKernel(7, 2)
 
 
-@dataclass(frozen=True)
+@settings
 class OrbConfig:
-    """Settings of the extractor.
+    """Settings of the extractor."""
 
-    Attributes:
-        n_features: most features per image.
-        n_levels: levels of the pyramid.
-        scale_factor: ratio of the sizes of neighbouring levels.
-        fast_threshold: contrast, in grey levels, that a corner must exceed.
-        fast_min_threshold: the same in cells where no corner exceeds ``fast_threshold``.
-        cell_px: side of these cells, in pixels of each level.
-        subpixel: find corners between the pixels of their level; False: at whole pixels, as in ORB-SLAM.
-        noise_px: standard deviation of a corner, in pixels of its level; all that is allowed of reprojection
-            errors is a multiple of it. ORB-SLAM's is 1.
-        faint_share: share of ``n_features`` that is made up with faint corners, if there are fewer others: in
-            the image amplified as far as its noise allows, in cells without other corners. 0: never, as in
-            ORB-SLAM.
-    """
-
-    n_features: int = 1000
-    n_levels: int = 8
-    scale_factor: float = 1.2
-    fast_threshold: int = 20
-    fast_min_threshold: int = 7
-    cell_px: int = 30
-    subpixel: bool = True
-    noise_px: float = 0.5
-    faint_share: float = 1.0
+    n_features: int = setting(1000, "most features per image", gt=0)
+    n_levels: int = setting(8, "levels of the pyramid", gt=0)
+    scale_factor: float = setting(1.2, "ratio of the sizes of neighbouring levels", gt=1)
+    fast_threshold: int = setting(20, "contrast that a corner must exceed", unit=GREY)
+    fast_min_threshold: int = setting(
+        7, "contrast that a corner must exceed in cells where none exceeds fast_threshold", unit=GREY
+    )
+    cell_px: int = setting(30, "side of the cells, in pixels of each level", gt=0)
+    subpixel: bool = setting(True, "find corners between pixels; false: at whole ones, as in ORB-SLAM")
+    noise_px: float = setting(
+        0.5, "standard deviation of a corner, on which all bounds of errors rest; ORB-SLAM's is 1"
+    )
+    faint_share: float = setting(
+        1.0, "share of n_features that faint corners make up; 0: none, as in ORB-SLAM"
+    )
 
     def __post_init__(self) -> None:
         """Raise ValueError naming the first field that is out of range."""

@@ -1,7 +1,7 @@
 """Initialisation of a map from two views with enough parallax."""
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import get_args
 
 import numpy as np
@@ -9,6 +9,7 @@ import numpy as np
 from dslab.slam.core.camera import PinholeCamera
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import ViewGeometry, share_of_motion
+from dslab.slam.core.settings import setting, settings
 from dslab.slam.core.timing import StageTimer
 from dslab.slam.initialization.second_motion import SecondMotion, SecondMotionConfig
 from dslab.slam.initialization.two_view import TwoViewConfig, TwoViewResult, two_view_reconstruction
@@ -20,36 +21,23 @@ from dslab.slam.matching.initial import GmsMatcher, InitialMatcher, MatcherKind,
 from dslab.slam.tracking.tracker import Tracker, TrackingConfig
 
 
-@dataclass(frozen=True)
+@settings
 class InitializationConfig:
-    """Settings of the two-view initialisation.
+    """Settings of the two-view initialisation."""
 
-    Attributes:
-        min_keypoints: fewest keypoints of a reference frame.
-        min_matches: with fewer matches with the reference frame, the current one becomes the reference.
-        matcher: ``windowed``, near each keypoint's last known position, or ``gms``, also anywhere else if
-            its neighbours move alike, or ``gms_alone``, only so.
-        radius_px: half side of the search window.
-        max_octave: coarsest pyramid level matched by ``windowed``; ``gms`` has its own setting.
-        ratio: largest ratio of best to second best descriptor distance within the window.
-        gms: settings of ``gms``.
-        min_points: fewest map points left after the first bundle adjustment.
-        max_between: most frames kept between the two views, to be tracked once the map is initialized.
-        two_view: settings of the geometry.
-        second_motion: how a second motion that explains the two views is judged by those that follow.
-    """
-
-    min_keypoints: int = 100
-    min_matches: int = 100
-    matcher: MatcherKind = "windowed"
-    radius_px: float = 100.0
-    max_octave: int = 2
-    ratio: float = 0.9
-    gms: GmsConfig = field(default_factory=GmsConfig)
-    min_points: int = 50
-    max_between: int = 100
-    two_view: TwoViewConfig = field(default_factory=TwoViewConfig)
-    second_motion: SecondMotionConfig = field(default_factory=SecondMotionConfig)
+    min_keypoints: int = setting(100, "fewest keypoints of a reference frame")
+    min_matches: int = setting(100, "with fewer, the current frame becomes the reference")
+    matcher: MatcherKind = setting(
+        "windowed", "windowed: near each keypoint; gms: also elsewhere; gms_alone: only so"
+    )
+    radius_px: float = setting(100.0, "half side of the search window")
+    max_octave: int = setting(2, "coarsest pyramid level matched by windowed; gms has its own setting")
+    ratio: float = setting(0.9, "best over second best descriptor distance in the window", le=1)
+    gms: GmsConfig = setting(GmsConfig(), "matching of two whole frames")
+    min_points: int = setting(50, "fewest map points left after the first bundle adjustment")
+    max_between: int = setting(100, "most frames kept between the two views, tracked afterwards")
+    two_view: TwoViewConfig = setting(TwoViewConfig(), "geometry of two views")
+    second_motion: SecondMotionConfig = setting(SecondMotionConfig(), "judgement of another motion")
 
     def __post_init__(self) -> None:
         known = get_args(MatcherKind)

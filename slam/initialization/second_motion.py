@@ -12,6 +12,7 @@ import numpy as np
 
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import ViewGeometry
+from dslab.slam.core.settings import setting, settings
 from dslab.slam.initialization.two_view import lead_sigmas
 from dslab.slam.optimization._triangulation import triangulate
 from dslab.slam.optimization.bundle_adjustment import bundle_adjust
@@ -29,24 +30,15 @@ _ITERATIONS = 20
 _MAX_NOISE = 2.0
 
 
-@dataclass(frozen=True)
+@settings
 class SecondMotionConfig:
-    """How the second motion of a start is judged.
+    """How the second motion of a start is judged."""
 
-    Attributes:
-        max_views: number of views after the first two, after which it is forgotten; 0 never judges.
-        every_s: least time between them.
-        min_points: fewest points of the start in a view; where fewer are seen, it is forgotten.
-        min_lead_sigmas: standard deviations by which it must explain all views better to be right.
-        sure_lead_sigmas: the same of the motion that was chosen, from which the second one is forgotten, and
-            not even considered if the first two views say so.
-    """
-
-    max_views: int = 20
-    every_s: float = 0.1
-    min_points: int = 30
-    min_lead_sigmas: float = 3.5
-    sure_lead_sigmas: float = 10.0
+    max_views: int = setting(20, "views after which the second motion is forgotten; 0: at once")
+    every_s: float = setting(0.1, "least time between two of these views")
+    min_points: int = setting(30, "points of the start in a view, below which it is forgotten")
+    min_lead_sigmas: float = setting(3.5, "lead over the first motion with which it is right")
+    sure_lead_sigmas: float = setting(10.0, "lead of the first motion with which the second is forgotten")
 
 
 @dataclass

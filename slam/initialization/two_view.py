@@ -14,6 +14,7 @@ from typing import Literal
 
 import numpy as np
 
+from dslab.slam.core.settings import setting, settings
 from dslab.slam.initialization import _two_view_models as models
 from dslab.slam.initialization._two_view_refinement import RefinedMotion
 from dslab.slam.initialization._two_view_search import motions_around, search_motions
@@ -32,37 +33,23 @@ _MAX_ERROR_SIGMAS = 2.0
 """Largest distance between a triangulated point's reprojection and its keypoint."""
 
 
-@dataclass(frozen=True)
+@settings
 class TwoViewConfig:
-    """Settings of two-view reconstruction.
+    """Settings of two-view reconstruction."""
 
-    Attributes:
-        sigma_px: nominal noise of a keypoint, an upper bound that decides which matches fit a motion. The
-            certainty of the motion follows from the estimated noise.
-        min_matches: fewest matches.
-        min_points: fewest triangulated points of a reconstruction.
-        min_parallax_deg: parallax that ``min_points`` points must reach.
-        far_parallax_deg: points with less parallax are too far away to triangulate.
-        homography_share: share of the homography in the scores from which the scene counts as planar.
-        rival_angle_deg: a motion whose direction differs by this angle from the best one is another motion.
-        min_lead_sigmas: standard deviations by which the best motion must explain the matches better than
-            any other; more than three, as frame after frame is tested until one passes.
-        ransac_threshold_px: largest distance of a RANSAC inlier to the model.
-        ransac_iterations: most RANSAC samples.
-        ransac_confidence: probability with which RANSAC should find the model.
-    """
-
-    sigma_px: float = 1.0
-    min_matches: int = 100
-    min_points: int = 50
-    min_parallax_deg: float = 1.0
-    far_parallax_deg: float = 0.3
-    homography_share: float = 0.38
-    rival_angle_deg: float = 20.0
-    min_lead_sigmas: float = 3.5
-    ransac_threshold_px: float = 1.5
-    ransac_iterations: int = 2000
-    ransac_confidence: float = 0.999
+    sigma_px: float = setting(1.0, "nominal noise of a keypoint: decides which matches fit a motion")
+    min_matches: int = setting(100, "fewest matches")
+    min_points: int = setting(50, "fewest triangulated points of a reconstruction")
+    min_parallax_deg: float = setting(1.0, "parallax that min_points points must reach")
+    far_parallax_deg: float = setting(0.3, "parallax below which a point is too far away to triangulate")
+    homography_share: float = setting(0.38, "its share of the scores that makes a scene planar", le=1)
+    rival_angle_deg: float = setting(20.0, "angle from which a direction is that of another motion")
+    min_lead_sigmas: float = setting(
+        3.5, "lead over any other motion; more than three, as frame after frame is tested"
+    )
+    ransac_threshold_px: float = setting(1.5, "largest distance of a RANSAC inlier to the model")
+    ransac_iterations: int = setting(2000, "most RANSAC samples")
+    ransac_confidence: float = setting(0.999, "probability to find the model", ge=0, lt=1)
 
 
 @dataclass(frozen=True)

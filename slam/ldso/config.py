@@ -1,24 +1,19 @@
 """Settings of direct sparse odometry."""
 
-from dataclasses import dataclass, field
-
+from dslab.slam.core.settings import DEPTHS, GREY, setting, settings
 from dslab.slam.direct.selection import SelectionConfig
 
 
-@dataclass(frozen=True)
+@settings
 class PhotometricConfig:
-    """Settings of residuals.
+    """Settings of residuals."""
 
-    Attributes:
-        huber: residual beyond which it counts linearly, of 255.
-        gradient_scale: gradient per pixel at which a residual counts half.
-        gain_sigma, offset_sigma: what is expected of a and b of a keyframe.
-    """
-
-    huber: float = 9.0
-    gradient_scale: float = 50.0
-    gain_sigma: float = 0.3
-    offset_sigma: float = 20.0
+    huber: float = setting(9.0, "residual beyond which it counts linearly", unit=GREY, gt=0)
+    gradient_scale: float = setting(
+        50.0, "gradient at which a residual counts half", unit="grey levels per px", gt=0
+    )
+    gain_sigma: float = setting(0.3, "expected logarithm of a keyframe's gain", gt=0)
+    offset_sigma: float = setting(20.0, "expected offset of a keyframe's brightness", unit=GREY, gt=0)
 
     @property
     def affine_prior(self) -> tuple[float, float]:
@@ -26,220 +21,125 @@ class PhotometricConfig:
         return (self.huber / self.gain_sigma) ** 2, (self.huber / self.offset_sigma) ** 2
 
 
-@dataclass(frozen=True)
-class TrackingConfig:
-    """Settings of the tracker.
+@settings
+class DirectTrackingConfig:
+    """Settings of the tracker."""
 
-    Attributes:
-        cutoff: residual beyond which it counts as this, doubled while too many do.
-        most_cutoff_factor: largest factor of it.
-        most_saturated: share of such residuals that is too many.
-        iterations: most steps on a level.
-        good: error over the last frame's, up to which a guess of the motion is taken without trying others.
-        usual_error: error, of 255, that is good in any case.
-    """
-
-    cutoff: float = 20.0
-    most_cutoff_factor: float = 8.0
-    most_saturated: float = 0.6
-    iterations: int = 20
-    good: float = 1.5
-    usual_error: float = 3.0
+    cutoff: float = setting(20.0, "residual counted at most, doubled while too many are", unit=GREY, gt=0)
+    most_cutoff_factor: float = setting(8.0, "largest factor of the cutoff", ge=1)
+    most_saturated: float = setting(0.6, "share of residuals beyond the cutoff that is too many", le=1)
+    iterations: int = setting(20, "most steps on a level")
+    good: float = setting(1.5, "error over the last frame's with which no other guess is tried")
+    usual_error: float = setting(3.0, "error that is good in any case", unit=GREY)
 
 
-@dataclass(frozen=True)
+@settings
 class KeyframeConfig:
-    """Settings of the decision for a keyframe.
+    """Settings of the decision for a keyframe."""
 
-    Attributes:
-        translation, whole: weights of the root of the mean squared flow without and with rotation, in the
-            unit of an image of 640x480.
-        brightness: weight of the absolute logarithm of the gain.
-        most_error: error over that of the first frame after the last keyframe.
-    """
-
-    translation: float = 0.04
-    whole: float = 0.02
-    brightness: float = 2.0
-    most_error: float = 2.0
+    translation: float = setting(0.04, "weight of the root mean square flow without rotation; 640x480")
+    whole: float = setting(0.02, "weight of the root mean square flow with rotation; 640x480")
+    brightness: float = setting(2.0, "weight of the absolute logarithm of the gain")
+    most_error: float = setting(2.0, "error over that of the first frame after the last keyframe")
 
 
-@dataclass(frozen=True)
+@settings
 class ImmatureConfig:
-    """Settings of points whose depth is being searched.
+    """Settings of points whose depth is being searched."""
 
-    Attributes:
-        selection: of the pixels of a keyframe.
-        most_share: longest search, of width plus height of the image.
-        nearest, longest: where nothing is known of a point, the search goes on to this inverse depth over
-            the usual one, at most to this multiple of ``most_share``: a long step shifts near points more.
-        certain_px: length of an interval that needs no search.
-        error_px, slope_error_px: error of a place found: the first, plus the second over the share of the
-            squared gradient that lies along the line.
-        most_error_px: largest of it.
-        second_px: distance of the second best place, at least.
-        outlier: mean residual of the pattern, of 255, beyond which nothing is found.
-        slack: factor of it during the search.
-        activated_px: length of the interval below which a point can be activated.
-        quality: least residual of the second best place over the best.
-        iterations: steps of the refinement of a depth at activation.
-        least_information: on an inverse depth, for residuals of unit variance, for activation.
-    """
-
-    selection: SelectionConfig = field(default_factory=lambda: SelectionConfig(points=1500))
-    most_share: float = 0.027
-    nearest: float = 3.0
-    longest: float = 4.0
-    certain_px: float = 1.5
-    error_px: float = 0.2
-    slope_error_px: float = 0.2
-    most_error_px: float = 10.0
-    second_px: float = 2.0
-    outlier: float = 12.0
-    slack: float = 1.2
-    activated_px: float = 8.0
-    quality: float = 3.0
-    iterations: int = 3
-    least_information: float = 100.0
+    selection: SelectionConfig = setting(SelectionConfig(points=1500), "of a keyframe's pixels")
+    most_share: float = setting(0.027, "longest search, of width plus height of the image", le=1)
+    nearest: float = setting(3.0, "inverse depth over the usual one to which new points are searched")
+    longest: float = setting(4.0, "where nothing is known of a point, longest search over most_share")
+    certain_px: float = setting(1.5, "length of an interval that needs no search")
+    error_px: float = setting(0.2, "error of a place found, at least")
+    slope_error_px: float = setting(0.2, "further error, over the gradient's share along the line")
+    most_error_px: float = setting(10.0, "largest error of a place found")
+    second_px: float = setting(2.0, "distance of the second best place, at least")
+    outlier: float = setting(12.0, "mean residual of the pattern beyond which nothing is found", unit=GREY)
+    slack: float = setting(1.2, "factor of outlier during the search")
+    activated_px: float = setting(8.0, "length of the interval below which a point can be activated")
+    quality: float = setting(3.0, "least residual of the second best place over the best")
+    iterations: int = setting(3, "steps of the refinement of a depth at activation")
+    least_information: float = setting(100.0, "information that an inverse depth needs for activation")
 
 
-@dataclass(frozen=True)
+@settings
 class WindowConfig:
-    """Settings of the window of keyframes.
+    """Settings of the window of keyframes."""
 
-    Attributes:
-        fewest, most: keyframes that stay.
-        points: points that are wanted.
-        iterations: most Gauss-Newton steps.
-        least_points: share of a keyframe's points still active below which it is marginalised.
-        most_gain: absolute logarithm of the gain to the newest keyframe beyond which it is.
-        margin_information: least information on an inverse depth that is marginalised, not dropped.
-        margin_weight: weight of what is marginalised.
-        outlier_quantile: share of the residuals of the newest keyframe on which the bound rests.
-        outlier_factor: of the residual at that share.
-        outlier_usual: residual, of 255, which the bound is averaged with.
-    """
-
-    fewest: int = 5
-    most: int = 7
-    points: int = 2000
-    iterations: int = 6
-    least_points: float = 0.05
-    most_gain: float = 0.7
-    margin_information: float = 50.0
-    margin_weight: float = 0.25
-    outlier_quantile: float = 0.7
-    outlier_factor: float = 1.5
-    outlier_usual: float = 9.2
+    fewest: int = setting(5, "fewest keyframes that stay", ge=1)
+    most: int = setting(7, "most keyframes that stay", ge=1)
+    points: int = setting(2000, "points that are wanted")
+    iterations: int = setting(6, "most Gauss-Newton steps")
+    least_points: float = setting(0.05, "share of active points below which a keyframe leaves", le=1)
+    most_gain: float = setting(0.7, "absolute logarithm of the gain beyond which a keyframe leaves")
+    margin_information: float = setting(50.0, "least information of a depth marginalised, not dropped")
+    margin_weight: float = setting(0.25, "weight of what is marginalised", le=1)
+    outlier_quantile: float = setting(0.7, "share of newest residuals below the outliers' bound", le=1)
+    outlier_factor: float = setting(1.5, "bound of outliers over the residual at that share")
+    outlier_usual: float = setting(9.2, "residual with which the bound is averaged", unit=GREY)
 
 
-@dataclass(frozen=True)
+@settings
 class CornerConfig:
-    """Settings of the points that are recognised.
+    """Settings of the points that are recognised."""
 
-    Attributes:
-        window_px: side of the window over which gradients are summed.
-        least_gradient: change of intensity per pixel that a corner has at least in every direction.
-        apart_px: side of the window in which it is the strongest.
-        noise_px: standard deviation of a corner found again.
-        radius_px: half side of the window in which a point is looked for in a later keyframe.
-        around: keyframes, nearest in time, whose points are looked for.
-        agreeing: largest relative difference of two depths of one corner.
-        scale_weight: weight of a loop's scale in the pose graph, beside 1 of its rotation and translation and
-            of all that odometry says: the depths of one place tell it worse than odometry keeps it.
-    """
-
-    window_px: int = 5
-    least_gradient: float = 4.0
-    apart_px: int = 5
-    noise_px: float = 1.0
-    radius_px: float = 2.0
-    around: int = 10
-    agreeing: float = 0.1
-    scale_weight: float = 0.03
+    window_px: int = setting(5, "side of the window over which gradients are summed", ge=1)
+    least_gradient: float = setting(
+        4.0, "least change of a corner in every direction", unit="grey levels per px"
+    )
+    apart_px: int = setting(5, "side of the window in which a corner is the strongest", ge=1)
+    noise_px: float = setting(1.0, "standard deviation of a corner found again", gt=0)
+    radius_px: float = setting(2.0, "half side of the search window in a later keyframe")
+    around: int = setting(10, "keyframes, nearest in time, whose points are looked for")
+    agreeing: float = setting(0.1, "largest relative difference of two depths of one corner")
+    scale_weight: float = setting(
+        0.03, "weight of a loop's scale beside 1 of its rotation: odometry keeps scale better"
+    )
 
 
-@dataclass(frozen=True)
+@settings
 class LossConfig:
-    """Settings of the rule by which a loss of tracking is declared.
+    """Settings of the rule by which a loss of tracking is declared."""
 
-    Attributes:
-        most_error: error, of 255, beyond which an image does not look like the map.
-        error_factor: error over the usual one of the last second, likewise; the usual one is taken as
-            at least ``least_error``.
-        least_error: see there.
-        least_visible: share of the newest keyframe's pixels that must be in view.
-        most_saturated: share of their residuals beyond the cutoff.
-        least_likeness: correlation of the views within the patterns.
-        most_jump: step over the usual one, in position or angle.
-        least_jump_depths, least_jump_deg: steps up to these are none.
-        most_trade_deg: change of the motion from one frame to the next, as it moves the image's centre, up to
-            which translation and rotation may change against each other.
-        most_left: share of it that is left of both together, below which they do.
-        least_points: active points of the window below which it is lost.
-        min_keyframes: maps with no more are dropped.
-    """
-
-    most_error: float = 14.0
-    error_factor: float = 3.0
-    least_error: float = 4.0
-    least_visible: float = 0.15
-    most_saturated: float = 0.5
-    least_likeness: float = 0.5
-    most_jump: float = 8.0
-    least_jump_depths: float = 0.1
-    least_jump_deg: float = 5.0
-    most_trade_deg: float = 1.2
-    most_left: float = 0.5
-    least_points: int = 100
-    min_keyframes: int = 5
+    most_error: float = setting(14.0, "error beyond which an image does not look like the map", unit=GREY)
+    error_factor: float = setting(3.0, "error over the last second's beyond which an image differs")
+    least_error: float = setting(4.0, "least that the usual error is taken as", unit=GREY)
+    least_visible: float = setting(0.15, "share of the newest keyframe's pixels that must be in view", le=1)
+    most_saturated: float = setting(0.5, "share of their residuals beyond the cutoff that is too many", le=1)
+    least_likeness: float = setting(0.5, "correlation of views below which tracking is lost", le=1)
+    most_jump: float = setting(8.0, "step over the usual one beyond which tracking is lost")
+    least_jump_depths: float = setting(0.1, "step in position that is never a jump", unit=DEPTHS)
+    least_jump_deg: float = setting(5.0, "step in angle that is never a jump")
+    most_trade_deg: float = setting(1.2, "change of motion up to which turn and translation may cancel out")
+    most_left: float = setting(0.5, "share of it left of both together, below which they do", le=1)
+    least_points: int = setting(100, "active points of the window below which tracking is lost")
+    min_keyframes: int = setting(5, "a map that is lost with no more keyframes is dropped")
 
 
-@dataclass(frozen=True)
+@settings
 class LensConfig:
-    """Settings of the estimate of what the calibration leaves of the lens.
+    """Settings of the estimate of what the calibration leaves of the lens."""
 
-    Attributes:
-        every: keyframes from one window that is read to the next; 0: the lens is taken as it is given.
-        least_windows: number of them before anything is changed.
-        least_significance: of a change; chi-square with 4 degrees of freedom, 18.5 by chance once in a
-            thousand.
-        least_shift_px: least root mean square shift of the pixels by a change.
-        most_share: largest shift of a pixel over the distance of the image's corner from the centre.
-        usual_shift_px: root mean square shift by which calibrations are usually off.
-        most_replayed: frames that are kept until the first change; if a map is made of no more, it is begun
-            anew from them then.
-    """
-
-    every: int = 3
-    least_windows: int = 5
-    least_significance: float = 18.5
-    least_shift_px: float = 0.2
-    most_share: float = 0.05
-    usual_shift_px: float = 2.0
-    most_replayed: int = 100
+    every: int = setting(3, "keyframes between two windows that are read; 0: keep the lens as given")
+    least_windows: int = setting(5, "number of windows read before anything is changed")
+    least_significance: float = setting(18.5, "significance of a change: chi-square, 4 degrees of freedom")
+    least_shift_px: float = setting(0.2, "least root mean square shift of the pixels by a change")
+    most_share: float = setting(0.05, "largest shift over the corner's distance from the centre", le=1)
+    usual_shift_px: float = setting(2.0, "root mean square shift by which calibrations are usually off", gt=0)
+    most_replayed: int = setting(100, "frames kept until the first change, to begin a map anew")
 
 
-@dataclass(frozen=True)
+@settings
 class DsoConfig:
-    """Settings of direct sparse odometry; its first map from two views and its loops have those of the base.
+    """Settings of direct sparse odometry; those of its first map and its loops are the base's."""
 
-    Attributes:
-        photometric: residuals.
-        tracking: tracker.
-        keyframes: decision for a keyframe.
-        immature: points whose depth is being searched.
-        window: bundle adjustment and marginalisation.
-        loss: when tracking is lost.
-        corners: points that are recognised, with loops only.
-        lens: what the calibration leaves of the lens.
-    """
-
-    photometric: PhotometricConfig = field(default_factory=PhotometricConfig)
-    tracking: TrackingConfig = field(default_factory=TrackingConfig)
-    keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
-    immature: ImmatureConfig = field(default_factory=ImmatureConfig)
-    window: WindowConfig = field(default_factory=WindowConfig)
-    loss: LossConfig = field(default_factory=LossConfig)
-    corners: CornerConfig = field(default_factory=CornerConfig)
-    lens: LensConfig = field(default_factory=LensConfig)
+    photometric: PhotometricConfig = setting(PhotometricConfig(), "residuals")
+    tracking: DirectTrackingConfig = setting(DirectTrackingConfig(), "tracking of frames")
+    keyframes: KeyframeConfig = setting(KeyframeConfig(), "decision for a keyframe")
+    immature: ImmatureConfig = setting(ImmatureConfig(), "points whose depth is being searched")
+    window: WindowConfig = setting(WindowConfig(), "bundle adjustment and marginalisation")
+    loss: LossConfig = setting(LossConfig(), "when tracking is lost")
+    corners: CornerConfig = setting(CornerConfig(), "points that are recognised, with loops only")
+    lens: LensConfig = setting(LensConfig(), "what the calibration leaves of the lens")

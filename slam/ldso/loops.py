@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dslab.slam.config import SlamConfig
 from dslab.slam.core.camera import PinholeCamera
 from dslab.slam.core.geometry import ViewGeometry
 from dslab.slam.core.relation import Relation
@@ -20,7 +21,7 @@ from dslab.slam.ldso.config import CornerConfig
 from dslab.slam.ldso.corner_map import CornerMap
 from dslab.slam.ldso.odometry import Odometry
 from dslab.slam.loop_closing.correction import Loop, move_map
-from dslab.slam.loop_closing.detection import LoopClosingConfig, LoopDetector, Refusal
+from dslab.slam.loop_closing.detection import LoopDetector, Refusal
 from dslab.slam.loop_closing.judgement import judge
 from dslab.slam.map.relation import loop_relation
 from dslab.slam.optimization.pose_graph import optimize_pose_graph
@@ -69,7 +70,7 @@ class LoopCloser:
         odometry: of the map.
         map_id: id.
         view: of the corners.
-        config: bar of loops, that of the base.
+        config: settings of the base, of which those of loops and places are used.
         corners: settings of corners.
 
     Attributes:
@@ -81,7 +82,7 @@ class LoopCloser:
         odometry: Odometry,
         map_id: int,
         view: ViewGeometry,
-        config: LoopClosingConfig,
+        config: SlamConfig,
         corners: CornerConfig,
     ) -> None:
         self.corners = CornerMap(map_id, view, corners)
@@ -91,7 +92,7 @@ class LoopCloser:
         self._factor: dict[int, float] = {}
         self._loops: list[tuple[int, int, np.ndarray]] = []
         m = self.corners.map
-        self._detector = LoopDetector(m, KeyframeDatabase(m), config)
+        self._detector = LoopDetector(m, KeyframeDatabase(m), config.loops, config.place)
         self._scale_weight = corners.scale_weight
 
     def see_through(self, camera: PinholeCamera) -> None:
@@ -143,7 +144,7 @@ class LoopCloser:
         S = scaled(distributed(scaled(T, 1 / factor), T_odometry, loops, held, self._scale_weight), factor)
         corrected = m.copy()
         change = move_map(corrected, S[rows])
-        reason = judge(m, corrected, loop).fault(self._config.judgement, adjusted=False)
+        reason = judge(m, corrected, loop).fault(self._config.loops.judgement, adjusted=False)
         if reason:
             return reason
         m.adopt(corrected)

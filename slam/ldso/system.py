@@ -233,7 +233,7 @@ class DsoSlam:
         self._maps[self.current_map_id] = odometry
         if self._corner_view is not None:
             self._closers[self.current_map_id] = LoopCloser(
-                odometry, self.current_map_id, self._corner_view, self.config.loops, self.dso.corners
+                odometry, self.current_map_id, self._corner_view, self.config, self.dso.corners
             )
 
     def _new_starter(self) -> Starter:

@@ -13,7 +13,7 @@ from dslab.slam.direct._alignment_kernels import PATTERN, likeness, sample_patte
 from dslab.slam.direct.pyramid import ImagePyramid
 from dslab.slam.ldso._reference_kernels import gather, halved_sums, splat
 from dslab.slam.ldso._tracking_kernels import mean_squared_flow, refine, widened_cutoff
-from dslab.slam.ldso.config import KeyframeConfig, PhotometricConfig, TrackingConfig
+from dslab.slam.ldso.config import DirectTrackingConfig, KeyframeConfig, PhotometricConfig
 
 _ONE_PIXEL = np.zeros((1, 2))
 _MARGIN_PX = 3
@@ -147,7 +147,7 @@ class PhotometricTracker:
         photometric, config: settings.
     """
 
-    def __init__(self, photometric: PhotometricConfig, config: TrackingConfig) -> None:
+    def __init__(self, photometric: PhotometricConfig, config: DirectTrackingConfig) -> None:
         self.config = config
         self._photometric = photometric
         self._prior = np.array(photometric.affine_prior)

@@ -3,15 +3,16 @@
 Source: Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, section VII.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
+from dslab.slam.core.settings import setting, settings
 from dslab.slam.loop_closing._alignment_kernels import match_across
 from dslab.slam.loop_closing.correction import Loop
 from dslab.slam.loop_closing.judgement import JudgementConfig
 from dslab.slam.loop_closing.look_alikes import note_look_alike
-from dslab.slam.loop_closing.map_alignment import Alignment, AlignmentConfig, agree, align
+from dslab.slam.loop_closing.map_alignment import Alignment, Sim3AlignmentConfig, agree, align
 from dslab.slam.loop_closing.place_check import PlaceCheckConfig, doubt
 from dslab.slam.map.map import Map
 from dslab.slam.optimization.sim3 import sim3_decompose, sim3_inverse
@@ -20,34 +21,20 @@ from dslab.slam.places.recognition import KeyframeDatabase
 _REFUTED = ("map_is_stretched", "map_does_not_fit")  # by the geometry of the map
 
 
-@dataclass(frozen=True)
+@settings
 class LoopClosingConfig:
-    """Acceptance thresholds of a loop.
+    """Acceptance thresholds of a loop."""
 
-    Attributes:
-        min_gap: least number of keyframes between two loops, and before the first.
-        consistency: consecutive keyframes whose candidates must be covisible.
-        alignment: of the similarity between the two ends; its thresholds are low, since the search in the
-            loop's surroundings decides.
-        radius_px: window of that search, on level 0.
-        min_matches: fewest points of the loop's surroundings matched in the keyframe.
-        place: what the keyframes on either side must show besides.
-        adjustment_iterations: of global bundle adjustment after a loop closure.
-        judgement: of the corrected and adjusted copy of the map.
-    """
-
-    min_gap: int = 10
-    consistency: int = 3
-    alignment: AlignmentConfig = field(
-        default_factory=lambda: AlignmentConfig(
-            min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20
-        )
+    min_gap: int = setting(10, "least number of keyframes between two loops, and before the first")
+    consistency: int = setting(3, "consecutive keyframes whose candidates must be covisible")
+    alignment: Sim3AlignmentConfig = setting(
+        Sim3AlignmentConfig(min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20),
+        "of its two ends, low, as the search in the surroundings decides",
     )
-    radius_px: float = 10.0
-    min_matches: int = 40
-    place: PlaceCheckConfig = field(default_factory=PlaceCheckConfig)
-    adjustment_iterations: int = 10
-    judgement: JudgementConfig = field(default_factory=JudgementConfig)
+    radius_px: float = setting(10.0, "half side of the window of that search, on level 0")
+    min_matches: int = setting(40, "fewest points of the loop's surroundings matched in the keyframe")
+    adjustment_iterations: int = setting(10, "steps of global bundle adjustment after a loop closure")
+    judgement: JudgementConfig = setting(JudgementConfig(), "of the corrected copy of the map")
 
 
 @dataclass(frozen=True)
@@ -77,9 +64,12 @@ class _Candidates:
 class LoopDetector:
     """Detects loops at the keyframes of one map."""
 
-    def __init__(self, map_: Map, database: KeyframeDatabase, config: LoopClosingConfig) -> None:
+    def __init__(
+        self, map_: Map, database: KeyframeDatabase, config: LoopClosingConfig, place: PlaceCheckConfig
+    ) -> None:
         self.map = map_
         self.config = config
+        self._place = place
         self._database = database
         self._groups: list[_Candidates] = []
         self._last_loop = 0
@@ -126,7 +116,7 @@ class LoopDetector:
     def _is_misfit(self, keyframe: int, alignment: Alignment) -> bool:
         """Return True if a similarity is that of a loop that the corrected map has spoken against lately."""
         self._misfits = [m for m in self._misfits if keyframe - m[0] < self.config.min_gap]
-        return any(agree(self.map, old, alignment, self.config.place.agreement) for _, old in self._misfits)
+        return any(agree(self.map, old, alignment, self._place.agreement) for _, old in self._misfits)
 
     def _consistent(self, keyframe: int) -> list[int]:
         """Candidates whose surroundings were candidates at the previous keyframes too."""
@@ -157,7 +147,7 @@ class LoopDetector:
             return None
         if self._is_misfit(keyframe, alignment):
             return None
-        reason = doubt(m, m, alignment, rng, self.config.place)
+        reason = doubt(m, m, alignment, rng, self._place)
         if reason:
             return Refusal(keyframe, candidate, len(points), reason)
         return Loop(keyframe, candidate, S_cam_map, rows, points, alignment), around

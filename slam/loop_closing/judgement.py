@@ -1,9 +1,11 @@
 """Judgement of a corrected copy of a map: do its own observations still fit?"""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from dslab.slam.core.settings import setting, settings
 from dslab.slam.loop_closing.correction import Loop
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.adjustment import MapAdjustment
@@ -12,22 +14,16 @@ from dslab.slam.optimization import _ba_kernels as ba
 from dslab.slam.optimization.pose import CHI2_2DOF
 
 
-@dataclass(frozen=True)
+@settings
 class JudgementConfig:
-    """What a correction must not do.
+    """What a correction must not do."""
 
-    Attributes:
-        max_stretched: largest share of the map's observations that fitted and no longer do once the essential
-            graph has distributed the correction: drift is spread over many keyframes, and hardly shows.
-        max_lost: the same after global adjustment.
-        max_rise: largest factor on the mean squared error of the observations that still fit after it.
-        min_ties: least share of the loop's matches that fit after it.
-    """
-
-    max_stretched: float = 0.08
-    max_lost: float = 0.03
-    max_rise: float = 1.5
-    min_ties: float = 0.4
+    max_stretched: float = setting(
+        0.08, "largest share of observations that the correction alone makes misfit", le=1
+    )
+    max_lost: float = setting(0.03, "largest share of observations that global adjustment makes misfit", le=1)
+    max_rise: float = setting(1.5, "largest factor on the squared error of those that fit", le=math.inf)
+    min_ties: float = setting(0.4, "least share of the loop's matches that fit after it", le=1)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dslab.slam.core.frame import Frame
+from dslab.slam.core.settings import DEPTHS, setting, settings
 from dslab.slam.loop_closing._alignment_kernels import match_across
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.map import Map
@@ -23,35 +24,23 @@ from dslab.slam.optimization.sim3 import (
 )
 
 
-@dataclass(frozen=True)
-class AlignmentConfig:
-    """Acceptance thresholds of an alignment.
+@settings
+class Sim3AlignmentConfig:
+    """Acceptance thresholds of an alignment."""
 
-    Attributes:
-        min_candidates: 3D-3D matches by descriptor, below which there is no overlap.
-        min_inliers: fewest inliers of the RANSAC similarity.
-        min_share: their least share of the candidates; a corrupted map matches but does not fit.
-        min_matches: fewest inliers after guided extension and refinement.
-    """
-
-    min_candidates: int = 25
-    min_inliers: int = 20
-    min_share: float = 0.5
-    min_matches: int = 40
+    min_candidates: int = setting(25, "3D-3D matches by descriptor, below which there is no overlap")
+    min_inliers: int = setting(20, "fewest inliers of the RANSAC similarity")
+    min_share: float = setting(0.5, "least share of inliers; a corrupted map does not fit", le=1)
+    min_matches: int = setting(40, "fewest inliers after guided extension and refinement")
 
 
-@dataclass(frozen=True)
+@settings
 class Agreement:
-    """Largest differences between two alignments that confirm each other.
+    """Largest differences between two alignments that confirm each other."""
 
-    Attributes:
-        max_scale_change, max_rotation_deg: of the similarities.
-        max_shift: of the second one's matched points, in median depths.
-    """
-
-    max_scale_change: float = 0.05
-    max_rotation_deg: float = 2.0
-    max_shift: float = 0.05
+    max_scale_change: float = setting(0.05, "largest relative difference of scale of two similarities")
+    max_rotation_deg: float = setting(2.0, "largest angle between two similarities")
+    max_shift: float = setting(0.05, "largest distance of the second one's matched points", unit=DEPTHS)
 
 
 @dataclass(frozen=True)
@@ -86,7 +75,7 @@ def align(
     old_keyframe: int,
     new_keyframe: int,
     rng: np.random.Generator,
-    config: AlignmentConfig,
+    config: Sim3AlignmentConfig,
 ) -> tuple[Alignment | None, str, int]:
     """Estimate the similarity between two maps from one keyframe of each.
 
@@ -145,7 +134,7 @@ def align_relocalized(
     frame: Frame,
     new_keyframe: int,
     rng: np.random.Generator,
-    config: AlignmentConfig,
+    config: Sim3AlignmentConfig,
 ) -> Alignment | None:
     """Estimate the similarity between two maps from a keyframe of one that is relocalized in the other.
 
@@ -230,7 +219,7 @@ def _moved(T: np.ndarray, xyz: np.ndarray) -> np.ndarray:
     return xyz @ T[:3, :3].T + T[:3, 3]
 
 
-def _holds(solution: Sim3Result, matches: int, config: AlignmentConfig) -> bool:
+def _holds(solution: Sim3Result, matches: int, config: Sim3AlignmentConfig) -> bool:
     inliers = int(solution.inliers.sum())
     return solution.success and inliers >= max(config.min_inliers, config.min_share * matches)
 

@@ -1,12 +1,13 @@
 """Evidence for and against a similarity between two places, from the keyframes on either side."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from dslab.slam.core.results import MapTrajectory
+from dslab.slam.core.settings import setting, settings
 from dslab.slam.loop_closing.look_alikes import doubles
-from dslab.slam.loop_closing.map_alignment import Agreement, Alignment, AlignmentConfig, agree, align
+from dslab.slam.loop_closing.map_alignment import Agreement, Alignment, Sim3AlignmentConfig, agree, align
 from dslab.slam.map.map import Map
 from dslab.slam.map.trajectory import keyframe_trajectory
 from dslab.slam.optimization.sim3 import sim3_decompose, sim3_inverse
@@ -16,64 +17,39 @@ from dslab.slam.tracking.reach import Reach, ReachConfig
 _SAME_WAY_DEG = 45.0
 
 
-@dataclass(frozen=True)
+@settings
 class PlaceCheckConfig:
-    """What the keyframes on either side must show for two places to be one.
+    """What the keyframes on either side must show for two places to be one."""
 
-    Attributes:
-        views: keyframes on either side that look for the points of the other: the aligned one and the most
-            covisible.
-        around: covisible keyframes whose points are looked for.
-        radius_px: half side of the search window, level 0.
-        min_expected: a view that should see fewer points of the other side says nothing.
-        bar: what a view must show.
-        far_s: time between two maps beyond which more is asked: the longer a camera was lost, the more places
-            there are where it can be, nearly alike among them.
-        far_bar: what a view must show then, of points that keyframes have seen from near it; no more of them
-            may be contradicted than in a frame of a camera that was lost for long.
-        far_share, far_max_s: least time over which the views of a map must show then where it is, as a share
-            of that between the maps, and its bound.
-        far_sound: share of these views that must show it.
-        double_sound: the same, over ``far_max_s``, where the camera can as well have come to a known double.
-        min_sound: share of the views of either side that must show it.
-        pairs: further pairs, of one of the two keyframes and a neighbour of the other, that are aligned on
-            their own by the thresholds of ``alignment``.
-        min_agreeing: share of the pairs that must give the same similarity.
-        agreement: how near the similarities must be.
-        apart: beyond which two similarities put a map in two places.
-        reach: between two maps, how far the camera can have come in the time between them.
-    """
-
-    views: int = 5
-    around: int = 10
-    radius_px: float = 10.0
-    min_expected: float = 20.0
-    bar: EvidenceBar = field(
-        default_factory=lambda: EvidenceBar(min_share=0.35, max_contradicted=0.2, min_extent=0.16)
+    views: int = setting(
+        5, "keyframes of a side that look for the other: the aligned one, the most covisible"
     )
-    far_s: float = 2.0
-    far_bar: EvidenceBar = field(
-        default_factory=lambda: EvidenceBar(
-            min_share=0.7, max_contradicted=0.06, min_extent=0.16, max_share=1.6
-        )
+    around: int = setting(10, "covisible keyframes whose points are looked for")
+    radius_px: float = setting(10.0, "half side of the search window, level 0")
+    min_expected: float = setting(20.0, "a view that should see fewer points of the other side says nothing")
+    bar: EvidenceBar = setting(EvidenceBar(), "what a view must show")
+    far_s: float = setting(2.0, "time between maps beyond which more is asked, as more places are possible")
+    far_bar: EvidenceBar = setting(
+        EvidenceBar(min_share=0.7, max_contradicted=0.06, min_extent=0.16, max_share=1.6),
+        "what a view must show then, of points seen from near it",
     )
-    far_share: float = 0.5
-    far_max_s: float = 6.0
-    far_sound: float = 0.75
-    double_sound: float = 0.9
-    min_sound: float = 0.6
-    pairs: int = 4
-    min_agreeing: float = 0.5
-    agreement: Agreement = field(default_factory=Agreement)
-    apart: Agreement = field(
-        default_factory=lambda: Agreement(max_scale_change=0.2, max_rotation_deg=10.0, max_shift=0.3)
+    far_share: float = setting(0.5, "time asked of views then, as a share of that between the maps")
+    far_max_s: float = setting(6.0, "bound of that time")
+    far_sound: float = setting(0.75, "share of the views that must show it then", le=1)
+    double_sound: float = setting(0.9, "share asked over far_max_s if a known double is in reach", le=1)
+    min_sound: float = setting(0.6, "share of the views of either side that must show it", le=1)
+    pairs: int = setting(4, "neighbouring pairs of keyframes that are aligned on their own")
+    min_agreeing: float = setting(0.5, "share of the pairs that must give the same similarity", le=1)
+    agreement: Agreement = setting(Agreement(), "how near the similarities must be")
+    apart: Agreement = setting(
+        Agreement(max_scale_change=0.2, max_rotation_deg=10.0, max_shift=0.3),
+        "beyond which two similarities are two places",
     )
-    alignment: AlignmentConfig = field(
-        default_factory=lambda: AlignmentConfig(
-            min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20
-        )
+    alignment: Sim3AlignmentConfig = setting(
+        Sim3AlignmentConfig(min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20),
+        "thresholds of the pairs",
     )
-    reach: ReachConfig = field(default_factory=ReachConfig)
+    reach: ReachConfig = setting(ReachConfig(), "how far the unseen camera can have come")
 
 
 def doubt(old: Map, new: Map, found: Alignment, rng: np.random.Generator, config: PlaceCheckConfig) -> str:

@@ -4,12 +4,12 @@ Second neighbours are taken as in ORB-SLAM's public code.
 """
 
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
 
 import numpy as np
 
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import camera_centre
+from dslab.slam.core.settings import DEPTHS, setting, settings
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.map import MIN_OBSERVATIONS, Map
 from dslab.slam.mapping._local_problem import local_problem
@@ -18,38 +18,23 @@ from dslab.slam.matching.guided import fuse_into_keyframe
 from dslab.slam.optimization.bundle_adjustment import local_bundle_adjust
 
 
-@dataclass(frozen=True)
+@settings
 class LocalMappingConfig:
-    """Settings of local mapping.
+    """Settings of local mapping."""
 
-    Attributes:
-        neighbours: covisible keyframes used for triangulation and fusion.
-        min_baseline: least baseline over median depth for triangulation.
-        min_depth: least depth of a new point over the median depth.
-        min_parallax_deg: least angle between the rays of a new point at the depth of the points around it.
-        depth_around: number of points around it that say this depth; 0: the measured angle counts, as in
-            ORB-SLAM.
-        descriptor_ratio: best over second best descriptor distance along the epipolar line.
-        window: keyframes that local bundle adjustment moves, the new one included.
-        fixed: most fixed keyframes around them.
-        robust_iterations: most steps of local bundle adjustment before outliers are taken out; ORB-SLAM tries
-            5, which leaves the poses along a wall that fills the view where tracking has put them.
-        min_found_share: a young point found in less than this share of the frames that should see it is
-            culled.
-        redundancy: a keyframe is culled when more than this share of its points is well seen elsewhere.
-    """
-
-    neighbours: int = 10
-    min_baseline: float = 0.01
-    min_depth: float = 0.1
-    min_parallax_deg: float = 0.8
-    depth_around: int = 7
-    descriptor_ratio: float = 0.8
-    window: int = 20
-    fixed: int = 40
-    robust_iterations: int = 50
-    min_found_share: float = 0.25
-    redundancy: float = 0.9
+    neighbours: int = setting(10, "covisible keyframes used for triangulation and fusion")
+    min_baseline: float = setting(0.01, "least baseline for triangulation", unit=DEPTHS)
+    min_depth: float = setting(0.1, "least depth of a new point", unit=DEPTHS)
+    min_parallax_deg: float = setting(0.8, "least angle between the rays of a new point")
+    depth_around: int = setting(7, "points around that say its depth; 0: the measured angle counts")
+    descriptor_ratio: float = setting(0.8, "best over second best along the epipolar line", le=1)
+    window: int = setting(20, "keyframes that local bundle adjustment moves, the new one included")
+    fixed: int = setting(40, "most fixed keyframes around them")
+    robust_iterations: int = setting(
+        50, "most steps before outliers go; ORB-SLAM's 5 leave poses along walls as tracked"
+    )
+    min_found_share: float = setting(0.25, "a young point found in less is culled", le=1)
+    redundancy: float = setting(0.9, "share of points well seen elsewhere that culls a keyframe", le=1)
 
 
 class LocalMapper:

@@ -5,41 +5,36 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dslab.slam.core.camera import PinholeCamera, distort_residual, undistort_residual
+from dslab.slam.core.settings import Whole, setting, settings
 from dslab.slam.map.adjustment import MapAdjustment, apply_adjustment
 from dslab.slam.map.map import Map
 from dslab.slam.mapping._local_problem import local_problem
 from dslab.slam.optimization.lens import LensEstimate, estimate_lens
 
 
-@dataclass(frozen=True)
+@settings
 class SelfCalibrationConfig:
-    """Settings of self-calibration.
+    """Settings of self-calibration."""
 
-    Attributes:
-        at_keyframes: numbers of keyframes of the first map at which the lens is estimated; none: never. The
-            estimate adjusts the whole map, which takes drift out of it too: once the lens is known to be
-            off, each one is applied.
-        min_significance: least significance of the first change that is applied: chi-square with 4 degrees
-            of freedom, 18.5 by chance once in a thousand. Those after it need none.
-        min_shift_px: least root mean square shift of the keypoints by the first change.
-        min_readout_s: least read-out time with which the shutter is first known to roll.
-        min_readout_significance: least significance of it; chi-square with 1 degree of freedom. Far more than
-            by chance: as all points are taken to be at the median depth, a global shutter is estimated at up
-            to 4 ms on a drive, with a significance of up to 60; rolling ones have several hundreds.
-        max_share: largest shift of a point over the distance of the image's corner from the centre; a larger
-            one is no residual of a calibration, and is not applied.
-        usual_shift_px: root mean square shift of the keypoints by which calibrations are usually off. On a
-            straight way a change of the lens looks much like a drift of scale: without this, the estimate
-            may be several times too large there.
-    """
-
-    at_keyframes: tuple[int, ...] = (20, 25, 30, 40, 50, 60, 75, 95, 120, 150, 190, 240, 300, 370, 460)
-    min_significance: float = 18.5
-    min_shift_px: float = 0.2
-    min_readout_s: float = 0.005
-    min_readout_significance: float = 100.0
-    max_share: float = 0.05
-    usual_shift_px: float = 2.0
+    at_keyframes: tuple[Whole, ...] = setting(
+        (20, 25, 30, 40, 50, 60, 75, 95, 120, 150, 190, 240, 300, 370, 460),
+        "sizes of the first map at which the lens is estimated; none: never",
+    )
+    min_significance: float = setting(
+        18.5,
+        "least significance of the first change: chi-square, 4 degrees of freedom (18.5: .1 % by chance)",
+    )
+    min_shift_px: float = setting(0.2, "least root mean square shift of the first change")
+    min_readout_s: float = setting(0.005, "least read-out time with which the shutter is first known to roll")
+    min_readout_significance: float = setting(
+        100.0, "least significance of a rolling shutter; a global one reaches 60 on a drive, others hundreds"
+    )
+    max_share: float = setting(
+        0.05, "largest shift of a point over the corner's distance from the centre", le=1
+    )
+    usual_shift_px: float = setting(
+        2.0, "root mean square shift of usual calibrations: holds the lens on straight ways", gt=0
+    )
 
 
 @dataclass(frozen=True)

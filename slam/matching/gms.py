@@ -4,33 +4,25 @@ Source: Bian, Lin, Matsushita, Yeung, Nguyen, Cheng, "GMS: grid-based motion sta
 feature correspondence", 2017, as OpenCV has it.
 """
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
 from dslab.slam.core.frame import FrameFeatures
+from dslab.slam.core.settings import setting, settings
 from dslab.slam.matching.brute_force import match_brute_force
 
 _ANY_DISTANCE = 256
 _ANY_RATIO = 1e3
 
 
-@dataclass(frozen=True)
+@settings
 class GmsConfig:
-    """Settings of GMS.
+    """Settings of GMS."""
 
-    Attributes:
-        threshold_factor: support that a match needs from its neighbourhood; alpha in the publication.
-        max_octave: matches on coarser pyramid levels are removed, but count as support.
-        with_rotation: also try images rotated by multiples of 45 degrees, at 8 times the cost.
-        with_scale: also try images scaled by factors of sqrt(2) up to 2, at 5 times the cost.
-    """
-
-    threshold_factor: float = 6.0
-    max_octave: int = 7
-    with_rotation: bool = False
-    with_scale: bool = False
+    threshold_factor: float = setting(6.0, "support a match needs around it; alpha in the paper")
+    max_octave: int = setting(7, "matches on coarser pyramid levels are removed, but count as support")
+    with_rotation: bool = setting(False, "also try multiples of 45 degrees, at 8 times the cost")
+    with_scale: bool = setting(False, "also try scales of sqrt(2) up to 2, at 5 times the cost")
 
 
 def match_gms(

@@ -6,6 +6,7 @@ import numpy as np
 
 from dslab.slam.core.frame import FrameFeatures
 from dslab.slam.core.geometry import ViewGeometry
+from dslab.slam.core.settings import setting, settings
 from dslab.slam.map.map import Map
 from dslab.slam.optimization.sim3 import sim3_decompose
 from dslab.slam.places._evidence_kernels import look_for
@@ -45,23 +46,16 @@ class Support:
         return self.found / self.expected if self.expected > 0 else 0.0
 
 
-@dataclass(frozen=True)
+@settings
 class EvidenceBar:
-    """What one view must show to speak for its supposed place.
+    """What one view must show to speak for its supposed place."""
 
-    Attributes:
-        min_share: least share of the expected points that are found.
-        max_contradicted: largest share of the expected points in parts of the image where they are missing.
-        min_extent: least share of the image covered by the cells in which found points speak for the place:
-            as much of it in a wide image as in any other.
-        max_share: largest share of the expected points that are found. With more, no keyframe has seen the
-            place from near this view, so that it is not known what it should show.
-    """
-
-    min_share: float
-    max_contradicted: float
-    min_extent: float
-    max_share: float = 1e6
+    min_share: float = setting(0.35, "least share of the expected points that are found")
+    max_contradicted: float = setting(0.2, "largest share of expected points where they are missing", le=1)
+    min_extent: float = setting(0.16, "least share of the image in which found points speak for it", le=1)
+    max_share: float = setting(
+        1e6, "largest share found: with more, no keyframe has seen the place from near"
+    )
 
     def fault(self, seen: Support) -> str:
         """What speaks against the place.

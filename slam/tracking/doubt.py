@@ -1,7 +1,6 @@
 """Self-doubt: a camera whose estimated motion cannot be believed, noticed from inside."""
 
 from collections import deque
-from dataclasses import dataclass
 from itertools import takewhile
 from typing import NamedTuple, Self
 
@@ -9,43 +8,29 @@ import numpy as np
 
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import camera_centre
+from dslab.slam.core.settings import setting, settings
 from dslab.slam.tracking._doubt_kernels import median_angles
 
 _MIN_POINTS = 10
 
 
-@dataclass(frozen=True)
+@settings
 class DoubtConfig:
-    """Bounds of a motion that is believed.
+    """Bounds of a motion that is believed."""
 
-    Attributes:
-        window_s: time in which the motion is judged.
-        memory_s: time before, from which the usual motion is known.
-        min_frames: fewest frames in each of the two.
-        unsteady: hidden change of position from frame to frame, over the usual step, beyond which a frame is
-            unsteady.
-        least: the same as an angle, rad; a smaller one is never unsteady.
-        min_share: share of unsteady frames in the window from which the map is doubted; 0 never doubts.
-        nearer, slower: the map is doubted too if, on points made since, median depth and speed in map units
-            have fallen by more than these factors; 0 never doubts.
-        shrunk: a fall of both by more than this one is enough since a frame whose points leave the camera's
-            direction as uncertain as ``loose_deg``, against the motion before that frame.
-        loose_deg: standard deviation of the direction, see
-            :func:`slam.optimization.pose.direction_deviation`.
-        loose_memory_s: time for which such a frame is remembered.
-    """
-
-    window_s: float = 1.0
-    memory_s: float = 4.0
-    min_frames: int = 8
-    unsteady: float = 0.5
-    least: float = 0.02
-    min_share: float = 0.5
-    nearer: float = 2.0
-    slower: float = 8.0
-    shrunk: float = 2.0
-    loose_deg: float = 0.12
-    loose_memory_s: float = 15.0
+    window_s: float = setting(1.0, "time in which the motion is judged")
+    memory_s: float = setting(4.0, "time before, from which the usual motion is known")
+    min_frames: int = setting(8, "fewest frames in each of the two times")
+    unsteady: float = setting(
+        0.5, "hidden motion of a frame over the usual step, beyond which it is unsteady"
+    )
+    least: float = setting(0.02, "hidden motion up to which no frame is unsteady", unit="rad")
+    min_share: float = setting(0.5, "share of unsteady frames that is doubted; 0: never", le=1)
+    nearer: float = setting(2.0, "fall of depth on new points, with slower, that is doubted; 0: never")
+    slower: float = setting(8.0, "fall of speed on new points, with nearer, that is doubted; 0: never")
+    shrunk: float = setting(2.0, "fall of both that is doubted since a frame with an uncertain direction")
+    loose_deg: float = setting(0.12, "standard deviation of the camera's direction of such a frame")
+    loose_memory_s: float = setting(15.0, "time for which such a frame is remembered")
 
 
 class Motion(NamedTuple):

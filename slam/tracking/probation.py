@@ -1,13 +1,14 @@
 """Probation of a relocalization: the frames that follow confirm it or not, before it counts."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import camera_centre
+from dslab.slam.core.settings import setting, settings
 from dslab.slam.map.map import Map
 from dslab.slam.matching.guided import collect_local_map
 from dslab.slam.optimization.pose import direction_deviation
@@ -17,51 +18,29 @@ from dslab.slam.tracking.reach import Reach
 from dslab.slam.tracking.tracker import Tracker, TrackingOutcome
 
 
-@dataclass(frozen=True)
+@settings
 class ProbationConfig:
-    """What confirms a relocalization.
+    """What confirms a relocalization."""
 
-    Attributes:
-        frames, span_s: number of frames after the relocalized one that must be tracked, and their least time.
-        patience_s: time beyond the asked one after which a relocalization is withdrawn.
-        around: keyframes whose points are expected, those that share most with the frame: others may see
-            points that something hides here.
-        radius_px: half side of the window in which an expected point is searched, level 0.
-        bar: what each frame must show, of points that keyframes have seen from near its view.
-        far_s: time since the loss beyond which more is asked: the longer a camera was lost, the more places
-            there are where it can be, nearly alike among them.
-        far_share, far_max_s: least time of the frames then, from the first that says something on, as a share
-            of that since the loss, and its bound.
-        far_bar: what each frame must show then.
-        min_expected: fewest expected points with which a frame may speak against the place, or, after
-            ``far_s``, for it; those of a camera that leaves what it knows say nothing.
-        max_deviation_deg: largest standard deviation of the camera's direction, as its points determine it,
-            with which a frame says anything.
-        min_sound: share of the frames that say something, one at least, that must speak for the place.
-        memory_s: time for which frames on an earlier probation count too: where one place was mistaken for
-            another, it may be again. Those of one that this one goes on from count whatever their age.
-    """
-
-    frames: int = 3
-    span_s: float = 0.1
-    patience_s: float = 0.5
-    around: int = 10
-    radius_px: float = 10.0
-    bar: EvidenceBar = field(
-        default_factory=lambda: EvidenceBar(min_share=0.75, max_contradicted=0.2, min_extent=0.16)
+    frames: int = setting(3, "number of frames after the relocalized one that must be tracked")
+    span_s: float = setting(0.1, "least time of these frames")
+    patience_s: float = setting(0.5, "time beyond the asked one after which a relocalization is withdrawn")
+    around: int = setting(10, "keyframes whose points are expected, those that share most")
+    radius_px: float = setting(10.0, "half side of the window for an expected point, level 0")
+    bar: EvidenceBar = setting(
+        EvidenceBar(min_share=0.75, max_contradicted=0.2, min_extent=0.16), "what a frame must show"
     )
-    far_s: float = 2.0
-    far_share: float = 0.5
-    far_max_s: float = 6.0
-    far_bar: EvidenceBar = field(
-        default_factory=lambda: EvidenceBar(
-            min_share=0.85, max_contradicted=0.06, min_extent=0.16, max_share=1.7
-        )
+    far_s: float = setting(2.0, "time since the loss beyond which more is asked, as more places are possible")
+    far_share: float = setting(0.5, "time asked of frames then, as a share of that since the loss")
+    far_max_s: float = setting(6.0, "bound of that time")
+    far_bar: EvidenceBar = setting(
+        EvidenceBar(min_share=0.85, max_contradicted=0.06, min_extent=0.16, max_share=1.7),
+        "what a frame must show then",
     )
-    min_expected: float = 40.0
-    max_deviation_deg: float = 0.55
-    min_sound: float = 0.75
-    memory_s: float = 8.0
+    min_expected: float = setting(40.0, "fewest expected points with which a frame says something")
+    max_deviation_deg: float = setting(0.55, "largest deviation of the direction with which a frame counts")
+    min_sound: float = setting(0.75, "share of the frames that must speak for the place", le=1)
+    memory_s: float = setting(8.0, "time for which frames on an earlier probation count too")
 
 
 class Verdict(StrEnum):

@@ -6,24 +6,17 @@ from typing import Self
 import numpy as np
 
 from dslab.slam.core.results import MapTrajectory
+from dslab.slam.core.settings import setting, settings
 
 
-@dataclass(frozen=True)
+@settings
 class ReachConfig:
-    """Bounds of a motion that nobody has seen.
+    """Bounds of a motion that nobody has seen."""
 
-    Attributes:
-        factor: on the speed at which the camera moved in the map, of which it may be this much faster.
-        slack_s: time before the last pose from which on it may have been wrong already.
-        fast_share: share of its motion in which the camera was slower than the speed that is used.
-        memory_s: time for which a position that was out of reach rules out those that follow from it. A place
-            that looks like where the camera is goes with it, and comes within reach with time.
-    """
-
-    factor: float = 1.25
-    slack_s: float = 0.5
-    fast_share: float = 0.95
-    memory_s: float = 2.0
+    factor: float = setting(1.25, "largest speed of the unseen camera over that in the map")
+    slack_s: float = setting(0.5, "time before the last pose from which on it may have been wrong already")
+    fast_share: float = setting(0.95, "share of its motion slower than the speed used", le=1)
+    memory_s: float = setting(2.0, "time for which a place out of reach rules out those that follow from it")
 
 
 @dataclass(frozen=True)

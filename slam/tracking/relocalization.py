@@ -12,6 +12,7 @@ import numpy as np
 
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import camera_centre
+from dslab.slam.core.settings import DEPTHS, Real, setting, settings
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.map import Map
 from dslab.slam.matching import guided
@@ -22,38 +23,22 @@ from dslab.slam.tracking.reach import Reach
 from dslab.slam.tracking.tracker import optimize_frame
 
 
-@dataclass(frozen=True)
+@settings
 class RelocalizationConfig:
-    """Thresholds of relocalization.
+    """Thresholds of relocalization."""
 
-    Attributes:
-        candidates: most similar keyframes tried per frame, the most similar first.
-        ratio: best over second best descriptor distance of an unguided match, among all features of the
-            frame; within the nodes of a vocabulary, as in ORB-SLAM, most matches of noisy images are missed.
-        min_matches: unguided matches with a keyframe's points, below which it is not tried.
-        ransac_iterations, ransac_error_px: of the pose from three points; level 0.
-        min_pose_inliers: fewest inliers of a pose that is used further.
-        radii_px: windows of the two guided searches, for points of level 0 seen off their mean direction.
-        min_inliers: map matches that survive pose optimisation, for the place to be accepted.
-        local_map_keyframes: most keyframes of the local map searched.
-        min_margin: inliers of the best place over those of the best other place that is possible too; of two
-            places that look alike neither is taken.
-        apart: distance from which two poses are two places, in median depths.
-        apart_deg: angle likewise.
-    """
-
-    candidates: int = 5
-    ratio: float = 0.75
-    min_matches: int = 15
-    ransac_iterations: int = 300
-    ransac_error_px: float = 5.0
-    min_pose_inliers: int = 10
-    radii_px: tuple[float, ...] = (10.0, 3.0)
-    min_inliers: int = 50
-    local_map_keyframes: int = 20
-    min_margin: float = 1.3
-    apart: float = 0.2
-    apart_deg: float = 10.0
+    candidates: int = setting(5, "most similar keyframes tried per frame, the most similar first")
+    ratio: float = setting(0.75, "best over second best distance of an unguided match", le=1)
+    min_matches: int = setting(15, "unguided matches with a keyframe's points, below which it is not tried")
+    ransac_iterations: int = setting(300, "most samples of the RANSAC of a pose from three points")
+    ransac_error_px: float = setting(5.0, "largest error of an inlier; level 0")
+    min_pose_inliers: int = setting(10, "fewest inliers of a pose that is used further")
+    radii_px: tuple[Real, ...] = setting((10.0, 3.0), "windows of the two guided searches, level 0")
+    min_inliers: int = setting(50, "map matches that survive pose optimisation, for the place to be accepted")
+    local_map_keyframes: int = setting(20, "most keyframes of the local map searched")
+    min_margin: float = setting(1.3, "inliers of the best place over any other: look-alikes are not taken")
+    apart: float = setting(0.2, "distance from which two poses are two places", unit=DEPTHS)
+    apart_deg: float = setting(10.0, "angle from which two poses are two places")
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,14 @@ to the pixels near them. Only poses come of it: no keyframe is made of a rescued
 """
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from dslab.slam.core.camera import PinholeCamera
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import share_of_motion
+from dslab.slam.core.settings import setting, settings
 from dslab.slam.direct.alignment import Reference, fan
 from dslab.slam.direct.placement import PlacementConfig, place
 from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
@@ -22,25 +23,16 @@ from dslab.slam.map.map import Map
 _STEADY = 6  # frames over which the motion is taken: steps between two rescued frames are too uncertain
 
 
-@dataclass(frozen=True)
+@settings
 class RescueConfig:
-    """Settings of rescue by intensities.
+    """Settings of rescue by intensities."""
 
-    Attributes:
-        max_s: longest time from the last frame that features tracked; 0 for no rescue.
-        keyframes: number of the newest keyframes that a frame is compared with, the newest first.
-        selection: of their pixels.
-        depth_radius_px: largest distance of a pixel to a map point's keypoint whose depth it takes.
-        min_points: fewest pixels with a depth.
-        placement: what is believed.
-    """
-
-    max_s: float = 0.0
-    keyframes: int = 2
-    selection: SelectionConfig = field(default_factory=lambda: SelectionConfig(points=1500))
-    depth_radius_px: float = 10.0
-    min_points: int = 60
-    placement: PlacementConfig = field(default_factory=PlacementConfig)
+    max_s: float = setting(0.0, "longest time from the last frame that features tracked; 0 for no rescue")
+    keyframes: int = setting(2, "newest keyframes that a frame is compared with")
+    selection: SelectionConfig = setting(SelectionConfig(points=1500), "selection of their pixels")
+    depth_radius_px: float = setting(10.0, "largest distance to a keypoint that gives depth")
+    min_points: int = setting(60, "fewest pixels with a depth")
+    placement: PlacementConfig = setting(PlacementConfig(), "what is believed")
 
 
 @dataclass(frozen=True)

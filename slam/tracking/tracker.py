@@ -1,11 +1,12 @@
 """Tracking: estimate the pose of every frame from its matches with the map."""
 
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from dslab.slam.core.frame import Frame, FrameFeatures, twist_between
+from dslab.slam.core.settings import setting, settings
 from dslab.slam.core.timing import StageTimer
 from dslab.slam.map._map_kernels import count_observed, resolve_points
 from dslab.slam.map.map import Map
@@ -18,74 +19,47 @@ from dslab.slam.tracking.doubt import Doubt, DoubtConfig
 _KEYPOINTS_TO_SEE = 3  # in a cell, of which chance puts one or two anywhere
 
 
-@dataclass(frozen=True)
+@settings
 class CrossingConfig:
-    """What the first frame behind a gap must show of the map; a recovery puts all later poses on it.
+    """What the first frame behind a gap must show of the map; a recovery puts all later poses on it."""
 
-    Attributes:
-        bar: what it must show.
-        around: keyframes most covisible with the last reference keyframe, whose points are expected.
-        radius_px: half side of the window in which an expected point is searched, level 0.
-        min_expected: with fewer expected points the view says nothing.
-    """
-
-    bar: EvidenceBar = field(
-        default_factory=lambda: EvidenceBar(min_share=0.25, max_contradicted=0.3, min_extent=0.16)
+    bar: EvidenceBar = setting(
+        EvidenceBar(min_share=0.25, max_contradicted=0.3, min_extent=0.16), "what it must show"
     )
-    around: int = 10
-    radius_px: float = 10.0
-    min_expected: float = 20.0
+    around: int = setting(10, "keyframes whose points are expected")
+    radius_px: float = setting(10.0, "half side of the window for an expected point, level 0")
+    min_expected: float = setting(20.0, "with fewer expected points the view says nothing")
 
 
-@dataclass(frozen=True)
+@settings
 class TrackingConfig:
-    """Thresholds of the tracker.
+    """Thresholds of the tracker."""
 
-    Attributes:
-        search_radius_px: window around a point predicted from the last frame, level 0; doubled once.
-        gap_radius_px: the same after passed-over frames, for the whole local map; doubled twice.
-        min_motion_matches, min_motion_inliers: below, the reference keyframe replaces the motion model.
-        reference_ratio: best over second best descriptor distance of a match with the reference keyframe.
-        local_map_ratio: the same of a match with the local map.
-        min_reference_matches: below, tracking by the reference keyframe fails too.
-        min_inliers: map matches that survive pose optimisation, below which tracking is lost.
-        cautious_inliers: the same behind passed-over frames, where no frame just before supports the pose, on
-            which all later ones depend. A relocalized camera is on probation instead.
-        min_share: share of inliers among the map matches, below which the frame is rejected; 0 for any.
-        local_map_keyframes: most keyframes of the local map.
-        max_noise: how many times ``orb.noise_px`` the corners of a frame may be off where all of them are, as
-            in a smeared image; its own errors tell.
-        keyframe_share: a keyframe is made when inliers fall below this share of the reference's points.
-        keyframe_cover: one is made too when points are found in less than this share of the cells, 8 to a
-            row of the image, that have keypoints: poses that hang on one side of the view wander.
-        urgent_share: share of points, as ``keyframe_share``, below which the frame right behind a keyframe
-            becomes one too, though it adds little to it.
-        urgent_inliers: number of inliers below which it does in any case, as tracking is near its end; of few
-            frames per second, every one is needed.
-        keyframe_interval_s: least time between keyframes.
-        crossing: what a frame behind a gap must show.
-        doubt: bounds of a motion that is believed.
-    """
-
-    search_radius_px: float = 15.0
-    gap_radius_px: float = 20.0
-    min_motion_matches: int = 20
-    min_motion_inliers: int = 10
-    reference_ratio: float = 0.8
-    local_map_ratio: float = 0.8
-    min_reference_matches: int = 15
-    min_inliers: int = 30
-    cautious_inliers: int = 50
-    min_share: float = 0.0
-    local_map_keyframes: int = 80
-    max_noise: float = 2.0
-    keyframe_share: float = 0.9
-    keyframe_cover: float = 0.6
-    urgent_share: float = 0.5
-    urgent_inliers: int = 150
-    keyframe_interval_s: float = 0.1
-    crossing: CrossingConfig = field(default_factory=CrossingConfig)
-    doubt: DoubtConfig = field(default_factory=DoubtConfig)
+    search_radius_px: float = setting(15.0, "half side of the window for a predicted point; doubled once")
+    gap_radius_px: float = setting(20.0, "half side of the window behind passed-over frames; doubled twice")
+    min_motion_matches: int = setting(
+        20, "matches below which the reference keyframe replaces the motion model"
+    )
+    min_motion_inliers: int = setting(
+        10, "inliers below which the reference keyframe replaces the motion model"
+    )
+    reference_ratio: float = setting(0.8, "best over second best of reference matches", le=1)
+    local_map_ratio: float = setting(0.8, "best over second best of local map matches", le=1)
+    min_reference_matches: int = setting(
+        15, "matches below which tracking by the reference keyframe fails too"
+    )
+    min_inliers: int = setting(30, "map matches that survive pose optimisation, below which tracking is lost")
+    cautious_inliers: int = setting(50, "min_inliers behind passed-over frames, whose pose nothing supports")
+    min_share: float = setting(0.0, "share of inliers below which a frame is rejected", le=1)
+    local_map_keyframes: int = setting(80, "most keyframes of the local map")
+    max_noise: float = setting(2.0, "how many times orb.noise_px all corners of a frame may be off", ge=1)
+    keyframe_share: float = setting(0.9, "inliers below this share of the reference's make a keyframe", le=1)
+    keyframe_cover: float = setting(0.6, "share of the view with found points below which one is made", le=1)
+    urgent_share: float = setting(0.5, "keyframe_share right behind a keyframe", le=1)
+    urgent_inliers: int = setting(150, "inliers below which every frame becomes a keyframe")
+    keyframe_interval_s: float = setting(0.1, "least time between keyframes")
+    crossing: CrossingConfig = setting(CrossingConfig(), "what a frame behind a gap must show")
+    doubt: DoubtConfig = setting(DoubtConfig(), "bounds of a motion that is believed")
 
 
 @dataclass(frozen=True)

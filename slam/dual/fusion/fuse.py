@@ -1,13 +1,14 @@
 """Map fusion: make one map of two, given a similarity between them. Source: paper, Sec. III-C, Eq. 2."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
+from dslab.slam.core.settings import setting, settings
 from dslab.slam.loop_closing.correction import move_map
 from dslab.slam.loop_closing.essential_graph import essential_edges
-from dslab.slam.loop_closing.map_alignment import Agreement, Alignment, AlignmentConfig, agree
+from dslab.slam.loop_closing.map_alignment import Agreement, Alignment, Sim3AlignmentConfig, agree
 from dslab.slam.loop_closing.place_check import PlaceCheckConfig
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.map import Map
@@ -18,19 +19,13 @@ from dslab.slam.optimization.sim3 import sim3_decompose, sim3_inverse
 from dslab.slam.optimization.sim3_algebra import invert_sim3
 
 
-@dataclass(frozen=True)
-class FusionConfig(Agreement, AlignmentConfig):
-    """Acceptance thresholds of a fusion: of each alignment, of several together, and of the place.
+@settings
+class FusionConfig(Agreement, Sim3AlignmentConfig):
+    """Acceptance thresholds of a fusion: of each alignment, of several together, and of the place."""
 
-    Attributes:
-        max_time_gap_s: most time between two keyframes that are compared; 5 frames at 30 Hz.
-        confirmations: number of alignments, at different keyframes of the old map, that must agree.
-        place: what the keyframes on either side must show besides.
-    """
-
-    max_time_gap_s: float = 0.17
-    confirmations: int = 2
-    place: PlaceCheckConfig = field(default_factory=PlaceCheckConfig)
+    max_time_gap_s: float = setting(0.17, "most time between keyframes that are compared")
+    confirmations: int = setting(2, "alignments that must agree, at different old keyframes")
+    place: PlaceCheckConfig | None = setting(None, "what keyframes must show; null for the system's")
 
 
 def confirms(old: Map, first: Alignment, second: Alignment, config: FusionConfig) -> bool:

@@ -6,7 +6,13 @@ import numpy as np
 
 from dslab.slam.dual.fusion.fuse import FusionConfig
 from dslab.slam.loop_closing.map_alignment import Alignment, agree
-from dslab.slam.loop_closing.place_check import asked_span_s, double_in_reach, fault_of_view, within_reach
+from dslab.slam.loop_closing.place_check import (
+    PlaceCheckConfig,
+    asked_span_s,
+    double_in_reach,
+    fault_of_view,
+    within_reach,
+)
 from dslab.slam.map.map import Map
 from dslab.slam.optimization.sim3 import sim3_inverse
 
@@ -35,11 +41,11 @@ class Hypothesis:
         same_map = self.newest.old_map_id == alignment.old_map_id
         return same_map and agree(self.old, self.newest, alignment, config)
 
-    def look(self, current: Map, keyframe: int, config: FusionConfig) -> None:
+    def look(self, current: Map, keyframe: int, config: PlaceCheckConfig) -> None:
         """Ask the view of a further keyframe."""
         if keyframe in self.verdicts:
             return
-        fault = fault_of_view(current, keyframe, self.old, self.newest.S_old_new, config.place)
+        fault = fault_of_view(current, keyframe, self.old, self.newest.S_old_new, config)
         if fault is not None:
             self.verdicts[keyframe] = fault
 
@@ -55,9 +61,9 @@ class Hypothesis:
     def _speak_for(self) -> int:
         return list(self.verdicts.values()).count("")
 
-    def accepted(self, current: Map, config: FusionConfig) -> tuple[Alignment, ...]:
+    def accepted(self, current: Map, place: PlaceCheckConfig, confirmations: int) -> tuple[Alignment, ...]:
         """The alignments to fuse with, the newest last; empty as long as more is asked."""
-        place, rows = config.place, sorted(self.verdicts)
+        rows = sorted(self.verdicts)
         asked_s = asked_span_s(self.old, current, place)
         sound = place.far_sound if asked_s else place.min_sound
         if double_in_reach(self.old, current, self.newest.S_old_new, place):
@@ -69,17 +75,17 @@ class Hypothesis:
             return ()
         standing = [a for a in self.alignments if not current.arrays.kf_bad[a.new_keyframe]]
         olds = {a.old_keyframe for a in standing}
-        return tuple(standing) if len(olds) >= config.confirmations else ()
+        return tuple(standing) if len(olds) >= confirmations else ()
 
 
-def rival(one: Hypothesis, other: Hypothesis, config: FusionConfig) -> bool:
+def rival(one: Hypothesis, other: Hypothesis, config: PlaceCheckConfig) -> bool:
     """Return True if at most one of two hypotheses can hold.
 
     Two places of one map are two. Those of two maps may be one; then they tell how these lie to each other,
     and the camera must have been able to come from one to the other.
     """
     if one.old is other.old:
-        return not agree(one.old, one.newest, other.newest, config.place.apart)
+        return not agree(one.old, one.newest, other.newest, config.apart)
     older, younger = sorted((one, other), key=lambda h: h.old.map_id)
     S = older.newest.S_old_new @ sim3_inverse(younger.newest.S_old_new)
-    return not within_reach(older.old, younger.old, np.ascontiguousarray(S), config.place.reach)
+    return not within_reach(older.old, younger.old, np.ascontiguousarray(S), config.reach)

@@ -38,7 +38,7 @@ class MapMerger:
 
     def __init__(self, engine: SlamEngine, by_place: FusionConfig | None, fused: Callable[[], None]) -> None:
         self._engine = engine
-        self._places = PlaceMerger(by_place, engine.seed) if by_place else None
+        self._places = PlaceMerger(by_place, engine.config.place, engine.seed) if by_place else None
         self._fused = fused
         self._corrections = 0
         self._searching = False

@@ -10,7 +10,7 @@ from dslab.slam.core.seeds import rng_for
 from dslab.slam.dual.fusion.fuse import FusionConfig
 from dslab.slam.dual.fusion.hypotheses import Hypothesis, rival
 from dslab.slam.loop_closing.map_alignment import Alignment, agree, align, align_relocalized
-from dslab.slam.loop_closing.place_check import double_in_reach, doubt, within_reach
+from dslab.slam.loop_closing.place_check import PlaceCheckConfig, double_in_reach, doubt, within_reach
 from dslab.slam.map._map_kernels import resolve_points
 from dslab.slam.map.map import Map
 from dslab.slam.map_store import Places
@@ -30,14 +30,16 @@ class PlaceMerger:
 
     Args:
         config: acceptance thresholds; ``max_time_gap_s`` is not used.
+        place: what keyframes must show, unless ``config`` says so.
         seed: the system's.
 
     Attributes:
         refused: alignments that were refused in the last search, with the reasons.
     """
 
-    def __init__(self, config: FusionConfig, seed: int) -> None:
+    def __init__(self, config: FusionConfig, place: PlaceCheckConfig, seed: int) -> None:
         self._config = config
+        self._place = config.place or place
         self._seed = seed
         self._searched = (-1, 0)  # a map, and its keyframes that need not be searched any more
         self._hypotheses: list[Hypothesis] = []
@@ -87,7 +89,7 @@ class PlaceMerger:
                 for alignment in self._alignments(current, keyframe, old, places, similar, rng):
                     self._note(current, keyframe, old, alignment, rng)
             for hypothesis in self._hypotheses:
-                hypothesis.look(current, keyframe, self._config)
+                hypothesis.look(current, keyframe, self._place)
             accepted = self._decided(current)
             if accepted:
                 return accepted
@@ -105,7 +107,7 @@ class PlaceMerger:
             Alignments that agree with the last one, the newest last; empty if they are too few or the fewer,
             or the camera cannot have come there, or can as well have come to a known double of the place.
         """
-        config, place = self._config, self._config.place
+        config, place = self._config, self._place
         keyframes = {current.frame_index(int(k)): int(k) for k in current.keyframes()}
         found: list[Alignment] = []
         for frame in frames:
@@ -160,7 +162,7 @@ class PlaceMerger:
     ) -> None:
         """Note an alignment of a new keyframe with a saved map, and what speaks against it."""
         config = self._config
-        reason = doubt(old, current, alignment, rng, config.place)
+        reason = doubt(old, current, alignment, rng, self._place)
         if reason:
             self.refused.append((alignment, reason))
         known = next((h for h in self._hypotheses if h.is_that_of(alignment, config)), None)
@@ -174,15 +176,15 @@ class PlaceMerger:
 
     def _decided(self, current: Map) -> tuple[Alignment, ...]:
         """The alignments of a hypothesis that has shown enough and has no rival that is as sound."""
-        config = self._config
+        config, place = self._config, self._place
         for hypothesis in self._hypotheses:
-            accepted = hypothesis.accepted(current, config)
+            accepted = hypothesis.accepted(current, place, config.confirmations)
             if not accepted:
                 continue
             if not any(
                 other is not hypothesis
-                and other.is_nearly_as_good_as(hypothesis, config.place.far_sound)
-                and rival(hypothesis, other, config)
+                and other.is_nearly_as_good_as(hypothesis, place.far_sound)
+                and rival(hypothesis, other, place)
                 for other in self._hypotheses
             ):
                 return accepted

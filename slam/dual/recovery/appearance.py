@@ -5,10 +5,9 @@ map's frames there by the similarity that was found. Under a right one most of t
 be; under a wrong one no more than by chance.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from dslab.slam.core.settings import setting, settings
 from dslab.slam.direct.appearance import Looks, Surface, looks_in, together
 from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
 from dslab.slam.dual.recovery.interface import RecoveryTask
@@ -17,25 +16,16 @@ from dslab.slam.map.map import Map
 from dslab.slam.optimization.sim3 import sim3_decompose
 
 
-@dataclass(frozen=True)
+@settings
 class LooksConfig:
-    """What the old map's surface must look like in the new map's frames.
+    """What the old map's surface must look like in the new map's frames."""
 
-    Attributes:
-        views: keyframes of either map that are compared: the aligned one and the most covisible ones.
-        points: most points of a keyframe that are.
-        least_correlation: of a patch with the view that counts as alike.
-        min_told: patches in view that tell something, below which a pair of views says nothing.
-        min_excess: share of the patches that must look alike beyond chance, in a view.
-        min_sound: share of the new map's views that must show it; 0 for no check.
-    """
-
-    views: int = 5
-    points: int = 100
-    least_correlation: float = 0.7
-    min_told: int = 30
-    min_excess: float = 0.5
-    min_sound: float = 1.0
+    views: int = setting(5, "keyframes of either map compared: the aligned one, the most covisible")
+    points: int = setting(100, "most points of a keyframe whose patches are compared")
+    least_correlation: float = setting(0.7, "correlation from which a patch looks alike", le=1)
+    min_told: int = setting(30, "telling patches in view, below which two views say nothing")
+    min_excess: float = setting(0.5, "share of patches that must look alike beyond chance", le=1)
+    min_sound: float = setting(1.0, "share of the new map's views that must show it; 0 for no check", le=1)
 
 
 class LooksCheck:

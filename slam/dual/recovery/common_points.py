@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dslab.slam.dual.fusion.fuse import FusionConfig
-from dslab.slam.loop_closing.map_alignment import Alignment, AlignmentConfig, matched_keypoints
+from dslab.slam.loop_closing.map_alignment import Alignment, Sim3AlignmentConfig, matched_keypoints
 from dslab.slam.map.map import Map
 from dslab.slam.optimization.sim3 import horn_sim3, sim3_inverse, sim3_matrix
 
@@ -57,7 +57,7 @@ class _Side:
 
 
 def align_all(
-    old: Map, new: Map, pairs: list[tuple[int, int]], rng: np.random.Generator, config: AlignmentConfig
+    old: Map, new: Map, pairs: list[tuple[int, int]], rng: np.random.Generator, config: Sim3AlignmentConfig
 ) -> tuple[Alignment | None, str, int]:
     """Estimate the similarity between two maps from the points of many pairs of keyframes together.
 

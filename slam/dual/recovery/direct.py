@@ -12,13 +12,14 @@ Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018; Forster, Pizzoli
 Semi-Direct Monocular Visual Odometry", 2014.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from dslab.slam.core.events import CANCELLED
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import share_of_motion
+from dslab.slam.core.settings import GREY, setting, settings
 from dslab.slam.direct.alignment import Aligned, Reference
 from dslab.slam.direct.blur import sharpness
 from dslab.slam.direct.location import locate_on_lines, locate_points
@@ -37,26 +38,19 @@ _CELL_PX = 8  # in which a located point leaves no room for a new one
 _BLURRED = 0.6  # of the sharpness of the sharpest image
 
 
-@dataclass(frozen=True)
+@settings
 class DirectRecoveryConfig(TrackRecoveryConfig, PlacementConfig):
-    """Settings of the direct thread.
+    """Settings of the direct thread."""
 
-    Attributes:
-        selection: of the points that alignments rest on.
-        point_error: mean absolute residual beyond which a point is not located.
-        distinct: residual of the second best place on an epipolar line over the best, at least.
-        line_px: longest line that is searched.
-        looks: what the old map's surface must look like under an alignment with it.
-        other_way: crossing the gap the other way too, and by how much the two ways may disagree.
-    """
-
-    depth_radius_px: float = 10.0
-    selection: SelectionConfig = field(default_factory=lambda: SelectionConfig(points=1500))
-    point_error: float = 12.0
-    distinct: float = 1.6
-    line_px: float = 60.0
-    looks: LooksConfig = field(default_factory=LooksConfig)
-    other_way: OtherWayConfig = field(default_factory=OtherWayConfig)
+    depth_radius_px: float = setting(
+        10.0, "largest distance to a keypoint that gives a point its depth; grows beyond 640 px"
+    )
+    selection: SelectionConfig = setting(SelectionConfig(points=1500), "of the points aligned")
+    point_error: float = setting(12.0, "mean residual beyond which a point is not found", unit=GREY)
+    distinct: float = setting(1.6, "least residual of the second best place over the best")
+    line_px: float = setting(60.0, "longest epipolar line that is searched")
+    looks: LooksConfig = setting(LooksConfig(), "what the old map's surface must look like")
+    other_way: OtherWayConfig = setting(OtherWayConfig(), "crossing the gap the other way too, as a check")
 
 
 class DirectRecovery:

@@ -3,9 +3,8 @@
 Source: Dual-SLAM's public code, step by step: every frame is matched with the last backward keyframe.
 """
 
-from dataclasses import dataclass
-
 from dslab.slam.core.frame import Frame
+from dslab.slam.core.settings import setting, settings
 from dslab.slam.core.timing import StageTimer
 from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
 from dslab.slam.dual.recovery.propagation import propagate
@@ -15,22 +14,15 @@ from dslab.slam.tracking.pnp import ransac_pnp
 from dslab.slam.tracking.tracker import Tracker, TrackingOutcome
 
 
-@dataclass(frozen=True)
+@settings
 class GmsRecoveryConfig(RecoveryConfig):
-    """Settings of the GMS thread.
+    """Settings of the GMS thread."""
 
-    Attributes:
-        threshold_factor: of GMS: support that a match needs from its neighbourhood.
-        ransac_iterations, ransac_error_px: of the pose RANSAC.
-        min_pose_inliers: fewest matches that are inliers of the pose.
-        min_inliers: fewest inliers after local map matching.
-    """
-
-    threshold_factor: float = 6.0
-    ransac_iterations: int = 300
-    ransac_error_px: float = 4.0
-    min_pose_inliers: int = 10
-    min_inliers: int = 20
+    threshold_factor: float = setting(6.0, "support that a match needs from its neighbourhood; alpha of GMS")
+    ransac_iterations: int = setting(300, "most samples of the pose RANSAC")
+    ransac_error_px: float = setting(4.0, "largest error of an inlier of the pose RANSAC")
+    min_pose_inliers: int = setting(10, "fewest matches that are inliers of the pose")
+    min_inliers: int = setting(20, "fewest inliers after local map matching")
 
 
 class GmsRecovery:

@@ -3,6 +3,7 @@
 Source: paper, Sec. III-B and Algorithm 1.
 """
 
+import math
 import time
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -13,6 +14,7 @@ import numpy as np
 from dslab.slam.config import SlamConfig
 from dslab.slam.core.camera import PinholeCamera
 from dslab.slam.core.frame import Frame, FrameFeatures
+from dslab.slam.core.settings import setting, settings
 from dslab.slam.dual.fusion.fuse import FusionConfig
 from dslab.slam.features.remembered import Remembered
 from dslab.slam.loop_closing.map_alignment import Alignment
@@ -167,35 +169,25 @@ class RecoveryThread(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@settings
 class RecoveryConfig:
-    """Settings of a recovery thread; kinds with settings of their own extend it.
+    """Settings of a recovery thread; kinds with settings of their own extend it."""
 
-    Attributes:
-        max_unusable_s: longest run of frames without a pose before the thread fails; 0 for none, as in the
-            paper, infinity for any number, as in its released code.
-        whole_buffer: go back over the whole buffer, as in the paper, instead of to the frame at which enough
-            alignments with an old map agree.
-        at_once: compare the maps once, at the end of the buffer, by all the points of keyframes close in time
-            together, as in the paper, instead of keyframe by keyframe.
-        tracking, mapping: settings of tracking and local mapping; None for the system's own.
-        fusion: acceptance of the old map.
-        doubt: when the map that grows backward is doubted, in place of that of ``tracking``: one that shrinks
-            would take what came later to another scale. Unsteady poses are forgiven.
-    """
-
-    max_unusable_s: float = 2.0
-    whole_buffer: bool = False
-    at_once: bool = False
-    tracking: TrackingConfig | None = None
-    mapping: LocalMappingConfig | None = None
-    fusion: FusionConfig = field(default_factory=FusionConfig)
-    doubt: DoubtConfig = field(default_factory=lambda: DoubtConfig(min_share=0.0, slower=2.0))
-
-    def __post_init__(self) -> None:
-        """Check the settings."""
-        if not self.max_unusable_s >= 0:
-            raise ValueError(f"max_unusable_s must be 0 or more, is {self.max_unusable_s}")
+    max_unusable_s: float = setting(
+        2.0, "longest run of frames without a pose; 0: none, as in the paper; null: any", le=math.inf
+    )
+    whole_buffer: bool = setting(
+        False, "go back to the buffer's end, as in the paper, not only until alignments agree"
+    )
+    at_once: bool = setting(
+        False, "compare maps once, at the buffer's end, as in the paper, not at each keyframe"
+    )
+    tracking: TrackingConfig | None = setting(None, "tracking backward; null for the system's own")
+    mapping: LocalMappingConfig | None = setting(None, "local mapping backward; null for the system's own")
+    fusion: FusionConfig = setting(FusionConfig(), "acceptance of the old map")
+    doubt: DoubtConfig = setting(
+        DoubtConfig(min_share=0.0, slower=2.0), "doubt of the map that grows backward; unsteady poses pass"
+    )
 
     def tracking_in(self, task: RecoveryTask) -> TrackingConfig:
         """Settings of tracking: the thread's, or else the system's."""

@@ -1,7 +1,8 @@
 """Recovery thread 1: ORB tracking with a motion model, backward. Source: paper, Algorithm 1, lines 3-13."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
+from dslab.slam.core.settings import setting, settings
 from dslab.slam.core.timing import StageTimer
 from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
 from dslab.slam.dual.recovery.propagation import propagate
@@ -9,16 +10,13 @@ from dslab.slam.mapping.local_mapping import LocalMapper
 from dslab.slam.tracking.tracker import Tracker
 
 
-@dataclass(frozen=True)
+@settings
 class OrbRecoveryConfig(RecoveryConfig):
-    """Settings of the ORB thread.
+    """Settings of the ORB thread."""
 
-    Attributes:
-        min_share: least share of inliers among a frame's map matches; with less the frame is passed over.
-            Forward tracking has no such bound: it cannot skip to a better frame.
-    """
-
-    min_share: float = 0.6
+    min_share: float = setting(
+        0.6, "share of inliers below which a frame is passed over: others may do better", le=1
+    )
 
 
 class OrbRecovery:

@@ -7,7 +7,7 @@ each.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from dslab.slam.core.events import CANCELLED
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import camera_centre, share_of_motion
+from dslab.slam.core.settings import DEPTHS, setting, settings
 from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryResult, RecoveryTask
 from dslab.slam.dual.recovery.tracks import TrackTracker
 from dslab.slam.loop_closing.map_alignment import Alignment, align
@@ -22,21 +23,14 @@ from dslab.slam.map.map import Map
 from dslab.slam.optimization.sim3 import sim3_decompose
 
 
-@dataclass(frozen=True)
+@settings
 class OtherWayConfig:
-    """By how much the two ways may disagree.
+    """By how much the two ways may disagree."""
 
-    Attributes:
-        check: cross the gap the other way at all.
-        max_shift: distance of the two places of the new map's first frame, in median depths there.
-        max_rotation_deg: angle between its two orientations.
-        max_scale_change: change of scale between the two, where both maps show enough common points there.
-    """
-
-    check: bool = True
-    max_shift: float = 0.12
-    max_rotation_deg: float = 4.0
-    max_scale_change: float = 0.1
+    check: bool = setting(True, "cross the gap the other way at all")
+    max_shift: float = setting(0.12, "distance of the two places of the new map's first frame", unit=DEPTHS)
+    max_rotation_deg: float = setting(4.0, "angle between the two orientations of the new map's first frame")
+    max_scale_change: float = setting(0.1, "change of scale between the two ways, where it can be told")
 
 
 def doubt_of_other_way(

@@ -38,6 +38,7 @@ class Overlap:
         """
         self._task = task
         self._config = config
+        self._place = config.place or task.system.place
         self._at_once = at_once
         self._doubt_more = doubt_more
         self._compared: list[int] = []
@@ -86,8 +87,8 @@ class Overlap:
         self._found.append(alignment)
         if len(confirming) + 1 < self._config.confirmations:
             return False
-        self._doubt = doubt(old, task.new_map, alignment, task.rng, self._config.place)
-        if not self._doubt and double_in_reach(old, task.new_map, alignment.S_old_new, self._config.place):
+        self._doubt = doubt(old, task.new_map, alignment, task.rng, self._place)
+        if not self._doubt and double_in_reach(old, task.new_map, alignment.S_old_new, self._place):
             self._doubt = "look_alike_in_reach"
         if not self._doubt and self._doubt_more is not None:
             self._doubt = self._doubt_more(old, alignment)

@@ -2,7 +2,9 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Self
+
+from pydantic_core import core_schema
 
 if TYPE_CHECKING:
     from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryThread
@@ -94,6 +96,19 @@ class ThreadSpec:
         """Check the kind."""
         if self.kind not in RECOVERY_KINDS:
             raise ValueError(f"unknown recovery thread {self.kind!r}: one of {', '.join(RECOVERY_KINDS)}")
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, *_: Any) -> core_schema.CoreSchema:
+        """As a field of settings it is taken as it is."""
+        return core_schema.no_info_plain_validator_function(
+            cls._taken, json_schema_input_schema=core_schema.any_schema()
+        )
+
+    @classmethod
+    def _taken(cls, value: object) -> Self:
+        if not isinstance(value, cls):
+            raise ValueError(f"must be ThreadSpec, as of parse_threads('orb,sift'), is {value!r}")
+        return value
 
 
 def build_thread(spec: ThreadSpec) -> "RecoveryThread":

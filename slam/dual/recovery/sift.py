@@ -5,11 +5,11 @@ the last placed frame, as long as the views overlap. The map grows with ORB feat
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
 from dslab.slam.core.frame import Frame
+from dslab.slam.core.settings import setting, settings
 from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
 from dslab.slam.dual.recovery.propagation import propagate
 from dslab.slam.dual.recovery.tracks import TrackRecoveryConfig, TrackTracker
@@ -21,29 +21,18 @@ from dslab.slam.tracking.pnp import ransac_pnp
 from dslab.slam.tracking.tracker import TrackingOutcome
 
 
-@dataclass(frozen=True)
+@settings
 class SiftRecoveryConfig(TrackRecoveryConfig):
-    """Settings of the SIFT thread.
+    """Settings of the SIFT thread."""
 
-    Attributes:
-        n_features: most SIFT keypoints per frame, strongest first.
-        contrast: least contrast of a keypoint, in the sense of OpenCV, whose usual value is .04.
-        octaves: most octaves in which keypoints are sought.
-        most_pixels: a larger image is reduced to this number of pixels for it.
-        ahead: later keyframes of the new map with which the features of its first frame are triangulated; the
-            others take their depth from nearby map points.
-        ratio: best over second best descriptor distance of a SIFT match.
-        ransac_iterations, ransac_error_px: of the pose RANSAC.
-    """
-
-    n_features: int = 1000
-    contrast: float = 0.005
-    octaves: int = 4
-    most_pixels: int = 500_000
-    ahead: int = 3
-    ratio: float = 0.8
-    ransac_iterations: int = 300
-    ransac_error_px: float = 3.0
+    n_features: int = setting(1000, "most SIFT keypoints per frame, strongest first")
+    contrast: float = setting(0.005, "least contrast of a keypoint; OpenCV's usual value is .04")
+    octaves: int = setting(4, "most octaves in which keypoints are sought", ge=1)
+    most_pixels: int = setting(500_000, "a larger image is reduced to this size", unit="pixels")
+    ahead: int = setting(3, "later keyframes that triangulate features of the new map's first frame")
+    ratio: float = setting(0.8, "best over second best descriptor distance of a SIFT match", le=1)
+    ransac_iterations: int = setting(300, "most samples of the pose RANSAC")
+    ransac_error_px: float = setting(3.0, "largest error of an inlier of the pose RANSAC")
 
 
 class SiftRecovery:

@@ -1,10 +1,9 @@
 """What recovery threads share that follow features of their own beside the map's: pose, depth, tracks."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dslab.slam.core.frame import Frame
+from dslab.slam.core.settings import setting, settings
 from dslab.slam.core.timing import StageTimer
 from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryTask
 from dslab.slam.dual.recovery.track_mapping import TrackMapper
@@ -15,32 +14,21 @@ from dslab.slam.optimization.pose import CHI2_2DOF, optimize_pose
 from dslab.slam.tracking.tracker import Tracker, TrackingOutcome
 
 
-@dataclass(frozen=True)
+@settings
 class TrackRecoveryConfig(RecoveryConfig):
-    """Settings of a thread with features of its own.
+    """Settings of a thread with features of its own."""
 
-    Attributes:
-        min_points: fewest map points that are inliers of a pose.
-        min_features, min_features_alone: fewest features that are; the same if the map points are fewer than
-            ``min_points``.
-        keyframe_too: a frame that does not fit the last placed one is compared with the last keyframe.
-        young_points: points with three observations, below which the map around a keyframe counts as young.
-        min_parallax_deg: least angle between the rays that triangulate a feature.
-        depth_radius_px: largest distance to a map point's keypoint at which a feature takes its depth, until
-            it is triangulated; in images wider than 640 px larger in proportion.
-        adjusted_keyframes: number of newest keyframes whose features are in bundle adjustment.
-        paired_keyframes: number of them matched for new points even without covisibility.
-    """
-
-    min_points: int = 15
-    min_features: int = 20
-    min_features_alone: int = 60
-    keyframe_too: bool = True
-    young_points: int = 50
-    min_parallax_deg: float = 1.15
-    depth_radius_px: float = 6.0
-    adjusted_keyframes: int = 10
-    paired_keyframes: int = 4
+    min_points: int = setting(15, "fewest map points that are inliers of a pose")
+    min_features: int = setting(20, "fewest features that are inliers of a pose")
+    min_features_alone: int = setting(60, "fewest feature inliers with fewer than min_points")
+    keyframe_too: bool = setting(True, "compare a frame that fits no last one with the keyframe")
+    young_points: int = setting(50, "points seen three times, below which a map is young")
+    min_parallax_deg: float = setting(1.15, "least angle between the rays that triangulate a feature")
+    depth_radius_px: float = setting(
+        6.0, "largest distance to a keypoint that gives a feature its depth; grows beyond 640 px"
+    )
+    adjusted_keyframes: int = setting(10, "newest keyframes whose features are adjusted")
+    paired_keyframes: int = setting(4, "newest keyframes matched without covisibility")
 
 
 class TrackTracker(Tracker):

@@ -2,7 +2,9 @@
 
 import json
 import math
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import jsonschema
 import pytest
@@ -14,6 +16,7 @@ from dslab.experiments.runs.slam_settings import (
     read_slam_settings,
     settings_schema,
     settings_yaml,
+    unit_and_range,
 )
 from dslab.scenarios.errors import InputError
 from dslab.slam.config import SlamConfig
@@ -53,6 +56,17 @@ def test_what_is_shown_is_the_defaults_and_valid(tmp_path):
 
 def test_every_field_is_described():
     assert list(undescribed(settings_schema())) == []
+
+
+def test_the_page_of_settings_says_what_the_code_has():
+    page = Path(__file__).parents[3] / "docs" / "settings.md"
+    rows = re.findall(r"^\| `([\w.]+)` \| (.*?) \| (.*?) ?\|", page.read_text(), re.MULTILINE)
+    assert len(rows) == 25
+    for path, default, span in rows:
+        node, value = settings_schema(), yaml.safe_load(settings_yaml())
+        for step in path.split("."):
+            node, value = node["properties"][step], value[step]
+        assert (default, span) == (str(value).replace("'", ""), unit_and_range(node)), path
 
 
 def test_what_a_file_leaves_out_keeps_the_defaults_of_the_image_size(tmp_path):
@@ -100,7 +114,11 @@ def test_a_thread_is_as_the_system_except_for_what_its_own_settings_say(tmp_path
         ("orb:\n  n_feature: 3\n", ":2: orb.n_feature", "n_features (did you mean that?)"),
         ("orb: 3\n", ":1: orb", "is no mapping"),
         ("tracking: {min_inliers: many}\n", ":1: tracking.min_inliers", "valid integer"),
-        ("orb: {n_features: 0}\n", ":1: orb.n_features", "give more than 0"),
+        ("orb: {n_features: 0}\n", ":1: orb.n_features", "greater than 0"),
+        ("orb: {scale_factor: 1}\n", ":1: orb.scale_factor", "greater than 1"),
+        ("tracking:\n  keyframe_share: 1.5\n", ":2: tracking.keyframe_share", "less than or equal to 1"),
+        ("relocalization: {radii_px: [10, -1]}\n", ":1: relocalization.radii_px[1]", "equal to 0"),
+        ("orb: {n_features: 2000000}\n", ":1: orb.n_features", "less than or equal to 1000000"),
         (
             "dual: {recovery_threads: [orb, sfit]}\n",
             ":1: dual.recovery_threads[1].kind",
@@ -112,7 +130,6 @@ def test_a_thread_is_as_the_system_except_for_what_its_own_settings_say(tmp_path
             "contrast (did you mean",
         ),
         ("dual: {recovery_threads: [{kind: orb, config: {tracking: {gap: 1}}}]}\n", ":1: ", "gap_radius_px"),
-        ("dual: {place_merging: {max_frame_gap: 5}}\n", ":1: ", "use max_time_gap_s, in seconds"),
         ("dual: {threads: [orb]}\n", ":1: dual.threads", "use recovery_threads"),
         ("mode: fast\n", ":1: mode", "'lockstep' or 'threaded'"),
     ],

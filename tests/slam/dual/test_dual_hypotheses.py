@@ -10,18 +10,21 @@ from slam_scenes import PointWorld, rigid, tracked_in, walk
 from dslab.slam.dual.fusion.fuse import FusionConfig
 from dslab.slam.dual.fusion.hypotheses import Hypothesis, rival
 from dslab.slam.dual.fusion.place_merging import PlaceMerger
-from dslab.slam.loop_closing.map_alignment import AlignmentConfig, align
+from dslab.slam.loop_closing.map_alignment import Sim3AlignmentConfig, align
 from dslab.slam.loop_closing.place_check import PlaceCheckConfig
 from dslab.slam.tracking.reach import ReachConfig
 from dslab.slam.tracking.relocalization import RelocalizationOutcome
 
-LAX = AlignmentConfig(min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20)
+LAX = Sim3AlignmentConfig(min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20)
 LATER = 900  # frames, half a minute
 
 
-def config_of(asked_s=0.5, reach=1e9):
-    place = PlaceCheckConfig(far_max_s=asked_s, reach=ReachConfig(factor=reach))
-    return FusionConfig(confirmations=1, place=place)
+def place_of(asked_s=0.5, reach=1e6):
+    return PlaceCheckConfig(far_max_s=asked_s, reach=ReachConfig(factor=reach))
+
+
+def merger_of(asked_s=0.5, **config):
+    return PlaceMerger(FusionConfig(confirmations=1, **config), place_of(asked_s), 0)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +52,7 @@ def asked(hypothesis, new, config):
     found = []
     for k in range(new.n_keyframes):
         hypothesis.look(new, k, config)
-        found.append(len(hypothesis.accepted(new, config)) if hypothesis.verdicts else 0)
+        found.append(len(hypothesis.accepted(new, config, 1)) if hypothesis.verdicts else 0)
     return found
 
 
@@ -57,23 +60,23 @@ def test_a_join_takes_the_sound_views_of_a_time(two_maps):
     """Keyframes are a sixth of a second apart: half a second is four of them."""
     old, new = two_maps
     right = Hypothesis(old, [aligned(old, new)])
-    assert asked(right, new, config_of(0.5)) == [0, 0, 0, 1, 1, 1, 1, 1]
+    assert asked(right, new, place_of(0.5)) == [0, 0, 0, 1, 1, 1, 1, 1]
     assert set(right.verdicts.values()) == {""}
-    assert not any(asked(Hypothesis(old, [aligned(old, new)]), new, config_of(9.0)))
+    assert not any(asked(Hypothesis(old, [aligned(old, new)]), new, place_of(9.0)))
 
 
 def test_views_speak_against_a_wrong_place(two_maps):
     old, new = two_maps
     right = aligned(old, new)
     wrong = Hypothesis(old, [replace(right, S_old_new=rigid((0.6, 0, 0)) @ right.S_old_new)])
-    assert not any(asked(wrong, new, config_of(0.5)))
+    assert not any(asked(wrong, new, place_of(0.5)))
     assert not wrong.is_sound(0.5) and "expected_points_missing" in wrong.verdicts.values()
 
 
 def test_what_views_of_one_map_say_does_not_count_for_the_next(two_maps):
     """A later map has keyframes of the same numbers, or fewer."""
     old, new = two_maps
-    merger = PlaceMerger(config_of(0.5), 0)
+    merger = merger_of()
     merger.skip(new)
     merger._hypotheses.append(Hypothesis(old, [aligned(old, new)], dict.fromkeys(range(8), "")))
     merger.skip(new)
@@ -87,7 +90,7 @@ def test_what_views_of_one_map_say_does_not_count_for_the_next(two_maps):
 def test_what_spoke_against_it_before_counts(two_maps):
     old, new = two_maps
     burdened = Hypothesis(old, [aligned(old, new)], {0: "contradicted", 1: "contradicted"})
-    assert not any(asked(burdened, new, config_of(0.5))[:7])
+    assert not any(asked(burdened, new, place_of(0.5))[:7])
 
 
 def test_two_places_of_one_map_are_rivals_and_a_place_is_none_of_itself(two_maps):
@@ -98,7 +101,7 @@ def test_two_places_of_one_map_are_rivals_and_a_place_is_none_of_itself(two_maps
         Hypothesis(old, [replace(right, S_old_new=rigid((0.1, 0, 0)) @ right.S_old_new)]),
     )
     away = Hypothesis(old, [replace(right, S_old_new=rigid((30.0, 0, 0)) @ right.S_old_new)])
-    assert not rival(one, again, config_of()) and rival(one, away, config_of())
+    assert not rival(one, again, place_of()) and rival(one, away, place_of())
 
 
 @pytest.mark.parametrize(("metres", "excluded"), [(0.0, False), (500.0, True)])
@@ -112,7 +115,7 @@ def test_places_of_two_maps_are_rivals_if_the_camera_cannot_have_come_from_one_t
     other.map_id = 7
     other.transform(1.0, np.eye(3), np.array([metres, 0.0, 0.0]))
     there = replace(right, old_map_id=7)
-    assert rival(Hypothesis(old, [right]), Hypothesis(other, [there]), config_of(reach=1.25)) is excluded
+    assert rival(Hypothesis(old, [right]), Hypothesis(other, [there]), place_of(reach=1.25)) is excluded
 
 
 def test_a_rival_that_has_shown_much_less_does_not_count(two_maps):
@@ -127,7 +130,7 @@ def test_a_join_with_a_rival_that_does_nearly_as_well_is_ambiguous(two_maps, vie
     old, new = two_maps
     right = aligned(old, new)
     away = replace(right, S_old_new=rigid((30.0, 0, 0)) @ right.S_old_new)
-    merger = PlaceMerger(config_of(0.5), 0)
+    merger = merger_of()
     merger._hypotheses = [
         Hypothesis(old, [right], dict.fromkeys(range(8), "")),
         Hypothesis(old, [away], dict.fromkeys(range(views), "")),
@@ -163,7 +166,7 @@ def test_a_view_finds_a_map_that_none_of_its_keyframes_aligns_with():
     for k in range(2):
         assert align(old, new, 0, k, rng, LAX)[0] is None
     placed = tracked_in(old, of_old, seen[0], 59)
-    merger = PlaceMerger(replace(config_of(0.0), min_matches=20), 0)
+    merger = merger_of(0.0, min_matches=20)
     merger.search(new, [old], lambda _: FoundByOneView(placed), nullcontext())
     found = merger._hypotheses[0].alignments[0]
     assert found.scale == pytest.approx(0.5, rel=0.02) and found.old_keyframe == 59

@@ -118,7 +118,7 @@ def test_a_frame_with_fewer_features_than_its_keyframe_relates_no_maps():
     engine._image = images[begun_from.index]
     fewer = engine._features(begun_from.index, begun_from.stamp_s, dense=False)
     assert len(fewer) < len(begun_from)
-    merger = PlaceMerger(FusionConfig(), 0)
+    merger = PlaceMerger(FusionConfig(), PlaceCheckConfig(), 0)
     assert merger.of_frames(store.current, store[store.saved[0]], [Frame(fewer)]) == ()
 
 

@@ -222,7 +222,7 @@ def test_another_place_behind_the_gap_is_not_taken_for_this_one(start_map, sight
     job = task(start_map, sightings, [saved], backward)
     doubted = recover(job)
     assert not doubted.success and min(f.features.index for f in doubted.frames) > BLIND[-1]
-    blind = replace(CrossingConfig(), min_expected=np.inf)
+    blind = replace(CrossingConfig(), min_expected=1e6)
     believed = recover(task(start_map, sightings, [saved], backward), tracking=TrackingConfig(crossing=blind))
     assert min(f.features.index for f in believed.frames) < BLIND[0]
 

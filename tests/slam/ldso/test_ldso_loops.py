@@ -27,7 +27,7 @@ from dslab.slam.ldso.corners import corner_view, corners_of, described, with_cor
 from dslab.slam.ldso.loops import distributed
 from dslab.slam.ldso.window import Keyframe
 from dslab.slam.loop_closing.correction import move_map
-from dslab.slam.loop_closing.map_alignment import AlignmentConfig, align
+from dslab.slam.loop_closing.map_alignment import Sim3AlignmentConfig, align
 from dslab.slam.optimization.sim3 import sim3_matrix
 from dslab.slam.optimization.sim3_algebra import invert_sim3, scales
 
@@ -97,7 +97,7 @@ def test_the_similarity_between_two_ends_is_the_known_one():
         corners.insert(number, keyframe_of(number, T, DRIFT), INTRINSICS[0])
     m = corners.map
     assert len(m.neighbours(1, 9)) == 1 and len(m.neighbours(3, 9)) == 1  # nothing joins the two ends yet
-    found, reason, matches = align(m, m, 0, 2, rng_for(1, "test"), AlignmentConfig(min_matches=40))
+    found, reason, matches = align(m, m, 0, 2, rng_for(1, "test"), Sim3AlignmentConfig(min_matches=40))
     assert found is not None and matches > 60, reason
     expected = np.linalg.inv(DRIFT)
     np.testing.assert_allclose(found.scale, scales(expected[None])[0], rtol=0.005)

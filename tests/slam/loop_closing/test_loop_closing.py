@@ -8,6 +8,7 @@ from loop_scenes import ring
 
 from dslab.slam.loop_closing.correction import correct_loop
 from dslab.slam.loop_closing.detection import LoopClosingConfig, LoopDetector
+from dslab.slam.loop_closing.place_check import PlaceCheckConfig
 from dslab.slam.map.invariants import check_map
 from dslab.slam.optimization.sim3 import horn_sim3, sim3_decompose
 
@@ -36,7 +37,7 @@ def same_place(r, keyframe):
 
 def detector(r, candidates, **config):
     config = replace(LoopClosingConfig(), **config)
-    return LoopDetector(r.map, Oracle(candidates), config)
+    return LoopDetector(r.map, Oracle(candidates), config, PlaceCheckConfig())
 
 
 def run(d, keyframes):

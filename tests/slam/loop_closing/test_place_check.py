@@ -9,15 +9,15 @@ from slam_scenes import PointWorld, rigid, walk
 from dslab.slam.loop_closing.correction import Loop
 from dslab.slam.loop_closing.detection import LoopClosingConfig, LoopDetector
 from dslab.slam.loop_closing.look_alikes import look_alikes, note_look_alike
-from dslab.slam.loop_closing.map_alignment import Alignment, AlignmentConfig, align
+from dslab.slam.loop_closing.map_alignment import Agreement, Alignment, Sim3AlignmentConfig, align
 from dslab.slam.loop_closing.place_check import PlaceCheckConfig, double_in_reach, doubt
 from dslab.slam.map._map_kernels import median_depth
 from dslab.slam.optimization.sim3 import sim3_decompose, sim3_matrix
 from dslab.slam.places.recognition import KeyframeDatabase
 from dslab.slam.tracking.reach import ReachConfig
 
-LAX = AlignmentConfig(min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20)
-ANYWHERE = PlaceCheckConfig(reach=ReachConfig(factor=1e9))
+LAX = Sim3AlignmentConfig(min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20)
+ANYWHERE = PlaceCheckConfig(reach=ReachConfig(factor=1e6))
 
 
 def rng():
@@ -76,8 +76,8 @@ def test_surroundings_that_differ_in_part_are_doubted():
 @pytest.mark.parametrize(
     ("config", "reason"),
     [
-        ({"bar": replace(ANYWHERE.bar, min_extent=2.0)}, "too_narrow"),
-        ({"min_agreeing": 1.1}, "neighbours_disagree"),
+        ({"bar": replace(ANYWHERE.bar, min_share=1.1)}, "expected_points_missing"),
+        ({"agreement": Agreement(0.0, 0.0, 0.0)}, "neighbours_disagree"),
     ],
 )
 def test_the_reason_names_the_bar(config, reason):
@@ -160,6 +160,6 @@ def test_doubles_follow_the_map_through_every_change():
 @pytest.mark.parametrize(("reason", "count"), [("map_is_stretched", 1), ("map_has_changed", 0)])
 def test_only_what_the_geometry_refutes_is_remembered(reason, count):
     old, _ = maps()
-    detector = LoopDetector(old, KeyframeDatabase(old), LoopClosingConfig())
+    detector = LoopDetector(old, KeyframeDatabase(old), LoopClosingConfig(), PlaceCheckConfig())
     refusal = detector.refused(refuted(old, rigid((0.5, 0, 0), (0, 0, 180))), reason)
     assert refusal.reason == reason and len(old.look_alikes) == count

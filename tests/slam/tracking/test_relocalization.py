@@ -257,20 +257,19 @@ def test_a_relocalized_camera_needs_no_more_inliers_than_a_tracked_one(recovered
 
 
 @pytest.mark.parametrize(
-    ("config", "reason"),
+    ("shown", "reason"),
     [
-        ({"min_share": 1.5}, "expected_points_missing"),
-        ({"max_contradicted": -0.1}, "contradicted"),
-        ({"min_extent": 2.0}, "too_narrow"),
+        (Support(100.0, 10, 1.0, 1.0, 0.0), "expected_points_missing"),
+        (Support(100.0, 100, 1.0, 1.0, 0.9), "contradicted"),
+        (Support(100.0, 100, 0.1, 1.0, 0.0), "too_narrow"),
     ],
 )
 def test_a_place_that_the_views_contradict_is_withdrawn_and_leaves_nothing(
-    recovered, there_and_back, config, reason
+    recovered, there_and_back, monkeypatch, shown, reason
 ):
     images, stamps_s, _ = there_and_back
     system = recovered[2].restore()
-    strict = ProbationConfig(bar=replace(ProbationConfig().bar, **config))
-    reconfigure(system, probation=strict)
+    monkeypatch.setattr("dslab.slam.tracking.probation.support", lambda *_, near: shown)
     before, path = system.current_map.copy(), system.trajectories()[0]
     results = feed(system, images[88:], stamps_s[88:], check=False)
     withdrawn = [e for e in system.events if isinstance(e, RelocalizationWithdrawn)]
