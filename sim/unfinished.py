@@ -72,14 +72,14 @@ def remove_own() -> None:
 
 def hold(file: int) -> None:
     """Mark an open file as in use, until it is closed; see ``is_held``."""
-    _lock(file, shared=True)
+    take_lock(file, shared=True)
 
 
 def is_held(path: Path) -> bool:
     """Return True if a file is known to be in use by a process, this one included."""
     try:
         with path.open("rb") as file:
-            return _lock(file.fileno()) is False
+            return take_lock(file.fileno()) is False
     except OSError:
         return False
 
@@ -97,13 +97,13 @@ def _claimed(parent: Path, prefix: str) -> tuple[Path, int]:
             if isinstance(error, FileNotFoundError) and parent.is_dir():
                 continue
             raise
-        if _lock(lock) is not False and os.fstat(lock).st_nlink:
+        if take_lock(lock) is not False and os.fstat(lock).st_nlink:
             return home, lock
         os.close(lock)
         _own.discard(home)
 
 
-def _lock(file: int, shared: bool = False) -> bool | None:
+def take_lock(file: int, shared: bool = False) -> bool | None:
     """Lock a file: True if it was free, False if it is held, None if there are no locks here.
 
     Several processes may hold a file that each of them locks as ``shared``.
@@ -135,7 +135,7 @@ def _remove_dead(home: Path) -> None:
     except OSError:
         return
     try:
-        if _lock(lock):
+        if take_lock(lock):
             _remove(home)
     finally:
         os.close(lock)

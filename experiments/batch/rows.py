@@ -1,6 +1,5 @@
 """The row of a run: its columns, and how they are made from a record."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -77,45 +76,34 @@ _OF_SUMMARY = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class About:
-    """What a row says of its run before it is made: columns by name."""
+def figures_of(record: RunRecord, summary: dict) -> Row:
+    """The columns of a row that its run decides.
 
-    columns: Row
-
-    def row(self, record: RunRecord, summary: dict) -> Row:
-        """The row of a run that was made.
-
-        Args:
-            record: the run.
-            summary: of :func:`experiments.evaluation.summary.summarise`.
-        """
-        frames = len(record.sequence) + record.dropped_frames
-        posed = len(record.trajectories[0].frames) if record.trajectories else 0
-        rpe = summary["rpe"] or {}
-        intact = judge_intact(record.trajectories, _first_pose_s(record), float(record.sequence.stamps_s[-1]))
-        return {
-            **self.columns,
-            **{name: summary[name] for name in _OF_SUMMARY},
-            "frames": frames,
-            "intact": intact.intact,
-            "intact_reason": intact.reason,
-            "longest_gap_s": intact.longest_gap_s,
-            "completeness": posed / frames,
-            "share_tracked": summary["tracked"] / frames,
-            "ate_keyframes_m": _ate_keyframes_m(record),
-            "ate_frames_m": summary["ate_m"],
-            "end_alignment_m": _end_alignment_m(record),
-            "rpe_m": rpe.get("translation_rmse_m"),
-            "rpe_deg": rpe.get("rotation_rmse_deg"),
-            "wall_s": record.wall_s,
-            **_recoveries(summary["breakage_list"]),
-            **{f"{STAGE}{name}": times["cpu_ms_median"] for name, times in summary["stages"].items()},
-        }
-
-    def without_figures(self, ended: str, message: str) -> Row:
-        """The row of a run of which nothing is known but its end."""
-        return {**self.columns, "ended": ended, "ended_message": message}
+    Args:
+        record: the run.
+        summary: of :func:`experiments.evaluation.summary.summarise`.
+    """
+    frames = len(record.sequence) + record.dropped_frames
+    posed = len(record.trajectories[0].frames) if record.trajectories else 0
+    rpe = summary["rpe"] or {}
+    intact = judge_intact(record.trajectories, _first_pose_s(record), float(record.sequence.stamps_s[-1]))
+    return {
+        **{name: summary[name] for name in _OF_SUMMARY},
+        "frames": frames,
+        "intact": intact.intact,
+        "intact_reason": intact.reason,
+        "longest_gap_s": intact.longest_gap_s,
+        "completeness": posed / frames,
+        "share_tracked": summary["tracked"] / frames,
+        "ate_keyframes_m": _ate_keyframes_m(record),
+        "ate_frames_m": summary["ate_m"],
+        "end_alignment_m": _end_alignment_m(record),
+        "rpe_m": rpe.get("translation_rmse_m"),
+        "rpe_deg": rpe.get("rotation_rmse_deg"),
+        "wall_s": record.wall_s,
+        **_recoveries(summary["breakage_list"]),
+        **{f"{STAGE}{name}": times["cpu_ms_median"] for name, times in summary["stages"].items()},
+    }
 
 
 def typed(rows: list[Row]) -> pd.DataFrame:

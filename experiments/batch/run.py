@@ -1,30 +1,69 @@
-"""Run a batch: every run in a process of its own, its row kept when it ends, real-time ones alone."""
+"""Run a batch: every run is a job in a process of its own, whose row is kept when it ends."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
+from shutil import rmtree
 
+import numpy as np
 import pandas as pd
 
-from dslab.experiments.batch.job import Job, run_job
-from dslab.experiments.batch.rows import ERROR, KEY, About, Row, typed
+from dslab.experiments.batch.rows import ERROR, KEY, Row, figures_of, typed
 from dslab.experiments.batch.spec import BatchSpec
-from dslab.experiments.benchmarks.kept_rows import read_rows, write_rows
-from dslab.experiments.campaign.folder_lock import sole_driver
-from dslab.experiments.plugins import load_plugins
-from dslab.experiments.runs.ending import EndKind
-from dslab.experiments.runs.processes import call_in_process, side_by_side
+from dslab.experiments.evaluation.summary import summarise
+from dslab.experiments.jobs.ledger import Ledger, Owner, sole_driver
+from dslab.experiments.jobs.pool import Ended, PoolSettings, open_pool
+from dslab.experiments.result_folder import execute_recorded, write_run
+from dslab.experiments.runs.execution import system_factory
+from dslab.experiments.runs.files import plain
 from dslab.experiments.runs.provenance import code_hash, commit
 from dslab.experiments.runs.sources import open_sequence
 from dslab.experiments.runs.systems.command import CommandSystem
 from dslab.experiments.runs.systems.registry import Registry, System, system_digest
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_folder
-from dslab.sim.io.folders import unwritable, write_file
+from dslab.sim.degradations.recorded_sequences import degrade_sequence
+from dslab.sim.io.folders import new_directory, unwritable, write_file
+from dslab.sim.sequence import Sequence
+from dslab.sim.unfinished import scratch_folder
 
 ROWS_FILE, CSV_FILE, RUNS_DIR = "runs.parquet", "runs.csv", "runs"
 Progress = Callable[[str, int, int], None]
-RunJob = Callable[[Job], Row]
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run to be made.
+
+    Attributes:
+        spec: of the batch.
+        system: as the spec names it.
+        about: columns of its row that are known beforehand, of ``source``, ``run`` and ``seed`` among them.
+        folders: of further descriptions of systems.
+        folder: for its result.
+        alone: it must not run beside others.
+    """
+
+    spec: BatchSpec
+    system: str
+    about: Row
+    folders: tuple[Path, ...]
+    folder: Path
+    alone: bool
+
+    @property
+    def key(self) -> tuple:
+        """What tells its row from the others."""
+        return tuple(self.about[name] for name in KEY)
+
+    @property
+    def scene(self) -> tuple[str, int | None]:
+        """Its source and the seed of a scenario; None for the scenario's own, and for a folder."""
+        source = self.about["source"]
+        drawn = self.spec.vary == "scenes" and not is_folder(source)
+        return source, int(self.about["seed"]) if drawn else None
 
 
 def run_batch(
@@ -34,7 +73,7 @@ def run_batch(
     workers: int = 1,
     folders: Iterable[Path] = (),
     progress: Progress | None = None,
-    task: RunJob = run_job,
+    task: Callable[[Job], Row] | None = None,
 ) -> pd.DataFrame:
     """Run what a folder does not have yet, and return every row of the batch.
 
@@ -49,13 +88,13 @@ def run_batch(
         workers: runs at a time. Systems that take frames in real time run alone, after the others.
         folders: of further descriptions of systems.
         progress: called with (step, runs done, runs in all).
-        task: makes a run in its process; another one for tests.
+        task: makes a run in its process; :func:`make_run` by default.
 
     Raises:
         InputError: a system is unknown or cannot be started, or the folder holds something else or cannot be
             written.
     """
-    folders = tuple(folders)
+    folders, show = tuple(folders), progress or (lambda step, done, total: None)
     systems = {name: Registry.open(folders).find(name) for name in spec.systems}
     for system in systems.values():
         if isinstance(system, CommandSystem):
@@ -64,66 +103,101 @@ def run_batch(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise unwritable(folder, error) from error
-    with sole_driver(folder):
-        table = folder / ROWS_FILE
-        rows = _kept(table, spec)
-        jobs = _jobs(spec, sources, systems, folders, folder)
-        digests = {
-            (job.source, _name(systems, job), job.run): job.about.columns["system_digest"] for job in jobs
-        }
-        rows = [row for row in rows if _stands(row, digests)]
-        done = {tuple(row[name] for name in KEY) for row in rows}
-        missing = [job for job in jobs if (job.source, _name(systems, job), job.run) not in done]
-        _render(missing, workers, progress)
-        for number, row in enumerate(_made(missing, workers, task), len(jobs) - len(missing) + 1):
-            rows.append(row)
-            try:
-                write_rows(table, typed(rows).to_dict("records"), KEY)
-            except OSError as error:
-                raise unwritable(table, error) from error
-            if progress is not None:
-                progress("runs", number, len(jobs))
-        found = typed([row for row in rows if tuple(row[name] for name in KEY) in digests])
-        write_file(folder / CSV_FILE, lambda path: found.to_csv(path, index=False))
+    settings = {"setting of stress, start, seed or mode": spec.row_key, "version of the code": code_hash()}
+    with sole_driver(folder), Ledger.open(folder, Owner(settings, KEY)) as ledger:
+        jobs = {job.key: job for job in _jobs(spec, sources, systems, folders, folder)}
+        kept = ledger.rows()
+        ledger.drop(row for row in kept if not _stands(row, jobs))
+        done = {tuple(row[name] for name in KEY) for row in kept if _stands(row, jobs)}
+        missing = [job for key, job in jobs.items() if key not in done]
+        _render(missing, workers, show)
+        made = len(jobs) - len(missing)
+        for alone in (False, True):
+            those = deque(job for job in missing if job.alone is alone)
+            limits = PoolSettings(1 if alone else workers, None, spec.limit_s, None, True, False)
+            with open_pool(task or make_run, limits) as pool:
+                for ended in pool.run(those):
+                    ledger.add(plain(_row(ended)))
+                    made += 1
+                    show("runs", made, len(jobs))
+        found = typed([row for row in ledger.rows() if tuple(row[name] for name in KEY) in jobs])
+    write_file(folder / ROWS_FILE, lambda path: found.to_parquet(path, index=False))
+    write_file(folder / CSV_FILE, lambda path: found.to_csv(path, index=False))
     return found
 
 
-def _render(jobs: list[Job], workers: int, progress: Progress | None) -> None:
-    """Render every scenario once, for several runs at a time would each do so."""
-    scenarios = sorted({(job.source, job.scene_seed) for job in jobs if not is_folder(job.source)}, key=str)
-    calls = [(*scenario, jobs[0].spec.first_s, jobs[0].spec.limit_s) for scenario in scenarios]
-    for number, _ in enumerate(side_by_side(workers, _rendered, calls), 1):
-        if progress is not None:
-            progress("rendering", number, len(scenarios))
+def make_run(job: Job) -> Row:
+    """Make a run, write its result folder, and return its row.
+
+    Raises:
+        InputError: the sequence cannot be read, or the system not be started.
+    """
+    spec = job.spec
+    plugins = Registry.open(job.folders).find_all([job.system])
+    (name,) = plugins
+    # What a killed batch has left of this run.
+    with suppress(OSError):
+        rmtree(job.folder)
+    with scratch_folder() as scratch, new_directory(job.folder) as folder:
+        record = execute_recorded(
+            _frames(job, scratch),
+            [name],
+            job.about["seed"],
+            build=system_factory(spec.mode),
+            real_time=spec.real_time,
+            plugins=plugins,
+            folder_of=lambda _: folder,
+        )[name]
+        summary = summarise(record)
+        write_run(folder, record, summary, picture=False)
+    return job.about | figures_of(record, summary)
 
 
-def _rendered(source: str, seed: int | None, first_s: float | None, time_s: float) -> None:
-    """Render a scenario into the cache; what is wrong with it shows in its runs."""
-    with suppress(Exception):
-        call_in_process(_render_one, (source, seed, first_s), time_s)
+def _frames(job: Job, scratch: Path) -> Sequence:
+    """The frames of a run: the first seconds, with the stress, from where this run starts.
+
+    The stress lies on the same frames in every run, whichever frames are left out before.
+    """
+    spec = job.spec
+    sequence = open_sequence(*job.scene, first_s=spec.first_s)
+    if spec.stress:
+        sequence = degrade_sequence(sequence, spec.segments, spec.seed, scratch)  # type: ignore[arg-type]
+    first = int(job.about["first_frame"])
+    if first >= len(sequence):
+        problem = f"run {job.about['run']} leaves out {first} of {len(sequence)} frames"
+        raise InputError(job.about["source"], problem, "give fewer runs, or a smaller skip_frames")
+    return sequence.only(np.arange(first, len(sequence))) if first else sequence
 
 
-def _render_one(source: str, seed: int | None, first_s: float | None) -> None:
-    load_plugins()
-    open_sequence(source, seed, first_s=first_s)
+def _row(ended: Ended) -> Row:
+    """The row of a run, however its process ended."""
+    if ended.fault is not None:
+        return ended.item.about | {"ended": ended.fault.value, "ended_message": ended.message}
+    if ended.error is not None:  # the run could not be made, which the others need not suffer from
+        return ended.item.about | {"ended": ERROR, "ended_message": ended.message}
+    return ended.value
 
 
-def _name(systems: dict[str, System], job: Job) -> str:
-    return systems[job.system].name
+def _render(jobs: list[Job], workers: int, show: Progress) -> None:
+    """Render every scenario once, for several runs at a time would each do so.
+
+    What is wrong with one shows in its runs.
+    """
+    scenes = {job.scene: job for job in jobs if not is_folder(job.about["source"])}
+    limits = PoolSettings(workers, None, jobs[0].spec.limit_s if jobs else None, None, True, False)
+    with open_pool(_render_one, limits) as pool:
+        for number, _ in enumerate(pool.run(deque(scenes.values())), 1):
+            show("rendering", number, len(scenes))
 
 
-def _kept(table: Path, spec: BatchSpec) -> list[Row]:
-    rows = [{k: v for k, v in row.items() if not pd.isna(v)} for row in read_rows(table, "runs", code_hash())]
-    if any(row.get("spec") != spec.row_key for row in rows):
-        problem = "has runs with other settings of stress, start, seed or mode"
-        raise InputError(str(table.parent), problem, "choose another folder")
-    return rows
+def _render_one(job: Job) -> None:
+    open_sequence(*job.scene, first_s=job.spec.first_s)
 
 
-def _stands(row: Row, digests: dict[tuple, str]) -> bool:
+def _stands(row: Row, jobs: dict[tuple, Job]) -> bool:
     """False for a row that is to be made again."""
-    key = tuple(row[name] for name in KEY)
-    return row["ended"] != ERROR and digests.get(key, row["system_digest"]) == row["system_digest"]
+    job = jobs.get(tuple(row[name] for name in KEY))
+    return row["ended"] != ERROR and (job is None or job.about["system_digest"] == row["system_digest"])
 
 
 def _jobs(
@@ -149,31 +223,7 @@ def _jobs(
                     "code": code,
                     "commit": head,
                 }
-                alone = _needs_quiet(system, spec)
-                at = (folder / place).absolute()
-                found.append(Job(spec, source, named, run, About(about), folders, at, alone))
+                is_program = isinstance(system, CommandSystem)
+                alone = system.takes_real_time if is_program else spec.real_time
+                found.append(Job(spec, named, about, folders, (folder / place).absolute(), alone))
     return found
-
-
-def _needs_quiet(system: System, spec: BatchSpec) -> bool:
-    if isinstance(system, CommandSystem):
-        return system.takes_real_time
-    return spec.real_time
-
-
-def _made(jobs: list[Job], workers: int, task: RunJob) -> Iterator[Row]:
-    """Make runs and yield each row as it ends: first those that may run side by side, then the others."""
-    yield from side_by_side(workers, _row, [(job, task) for job in jobs if not job.alone])
-    yield from side_by_side(1, _row, [(job, task) for job in jobs if job.alone])
-
-
-def _row(job: Job, task: RunJob) -> Row:
-    """The row of a run, however its process ends."""
-    try:
-        return call_in_process(task, (job,), job.spec.limit_s)
-    except TimeoutError:
-        return job.about.without_figures(EndKind.TIMED_OUT, f"not done after {job.spec.limit_s:g} s")
-    except ChildProcessError as error:
-        return job.about.without_figures(EndKind.CRASHED, str(error))
-    except Exception as error:  # the run could not be made, which the others need not suffer from
-        return job.about.without_figures(ERROR, " ".join(f"{type(error).__name__}: {error}".split()))

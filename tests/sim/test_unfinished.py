@@ -66,7 +66,7 @@ def test_where_there_are_no_locks_nothing_is_taken_for_dead(tmp_path, monkeypatc
 
 
 def test_a_folder_that_is_swept_before_it_is_locked_is_made_anew(tmp_path, monkeypatch):
-    make, swept = unfinished._lock, []
+    make, swept = unfinished.take_lock, []
 
     def late(file):
         if not swept:
@@ -74,7 +74,7 @@ def test_a_folder_that_is_swept_before_it_is_locked_is_made_anew(tmp_path, monke
             shutil.rmtree(swept[0])
         return make(file)
 
-    monkeypatch.setattr(unfinished, "_lock", late)
+    monkeypatch.setattr(unfinished, "take_lock", late)
     with unfinished_folder(tmp_path, "p-") as folder:
         assert folder.is_dir() and folder.parent != swept[0]
 

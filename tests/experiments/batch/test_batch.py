@@ -3,9 +3,11 @@
 import json
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
 import time
+from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,16 +15,18 @@ import batch_fakes
 import numpy as np
 import pandas as pd
 import pytest
+from pool_fakes import open_local_pool, open_thread_pool
 from slam_fakes import circle, make_sequence
 from system_programs import write_program
 
 from dslab.experiments.batch import run as batch_run
 from dslab.experiments.batch.pairs import pairs
 from dslab.experiments.batch.rows import COLUMNS
-from dslab.experiments.batch.run import CSV_FILE, ROWS_FILE, run_batch
+from dslab.experiments.batch.run import CSV_FILE, run_batch
 from dslab.experiments.batch.spec import BatchSpec, read_batch
 from dslab.experiments.batch.table import sums
 from dslab.experiments.evaluation.intact_map import judge_intact
+from dslab.experiments.jobs.ledger import LEDGER_FILE, sole_driver
 from dslab.scenarios.errors import InputError
 from dslab.sim.io.forms import load_sequence
 from dslab.sim.io.tum import write_tum
@@ -41,7 +45,7 @@ def folder(tmp_path):
 
 @pytest.fixture
 def in_this_process(monkeypatch):
-    monkeypatch.setattr(batch_run, "call_in_process", lambda function, arguments, _: function(*arguments))
+    monkeypatch.setattr(batch_run, "open_pool", open_local_pool)
 
 
 def spec_of(**fields):
@@ -135,7 +139,7 @@ def test_more_runs_and_systems_may_be_added_but_not_other_settings(tmp_path, in_
         spec_of(runs=3, systems=("base", "dual")), ["drive"], tmp_path / "b", task=batch_fakes.made_up
     )
     assert len(rows) == 6 and len(made()) == len(set(made())) == 6
-    with pytest.raises(InputError, match="other settings of stress"):
+    with pytest.raises(InputError, match="rows of another setting of stress"):
         run_batch(spec_of(first_s=2.0), ["drive"], tmp_path / "b", task=batch_fakes.made_up)
 
 
@@ -148,6 +152,16 @@ def test_a_system_that_was_changed_is_run_again(tmp_path, in_this_process):
     assert len(rows) == 2 and sorted((tmp_path / "made").read_text().split()) == sorted(
         ["base", "0", "copy", "0", "copy", "0"]
     )
+
+
+def rows_so_far(folder):
+    """Number of rows in a ledger that is being written."""
+    with (
+        suppress(sqlite3.Error),
+        closing(sqlite3.connect(f"file:{folder / LEDGER_FILE}?mode=ro", uri=True)) as file,
+    ):
+        return file.execute("SELECT count(*) FROM rows").fetchone()[0]
+    return 0
 
 
 def test_a_batch_that_was_killed_goes_on_and_gives_the_same_table(tmp_path, in_this_process):
@@ -169,9 +183,7 @@ if __name__ == "__main__":
         [sys.executable, there / "batch.py"], cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}
     )
     until_s = time.monotonic() + 120
-    while (
-        not ((there / "waits").exists() and (there / "b" / ROWS_FILE).exists()) and time.monotonic() < until_s
-    ):
+    while not ((there / "waits").exists() and rows_so_far(there / "b")) and time.monotonic() < until_s:
         time.sleep(0.05)
     os.kill(lab.pid, signal.SIGKILL)
     lab.wait()
@@ -195,7 +207,8 @@ def test_every_end_of_a_run_is_a_row_and_what_could_not_be_made_is_made_again(tm
     assert found["ate_frames_m"] == 4.0  # the median of 1, 4 and 5
 
 
-def test_what_takes_frames_in_real_time_runs_alone_and_the_rest_side_by_side(tmp_path, in_this_process):
+def test_what_takes_frames_in_real_time_runs_alone_and_the_rest_side_by_side(tmp_path, monkeypatch):
+    monkeypatch.setattr(batch_run, "open_pool", open_thread_pool)
     path = write_program(tmp_path / "systems", make_sequence(FRAMES, segment=None), pace="real_time")
     spec = spec_of(systems=("base", "copy"))
     rows = run_batch(
@@ -275,7 +288,7 @@ def test_a_batch_that_is_wrong_is_one_line(dslab, monkeypatch, tmp_path, line, s
     Path("batch.yaml").write_text("".join(f"{k}: {v}\n" for k, v in lines.items()))
     code, out, err = dslab("batch", "batch.yaml", "--out", "b")
     assert (code, out) == (2, "") and says in err and err.count("\n") == 1
-    assert not (tmp_path / "b" / ROWS_FILE).exists()
+    assert not (tmp_path / "b").exists()
 
 
 def test_a_folder_that_cannot_be_made_is_one_line(tmp_path):
@@ -285,8 +298,6 @@ def test_a_folder_that_cannot_be_made_is_one_line(tmp_path):
 
 
 def test_one_batch_at_a_time_works_in_a_folder(tmp_path):
-    from dslab.experiments.campaign.folder_lock import sole_driver
-
     (tmp_path / "b").mkdir()
     with sole_driver(tmp_path / "b"), pytest.raises(InputError, match="another run is at work"):
         run_batch(spec_of(), [], tmp_path / "b")

@@ -16,7 +16,7 @@ from dslab.experiments.batch.paper_figures import (
     draw_profiles,
     write_figures,
 )
-from dslab.experiments.batch.rows import About, typed
+from dslab.experiments.batch.rows import figures_of, typed
 from dslab.experiments.evaluation.summary import summarise
 from dslab.experiments.result_folder import write_run
 from dslab.experiments.runs.execution import execute
@@ -37,7 +37,7 @@ def batch(tmp_path_factory):
         (folder / place).mkdir(parents=True)
         write_run(folder / place, record, summary, picture=False)
         about = {"source": "circle", "sequence": "circle", "system": system, "run": run, "folder": place}
-        rows.append(About({**about, "first_frame": 0}).row(record, summary))
+        rows.append({**about, "first_frame": 0, **figures_of(record, summary)})
     return typed(rows), folder
 
 
