@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -184,19 +184,14 @@ def run_experiment(
         InputError: the spec is not valid, a system is unknown or cannot run so, or the folder holds something
             else.
     """
-    from dslab.experiments.campaign.clusters import open_worker_pool
     from dslab.experiments.campaign.runner import run_experiment as run_units
-    from dslab.experiments.campaign.system_checks import check_workers, digests_of, find_systems
-    from dslab.experiments.campaign.worker_pool import WorkerPoolSettings
+    from dslab.experiments.campaign.workers import unit_workers
     from dslab.experiments.eq1.spec import load_spec
-    from dslab.experiments.eq1.trial import run_unit
 
     load_plugins()
     spec = load_spec(experiment) if isinstance(experiment, str | Path) else experiment
-    settings, systems = WorkerPoolSettings(workers=workers), find_systems(spec)
-    check_workers(spec, systems, settings)
-    pool = partial(open_worker_pool, settings, run_unit)
-    return run_units(spec, Path(folder), pool, show=progress, digests=digests_of(systems))
+    units = unit_workers(spec, workers=workers)
+    return run_units(spec, Path(folder), units.open, show=progress, digests=units.digests)
 
 
 def _opened(sequence: Sequence | Scenario | str | Path, seed: int | None) -> Sequence:

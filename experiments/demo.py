@@ -2,12 +2,10 @@
 
 from pathlib import Path
 
-from dslab.experiments.campaign.clusters import open_worker_pool
 from dslab.experiments.campaign.folder import read_experiment
 from dslab.experiments.campaign.runner import run_experiment
-from dslab.experiments.campaign.worker_pool import WorkerPoolSettings
+from dslab.experiments.campaign.workers import unit_workers
 from dslab.experiments.eq1.spec import ExperimentSpec
-from dslab.experiments.eq1.trial import run_unit
 from dslab.experiments.result_folder import run_systems
 from dslab.experiments.runs.execution import SystemFactory
 from dslab.experiments.runs.files import to_json
@@ -66,7 +64,7 @@ def _run_units(
     run_experiment(
         experiment,
         folder,
-        lambda: open_worker_pool(WorkerPoolSettings(workers=workers), run_unit),
+        unit_workers(experiment, workers=workers).open,
         show=lambda tally: show("units", tally.done, tally.total),
     )
     spec, table = read_experiment(folder)

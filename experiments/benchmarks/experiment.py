@@ -9,12 +9,11 @@ from typing import Any
 
 import psutil
 
-from dslab.experiments.campaign.clusters import embedded_worker_pool
 from dslab.experiments.campaign.schedule import Experiment
-from dslab.experiments.campaign.unit_job import Job, unit_record
-from dslab.experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings
+from dslab.experiments.campaign.workers import MEMORY_MB, TIME_S, RunUnit, unit_record
 from dslab.experiments.eq1.records import Outcome
 from dslab.experiments.eq1.units import UnitSpec
+from dslab.experiments.jobs.pool import Pool, PoolSettings, open_pool
 from dslab.experiments.runs.provenance import usable_cores
 from dslab.sim.unfinished import scratch_folder
 
@@ -42,7 +41,7 @@ class Lap:
 
 
 def bench_experiment(
-    experiment: Experiment, units: int, workers: int, job: Job, progress: Progress | None = None
+    experiment: Experiment, units: int, workers: int, job: RunUnit, progress: Progress | None = None
 ) -> dict[str, Any]:
     """Run the same units on one worker, then on several, each time with nothing rendered before.
 
@@ -73,15 +72,15 @@ def bench_experiment(
     }
 
 
-def _lap(experiment: Experiment, units: int, workers: int, job: Job, progress: Progress) -> Lap:
+def _lap(experiment: Experiment, units: int, workers: int, job: RunUnit, progress: Progress) -> Lap:
     cells = experiment.cell_names()
     chosen = [experiment.unit(cells[k % len(cells)], k // len(cells)) for k in range(units)]
     # Worlds of their own, so that their cached frames do not serve the counted units.
     first = [experiment.unit(cells[0], 10_000 + k) for k in range(workers)]
     step = f"{workers} worker{'s' if workers > 1 else ''}"
     with scratch_folder() as folder:
-        settings = WorkerPoolSettings(workers=workers, cache_dir=folder)
-        with embedded_worker_pool(settings, partial(unit_record, job, cache_dir=settings.cache_dir)) as pool:
+        settings = PoolSettings(workers, None, TIME_S, MEMORY_MB)
+        with open_pool(partial(unit_record, job, cache_dir=folder), settings) as pool:
             _run(pool, first, lambda done: progress(f"{step}, loading", done, workers))
             began_s, began_cpu_s = time.perf_counter(), _cpu_s()
             records = _run(pool, chosen, lambda done: progress(step, done, units))
@@ -91,11 +90,11 @@ def _lap(experiment: Experiment, units: int, workers: int, job: Job, progress: P
     return Lap(workers, len(completed), wall_s, cpu_s, render_s, slam_s)
 
 
-def _run(pool: WorkerPool, units: list[UnitSpec], show: Callable[[int], None]) -> list[dict[str, Any] | None]:
+def _run(pool: Pool, units: list[UnitSpec], show: Callable[[int], None]) -> list[dict[str, Any] | None]:
     records = []
     show(0)
     for ended in pool.run(deque(units)):
-        records.append(ended.result)
+        records.append(ended.value)
         show(len(records))
     return records
 

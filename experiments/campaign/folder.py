@@ -5,8 +5,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dslab.experiments.campaign.folder_lock import LOCK_FILE
-from dslab.experiments.campaign.ledger import LEDGER_FILE, Ledger
 from dslab.experiments.campaign.schedule import Experiment
 from dslab.experiments.campaign.table_file import (
     read_error_table,
@@ -15,7 +13,10 @@ from dslab.experiments.campaign.table_file import (
     write_errors,
     write_table,
 )
+from dslab.experiments.eq1.record_checks import record_fault
 from dslab.experiments.eq1.record_table import data_frame
+from dslab.experiments.eq1.records import columns
+from dslab.experiments.jobs.ledger import LEDGER_FILE, LOCK_FILE, Ledger, Owner, Row
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import SETTINGS_BYTES, is_given, read_bytes
 from dslab.sim.io.folders import unwritable, write_file
@@ -29,6 +30,34 @@ if TYPE_CHECKING:
 SPEC_FILE = "spec.yaml"
 TABLE_FILE = "units.parquet"
 ERRORS_FILE = "infrastructure_errors.parquet"
+_MEND = (
+    "add --rerun-damaged to `dslab experiment run`, which runs damaged units again, or choose a new folder"
+)
+
+
+def owner_of(experiment: Experiment) -> Owner:
+    """The experiment as the owner of a ledger, whose rows are records in the order of its cells."""
+    cells = {cell: place for place, cell in enumerate(experiment.cell_names())}
+    threads = len(experiment.threads)
+    names = set(columns(threads))
+
+    def fault(row: Row) -> str | None:
+        if set(row) != names:
+            return "it has other columns than this version of the lab writes"
+        if row["cell"] not in cells or row["experiment"] != experiment.name:
+            return f"it is of {row['experiment']!r}, cell {row['cell']!r}"
+        return record_fault(row, threads)
+
+    def order(row: Row) -> tuple[int, int]:
+        return cells.get(row["cell"], len(cells)), row["index"]
+
+    hashes = {"spec": f"{experiment.name} {experiment.content_hash[:16]}"}
+    return Owner(hashes, ("unit_id",), order, fault, _MEND)
+
+
+def open_ledger(folder: Path, experiment: Experiment, read_only: bool = False) -> Ledger:
+    """Open the ledger of an experiment; see :meth:`experiments.jobs.ledger.Ledger.open`."""
+    return Ledger.open(folder, owner_of(experiment), read_only)
 
 
 def read_experiment(folder: Path | str) -> "tuple[ExperimentSpec, pd.DataFrame]":
@@ -53,7 +82,7 @@ def read_rows(folder: Path) -> "tuple[ExperimentSpec, list[dict[str, Any]]]":
     spec = read_spec(folder)
     if _is_exported(folder):
         return spec, read_table(folder / TABLE_FILE, spec, _spec_digest(folder))
-    with Ledger.open(folder, spec, read_only=True) as ledger:
+    with open_ledger(folder, spec, read_only=True) as ledger:
         return spec, ledger.rows()
 
 
@@ -65,7 +94,7 @@ def read_errors(folder: Path) -> list[dict[str, Any]]:
     """
     if _is_exported(folder):
         return read_error_table(folder / ERRORS_FILE) if is_given(folder / ERRORS_FILE) else []
-    with Ledger.open(folder, read_spec(folder), read_only=True) as ledger:
+    with open_ledger(folder, read_spec(folder), read_only=True) as ledger:
         return ledger.errors()
 
 
@@ -99,8 +128,7 @@ def claim_folder(folder: Path) -> None:
     Raises:
         InputError: it holds other files or cannot be created.
     """
-    ends = ("", "-wal", "-shm", "-journal")
-    own = {SPEC_FILE, *(name + end for name in (LOCK_FILE, LEDGER_FILE) for end in ends)}
+    own = {SPEC_FILE, LOCK_FILE, *(LEDGER_FILE + end for end in ("", "-wal", "-shm", "-journal"))}
     try:
         folder.mkdir(parents=True, exist_ok=True)
         # Of a run that was killed while it wrote its spec.
@@ -134,13 +162,16 @@ def export(folder: Path, csv: bool = False) -> Path:
         InputError: it is not such a folder, or cannot be written.
     """
     spec = read_spec(folder)
-    with Ledger.open(folder, spec, read_only=True) as ledger:
-        rows, errors, records = ledger.rows(), ledger.errors(), ledger.records()
+    with open_ledger(folder, spec, read_only=True) as ledger:
+        rows, errors = ledger.rows(), ledger.errors()
     about = {"spec": spec, "spec_digest": _spec_digest(folder)}
     write_file(folder / TABLE_FILE, partial(write_table, rows=rows, **about))
     write_file(folder / ERRORS_FILE, partial(write_errors, errors=errors))
     if csv:
-        write_file(folder / "units.csv", partial(records.to_csv, index=False, lineterminator="\n"))
+        write_file(
+            folder / "units.csv",
+            partial(data_frame(rows, len(spec.threads)).to_csv, index=False, lineterminator="\n"),
+        )
     return folder / TABLE_FILE
 
 

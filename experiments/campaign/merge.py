@@ -4,12 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from dslab.experiments.campaign.folder import claim_folder, read_rows, read_spec, write_spec
-from dslab.experiments.campaign.folder_lock import sole_driver
-from dslab.experiments.campaign.ledger import LEDGER_FILE, Ledger
-from dslab.experiments.campaign.runner import check_units
-from dslab.experiments.campaign.unit_job import is_infrastructure_error
+from dslab.experiments.campaign.folder import claim_folder, open_ledger, read_rows, read_spec, write_spec
+from dslab.experiments.campaign.runner import check_units, is_infrastructure_error
 from dslab.experiments.eq1.records import reproduced
+from dslab.experiments.jobs.ledger import LEDGER_FILE, sole_driver
 from dslab.scenarios.errors import InputError
 
 
@@ -51,7 +49,7 @@ def merge(folder: Path, sources: Sequence[Path]) -> Merged:
     # Of those that were run with --worlds, the one with most.
     spec = max([spec, *specs], key=lambda each: each.worlds)
     claim_folder(folder)
-    with sole_driver(folder), Ledger.open(folder, spec) as ledger:
+    with sole_driver(folder), open_ledger(folder, spec) as ledger:
         held = {row["unit_id"]: row for row in ledger.rows()}
         new, known = {}, 0
         for source in sources:
@@ -70,7 +68,7 @@ def merge(folder: Path, sources: Sequence[Path]) -> Merged:
                     )
                     remedy = "replay it with `dslab experiment replay`, and leave the wrong folder out"
                     raise InputError(str(source), problem, remedy)
-        ledger.add_rows("units", list(new.values()))
+        ledger.add(*new.values())
         write_spec(folder, spec)
         done = len(held) + len(new)
     return Merged(len(new), known, done, sum(spec.units_of(cell) for cell in spec.cell_names()))

@@ -4,15 +4,13 @@ import re
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dslab.experiments.campaign.clusters import embedded_worker_pool
 from dslab.experiments.campaign.folder import read_rows
+from dslab.experiments.campaign.runner import is_infrastructure_error
 from dslab.experiments.campaign.schedule import Experiment
-from dslab.experiments.campaign.unit_job import Job, is_infrastructure_error, unit_record
-from dslab.experiments.campaign.worker_pool import WorkerPoolSettings
+from dslab.experiments.campaign.workers import UnitWorkers
 from dslab.experiments.eq1.records import decided
 from dslab.experiments.eq1.units import UnitSpec
 from dslab.scenarios.errors import InputError, MachineError
@@ -38,20 +36,13 @@ class Replay:
     differing: tuple[str, ...]
 
 
-def replay(
-    folder: Path,
-    name: str,
-    job: Job,
-    settings: WorkerPoolSettings | None = None,
-    recording: Path | None = None,
-) -> Replay:
+def replay(folder: Path, name: str, workers: UnitWorkers, recording: Path | None = None) -> Replay:
     """Run a unit of an experiment again.
 
     Args:
         folder: of the experiment, with its ledger or with only the exported table.
         name: its id or a unique beginning of it, or ``cell:index``, also of a unit not run yet.
-        job: runs one unit.
-        settings: of the process; one worker by default.
+        workers: one that runs the unit.
         recording: file for its recording; None for none.
 
     Raises:
@@ -61,10 +52,9 @@ def replay(
     spec, known = read_rows(folder)
     rows = {row["unit_id"]: row for row in known}
     unit = find_unit(spec, rows, name)
-    settings = settings or WorkerPoolSettings()
-    with embedded_worker_pool(settings, partial(unit_record, job, cache_dir=settings.cache_dir)) as pool:
-        (ended,) = pool.run(deque([unit]), recording=recording)
-    record = ended.result
+    with workers.open(recording) as pool:
+        (ended,) = pool.run(deque([unit]))
+    record = ended.value
     if record is None or is_infrastructure_error(record):
         problem = ended.message if record is None else record["message"]
         raise MachineError(f"unit {unit.unit_id}", problem, "see `dslab experiment status`")

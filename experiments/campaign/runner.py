@@ -8,24 +8,23 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
-from dslab.experiments.campaign.folder import claim_folder, write_spec
-from dslab.experiments.campaign.folder_lock import sole_driver
-from dslab.experiments.campaign.ledger import Ledger
-from dslab.experiments.campaign.ledger_renewal import renew_ledger
+from dslab.experiments.campaign.folder import SPEC_FILE, claim_folder, open_ledger, owner_of, write_spec
 from dslab.experiments.campaign.repeated_fault import RepeatedFault
 from dslab.experiments.campaign.schedule import Experiment, Record, Schedule, UnitOrder
-from dslab.experiments.campaign.unit_job import is_infrastructure_error
-from dslab.experiments.campaign.worker_pool import Ended, WorkerPool
-from dslab.experiments.eq1.record_table import normalise
+from dslab.experiments.campaign.table_file import ERROR_COLUMNS
+from dslab.experiments.eq1.record_table import normalise, storable
 from dslab.experiments.eq1.records import SHAM, Outcome, dual_column, empty_record, thread_column
 from dslab.experiments.eq1.units import UnitSpec
+from dslab.experiments.jobs.ledger import Ledger, renew_ledger, sole_driver
+from dslab.experiments.jobs.pool import Ended, Pool
 from dslab.scenarios.errors import InputError, MachineError
 
 TRIES = 4
 """Attempts per unit: the first, and three more after infrastructure errors."""
-_TICK_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ Show = Callable[[Tally], None]
 def run_experiment(
     experiment: Experiment,
     folder: Path,
-    open_worker_pool: Callable[[], AbstractContextManager[WorkerPool]],
+    open_pool: Callable[[], AbstractContextManager[Pool]],
     retry_errors: bool = False,
     rerun_damaged: bool = False,
     show: Show | None = None,
@@ -79,7 +78,7 @@ def run_experiment(
     Args:
         experiment: its spec.
         folder: absent, empty, or that of an earlier run of the same spec, which is continued.
-        open_worker_pool: opens the workers; called only if units are left to run.
+        open_pool: opens workers that take units and return records; called only if units are left.
         retry_errors: retry units that were given up after infrastructure errors.
         rerun_damaged: drop damaged rows of the ledger and run their units again.
         show: called with the progress, at least after each unit.
@@ -94,23 +93,30 @@ def run_experiment(
     """
     claim_folder(folder)
     with sole_driver(folder):
-        renew_ledger(folder, experiment, rerun_damaged)
-        with Ledger.open(folder, experiment) as ledger:
+        begun = (folder / SPEC_FILE).is_file()  # it is written after the ledger's tables
+        renew_ledger(folder, owner_of(experiment), begun, rerun_damaged)
+        with open_ledger(folder, experiment) as ledger:
             rows, _ = ledger.rows(), ledger.errors()
             write_spec(folder, experiment)
-            if retry_errors and ledger.forget_errors():
+            if retry_errors:
+                ledger.drop(filter(is_infrastructure_error, rows))
                 rows = ledger.rows()
             check_units(experiment, rows, folder)
             check_digests(rows, digests or {}, folder)
             run = _Run(ledger, order(experiment, rows), experiment, show)
             if not run.schedule.complete:
-                with open_worker_pool() as pool:
+                with open_pool() as pool:
                     run.work(pool)
             tally = run.tally(0)
     if 0 < tally.errors == tally.done:
         problem = f"all {tally.done} units were given up: {tally.cause}"
         raise MachineError(str(folder), problem, "mend it and run the same command again with --retry-errors")
     return tally
+
+
+def is_infrastructure_error(record: Record) -> bool:
+    """True if a unit failed for reasons other than the SLAM."""
+    return record["outcome"] == Outcome.INFRASTRUCTURE_ERROR.value
 
 
 def check_units(experiment: Experiment, rows: Sequence[Record], folder: Path) -> None:
@@ -161,19 +167,10 @@ class _Run:
         self._failed: dict[str, int] = {}
         self._retries = self._ended_here = 0
 
-    def work(self, pool: WorkerPool) -> None:
+    def work(self, pool: Pool) -> None:
         """Run the units that are left."""
-        while not self.schedule.complete:
-            for worker in pool.free():
-                # Failed units come last: their fault may pass, or be found to be that of every unit.
-                unit = self.schedule.next(worker) or (self._due.popleft() if self._due else None)
-                if unit is None:
-                    break
-                pool.start(unit, worker)
-            self._most_busy = max(self._most_busy, pool.busy)
-            self._show(self.tally(pool.busy))
-            for ended in pool.wait(_TICK_S):
-                self._record(ended)
+        for ended in pool.run(self._next, self._tick):
+            self._record(ended)
 
     def tally(self, workers: int) -> Tally:
         """Progress of the run."""
@@ -199,14 +196,22 @@ class _Run:
             cause=given_up.most_common(1)[0][0] if given_up else "",
         )
 
+    def _next(self, worker: str) -> UnitSpec | None:
+        # Failed units come last: their fault may pass, or be found to be that of every unit.
+        return self.schedule.next(worker) or (self._due.popleft() if self._due else None)
+
+    def _tick(self, busy: int) -> None:
+        self._most_busy = max(self._most_busy, busy)
+        self._show(self.tally(busy))
+
     def _record(self, ended: Ended) -> None:
         """Record the end of a unit; after an infrastructure error, queue it again while tries are left."""
         unit = ended.item
         tried = self._failed.get(unit.unit_id, 0) + 1
-        record = ended.result
+        record = ended.value
         if record is None or is_infrastructure_error(record):
             record = record or normalise(empty_record(unit) | {"message": ended.message}, len(unit.threads))
-            self._ledger.add_error(unit, tried, ended.worker, record["message"], ended.report)
+            self._ledger.add(_error_row(unit, tried, ended, record["message"]), table="errors")
             self._failed[unit.unit_id] = tried
             self._retries += 1
             self._faults.failure(unit, record["message"], self._most_busy)
@@ -219,3 +224,9 @@ class _Run:
         self._ledger.add(record)
         self.schedule.finish(record)
         self._ended_here += 1
+
+
+def _error_row(unit: UnitSpec, attempt: int, ended: Ended, message: str) -> dict[str, Any]:
+    at = datetime.now(UTC).isoformat(timespec="seconds")
+    values = (unit.unit_id, unit.cell, unit.index, attempt, at, ended.worker, message, storable(ended.report))
+    return dict(zip(ERROR_COLUMNS, values, strict=True))

@@ -4,7 +4,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from dslab.experiments.campaign.ledger_file import ERROR_COLUMNS
 from dslab.experiments.campaign.schedule import Experiment
 from dslab.experiments.eq1.record_checks import digest_of, record_fault
 from dslab.experiments.eq1.record_table import arrow_table
@@ -12,6 +11,7 @@ from dslab.experiments.eq1.records import FORMER_COLUMNS, added_later, columns, 
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import open_file
 
+ERROR_COLUMNS = ("unit_id", "cell", "index", "attempt", "at", "worker", "message", "report")
 _DIGEST, _SPEC_DIGEST = b"digest", b"spec_digest"
 _REMEDY = "export it anew from its ledger, by the version that wrote it"
 

@@ -98,23 +98,12 @@ def boundary_command(
 
     `dslab experiment boundary motion_blur --of base --fail 0.5 --system orbslam3 --out out/orbslam3`
     """
-    from functools import partial
-
-    from dslab.experiments.campaign.clusters import open_worker_pool
     from dslab.experiments.campaign.runner import run_experiment
-    from dslab.experiments.campaign.system_checks import (
-        check_workers,
-        digests_of,
-        find_systems,
-        takes_real_time,
-    )
-    from dslab.experiments.campaign.worker_pool import WorkerPoolSettings
+    from dslab.experiments.campaign.workers import unit_workers
     from dslab.experiments.eq1.boundary_plan import boundary_plan
     from dslab.experiments.eq1.doses import dose_axis
     from dslab.experiments.eq1.spec import load_spec
-    from dslab.experiments.eq1.trial import run_unit
     from dslab.experiments.report.boundary import PICTURE_FILE, write_boundary
-    from dslab.experiments.runs.provenance import usable_cores
 
     plan = boundary_plan(
         load_spec(spec),
@@ -129,23 +118,19 @@ def boundary_command(
         axis=dose_axis(kind.removesuffix("-creeping"), dose, weakest, strongest),
         system=system,
     )
-    folders = tuple(folder.absolute() for folder in systems_dir or ())
-    systems = find_systems(plan.spec, folders)
-    workers = workers or (1 if takes_real_time(systems) else usable_cores())
-    settings = WorkerPoolSettings(workers, None, timeout, memory or None)
-    check_workers(plan.spec, systems, settings)
+    units = unit_workers(plan.spec, systems_dir or (), workers, None, timeout, memory)
     order = _Estimating(plan)
     try:
         with experiment_progress(f"{kind}, {of.value} {fail:g}", order.text) as show:
             tally = run_experiment(
                 plan.spec,
                 out_dir,
-                lambda: open_worker_pool(settings, partial(run_unit, folders=folders)),
+                units.open,
                 retry_errors,
                 rerun_damaged,
                 show,
                 order.schedule,
-                digests_of(systems),
+                units.digests,
             )
     except KeyboardInterrupt:
         err.print(

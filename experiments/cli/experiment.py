@@ -42,7 +42,7 @@ MemoryOption = Annotated[
     int,
     typer.Option(min=0, metavar="MB", help="Memory limit of a worker; a unit above it is retried; 0: none."),
 ]
-_TIMEOUT_S, _MEMORY_MB = 1800.0, 4000
+_TIMEOUT_S, _MEMORY_MB = 1800.0, 4000  # as of experiments.campaign.workers, which is slow to import
 
 
 @app.command("run")
@@ -97,44 +97,27 @@ def run_command(
     """
     from functools import partial
 
-    from dslab.experiments.campaign.clusters import open_worker_pool
     from dslab.experiments.campaign.runner import run_experiment
     from dslab.experiments.campaign.schedule import Schedule
-    from dslab.experiments.campaign.system_checks import (
-        check_workers,
-        digests_of,
-        find_systems,
-        takes_real_time,
-    )
-    from dslab.experiments.campaign.worker_pool import WorkerPoolSettings
+    from dslab.experiments.campaign.workers import unit_workers
     from dslab.experiments.eq1.spec import load_spec
-    from dslab.experiments.eq1.trial import run_unit
-    from dslab.experiments.runs.provenance import usable_cores
 
     spec = load_spec(experiment)
     if worlds is not None:
         spec = spec.model_copy(update={"worlds": worlds})
-    folders = tuple(folder.absolute() for folder in systems_dir or ())
-    systems = find_systems(spec, folders)
-    settings = WorkerPoolSettings(
-        workers=workers or (1 if takes_real_time(systems) else usable_cores()),
-        scheduler=scheduler,
-        timeout_s=timeout,
-        memory_mb=memory or None,
-    )
-    check_workers(spec, systems, settings)
+    units = unit_workers(spec, systems_dir or (), workers, scheduler, timeout, memory)
     tell_idle_cells(spec, out_dir)
     try:
         with experiment_progress(spec.name) as show:
             tally = run_experiment(
                 spec,
                 out_dir,
-                lambda: open_worker_pool(settings, partial(run_unit, folders=folders)),
+                units.open,
                 retry_errors,
                 rerun_damaged,
                 show,
                 order=partial(Schedule, last_first=last_first),
-                digests=digests_of(systems),
+                digests=units.digests,
             )
     except KeyboardInterrupt:
         err.print(f"{out_dir} keeps the finished units: run the same command again to resume", soft_wrap=True)
@@ -312,19 +295,16 @@ def replay_command(
 
     `dslab experiment replay docs/eq1 corridor/low_texture/1:7 --rerun unit.rrd`
     """
-    from functools import partial
-
     from dslab.experiments.campaign.replay import replay
-    from dslab.experiments.campaign.worker_pool import WorkerPoolSettings
-    from dslab.experiments.eq1.trial import run_unit
+    from dslab.experiments.campaign.workers import UnitWorkers
+    from dslab.experiments.jobs.pool import PoolSettings
     from dslab.experiments.runs.files import plain
 
-    settings = WorkerPoolSettings(timeout_s=timeout, memory_mb=memory or None)
+    folders = tuple(folder.absolute() for folder in systems_dir or ())
+    workers = UnitWorkers(PoolSettings(1, None, timeout, memory or None), folders)
     with progress_bars() as show:
         show(f"unit {unit}", 0, 1)
-        folders = tuple(folder.absolute() for folder in systems_dir or ())
-        job = partial(run_unit, folders=folders)
-        done = replay(folder, unit, job, settings, None if rerun is None else rerun.absolute())
+        done = replay(folder, unit, workers, None if rerun is None else rerun.absolute())
     _note_digests(folder)
     if as_json:
         print_json_line(

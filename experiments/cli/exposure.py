@@ -36,7 +36,7 @@ def exposure_command(
 def tell_idle_cells(spec: "ExperimentSpec", folder: Path) -> None:
     """Draw some worlds of an experiment that has not begun, and name the cells whose stress seldom acts."""
     from dslab.experiments.campaign.exposure import draw_exposure
-    from dslab.experiments.campaign.ledger import LEDGER_FILE
+    from dslab.experiments.jobs.ledger import LEDGER_FILE
 
     if (folder / LEDGER_FILE).exists():
         return

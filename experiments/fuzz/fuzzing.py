@@ -10,7 +10,6 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
@@ -19,10 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from dslab.experiments.campaign.clusters import embedded_worker_pool
-from dslab.experiments.campaign.unit_job import Task
-from dslab.experiments.campaign.worker_pool import Ended, WorkerPool, WorkerPoolSettings
 from dslab.experiments.fuzz.drawn_threads import drawn_kinds, drawn_settings
+from dslab.experiments.jobs.pool import Ended, Pool, PoolSettings, open_pool
+from dslab.experiments.runs.ending import EndKind
 from dslab.experiments.runs.execution import (
     Mode,
     RunRecord,
@@ -82,9 +80,6 @@ def run_fuzz(
     timeout_s: float = 600.0,
     progress: Callable[[dict[str, Any], int, int], None] | None = None,
     job: Callable[[FuzzUnit], Iterator[dict[str, Any]]] | None = None,
-    open_pool: Callable[
-        [WorkerPoolSettings, Task], AbstractContextManager[WorkerPool]
-    ] = embedded_worker_pool,
 ) -> list[dict[str, Any]]:
     """Run units and write one row per system of each.
 
@@ -99,7 +94,6 @@ def run_fuzz(
         timeout_s: longest duration of one system's run and the rendering before it.
         progress: called with each new row, runs done and runs in all.
         job: runs one unit; :func:`fuzz_unit` by default.
-        open_pool: opens the worker pool.
 
     Returns:
         The rows, in order of seed and system.
@@ -109,9 +103,8 @@ def run_fuzz(
     """
     order = {(unit.seed, kind): at for unit in units for at, kind in enumerate(unit.systems)}
     rows: list[dict[str, Any]] = []
-    settings = WorkerPoolSettings(workers, timeout_s=timeout_s, memory_mb=None)
     with new_directory(out_dir) as folder:
-        with open_pool(settings, partial(_rows_of, job or fuzz_unit)) as pool:
+        with open_pool(partial(_rows_of, job or fuzz_unit), PoolSettings(workers, None, timeout_s)) as pool:
             for row in _run(pool, units):
                 rows.append(row)
                 if progress is not None:
@@ -128,9 +121,6 @@ def fuzz_unit(unit: FuzzUnit, build: SystemFactory | None = None) -> Iterator[di
         unit: the unit to run.
         build: makes the systems; those of the project by default.
     """
-    import cv2
-
-    cv2.setNumThreads(1)
     started = time.process_time()
     scenario = random_scenario(unit.seed)
     # These frames are used once: they are not kept in the cache.
@@ -267,12 +257,12 @@ def _rows_of(job: Callable[[FuzzUnit], Iterator[dict[str, Any]]], unit: FuzzUnit
     return list(job(unit))
 
 
-def _run(pool: WorkerPool, units: Sequence[FuzzUnit]) -> Iterator[dict[str, Any]]:
+def _run(pool: Pool, units: Sequence[FuzzUnit]) -> Iterator[dict[str, Any]]:
     waiting = deque(units)
     for ended in pool.run(waiting):
         unit: FuzzUnit = ended.item
-        if ended.result is not None:
-            yield from ended.result
+        if ended.value is not None:
+            yield from ended.value
         elif len(unit.systems) > 1:
             waiting.extendleft(replace(unit, systems=(kind,)) for kind in reversed(unit.systems))
         else:
@@ -280,7 +270,7 @@ def _run(pool: WorkerPool, units: Sequence[FuzzUnit]) -> Iterator[dict[str, Any]
 
 
 def _row_of_failure(ended: Ended) -> dict[str, Any]:
-    outcome = FuzzOutcome.TIMEOUT if ended.timed_out else FuzzOutcome.DIED
+    outcome = FuzzOutcome.TIMEOUT if ended.fault is EndKind.TIMED_OUT else FuzzOutcome.DIED
     trace = ended.report or ended.message
     found = {"outcome": outcome.value, "message": ended.message, "traceback": trace}
     return empty_row(ended.item, ended.item.systems[0]) | found

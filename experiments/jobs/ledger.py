@@ -25,6 +25,7 @@ FORM = "4"
 """Of the tables; ledgers of another form are refused."""
 Row = dict[str, Any]
 Table = Literal["rows", "errors"]
+_COLUMNS = "number, key, row, digest"
 _RENEWED = ".ledger-renewed"
 _BUSY_S = 30.0
 _UNUSABLE = {sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM, sqlite3.SQLITE_IOERR}
@@ -136,7 +137,7 @@ class Ledger:
         with _explained(self.path, self._owner):
             # Both in one transaction, for a run may be writing.
             self._connection.execute("BEGIN")
-            stored = self._connection.execute(f"SELECT * FROM {table} ORDER BY number").fetchall()
+            stored = self._connection.execute(f"SELECT {_COLUMNS} FROM {table} ORDER BY number").fetchall()
             sums = "SELECT number, digest FROM sums WHERE name = ?"
             written = self._connection.execute(sums, (table,)).fetchone()
             self._connection.execute("COMMIT")
@@ -163,7 +164,7 @@ class Ledger:
 
     def sound_rows(self, table: Table) -> list[Row]:
         """The rows of a table that can be read and are as they were written."""
-        found, cursor = [], self._connection.execute(f"SELECT * FROM {table} ORDER BY number")
+        found, cursor = [], self._connection.execute(f"SELECT {_COLUMNS} FROM {table} ORDER BY number")
         try:
             for stored in cursor:
                 row, fault = self._read(table, stored)
@@ -252,7 +253,7 @@ def sole_driver(folder: Path) -> Iterator[None]:
 
 
 def _digest(*texts: str | None) -> str:
-    return hashlib.sha256(json.dumps(texts).encode()).hexdigest()[:16]
+    return hashlib.sha256(json.dumps(texts, default=repr).encode()).hexdigest()[:16]
 
 
 def _joint(digests: Iterable[str]) -> str:
@@ -315,8 +316,8 @@ def _check_owner(connection: sqlite3.Connection, path: Path, owner: Owner) -> No
         if held.get(name) != given:
             raise InputError(
                 str(path.parent),
-                f"holds rows of another {name} ({str(held.get(name))[:12]}, given is {given[:12]})",
-                "choose a new folder, or give what this one was made with",
+                f"holds rows of another {name} ({held.get(name)}, given is {given})",
+                f"choose a new folder, or give the {name} of this one",
             )
 
 

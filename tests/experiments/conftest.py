@@ -1,22 +1,15 @@
-"""One embedded cluster for all tests, because it takes seconds to start; runs without pictures."""
+"""Runs of synthetic units in this process; runs without pictures."""
 
 from contextlib import nullcontext
 from functools import partial
 
 import pytest
+from pool_fakes import LocalPool
 from unit_fakes import made_up_unit
 
-from dslab.experiments.campaign.clusters import embedded_worker_pool
 from dslab.experiments.campaign.runner import run_experiment
-from dslab.experiments.campaign.unit_job import unit_record
-from dslab.experiments.campaign.worker_pool import WorkerPool, WorkerPoolSettings
-
-
-@pytest.fixture(scope="session")
-def shared_pool():
-    """Two workers with 600 MiB each."""
-    with embedded_worker_pool(WorkerPoolSettings(workers=2, memory_mb=600), made_up_unit) as pool:
-        yield pool
+from dslab.experiments.campaign.workers import unit_record
+from dslab.experiments.jobs.pool import open_pool
 
 
 @pytest.fixture
@@ -28,15 +21,17 @@ def no_picture(monkeypatch):
 
 
 @pytest.fixture
-def run_made_up(shared_pool, tmp_path):
-    """A function that runs a synthetic experiment in a folder on the shared workers."""
+def run_made_up(tmp_path):
+    """A function that runs a synthetic experiment in a folder: in this process, or on workers of settings."""
 
-    def run(plan, folder=tmp_path / "x", timeout_s=60.0, job=made_up_unit, **options):
+    def run(plan, folder=tmp_path / "x", workers=None, job=made_up_unit, **options):
         tries = tmp_path / "tries"
         tries.mkdir(exist_ok=True)
-        settings = WorkerPoolSettings(workers=2, timeout_s=timeout_s, memory_mb=600)
         task = partial(unit_record, job, cache_dir=tries)
-        pool = WorkerPool(shared_pool._client, task, settings, tmp_path)
-        return run_experiment(plan, folder, lambda: nullcontext(pool), **options)
+
+        def opened():
+            return nullcontext(LocalPool(task)) if workers is None else open_pool(task, workers)
+
+        return run_experiment(plan, folder, opened, **options)
 
     return run

@@ -5,14 +5,12 @@ import re
 import signal
 import time
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 
 import yaml
 
-from dslab.experiments.campaign.ledger import Ledger
+from dslab.experiments.campaign.folder import open_ledger
 from dslab.experiments.campaign.schedule import Experiment
-from dslab.experiments.campaign.worker_pool import Ended, WorkerPool
 from dslab.experiments.eq1.records import (
     SHAM,
     decided,
@@ -58,37 +56,6 @@ class MadeUp:
         return yaml.safe_dump({"name": self.name, "cells": self.cells, "root_seed": self.root_seed})
 
 
-class OneWorker(WorkerPool):
-    """A pool that uses one worker at a time."""
-
-    def free(self) -> list[str]:
-        return [] if self.busy else super().free()[:1]
-
-
-class LocalPool:
-    """A worker pool that runs each unit at once, in this process."""
-
-    run = WorkerPool.run
-
-    def __init__(self, task):
-        self._task = task
-        self._ended = []
-
-    @property
-    def busy(self):
-        return len(self._ended)
-
-    def free(self):
-        return [] if self._ended else ["here"]
-
-    def start(self, unit, worker, recording=None):
-        self._ended.append(Ended(unit, worker, self._task(unit)))
-
-    def wait(self, timeout_s):
-        ended, self._ended = self._ended, []
-        return ended
-
-
 def made_up_unit(
     unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None, **_: object
 ) -> dict:
@@ -104,13 +71,6 @@ def made_up_unit(
     elif what == "spin":
         # Compiled code that holds the interpreter's lock: nothing in Python could end it.
         re.match(r"(a+)+$", "a" * 60 + "b")
-    elif what == "stop":
-        os.kill(os.getpid(), signal.SIGSTOP)
-    elif what == "memory":
-        held = []
-        for _ in range(4000):
-            held.append(b"x" * 2**22)
-            time.sleep(0.002)
     elif what == "raise":
         raise ValueError("told to")
     elif what == "error":
@@ -118,11 +78,6 @@ def made_up_unit(
     elif what == "wrong":
         return {"unit_id": unit.unit_id}
     return made_up_record(unit)
-
-
-def imports_of_a_unit(_: object) -> bool:
-    """Import all that a real unit needs."""
-    return import_module("dslab.experiments.eq1.trial") is not None
 
 
 def slow_unit(
@@ -200,7 +155,7 @@ def made_up_record(unit: UnitSpec) -> dict:
 
 def rows_of(folder: Path, plan: Experiment) -> list[dict]:
     """The rows of the ledger, without times."""
-    with Ledger.open(folder, plan, read_only=True) as ledger:
+    with open_ledger(folder, plan, read_only=True) as ledger:
         return [decided(row) for row in ledger.rows()]
 
 

@@ -21,8 +21,8 @@ from hostile_sequences import (
 )
 from small_world import CAMERA, CORRIDOR
 
-from dslab.experiments.campaign.folder import claim_folder, export, write_spec
-from dslab.experiments.campaign.ledger import Ledger
+from dslab.experiments.campaign.folder import claim_folder, export, open_ledger, write_spec
+from dslab.experiments.campaign.table_file import ERROR_COLUMNS
 from dslab.experiments.eq1.record_table import normalise
 from dslab.experiments.eq1.records import empty_record
 from dslab.experiments.eq1.spec import ExperimentSpec, load_spec
@@ -106,7 +106,7 @@ def _units(folder: Path) -> ExperimentSpec:
     spec = load_spec(folder / "own.yaml")
     (folder / "own.yaml").unlink()
     claim_folder(folder)
-    with Ledger.open(folder, spec) as ledger:
+    with open_ledger(folder, spec) as ledger:
         write_spec(folder, spec)
         for number, cell in enumerate(spec.cell_names()):
             for index in range(spec.units):
@@ -120,7 +120,8 @@ def _units(folder: Path) -> ExperimentSpec:
                     record |= {"free_r1_failed": bool(number), "breakage_reason": "made up"}
                 ledger.add(normalise(record, len(spec.threads)))
                 if index == 0:
-                    ledger.add_error(unit, 1, "tcp://127.0.0.1:1", "made up")
+                    values = (unit.unit_id, unit.cell, unit.index, 1, "now", "1", "made up", "")
+                    ledger.add(dict(zip(ERROR_COLUMNS, values, strict=True)), table="errors")
     return spec
 
 

@@ -7,13 +7,14 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from pool_fakes import LocalPool
 from pydantic import Field
-from unit_fakes import LocalPool, planted_unit, rows_of
+from unit_fakes import planted_unit, rows_of
 
 from dslab.experiments.campaign.boundary_schedule import BoundarySchedule
-from dslab.experiments.campaign.ledger import Ledger
+from dslab.experiments.campaign.folder import open_ledger
 from dslab.experiments.campaign.runner import run_experiment
-from dslab.experiments.campaign.unit_job import unit_record
+from dslab.experiments.campaign.workers import unit_record
 from dslab.experiments.eq1.boundary_plan import boundary_plan
 from dslab.experiments.eq1.doses import AXES, DoseAxis, dose_axis
 from dslab.experiments.eq1.records import dual_column
@@ -33,7 +34,7 @@ def run(plan, folder, **options):
     order = partial(_order, plan)
     pool = partial(LocalPool, partial(unit_record, planted_unit))
     run_experiment(plan.spec, folder, lambda: nullcontext(pool()), order=order, **options)
-    with Ledger.open(folder, plan.spec, read_only=True) as ledger:
+    with open_ledger(folder, plan.spec, read_only=True) as ledger:
         return BoundarySchedule(plan, ledger.rows())
 
 
@@ -192,7 +193,7 @@ def test_another_question_is_another_experiment(tmp_path):
     others = [{"of": "mission"}, {"kind": "low_texture"}, {"seed": 1}, {"batch": 2},
               {"axis": DoseAxis("exposure_s", 0.01, 0.5)}, {"shams": 7}]  # fmt: skip
     for other in others:
-        with pytest.raises(InputError, match="holds units of another spec"):
+        with pytest.raises(InputError, match="holds rows of another spec"):
             run(plan_of(**({"trials": 9} | other)), tmp_path / "x")
 
 

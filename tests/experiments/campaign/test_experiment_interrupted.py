@@ -13,12 +13,13 @@ import pytest
 from unit_fakes import MadeUp, made_up_record, planted_unit, rows_of
 
 from dslab.experiments.campaign.boundary_schedule import BoundarySchedule
-from dslab.experiments.campaign.ledger import LEDGER_FILE, Ledger
-from dslab.experiments.campaign.unit_job import unit_record
+from dslab.experiments.campaign.folder import open_ledger
+from dslab.experiments.campaign.workers import unit_record
 from dslab.experiments.eq1.boundary_plan import boundary_plan
 from dslab.experiments.eq1.record_table import normalise
 from dslab.experiments.eq1.records import decided
 from dslab.experiments.eq1.spec import load_spec
+from dslab.experiments.jobs.ledger import LEDGER_FILE
 from dslab.scenarios.errors import InputError
 
 # Programs that a shell starts in the background ignore interrupts.
@@ -28,13 +29,14 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 """
 DRIVER = """
 from pathlib import Path
-from dslab.experiments.campaign.clusters import open_worker_pool
-from dslab.experiments.campaign.worker_pool import WorkerPoolSettings
+from functools import partial
 from dslab.experiments.campaign.runner import run_experiment
+from dslab.experiments.campaign.workers import unit_record
+from dslab.experiments.jobs.pool import PoolSettings, open_pool
 from unit_fakes import MadeUp, made_up_unit
 if __name__ == "__main__":
-    plan, settings = MadeUp({"slow-0.05": 40}), WorkerPoolSettings(workers=2)
-    run_experiment(plan, Path(sys.argv[1]), lambda: open_worker_pool(settings, made_up_unit))
+    plan, task = MadeUp({"slow-0.05": 40}), partial(unit_record, made_up_unit)
+    run_experiment(plan, Path(sys.argv[1]), lambda: open_pool(task, PoolSettings(2)))
 """
 DSLAB = """
 if __name__ == "__main__":
@@ -108,14 +110,14 @@ def test_ctrl_c_on_the_command_is_two_lines_and_exit_130_and_the_same_command_re
     with sqlite3.connect(folder / LEDGER_FILE) as file:
         assert file.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
     file.close()
-    with Ledger.open(folder, spec, read_only=True) as ledger:
+    with open_ledger(folder, spec, read_only=True) as ledger:
         kept = ledger.rows()
     assert 5 <= len(kept) < 42
     for row in kept:
         assert decided(row) == decided(normalise(made_up_record(spec.unit(row["cell"], row["index"])), 2))
     again = subprocess.run(run, capture_output=True, text=True, timeout=300, check=True)
     assert "42 of 42 units" in again.stdout
-    with Ledger.open(folder, spec, read_only=True) as ledger:
+    with open_ledger(folder, spec, read_only=True) as ledger:
         rows = ledger.rows()
     # Rows include times, hence none was run again.
     assert len(rows) == 42 and all(row in rows for row in kept)

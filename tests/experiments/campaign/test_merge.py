@@ -5,13 +5,14 @@ from contextlib import nullcontext, suppress
 from functools import partial
 
 import pytest
-from unit_fakes import LocalPool, made_up_record, made_up_unit
+from pool_fakes import LocalPool
+from unit_fakes import made_up_record, made_up_unit
 
 from dslab.experiments.campaign.folder import TABLE_FILE, export, read_rows
 from dslab.experiments.campaign.merge import merge
 from dslab.experiments.campaign.runner import run_experiment
 from dslab.experiments.campaign.schedule import Schedule
-from dslab.experiments.campaign.unit_job import unit_record
+from dslab.experiments.campaign.workers import unit_record
 from dslab.experiments.eq1.spec import load_spec
 from dslab.scenarios.errors import InputError
 

@@ -4,11 +4,12 @@ from contextlib import nullcontext
 from functools import partial
 
 import pytest
-from unit_fakes import LocalPool, MadeUp, made_up_record, rows_of
+from pool_fakes import LocalPool
+from unit_fakes import MadeUp, made_up_record, rows_of
 
-from dslab.experiments.campaign.ledger import Ledger
+from dslab.experiments.campaign.folder import open_ledger
 from dslab.experiments.campaign.runner import run_experiment
-from dslab.experiments.campaign.unit_job import unit_record
+from dslab.experiments.campaign.workers import unit_record
 from dslab.scenarios.errors import MachineError
 
 PLAN = MadeUp(dict.fromkeys("abc", 8))
@@ -31,7 +32,7 @@ def run(tmp_path):
 
 
 def attempts(folder):
-    with Ledger.open(folder, PLAN, read_only=True) as ledger:
+    with open_ledger(folder, PLAN, read_only=True) as ledger:
         return len(ledger.errors())
 
 

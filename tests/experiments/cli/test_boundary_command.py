@@ -1,11 +1,11 @@
 """``dslab experiment boundary``: answer, files, resumption; bad input is one line."""
 
 import json
-from contextlib import nullcontext
 
 import pytest
 from PIL import Image
-from unit_fakes import LocalPool, planted_unit
+from pool_fakes import open_local_pool
+from unit_fakes import planted_unit
 
 from dslab.experiments.campaign.boundary_schedule import BoundarySchedule
 from dslab.experiments.campaign.folder import read_rows
@@ -22,10 +22,7 @@ BLUR = ("experiment", "boundary", "motion_blur", "--of", "base", "--fail", "0.5"
 def search(dslab, monkeypatch, tmp_path):
     """A function that runs the command on simulated units, in the same folder each time."""
 
-    def opened(settings, task):
-        return nullcontext(LocalPool(task))
-
-    monkeypatch.setattr("dslab.experiments.campaign.clusters.embedded_worker_pool", opened)
+    monkeypatch.setattr("dslab.experiments.campaign.workers.open_pool", open_local_pool)
     monkeypatch.setattr("dslab.experiments.eq1.trial.run_unit", planted_unit)
     return lambda *arguments: dslab(*arguments, "--out", tmp_path / "b")
 
@@ -103,9 +100,6 @@ def test_a_boundary_outside_the_doses_is_said(search, ends, status, said):
 
 
 def test_the_folder_of_a_search_is_that_of_an_experiment(search, dslab, monkeypatch, tmp_path):
-    monkeypatch.setattr(
-        "dslab.experiments.campaign.replay.embedded_worker_pool", lambda _, task: nullcontext(LocalPool(task))
-    )
     search(*BLUR, "--trials", 20)
     code, out, _ = dslab("experiment", "replay", tmp_path / "b", read_rows(tmp_path / "b")[1][12]["unit_id"])
     assert code == 0 and "agrees with the ledger" in out
@@ -147,7 +141,7 @@ def test_the_folder_of_another_search_or_of_other_files_is_refused_and_kept(sear
     search(*BLUR, "--trials", 12)
     before = (tmp_path / "b" / "boundary.json").read_bytes()
     code, _, err = search(*BLUR, "--trials", 12, "--strongest", "0.5")
-    assert code == 2 and err.count("\n") == 1 and "holds units of another spec (boundary-base-8-4" in err
+    assert code == 2 and err.count("\n") == 1 and "holds rows of another spec (boundary-base-8-4" in err
     assert (tmp_path / "b" / "boundary.json").read_bytes() == before
 
 

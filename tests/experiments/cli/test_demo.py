@@ -1,11 +1,10 @@
 """The demonstration writes its files, replaces only its own, and prints what happened in runs and units."""
 
-from contextlib import nullcontext
-
 import pytest
+from pool_fakes import open_local_pool
 from rerun.chunk import RrdReader
 from slam_fakes import fake_factory, make_sequence
-from unit_fakes import LocalPool, made_up_unit
+from unit_fakes import made_up_unit
 
 from dslab.experiments.campaign.folder import read_experiment
 from dslab.experiments.cli.demo import SCENARIO
@@ -72,11 +71,8 @@ def test_the_table_separates_the_systems(demo):
 @pytest.fixture
 def made_up_units(monkeypatch):
     """Synthetic units, run in this process."""
-    monkeypatch.setattr(
-        "dslab.experiments.campaign.clusters.embedded_worker_pool",
-        lambda _, task: nullcontext(LocalPool(task)),
-    )
-    monkeypatch.setattr("dslab.experiments.demo.run_unit", made_up_unit)
+    monkeypatch.setattr("dslab.experiments.campaign.workers.open_pool", open_local_pool)
+    monkeypatch.setattr("dslab.experiments.eq1.trial.run_unit", made_up_unit)
 
 
 @pytest.fixture
@@ -114,10 +110,10 @@ def test_the_units_can_be_left_out_and_a_second_demonstration_replaces_the_first
 
 
 def test_an_interrupted_demonstration_leaves_nothing(demo_command, monkeypatch, tmp_path):
-    def interrupted(unit, cache_dir=None, recording=None):
+    def interrupted(unit, **_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("dslab.experiments.demo.run_unit", interrupted)
+    monkeypatch.setattr("dslab.experiments.eq1.trial.run_unit", interrupted)
     assert demo_command()[0] == 130
     assert list(tmp_path.iterdir()) == []
 

@@ -13,16 +13,17 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from unit_fakes import LocalPool, made_up_record, made_up_unit
+from pool_fakes import LocalPool, open_local_pool
+from unit_fakes import made_up_record, made_up_unit
 
-from dslab.experiments.campaign.folder import TABLE_FILE, export, has_digests, read_experiment
-from dslab.experiments.campaign.ledger import LEDGER_FILE, Ledger
+from dslab.experiments.campaign.folder import TABLE_FILE, export, has_digests, open_ledger, read_experiment
 from dslab.experiments.campaign.runner import Tally, run_experiment
-from dslab.experiments.campaign.unit_job import unit_record
+from dslab.experiments.campaign.workers import unit_record
 from dslab.experiments.cli.experiment_progress import estimates_text, pace_text
 from dslab.experiments.eq1.record_checks import digest_of
 from dslab.experiments.eq1.records import added_later, columns, decided
 from dslab.experiments.eq1.spec import load_spec
+from dslab.experiments.jobs.ledger import LEDGER_FILE
 from dslab.scenarios.errors import InputError
 
 ROOT = Path(__file__).parents[3]
@@ -49,11 +50,7 @@ def finished(tmp_path_factory, plain):
 def smoke(finished, monkeypatch, tmp_path):
     """A copy of the folder, with synthetic units for the commands that run some."""
 
-    def opened(settings, task):
-        return nullcontext(LocalPool(task))
-
-    monkeypatch.setattr("dslab.experiments.campaign.clusters.embedded_worker_pool", opened)
-    monkeypatch.setattr("dslab.experiments.campaign.replay.embedded_worker_pool", opened)
+    monkeypatch.setattr("dslab.experiments.campaign.workers.open_pool", open_local_pool)
     monkeypatch.setattr("dslab.experiments.eq1.trial.run_unit", made_up_unit)
     return shutil.copytree(finished, tmp_path / "s")
 
@@ -95,9 +92,9 @@ def test_the_exported_table_is_that_of_the_ledger_in_any_order_of_writing(dslab,
     assert exported.column_names == list(columns(2)) == list(pd.read_csv(smoke / "units.csv").columns)
     assert exported.schema.metadata[b"spec_hash"].decode() == spec.content_hash
     with sqlite3.connect(smoke / LEDGER_FILE) as ledger:
-        rows = ledger.execute("SELECT * FROM units ORDER BY unit_id DESC").fetchall()
-        ledger.execute("DELETE FROM units")
-        ledger.executemany(f"INSERT INTO units VALUES ({', '.join('?' * len(rows[0]))})", rows)
+        rows = ledger.execute("SELECT key, row, digest FROM rows ORDER BY key DESC").fetchall()
+        ledger.execute("DELETE FROM rows")
+        ledger.executemany("INSERT INTO rows (key, row, digest) VALUES (?, ?, ?)", rows)
     ledger.close()
     export(smoke)
     assert (smoke / TABLE_FILE).read_bytes() == first
@@ -115,11 +112,11 @@ def test_a_replay_agrees_with_the_ledger_or_names_the_differing_columns(dslab, s
     unit_id, cell, index = table["unit_id"][4], table["cell"][4], int(table["index"][4])
     code, out, _ = dslab("experiment", "replay", smoke, unit_id[:6])
     assert code == 0 and unit_id in out and "agrees with the ledger" in out
-    with Ledger.open(smoke, spec) as ledger:
+    with open_ledger(smoke, spec) as ledger:
         rows = [row | ({"onset_s": 1.5} if row["unit_id"] == unit_id else {}) for row in ledger.rows()]
     (smoke / LEDGER_FILE).unlink()
-    with Ledger.open(smoke, spec) as ledger:
-        ledger.add_rows("units", rows)
+    with open_ledger(smoke, spec) as ledger:
+        ledger.add(*rows)
     code, out, _ = dslab("experiment", "replay", smoke, f"{cell}:{index}", "--json")
     replayed = json.loads(out)
     assert code == 1 and replayed["differing"] == ["onset_s"] and replayed["recorded"]["onset_s"] == 1.5
@@ -229,11 +226,10 @@ READERS = (("status",), ("status", "--json"), ("export",), ("report",), ("replay
 @pytest.mark.parametrize(
     ("statement", "part"),
     [
-        ("UPDATE units SET outcome = 'banana' WHERE rowid = 2", "outcome is 'banana'"),
-        ("UPDATE units SET world_seed = world_seed + 1 WHERE rowid = 2", "it does not agree with its digest"),
-        ("UPDATE units SET cell = 'fog/1' WHERE rowid = 2", "cell is 'fog/1'"),
-        ("DELETE FROM units WHERE rowid = 2", "5 rows of units are not those that were written"),
-        ("UPDATE meta SET value = '3' WHERE key = 'threads'", "its description has changed"),
+        ("UPDATE rows SET row = replace(row, 'completed', 'banana')", "it does not agree with its digest"),
+        ("UPDATE rows SET key = 'x' WHERE number = 2", "rows row 2, x: is damaged: it does not agree"),
+        ("DELETE FROM rows WHERE number = 2", "5 rows are not those that were written"),
+        ("UPDATE meta SET value = '{}' WHERE key = 'owner'", "its description has changed"),
     ],
 )
 def test_a_damaged_ledger_is_one_line_for_every_command(dslab, smoke, statement, part, plain):
@@ -251,8 +247,8 @@ def test_damaged_units_are_run_again_on_request(dslab, smoke, plain):
     _, before = read_experiment(smoke)
     change(
         smoke,
-        "UPDATE units SET severity = 7 WHERE rowid = 2",
-        "DELETE FROM units WHERE rowid = 4",
+        "UPDATE rows SET row = '{}' WHERE number = 2",
+        "DELETE FROM rows WHERE number = 4",
         "UPDATE sums SET digest = 'x'",
     )
     run = ("experiment", "run", plain, "--out", smoke, "--worlds", 3)
@@ -264,12 +260,12 @@ def test_damaged_units_are_run_again_on_request(dslab, smoke, plain):
     assert not list(smoke.glob(".*"))
 
 
-def test_a_ledger_of_an_earlier_version_is_one_line_for_every_command(dslab, smoke, plain):
-    change(smoke, "UPDATE meta SET value = '2' WHERE key = 'schema_version'")
+def test_a_ledger_of_another_version_is_one_line_for_every_command(dslab, smoke, plain):
+    change(smoke, "UPDATE meta SET value = '2' WHERE key = 'form'")
     for name, *rest in (*READERS, ("run",)):
         arguments = (plain, "--out", smoke) if name == "run" else (smoke, *rest)
         code, _, err = dslab("experiment", name, *arguments)
-        assert code == 2 and err.count("\n") == 1 and "is of an earlier version" in err, name
+        assert code == 2 and err.count("\n") == 1 and "is of another version" in err, name
 
 
 def test_an_exported_table_of_an_earlier_version_is_read_by_its_digest(dslab, smoke):

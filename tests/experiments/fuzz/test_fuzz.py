@@ -3,14 +3,13 @@
 import json
 import os
 import sys
-from contextlib import nullcontext
 
 import numpy as np
 import pytest
+from pool_fakes import open_local_pool
 from slam_fakes import simulated_camera
 
 from dslab.experiments import cli
-from dslab.experiments.campaign.worker_pool import Ended, WorkerPool
 from dslab.experiments.fuzz.drawn_threads import drawn_threads
 from dslab.experiments.fuzz.fuzzing import (
     FuzzUnit,
@@ -140,28 +139,20 @@ def scripted(unit):
 UNITS = [FuzzUnit(seed, ("base", "dual")) for seed in range(5)]
 
 
-class InProcess:
-    """A pool without processes, which reports a death where the scripted unit would end its process."""
-
-    def __init__(self, task):
-        self._task = task
-
-    def run(self, waiting):
-        while waiting:
-            unit = waiting.popleft()
-            if unit.seed == 3 and "base" in unit.systems:
-                yield Ended(unit, "here", None, "its process has died")
-            else:
-                yield Ended(unit, "here", self._task(unit))
+def scripted_in_this_process(unit):
+    """The same, but the end of the process is an exception."""
+    if unit.seed == 3 and "base" in unit.systems:
+        raise ChildProcessError("its process has died")
+    return scripted(unit)
 
 
 @pytest.fixture(scope="module")
 def output(tmp_path_factory):
     """Rows and folder of a run without processes."""
     folder = tmp_path_factory.mktemp("fuzz") / "out"
-    return run_fuzz(
-        UNITS, folder, job=scripted, open_pool=lambda _, task: nullcontext(InProcess(task))
-    ), folder
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dslab.experiments.fuzz.fuzzing.open_pool", open_local_pool)
+        return run_fuzz(UNITS, folder, job=scripted_in_this_process), folder
 
 
 def test_every_run_has_a_row_in_order_and_only_the_run_that_ends_its_process_dies(output):
@@ -187,13 +178,17 @@ def test_the_scenarios_of_failed_runs_are_kept(output):
 
 
 @pytest.mark.slow
-def test_the_table_does_not_depend_on_the_number_of_processes(output, shared_pool, tmp_path):
-    def opened(settings, task):
-        return nullcontext(WorkerPool(shared_pool._client, task, settings, tmp_path))
-
-    run_fuzz(UNITS, tmp_path / "out", job=scripted, open_pool=opened)
-    one, other = ((folder / "units.jsonl").read_bytes() for folder in (output[1], tmp_path / "out"))
-    assert one == other
+def test_the_table_does_not_depend_on_the_number_of_processes(output, tmp_path):
+    run_fuzz(UNITS, tmp_path / "out", 2, job=scripted)
+    lines = [
+        [json.loads(line) for line in (folder / "units.jsonl").read_text().splitlines()]
+        for folder in (output[1], tmp_path / "out")
+    ]
+    for row in lines[1]:
+        if row["outcome"] == "process_died":
+            assert row["message"] == "its process has died (exit code 4)"
+            row["message"] = row["traceback"] = "its process has died"
+    assert lines[0] == lines[1]
 
 
 def dslab(monkeypatch, capsys, *arguments):

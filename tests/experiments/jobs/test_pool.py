@@ -50,7 +50,8 @@ def told(what):
             held.append(b"x" * 2**22)
             time.sleep(0.002)
     if what == "variables":
-        return {name: os.environ.get(name) for name in pools.SINGLE_THREADED}
+        cv2 = import_module("cv2").getNumThreads()
+        return {name: os.environ.get(name) for name in pools.SINGLE_THREADED} | {"cv2": cv2}
     if what == "listening":
         return [c.laddr for c in psutil.Process().net_connections() if c.status == "LISTEN"]
     if what == "imports of a unit":
@@ -71,7 +72,7 @@ def test_a_process_serves_one_item_after_another_and_ends_with_its_pool():
         values = [end.value for end in pool.run(deque([0.0, "listening", "variables", 0.0]))]
         assert psutil.pid_exists(values[0]) and not pool.busy
     assert values[0] == values[3] != os.getpid() and values[1] == []
-    assert values[2] == dict.fromkeys(pools.SINGLE_THREADED, "1")
+    assert values[2] == dict.fromkeys(pools.SINGLE_THREADED, "1") | {"cv2": 1}
     assert not psutil.pid_exists(values[0])
 
 

@@ -7,8 +7,7 @@ from slam_fakes import make_sequence
 from system_programs import write_program
 from unit_fakes import MadeUp, made_up_unit
 
-from dslab.experiments.campaign.system_checks import check_workers, digests_of, find_systems
-from dslab.experiments.campaign.worker_pool import WorkerPoolSettings
+from dslab.experiments.campaign.workers import find_systems, unit_workers
 from dslab.experiments.eq1.boundary_plan import boundary_plan
 from dslab.experiments.eq1.spec import load_spec
 from dslab.scenarios.errors import InputError
@@ -32,20 +31,18 @@ def test_an_unknown_system_and_one_that_cannot_be_started_are_one_line(tmp_path)
 def test_what_takes_real_time_has_no_other_worker_beside(tmp_path):
     write_program(tmp_path, make_sequence(4, segment=None), pace="real_time")
     spec = with_systems("dual", "copy")
-    systems = find_systems(spec, (tmp_path,))
-    check_workers(spec, systems, WorkerPoolSettings(workers=1))
-    for settings in (WorkerPoolSettings(workers=2), WorkerPoolSettings(scheduler="tcp://there:1")):
+    assert unit_workers(spec, (tmp_path,)).settings.workers == 1
+    for wrong in ({"workers": 2}, {"scheduler": "tcp://there:1"}):
         with pytest.raises(InputError, match=r"copy takes frames in real time.*give --workers 1"):
-            check_workers(spec, systems, settings)
+            unit_workers(spec, (tmp_path,), **wrong)
 
 
 def test_the_limit_of_a_unit_leaves_a_hanging_system_to_its_own():
     spec = with_systems(EXAMPLE)
-    systems = find_systems(spec)
-    assert list(systems) == ["ConstantVelocity"] == list(digests_of(systems))
+    assert list(find_systems(spec)) == ["ConstantVelocity"] == list(unit_workers(spec).digests)
     with pytest.raises(InputError, match="100 s are less than the 360 s"):
-        check_workers(spec, systems, WorkerPoolSettings(timeout_s=100))
-    check_workers(spec, find_systems(SMOKE), WorkerPoolSettings(timeout_s=1))
+        unit_workers(spec, time_s=100)
+    assert unit_workers(SMOKE, time_s=1).digests == {}
 
 
 def test_rows_of_a_system_that_was_changed_are_not_mixed_with_new_ones(run_made_up):
