@@ -1,16 +1,18 @@
 """Speed and memory of the simulator: rendering, degrading from the cache, building a large world."""
 
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import get_context
 from multiprocessing.synchronize import Barrier
 from pathlib import Path
 from threading import BrokenBarrierError
 from typing import Any
 
+from dslab.experiments.jobs.pool import PoolSettings, open_pool, run_each
 from dslab.experiments.runs.memory import peak_rss_mb
-from dslab.experiments.runs.processes import process_pool
 from dslab.sim.rendering.renderers import check_renderer
 from dslab.sim.unfinished import scratch_folder
 
@@ -27,8 +29,6 @@ TARGETS = {"rendered_per_s": 60.0, "degraded_per_s": 150.0, "build_s": 5.0, "pea
 """Targets on two cores: least frames per second, most time and memory."""
 
 _SET_UP_TIMEOUT_S = 600
-# Set when a process starts, as a barrier cannot be sent to it later.
-_barriers: list[Barrier] = []
 
 Work = Callable[[], int]
 """The measured work; returns the number of frames made."""
@@ -88,7 +88,7 @@ def bench_sim(
             show("measuring", done, len(steps) + 1)
             figures[name] = rates(run_together(prepare, arguments, processes))
         show("measuring", len(steps), len(steps) + 1)
-        build = _alone(_build_large_city, renderer, LARGE_CITY_M)
+        ((_, build),) = run_each(partial(_build_large_city, renderer), [LARGE_CITY_M], 1)
         show("measuring", len(steps) + 1, len(steps) + 1)
     return {
         "processes": processes,
@@ -110,14 +110,14 @@ def run_together(prepare: Callable[..., Work], arguments: tuple[Any, ...], proce
         arguments: for ``prepare``.
         processes: number of processes.
     """
+    # A barrier can be sent to a process only as it starts: with the task.
     barrier = get_context("spawn").Barrier(processes, timeout=_SET_UP_TIMEOUT_S)
-    with process_pool(processes, _set_up, (barrier,)) as pool:
-        laps = [pool.submit(_lap, prepare, index, arguments) for index in range(processes)]
-        faults = [lap.exception() for lap in laps]
-        # A process that found the barrier broken is not the one at fault.
-        for fault in sorted((f for f in faults if f), key=lambda f: isinstance(f, BrokenBarrierError)):
-            raise fault
-        return [lap.result() for lap in laps]
+    task = partial(_lap, barrier, prepare, arguments)
+    with open_pool(task, PoolSettings(processes, single_threaded=False)) as pool:
+        ended = list(pool.run(deque(range(processes))))
+    # A process that found the barrier broken is not the one at fault.
+    ended.sort(key=lambda end: (isinstance(end.error, BrokenBarrierError), end.item))
+    return [end.result() for end in ended]
 
 
 def rates(laps: list[Lap]) -> dict[str, float]:
@@ -138,16 +138,7 @@ def rates(laps: list[Lap]) -> dict[str, float]:
     }
 
 
-def _set_up(barrier: Barrier) -> None:
-    """Prepare a new process for ``_lap``."""
-    import cv2
-
-    cv2.setNumThreads(1)
-    _barriers.append(barrier)
-
-
-def _lap(prepare: Callable[..., Work], index: int, arguments: tuple[Any, ...]) -> Lap:
-    (barrier,) = _barriers
+def _lap(barrier: Barrier, prepare: Callable[..., Work], arguments: tuple[Any, ...], index: int) -> Lap:
     try:
         work = prepare(index, *arguments)
     except BaseException:
@@ -217,12 +208,6 @@ def _degraded(seconds: float, exposure_s: float, illumination: float):
             "segments": [{"kind": kind, **whole, **severity} for kind, severity in severities.items()],
         }
     )
-
-
-def _alone(measure: Callable[..., dict[str, float]], *arguments: Any) -> dict[str, float]:
-    """Run a measurement in a new process."""
-    with process_pool(1) as pool:
-        return pool.submit(measure, *arguments).result()
 
 
 def _build_large_city(renderer: str, length_m: float) -> dict[str, float]:

@@ -1,14 +1,14 @@
 """Build of a gallery: a folder with a page that shows scenarios."""
 
-from collections.abc import Callable, Generator
-from concurrent.futures import as_completed
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from dslab.experiments.gallery.page import Entry, gallery_html
 from dslab.experiments.gallery.sheet import Sheet, make_sheet
-from dslab.experiments.runs.processes import process_pool
+from dslab.experiments.jobs.pool import run_each
 from dslab.experiments.runs.provenance import DISTRIBUTION, commit, versions
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.families import Family, family_names, load_family
@@ -64,8 +64,8 @@ def make_gallery(
     with new_directory(out_dir) as folder:
         sheets: dict[tuple[str, int], Sheet] = {}
         # Closed before the folder is removed, so that no worker writes into it.
-        with closing(_sheets(samples, frames, folder, workers)) as made:
-            for sheet in made:
+        with closing(run_each(partial(_sheet, frames, folder), samples, workers)) as made:
+            for _, sheet in made:
                 sheets[sheet.scenario.name, sheet.scenario.seed] = sheet
                 if progress is not None:
                     progress(len(sheets), len(samples))
@@ -96,20 +96,7 @@ def _families(names: list[str]) -> list[tuple[Family, Family]]:
     return [(one, group) for path, group in groups.items() for one in found.values() if one.file.path == path]
 
 
-def _sheets(samples: list[Scenario], frames: int, folder: Path, workers: int) -> Generator[Sheet, None, None]:
-    if workers == 1:
-        yield from (make_sheet(sample, frames, folder) for sample in samples)
-        return
-    with process_pool(workers) as pool:
-        futures = [pool.submit(_sheet_of_one_thread, sample, frames, folder) for sample in samples]
-        for future in as_completed(futures):
-            yield future.result()
-
-
-def _sheet_of_one_thread(sample: Scenario, frames: int, folder: Path) -> Sheet:
-    import cv2
-
-    cv2.setNumThreads(1)
+def _sheet(frames: int, folder: Path, sample: Scenario) -> Sheet:
     return make_sheet(sample, frames, folder)
 
 

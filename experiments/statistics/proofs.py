@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from dslab.experiments.eq1.records import Outcome
-from dslab.experiments.runs.processes import process_pool
+from dslab.experiments.jobs.pool import run_each
 from dslab.experiments.statistics import boundary_proofs, estimates
 from dslab.experiments.statistics.formulas import RIVALS, compare_formulas
 from dslab.experiments.statistics.from_records import cells_of
@@ -79,23 +79,24 @@ def prove(experiments: int, seed: int = 0, workers: int = 1, only: str = "") -> 
         workers: processes.
         only: text in the names of the claims; all by default.
     """
-    chosen = [(i, claim) for i, claim in enumerate(claims()) if only in claim.name]
-    with process_pool(workers) as pool:
-        runs = {
-            i: [
-                pool.submit(_chunk, i, seed, start, min(_CHUNK, experiments - start))
-                for start in range(0, experiments, _CHUNK)
-            ]
-            for i, _ in chosen
-        }
-        for i, claim in chosen:
-            figures = np.concatenate([run.result() for run in runs[i]])
-            known = figures[np.isfinite(figures)]
-            # All alike, they tell no more than that the next may be the first of another kind.
-            spread = float(known.std(ddof=1)) / sqrt(len(known)) if len(known) > 1 else inf
-            error = max(spread, 1 / max(len(known), 1))
-            found = float(known.mean()) if len(known) else float("nan")
-            yield Proof(claim.name, claim.low, claim.high, found, error, len(known))
+    chosen = {i: claim for i, claim in enumerate(claims()) if only in claim.name}
+    starts = range(0, experiments, _CHUNK)
+    chunks = [(i, seed, start, min(_CHUNK, experiments - start)) for i in chosen for start in starts]
+    found: dict[int, dict[int, np.ndarray]] = {i: {} for i in chosen}
+    for (i, _, start, _), figures in run_each(_chunk, chunks, workers):
+        found[i][start] = figures
+        while found and len(found[first := next(iter(found))]) == len(starts):
+            of_first = found.pop(first)
+            yield _proof(chosen[first], np.concatenate([of_first[start] for start in starts]))
+
+
+def _proof(claim: Claim, figures: np.ndarray) -> Proof:
+    known = figures[np.isfinite(figures)]
+    # All alike, they tell no more than that the next may be the first of another kind.
+    spread = float(known.std(ddof=1)) / sqrt(len(known)) if len(known) > 1 else inf
+    error = max(spread, 1 / max(len(known), 1))
+    found = float(known.mean()) if len(known) else float("nan")
+    return Proof(claim.name, claim.low, claim.high, found, error, len(known))
 
 
 @dataclass(frozen=True)
@@ -206,7 +207,9 @@ def _boundary_claims() -> list[Claim]:
     return found
 
 
-def _chunk(claim: int, seed: int, start: int, count: int) -> np.ndarray:
+def _chunk(chunk: tuple[int, int, int, int]) -> np.ndarray:
+    """The figures of some experiments: claim, seed, number of the first of them, how many."""
+    claim, seed, start, count = chunk
     rng = np.random.default_rng([seed, claim, start])
     experiment = claims()[claim].experiment
     return np.array([experiment(rng) for _ in range(count)])
