@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from dslab.experiments.benchmarks.kept_rows import Row, read_rows, write_rows
+from dslab.experiments.benchmarks.kept_rows import keep_rows
 from dslab.experiments.evaluation import metrics
 from dslab.experiments.evaluation.alignment import Undefined
 from dslab.experiments.evaluation.metrics import PosePairs
 from dslab.experiments.evaluation.summary import is_tracked
+from dslab.experiments.jobs.ledger import Row
 from dslab.experiments.runs import execution
 from dslab.experiments.runs.execution import RunRecord, SystemFactory, SystemKind, execute
 from dslab.experiments.runs.foreign_systems import ForeignSystem, open_foreign_system
-from dslab.experiments.runs.provenance import code_hash, commit
 from dslab.experiments.runs.sources import open_sequence
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_folder
@@ -31,7 +31,7 @@ def measure_accuracy(
     sources: Sequence[str],
     seeds: Sequence[int],
     system: SystemKind,
-    table: Path,
+    folder: Path,
     peer: str | None = None,
     peer_runs: int = 3,
     skip_frames: int = 20,
@@ -39,17 +39,17 @@ def measure_accuracy(
     kept: Path | None = None,
     build: SystemFactory | None = None,
 ) -> pd.DataFrame:
-    """Run a system and a peer over the same frames; one row per run, kept in a Parquet file.
+    """Run a system and a peer over the same frames; one row per run, kept in a folder.
 
     Ours runs once per sequence, in lockstep; a peer that differs from run to run, several times. Sequences
-    that the file has already, from the same code, are not run again.
+    that the folder has already are not run again.
 
     Args:
         sources: scenarios or folders, with ground truth.
         seeds: of each source and of the system. Of a folder, seed 1 + k leaves out the first k times
             ``skip_frames`` frames, so that it starts elsewhere.
         system: ours.
-        table: the file; made if there is none, written anew after every sequence.
+        folder: see :func:`experiments.benchmarks.kept_rows.keep_rows`.
         peer: command line, without the two folders; None for none.
         peer_runs: runs of the peer per sequence.
         skip_frames: see ``seeds``.
@@ -65,25 +65,18 @@ def measure_accuracy(
         ``ours_common_ate_m``.
 
     Raises:
-        InputError: a source cannot be read or has no ground truth, the peer fails, the file is no such
-            table or is of other code.
+        InputError: a source cannot be read or has no ground truth, the peer fails, the folder is of
+            something else or other code.
     """
-    code = code_hash()
-    rows = read_rows(table, "accuracy", code)
-    done = {(row["source"], row["seed"]) for row in rows}
+
+    def run_sequence(job: tuple[str, int]) -> list[Row]:
+        source, seed = job
+        with _opened(source, seed, skip_frames, peer, kept) as (frames, foreign):
+            found = _run_both(frames, seed, system, foreign, peer_runs, build)
+        return [{"source": source, "seed": seed, **row} for row in found]
+
     wanted = [(source, seed) for seed in seeds for source in sources]
-    for number, (source, seed) in enumerate(wanted):
-        if (source, seed) not in done:
-            about = {"source": source, "seed": seed, "code": code, "commit": commit()}
-            with _opened(source, seed, skip_frames, peer, kept) as (frames, foreign):
-                found = _run_both(frames, seed, system, foreign, peer_runs, build)
-            rows += [{**about, **row} for row in found]
-            write_rows(table, rows, KEY)
-        if progress is not None:
-            progress("sequences", number + 1, len(wanted))
-    result = pd.DataFrame(rows)
-    here = result.source.isin(sources) & result.seed.isin(seeds)
-    return result[here].sort_values(list(KEY)).reset_index(drop=True)
+    return keep_rows(folder, "accuracy", KEY, {job: job for job in wanted}, run_sequence, None, progress)
 
 
 def sums(rows: pd.DataFrame) -> pd.DataFrame:

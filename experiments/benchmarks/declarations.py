@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from dslab.experiments.benchmarks.kept_rows import Row, extend_rows, read_rows
+from dslab.experiments.benchmarks.kept_rows import keep_rows
 from dslab.experiments.evaluation.declared_audit import audit_declared
 from dslab.experiments.evaluation.summary import summarise
+from dslab.experiments.jobs.ledger import Row
 from dslab.experiments.runs.execution import RunRecord, SystemKind, execute
-from dslab.experiments.runs.provenance import code_hash, commit
 from dslab.experiments.runs.sources import open_sequence
 from dslab.scenarios.errors import InputError
 from dslab.slam.core.events import Fusion, LoopRefused, RelocalizationWithdrawn, Relocalized
@@ -23,53 +23,37 @@ def measure_declarations(
     scenarios: Sequence[str],
     seeds: Sequence[int],
     systems: Sequence[SystemKind],
-    table: Path,
+    folder: Path,
     workers: int = 1,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> pd.DataFrame:
-    """Run systems over sequences of scenarios; one row per run, kept in a Parquet file.
+    """Run systems over sequences of scenarios; one row per run, kept in a folder.
 
-    Rows that the file has already, from the same code, are not run again, so that a long measurement can be
-    stopped and resumed. A seed is that of the sequence and of the system.
+    Rows that the folder has already are not made again, so that a long measurement can be stopped and
+    resumed. A seed is that of the sequence and of the system.
 
     Args:
         scenarios: names or files.
         seeds: of each scenario.
         systems: run over the same frames.
-        table: the file; made if there is none, written anew after every sequence.
+        folder: see :func:`experiments.benchmarks.kept_rows.keep_rows`.
         workers: number of processes.
-        progress: called with (step, sequences done, sequences in all).
+        progress: called with (step, runs done, runs in all).
 
     Raises:
-        InputError: the file is no such table, or is of other code.
+        InputError: the folder is of something else or other code; a sequence has no ground truth.
     """
-    code = code_hash()
-    rows = read_rows(table, "declarations", code)
-    done = {tuple(row[name] for name in KEY) for row in rows}
-    jobs = [
-        (scenario, seed, missing, code)
-        for seed in seeds
-        for scenario in scenarios
-        if (missing := [s for s in systems if (scenario, seed, s) not in done])
-    ]
-    n_done = len(seeds) * len(scenarios) - len(jobs)
-    rows = extend_rows(rows, table, KEY, jobs, run_sequence, workers, progress, n_done)
-    frame = pd.DataFrame(rows)
-    wanted = frame.scenario.isin(scenarios) & frame.seed.isin(seeds) & frame.system.isin(systems)
-    return frame[wanted].sort_values(list(KEY)).reset_index(drop=True)
+    jobs = [(scenario, seed, system) for seed in seeds for scenario in scenarios for system in systems]
+    return keep_rows(folder, "declarations", KEY, {job: job for job in jobs}, run_sequence, workers, progress)
 
 
-def run_sequence(scenario: str, seed: int, systems: Sequence[SystemKind], code: str) -> list[Row]:
-    """One row per system over one sequence."""
+def run_sequence(job: tuple[str, int, SystemKind]) -> list[Row]:
+    """The row of a system over a sequence."""
+    scenario, seed, system = job
     sequence = open_sequence(scenario, seed)
     if sequence.T_world_cam is None:
         raise InputError(scenario, "has no ground truth", "name a sequence or scenario with ground truth")
-    records = {system: execute(sequence, system, seed) for system in systems}
-    about = {"scenario": scenario, "seed": seed}
-    return [
-        {**about, "system": s, **declaration_row(r), "code": code, "commit": commit()}
-        for s, r in records.items()
-    ]
+    return [dict(zip(KEY, job, strict=True)) | declaration_row(execute(sequence, system, seed))]
 
 
 def declaration_row(record: RunRecord) -> Row:

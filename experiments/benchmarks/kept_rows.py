@@ -1,88 +1,59 @@
-"""Rows of a long measurement, kept in a Parquet file so that it can be stopped and resumed."""
+"""Rows of a long measurement, kept in a folder's ledger so that it can be stopped and resumed."""
 
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from dslab.scenarios.errors import InputError
+from dslab.experiments.jobs.ledger import Ledger, Owner, Row, sole_driver
+from dslab.experiments.jobs.pool import run_each
+from dslab.experiments.runs.files import plain
+from dslab.experiments.runs.provenance import code_hash, commit
+from dslab.sim.io.folders import unwritable, write_file
 
-Row = dict[str, Any]
+ROWS_FILE = "rows.parquet"
 
 
-def read_rows(table: Path, of: str, code: str) -> list[Row]:
-    """Read the rows of an unfinished measurement; none if there is no file.
+def keep_rows(
+    folder: Path,
+    of: str,
+    key: tuple[str, ...],
+    jobs: Mapping[tuple, Any],
+    work: Callable[[Any], list[Row]],
+    workers: int | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> pd.DataFrame:
+    """Run the jobs of which a folder has no row yet; returns the rows of all, sorted by ``key``.
 
     Args:
-        table: the file.
-        of: what the rows are of, for messages.
-        code: hash of the present code, which every row must be of, in its column ``code``.
+        folder: of the ledger, absent or that of an earlier measurement by the same code; gets rows.parquet.
+        of: what is measured, for messages.
+        key: columns that tell a row from the others.
+        jobs: by the first columns of ``key``: their rows are known to be there or not.
+        work: makes the rows of a job; a function of a module.
+        workers: number of processes; None for this one.
+        progress: called with (step, jobs done, jobs in all).
 
     Raises:
-        InputError: the file is no such table, or is of other code.
+        InputError: the folder is of other code, of something else, in use, or cannot be written.
     """
-    if not table.exists():
-        return []
     try:
-        rows = pd.read_parquet(table).to_dict("records")
-        others = {row["code"] for row in rows} - {code}
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(str(table), f"is no table of {of}: {error}", "name another file") from None
-    if others:
-        raise InputError(str(table), "has rows of other code", "name another file, or remove this one")
-    return [{str(name): value for name, value in row.items()} for row in rows]
-
-
-def extend_rows(
-    rows: list[Row],
-    table: Path,
-    key: Sequence[str],
-    jobs: Sequence[tuple],
-    work: Callable[..., list[Row]],
-    workers: int,
-    progress: Callable[[str, int, int], None] | None,
-    n_done: int = 0,
-) -> list[Row]:
-    """Run jobs in processes and write all rows after each.
-
-    Args:
-        rows: those that there are.
-        table: the file.
-        key: columns by which rows are sorted.
-        jobs: arguments of ``work``, one tuple per sequence.
-        work: makes the rows of a job; a function of a module.
-        workers: number of processes.
-        progress: called with (step, sequences done, sequences in all).
-        n_done: sequences that need no job.
-
-    Returns:
-        All rows.
-    """
-    rows = list(rows)
-    # "spawn": a fork would share the OpenGL context.
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-        running = [pool.submit(work, *job) for job in jobs]
-        try:
-            for number, future in enumerate(as_completed(running), start=n_done + 1):
-                rows += future.result()
-                write_rows(table, rows, key)
-                if progress is not None:
-                    progress("sequences", number, n_done + len(jobs))
-        finally:
-            pool.shutdown(cancel_futures=True)
-    return rows
-
-
-def write_rows(table: Path, rows: list[Row], key: Sequence[str]) -> None:
-    """Write the file anew, sorted by the columns ``key``; it is never half-written."""
-    table.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = table.with_name(f".{table.name}.{os.getpid()}")
-    try:
-        pd.DataFrame(rows).sort_values(list(key)).to_parquet(unfinished, index=False)
-        unfinished.replace(table)
-    finally:
-        unfinished.unlink(missing_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unwritable(folder, error) from error
+    about = {"code": code_hash(), "commit": commit()}
+    owner = Owner({"measurement": of, "version of the code": about["code"]}, key)
+    width = len(next(iter(jobs), ()))
+    with sole_driver(folder), Ledger.open(folder, owner) as ledger:
+        done = {tuple(row[name] for name in key[:width]) for row in ledger.rows()}
+        missing = [job for of, job in jobs.items() if of not in done]
+        each = ((job, work(job)) for job in missing) if workers is None else run_each(work, missing, workers)
+        for number, (_, rows) in enumerate(each, 1 + len(jobs) - len(missing)):
+            ledger.add(*(plain(row | about) for row in rows))
+            if progress is not None:
+                progress("sequences", number, len(jobs))
+        rows = [row for row in ledger.rows() if tuple(row[name] for name in key[:width]) in jobs]
+    frame = pd.DataFrame(rows).sort_values(list(key)).reset_index(drop=True)
+    write_file(folder / ROWS_FILE, lambda path: frame.to_parquet(path, index=False))
+    return frame

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from dslab.experiments.benchmarks.kept_rows import Row, extend_rows, read_rows
+from dslab.experiments.benchmarks.kept_rows import keep_rows
 from dslab.experiments.evaluation.alignment import Undefined, align_poses
 from dslab.experiments.evaluation.breakages import BreakageOutcome, breakage_outcomes
 from dslab.experiments.evaluation.declared_audit import audit_declared
 from dslab.experiments.evaluation.metrics import associate, path_length_m, position_errors_m, rms
 from dslab.experiments.evaluation.view_overlap import best_overlap, is_rescuable
+from dslab.experiments.jobs.ledger import Row
 from dslab.experiments.runs.execution import RunRecord, execute
-from dslab.experiments.runs.provenance import code_hash, commit
 from dslab.experiments.runs.sources import open_sequence
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_folder
@@ -34,21 +34,21 @@ def measure_recoveries(
     scenarios: Sequence[str],
     seeds: Sequence[int],
     threads: str,
-    table: Path,
+    folder: Path,
     workers: int = 1,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> pd.DataFrame:
-    """Run Dual-SLAM over sequences of scenarios; one row per breakage, kept in a Parquet file.
+    """Run Dual-SLAM over sequences of scenarios; one row per breakage, kept in a folder.
 
     Every thread runs to its end, and nothing but recoveries brings maps together: no relocalization in saved
-    maps, no fusion by place. Sequences that the file has already, from the same code, are not run again. A
-    seed is that of the sequence and of the system.
+    maps, no fusion by place. Sequences that the folder has already are not run again. A seed is that of the
+    sequence and of the system.
 
     Args:
         scenarios: names or files.
         seeds: of each scenario.
         threads: kinds of the recovery threads in order, such as ``"orb,sift"``.
-        table: the file; made if there is none, written anew after every sequence.
+        folder: see :func:`experiments.benchmarks.kept_rows.keep_rows`.
         workers: number of processes.
         progress: called with (step, sequences done, sequences in all).
 
@@ -56,21 +56,15 @@ def measure_recoveries(
         Rows with ``breakage`` from 1 on; 0 for a sequence without one.
 
     Raises:
-        InputError: the file is no such table, or is of other code; a sequence has no ground truth.
+        InputError: the folder is of something else or other code; a sequence has no ground truth.
     """
-    code = code_hash()
-    rows = read_rows(table, "recoveries", code)
-    done = {(row["scenario"], row["seed"], row["threads"]) for row in rows}
-    wanted = [(scenario, seed, threads) for seed in seeds for scenario in scenarios]
-    jobs = [(*job, code) for job in wanted if job not in done]
-    rows = extend_rows(rows, table, KEY, jobs, run_sequence, workers, progress, len(wanted) - len(jobs))
-    frame = pd.DataFrame(rows)
-    asked = frame.scenario.isin(scenarios) & frame.seed.isin(seeds) & (frame.threads == threads)
-    return frame[asked].sort_values(list(KEY)).reset_index(drop=True)
+    jobs = [(scenario, seed, threads) for seed in seeds for scenario in scenarios]
+    return keep_rows(folder, "recoveries", KEY, {job: job for job in jobs}, run_sequence, workers, progress)
 
 
-def run_sequence(scenario: str, seed: int, threads: str, code: str) -> list[Row]:
+def run_sequence(job: tuple[str, int, str]) -> list[Row]:
     """One row per breakage of a sequence; one without a breakage if there is none."""
+    scenario, seed, threads = job
     sequence = open_sequence(scenario, seed)
     if sequence.T_world_cam is None:
         raise InputError(scenario, "has no ground truth", "name a sequence or scenario with ground truth")
@@ -80,7 +74,7 @@ def run_sequence(scenario: str, seed: int, threads: str, code: str) -> list[Row]
     record = execute(
         sequence, "dual", seed, build=lambda kind, camera, s: build_system(kind, camera, s, dual=dual)
     )
-    about = {"scenario": scenario, "seed": seed, "threads": threads, "code": code, "commit": commit()}
+    about = {"scenario": scenario, "seed": seed, "threads": threads}
     world = None if is_folder(Path(scenario)) else load_scenario(scenario, seed)
     return [about | row for row in breakage_rows(record, world, dual.buffer_s)]
 

@@ -57,9 +57,9 @@ map (`recoveries`), compare accuracy (`accuracy`), or hold photometric alignment
 
 `dslab bench direct`
 
-`dslab bench declarations aliased/room --seeds 1-5 --out out/aliased.parquet`
+`dslab bench declarations aliased/room --seeds 1-5 --out out/aliased`
 
-`dslab bench recoveries stressed --seeds 1-5 --out out/rescued.parquet`
+`dslab bench recoveries stressed --seeds 1-5 --out out/rescued`
 """
 _RUNS, _RUNS_WITH_PEER = 1, 5
 
@@ -319,7 +319,7 @@ def experiment_command(
 @app.command("declarations")
 def declarations_command(
     scenarios: Annotated[list[str], typer.Argument(metavar="SCENARIO...", help="Names or files.")],
-    out_file: Annotated[Path, typer.Option("--out", help="Parquet file of the rows; resumed if it exists.")],
+    out_dir: Annotated[Path, typer.Option("--out", help="Folder of the rows; resumed if it exists.")],
     seeds: Annotated[str, typer.Option(help="Seeds of each scenario, such as 7 or 1-10.")] = "1-5",
     system: Annotated[str, typer.Option(help="Systems, separated by commas.")] = "base,dual",
     workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
@@ -330,14 +330,14 @@ def declarations_command(
     Each is judged by the truth at the moment it is declared. Stopped and started again, it goes on where it
     was. For example:
 
-    `dslab bench declarations aliased/room aliased/city --seeds 1-10 --workers 2 --out out/aliased.parquet`
+    `dslab bench declarations aliased/room aliased/city --seeds 1-10 --workers 2 --out out/aliased`
     """
     from dslab.experiments.benchmarks.declarations import COUNTS, measure_declarations
 
     systems = chosen_systems(system)
     single_threaded_opencv()
     with progress_bars() as show:
-        rows = measure_declarations(scenarios, parse_seeds(seeds), systems, out_file, workers, show)
+        rows = measure_declarations(scenarios, parse_seeds(seeds), systems, out_dir, workers, show)
     figures = ("runs", *(f"{part}{name}" for name in COUNTS for part in ("", "false_")), "unjudged")
     rows["runs"] = 1
     sums = rows.groupby(["scenario", "system"])[list(figures)].sum()
@@ -358,7 +358,7 @@ def declarations_command(
 @app.command("accuracy")
 def accuracy_command(
     sources: Annotated[list[str], typer.Argument(metavar="SOURCE...", help="Scenarios or folders.")],
-    out_file: Annotated[Path, typer.Option("--out", help="Parquet file of the rows; resumed if it exists.")],
+    out_dir: Annotated[Path, typer.Option("--out", help="Folder of the rows; resumed if it exists.")],
     seeds: Annotated[
         str, typer.Option(help="Seeds of each source, such as 7 or 1-10; of a folder, places to start.")
     ] = "1-5",
@@ -382,7 +382,7 @@ def accuracy_command(
     ATE is of the frames that both have placed. Stopped and started again, it goes on where it was. A peer in
     real time needs a quiet machine; what it finds does not depend on our code, and can be kept. For example:
 
-    `dslab bench accuracy clean-room path/to/sequence --peer path/to/orbslam3.py --out out/accuracy.parquet`
+    `dslab bench accuracy clean-room path/to/sequence --peer path/to/orbslam3.py --out out/accuracy`
     """
     from dslab.experiments.benchmarks.accuracy import measure_accuracy, sums
     from dslab.experiments.runs.files import plain
@@ -393,7 +393,7 @@ def accuracy_command(
     single_threaded_opencv()
     with progress_bars() as show:
         rows = measure_accuracy(
-            sources, parse_seeds(seeds), system.value, out_file, peer, peer_runs, skip_frames, show, keep_peer
+            sources, parse_seeds(seeds), system.value, out_dir, peer, peer_runs, skip_frames, show, keep_peer
         )
     found = sums(rows)
     if as_json:

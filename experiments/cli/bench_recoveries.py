@@ -20,7 +20,7 @@ from dslab.experiments.cli.console import (
 
 def recoveries_command(
     scenarios: Annotated[list[str], typer.Argument(metavar="SCENARIO...", help="Names or files.")],
-    out_file: Annotated[Path, typer.Option("--out", help="Parquet file of the rows; resumed if it exists.")],
+    out_dir: Annotated[Path, typer.Option("--out", help="Folder of the rows; resumed if it exists.")],
     seeds: Annotated[str, typer.Option(help="Seeds of each scenario, such as 7 or 1-10.")] = "1-5",
     threads: Annotated[
         str, typer.Option(help="Recovery threads in order, separated by commas.")
@@ -35,7 +35,7 @@ def recoveries_command(
     Views are hopeless where those without stress on either side share less than a fifth of what they see, by
     exact depth. Stopped and started again, it goes on where it was. For example:
 
-    `dslab bench recoveries stressed --seeds 1-20 --threads orb,direct,sift --out out/rescued.parquet`
+    `dslab bench recoveries stressed --seeds 1-20 --threads orb,direct,sift --out out/rescued`
     """
     from dslab.experiments.benchmarks.recoveries import measure_recoveries, recovery_sums
     from dslab.slam.dual.recovery.registry import parse_threads
@@ -48,7 +48,7 @@ def recoveries_command(
         raise typer.BadParameter("name at least one thread", param_hint="--threads")
     single_threaded_opencv()
     with progress_bars() as show:
-        rows = measure_recoveries(scenarios, parse_seeds(seeds), threads, out_file, workers, show)
+        rows = measure_recoveries(scenarios, parse_seeds(seeds), threads, out_dir, workers, show)
     sums = recovery_sums(rows)
     if as_json:
         print_json_line(sums.to_dict("records"))

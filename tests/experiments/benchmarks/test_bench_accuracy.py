@@ -41,7 +41,7 @@ def test_errors_are_of_the_frames_that_both_have_placed_and_starts_differ(sequen
         built.append(seed)
         return OffAtFirst(sequence.T_world_cam[(seed - 1) * 10 :], noise_m=0.01)
 
-    built, table = [], tmp_path / "rows.parquet"
+    built, table = [], tmp_path / "rows"
     given = ([folder], [1, 2], "base", table, command(tmp_path, PEER, "--first=20", tmp_path / "log"), 2, 10)
     rows = accuracy.measure_accuracy(*given, build=build)
     assert list(rows.system) == ["ours", "peer", "peer"] * 2 and built == [1, 2]
@@ -66,21 +66,21 @@ def test_a_peer_is_not_run_again_over_the_same_frames_where_its_results_are_kept
         return rows[rows.system == "peer"], len(log.read_text().splitlines())
 
     log = tmp_path / "log"
-    first, starts = measured("first.parquet", [1], 2)
-    again, starts_again = measured("again.parquet", [1], 2)
+    first, starts = measured("first", [1], 2)
+    again, starts_again = measured("again", [1], 2)
     assert starts == starts_again == 2
     pd.testing.assert_frame_equal(first, again)
-    assert measured("more.parquet", [1, 2], 3)[1] == 2 + 1 + 3, "another run; other frames"
+    assert measured("more", [1, 2], 3)[1] == 2 + 1 + 3, "another run; other frames"
 
 
 def test_a_start_behind_the_end_and_a_source_without_truth_are_one_line(folder, tmp_path):
-    given = ["bench", "accuracy", folder, "--seeds", "9", "--out", str(tmp_path / "t.parquet")]
+    given = ["bench", "accuracy", folder, "--seeds", "9", "--out", str(tmp_path / "t")]
     result = CliRunner().invoke(app, given)
     assert isinstance(result.exception, InputError) and "leaves out 160 of 60 frames" in str(result.exception)
     write_tum(make_sequence(FRAMES, truth=False, segment=None), tmp_path / "blind")
     with pytest.raises(InputError, match="no ground truth"):
-        accuracy.measure_accuracy([str(tmp_path / "blind")], [1], "base", tmp_path / "t.parquet")
-    assert not (tmp_path / "t.parquet").exists()
+        accuracy.measure_accuracy([str(tmp_path / "blind")], [1], "base", tmp_path / "t")
+    assert not (tmp_path / "t" / "rows.parquet").exists()
 
 
 def test_the_command_prints_medians_over_sequences(tmp_path, monkeypatch):
@@ -89,7 +89,7 @@ def test_the_command_prints_medians_over_sequences(tmp_path, monkeypatch):
         {**ours, "seed": s, "ate_m": 0.2, "first_over_last": f} for s, f in ((1, 0.9), (2, 1.2), (3, 1.3))
     ]
     monkeypatch.setattr(accuracy, "measure_accuracy", lambda *_: pd.DataFrame(rows))
-    given = ["bench", "accuracy", "a", "--out", str(tmp_path / "t.parquet")]
+    given = ["bench", "accuracy", "a", "--out", str(tmp_path / "t")]
     (printed,) = json.loads(CliRunner().invoke(app, [*given, "--json"]).stdout)
     assert printed["ours_scale_off"] == pytest.approx(0.2) and printed["ratio"] is None
     assert "0.900" in CliRunner().invoke(app, given).stdout

@@ -9,7 +9,7 @@ import pytest
 from slam_fakes import fake_factory, make_sequence
 from typer.testing import CliRunner
 
-from dslab.experiments.benchmarks import recoveries
+from dslab.experiments.benchmarks import kept_rows, recoveries
 from dslab.experiments.cli.commands import app
 from dslab.experiments.evaluation.view_overlap import BestOverlap
 from dslab.experiments.runs.execution import execute
@@ -105,17 +105,17 @@ def test_sums_of_one_breakage_without_a_fusion_and_of_none():
 
 
 def test_sequences_that_the_file_has_are_not_run_again(tmp_path, monkeypatch):
-    table = tmp_path / "rows.parquet"
+    table = tmp_path / "rows"
     first = recoveries.measure_recoveries(["small"], [7], "orb", table)
     assert first.breakage.tolist() == [0]
     pd.testing.assert_frame_equal(first, recoveries.measure_recoveries(["small"], [7], "orb", table))
-    monkeypatch.setattr(recoveries, "code_hash", lambda: "another")
-    with pytest.raises(InputError, match="rows of other code"):
+    monkeypatch.setattr(kept_rows, "code_hash", lambda: "another")
+    with pytest.raises(InputError, match="rows of another version of the code"):
         recoveries.measure_recoveries(["small"], [7], "orb", table)
 
 
 def test_the_command_prints_sums_and_refuses_unknown_threads(tmp_path, monkeypatch):
-    given = ["bench", "recoveries", "small", "--out", str(tmp_path / "t.parquet")]
+    given = ["bench", "recoveries", "small", "--out", str(tmp_path / "t")]
     refused = CliRunner().invoke(app, [*given, "--threads", "orb,lidar"])
     assert refused.exit_code == 2 and "lidar" in refused.output
     row = {"scenario": "a", "cause": "fog", "healthy": True, "rescued": True, "thread_1": True}
