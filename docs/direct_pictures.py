@@ -19,13 +19,6 @@ from dslab.slam.direct.blur import align_through_blur
 from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
 from dslab.slam.direct.selection import SelectionConfig, select
 
-PICTURES = {
-    "points": "Selected pixels on a frame of a street, coloured by depth",
-    "alignment": "The points in a later frame: before alignment most are red, after it most are green",
-    "blur": "A frame blurred by motion, and the points of a sharp frame placed in it",
-    "looks": "Patches under a right alignment, nearly all green, and under a wrong one, near ones red",
-}
-"""What the pictures show, by name."""
 FIRST, AHEAD, EXPOSURE_S = 20, 6, 0.25
 _GREEN, _RED, _WHITE = (80, 200, 80), (60, 60, 230), (255, 255, 255)
 _LARGE_RESIDUAL = 40.0
@@ -63,11 +56,6 @@ def draw_direct_pictures(folder: Path) -> None:
     shifted[0, 3] += _SHIFT * np.median(scene.depth)
     right, wrong = (_looks(scene, pyramid, target, T) for T in (scene.T_later_first, shifted))
     _write(folder / "looks.jpg", right, wrong)
-
-
-def shown(name: str) -> str:
-    """A picture in a page."""
-    return f"![{PICTURES[name]}](direct/{name}.jpg)"
 
 
 def _scene() -> Scene:

@@ -1,6 +1,8 @@
-"""What the documentation names is there: settings with their defaults, commands, files."""
+"""The pages are up to date, short, and what they name is there: settings, commands, files, links."""
 
+import importlib
 import re
+import sys
 import tomllib
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
@@ -20,8 +22,10 @@ from dslab.slam.dual.recovery.paper import paper_orb_config
 from dslab.slam.dual.recovery.registry import RECOVERY_KINDS, ThreadSpec
 
 ROOT = Path(__file__).resolve().parents[1]
-OF_EARLIER_STATES = ("CHANGELOG.md", "renamed.md", *(p.name for p in ROOT.glob("docs/measure*.md")))
-PAGES = [p for p in sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")]) if p.name not in OF_EARLIER_STATES]
+SITE = sorted(ROOT.glob("docs/*.md"))
+PAGES = [*(p for p in sorted(ROOT.glob("*.md")) if p.name != "CHANGELOG.md"), *SITE]
+WRAPPED = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")
+LINKED = [*sorted(ROOT.glob("*.md")), *SITE, *sorted(ROOT.glob("docs/notebook/*.md"))]
 DEVIATIONS = (ROOT / "docs" / "dual-slam.md").read_text()
 # What `name: value` may refer to; ORB, SIFT and DIRECT are kinds of threads, THREAD is any.
 BASES: dict[str, tuple[Any, ...]] = {
@@ -78,7 +82,10 @@ def commands_of(page: Path) -> list[str]:
     ]
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if commands_of(p)], ids=lambda page: page.name)
+WITH_COMMANDS = [page for page in PAGES if page.name != "commands.md" and commands_of(page)]
+
+
+@pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda page: page.name)
 def test_commands_and_their_options_exist(page):
     root = typer.main.get_command(app)
     for line in commands_of(page):
@@ -91,24 +98,45 @@ def test_commands_and_their_options_exist(page):
         assert {word.partition("=")[0] for word in words if word.startswith("--")} <= known | {"--help"}, line
 
 
-def is_made_with_the_site(picture: str) -> bool:
-    """A plot of the report of an experiment whose records are in the documentation."""
-    experiment, plots, _ = (*picture.split("/"), "", "")[:3]
-    return plots == "plots" and (ROOT / "docs" / experiment / "units.parquet").exists()
+def of_the_repository(page: Path) -> str:
+    """A page without what stands on the site alone."""
+    return re.sub(r"<!-- site: .+? -->", "", page.read_text(), flags=re.DOTALL)
 
 
-def test_files_that_are_named_exist():
-    named = r"`((?:slam|sim|scenarios|experiments|tests|examples|docs)/[\w./-]+)`"
-    for page in PAGES:
-        text = page.read_text()
-        missing = [name for name in re.findall(named, text) if not (ROOT / name).exists()]
-        missing += [
-            name
-            for name in re.findall(r"!\[.*?\]\((.+?)\)", text)
-            if not (page.parent / name).exists() and not is_made_with_the_site(name)
-        ]
-        missing += [name for name in re.findall(r"<!-- code: (\S+) -->", text) if not (ROOT / name).exists()]
-        assert not missing, page.name
+def anchors(page: Path) -> set[str]:
+    headings = re.findall(r"^#+ (.+)$", page.read_text(), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", LINKED, ids=lambda page: str(page.relative_to(ROOT)))
+def test_files_and_sections_that_are_named_exist(page):
+    text = of_the_repository(page)
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+        file, _, section = link.partition("#")
+        if not file.startswith("http"):
+            target = page.parent / file if file else page
+            assert target.exists() and (not section or section in anchors(target)), link
+    if page in PAGES:
+        for name in re.findall(r"`((?:slam|sim|scenarios|experiments|tests|examples|docs)/[\w./-]+)`", text):
+            assert (ROOT / name).exists(), name
+
+
+@pytest.mark.parametrize("page", SITE, ids=lambda page: page.name)
+def test_what_is_made_is_what_would_be_made_now(page, monkeypatch):
+    monkeypatch.setattr(sys, "path", [str(ROOT / "docs"), *sys.path])
+    made = importlib.import_module("generate").filled(page.read_text())
+    assert made == page.read_text(), "run: python docs/generate.py --write"
+
+
+@pytest.mark.parametrize("page", [*SITE, *(ROOT / name for name in WRAPPED)], ids=lambda page: page.name)
+def test_no_line_is_long(page):
+    assert [line for line in page.read_text().splitlines() if len(line) > 140] == []
+
+
+def test_the_site_is_short():
+    made = r"<!-- (?:made|code):.*?<!-- end -->"
+    words = {p.name: len(re.sub(made, "", p.read_text(), flags=re.DOTALL).split()) for p in SITE}
+    assert sum(words.values()) <= 22_000, words
 
 
 def test_the_readme_is_short_and_shows_the_quickstart():

@@ -1,0 +1,276 @@
+"""What the documentation takes from the code: fields, kinds, commands, settings.
+
+A function without an underscore is the NAME of ``<!-- made: NAME -->`` in a page.
+"""
+
+import re
+import subprocess
+import sys
+import textwrap
+from collections.abc import Mapping
+from pathlib import Path
+
+from figures import table
+from pydantic import BaseModel
+
+from dslab.experiments.batch.rows import COLUMNS as BATCH_COLUMNS
+from dslab.experiments.batch.spec import BatchSpec
+from dslab.experiments.eq1.doses import AXES
+from dslab.experiments.eq1.records import FAILURES, PAIR_COLUMNS, THREAD_COLUMNS, UNIT_COLUMNS
+from dslab.experiments.eq1.spec import ExperimentSpec, load_spec, preset_names
+from dslab.experiments.eq1.spec_parts import Base, Degradation
+from dslab.experiments.runs.slam_settings import settings_yaml
+from dslab.experiments.runs.systems.command_spec import CommandSpec, Environment, Limits
+from dslab.scenarios.cameras import PRESETS as CAMERAS
+from dslab.scenarios.cameras import Camera
+from dslab.scenarios.describe import describe_kind, label_and_unit
+from dslab.scenarios.describe_family import describe_parameters
+from dslab.scenarios.families import library_names, load_family
+from dslab.scenarios.imu import Imu
+from dslab.scenarios.motions import KINDS as MOTIONS
+from dslab.scenarios.motions import Trajectory
+from dslab.scenarios.segments import SEGMENT_KINDS
+from dslab.scenarios.worlds import WORLD_KINDS, Aliasing
+from dslab.sim.degradations.recorded_kinds import recorded_sequence_kinds
+from dslab.sim.degradations.registry import DEGRADATIONS
+
+ROOT = Path(__file__).parents[1]
+WIDTH = 116
+
+
+def stress_kinds() -> str:
+    """A section per kind of stress, in the order in which they act."""
+    return "\n".join(_stress_kind(kind) for kind in DEGRADATIONS)
+
+
+def _stress_kind(kind: str) -> str:
+    name = describe_kind(kind)
+    if kind in recorded_sequence_kinds(depth=False):
+        where = "Rendered frames and recorded footage."
+    elif kind in recorded_sequence_kinds(depth=True):
+        where = "Rendered frames, and recorded footage that has depth images."
+    else:
+        where = "Rendered frames only."
+    model, measure = SEGMENT_KINDS[kind], DEGRADATIONS[kind].measure_name
+    ramp = (
+        " Its severity may rise and fall over `ramp_s` (fall over `fall_s`)."
+        if "ramp_s" in model.model_fields
+        else ""
+    )
+    picture = ".svg" if DEGRADATIONS[kind].stage.name == "TIMING" else ".jpg"
+    return f"""## {name.capitalize().replace("Jpeg", "JPEG")}
+
+{_wrapped(_about(model))}
+
+<!-- site: ![{name}: without, with](stress/{kind}{picture}) -->
+
+{_wrapped(f"**`{kind}`** · {where}{ramp} Measured on every frame as `{measure}`.")}
+
+{_fields(model, ("kind", "start_s", "duration_s", "ramp_s", "fall_s"))}
+"""
+
+
+def worlds() -> str:
+    """A section per kind of world."""
+    return "\n".join(
+        f"### {describe_kind(kind).capitalize()}\n\n"
+        + f"{_wrapped(f'`kind: {kind}`: {_about(model)}')}\n\n{_fields(model)}"
+        for kind, model in WORLD_KINDS.items()
+    )
+
+
+def aliasing() -> str:
+    """The fields of the option by which a world repeats itself."""
+    return _fields(Aliasing, ())
+
+
+def motions() -> str:
+    """The fields of a trajectory, and the defaults that its kinds set."""
+    rows = [
+        (f"`{kind}`", ", ".join(f"`{name}: {value:g}`" for name, value in fields.items()) or "nothing")
+        for kind, fields in MOTIONS.items()
+    ]
+    return _fields(Trajectory) + "\n" + table(("kind", "sets"), rows)
+
+
+def cameras() -> str:
+    """The fields of a camera, and its presets."""
+    columns = ("width_px", "height_px", "fx_px", "fps")
+    rows = []
+    for name, preset in CAMERAS.items():
+        lens = preset.get("distortion", {}).get("model", "")
+        rows.append((f"`{name}`", *(f"{preset[column]:g}" for column in columns), lens))
+    return _fields(Camera) + "\n" + table(("preset", *columns, "distortion"), rows)
+
+
+def imu() -> str:
+    """The fields of an inertial sensor."""
+    return _fields(Imu, ())
+
+
+def library() -> str:
+    """Every family of scenarios that comes with dslab."""
+    return "\n".join(map(_family, library_names()))
+
+
+def _family(name: str) -> str:
+    family = load_family(name)
+    members = _members(list(family.members))
+    drawn = ", ".join(f"`{field}` {words}" for field, words in describe_parameters(family).items())
+    about = f"**`{name}`**{f' ({members})' if members else ''}. {family.description}"
+    return _item(f"{about} *Drawn:* {drawn}." if drawn else about)
+
+
+def _members(names: list[str]) -> str:
+    numbered = names and all(name.isdigit() for name in names)
+    named = f"{names[0]} to {names[-1]}" if numbered else ", ".join(names)
+    return f"{len(names)}: {named}" if names else ""
+
+
+def presets() -> str:
+    """Every experiment that comes with dslab."""
+    return "\n".join(_item(f"**`{name}`**: {load_spec(name).description}") for name in preset_names()) + "\n"
+
+
+def boundary_doses() -> str:
+    """The axis of the doses of every kind of stress."""
+    rows = [
+        (f"`{kind}`", f"`{axis.field}`", f"{axis.weakest:g}", f"{axis.strongest:g}")
+        for kind, axis in AXES.items()
+    ]
+    return table(("kind", "dose", "weakest", "strongest"), rows)
+
+
+def experiment_fields() -> str:
+    """The fields of an experiment's file."""
+    parts = {"": ExperimentSpec, "A base": Base, "A degradation": Degradation}
+    return "\n".join(f"{title}\n\n{_fields(model, ())}" for title, model in parts.items())
+
+
+def system_fields() -> str:
+    """The fields of the description of a program."""
+    parts = {"": CommandSpec, "`limits`": Limits, "`environment`": Environment}
+    return "\n".join(f"{title}\n\n{_fields(model, ())}" for title, model in parts.items())
+
+
+def batch_fields() -> str:
+    """The fields of a batch's file."""
+    return _fields(BatchSpec, ())
+
+
+def batch_columns() -> str:
+    """The columns of a batch's row."""
+    return table(("column", "meaning"), [(f"`{name}`", words) for name, (_, words) in BATCH_COLUMNS.items()])
+
+
+def record_columns() -> str:
+    """The columns of a unit's record."""
+    tables = {
+        "": UNIT_COLUMNS,
+        "Per arm and recovery thread, as in `free_r1_failed` or `cross_r2_cpu_ms`:": THREAD_COLUMNS,
+        "With J the first 1, 2, … threads, as in `d1` or `m2`:": {
+            k: ("bool", v) for k, v in FAILURES.items()
+        },
+        "Per gap between two frames of the lead-in, as in `pairs27_rotation_deg`:": PAIR_COLUMNS,
+    }
+    return "\n".join(
+        f"{title}\n\n{table(('column', 'type', 'meaning'), _column_rows(of))}" for title, of in tables.items()
+    )
+
+
+def _column_rows(of: Mapping[str, tuple[str, str]]) -> list[tuple[str, ...]]:
+    return [(f"`{name}`", domain, meaning) for name, (domain, meaning) in of.items()]
+
+
+def settings() -> str:
+    """Every setting of the SLAM; comments are wrapped."""
+    lines = []
+    for line in settings_yaml().splitlines():
+        indent, hash_, comment = line.partition("# ")
+        if hash_:
+            lines += textwrap.wrap(comment, 80, initial_indent=f"{indent}# ", subsequent_indent=f"{indent}# ")
+        else:
+            lines.append(line)
+    return "```yaml\n" + "\n".join(lines) + "\n```"
+
+
+def commands() -> str:
+    """The reference of the command line."""
+    typer = [
+        sys.executable,
+        "-m",
+        "typer",
+        "dslab.experiments.cli.commands",
+        "utils",
+        "docs",
+        "--name",
+        "dslab",
+    ]
+    text = subprocess.run(typer, capture_output=True, text=True, check=True, cwd=ROOT).stdout
+    # Lists of commands cut short, whose sections follow; what every command has.
+    text = re.sub(r"\*\*Commands\*\*:\n\n(\* .*\n)+", "", text)
+    text = re.sub(r"(\*\*Options\*\*:\n\n)?\* `--help`: .*\n", "", text).partition("\n")[2].strip()
+    lines = (_wrapped(line, "  " if line.startswith("*") else "") for line in text.splitlines())
+    return re.sub(r"\n{3,}", "\n\n", "\n".join(lines)) + "\n"
+
+
+def _about(model: type[BaseModel]) -> str:
+    return " ".join((model.__doc__ or "").split())
+
+
+def _fields(model: type[BaseModel], without: tuple[str, ...] = ("kind",)) -> str:
+    """A list of a model's fields, each with default and range; the unit is read off a name's ending."""
+    schema = model.model_json_schema()
+    items = []
+    for name, field in schema["properties"].items():
+        if name not in without:
+            default = "required" if name in schema.get("required", ()) else _value(field.get("default"))
+            span = f"{_range(field)} {label_and_unit(name)[1].strip()}".strip()
+            about = "; ".join(filter(None, (default, span)))
+            meaning = field.get("description", "")
+            items.append(_item(f"**`{name}`**{f' ({about})' if about else ''}{meaning and f': {meaning}'}"))
+    return "\n".join(items) + "\n"
+
+
+def _value(default: object) -> str:
+    """A default as written in YAML; nothing for one that is made by the model or left out."""
+    if isinstance(default, bool):
+        return f"default `{default}`".lower()
+    return f"default `{default}`" if isinstance(default, str | int | float) and default != "" else ""
+
+
+def _range(field: Mapping) -> str:
+    options = field.get("enum") or next((o["enum"] for o in field.get("anyOf", ()) if "enum" in o), None)
+    if options:
+        return f"one of {', '.join(f'`{option}`' for option in options)}"
+    bounds = next(
+        (o for o in (field, *field.get("anyOf", ())) if {"minimum", "exclusiveMinimum"} & set(o)), {}
+    )
+    low = (
+        f"above {bounds['exclusiveMinimum']:g}"
+        if "exclusiveMinimum" in bounds
+        else f"{bounds.get('minimum', '')}"
+    )
+    high = (
+        f"below {bounds['exclusiveMaximum']:g}"
+        if "exclusiveMaximum" in bounds
+        else f"{bounds.get('maximum', '')}"
+    )
+    if high == str(2**63 - 1):  # that of any whole number
+        high = ""
+    if low and high:
+        return f"{low} to {high}"
+    return low if "above" in low else f"from {low}" if low else high
+
+
+def _item(text: str) -> str:
+    return _wrapped(f"- {' '.join(text.split())}", "  ")
+
+
+def _wrapped(text: str, indent: str = "") -> str:
+    """Prose in lines of bounded length."""
+    if len(text) <= WIDTH:
+        return text
+    return textwrap.fill(
+        text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
