@@ -24,7 +24,6 @@ from dslab.experiments.runs.systems.command_spec import CommandSpec, Environment
 from dslab.scenarios.cameras import PRESETS as CAMERAS
 from dslab.scenarios.cameras import Camera
 from dslab.scenarios.describe import describe_kind, label_and_unit
-from dslab.scenarios.describe_family import describe_parameters
 from dslab.scenarios.families import library_names, load_family
 from dslab.scenarios.imu import Imu
 from dslab.scenarios.motions import KINDS as MOTIONS
@@ -116,9 +115,7 @@ def library() -> str:
 def _family(name: str) -> str:
     family = load_family(name)
     members = _members(list(family.members))
-    drawn = ", ".join(f"`{field}` {words}" for field, words in describe_parameters(family).items())
-    about = f"**`{name}`**{f' ({members})' if members else ''}. {family.description}"
-    return _item(f"{about} *Drawn:* {drawn}." if drawn else about)
+    return _item(f"**`{name}`**{f' ({members})' if members else ''}. {family.description}")
 
 
 def _members(names: list[str]) -> str:
@@ -210,6 +207,7 @@ def commands() -> str:
     # Lists of commands cut short, whose sections follow; what every command has.
     text = re.sub(r"\*\*Commands\*\*:\n\n(\* .*\n)+", "", text)
     text = re.sub(r"(\*\*Options\*\*:\n\n)?\* `--help`: .*\n", "", text).partition("\n")[2].strip()
+    text = re.sub(r"\*\*Usage\*\*:\n\n```console\n\$ (.*)\n```", r"`\1`", text)
     lines = (_wrapped(line, "  " if line.startswith("*") else "") for line in text.splitlines())
     return re.sub(r"\n{3,}", "\n\n", "\n".join(lines)) + "\n"
 
