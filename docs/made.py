@@ -207,7 +207,8 @@ def commands() -> str:
     # Lists of commands cut short, whose sections follow; what every command has.
     text = re.sub(r"\*\*Commands\*\*:\n\n(\* .*\n)+", "", text)
     text = re.sub(r"(\*\*Options\*\*:\n\n)?\* `--help`: .*\n", "", text).partition("\n")[2].strip()
-    text = re.sub(r"\*\*Usage\*\*:\n\n```console\n\$ (.*)\n```", r"`\1`", text)
+    text = re.sub(r"\*\*Usage\*\*:\n\n```console\n\$ (.*)\n```", r"Usage: `\1`", text)
+    text = text.replace(f"  [0<=x<={2**63 - 1}]", "")
     lines = (_wrapped(line, "  " if line.startswith("*") else "") for line in text.splitlines())
     return re.sub(r"\n{3,}", "\n\n", "\n".join(lines)) + "\n"
 
