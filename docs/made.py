@@ -4,17 +4,17 @@ A function without an underscore is the NAME of ``<!-- made: NAME -->`` in a pag
 """
 
 import re
-import subprocess
-import sys
 import textwrap
 from collections.abc import Mapping
-from pathlib import Path
 
+import typer
 from figures import table
 from pydantic import BaseModel
+from typer.cli import get_docs_for_click
 
 from dslab.experiments.batch.rows import COLUMNS as BATCH_COLUMNS
 from dslab.experiments.batch.spec import BatchSpec
+from dslab.experiments.cli.commands import app
 from dslab.experiments.eq1.doses import AXES
 from dslab.experiments.eq1.records import FAILURES, PAIR_COLUMNS, THREAD_COLUMNS, UNIT_COLUMNS
 from dslab.experiments.eq1.spec import ExperimentSpec, load_spec, preset_names
@@ -33,7 +33,6 @@ from dslab.scenarios.worlds import WORLD_KINDS, Aliasing
 from dslab.sim.degradations.recorded_kinds import recorded_sequence_kinds
 from dslab.sim.degradations.registry import DEGRADATIONS
 
-ROOT = Path(__file__).parents[1]
 WIDTH = 116
 
 
@@ -193,17 +192,8 @@ def settings() -> str:
 
 def commands() -> str:
     """The reference of the command line."""
-    typer = [
-        sys.executable,
-        "-m",
-        "typer",
-        "dslab.experiments.cli.commands",
-        "utils",
-        "docs",
-        "--name",
-        "dslab",
-    ]
-    text = subprocess.run(typer, capture_output=True, text=True, check=True, cwd=ROOT).stdout
+    command = typer.main.get_command(app)
+    text = get_docs_for_click(obj=command, ctx=typer.Context(command), name="dslab")
     # Lists of commands cut short, whose sections follow; what every command has.
     text = re.sub(r"\*\*Commands\*\*:\n\n(\* .*\n)+", "", text)
     text = re.sub(r"(\*\*Options\*\*:\n\n)?\* `--help`: .*\n", "", text).partition("\n")[2].strip()
