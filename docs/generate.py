@@ -24,7 +24,8 @@ EXPERIMENTS = ("eq1", "eq1-doses", "eq1-vga", "eq1-quick")
 BLOCK = re.compile(
     r"<!-- (?P<kind>made|code): (?P<name>\S+) -->(\n((?!<!-- (made|code):).)*?<!-- end -->)?", re.DOTALL
 )
-NOT_ON_THE_SITE = ("*.py", "__pycache__", "notebook", *EXPERIMENTS)
+RECORDS = (*EXPERIMENTS, "direct-thread", "ldso", "ldso-flicker", "rescue", "threads")
+NOT_ON_THE_SITE = ("*.py", "__pycache__", "notebook", *RECORDS)
 
 
 def main(argument: str) -> None:
