@@ -9,10 +9,9 @@ import numpy as np
 
 from dslab.scenarios.spec import Camera, Scenario
 from dslab.sim.cache import FolderCache
-from dslab.sim.frame_plan import RenderBackend, ideal_camera, mujoco_backend, taking_intrinsics, world_seed
+from dslab.sim.frame_plan import RenderBackend, ideal_camera, render_backend, taking_intrinsics, world_seed
 from dslab.sim.io.raw import stored_array
 from dslab.sim.provenance import entry_key
-from dslab.sim.room import check_memory
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.worlds.base import Surface, WorldModel
 
@@ -42,44 +41,6 @@ def thumbnail_camera(camera: Camera, width_px: int = THUMBNAIL_WIDTH_PX) -> Intr
     )
 
 
-def depth_thumbnails(
-    scenario: Scenario,
-    T_world_cam: np.ndarray,
-    *,
-    width_px: int = THUMBNAIL_WIDTH_PX,
-    cache_dir: Path | None = None,
-    backend: RenderBackend | None = None,
-) -> tuple[np.ndarray, Intrinsics]:
-    """Render small depth images of a scenario's world.
-
-    The world is static: objects that segments let move are not in it. The same scenario and poses give the
-    same bytes on one machine and GL driver.
-
-    Args:
-        scenario: its world and camera count, and its seed.
-        T_world_cam: (N, 4, 4) float64 camera (x right, y down, z forward) to world, metres.
-        width_px: width of the images.
-        cache_dir: folder of the cache; None for the default one. It keeps the shape of the world, as only
-            the textures make it slow to build.
-        backend: worlds and renderer; None for MuJoCo.
-
-    Returns:
-        (N, h, w) float32 metres along the optical axis, 0 for no surface; their camera.
-
-    Raises:
-        InputError: no GL, the world's sizes do not fit, the images do not fit into the memory, or the cache
-            cannot be written.
-    """
-    camera = thumbnail_camera(scenario.camera, width_px)
-    shape = (len(T_world_cam), camera.height_px, camera.width_px)
-    check_memory("depth thumbnails", len(T_world_cam), 4 * int(np.prod(shape)))
-    depths_m = np.empty(shape, np.float32)
-    with depth_renderer(scenario, camera, cache_dir=cache_dir, backend=backend) as depth_of:
-        for index, pose in enumerate(T_world_cam):
-            depths_m[index] = depth_of(pose)
-    return depths_m, camera
-
-
 @contextmanager
 def depth_renderer(
     scenario: Scenario,
@@ -88,8 +49,22 @@ def depth_renderer(
     cache_dir: Path | None = None,
     backend: RenderBackend | None = None,
 ) -> Iterator[DepthOf]:
-    """Yield the depth in a scenario's world as a function of the pose; see ``depth_thumbnails``."""
-    backend = backend or mujoco_backend()
+    """Yield exact depth in a scenario's world as a function of the pose.
+
+    The world is static: objects that segments let move are not in it. The same scenario and poses give the
+    same bytes on one machine and GL driver.
+
+    Args:
+        scenario: its world and its seed.
+        camera: a small one, as of ``thumbnail_camera``.
+        cache_dir: folder of the cache; None for the default one. It keeps the shape of the world, as only
+            the textures make it slow to build.
+        backend: worlds and renderer; None for MuJoCo.
+
+    Raises:
+        InputError: no GL, the world's sizes do not fit, or the cache cannot be written.
+    """
+    backend = backend or render_backend()
     renderer = backend.renderer(_bare_world(scenario, backend, FolderCache(cache_dir)), camera)
     try:
         yield lambda T_world_cam: renderer.render(T_world_cam)[1]

@@ -48,7 +48,7 @@ class RenderBackend:
     renderer_name: str = DEFAULT_RENDERER
 
 
-def render_backend(renderer: str) -> RenderBackend:
+def render_backend(renderer: str = DEFAULT_RENDERER) -> RenderBackend:
     """The worlds of ``sim.worlds``, rendered by one of ``sim.rendering.renderers``.
 
     Raises:
@@ -69,11 +69,6 @@ def _world(spec: World, seed: int) -> WorldModel:
     for surface in world.surfaces:
         surface.texture.flags.writeable = False
     return world
-
-
-def mujoco_backend() -> RenderBackend:
-    """The worlds of ``sim.worlds``, rendered by MuJoCo."""
-    return render_backend("mujoco")
 
 
 def camera_intrinsics(camera: Camera) -> Intrinsics:

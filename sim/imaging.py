@@ -15,7 +15,7 @@ import numpy as np
 
 from dslab.scenarios.spec import Camera, Segment
 from dslab.sim.degradations.base import FramePlan, Stage
-from dslab.sim.degradations.scattering import HazeLink
+from dslab.sim.degradations.fog import HazeLink
 from dslab.sim.degradations.segment_link import SegmentLink, segment_links
 from dslab.sim.frame_plan import RenderBackend, taking_intrinsics
 from dslab.sim.link import NO_IMAGE, Link, Shutter, View, fold

@@ -8,7 +8,7 @@ import numpy as np
 from dslab.scenarios.spec import Scenario
 from dslab.sim.degradations.base import FramePlan
 from dslab.sim.degradations.segment_link import SegmentLink
-from dslab.sim.frame_plan import RenderBackend, mujoco_backend, noise_seed, plan_frames
+from dslab.sim.frame_plan import RenderBackend, noise_seed, plan_frames, render_backend
 from dslab.sim.imaging import ImagingChain, rendered
 from dslab.sim.room import check_memory, check_room
 from dslab.sim.worlds.base import WorldModel
@@ -69,6 +69,6 @@ def preview(scenario: Scenario, backend: RenderBackend | None = None) -> Preview
         InputError: no GL, the world's sizes do not fit, or the plan does not fit into the memory.
     """
     check_room(scenario.name, scenario.frame_count, [])
-    backend = backend or mujoco_backend()
+    backend = backend or render_backend()
     plan, world = plan_frames(scenario, scenario.seed, backend, lambda step, done, total: None)
     return Preview(scenario, plan, world, backend)

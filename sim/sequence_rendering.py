@@ -18,12 +18,11 @@ from dslab.scenarios.spec import Scenario
 from dslab.sim.cache import CorruptEntryError, FolderCache
 from dslab.sim.degradations.base import FramePlan, Stage
 from dslab.sim.degradations.registry import DEGRADATIONS, IMAGE_KINDS, in_order_of_action
-from dslab.sim.degradations.truths import truths_of
+from dslab.sim.degradations.segment_link import truths_of
 from dslab.sim.frame_plan import (
     Progress,
     RenderBackend,
     camera_intrinsics,
-    mujoco_backend,
     noise_seed,
     plan_frames,
     plan_in_world,
@@ -37,16 +36,6 @@ from dslab.sim.link import Link
 from dslab.sim.provenance import entry_key, provenance
 from dslab.sim.room import Need, check_room, images_need
 from dslab.sim.sequence import SegmentTruth, Sequence
-
-__all__ = [
-    "Progress",
-    "RenderBackend",
-    "camera_intrinsics",
-    "mujoco_backend",
-    "plan_frames",
-    "render_backend",
-    "render_sequence",
-]
 
 _NO_SENSOR = {"noise_sigma": 0.0, "shot_noise": 0.0, "softness_px": 0.0, "contrast": 1.0}
 _VIEW_SHARE, _MEASURES = "view_share.npy", "measures.npy"
@@ -88,7 +77,7 @@ def render_sequence(
             written, the disk is full.
     """
     seed = scenario.seed if seed is None else seed
-    backend = backend or mujoco_backend()
+    backend = backend or render_backend()
     progress = progress or (lambda step, done, total: None)
     if out_dir is not None:
         check_free(out_dir)

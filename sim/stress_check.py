@@ -9,8 +9,8 @@ from dslab.scenarios.spec import Scenario
 from dslab.sim.degradations.base import FramePlan, Stage, during
 from dslab.sim.degradations.image import ramp
 from dslab.sim.degradations.registry import DEGRADATIONS, FRAME_PLAN_KINDS
-from dslab.sim.degradations.truths import truths_of
-from dslab.sim.frame_plan import RenderBackend, mujoco_backend, plan_in_world
+from dslab.sim.degradations.segment_link import truths_of
+from dslab.sim.frame_plan import RenderBackend, plan_in_world, render_backend
 from dslab.sim.preview import Preview, preview
 
 _WITHOUT_A_WORLD = {Stage.MOTION, Stage.TIMING}
@@ -31,7 +31,7 @@ def stress_acts(scenario: Scenario, backend: RenderBackend | None = None) -> boo
     Raises:
         InputError: as ``sim.preview.preview``.
     """
-    backend = backend or mujoco_backend()
+    backend = backend or render_backend()
     stages = {DEGRADATIONS[segment.kind].stage for segment in scenario.segments}
     if stages <= _WITHOUT_A_WORLD:
         plan = plan_in_world(scenario, scenario.seed, backend, 0, lambda plan: plan.view_share)

@@ -111,14 +111,14 @@ def open_imu(
             raise InputError(f"--imu: {source}", problem, "name a scenario, or leave out --imu")
         return None if readings is None else (readings, None)
     from dslab.scenarios.loading import load_scenario
-    from dslab.sim.frame_plan import mujoco_backend, plan_path
+    from dslab.sim.frame_plan import plan_path, render_backend
     from dslab.sim.sensors.imu import ImuModel, record_imu
 
     scenario = load_scenario(source, seed)
     if scenario.imu is None and not wanted:
         return None
     model = ImuModel.of_spec(scenario.imu) if scenario.imu else None
-    return record_imu(plan_path(scenario, scenario.seed, mujoco_backend()), stamps_s, scenario.seed, model)
+    return record_imu(plan_path(scenario, scenario.seed, render_backend()), stamps_s, scenario.seed, model)
 
 
 def _image_names(folder: Path) -> tuple[str, ...]:

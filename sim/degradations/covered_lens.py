@@ -5,8 +5,8 @@ import numpy as np
 from dslab.scenarios.segments import CoveredLens
 from dslab.sim.degradations.base import Stage, drawn, log_uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
-from dslab.sim.degradations.tone import map_light
 from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.tone import map_light
 
 HALF_THE_LIGHT = 0.5
 

@@ -8,8 +8,8 @@ import numpy as np
 from dslab.scenarios.segments import CrackedLens
 from dslab.sim.degradations.base import Stage, drawn, log_uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
-from dslab.sim.degradations.tone import decode, encode
 from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.tone import decode, encode
 
 _STEP_DEG, _WANDER = 0.8, 0.12  # of the pieces of a crack, and how they turn, radians
 _BRANCH_SHARE, _BRANCH_TURN = 0.12, (0.5, 1.4)  # per piece; radians off the crack

@@ -5,8 +5,8 @@ import numpy as np
 from dslab.scenarios.segments import DayToNight
 from dslab.sim.degradations.base import Stage, drawn, log_uniform, uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
-from dslab.sim.degradations.tone import decode, encode
 from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.tone import decode, encode
 
 ONE_STOP = 1.0
 _BEAM_DEG = 18.0  # standard deviation of the lamp's beam

@@ -8,8 +8,8 @@ import numpy as np
 from dslab.scenarios.segments import Defocus
 from dslab.sim.degradations.base import Stage, drawn, log_uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
-from dslab.sim.degradations.tone import decode, encode
 from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.tone import decode, encode
 
 # A pixel averages over such a disc anyway.
 SHARP_PX = 1.0

@@ -5,8 +5,8 @@ import numpy as np
 from dslab.scenarios.segments import Flicker
 from dslab.sim.degradations.base import Stage, drawn, one_of, uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
-from dslab.sim.degradations.tone import decode, encode
 from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.tone import decode, encode
 
 FELT_MODULATION = 0.1
 

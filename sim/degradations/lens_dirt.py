@@ -7,8 +7,8 @@ from dslab.scenarios.segments import LensDirt
 from dslab.sim.degradations.base import Stage, drawn, uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.sprites import acting_share, fill_share, filled, smooth_outline
-from dslab.sim.degradations.tone import decode, encode
 from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.tone import decode, encode
 
 # Spots are placed and light is smeared on grids this much coarser than the image.
 _COARSE, _SMEAR = 4, 32

@@ -8,9 +8,9 @@ import numpy as np
 from dslab.scenarios.segments import LensFlare
 from dslab.sim.degradations.base import Stage, drawn, log_uniform, uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
-from dslab.sim.degradations.tone import decode, encode
 from dslab.sim.motion.base import Motion
 from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.tone import decode, encode
 
 FELT_VEIL = 0.05
 _COARSE = 4  # light is added on a grid this much coarser than the image

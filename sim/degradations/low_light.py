@@ -6,8 +6,8 @@ from numba import njit
 from dslab.scenarios.segments import LowLight
 from dslab.sim.degradations.base import Stage, drawn, log_uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
-from dslab.sim.degradations.tone import DECODE, ENCODE
 from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.tone import DECODE, ENCODE
 
 ONE_STOP = 1.0
 _BANK_SIZE = 1 << 22

@@ -5,8 +5,8 @@ import numpy as np
 from dslab.scenarios.segments import OverExposure
 from dslab.sim.degradations.base import Stage, drawn, uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
-from dslab.sim.degradations.tone import map_light
 from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.tone import map_light
 
 ONE_STOP = 1.0
 

@@ -7,9 +7,9 @@ from dslab.scenarios.segments import Rain
 from dslab.sim.degradations.base import Stage, drawn, log_uniform, uniform
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.raindrops import REACH_M, RainField, extinction_per_m
-from dslab.sim.degradations.tone import decode, encode
 from dslab.sim.degradations.wet_glass import WetGlass
 from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.tone import decode, encode
 
 FELT_VEIL = 0.02
 _VERY_FAR_M = 1e4

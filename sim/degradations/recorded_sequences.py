@@ -9,12 +9,10 @@ import numpy as np
 
 from dslab.scenarios.segments import LowTexture, Segment
 from dslab.sim.degradations.base import FramePlan, Stage, during, true_runs
-from dslab.sim.degradations.depth_holes import fill_narrow_holes
 from dslab.sim.degradations.recorded_kinds import check_recorded_sequence, view_of
 from dslab.sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
-from dslab.sim.degradations.retake import Retake
-from dslab.sim.degradations.segment_link import SegmentLink, segment_links
-from dslab.sim.degradations.truths import truths_of
+from dslab.sim.degradations.retake import Retake, fill_narrow_holes
+from dslab.sim.degradations.segment_link import SegmentLink, segment_links, truths_of
 from dslab.sim.io.raw import RawFrames, RawWriter
 from dslab.sim.link import USUAL_EXPOSURE_S, View, fold
 from dslab.sim.sequence import SegmentTruth, Sequence

@@ -1,22 +1,30 @@
 """Recorded frames taken again: turned, faded and with a longer shutter, as a frame plan says."""
 
+import math
 from functools import cached_property
 
+import cv2
 import numpy as np
 
 from dslab.scenarios.seeds import rng_for
 from dslab.sim.degradations.base import FramePlan
-from dslab.sim.degradations.faded_detail import fade, noise_level
 from dslab.sim.degradations.frame_interpolation import FrameInterpolation
-from dslab.sim.degradations.tone import decode, encode
 from dslab.sim.degradations.turned_view import TurnedView
-from dslab.sim.sensors.exposure import GRID_PX, PX_PER_SAMPLE, SHARP_PX, linear_to_srgb
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.exposure import GRID_PX, PX_PER_SAMPLE, SHARP_PX
+from dslab.sim.sensors.tone import decode, encode, linear_to_srgb
 from dslab.sim.sequence import Sequence
 
 _LEAST_SAMPLES, _MOST_SAMPLES = 4, 64
 # The smear of the fastest pixels but these decides on the number of samples.
 _FAST_SHARE = 0.95
 _NOISE_FRAMES = 9
+DETAIL_DEG = 4.0
+"""Standard deviation of the Gaussian whose mean is no detail, visual angle: features of every scale are."""
+_TILE = 8
+_DARK, _BRIGHT = 8, 247
+_NARROW_DEG = 3.0
+"""Half of the width of the widest hole that is filled, visual angle."""
 
 
 class Retake:
@@ -102,3 +110,67 @@ class Retake:
         """Standard deviation of the recording's noise, grey levels, over all of its time."""
         chosen = np.unique(np.linspace(0, len(self._sequence) - 1, _NOISE_FRAMES).astype(int))
         return float(np.median([noise_level(self._sequence.frames[frame]) for frame in chosen.tolist()]))
+
+
+def fade(light: np.ndarray, contrast: float, camera: Intrinsics) -> np.ndarray:
+    """Multiply the contrast of detail: light relative to its local mean.
+
+    The mean of every surface stays, and so does the shading over more than some degrees.
+
+    Args:
+        light: (H, W) float32, 0 to 1.
+        contrast: share of the contrast that remains.
+        camera: intrinsics of the frame.
+
+    Returns:
+        (H, W) float32.
+    """
+    if contrast == 1:
+        return light
+    width_px = math.tan(math.radians(DETAIL_DEG)) * camera.fx
+    mean = cv2.GaussianBlur(light, (0, 0), width_px, borderType=cv2.BORDER_REFLECT_101)
+    return mean + np.float32(contrast) * (light - mean)
+
+
+def noise_level(gray: np.ndarray) -> float:
+    """Standard deviation of the white noise of a frame, grey levels, from its quietest parts.
+
+    Args:
+        gray: (H, W) uint8.
+    """
+    height, width = (size // (2 * _TILE) * 2 * _TILE for size in gray.shape)
+    even = gray[:height, :width].astype(np.float32)
+    # A diagonal difference sees no shading and no upright or level edge.
+    diagonal = (even[::2, ::2] - even[1::2, ::2] - even[::2, 1::2] + even[1::2, 1::2]) / 2
+    tiles = diagonal.reshape(height // 2 // _TILE, _TILE, width // 2 // _TILE, _TILE)
+    means = even.reshape(height // 2 // _TILE, 2 * _TILE, width // 2 // _TILE, 2 * _TILE).mean(axis=(1, 3))
+    spread = np.sqrt((tiles**2).mean(axis=(1, 3)))[(means > _DARK) & (means < _BRIGHT)]
+    return float(np.quantile(spread, 0.25)) if spread.size else 0.0
+
+
+def fill_narrow_holes(depth_m: np.ndarray, camera: Intrinsics) -> np.ndarray:
+    """Give narrow holes the depth of the nearest pixel that has one; wide ones stay.
+
+    A depth sensor leaves holes along outlines and on dark or shiny surfaces, which are as near as what is
+    about them. Where nothing is within its reach, such as the sky, the hole is wide.
+
+    Args:
+        depth_m: (H, W) float32, 0 for none; left unchanged.
+        camera: intrinsics of the image.
+
+    Returns:
+        (H, W) float32; the given image if it has no hole or no depth.
+    """
+    hole = depth_m <= 0
+    if not hole.any() or hole.all():
+        return depth_m
+    distance_px, label = cv2.distanceTransformWithLabels(
+        hole.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    count, hole_of = cv2.connectedComponents(hole.astype(np.uint8), connectivity=4)
+    half_px = np.zeros(count, np.float32)
+    np.maximum.at(half_px, hole_of[hole], distance_px[hole])
+    narrow = hole & (half_px[hole_of] <= np.radians(_NARROW_DEG) * camera.fx)
+    depth_of = np.zeros(int(label.max()) + 1, np.float32)
+    depth_of[label[~hole]] = depth_m[~hole]
+    return np.where(narrow, depth_of[label], depth_m)

@@ -1,15 +1,16 @@
-"""Segments that act on images, as links of the imaging chain."""
+"""Segments that act on images, as links of the imaging chain; the truths of all segments."""
 
 from collections.abc import Iterable
+from collections.abc import Sequence as Many
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from dslab.scenarios.segments import ImageSegment, Segment
-from dslab.sim.degradations.base import Stage, streams_of, truth_of
+from dslab.sim.degradations.base import FramePlan, Stage, segment_truth, streams_of, truth_of
 from dslab.sim.degradations.image import Filter, ramp
-from dslab.sim.degradations.registry import IMAGE_KINDS, in_order_of_action
+from dslab.sim.degradations.registry import FRAME_PLAN_KINDS, IMAGE_KINDS, in_order_of_action
 from dslab.sim.link import View
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sequence import SegmentTruth
@@ -80,3 +81,29 @@ def segment_links(
         SegmentLink(segment, (ideal or camera) if before else camera, stamps_s, seed)
         for segment, before in zip(acting, before_lens, strict=True)
     ]
+
+
+def truths_of(
+    segments: Many[Segment], plan: FramePlan, links: Iterable[SegmentLink], blur_px: np.ndarray
+) -> tuple[list[SegmentTruth], dict[str, np.ndarray]]:
+    """Truths by start, then by order of action, and the columns of their measures.
+
+    Segments with the same measure share a column, which holds the larger value; segments of one kind do not
+    overlap. The runs of each truth give the frames on which it acts.
+
+    Args:
+        segments: all of the sequence.
+        plan: with every segment applied.
+        links: the segments that act on images, after all frames.
+        blur_px: (N,) median length of each frame's motion blur, pixels.
+    """
+    of_images = {link.segment: (link.truth(), link.measure) for link in links}
+    truths: list[SegmentTruth] = []
+    columns: dict[str, np.ndarray] = {}
+    for segment in sorted(in_order_of_action(segments), key=lambda segment: segment.start_s):
+        truth, measure = of_images.get(segment) or segment_truth(
+            FRAME_PLAN_KINDS[segment.kind], plan, segment, blur_px
+        )
+        truths.append(truth)
+        columns[truth.measure] = np.maximum(columns.get(truth.measure, 0.0), measure)
+    return truths, columns

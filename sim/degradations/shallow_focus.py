@@ -7,8 +7,8 @@ from dslab.scenarios.segments import ShallowFocus
 from dslab.sim.degradations.base import Stage, drawn, log_uniform
 from dslab.sim.degradations.defocus import SHARP_PX, disc
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
-from dslab.sim.degradations.tone import decode, encode
 from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.tone import decode, encode
 
 FELT_PX = 2.0
 _MOST_PX = 80.0

@@ -10,8 +10,7 @@ from dslab.sim.io.euroc_reader import load_euroc
 from dslab.sim.io.euroc_writer import write_euroc
 from dslab.sim.io.folders import Progress
 from dslab.sim.io.loose_images import load_images
-from dslab.sim.io.tum_reader import load_tum
-from dslab.sim.io.tum_writer import write_tum
+from dslab.sim.io.tum import load_tum, write_tum
 from dslab.sim.io.video import is_video, load_video
 from dslab.sim.io.vslam_lab_reader import load_vslam_lab
 from dslab.sim.io.vslam_lab_writer import write_vslam_lab

@@ -1,6 +1,136 @@
-"""Sequence folders: writing in TUM form, reading in any."""
+"""Reader and writer of TUM-form folders; see ``sim.io.layout``."""
 
-from dslab.sim.io.forms import load_sequence
-from dslab.sim.io.tum_writer import write_tum
+from pathlib import Path
 
-__all__ = ["load_sequence", "write_tum"]
+import numpy as np
+
+from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import is_given
+from dslab.sim.io import layout
+from dslab.sim.io.camera_file import read_camera, write_camera
+from dslab.sim.io.folders import Progress, new_directory, write_images
+from dslab.sim.io.images import DepthFolder, GrayFolder
+from dslab.sim.io.sidecars import read_sidecars, write_sidecars
+from dslab.sim.io.text import check_order, check_present, read_rows, to_stamp
+from dslab.sim.io.truth import half_interval_s, nearest, read_tum_poses, tum_poses_text
+from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sequence import FrameSource, Sequence
+
+
+def load_tum(folder: Path) -> Sequence:
+    """Read a sequence from a TUM-form folder; see ``sim.io.layout``.
+
+    The existence of every image is checked now, its content when the frame is read. Ground truth and depth
+    images are assigned to frames within half a frame interval, without interpolation; a frame without a depth
+    image has depth 0 (unknown) everywhere.
+
+    Raises:
+        InputError: a file is missing, empty, cut short, malformed or absurd. Reading a frame raises it too,
+            if the image is unreadable or of another size.
+    """
+    camera = read_camera(folder / layout.CAMERA_FILE)
+    stamps_s, images = _read_list(folder / layout.FRAMES_FILE)
+    frames = GrayFolder(images, (camera.height_px, camera.width_px))
+    frames[0]  # a wrong size shows in the first image already
+    tolerance_s = half_interval_s(stamps_s, camera.fps)
+    return Sequence(
+        camera=camera,
+        stamps_s=stamps_s,
+        frames=frames,
+        T_world_cam=read_tum_poses(folder / layout.TRUTH_FILE, stamps_s, tolerance_s),
+        depths=_read_depths(folder / layout.DEPTH_FILE, camera, stamps_s, tolerance_s),
+        **read_sidecars(folder, len(stamps_s)),
+    )
+
+
+def _read_list(path: Path) -> tuple[np.ndarray, list[Path]]:
+    """Read (N,) stamps and the image paths of a list of frames."""
+    stamps: list[float] = []
+    images: list[Path] = []
+    for where, words in read_rows(path, "give a folder with the list of frames, `stamp filename` per line"):
+        if len(words) != 2:
+            problem = f"{len(words)} words where stamp and filename belong"
+            raise InputError(where, problem, "write `stamp filename`; the file may be cut short")
+        stamp_s = to_stamp(where, words[0])
+        check_order(where, stamps, stamp_s)
+        stamps.append(stamp_s)
+        images.append(path.parent / words[1])
+    if not stamps:
+        raise InputError(str(path), "lists no frame", "give a folder with at least one frame")
+    check_present(images, path.name)
+    return np.array(stamps), images
+
+
+def _read_depths(
+    path: Path, camera: Intrinsics, stamps_s: np.ndarray, tolerance_s: float
+) -> DepthFolder | None:
+    """The depth image nearest in time to each frame; None without the file."""
+    if not is_given(path):
+        return None
+    depth_s, images = _read_list(path)
+    best = nearest(depth_s, stamps_s, tolerance_s)
+    if (best < 0).all():
+        problem = f"no stamp lies within {tolerance_s:.4g} s of a frame's"
+        raise InputError(str(path), problem, "give both files the same clock, or delete this one")
+    chosen = [images[index] if index >= 0 else None for index in best]
+    return DepthFolder(chosen, (camera.height_px, camera.width_px))
+
+
+def write_tum(
+    sequence: Sequence,
+    directory: Path,
+    depth: bool = False,
+    progress: Progress | None = None,
+) -> None:
+    """Write a sequence as a TUM-form folder; see ``sim.io.layout``.
+
+    Args:
+        sequence: what to write.
+        directory: new or empty folder.
+        depth: write depth images too; the sequence must have them.
+        progress: called with step, frames done and frames in all.
+
+    Raises:
+        InputError: the folder is not empty or cannot be written, the disk is full; nothing is left behind.
+    """
+    if depth and sequence.depths is None:
+        raise InputError(sequence.name, "has no depth images", "render it with depth")
+    with new_directory(directory) as folder:
+        write_camera(sequence.camera, folder / layout.CAMERA_FILE)
+        if sequence.T_world_cam is not None:
+            text = tum_poses_text(sequence.stamps_s, sequence.T_world_cam)
+            (folder / layout.TRUTH_FILE).write_text(text)
+        write_sidecars(sequence, folder)
+        _write_list(sequence, folder, "rgb", layout.FRAMES_FILE, sequence.frames, progress)
+        if depth and sequence.depths is not None:
+            coded = CodedDepth(sequence.depths)
+            _write_list(sequence, folder, "depth", layout.DEPTH_FILE, coded, progress)
+
+
+class CodedDepth:
+    """Depth as 16-bit images; depth out of range becomes unknown."""
+
+    def __init__(self, depths: FrameSource) -> None:
+        self._depths = depths
+
+    def __len__(self) -> int:
+        return len(self._depths)
+
+    def __getitem__(self, index: int) -> np.ndarray:
+        code = np.rint(self._depths[index] * layout.DEPTH_PER_M)
+        return np.where(code <= 65535, code, 0).astype(np.uint16)
+
+
+def _write_list(
+    sequence: Sequence,
+    folder: Path,
+    name: str,
+    list_file: str,
+    images: FrameSource,
+    progress: Progress | None,
+) -> None:
+    (folder / name).mkdir()
+    paths = [f"{name}/{frame:06d}.png" for frame in range(len(sequence))]
+    write_images(images, [folder / path for path in paths], f"writing {name}", progress)
+    lines = [f"{stamp_s:.9f} {path}" for stamp_s, path in zip(sequence.stamps_s, paths, strict=True)]
+    (folder / list_file).write_text("\n".join(["# stamp_s filename", *lines]) + "\n")

@@ -11,7 +11,7 @@ from dslab.sim.io.euroc_layout import origin_ns, to_ns
 from dslab.sim.io.folders import Progress, new_directory, write_images
 from dslab.sim.io.layout import DEPTH_PER_M
 from dslab.sim.io.sidecars import write_sidecars
-from dslab.sim.io.tum_writer import CodedDepth
+from dslab.sim.io.tum import CodedDepth
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sequence import Sequence
 

@@ -13,6 +13,7 @@ from numba import njit
 from dslab.sim.link import View
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sensors.outlines import TILE_PX, integrate_outlines, inverse_depths, outline_tiles
+from dslab.sim.sensors.tone import DECODE, ENCODE
 
 # A shorter smear than this is invisible.
 SHARP_PX = np.float32(0.3)
@@ -21,21 +22,6 @@ PX_PER_SAMPLE = np.float32(1.25)
 MAX_SAMPLES = 64
 # The median smear is taken over a grid with this spacing.
 GRID_PX = 16
-_CODES = 16384
-
-
-def srgb_to_linear(level: np.ndarray) -> np.ndarray:
-    """Light, 0 to 1, of sRGB-encoded levels, 0 to 1. Source: IEC 61966-2-1."""
-    return np.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)
-
-
-def linear_to_srgb(light: np.ndarray) -> np.ndarray:
-    """sRGB-encoded levels, 0 to 1, of light, 0 to 1. Source: IEC 61966-2-1."""
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-
-
-_DECODE = srgb_to_linear(np.arange(256) / 255).astype(np.float32)
-_ENCODE = np.rint(255 * linear_to_srgb(np.arange(_CODES) / (_CODES - 1))).astype(np.uint8)
 
 
 class Exposure:
@@ -82,11 +68,11 @@ def expose(
     # Between the grid's pixels the smear is hardly longer than on them.
     if lengths.max() < 0.8 * SHARP_PX:
         return gray.copy(), median_px
-    linear = cv2.LUT(gray, _DECODE)
+    linear = cv2.LUT(gray, DECODE)
     inverse_depth = inverse_depths(depth_m)
     near, far = outline_tiles(inverse_depth, intrinsics, opening, closing)
-    image = integrate(gray, linear, depth_m, intrinsics, opening, closing, _ENCODE, near)
-    integrate_outlines(image, linear, inverse_depth, intrinsics, opening, closing, _ENCODE, near, far)
+    image = integrate(gray, linear, depth_m, intrinsics, opening, closing, ENCODE, near)
+    integrate_outlines(image, linear, inverse_depth, intrinsics, opening, closing, ENCODE, near, far)
     return image, median_px
 
 

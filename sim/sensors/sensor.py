@@ -1,13 +1,16 @@
 """What lens and sensor make of the light, the same in every frame: softness, tone curve, noise."""
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 
+from dslab.scenarios.seeds import rng_for
 from dslab.scenarios.spec import Camera
 from dslab.sim.link import Link, View
-from dslab.sim.sensors.noise import SensorNoise
 
 _MIDDLE_LEVEL = 128
+_BANK_SIZE = 1 << 22
 
 
 class Softness:
@@ -31,6 +34,67 @@ class ToneCurve:
     def apply(self, image: np.ndarray, view: View) -> tuple[np.ndarray, View]:
         """See ``Link``."""
         return cv2.LUT(image, self._level_of), view
+
+
+class SensorNoise:
+    """Additive white Gaussian noise in gray levels, independent between frames.
+
+    Drawing a normal number per pixel would cost more than rendering, so each frame takes a seeded piece of
+    one seeded bank; two frames take the same piece only with a small probability.
+
+    Args:
+        shape: (H, W) of the frames.
+        sigma: standard deviation, grey levels, at most 30.
+        seed: root seed; the streams are ``("noise", ...)``.
+        shot: further standard deviation at level 255, at most 30; that of a level grows with its root.
+    """
+
+    def __init__(self, shape: tuple[int, int], sigma: float, seed: int, shot: float = 0.0) -> None:
+        self._shape, self._sigma, self._seed, self._shot = shape, sigma, seed, shot
+        size = max(_BANK_SIZE, 2 * shape[0] * shape[1])
+        if shot:
+            variance = sigma**2 + shot**2 * np.arange(256) / 255
+            self._normals, self._sigma_of = _normals(size, seed), np.sqrt(variance).astype(np.float32)
+        elif sigma:
+            self._bank = _levels(size, seed, sigma)
+
+    def apply(self, image: np.ndarray, view: View) -> tuple[np.ndarray, View]:
+        """See ``Link``."""
+        return self.added(image, view.frame), view
+
+    def added(self, image: np.ndarray, frame: int) -> np.ndarray:
+        """The (H, W) uint8 image with the noise of one frame number."""
+        if self._sigma == 0 and not self._shot:
+            return image.copy()
+        pixels = self._shape[0] * self._shape[1]
+        bank = self._normals if self._shot else self._bank
+        start = int(rng_for(self._seed, "noise", frame).integers(len(bank) - pixels))
+        if self._shot:
+            normals = bank[start : start + pixels].reshape(self._shape)
+            return cv2.add(image, normals * cv2.LUT(image, self._sigma_of), dtype=cv2.CV_8U)
+        piece = self._bank[start : start + pixels].reshape(self._shape)
+        return cv2.add(image, piece, dtype=cv2.CV_8U)
+
+
+# Sequences that share their noise follow each other.
+@lru_cache(maxsize=1)
+def _levels(size: int, seed: int, sigma: float) -> np.ndarray:
+    """(size,) int8 noise in whole grey levels, read only."""
+    levels = np.clip(np.rint(sigma * _drawn(size, seed)), -127, 127).astype(np.int8)
+    levels.flags.writeable = False
+    return levels
+
+
+@lru_cache(maxsize=1)
+def _normals(size: int, seed: int) -> np.ndarray:
+    """(size,) float32 normal numbers, read only."""
+    normals = _drawn(size, seed)
+    normals.flags.writeable = False
+    return normals
+
+
+def _drawn(size: int, seed: int) -> np.ndarray:
+    return rng_for(seed, "noise", "bank").standard_normal(size, np.float32)
 
 
 def sensor_links(camera: Camera, seed: int) -> tuple[list[Link], list[Link]]:

@@ -10,7 +10,7 @@ import numpy as np
 from dslab.scenarios.spec import Scenario
 from dslab.sim.degradations.base import Stage
 from dslab.sim.degradations.registry import DEGRADATIONS
-from dslab.sim.frame_plan import RenderBackend, mujoco_backend
+from dslab.sim.frame_plan import RenderBackend, render_backend
 from dslab.sim.link import NO_IMAGE, Link, Shutter, View, fold
 from dslab.sim.sequence import Sequence
 
@@ -77,7 +77,7 @@ def segment(kind: str, **severity) -> dict:
 @cache
 def small_backend() -> RenderBackend:
     """The real worlds with coarse textures and the real renderer; both are built once per process."""
-    real = mujoco_backend()
+    real = render_backend()
     worlds, renderers = {}, {}
 
     def build_world(spec, seed):

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from small_world import CAMERA, CORRIDOR
-from world_views import cheap_textures, poses
+from world_views import cheap_textures, depth_thumbnails, poses
 
 from dslab.scenarios.spec import Scenario
-from dslab.sim.depth_thumbnails import depth_thumbnails, thumbnail_camera
-from dslab.sim.frame_plan import mujoco_backend, taking_intrinsics
+from dslab.sim.depth_thumbnails import thumbnail_camera
+from dslab.sim.frame_plan import render_backend, taking_intrinsics
 from dslab.sim.rendering.renderers import RENDERERS, load_renderer
 from dslab.sim.sensors.distortion import unproject
 from dslab.sim.worlds import build_world, layout
@@ -34,7 +34,7 @@ def backend(built):
         with cheap_textures():
             return build_world(spec, seed)
 
-    return replace(mujoco_backend(), build_world=build)
+    return replace(render_backend(), build_world=build)
 
 
 @pytest.fixture

@@ -15,8 +15,8 @@ from small_world import CAMERA, CORRIDOR
 
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.spec import Scenario
-from dslab.sim.io.tum import load_sequence
-from dslab.sim.sequence_rendering import RenderBackend, mujoco_backend, render_sequence
+from dslab.sim.io.forms import load_sequence
+from dslab.sim.sequence_rendering import RenderBackend, render_backend, render_sequence
 from dslab.sim.worlds.base import Route, Surface, WorldModel
 
 SPEC = {
@@ -365,6 +365,6 @@ def test_same_seed_same_bytes_in_another_process(tmp_path):
     command = [sys.executable, "-c", _IN_ANOTHER_PROCESS, json.dumps(spec), str(tmp_path / "theirs")]
     other = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
     own = render_sequence(
-        Scenario.model_validate(spec), 5, cache_dir=tmp_path / "own", backend=mujoco_backend()
+        Scenario.model_validate(spec), 5, cache_dir=tmp_path / "own", backend=render_backend()
     )
     assert digest(own) == other.stdout.strip()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dslab.scenarios.spec import Scenario
-from dslab.sim.frame_plan import mujoco_backend, plan_frames
+from dslab.sim.frame_plan import plan_frames, render_backend
 from dslab.sim.sequence_rendering import render_sequence
 from dslab.sim.stress_check import stress_acts
 
@@ -50,7 +50,7 @@ def test_it_is_what_the_truth_of_the_whole_sequence_says(segment, acts, tmp_path
 def test_the_asked_share_of_the_view_fades_from_surfaces_that_are_seen_least_elsewhere(world):
     def plan(**segment):
         of = scenario(world, kind="low_texture", contrast=0.1, **segment)
-        made, _ = plan_frames(of, of.seed, mujoco_backend(), lambda *_: None)
+        made, _ = plan_frames(of, of.seed, render_backend(), lambda *_: None)
         seen, faded = made.view_share, made.contrast < 1
         within = made.within(of.segments[0])
         return seen[within][:, faded].sum(axis=1).mean(), seen[~within][:, faded].sum(axis=1).mean(), faded

@@ -18,6 +18,7 @@ from dslab.scenarios.worlds import (
     RoomWorld,
     WarehouseWorld,
 )
+from dslab.sim.depth_thumbnails import depth_renderer, thumbnail_camera
 from dslab.sim.rendering.renderer import Renderer
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.worlds import build_world
@@ -55,6 +56,13 @@ def cheap_world(kind: str, seed: int) -> WorldModel:
     """The small world of a kind with ``cheap_textures``."""
     with cheap_textures():
         return build_world(SMALL[kind], seed)
+
+
+def depth_thumbnails(scenario, T_world_cam, **more) -> tuple[np.ndarray, Intrinsics]:
+    """Small depth images (N, h, w) at poses, and their camera."""
+    camera = thumbnail_camera(scenario.camera)
+    with depth_renderer(scenario, camera, **more) as depth_of:
+        return np.array([depth_of(pose) for pose in T_world_cam]), camera
 
 
 def length(route: Route) -> float:

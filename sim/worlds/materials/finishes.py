@@ -28,12 +28,14 @@ class Finish:
         mean_level: mean gray level of the unlit texture.
         deviation: standard deviation of its gray levels.
         luminous: emits light and takes no light or shade.
+        fitted: its mean and deviation are met; otherwise they are the drawing's own.
     """
 
     draw: Callable[[np.ndarray, float, np.random.Generator], None]
     mean_level: float
     deviation: float
     luminous: bool = False
+    fitted: bool = True
 
 
 FINISHES = {
@@ -93,13 +95,11 @@ class PieceFinish(Finish):
 
     Attributes:
         scale: pixels per metre where the texture budget allows.
-        fitted: its mean and deviation are met; otherwise they are the drawing's own.
         refine: adds detail too fine for a drawing shared by several pieces to a part of it that is seen
             from near; arguments as of ``draw``.
     """
 
     scale: float = 32.0
-    fitted: bool = True
     refine: Callable[[np.ndarray, float, np.random.Generator], None] | None = None
 
 
@@ -144,10 +144,8 @@ PIECE_FINISHES = {
 }
 
 
-def draw(
-    finish: PieceFinish, size_m: tuple[float, float], scale: float, rng: np.random.Generator
-) -> np.ndarray:
-    """Draw a texture of a mesh before light and shade, (h, w) uint8; arguments as in ``paint``."""
+def draw(finish: Finish, size_m: tuple[float, float], scale: float, rng: np.random.Generator) -> np.ndarray:
+    """Draw a texture before light and shade, (h, w) uint8; arguments as in ``paint``."""
     width, height = (max(8, round(side * scale)) for side in size_m)
     image = np.full((height, width), 128, np.uint8)
     finish.draw(image, scale, rng)
@@ -166,8 +164,4 @@ def paint(finish: str, size_m: tuple[float, float], scale: float, rng: np.random
     Returns:
         (h, w) uint8 with the finish's mean level within 0.5.
     """
-    width, height = (max(8, round(side * scale)) for side in size_m)
-    image = np.full((height, width), 128, np.uint8)
-    kind = FINISHES[finish]
-    kind.draw(image, scale, rng)
-    return fit_levels(image, kind.mean_level, kind.deviation)
+    return draw(FINISHES[finish], size_m, scale, rng)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from world_views import along, cheap_textures, length
+from world_views import along, cheap_textures, depth_thumbnails, length
 
 from dslab.experiments.evaluation.view_overlap import (
     RESCUABLE_OVERLAP,
@@ -13,8 +13,7 @@ from dslab.experiments.evaluation.view_overlap import (
     view_overlap,
 )
 from dslab.scenarios.spec import Scenario
-from dslab.sim.depth_thumbnails import depth_thumbnails
-from dslab.sim.frame_plan import mujoco_backend
+from dslab.sim.frame_plan import render_backend
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sensors.shared_view import seen_share
 from dslab.sim.worlds import layout
@@ -190,7 +189,7 @@ def uncached_worlds():
     """A backend whose worlds with cheap textures are not kept for other tests."""
     from dslab.sim.worlds import build_world
 
-    return replace(mujoco_backend(), build_world=build_world)
+    return replace(render_backend(), build_world=build_world)
 
 
 def test_around_a_corner_nothing_is_shared_and_along_a_wall_much(walked):

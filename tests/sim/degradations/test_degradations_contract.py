@@ -18,9 +18,9 @@ from degradation_worlds import (
 from scipy.stats import spearmanr
 
 from dslab.sim.degradations.registry import DEGRADATIONS, IMAGE_KINDS
-from dslab.sim.degradations.tone import map_light
 from dslab.sim.frame_plan import camera_intrinsics, plan_frames
 from dslab.sim.rendering.lens_renderer import lens_renderer
+from dslab.sim.sensors.tone import map_light
 from dslab.sim.sequence_rendering import render_sequence
 
 SEED = 4

@@ -14,11 +14,10 @@ from dslab.sim.degradations.image import View, ramp
 from dslab.sim.degradations.low_light import noise_table
 from dslab.sim.degradations.registry import IMAGE_KINDS
 from dslab.sim.degradations.rolling_shutter import row_maps
-from dslab.sim.degradations.tone import DECODE, decode, encode
 from dslab.sim.frame_plan import camera_intrinsics, plan_frames, plan_path
 from dslab.sim.imaging import rendered
 from dslab.sim.sensors.camera import Intrinsics
-from dslab.sim.sensors.exposure import linear_to_srgb, srgb_to_linear
+from dslab.sim.sensors.tone import DECODE, decode, encode, linear_to_srgb, srgb_to_linear
 
 CAMERA = Intrinsics(160, 120, 120.0, 120.0, 79.5, 59.5, 30.0)
 

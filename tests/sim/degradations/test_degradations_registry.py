@@ -12,7 +12,7 @@ from dslab.scenarios.segments import SEGMENT_KINDS
 from dslab.sim.degradations.base import FramePlan, segment_truth, true_runs
 from dslab.sim.degradations.registry import DEGRADATIONS, FRAME_PLAN_KINDS
 from dslab.sim.motion.walker import plan_walk
-from dslab.sim.sensors.noise import SensorNoise
+from dslab.sim.sensors.sensor import SensorNoise
 from dslab.sim.worlds.base import Route
 
 FPS, FRAMES = 30.0, 300

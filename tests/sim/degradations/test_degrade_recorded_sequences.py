@@ -10,7 +10,7 @@ import pytest
 from dslab.scenarios.segments import SEGMENT_KINDS
 from dslab.sim.degradations.recorded_kinds import check_recorded_sequence, recorded_sequence_kinds
 from dslab.sim.degradations.registry import DEGRADATIONS
-from dslab.sim.io.tum import load_sequence
+from dslab.sim.io.forms import load_sequence
 
 COUNT, FPS = 40, 20.0
 START_S = 1305031102.25

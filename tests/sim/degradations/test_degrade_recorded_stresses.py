@@ -8,12 +8,12 @@ import pytest
 
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.segment_text import parse_segment
-from dslab.sim.degradations.faded_detail import DETAIL_DEG, noise_level
 from dslab.sim.degradations.recorded_kinds import check_recorded_sequence
 from dslab.sim.degradations.recorded_sequences import degrade_sequence
-from dslab.sim.degradations.tone import decode, encode
+from dslab.sim.degradations.retake import DETAIL_DEG, noise_level
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sensors.distortion import project
+from dslab.sim.sensors.tone import decode, encode
 from dslab.sim.sequence import Sequence
 
 WIDTH, HEIGHT, FPS = 200, 150, 20.0

@@ -11,12 +11,12 @@ from degradation_worlds import SEVERITIES
 from dslab.scenarios.segment_text import parse_segment
 from dslab.scenarios.segments import SEGMENT_KINDS
 from dslab.sim.degradations.base import streams_of
-from dslab.sim.degradations.depth_holes import fill_narrow_holes
 from dslab.sim.degradations.image import View
 from dslab.sim.degradations.recorded_sequences import degrade_sequence
 from dslab.sim.degradations.registry import IMAGE_KINDS
-from dslab.sim.degradations.tone import decode
+from dslab.sim.degradations.retake import fill_narrow_holes
 from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.tone import decode
 from dslab.sim.sequence import Sequence
 
 CAMERA = Intrinsics(160, 120, 120.0, 120.0, 79.5, 59.5, 30.0)

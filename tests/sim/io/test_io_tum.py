@@ -13,7 +13,8 @@ from io_sequences import COUNT, SHAPE, edit, fault, make_sequence
 from scipy.spatial.transform import Rotation
 
 from dslab.scenarios.errors import InputError
-from dslab.sim.io.tum import load_sequence, write_tum
+from dslab.sim.io.forms import load_sequence
+from dslab.sim.io.tum import write_tum
 from dslab.sim.sensors.camera import Intrinsics
 
 

@@ -9,7 +9,8 @@ from dslab.scenarios.seeds import rng_for
 from dslab.sim.rendering.mujoco_renderer import MujocoRenderer
 from dslab.sim.sensors import exposure
 from dslab.sim.sensors.camera import Intrinsics
-from dslab.sim.sensors.exposure import expose, linear_to_srgb, srgb_to_linear
+from dslab.sim.sensors.exposure import expose
+from dslab.sim.sensors.tone import linear_to_srgb, srgb_to_linear
 from dslab.sim.worlds.base import Surface, WorldModel
 
 CAMERA = Intrinsics(320, 240, 250.0, 260.0, 150.0, 125.0, 30.0)
@@ -112,9 +113,9 @@ def test_the_kernel_agrees_with_numpy(px):
     k = np.array([50, 52, 30.5, 25], np.float32)
     T_open = moved((-px / 50, 0.2 * px / 50, 0.01), (0, 0, -px / 30))[:3].astype(np.float32)
     T_close = moved((px / 50, 0.0, 0.02), (0.1, 0, px / 20))[:3].astype(np.float32)
-    linear = exposure._DECODE[gray]
+    linear = exposure.DECODE[gray]
     no_outlines = np.full((6, 8), -1, np.float32)
-    out = exposure.integrate(gray, linear, depth_m, k, T_open, T_close, exposure._ENCODE, no_outlines)
+    out = exposure.integrate(gray, linear, depth_m, k, T_open, T_close, exposure.ENCODE, no_outlines)
     expected, length = integrate_in_numpy(gray, linear, depth_m, k, T_open, T_close)
     # Where a length lies on the edge between two sample counts, single precision may take the other.
     steps = length / exposure.PX_PER_SAMPLE
@@ -152,5 +153,5 @@ def test_without_motion_the_frame_stays_as_it_was():
 def test_the_transfer_curve_is_its_own_inverse_and_covers_every_level():
     levels = np.arange(256) / 255
     np.testing.assert_allclose(linear_to_srgb(srgb_to_linear(levels)), levels, atol=1e-6)
-    codes = np.rint(srgb_to_linear(levels) * (len(exposure._ENCODE) - 1)).astype(int)
-    np.testing.assert_array_equal(exposure._ENCODE[codes], np.arange(256))
+    codes = np.rint(srgb_to_linear(levels) * (len(exposure.ENCODE) - 1)).astype(int)
+    np.testing.assert_array_equal(exposure.ENCODE[codes], np.arange(256))

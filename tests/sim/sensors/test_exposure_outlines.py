@@ -7,7 +7,8 @@ import pytest
 from dslab.scenarios.seeds import rng_for
 from dslab.sim.sensors import exposure, outlines
 from dslab.sim.sensors.camera import Intrinsics
-from dslab.sim.sensors.exposure import expose, linear_to_srgb, srgb_to_linear
+from dslab.sim.sensors.exposure import expose
+from dslab.sim.sensors.tone import linear_to_srgb, srgb_to_linear
 
 CAMERA = Intrinsics(160, 120, 100.0, 100.0, 79.5, 59.5, 30.0)
 K = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy], np.float32)
@@ -64,8 +65,8 @@ def test_a_near_card_smears_over_the_far_wall_and_uncovers_it():
 
     # The same with one depth along each pixel's path, as it is away from outlines.
     opening, closing = (np.ascontiguousarray(sideways(x)[:3], np.float32) for x in (-half_m, half_m))
-    linear, nowhere = exposure._DECODE[sharp], np.full((15, 20), -1, np.float32)
-    plain = exposure.integrate(sharp, linear, depth_m, K, opening, closing, exposure._ENCODE, nowhere)
+    linear, nowhere = exposure.DECODE[sharp], np.full((15, 20), -1, np.float32)
+    plain = exposure.integrate(sharp, linear, depth_m, K, opening, closing, exposure.ENCODE, nowhere)
     assert psnr_db(plain, truth, sides) < 26
     away = np.ones(SHAPE, bool)
     away[24:112, 32:128] = False
@@ -110,12 +111,12 @@ def integrate_in_numpy(linear, inverse_depth, T_open, T_close, near, far, row, c
 
 def test_the_kernel_agrees_with_numpy_where_nothing_is_hidden():
     sharp, depth_m, _, _ = card_before_wall()
-    linear, inverse_depth = exposure._DECODE[sharp], outlines.inverse_depths(depth_m)
+    linear, inverse_depth = exposure.DECODE[sharp], outlines.inverse_depths(depth_m)
     T_open, T_close = (np.ascontiguousarray(sideways(x)[:3], np.float32) for x in (-0.12, 0.12))
     T_close[2, 3] = 0.05
     near, far = outlines.outline_tiles(inverse_depth, K, T_open, T_close)
     out = sharp.copy()
-    outlines.integrate_outlines(out, linear, inverse_depth, K, T_open, T_close, exposure._ENCODE, near, far)
+    outlines.integrate_outlines(out, linear, inverse_depth, K, T_open, T_close, exposure.ENCODE, near, far)
     errors = []
     for row in range(44, 88, 4):
         for column in range(48, 112, 3):

@@ -5,9 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dslab.scenarios.worlds import CityWorld, CorridorWorld, RoomWorld
-from dslab.sim.frame_plan import mujoco_backend
+from dslab.sim.frame_plan import render_backend
 from dslab.sim.sensors.camera import Intrinsics
-from dslab.sim.sensors.exposure import expose, linear_to_srgb, srgb_to_linear
+from dslab.sim.sensors.exposure import expose
+from dslab.sim.sensors.tone import linear_to_srgb, srgb_to_linear
 
 CAMERA = Intrinsics(480, 360, 315.0, 315.0, 239.5, 179.5, 30.0)
 BLUR_PX, SUB_FRAMES, SEED, EYE_M = 24.0, 48, 3, 1.5
@@ -29,7 +30,7 @@ LEAST_DB = 40.0
 @pytest.fixture
 def stage(request):
     """A world's renderer and a pose a third along its route, looking ahead."""
-    backend, spec = mujoco_backend(), WORLDS[request.param]
+    backend, spec = render_backend(), WORLDS[request.param]
     line = backend.layout(spec, SEED).centre_m
     at = len(line) // 3
     forward = np.append(line[at + 1] - line[at], 0) / np.linalg.norm(line[at + 1] - line[at])

@@ -7,9 +7,8 @@ from small_world import CAMERA, CORRIDOR
 from dslab.scenarios.cameras import Camera
 from dslab.scenarios.spec import Scenario
 from dslab.sim.link import View, fold
-from dslab.sim.sensors import noise
-from dslab.sim.sensors.noise import SensorNoise
-from dslab.sim.sensors.sensor import sensor_links
+from dslab.sim.sensors import sensor
+from dslab.sim.sensors.sensor import SensorNoise, sensor_links
 from dslab.sim.sequence_rendering import render_sequence
 
 SMALL = {**CAMERA, "noise_sigma": 0}
@@ -70,8 +69,8 @@ def test_a_calibration_error_is_in_the_frames_and_not_in_the_camera(tmp_path):
 
 
 def test_the_noise_of_a_seed_is_drawn_once_and_none_where_there_is_none(monkeypatch):
-    drawn, draw = [], noise._drawn
-    monkeypatch.setattr(noise, "_drawn", lambda size, seed: drawn.append(seed) or draw(size, seed))
+    drawn, draw = [], sensor._drawn
+    monkeypatch.setattr(sensor, "_drawn", lambda size, seed: drawn.append(seed) or draw(size, seed))
     gray = np.full((64, 96), 128, np.uint8)
     for shot in (0.0, 2.0):
         first = SensorNoise((64, 96), 2.0, 41, shot).added(gray, 5)

@@ -4,13 +4,13 @@ import numpy as np
 from degradation_worlds import small_scenario
 from world_views import cheap_textures
 
-from dslab.sim.frame_plan import mujoco_backend, plan_frames
+from dslab.sim.frame_plan import plan_frames, render_backend
 
 
 def planned(world_seed, seed):
     scenario = small_scenario("corridor").model_copy(update={"world_seed": world_seed})
     with cheap_textures():
-        plan, world = plan_frames(scenario, seed, mujoco_backend(), lambda step, done, total: None)
+        plan, world = plan_frames(scenario, seed, render_backend(), lambda step, done, total: None)
     textures = b"".join(surface.texture.tobytes() + surface.vertices.tobytes() for surface in world.surfaces)
     return textures, plan.motion.T_world_cam(plan.stamps_s)
 

@@ -7,11 +7,11 @@ from world_views import cheap_textures
 
 from dslab.scenarios.seeds import rng_for
 from dslab.scenarios.worlds import MotorwayWorld, Outdoors, RoomWorld
-from dslab.sim.degradations.scattering import Scattering
-from dslab.sim.degradations.tone import DECODE
-from dslab.sim.frame_plan import mujoco_backend
+from dslab.sim.degradations.fog import Scattering
+from dslab.sim.frame_plan import render_backend
 from dslab.sim.imaging import rendered
 from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.tone import DECODE
 from dslab.sim.worlds import build_world
 from dslab.sim.worlds.ambience import dimmed, hazed
 from dslab.sim.worlds.base import Surface, WorldModel
@@ -80,7 +80,7 @@ class TestHaze:
         world = hazed(wall(distance_m), Outdoors(haze_m=haze_m))
         T = np.eye(4)
         T[:3, :3] = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
-        with rendered(world, self.CAMERA, mujoco_backend()) as links:
+        with rendered(world, self.CAMERA, render_backend()) as links:
             return float(np.ptp(DECODE[sharp_frame(links, T)[0][22:42, 22:42]]))
 
     def test_at_the_visibility_two_percent_of_the_contrast_is_left(self):

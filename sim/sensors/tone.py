@@ -6,9 +6,19 @@ import cv2
 import numpy as np
 from numba import njit
 
-from dslab.sim.sensors.exposure import linear_to_srgb, srgb_to_linear
-
 _CODES = 16384
+
+
+def srgb_to_linear(level: np.ndarray) -> np.ndarray:
+    """Light, 0 to 1, of sRGB-encoded levels, 0 to 1. Source: IEC 61966-2-1."""
+    return np.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)
+
+
+def linear_to_srgb(light: np.ndarray) -> np.ndarray:
+    """sRGB-encoded levels, 0 to 1, of light, 0 to 1. Source: IEC 61966-2-1."""
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+
+
 DECODE = srgb_to_linear(np.arange(256) / 255).astype(np.float32)
 """(256,) float32 light, 0 to 1, of each level."""
 ENCODE = np.rint(255 * linear_to_srgb(np.arange(_CODES) / (_CODES - 1))).astype(np.uint8)
