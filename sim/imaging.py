@@ -111,7 +111,6 @@ class KeptExposures:
         self._frames = frames
 
     def apply(self, image: np.ndarray, view: View) -> tuple[np.ndarray, View]:
-        """See ``Link``."""
         return self._frames[view.frame], view
 
 
@@ -138,7 +137,6 @@ class SharedExposures:
         self._world = key.encode() + b"".join(values.tobytes() for values in looks)
 
     def apply(self, image: np.ndarray, view: View) -> tuple[np.ndarray, View]:
-        """See ``Link``."""
         if any(link.strength[view.index] for link in self._acting):
             return fold(self._links, image, view)
         assert view.shutter is not None

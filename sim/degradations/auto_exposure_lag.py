@@ -22,8 +22,6 @@ class AutoExposureLagDegradation(ImageDegradation[AutoExposureLag]):
     )
 
     def prepare(self, segment: AutoExposureLag, camera: Intrinsics, streams: Streams) -> Filter:
-        """See ``ImageDegradation``."""
-
         def lag(image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
             since_s = max(0.0, view.stamp_s - segment.start_s)
             stops = view.strength * segment.stops * float(np.exp(-since_s / segment.time_constant_s))

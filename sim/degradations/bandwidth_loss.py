@@ -26,7 +26,6 @@ class BandwidthLossDegradation(ImageDegradation[BandwidthLoss]):
     sample = drawn(share=uniform(0.05, 0.95))
 
     def prepare(self, segment: BandwidthLoss, camera: Intrinsics, streams: Streams) -> Filter:
-        """See ``ImageDegradation``."""
         side = segment.block_px
         rows, columns = -(-camera.height_px // side), -(-camera.width_px // side)
         count = rows * columns

@@ -20,8 +20,6 @@ class CoveredLensDegradation(ImageDegradation[CoveredLens]):
     sample = drawn(transmission=log_uniform(0.0005, 0.5))
 
     def prepare(self, segment: CoveredLens, camera: Intrinsics, streams: Streams) -> Filter:
-        """See ``ImageDegradation``."""
-
         def cover(image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
             withheld = view.strength * (1 - segment.transmission)
             return map_light(image, lambda light: (1 - withheld) * light), withheld

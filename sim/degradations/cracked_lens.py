@@ -54,7 +54,6 @@ class CrackedLensDegradation(ImageDegradation[CrackedLens]):
     sample = drawn(cracks=log_uniform(3, 120), bend_deg=log_uniform(0.1, 3))
 
     def prepare(self, segment: CrackedLens, camera: Intrinsics, streams: Streams) -> Filter:
-        """See ``ImageDegradation``."""
         return _Cracked(segment, camera, streams)
 
     def threshold(self, segment: CrackedLens) -> float:
@@ -73,7 +72,6 @@ class _Cracked:
         self._streams, self._strength = streams, 0.0
 
     def __call__(self, image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
-        """See ``Filter``."""
         if view.strength * self._segment.cracks == 0:
             return image, 0.0
         if view.strength != self._strength:

@@ -27,7 +27,6 @@ class DayToNightDegradation(ImageDegradation[DayToNight]):
     sample = drawn(stops=uniform(2, 14), lamp=lambda rng: rng.integers(2) * _LAMP(rng))
 
     def prepare(self, segment: DayToNight, camera: Intrinsics, streams: Streams) -> Filter:
-        """See ``ImageDegradation``."""
         beam = _beam(camera)
 
         def darken(image: np.ndarray, view: View) -> tuple[np.ndarray, float]:

@@ -26,8 +26,6 @@ class DefocusDegradation(ImageDegradation[Defocus]):
     sample = drawn(diameter_px=log_uniform(2, 40))
 
     def prepare(self, segment: Defocus, camera: Intrinsics, streams: Streams) -> Filter:
-        """See ``ImageDegradation``."""
-
         def defocus(image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
             diameter_px = view.strength * segment.diameter_px
             if diameter_px <= SHARP_PX:

@@ -37,7 +37,6 @@ class SwungMotion:
     peak_radps: float
 
     def T_world_cam(self, stamp_s: float | np.ndarray) -> np.ndarray:
-        """See ``Motion``."""
         T = self.base.T_world_cam(stamp_s).copy()
         T[..., :3, :3] = T[..., :3, :3] @ self._swing(stamp_s)
         return T
@@ -47,7 +46,6 @@ class SwungMotion:
         return self.base.velocity_mps(stamp_s)
 
     def rate_radps(self, stamp_s: float | np.ndarray) -> np.ndarray:
-        """See ``Motion``."""
         carried = np.einsum("...ji,...j->...i", self._swing(stamp_s), self.base.rate_radps(stamp_s))
         return carried + self.swing_rate_radps(stamp_s)[..., None] * self.axis
 
@@ -75,7 +73,6 @@ class FastRotationDegradation(Degradation[FastRotation]):
     sample = drawn(rate_degps=uniform(40, 400), axis=one_of(*AXES))
 
     def apply(self, plan: FramePlan, segment: FastRotation) -> FramePlan:
-        """See ``Degradation``."""
         return replace(plan, motion=_swung(plan.motion, segment))
 
     def measure(self, plan: FramePlan, segment: FastRotation, blur_px: np.ndarray) -> np.ndarray:

@@ -24,7 +24,6 @@ class FlickerDegradation(ImageDegradation[Flicker]):
     sample = drawn(modulation=uniform(0.1, 1), rate_hz=one_of(100.0, 120.0), readout_s=uniform(0.005, 0.03))
 
     def prepare(self, segment: Flicker, camera: Intrinsics, streams: Streams) -> Filter:
-        """See ``ImageDegradation``."""
         phase = streams("phase").uniform(0, 2 * np.pi)
         row_s = ((np.arange(camera.height_px) + 0.5) / camera.height_px - 0.5) * segment.readout_s
 

@@ -51,7 +51,6 @@ class HazeLink:
         self._scattering, self._haze = Scattering(camera, haze.airlight_level), haze
 
     def apply(self, image: np.ndarray, view: View) -> tuple[np.ndarray, View]:
-        """See ``Link``."""
         assert view.depth_m is not None
         return self._scattering.drawn(image, view.depth_m, self._haze.extinction_per_m)[0], view
 
@@ -67,7 +66,6 @@ class FogDegradation(ImageDegradation[Fog]):
     is_drawn = False
 
     def prepare(self, segment: Fog, camera: Intrinsics, streams: Streams) -> Filter:
-        """See ``ImageDegradation``."""
         scattering = Scattering(camera, segment.airlight_level)
 
         def fog(image: np.ndarray, view: View) -> tuple[np.ndarray, float]:

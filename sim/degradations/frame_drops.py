@@ -18,7 +18,6 @@ class FrameDropsDegradation(Degradation[FrameDrops]):
     sample = drawn(share=uniform(0.2, 1))
 
     def apply(self, plan: FramePlan, segment: FrameDrops) -> FramePlan:
-        """See ``Degradation``."""
         inside = np.flatnonzero(plan.within(segment))[:-1]
         order = streams_of(plan.seed, segment).permutation(len(inside))
         kept = np.ones(len(plan.stamps_s), bool)

@@ -28,7 +28,6 @@ class LensDirtDegradation(ImageDegradation[LensDirt]):
     sample = drawn(share=uniform(0.1, 0.9), spot_deg=uniform(3, 12))
 
     def prepare(self, segment: LensDirt, camera: Intrinsics, streams: Streams) -> Filter:
-        """See ``ImageDegradation``."""
         cover = dirt_cover(segment, camera, streams("spots"))
         dirty_share = float((cover > 0.5).mean())
 

@@ -61,7 +61,6 @@ class LensFlareDegradation(ImageDegradation[LensFlare]):
     sample = drawn(veil=log_uniform(0.02, 3), off_axis_deg=uniform(0, 45))
 
     def prepare(self, segment: LensFlare, camera: Intrinsics, streams: Streams) -> Filter:
-        """See ``ImageDegradation``."""
         return _Flare(segment, camera, streams("light"))
 
     def threshold(self, segment: LensFlare) -> float:
@@ -80,7 +79,6 @@ class _Flare:
         self._full = float(self._added(self._ray).mean())
 
     def __call__(self, image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
-        """See ``Filter``."""
         veil = view.strength * self._segment.veil
         if veil == 0:
             return image, 0.0

@@ -24,7 +24,6 @@ class LowLightDegradation(ImageDegradation[LowLight]):
     sample = drawn(illumination=log_uniform(0.0005, 0.5))
 
     def prepare(self, segment: LowLight, camera: Intrinsics, streams: Streams) -> Filter:
-        """See ``ImageDegradation``."""
         return _LowLight(segment, camera, streams)
 
     def threshold(self, segment: LowLight) -> float:
@@ -44,7 +43,6 @@ class _LowLight:
         self._strength, self._table = 0.0, np.empty((256, 256), np.uint8)
 
     def __call__(self, image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
-        """See ``Filter``."""
         illumination = 1 - view.strength * (1 - self._segment.illumination)
         if illumination == 1:
             return image, 0.0

@@ -25,7 +25,6 @@ class LowTextureDegradation(Degradation[LowTexture]):
     sample = drawn(contrast=log_uniform(0.02, 0.5))
 
     def apply(self, plan: FramePlan, segment: LowTexture) -> FramePlan:
-        """See ``Degradation``."""
         contrast = np.where(_faded(plan, segment), plan.contrast * segment.contrast, plan.contrast)
         return replace(plan, contrast=contrast)
 

@@ -20,7 +20,6 @@ class MotionBlurDegradation(Degradation[MotionBlur]):
     sample = drawn(exposure_s=log_uniform(0.01, 0.3))
 
     def apply(self, plan: FramePlan, segment: MotionBlur) -> FramePlan:
-        """See ``Degradation``."""
         exposure_s = np.where(plan.within(segment), segment.exposure_s, plan.exposure_s)
         return replace(plan, exposure_s=exposure_s)
 

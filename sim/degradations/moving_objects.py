@@ -58,7 +58,6 @@ class MovingObjectsDegradation(ImageDegradation[MovingObjects]):
     sample = drawn(share=uniform(0.1, 0.9), rate_degps=uniform(5, 60))
 
     def prepare(self, segment: MovingObjects, camera: Intrinsics, streams: Streams) -> Filter:
-        """See ``ImageDegradation``."""
         passers, shares = _crowd(segment, camera, streams("sprites"))
 
         def pass_by(image: np.ndarray, view: View) -> tuple[np.ndarray, float]:

@@ -20,8 +20,6 @@ class OverExposureDegradation(ImageDegradation[OverExposure]):
     sample = drawn(stops=uniform(0.5, 6))
 
     def prepare(self, segment: OverExposure, camera: Intrinsics, streams: Streams) -> Filter:
-        """See ``ImageDegradation``."""
-
         def expose(image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
             stops = view.strength * segment.stops
             return map_light(image, lambda light: 2**stops * light), stops

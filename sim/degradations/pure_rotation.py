@@ -32,15 +32,12 @@ class PausedMotion:
     from_rest: bool = False
 
     def T_world_cam(self, stamp_s: float | np.ndarray) -> np.ndarray:
-        """See ``Motion``."""
         return self.base.T_world_cam(self._own_time_s(stamp_s))
 
     def velocity_mps(self, stamp_s: float | np.ndarray) -> np.ndarray:
-        """See ``Motion``."""
         return self.pace(stamp_s)[..., None] * self.base.velocity_mps(self._own_time_s(stamp_s))
 
     def rate_radps(self, stamp_s: float | np.ndarray) -> np.ndarray:
-        """See ``Motion``."""
         return self.pace(stamp_s)[..., None] * self.base.rate_radps(self._own_time_s(stamp_s))
 
     def pace(self, stamp_s: float | np.ndarray) -> np.ndarray:
@@ -84,7 +81,6 @@ class PureRotationDegradation(Degradation[PureRotation]):
     sample = drawn(angle_deg=uniform(15, 120), axis=one_of(*AXES))
 
     def apply(self, plan: FramePlan, segment: PureRotation) -> FramePlan:
-        """See ``Degradation``."""
         if segment.angle_deg == 0:
             return plan
         braking_s = BRAKING * segment.duration_s

@@ -34,7 +34,6 @@ class RainDegradation(ImageDegradation[Rain]):
     sample = drawn(rate_mmph=log_uniform(2, 200), wind_mps=uniform(1, 8))
 
     def prepare(self, segment: Rain, camera: Intrinsics, streams: Streams) -> Filter:
-        """See ``ImageDegradation``."""
         return _Rain(segment, camera, streams)
 
     def threshold(self, segment: Rain) -> float:
@@ -62,7 +61,6 @@ class _Rain:
         self._stretch = np.sqrt(1 + x**2 + y[:, None] ** 2).astype(np.float32)
 
     def __call__(self, image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
-        """See ``Filter``."""
         rate_mmph = view.strength * self._segment.rate_mmph
         if self._field is None or rate_mmph == 0:
             return image, 0.0

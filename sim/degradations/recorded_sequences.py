@@ -22,11 +22,9 @@ class _AsRecorded:
     """The motion of the recorded camera, seen from itself: what segments add to it is all there is."""
 
     def T_world_cam(self, stamp_s: float | np.ndarray) -> np.ndarray:
-        """See ``Motion``."""
         return np.broadcast_to(np.eye(4), (*np.shape(stamp_s), 4, 4))
 
     def velocity_mps(self, stamp_s: float | np.ndarray) -> np.ndarray:
-        """See ``Motion``."""
         return np.zeros((*np.shape(stamp_s), 3))
 
     rate_radps = velocity_mps

@@ -22,7 +22,6 @@ class RepeatedTextureDegradation(Degradation[RepeatedTexture]):
     sample = drawn(share=uniform(0.3, 1))
 
     def apply(self, plan: FramePlan, segment: RepeatedTexture) -> FramePlan:
-        """See ``Degradation``."""
         repeated = _most_seen(plan, segment)
         texture_of, period_m = plan.texture_of.copy(), plan.period_m.copy()
         texture_of[repeated], period_m[repeated] = repeated[:1], segment.period_m

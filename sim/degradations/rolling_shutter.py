@@ -32,7 +32,6 @@ class RollingShutterDegradation(ImageDegradation[RollingShutter]):
     needs_motion = True
 
     def prepare(self, segment: RollingShutter, camera: Intrinsics, streams: Streams) -> Filter:
-        """See ``ImageDegradation``."""
         k = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
         row_share = np.arange(camera.height_px) / (camera.height_px - 1) - 0.5
 

@@ -41,7 +41,6 @@ class SegmentLink:
         self._filter: Filter | None = None
 
     def apply(self, image: np.ndarray, view: View) -> tuple[np.ndarray, View]:
-        """See ``Link``."""
         strength = float(self.strength[view.index])
         if strength == 0:
             return image, view

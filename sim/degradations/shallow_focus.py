@@ -34,8 +34,6 @@ class ShallowFocusDegradation(ImageDegradation[ShallowFocus]):
     is_drawn = False
 
     def prepare(self, segment: ShallowFocus, camera: Intrinsics, streams: Streams) -> Filter:
-        """See ``ImageDegradation``."""
-
         def focus(image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
             if view.depth_m is None:
                 raise ValueError("shallow_focus needs depth")

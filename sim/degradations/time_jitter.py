@@ -21,7 +21,6 @@ class TimeJitterDegradation(Degradation[TimeJitter]):
     sample = drawn(sigma_s=log_uniform(0.001, 0.03))
 
     def apply(self, plan: FramePlan, segment: TimeJitter) -> FramePlan:
-        """See ``Degradation``."""
         # Drawn for every frame before drops: a dropped frame changes no other's error.
         errors = streams_of(plan.seed, segment).standard_normal(int(plan.frame[-1]) + 1)
         gaps_s = np.diff(plan.stamps_s, prepend=-np.inf, append=np.inf)

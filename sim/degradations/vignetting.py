@@ -20,7 +20,6 @@ class VignettingDegradation(ImageDegradation[Vignetting]):
     sample = drawn(stops=uniform(1, 12))
 
     def prepare(self, segment: Vignetting, camera: Intrinsics, streams: Streams) -> Filter:
-        """See ``ImageDegradation``."""
         x, y = np.arange(camera.width_px) - camera.cx, np.arange(camera.height_px) - camera.cy
         squared = x**2 + y[:, None] ** 2
         share = (squared / squared.max()).astype(np.float32)

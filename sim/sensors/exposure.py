@@ -39,7 +39,6 @@ class Exposure:
         self._camera, self.blur_px = camera, np.zeros(frames)
 
     def apply(self, image: np.ndarray, view: View) -> tuple[np.ndarray, View]:
-        """See ``Link``."""
         assert view.depth_m is not None and view.shutter is not None
         _, opening, closing = view.shutter
         image, self.blur_px[view.index] = expose(image, view.depth_m, self._camera, opening, closing)

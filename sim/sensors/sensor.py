@@ -20,7 +20,6 @@ class Softness:
         self._sigma_px = sigma_px
 
     def apply(self, image: np.ndarray, view: View) -> tuple[np.ndarray, View]:
-        """See ``Link``."""
         return cv2.GaussianBlur(image, (0, 0), self._sigma_px, borderType=cv2.BORDER_REFLECT_101), view
 
 
@@ -32,7 +31,6 @@ class ToneCurve:
         self._level_of = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
 
     def apply(self, image: np.ndarray, view: View) -> tuple[np.ndarray, View]:
-        """See ``Link``."""
         return cv2.LUT(image, self._level_of), view
 
 
@@ -59,7 +57,6 @@ class SensorNoise:
             self._bank = _levels(size, seed, sigma)
 
     def apply(self, image: np.ndarray, view: View) -> tuple[np.ndarray, View]:
-        """See ``Link``."""
         return self.added(image, view.frame), view
 
     def added(self, image: np.ndarray, frame: int) -> np.ndarray:
