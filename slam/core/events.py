@@ -5,7 +5,7 @@ from enum import StrEnum
 from typing import ClassVar
 
 from dslab.slam.core.relation import Relation
-from dslab.slam.core.snapshot import Unchanging
+from dslab.slam.core.snapshot import Immutable
 
 CANCELLED = "cancelled"
 """Stage of a recovery that was ended because nothing depended on it any more."""
@@ -21,7 +21,7 @@ class TrackingState(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Event(Unchanging):
+class Event(Immutable):
     """An event declared by the system at one frame.
 
     Attributes:
@@ -285,7 +285,7 @@ class RecoveryStart(Event):
 
 
 @dataclass(frozen=True)
-class PlacedKeyframe(Unchanging):
+class PlacedKeyframe(Immutable):
     """Pose of a keyframe of the new map in the old map, by a recovery.
 
     Attributes:

@@ -7,7 +7,7 @@ import numpy as np
 from dslab.slam.core._frame_kernels import motion_between, sort_into_cells
 from dslab.slam.core.camera import PinholeCamera
 from dslab.slam.core.geometry import ViewGeometry
-from dslab.slam.core.snapshot import Unchanging
+from dslab.slam.core.snapshot import Immutable
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Features:
 
 
 @dataclass(frozen=True)
-class FrameFeatures(Unchanging):
+class FrameFeatures(Immutable):
     """The features of one image, ordered by grid cell; never changed after construction.
 
     Attributes:

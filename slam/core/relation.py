@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dslab.slam.core.snapshot import Unchanging
+from dslab.slam.core.snapshot import Immutable
 
 
 @dataclass(frozen=True, eq=False)
-class PlacedFrames(Unchanging):
+class PlacedFrames(Immutable):
     """Poses of frames in one map, nearest to the recognised place first.
 
     Attributes:
@@ -23,7 +23,7 @@ class PlacedFrames(Unchanging):
 
 
 @dataclass(frozen=True, eq=False)
-class Relation(Unchanging):
+class Relation(Immutable):
     """Where a loop closure, a fusion or a relocalization asserts that two sides lie to each other.
 
     Both sides are in the frame and scale of the old one, as they were at the moment of the declaration and

@@ -15,10 +15,10 @@ class CountsFrames(Protocol):
 System = TypeVar("System", bound=CountsFrames)
 
 
-class Unchanging:
+class Immutable:
     """An immutable value: copies of a system share it."""
 
-    def __deepcopy__(self, memo: dict) -> "Unchanging":
+    def __deepcopy__(self, memo: dict) -> "Immutable":
         return self
 
 

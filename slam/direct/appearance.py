@@ -43,7 +43,7 @@ class Surface:
 
 
 @dataclass(frozen=True)
-class Looks:
+class Appearance:
     """How a surface looks in another view.
 
     Attributes:
@@ -62,9 +62,9 @@ class Looks:
         return (self.alike - self.chance) / max(1.0 - self.chance, 1e-9) if self.told else 0.0
 
 
-def looks_in(
+def compare(
     surface: Surface, view: ImagePyramid, intrinsics: np.ndarray, T_view_surface: np.ndarray, least: float
-) -> Looks:
+) -> Appearance:
     """Compare a surface with another view of it; gain, offset and shading do not matter.
 
     Args:
@@ -77,8 +77,8 @@ def looks_in(
     best = _correlations(surface, view, intrinsics, T_view_surface)
     alike = best[np.isfinite(best).all(axis=1)] >= least
     if not len(alike):
-        return Looks(0, 0.0, 0.0)
-    return Looks(len(alike), float(alike[:, 0].mean()), float(alike[:, 1:].mean()))
+        return Appearance(0, 0.0, 0.0)
+    return Appearance(len(alike), float(alike[:, 0].mean()), float(alike[:, 1:].mean()))
 
 
 def alike_in(
@@ -86,7 +86,7 @@ def alike_in(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N,) bool: which points of a surface tell something in a view, and which look alike there.
 
-    Arguments as for :func:`looks_in`.
+    Arguments as for :func:`compare`.
     """
     best = _correlations(surface, view, intrinsics, T_view_surface)
     return np.asarray(np.isfinite(best).all(axis=1)), best[:, 0] >= least
@@ -109,13 +109,13 @@ def _correlations(
     return best
 
 
-def together(looks: Iterable[Looks]) -> Looks:
+def pooled(looks: Iterable[Appearance]) -> Appearance:
     """Several comparisons as one, every patch counted once."""
     known = [look for look in looks if look.told]
     told = sum(look.told for look in known)
     if not told:
-        return Looks(0, 0.0, 0.0)
-    return Looks(
+        return Appearance(0, 0.0, 0.0)
+    return Appearance(
         told,
         sum(look.told * look.alike for look in known) / told,
         sum(look.told * look.chance for look in known) / told,

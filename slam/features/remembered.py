@@ -6,12 +6,12 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from dslab.slam.core.snapshot import Unchanging
+from dslab.slam.core.snapshot import Immutable
 
 Found = TypeVar("Found")
 
 
-class Remembered(Unchanging, Generic[Found]):
+class Remembered(Immutable, Generic[Found]):
     """Results by the content of the image, so that they do not depend on what came before.
 
     Copies of a system share it, as what it returns is what would be found anew.

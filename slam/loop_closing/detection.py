@@ -13,7 +13,7 @@ from dslab.slam.loop_closing.correction import Loop
 from dslab.slam.loop_closing.judgement import JudgementConfig
 from dslab.slam.loop_closing.look_alikes import note_look_alike
 from dslab.slam.loop_closing.map_alignment import Alignment, Sim3AlignmentConfig, agree, align
-from dslab.slam.loop_closing.place_check import PlaceCheckConfig, doubt
+from dslab.slam.loop_closing.place_check import PlaceCheckConfig, fault_of_alignment
 from dslab.slam.map.map import Map
 from dslab.slam.optimization.sim3 import sim3_decompose, sim3_inverse
 from dslab.slam.places.recognition import KeyframeDatabase
@@ -147,7 +147,7 @@ class LoopDetector:
             return None
         if self._is_misfit(keyframe, alignment):
             return None
-        reason = doubt(m, m, alignment, rng, self._place)
+        reason = fault_of_alignment(m, m, alignment, rng, self._place)
         if reason:
             return Refusal(keyframe, candidate, len(points), reason)
         return Loop(keyframe, candidate, S_cam_map, rows, points, alignment), around

@@ -52,7 +52,9 @@ class PlaceCheckConfig:
     reach: ReachConfig = setting(ReachConfig(), "how far the unseen camera can have come")
 
 
-def doubt(old: Map, new: Map, found: Alignment, rng: np.random.Generator, config: PlaceCheckConfig) -> str:
+def fault_of_alignment(
+    old: Map, new: Map, found: Alignment, rng: np.random.Generator, config: PlaceCheckConfig
+) -> str:
     """What speaks against an alignment of two maps, or of two ends of one.
 
     Args:

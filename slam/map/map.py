@@ -274,7 +274,9 @@ class Map:
         K, N, P = len(a.kf_bad), len(a.kp_octave), len(a.pt_bad)
         if keyframes <= K and keypoints <= N and points <= P:
             return
-        bigger = _allocate(_grown(K, keyframes), _grown(N, keypoints), _grown(P, points), a.kf_cells.shape[1])
+        bigger = _allocate(
+            _capacity(K, keyframes), _capacity(N, keypoints), _capacity(P, points), a.kf_cells.shape[1]
+        )
         for new, old in zip(bigger, a, strict=True):
             new[tuple(slice(0, s) for s in old.shape)] = old
         self.arrays = bigger
@@ -307,7 +309,7 @@ _ROWS = (
 )
 
 
-def _grown(have: int, need: int) -> int:
+def _capacity(have: int, need: int) -> int:
     return have if need <= have else max(need, 2 * have)
 
 

@@ -7,12 +7,12 @@ import numpy as np
 
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.results import MapTrajectory
-from dslab.slam.core.snapshot import Unchanging
+from dslab.slam.core.snapshot import Immutable
 from dslab.slam.map.map import Map
 
 
 @dataclass(frozen=True)
-class _Pose(Unchanging):
+class _Pose(Immutable):
     stamp_s: float
     keyframe: int
     T_cam_keyframe: np.ndarray

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dslab.slam.core.snapshot import Unchanging
+from dslab.slam.core.snapshot import Immutable
 from dslab.slam.map.map import Map
 from dslab.slam.places import _vocabulary_kernels as kernels
 from dslab.slam.places._vocabulary_kernels import InvertedFile, Tree
@@ -26,7 +26,7 @@ _GROUP_SIZE = 10
 
 
 @dataclass(frozen=True)
-class BowVector(Unchanging):
+class BowVector(Immutable):
     """The bag of words of one image.
 
     Attributes:
@@ -46,7 +46,7 @@ class BowVector(Unchanging):
 _EMPTY_BAG = BowVector(np.empty(0, np.int32), np.empty(0))
 
 
-class Vocabulary(Unchanging):
+class Vocabulary(Immutable):
     """A tree of ORB descriptors whose leaves are words.
 
     Attributes:

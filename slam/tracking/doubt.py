@@ -29,8 +29,8 @@ class DoubtConfig:
     nearer: float = setting(2.0, "fall of depth on new points, with slower, that is doubted; 0: never")
     slower: float = setting(8.0, "fall of speed on new points, with nearer, that is doubted; 0: never")
     shrunk: float = setting(2.0, "fall of both that is doubted since a frame with an uncertain direction")
-    loose_deg: float = setting(0.12, "standard deviation of the camera's direction of such a frame")
-    loose_memory_s: float = setting(15.0, "time for which such a frame is remembered")
+    uncertain_deg: float = setting(0.12, "standard deviation of the camera's direction of such a frame")
+    uncertain_memory_s: float = setting(15.0, "time for which such a frame is remembered")
 
 
 class Motion(NamedTuple):
@@ -65,7 +65,7 @@ class Motion(NamedTuple):
 _FRAME, _STAMP_S, _HIDDEN, _SPEED = (Motion._fields.index(n) for n in ("frame", "stamp_s", "hidden", "speed"))
 
 
-class Loose(NamedTuple):
+class UncertainDirection(NamedTuple):
     """A frame whose points hardly hold the camera's direction.
 
     Attributes:
@@ -121,7 +121,7 @@ class Doubt:
         self.first_frame = -1
         self._motions: deque[Motion] = deque()
         self._steady = np.inf
-        self._loose: Loose | None = None
+        self._uncertain: UncertainDirection | None = None
 
     def lose(self) -> None:
         """Tracking is lost: the last frames before that are doubted as far back as they were unsteady."""
@@ -137,7 +137,7 @@ class Doubt:
 
     def tie_scale(self) -> None:
         """A loop has given the map its scale back: what the view hung on before tells no more."""
-        self._loose = None
+        self._uncertain = None
 
     def note(
         self,
@@ -169,18 +169,20 @@ class Doubt:
         self._motions.append(
             Motion(frame.features.index, stamp_s, step, hidden, depth, speed, born_s, deviation)
         )
-        self._note_loose()
+        self._note_uncertainty()
         self._forget(stamp_s)
         self._judge(stamp_s)
 
-    def _note_loose(self) -> None:
+    def _note_uncertainty(self) -> None:
         newest, config = self._motions[-1], self.config
-        if self._loose and abs(newest.stamp_s - self._loose.stamp_s) > config.loose_memory_s:
-            self._loose = None
+        if self._uncertain and abs(newest.stamp_s - self._uncertain.stamp_s) > config.uncertain_memory_s:
+            self._uncertain = None
         earlier = list(self._motions)[:-1]
-        is_loose = newest.deviation > np.deg2rad(config.loose_deg)
-        if is_loose and not self._loose and len(earlier) >= config.min_frames:
-            self._loose = Loose(newest.frame, newest.stamp_s, Motion(*np.median(earlier, axis=0)))
+        is_uncertain = newest.deviation > np.deg2rad(config.uncertain_deg)
+        if is_uncertain and not self._uncertain and len(earlier) >= config.min_frames:
+            self._uncertain = UncertainDirection(
+                newest.frame, newest.stamp_s, Motion(*np.median(earlier, axis=0))
+            )
 
     def _forget(self, stamp_s: float) -> None:
         span_s = self.config.window_s + self.config.memory_s
@@ -212,9 +214,9 @@ class Doubt:
         if is_new and nearer > config.nearer and slower > config.slower:
             usually = np.flatnonzero(motions[:, _SPEED] >= 0.5 * usual.speed)
             self._declare("scale_of_new_points", motions[min(usually[-1] + 1, len(motions) - 1), _FRAME])
-        loose = self._loose
-        if loose and _is_made_since(loose.stamp_s, now) and min(loose.before.falls_to(now)) > config.shrunk:
-            self._declare("scale_of_new_points", loose.frame)
+        since = self._uncertain
+        if since and _is_made_since(since.stamp_s, now) and min(since.before.falls_to(now)) > config.shrunk:
+            self._declare("scale_of_new_points", since.frame)
 
     def _declare(self, reason: str, first_frame: float) -> None:
         self.reason, self.first_frame = reason, int(first_frame)

@@ -10,7 +10,12 @@ from dslab.slam.core.seeds import rng_for
 from dslab.slam.dual.fusion.fuse import FusionConfig
 from dslab.slam.dual.fusion.hypotheses import Hypothesis, rival
 from dslab.slam.loop_closing.map_alignment import Alignment, agree, align, align_relocalized
-from dslab.slam.loop_closing.place_check import PlaceCheckConfig, double_in_reach, doubt, within_reach
+from dslab.slam.loop_closing.place_check import (
+    PlaceCheckConfig,
+    double_in_reach,
+    fault_of_alignment,
+    within_reach,
+)
 from dslab.slam.map._map_kernels import resolve_points
 from dslab.slam.map.map import Map
 from dslab.slam.map_store import Places
@@ -162,7 +167,7 @@ class PlaceMerger:
     ) -> None:
         """Note an alignment of a new keyframe with a saved map, and what speaks against it."""
         config = self._config
-        reason = doubt(old, current, alignment, rng, self._place)
+        reason = fault_of_alignment(old, current, alignment, rng, self._place)
         if reason:
             self.refused.append((alignment, reason))
         known = next((h for h in self._hypotheses if h.is_that_of(alignment, config)), None)

@@ -8,7 +8,7 @@ be; under a wrong one no more than by chance.
 import numpy as np
 
 from dslab.slam.core.settings import setting, settings
-from dslab.slam.direct.appearance import Looks, Surface, looks_in, together
+from dslab.slam.direct.appearance import Appearance, Surface, compare, pooled
 from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
 from dslab.slam.dual.recovery.interface import RecoveryTask
 from dslab.slam.loop_closing.map_alignment import Alignment
@@ -55,7 +55,7 @@ class LooksCheck:
         sound = sum(look.excess >= self._config.min_excess for look in looks)
         return "images_differ" if sound < self._config.min_sound * len(looks) else ""
 
-    def looks(self, old: Map, found: Alignment) -> list[Looks]:
+    def looks(self, old: Map, found: Alignment) -> list[Appearance]:
         """How the old map's surface looks in each view of the new map, the aligned keyframe first."""
         new, config = self._task.new_map, self._config
         scale, R, t = sim3_decompose(found.S_old_new)
@@ -68,14 +68,14 @@ class LooksCheck:
             T_cam_new[:3, 3] *= scale
             pyramid = self._pyramid(new.frame_index(k))
             pairs = [
-                looks_in(
+                compare(
                     surface, pyramid, self._rectifier.intrinsics,
                     T_cam_new @ S_new_old @ np.linalg.inv(old.T_cam_map(j)), config.least_correlation,
                 )
                 for j, surface in old_views
                 if old.frame_index(j) != new.frame_index(k)
             ]  # fmt: skip
-            seen.append(together(pairs))
+            seen.append(pooled(pairs))
         return seen
 
     def _views(self, m: Map, keyframe: int) -> list[int]:

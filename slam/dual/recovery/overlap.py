@@ -9,7 +9,7 @@ from dslab.slam.dual.fusion.fuse import FusionConfig, confirms
 from dslab.slam.dual.recovery.common_points import align_all, pairs_close_in_time
 from dslab.slam.dual.recovery.interface import RecoveryTask
 from dslab.slam.loop_closing.map_alignment import Alignment, align
-from dslab.slam.loop_closing.place_check import double_in_reach, doubt
+from dslab.slam.loop_closing.place_check import double_in_reach, fault_of_alignment
 from dslab.slam.map.map import Map
 
 Doubt = Callable[[Map, Alignment], str]
@@ -87,7 +87,7 @@ class Overlap:
         self._found.append(alignment)
         if len(confirming) + 1 < self._config.confirmations:
             return False
-        self._doubt = doubt(old, task.new_map, alignment, task.rng, self._place)
+        self._doubt = fault_of_alignment(old, task.new_map, alignment, task.rng, self._place)
         if not self._doubt and double_in_reach(old, task.new_map, alignment.S_old_new, self._place):
             self._doubt = "look_alike_in_reach"
         if not self._doubt and self._doubt_more is not None:

@@ -5,7 +5,7 @@ import pytest
 from test_direct_alignment import HEIGHT, RECTIFIER, WIDTH, motion, view
 
 from dslab.slam.direct._appearance_kernels import correlations
-from dslab.slam.direct.appearance import Surface, looks_in, together
+from dslab.slam.direct.appearance import Surface, compare, pooled
 from dslab.slam.direct.selection import select
 
 BASELINE = [0.15, 0.05, -0.1, 0.02, -0.03, 0.05]
@@ -22,7 +22,7 @@ def surface():
 
 def looks(surface, T, other=None, least=0.7):
     other = RECTIFIER.pyramid(view(motion(BASELINE), 0.6, 30)[0]) if other is None else other
-    return looks_in(surface, other, RECTIFIER.intrinsics, T, least)
+    return compare(surface, other, RECTIFIER.intrinsics, T, least)
 
 
 def twin(level, camera, uv, inverse_depth, pattern, intensity, T, offsets, reach, least_contrast):
@@ -91,11 +91,11 @@ def test_what_shows_nothing_tells_nothing(surface):
     assert looks(blank, np.eye(4)).told == 0 and looks(blank, np.eye(4)).excess == 0
     assert looks(surface, motion([0, 0, 0, 0, 3.1, 0])).told == 0
     empty = Surface(surface.pyramid, np.empty((0, 2)), np.empty(0))
-    assert together([looks(empty, np.eye(4)), looks(blank, np.eye(4))]).told == 0
+    assert pooled([looks(empty, np.eye(4)), looks(blank, np.eye(4))]).told == 0
 
 
 def test_comparisons_are_put_together_by_their_patches(surface):
     right, wrong = looks(surface, motion(BASELINE)), looks(surface, motion([0.3, 0, 0, 0, 0, 0]))
-    both = together([right, wrong])
+    both = pooled([right, wrong])
     assert both.told == right.told + wrong.told
     assert both.alike * both.told == pytest.approx(right.alike * right.told + wrong.alike * wrong.told)

@@ -80,8 +80,8 @@ def test_another_place_is_not_recognised():
 def test_what_spoke_against_a_place_counts_at_the_next_keyframe(monkeypatch):
     """Contradicted at two keyframes, the same similarity needs three sound ones before it is believed."""
     said = iter(["contradicted"] * 2)
-    found = place_merging.doubt
-    monkeypatch.setattr(place_merging, "doubt", lambda *args: next(said, None) or found(*args))
+    found = place_merging.fault_of_alignment
+    monkeypatch.setattr(place_merging, "fault_of_alignment", lambda *args: next(said, None) or found(*args))
     images, stamps_s, _ = toy(130, 0, STEP_M)
     system = dual(BY_PLACE)
     feed(system, blanked(images, range(50, 56)), stamps_s)

@@ -10,7 +10,7 @@ from dslab.slam.loop_closing.correction import Loop
 from dslab.slam.loop_closing.detection import LoopClosingConfig, LoopDetector
 from dslab.slam.loop_closing.look_alikes import look_alikes, note_look_alike
 from dslab.slam.loop_closing.map_alignment import Agreement, Alignment, Sim3AlignmentConfig, align
-from dslab.slam.loop_closing.place_check import PlaceCheckConfig, double_in_reach, doubt
+from dslab.slam.loop_closing.place_check import PlaceCheckConfig, double_in_reach, fault_of_alignment
 from dslab.slam.map._map_kernels import median_depth
 from dslab.slam.optimization.sim3 import sim3_decompose, sim3_matrix
 from dslab.slam.places.recognition import KeyframeDatabase
@@ -55,7 +55,7 @@ def found(old, new):
 
 def test_one_place_seen_twice_is_not_doubted():
     old, new = maps()
-    assert doubt(old, new, found(old, new), rng(), ANYWHERE) == ""
+    assert fault_of_alignment(old, new, found(old, new), rng(), ANYWHERE) == ""
 
 
 def test_a_similarity_to_another_place_is_doubted():
@@ -64,13 +64,16 @@ def test_a_similarity_to_another_place_is_doubted():
     aside = replace(right, S_old_new=rigid((0.6, 0, 0)) @ right.S_old_new)
     larger = replace(right, S_old_new=right.S_old_new @ sim3_matrix(1.2, np.eye(3), np.zeros(3)))
     for wrong in (aside, larger):
-        assert doubt(old, new, wrong, rng(), ANYWHERE) == "expected_points_missing"
+        assert fault_of_alignment(old, new, wrong, rng(), ANYWHERE) == "expected_points_missing"
 
 
 def test_surroundings_that_differ_in_part_are_doubted():
     """A poster and little more is the same: enough for an alignment, not for a place."""
     old, new = maps(changed(0.27))
-    assert doubt(old, new, found(old, new), rng(), ANYWHERE) in ("contradicted", "expected_points_missing")
+    assert fault_of_alignment(old, new, found(old, new), rng(), ANYWHERE) in (
+        "contradicted",
+        "expected_points_missing",
+    )
 
 
 @pytest.mark.parametrize(
@@ -82,15 +85,15 @@ def test_surroundings_that_differ_in_part_are_doubted():
 )
 def test_the_reason_names_the_bar(config, reason):
     old, new = maps()
-    assert doubt(old, new, found(old, new), rng(), replace(ANYWHERE, **config)) == reason
+    assert fault_of_alignment(old, new, found(old, new), rng(), replace(ANYWHERE, **config)) == reason
 
 
 def test_maps_far_apart_in_space_but_not_in_time_are_out_of_reach():
     """The second map begins where the first was half a minute ago: there was no time to get back."""
     soon, late = maps(later=56 + 3), maps(later=56 + 30 * 30)
     reach = PlaceCheckConfig(reach=ReachConfig(factor=0.3))
-    assert doubt(*soon, found(*soon), rng(), reach) == "out_of_reach"
-    assert doubt(*late, found(*late), rng(), reach) == ""
+    assert fault_of_alignment(*soon, found(*soon), rng(), reach) == "out_of_reach"
+    assert fault_of_alignment(*late, found(*late), rng(), reach) == ""
 
 
 def test_more_is_asked_of_maps_that_are_far_apart_in_time():
@@ -99,7 +102,7 @@ def test_more_is_asked_of_maps_that_are_far_apart_in_time():
     config = replace(ANYWHERE, bar=lax, far_bar=replace(lax, max_share=0.1))
     for later, reason in ((56 + 15, ""), (56 + 30 * 30, "view_is_unknown")):
         old, new = maps(later=later)
-        assert doubt(old, new, found(old, new), rng(), config) == reason
+        assert fault_of_alignment(old, new, found(old, new), rng(), config) == reason
 
 
 def test_a_place_has_a_double_in_reach():

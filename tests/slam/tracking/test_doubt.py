@@ -119,8 +119,8 @@ def test_a_map_that_shrinks_is_doubted_from_the_onset(wall, direction):
     assert doubt.first_frame == PLANTED_AT
 
 
-def shrinking(wall, size, loose_deg, seconds=9.0, loop_at_s=None, **config):
-    """Doubt where new points and steps have the size ``size(s)``, ``s`` seconds behind five loose frames."""
+def shrinking(wall, size, uncertain_deg, seconds=9.0, loop_at_s=None, **config):
+    """Doubt where points and steps have the size ``size(s)``, ``s`` seconds behind five uncertain frames."""
     doubt, x, last, before = Doubt(DoubtConfig(**config)), 0.0, None, None
     for i in range(PLANTED_AT + round(seconds * FPS)):
         now = size((i - PLANTED_AT) / FPS) if i >= PLANTED_AT else 1.0
@@ -130,7 +130,7 @@ def shrinking(wall, size, loose_deg, seconds=9.0, loop_at_s=None, **config):
         frame = posed(i, rigid((-x, 0, 0)))
         if before is not None:
             predicted = last.T_cam_map @ np.linalg.inv(before.T_cam_map) @ last.T_cam_map
-            deviation = np.deg2rad(loose_deg if PLANTED_AT - 5 <= i < PLANTED_AT else 0.03)
+            deviation = np.deg2rad(uncertain_deg if PLANTED_AT - 5 <= i < PLANTED_AT else 0.03)
             doubt.note(frame, last, predicted, now * wall + (x, 0, 0), (i - 2) / FPS, deviation)
         before, last = last, frame
         if doubt.reason:
@@ -139,15 +139,15 @@ def shrinking(wall, size, loose_deg, seconds=9.0, loop_at_s=None, **config):
 
 
 @pytest.mark.parametrize("size", [lambda s: 1 / 3, lambda s: 0.88**s], ids=["at once", "step by step"])
-def test_a_map_that_has_shrunk_since_the_view_was_loose_is_doubted_from_there(wall, size):
-    doubt = shrinking(wall, size, loose_deg=0.2)
+def test_a_map_that_has_shrunk_since_the_direction_was_uncertain_is_doubted_from_there(wall, size):
+    doubt = shrinking(wall, size, uncertain_deg=0.2)
     assert doubt.reason == "scale_of_new_points"
     assert doubt.first_frame == PLANTED_AT - 5
 
 
 @pytest.mark.parametrize("settings", [
-    {"loose_deg": 0.05}, {"loose_deg": 0.2, "shrunk": 4.0}, {"loose_deg": 0.2, "loose_memory_s": 4.0},
-    {"loose_deg": 0.2, "loop_at_s": 2.0},
+    {"uncertain_deg": 0.05}, {"uncertain_deg": 0.2, "shrunk": 4.0},
+    {"uncertain_deg": 0.2, "uncertain_memory_s": 4.0}, {"uncertain_deg": 0.2, "loop_at_s": 2.0},
 ])  # fmt: skip
 def test_a_slow_fall_is_believed(wall, settings):
     """Where the view held the camera, long after it did not, and once a loop has given the scale back."""
