@@ -16,7 +16,6 @@ from dslab.experiments.runs.systems.registry import OwnSystem, System, factory_w
 from dslab.sim.io.folders import Progress, new_directory
 from dslab.sim.io.truth import tum_poses_text
 from dslab.sim.sequence import Sequence
-from dslab.sim.unfinished import scratch_folder
 
 if TYPE_CHECKING:
     from dslab.experiments.recording import Recording
@@ -133,17 +132,14 @@ def execute_recorded(
     make = factory_with(plugins, build or system_factory())
     records: dict[str, RunRecord] = {}
     path = recording_path
-    with (
-        nullcontext() if path is None else _open_recording(path, sequence, systems) as recording,
-        scratch_folder() as scratch,
-    ):
+    with nullcontext() if path is None else _open_recording(path, sequence, systems) as recording:
         for kind in systems:
             watcher = None if recording is None else recording.watch(kind)
             shown = partial(_show_run, show, kind)
             plugin = plugins.get(kind, OwnSystem(kind))
             if isinstance(plugin, CommandSystem):
-                log_dir = scratch if folder_of is None else folder_of(kind)
-                records[kind] = run_command(plugin, sequence, seed, log_dir, scratch, watcher, shown)
+                log_dir = None if folder_of is None else folder_of(kind)
+                records[kind] = run_command(plugin, sequence, seed, log_dir, watcher, shown)
             else:
                 pace = RealTime(sequence) if real_time else None
                 end = at_end(kind) if isinstance(plugin, OwnSystem) else None

@@ -81,14 +81,25 @@ def check_command(
 @app.command("install")
 def install_command(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a system, such as orbslam3.")],
+    repository: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PATH|URL",
+            help="Repository of this lab, for a release or commit of it; the checkout that dslab runs from.",
+            show_default=False,
+        ),
+    ] = None,
     systems_dir: SystemsOption = None,
 ) -> None:
     """Install a system into an environment of its own, in the user's cache folder.
 
     Its packages come from PyPI, by uv if there is one, else by pip. They stay apart from the lab's, and under
-    their own licences. For example:
+    their own licences. A release of this lab, or any commit, is made from its repository and its kernels are
+    compiled, which takes minutes; then `base@0.2.0`, `dual@0.2.0` and so on are systems. For example:
 
     `dslab systems install orbslam3`
+
+    `dslab systems install lab@0.2.0`
     """
     from dslab.experiments.runs.systems.command import CommandSystem
     from dslab.experiments.runs.systems.environments import install
@@ -99,8 +110,8 @@ def install_command(
     environment = system.spec.environment if isinstance(system, CommandSystem) else None
     if environment is None:
         raise InputError(f"system {name}", "has no environment to install", "see `dslab systems list`")
-    out.print(f"installing {' '.join(environment.packages)}", soft_wrap=True)
-    out.print(f"{name}: {install(name, environment)}", soft_wrap=True)
+    out.print(f"installing {' '.join(environment.contents)}", soft_wrap=True)
+    out.print(f"{name}: {install(name, environment, repository)}", soft_wrap=True)
 
 
 def _described(registry: "Registry", name: str) -> tuple[str, str]:

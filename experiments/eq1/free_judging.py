@@ -116,7 +116,7 @@ def _breakage(
 def _came_back(record: RunRecord, exposure: Exposure, word: BreakageOutcome | None, broken: _Broken) -> bool:
     """True if it is in use again: by its own word, or with final poses behind the segment within bounds."""
     if record.declares is Declares.EVENTS and word is not None:
-        return word.relocalized is not None
+        return word.repair is not None
     before, behind = exposure.onset_frame - 1, max(exposure.end_frame, broken.frame)
     holds = next((path for path in record.trajectories if before in path.frames), None)
     has_poses = holds is not None and int(holds.frames[-1]) > behind

@@ -23,7 +23,6 @@ from dslab.experiments.runs.systems.command_spec import Limits
 from dslab.experiments.runs.systems.own_class import ClassSystem
 from dslab.experiments.runs.systems.registry import System, system_digest
 from dslab.sim.sequence import Sequence
-from dslab.sim.unfinished import scratch_folder
 
 LIMITS = Limits()
 """What a class may take, as a program whose description does not say."""
@@ -89,8 +88,7 @@ def _lead_in_of_program(
 
 
 def _run_program(unit: UnitSpec, system: CommandSystem, sequence: Sequence, clock: CpuClock) -> RunRecord:
-    with scratch_folder() as scratch:
-        record = run_command(system, sequence, unit.repeat_seed, scratch, scratch)
+    record = run_command(system, sequence, unit.repeat_seed)
     _add_cpu(record, clock)
     return record
 

@@ -25,7 +25,6 @@ from dslab.experiments.runs.slam_settings import factory_of
 from dslab.experiments.runs.systems.command import CommandSystem, run_command
 from dslab.experiments.runs.systems.registry import Registry, System, factory_with, system_digest
 from dslab.sim.sequence import Sequence
-from dslab.sim.unfinished import scratch_folder
 
 
 def run_unit(
@@ -81,11 +80,11 @@ def record_runs(unit: UnitSpec, system: System, sequence: Sequence, path: Path) 
     kinds = list(dict.fromkeys(("base", system.name)))
     build = factory_with({system.name: system}, factory_of(settings_of(unit)))
     runs = []
-    with Recording(path, sequence, kinds) as recorded, scratch_folder() as scratch:
+    with Recording(path, sequence, kinds) as recorded:
         for kind in kinds:
             watcher = recorded.watch(kind)
             if kind == system.name and isinstance(system, CommandSystem):
-                runs.append(run_command(system, sequence, unit.repeat_seed, scratch, scratch, watcher))
+                runs.append(run_command(system, sequence, unit.repeat_seed, None, watcher))
             else:
                 runs.append(execute(sequence, kind, unit.repeat_seed, watcher, build=build))
         recorded.finish(runs)

@@ -27,13 +27,19 @@ _REPORTED = (
 @cache
 def commit() -> str | None:
     """Git commit of the running code, with ``-dirty`` if it was changed; None outside a work tree."""
-    folder = Path(__file__).resolve().parents[2]
-    if not (folder / ".git").exists():
+    folder = checkout()
+    if folder is None:
         return None
     head = _git(folder, "rev-parse", "HEAD")
     if head is None:
         return None
     return head + ("-dirty" if _git(folder, "status", "--porcelain") else "")
+
+
+def checkout() -> Path | None:
+    """Work tree that the running code lies in; None if there is none."""
+    folder = Path(__file__).resolve().parents[2]
+    return folder if (folder / ".git").exists() else None
 
 
 def code_hash() -> str:

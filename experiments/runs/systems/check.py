@@ -30,7 +30,7 @@ def run_once(system: System, sequence: Sequence) -> tuple[RunRecord, str]:
     """
     with scratch_folder() as scratch:
         if isinstance(system, CommandSystem):
-            record = run_command(system, sequence, 0, scratch, scratch)
+            record = run_command(system, sequence, 0, scratch)
             log = (scratch / LOG_FILE).read_text(errors="replace")
             return record, log[-_LOG_CHARACTERS:]
         build = factory_with({system.name: system}, system_factory())

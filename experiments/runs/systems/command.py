@@ -4,7 +4,7 @@ import json
 import shlex
 import shutil
 from collections.abc import Callable
-from contextlib import contextmanager
+from collections.abc import Sequence as Many
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,12 +16,20 @@ from dslab.experiments.runs.execution import Observer, RunRecord, live_trajector
 from dslab.experiments.runs.systems.command_spec import CommandSpec, filled
 from dslab.experiments.runs.systems.environments import python_of
 from dslab.experiments.runs.systems.guarded import GuardedRun, run_guarded
-from dslab.experiments.runs.systems.left_files import LeftFrames, read_frames, read_poses
+from dslab.experiments.runs.systems.left_events import LeftEvents, read_events
+from dslab.experiments.runs.systems.left_files import (
+    LeftFrames,
+    LeftPoses,
+    read_frames,
+    read_maps,
+    read_poses,
+)
 from dslab.experiments.runs.systems.poses_only import PosesOnly, frame_result
 from dslab.experiments.runs.systems.vocabulary_text import vocabulary_of
 from dslab.scenarios.errors import InputError
 from dslab.sim.io.forms import Form, write_sequence
 from dslab.sim.sequence import Sequence
+from dslab.sim.unfinished import scratch_folder
 from dslab.slam.core.events import Breakage, Event
 from dslab.slam.core.results import MapTrajectory, TrackingResult
 
@@ -74,36 +82,31 @@ class CommandSystem:
         return {"python": python_of(self.name, self.spec.environment), "here": self.file.parent.resolve()}
 
 
-@contextmanager
-def sequence_folder_of(sequence: Sequence, reads: str, scratch: Path):
-    """Yield a folder of the frames and the camera, without truth and without what was injected."""
-    folder = scratch / f"sequence-{reads}"
-    if not folder.exists():
-        blind = replace(
-            sequence, T_world_cam=None, depths=None, segments=(), meta={}, frame_truth={}, image_names=()
-        )
-        write_sequence(blind, folder, Form(reads))
-    yield folder
+def write_blind(sequence: Sequence, reads: str, folder: Path) -> None:
+    """Write a folder of the frames and the camera, without truth and without what was injected."""
+    blind = replace(
+        sequence, T_world_cam=None, depths=None, segments=(), meta={}, frame_truth={}, image_names=()
+    )
+    write_sequence(blind, folder, Form(reads))
 
 
 def run_command(
     system: CommandSystem,
     sequence: Sequence,
     seed: int,
-    folder: Path,
-    scratch: Path,
+    folder: Path | None = None,
     observer: Observer | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> RunRecord:
     """Run a program over a sequence. How it ends is in the record, whatever it does.
 
+    It is given a copy of the frames of its own: what it does to them reaches nothing and no other run.
+
     Args:
         system: the program.
         sequence: the frames; the truth is not passed on.
         seed: given to the command where it asks for one.
-        folder: existing folder for what it prints and its settings.
-        scratch: existing folder for the frames, which further runs over the same sequence find again, and for
-            what the program leaves.
+        folder: existing folder for what it prints and its settings; None for none that stays.
         observer: called after the end for every frame.
         progress: called with (frames done, frames in all).
 
@@ -111,22 +114,20 @@ def run_command(
         InputError: the program cannot be started, or its form cannot hold the sequence.
     """
     words, spec = system.check(), system.spec
-    left = scratch / f"left-{system.name}"
-    shutil.rmtree(left, ignore_errors=True)
-    left.mkdir()
-    settings = dict(spec.settings)
-    values = {**system._fixed(), "seed": seed, "out": left, "settings": folder / SETTINGS_FILE}
+    settings, values = dict(spec.settings), {**system._fixed(), "seed": seed}
     if any("{vocabulary}" in word for word in words):
         values["vocabulary"], settings["vocabulary"] = vocabulary_of(settings.get("vocabulary"))
-    (folder / SETTINGS_FILE).write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
     duration_s = float(sequence.stamps_s[-1] - sequence.stamps_s[0]) if len(sequence) else 0.0
     time_s = spec.limits.start_s + spec.limits.slow_down * duration_s
-    with sequence_folder_of(sequence, spec.reads, scratch) as frames_dir:
-        values["sequence"] = frames_dir
-        command = filled(words, values)
-        run = run_guarded(command, folder / LOG_FILE, time_s, spec.limits.memory_mb, left)
     config = {"system": system.name, "about": spec.about, "command": spec.command, "settings": settings}
-    record = _record(system, sequence, seed, left, run, config)
+    with scratch_folder() as scratch:
+        frames, left, kept = scratch / "sequence", scratch / "left", folder or scratch
+        left.mkdir()
+        write_blind(sequence, spec.reads, frames)
+        (kept / SETTINGS_FILE).write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
+        values |= {"sequence": frames, "out": left, "settings": kept / SETTINGS_FILE}
+        run = run_guarded(filled(words, values), kept / LOG_FILE, time_s, spec.limits.memory_mb, left)
+        record = _record(system, sequence, seed, left, run, config)
     _show(record, observer, progress)
     return record
 
@@ -135,35 +136,45 @@ def _record(
     system: CommandSystem, sequence: Sequence, seed: int, left: Path, run: GuardedRun, config: dict
 ) -> RunRecord:
     spec, form = system.spec, system.spec.trajectory_form
-    final = read_poses(left / spec.trajectory, form, sequence)
-    live = None if spec.live is None else read_poses(left / spec.live, form, sequence)
-    keyframes = None if spec.keyframes is None else read_poses(left / spec.keyframes, form, sequence)
+    final = _maps(left, spec.trajectory, form, sequence)
+    live = [] if spec.live is None else [read_poses(left / spec.live, form, sequence)]
+    keyframes = [] if spec.keyframes is None else _maps(left, spec.keyframes, form, sequence)
     frames = LeftFrames() if spec.frames is None else read_frames(left / spec.frames, sequence)
-    given = final if live is None else live
-    made = [k.frames for k in (keyframes and keyframes.trajectory,) if k is not None]
-    results = _results(sequence, given.trajectory, frames, np.concatenate(made) if made else np.empty(0, int))
-    faults = [of.fault for of in (final, live, keyframes, frames) if of is not None]
+    events = LeftEvents() if spec.events is None else read_events(left / spec.events, len(sequence))
+    paths = _paths(final)
+    places = {path.map_id: place for place, path in enumerate(paths)}
+    made = sorted(_paths(keyframes), key=lambda path: places.get(path.map_id, len(places)))
+    results = _results(sequence, _paths(live) if live else paths[:1], frames, made)
+    faults = [of.fault for of in (*final, *live, *keyframes, frames, events)]
+    declares = Declares.LOSSES if spec.lost_states else Declares.NOTHING
     return RunRecord(
         sequence=sequence,
         system_kind=system.name,
         seed=seed,
         config=config,
         results=results,
-        events=_losses(sequence, frames, spec.lost_states),
-        trajectories=_some(final.trajectory),
-        keyframes=_some(keyframes.trajectory if keyframes else None),
+        events=events.events if spec.events else _losses(sequence, frames, spec.lost_states),
+        trajectories=paths,
+        keyframes=tuple(made),
         live=live_trajectories(results),
         map_points={},
         wall_s=run.wall_s,
         peak_rss_mb=run.peak_rss_mb,
         ending=_worst(run.ending, faults),
-        declares=Declares.LOSSES if spec.lost_states else Declares.NOTHING,
-        has_live_poses=live is not None,
+        declares=Declares.EVENTS if spec.events else declares,
+        has_live_poses=spec.live is not None,
     )
 
 
-def _some(trajectory: MapTrajectory | None) -> tuple[MapTrajectory, ...]:
-    return () if trajectory is None else (trajectory,)
+def _maps(left: Path, name: str, form: str, sequence: Sequence) -> list[LeftPoses]:
+    """The poses of one map or, with a ``*`` in the name, of every map."""
+    if "*" in name:
+        return read_maps(left, name, form, sequence)
+    return [read_poses(left / name, form, sequence)]
+
+
+def _paths(found: list[LeftPoses]) -> tuple[MapTrajectory, ...]:
+    return tuple(poses.trajectory for poses in found if poses.trajectory is not None)
 
 
 def _worst(ending: Ending, faults: list[Ending]) -> Ending:
@@ -172,24 +183,27 @@ def _worst(ending: Ending, faults: list[Ending]) -> Ending:
 
 
 def _results(
-    sequence: Sequence, given: MapTrajectory | None, frames: LeftFrames, keyframes: np.ndarray
+    sequence: Sequence, given: Many[MapTrajectory], frames: LeftFrames, keyframes: Many[MapTrajectory]
 ) -> tuple[TrackingResult, ...]:
-    poses = {} if given is None else dict(zip(given.frames.tolist(), given.T_map_cam, strict=True))
+    poses = {int(f): T for path in given for f, T in zip(path.frames, path.T_map_cam, strict=True)}
     first = min(poses, default=len(sequence))
-    made = set(keyframes.tolist())
-    return tuple(
-        frame_result(
+    made = {int(f) for path in keyframes for f in path.frames}
+    results = []
+    for frame, stamp_s in enumerate(sequence.stamps_s):
+        said = frames.numbers.get(frame, {})
+        result = frame_result(
             frame,
             float(stamp_s),
             poses.get(frame),
             frame > first,
             reason="" if frame in poses else frames.states.get(frame, ""),
-            ms={"process": frames.ms[frame]} if frame in frames.ms else {},
-            cpu_ms={"process": frames.cpu_ms[frame]} if frame in frames.cpu_ms else {},
+            ms={"process": said["ms"]} if "ms" in said else {},
+            cpu_ms={"process": said["cpu_ms"]} if "cpu_ms" in said else {},
             is_keyframe=frame in made,
         )
-        for frame, stamp_s in enumerate(sequence.stamps_s)
-    )
+        beside = {name: said.get(name, 0.0) for name in ("mapping_cpu_ms", "loop_cpu_ms")}
+        results.append(replace(result, map_id=int(said.get("map_id", 0)), **beside))
+    return tuple(results)
 
 
 def _losses(sequence: Sequence, frames: LeftFrames, words: tuple[str, ...]) -> tuple[Event, ...]:

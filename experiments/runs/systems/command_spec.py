@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.faults import all_faults, guess
@@ -16,7 +16,7 @@ OWN_FOLDER = Path(__file__).parent
 """Folder of the descriptions that come with the lab."""
 PLACEHOLDERS = ("sequence", "out", "settings", "seed", "vocabulary", "python", "here")
 _PLACEHOLDER = re.compile(r"\{(\w+)\}")
-_FILE_NAME = re.compile(r"[\w.-]+(/[\w.-]+)*")
+_FILE_NAME = re.compile(r"[\w.*-]+(/[\w.*-]+)*")
 _LIKE = "like"
 _MOST_LIKE = 8
 
@@ -32,15 +32,32 @@ class Limits(Strict):
 class Environment(Strict):
     """An environment of Python of the program's own."""
 
-    packages: tuple[str, ...] = Field(min_length=1, description="what pip installs there")
+    packages: tuple[str, ...] = Field((), description="what pip installs there")
+    commit: str | None = Field(
+        None,
+        pattern=r"^[0-9a-f]{7,40}$",
+        description="of this lab, installed in their place, with the versions that it locks",
+    )
     imports: tuple[str, ...] = Field((), description="modules that can then be imported")
     note: str = Field("", description="what else it needs, said where it cannot be imported")
+
+    @model_validator(mode="after")
+    def _holds_something(self) -> "Environment":
+        if bool(self.packages) == bool(self.commit):
+            raise ValueError("holds both or neither, give packages or a commit of this lab")
+        return self
+
+    @property
+    def contents(self) -> tuple[str, ...]:
+        """What is installed there, in words that change with it."""
+        return self.packages or (f"this lab at {(self.commit or '')[:12]}",)
 
 
 class CommandSpec(Strict):
     """Description of a program: how it is called, what it reads and leaves.
 
-    Files are relative to the folder ``{out}``. All but the trajectory may be absent.
+    Files are relative to the folder ``{out}``. All but the trajectory may be absent. A ``*`` in the name of
+    a trajectory or of keyframes stands for the number of a map, each of which has its own file.
     """
 
     about: str = Field("", description="one line")
@@ -52,11 +69,19 @@ class CommandSpec(Strict):
     trajectory_form: Literal["tum", "kitti", "euroc"] = Field("tum", description="form of its files of poses")
     live: str | None = Field(None, description="file of the poses as they were given, frame by frame")
     keyframes: str | None = Field(None, description="file of the keyframes' final poses")
-    frames: str | None = Field(None, description="CSV of stamp_s and any of state, ms, cpu_ms, per frame")
+    frames: str | None = Field(
+        None,
+        description="CSV of stamp_s and any of state, ms, cpu_ms, map_id, mapping_cpu_ms, loop_cpu_ms",
+    )
+    events: str | None = Field(None, description="its events, as in the lab's own events.jsonl")
     lost_states: tuple[str, ...] = Field((), description="words in state by which it declares a loss")
     pace: Literal["free", "real_time"] = Field("free", description="how it takes the frames")
     limits: Limits = Limits()
     environment: Environment | None = Field(None, description="made by `dslab systems install`")
+    systems: tuple[str, ...] = Field(
+        (),
+        description="of a file lab@0.2.0.yaml, run as base@0.2.0 and so on: values of the setting `system`",
+    )
     settings: dict[str, str | float | int | bool | None] = Field({}, description="in the JSON {settings}")
 
     @field_validator("command")
@@ -72,11 +97,13 @@ class CommandSpec(Strict):
                 raise ValueError(f"does not say where {{{name}}} goes, add {{{name}}}")
         return command
 
-    @field_validator("trajectory", "live", "keyframes", "frames")
+    @field_validator("trajectory", "live", "keyframes", "frames", "events")
     @classmethod
-    def _inside(cls, name: str | None) -> str | None:
+    def _inside(cls, name: str | None, info: ValidationInfo) -> str | None:
         if name is not None and (not _FILE_NAME.fullmatch(name) or ".." in name.split("/")):
             raise ValueError(f"{name!r} is no file below {{out}}, give a relative path")
+        if name is not None and name.count("*") > (info.field_name in ("trajectory", "keyframes")):
+            raise ValueError(f"{name!r} has a * too many, put one into trajectory and keyframes alone")
         return name
 
 

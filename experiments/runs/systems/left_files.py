@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,6 +21,8 @@ _COLUMNS = {
     "euroc": "timestamp_ns px py pz qw qx qy qz",
     "kitti": "12 numbers of rows 1 to 3 of the matrix",
 }
+NUMBERS = {"ms": float, "cpu_ms": float, "map_id": int, "mapping_cpu_ms": float, "loop_cpu_ms": float}
+"""Columns of the table of frames, as the fields of a ``TrackingResult``; times over all stages."""
 _MOST_POSITION = 1e9
 _MOST_SKEW = 1e-2
 
@@ -43,23 +46,32 @@ class LeftFrames:
 
     Attributes:
         states: word of the system's own.
-        ms, cpu_ms: wall and CPU time of the frame's tracking.
+        numbers: by name, those of ``NUMBERS`` that it says.
         fault: what is wrong with the file; finished if nothing is.
     """
 
     states: dict[int, str] = field(default_factory=dict)
-    ms: dict[int, float] = field(default_factory=dict)
-    cpu_ms: dict[int, float] = field(default_factory=dict)
+    numbers: dict[int, dict[str, float]] = field(default_factory=dict)
     fault: Ending = FINISHED
 
 
-def read_poses(path: Path, form: str, sequence: Sequence) -> LeftPoses:
+def read_maps(folder: Path, name: str, form: str, sequence: Sequence) -> list[LeftPoses]:
+    """Read the files of poses of a name with one ``*``, the number of a map; that with most poses first."""
+    pattern = re.compile(re.escape(name).replace(r"\*", r"(\d{1,9})"))
+    numbered = [(pattern.fullmatch(file.relative_to(folder).as_posix()), file) for file in folder.glob(name)]
+    maps = sorted((int(match[1]), file) for match, file in numbered if match)
+    found = [read_poses(file, form, sequence, map_id) for map_id, file in maps]
+    return sorted(found, key=lambda of: -len(of.trajectory.frames) if of.trajectory else 0)
+
+
+def read_poses(path: Path, form: str, sequence: Sequence, map_id: int = 0) -> LeftPoses:
     """Read a file of poses; whatever is wrong with it is said in the result.
 
     Args:
         path: the file; if there is none, no frame has a pose.
         form: ``tum``, ``kitti`` (a row per frame, in order) or ``euroc``.
         sequence: the frames that the program was given.
+        map_id: number of the map.
 
     Returns:
         The poses. Rows that are not finite are left out and the first is named; of a file that is malformed
@@ -86,7 +98,7 @@ def read_poses(path: Path, form: str, sequence: Sequence) -> LeftPoses:
         remedy = "leave out frames without a pose"
         fault = Ending(EndKind.NOT_FINITE, f"{_row(path, ~finite)}: the pose is not finite", remedy)
     kept, first = np.unique(frames[finite], return_index=True)
-    found = MapTrajectory(0, kept, sequence.stamps_s[kept], T[finite][first]) if len(kept) else None
+    found = MapTrajectory(map_id, kept, sequence.stamps_s[kept], T[finite][first]) if len(kept) else None
     return LeftPoses(found, fault)
 
 
@@ -108,9 +120,7 @@ def read_frames(path: Path, sequence: Sequence) -> LeftFrames:
             if frame < 0:
                 continue
             found.states[frame] = (row.get("state") or "").strip()
-            for name, values in (("ms", found.ms), ("cpu_ms", found.cpu_ms)):
-                if row.get(name):
-                    values[frame] = float(row[name])
+            found.numbers[frame] = {n: of(row[n]) for n, of in NUMBERS.items() if row.get(n)}
     except InputError as error:
         return LeftFrames(fault=Ending(EndKind.UNREADABLE, f"{error.where}: {error.problem}", error.remedy))
     except (ValueError, TypeError, csv.Error) as error:

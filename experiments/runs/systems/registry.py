@@ -9,7 +9,7 @@ from pathlib import Path
 
 from dslab.experiments.runs.execution import SlamSystem, SystemFactory
 from dslab.experiments.runs.systems.command import CommandSystem
-from dslab.experiments.runs.systems.command_spec import OWN_FOLDER, read_command_spec
+from dslab.experiments.runs.systems.command_spec import OWN_FOLDER, Environment, read_command_spec
 from dslab.experiments.runs.systems.own_class import (
     ClassSystem,
     class_system,
@@ -27,7 +27,9 @@ from dslab.slam.factory import SYSTEMS
 
 VARIABLE = "DSLAB_SYSTEMS"
 """Environment variable with the folders of further descriptions, separated as in PATH."""
-_NAME = re.compile(r"[A-Za-z0-9][\w.+-]*")
+_NAME = re.compile(r"[A-Za-z0-9][\w.+@-]*")
+_LAB = "lab@"
+_COMMIT = re.compile(r"[0-9a-f]{7,40}")
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,8 @@ class Registry:
     def find(self, name: str) -> System:
         """The system of a name, or a class that is named as ``module:Class``.
 
+        ``base@0.2.0`` is a system of a release of this lab, ``base@019e78a`` of any commit of it.
+
         Raises:
             InputError: there is none, or it is not valid.
         """
@@ -89,6 +93,8 @@ class Registry:
             return entry_point_system(self.classes[name])
         if is_class_name(name):
             return class_system(name)
+        if "@" in name and any(file.startswith(_LAB) for file in self.files):
+            return self._earlier(name)
         known = self.names()
         remedy = f"give {guess(name, known)}one of {', '.join(known)}, or module:Class"
         raise InputError("--system", f"there is no system {name!r}", remedy)
@@ -107,13 +113,33 @@ class Registry:
             found[system.name] = system
         return found
 
+    def _earlier(self, name: str) -> CommandSystem:
+        """A system of a release of this lab, or of a commit, which is run as the last release is."""
+        system, _, version = name.partition("@")
+        releases = [file for file in self.files if file.startswith(_LAB)]
+        is_commit = _LAB + version not in releases
+        if is_commit and not _COMMIT.fullmatch(version):
+            known = ", ".join(file.removeprefix(_LAB) for file in releases)
+            raise InputError("--system", f"there is no release {version!r}", f"give {known} or a commit")
+        file = self.files[releases[-1] if is_commit else _LAB + version]
+        spec = read_command_spec(file, self.folders)
+        if is_commit:
+            about = {"about": f"this lab at commit {version}", "environment": Environment(commit=version)}
+            spec = spec.model_copy(update=about)
+        elif system not in spec.systems:
+            remedy = f"give one of {', '.join(f'{known}@{version}' for known in spec.systems)}"
+            raise InputError("--system", f"there is no system {name!r}", remedy)
+        if system != "lab":
+            spec = spec.model_copy(update={"settings": {**spec.settings, "system": system}})
+        return CommandSystem(name, spec, file)
+
     def _add(self, folder: Path) -> None:
         if not is_folder(folder):
             raise InputError(f"systems: {folder}", "no such folder", f"correct --systems or {VARIABLE}")
         for file in (folder / name for name in file_names(folder) if name.endswith(".yaml")):
             name = file.stem
             if not _NAME.fullmatch(name):
-                raise InputError(str(file), "is no name of a system", "use letters, digits and . + - _")
+                raise InputError(str(file), "is no name of a system", "use letters, digits and . + - _ @")
             if name in self.names():
                 raise InputError(str(file), f"the name {name} is taken", "rename the file")
             self.files[name] = file
@@ -122,7 +148,7 @@ class Registry:
 def system_digest(system: System) -> str:
     """Hash of a class or a description, which changes with it; empty for our systems."""
     if isinstance(system, CommandSystem):
-        return content_key(system.spec.model_dump(mode="json"))
+        return content_key(system.spec.model_dump(mode="json", exclude_defaults=True))
     return source_digest(system.make) if isinstance(system, ClassSystem) else ""
 
 

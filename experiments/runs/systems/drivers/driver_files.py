@@ -45,16 +45,18 @@ class Log:
     Args:
         out: folder to write into.
         poses: name of the file of poses.
+        more: names of further columns of frames.csv.
     """
 
-    def __init__(self, out: Path, poses: str) -> None:
+    def __init__(self, out: Path, poses: str, *more: str) -> None:
         self._frames = (out / "frames.csv").open("w", buffering=1)
-        self._frames.write("stamp_s,state,ms,cpu_ms\n")
+        self._frames.write(",".join(["stamp_s,state,ms,cpu_ms", *more]) + "\n")
         self._poses = (out / poses).open("w", buffering=1)
 
-    def frame(self, stamp_s: float, state: str, ms: float, cpu_ms: float) -> None:
+    def frame(self, stamp_s: float, state: str, ms: float, cpu_ms: float, *more: float) -> None:
         """Write the row of a frame: state in the system's words, wall and CPU milliseconds of the call."""
-        self._frames.write(f"{stamp_s:.9f},{state},{ms:.3f},{cpu_ms:.3f}\n")
+        numbers = ",".join(f"{n:.3f}" if isinstance(n, float) else str(n) for n in (ms, cpu_ms, *more))
+        self._frames.write(f"{stamp_s:.9f},{state},{numbers}\n")
 
     def pose(self, stamp_s: float, position: Sequence[float], quat_xyzw: Sequence[float]) -> None:
         """Write the pose of a frame, camera to map."""
@@ -80,7 +82,7 @@ class Clock:
 
 def pose_line(stamp_s: float, position: Sequence[float], quat_xyzw: Sequence[float]) -> str:
     """A line of TUM's form."""
-    return " ".join([f"{stamp_s:.9f}", *(f"{float(value):.9f}" for value in (*position, *quat_xyzw))]) + "\n"
+    return " ".join([f"{stamp_s:.9f}", *(repr(float(value)) for value in (*position, *quat_xyzw))]) + "\n"
 
 
 def quaternion_xyzw(R: np.ndarray) -> list[float]:

@@ -1,6 +1,7 @@
 """Environments of other people's systems, made without the network; what comes with the lab for them."""
 
 import json
+import os
 import runpy
 import shutil
 import subprocess
@@ -15,7 +16,8 @@ from scipy.spatial.transform import Rotation
 from slam_fakes import make_sequence
 
 from dslab.experiments.runs.ending import EndKind
-from dslab.experiments.runs.systems import environments
+from dslab.experiments.runs.sources import open_sequence
+from dslab.experiments.runs.systems import environments, release_source
 from dslab.experiments.runs.systems.check import made_up_sequence, run_once
 from dslab.experiments.runs.systems.command_spec import OWN_FOLDER, Environment
 from dslab.experiments.runs.systems.environments import install, is_installed, python_of
@@ -27,6 +29,7 @@ from dslab.slam.places import _vocabulary_kernels as kernels
 from dslab.slam.places.recognition import shipped_vocabulary
 
 DRIVERS = OWN_FOLDER / "drivers"
+ROOT = Path(__file__).parents[4]
 
 
 @pytest.fixture
@@ -37,20 +40,23 @@ def cache(monkeypatch, tmp_path):
 
 @pytest.fixture
 def wheel(tmp_path):
-    """A package without needs."""
-    path = tmp_path / "tiny_slam-1.0-py3-none-any.whl"
-    with zipfile.ZipFile(path, "w") as file:
-        file.writestr("tiny_slam.py", "version = '1.0'\n")
-        about = "tiny_slam-1.0.dist-info"
-        file.writestr(f"{about}/METADATA", "Metadata-Version: 2.1\nName: tiny_slam\nVersion: 1.0\n")
-        file.writestr(f"{about}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
-        file.writestr(f"{about}/RECORD", "")
+    """A package without needs, beside a later version of it."""
+    for version in ("2.0", "1.0"):
+        path = tmp_path / f"tiny_slam-{version}-py3-none-any.whl"
+        with zipfile.ZipFile(path, "w") as file:
+            file.writestr("tiny_slam.py", f"version = '{version}'\n")
+            about = f"tiny_slam-{version}.dist-info"
+            file.writestr(
+                f"{about}/METADATA", f"Metadata-Version: 2.1\nName: tiny_slam\nVersion: {version}\n"
+            )
+            file.writestr(f"{about}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
+            file.writestr(f"{about}/RECORD", "")
     return path
 
 
 @pytest.mark.parametrize("with_uv", [True, False])
 def test_an_environment_is_made_apart_and_only_counts_when_whole(monkeypatch, cache, wheel, with_uv):
-    uv = shutil.which("uv") or shutil.which("uv", path=str(Path(__file__).parents[4] / ".tools" / "bin"))
+    uv = shutil.which("uv") or shutil.which("uv", path=str(ROOT / ".tools" / "bin"))
     if with_uv and uv is None:
         pytest.skip("uv is not here")
     monkeypatch.setattr(environments.shutil, "which", lambda name: uv if with_uv else None)
@@ -62,6 +68,95 @@ def test_an_environment_is_made_apart_and_only_counts_when_whole(monkeypatch, ca
                           capture_output=True, text=True, check=True)  # fmt: skip
     assert Path(said.stdout.strip()).resolve() == (cache / "systems" / "tiny").resolve()
     assert not is_installed("tiny", Environment(packages=(str(wheel), "more")))
+
+
+@pytest.fixture
+def repository(tmp_path):
+    """A repository with one commit, which installs a ``slam`` and a ``dslab warmup``; and the commit."""
+    folder = tmp_path / "lab"
+    (folder / "slam").mkdir(parents=True)
+    (folder / "slam" / "__init__.py").write_text(
+        "def main():\n    print(open(__file__ + '.warm', 'w').write('x'))\n"
+    )
+    (folder / "pyproject.toml").write_text(PROJECT)
+    (folder / "backend.py").write_text(BACKEND)
+    locked = "[[package]]\nname='{}'\nversion='{}'\nsource={{registry='x'}}\nresolution-markers=[\"{}\"]\n"
+    others = [("tiny_slam", "1.0", "python_version > '3'"), ("tiny_slam", "9.0", "python_version < '3'")]
+    (folder / "uv.lock").write_text("".join(locked.format(*other) for other in others))
+    about = ["-c", "user.name=a", "-c", "user.email=a@b"]
+    for words in (["init", "-q"], ["add", "."], [*about, "commit", "-qm", "one"]):
+        subprocess.run(["git", "-C", folder, *words], check=True)
+    told = subprocess.run(
+        ["git", "-C", folder, "rev-parse", "HEAD"], capture_output=True, text=True, check=True
+    )
+    shutil.rmtree(folder / "slam")  # the commit counts, not the work tree
+    return folder, told.stdout.strip()
+
+
+PROJECT = """
+project = {name = "lab", version = "7", dependencies = ["tiny_slam"], scripts = {dslab = "slam:main"}}
+build-system = {requires = [], build-backend = "backend", backend-path = ["."]}
+"""
+# Builds without a package from an index.
+BACKEND = """
+import pathlib, zipfile
+def build_wheel(directory, *_):
+    about = {"METADATA": "Metadata-Version: 2.1\\nName: lab\\nVersion: 7\\nRequires-Dist: tiny_slam\\n",
+             "WHEEL": "Wheel-Version: 1.0\\nRoot-Is-Purelib: true\\nTag: py3-none-any\\n",
+             "entry_points.txt": "[console_scripts]\\ndslab = slam:main\\n", "RECORD": ""}
+    with zipfile.ZipFile(pathlib.Path(directory) / "lab-7-py3-none-any.whl", "w") as file:
+        file.write("slam/__init__.py")
+        for name, text in about.items():
+            file.writestr(f"lab-7.dist-info/{name}", text)
+    return "lab-7-py3-none-any.whl"
+"""
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="git is not here")
+def test_a_commit_is_installed_with_its_locked_versions_and_warm(
+    dslab, monkeypatch, cache, wheel, repository
+):
+    folder, commit = repository
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))  # whose packages must not be taken for the commit's
+    monkeypatch.setenv("PATH", str(ROOT / ".tools" / "bin"), prepend=os.pathsep)
+    for tool in ("PIP", "UV"):
+        monkeypatch.setenv(f"{tool}_NO_INDEX", "1")
+        monkeypatch.setenv(f"{tool}_FIND_LINKS", str(wheel.parent))
+    name = f"base@{commit[:9]}"
+    code, _, err = dslab("systems", "install", name, "--repository", folder.as_uri())
+    assert code == 0, err
+    system = Registry.open().find(name)
+    python = python_of(name, system.spec.environment)
+    (packages,) = python.parents[1].glob("lib/*/site-packages")
+    assert (packages / "slam" / "__init__.py.warm").exists()
+    assert (packages / "tiny_slam-1.0.dist-info").is_dir(), "as its uv.lock says"
+    assert system.check() and Registry.open().find(f"dso@{commit[:9]}").check()
+
+
+def test_a_commit_that_is_not_to_be_had_is_one_line(dslab, monkeypatch, cache, tmp_path):
+    monkeypatch.setattr(release_source, "checkout", lambda: None)
+    code, _, err = dslab("systems", "install", "lab@0.2.0")
+    assert code == 2 and "runs from no clone of its repository; name a clone of it" in err
+    if shutil.which("git") is not None:
+        subprocess.run(["git", "init", "-q", tmp_path / "empty"], check=True)
+        code, _, err = dslab("systems", "install", "lab@0.2.0", "--repository", tmp_path / "empty")
+        assert code == 2 and "has no commit 019e78a64cfe" in err and "git fetch --unshallow" in err
+    code, _, err = dslab("systems", "install", "lab@0.2.0", "--repository", tmp_path)
+    assert code == 1 and err.count("\n") == 1
+    assert list((cache / "systems").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("bose@0.2.0", "no system 'bose@0.2.0'; give one of base@0.2.0, dual@0.2.0"),
+        ("base@0.2", "no release '0.2'; give 0.2.0 or a commit"),
+        ("base@0.2.0", "run `dslab systems install base@0.2.0`"),
+    ],
+)
+def test_systems_of_releases_are_known_by_name(dslab, cache, name, says):
+    code, _, err = dslab("systems", "check", name)
+    assert code == 2 and says in err and err.count("\n") == 1
 
 
 def test_one_that_cannot_be_made_leaves_nothing_and_says_so(monkeypatch, cache, wheel):
@@ -216,3 +311,29 @@ def test_the_real_ones_track_where_they_are_installed(name):
     record, log = run_once(system, made_up_sequence(90))
     assert record.ending.kind is EndKind.FINISHED, log
     assert len(record.trajectories[0].frames) > 45
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["base", "ldso"])
+def test_a_system_of_a_release_gives_what_the_release_itself_gives(dslab, tmp_path, kind):
+    system = Registry.open().find(f"{kind}@0.2.0")
+    if not is_installed(system.name, system.spec.environment):
+        try:
+            install(system.name, system.spec.environment)
+        except InputError as error:  # no git, no commit, no index
+            pytest.skip(str(error))
+    write_tum(open_sequence("small/room"), tmp_path / "room")
+    assert dslab("run", tmp_path / "room", "--system", system.name, "--out", tmp_path / "ours")[0] == 0
+    python = python_of(system.name, system.spec.environment)
+    own = [python, "-E", "-s", python.with_name("dslab"), "run", tmp_path / "room"]
+    subprocess.run([*own, "--system", kind, "--out", tmp_path / "its"], check=True, capture_output=True)
+    for name in ("trajectory.txt", "keyframes.txt"):
+        assert (tmp_path / "ours" / name).read_bytes() == (tmp_path / "its" / name).read_bytes()
+    events = [
+        [
+            {key: value for key, value in json.loads(line).items() if not key.endswith("_ms")}
+            for line in (tmp_path / of / "events.jsonl").read_text().splitlines()
+        ]
+        for of in ("ours", "its")
+    ]
+    assert events[0] == events[1] and len(events[0]) > 0

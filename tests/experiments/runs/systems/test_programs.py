@@ -21,6 +21,7 @@ from dslab.experiments.runs.systems import guarded
 from dslab.experiments.runs.systems.command import LOG_FILE, run_command
 from dslab.experiments.runs.systems.command_spec import read_command_spec
 from dslab.scenarios.errors import InputError
+from dslab.sim.io.tum import load_sequence, write_tum
 
 FRAMES = 40
 
@@ -34,10 +35,9 @@ def sequence():
 def run(tmp_path, sequence):
     """Runs the copying program after an edit of what it does."""
 
-    def run(edit="pass", **fields):
+    def run(edit="pass", of=sequence, **fields):
         system = program(tmp_path / "systems", sequence, edit, **fields)
-        (tmp_path / "scratch").mkdir(exist_ok=True)
-        return run_command(system, sequence, 3, tmp_path, tmp_path / "scratch")
+        return run_command(system, of, 3, tmp_path)
 
     return run
 
@@ -56,6 +56,19 @@ def test_it_is_given_frames_and_camera_and_no_truth(run, tmp_path):
     files = {path.name: path for path in (tmp_path / "seen").iterdir()}
     assert set(files) == {"camera.yaml", "rgb", "rgb.txt", "meta.json", "segments.json"}
     assert json.loads(files["segments.json"].read_text()) == [] and len(files["meta.json"].read_text()) < 40
+
+
+def test_what_it_does_to_its_frames_reaches_no_other_run(run, tmp_path, sequence):
+    write_tum(sequence, tmp_path / "own")
+    before = {path: path.read_bytes() for path in (tmp_path / "own").rglob("*") if path.is_file()}
+    opened = load_sequence(tmp_path / "own")
+    spoil = "[path.write_bytes(b'') for path in seq.rglob('*') if path.is_file()]"
+    for edit in (spoil, "import cv2; assert cv2.imread(str(seq / 'rgb/000000.png')) is not None"):
+        record = run(edit, of=opened)
+        assert record.ending.kind is EndKind.FINISHED and len(record.trajectories[0].frames) == FRAMES
+    assert {path: path.read_bytes() for path in before} == before and np.array_equal(
+        opened.frames[0], sequence.frames[0]
+    )
 
 
 @pytest.mark.parametrize("form", ["kitti", "euroc"])
@@ -94,6 +107,72 @@ rows = [row for row, state in zip(rows, states) if state == "OK"]
     assert (summary["cpu_ms_median"], summary["ms_median"]) == (1.5, 2.5)
     assert (summary["tracked"], summary["posed"], summary["live_poses"]) == (20, 35, "given")
     assert record.results[12].reason == "LOST"
+
+
+MAPS = """
+name = "trajectory_7.txt"
+(out / "trajectory_12.txt").write_text("".join(" ".join(row) + "\\n" for row in rows[:25]))
+(out / "trajectory_x.txt").write_text("of no map")
+(out / "keyframes_7.txt").write_text(" ".join(rows[30]) + "\\n")
+(out / "keyframes_12.txt").write_text("".join(" ".join(row) + "\\n" for row in rows[:2]))
+(out / "live.txt").write_text("".join(" ".join(row) + "\\n" for row in rows))
+maps = [12] * 25 + [7] * 15
+lines = [f"{s},OK,2,1,{map_id},8,9" for s, map_id in zip(stamps, maps)]
+lines.insert(0, "stamp_s,state,ms,cpu_ms,map_id,mapping_cpu_ms,loop_cpu_ms")
+(out / "frames.csv").write_text("\\n".join(lines))
+rows = rows[25:]
+told = [dict(event="breakage", frame=25, stamp_s=float(stamps[25]), map_id=12, reason="dark", inliers=3)]
+told.append(dict(event="of a later release", frame=25))
+"""
+LOOP = """
+import numpy as np
+from scipy.spatial.transform import Rotation
+def side(frames):
+    T = np.tile(np.eye(4), (len(frames), 1, 1))
+    for of, p in zip(T, (np.array(poses[frame], float) for frame in frames)):
+        of[:3, :3], of[:3, 3] = Rotation.from_quat(p[4:]).as_matrix(), p[1:4]
+    return dict(frames=frames, stamps_s=[float(stamps[f]) for f in frames], T_map_cam=T.tolist())
+told.append(dict(event="loop_closed", frame=39, stamp_s=float(stamps[39]), map_id=7, keyframe=39,
+                 loop_keyframe=2, scale=1, matches=50, cpu_ms=1.5,
+                 relation=dict(old=side([*range(24)]), new=side([*range(25, 40)]), depth=0.5)))
+"""
+TOLD = """
+(out / "events.jsonl").write_text("".join(json.dumps(row) + "\\n" for row in told))
+"""
+SEVERAL = {"trajectory": "trajectory_*.txt", "keyframes": "keyframes_*.txt", "live": "live.txt",
+           "frames": "frames.csv", "events": "events.jsonl"}  # fmt: skip
+
+
+def test_several_maps_and_events_are_judged_as_ours(run):
+    record = run(MAPS + LOOP + TOLD, **SEVERAL)
+    assert record.ending.kind is EndKind.FINISHED, record.ending
+    assert [(t.map_id, len(t.frames)) for t in record.trajectories] == [(12, 25), (7, 15)]
+    assert [(t.map_id, len(t.frames)) for t in record.keyframes] == [(12, 2), (7, 1)]
+    assert {m: len(path.frames) for m, path in record.live.items()} == {12: 25, 7: 15}
+    assert [event.kind for event in record.events] == ["breakage", "loop_closed"]
+    summary = summarise(record)
+    assert (summary["maps"], summary["breakages"], summary["declares"]) == (2, 1, "events")
+    assert (summary["mapping_cpu_ms_median"], summary["loop_cpu_ms_median"]) == (8, 9)
+    (loop,) = summary["audit"]["loops"]
+    assert loop["false"] is False, loop
+
+
+@pytest.mark.parametrize(
+    ("edit", "says"),
+    [
+        ("told[0]['frame'] = 40", "is of no frame from 0 to 39"),
+        ("told[0]['inliers'] = 'many'", "inliers: 'many'"),
+        ("del told[0]['reason']", "reason"),
+        ("told[0] = [1]", "is no event"),
+        ("told[-1]['relation']['new']['frames'] = [0, 99]", "is of no frame"),
+        ("told[-1]['relation']['old']['T_map_cam'] = [1]", "cannot reshape"),
+    ],
+    ids=range(6),
+)
+def test_events_that_are_none_are_an_outcome(run, edit, says):
+    record = run(MAPS + LOOP + edit + TOLD, **SEVERAL)
+    assert record.ending.kind is EndKind.UNREADABLE and says in record.ending.message
+    assert record.events == () and len(record.trajectories) == 2
 
 
 @pytest.mark.parametrize(
@@ -192,6 +271,8 @@ def test_a_description_may_be_like_another_one(tmp_path, sequence):
         ({"comand": "x"}, "comand: unknown key; use command (did you mean that?)"),
         ({"reads": "rosbag"}, "reads: 'rosbag' is not valid"),
         ({"trajectory": "../../secret"}, "is no file below {out}"),
+        ({"live": "live_*.txt"}, "has a * too many; put one into trajectory and keyframes"),
+        ({"environment": "{note: x}"}, "give packages or a commit of this lab"),
         ({"like": "nothing"}, "there is no other system 'nothing'"),
         ({"limits": "{memory_mb: -1}"}, "limits.memory_mb: -1 is not valid"),
         ({"command": "'no-such-program-at-all {sequence} {out}'"}, "no such command: no-such-program-at-all"),
