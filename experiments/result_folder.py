@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dslab.experiments.evaluation.summary import summarise
-from dslab.experiments.runs.execution import AtEnd, RunRecord, SystemFactory, execute, system_factory
+from dslab.experiments.runs.execution import AtEnd, RunRecord, SystemFactory
 from dslab.experiments.runs.files import to_json, write_events, write_frames_csv, write_tum
 from dslab.experiments.runs.pacing import RealTime
-from dslab.experiments.runs.systems.command import CommandSystem, run_command
-from dslab.experiments.runs.systems.registry import OwnSystem, System, factory_with
+from dslab.experiments.runs.systems.registry import OwnSystem, System
+from dslab.experiments.runs.systems.run import run_system
 from dslab.sim.io.folders import Progress, new_directory
 from dslab.sim.io.truth import tum_poses_text
 from dslab.sim.sequence import Sequence
@@ -129,21 +129,23 @@ def execute_recorded(
         raise ValueError("a recording would take time from the frames")
     show = progress or (lambda step, done, total: None)
     plugins = plugins or {}
-    make = factory_with(plugins, build or system_factory())
     records: dict[str, RunRecord] = {}
     path = recording_path
     with nullcontext() if path is None else _open_recording(path, sequence, systems) as recording:
         for kind in systems:
             watcher = None if recording is None else recording.watch(kind)
             shown = partial(_show_run, show, kind)
-            plugin = plugins.get(kind, OwnSystem(kind))
-            if isinstance(plugin, CommandSystem):
-                log_dir = None if folder_of is None else folder_of(kind)
-                records[kind] = run_command(plugin, sequence, seed, log_dir, watcher, shown)
-            else:
-                pace = RealTime(sequence) if real_time else None
-                end = at_end(kind) if isinstance(plugin, OwnSystem) else None
-                records[kind] = execute(sequence, kind, seed, watcher, shown, make, pace, end)
+            records[kind] = run_system(
+                plugins.get(kind, OwnSystem(kind)),
+                sequence,
+                seed,
+                build,
+                None if folder_of is None else folder_of(kind),
+                watcher,
+                shown,
+                RealTime(sequence) if real_time else None,
+                at_end(kind),
+            )
         if recording is not None:
             recording.finish(list(records.values()))
     return records

@@ -1,7 +1,6 @@
 """Accuracy of a system beside a peer's over many sequences, each on the frames that both have placed."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +14,9 @@ from dslab.experiments.evaluation.summary import is_tracked
 from dslab.experiments.jobs.ledger import Row
 from dslab.experiments.runs import execution
 from dslab.experiments.runs.execution import RunRecord, SystemFactory, SystemKind, execute
-from dslab.experiments.runs.foreign_systems import ForeignSystem, open_foreign_system
 from dslab.experiments.runs.sources import open_sequence
+from dslab.experiments.runs.systems.registry import System
+from dslab.experiments.runs.systems.run import ended_well, run_system
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_folder
 from dslab.sim.sequence import Sequence as Frames
@@ -32,11 +32,10 @@ def measure_accuracy(
     seeds: Sequence[int],
     system: SystemKind,
     folder: Path,
-    peer: str | None = None,
+    peer: System | None = None,
     peer_runs: int = 3,
     skip_frames: int = 20,
     progress: Callable[[str, int, int], None] | None = None,
-    kept: Path | None = None,
     build: SystemFactory | None = None,
 ) -> pd.DataFrame:
     """Run a system and a peer over the same frames; one row per run, kept in a folder.
@@ -50,11 +49,10 @@ def measure_accuracy(
             ``skip_frames`` frames, so that it starts elsewhere.
         system: ours.
         folder: see :func:`experiments.benchmarks.kept_rows.keep_rows`.
-        peer: command line, without the two folders; None for none.
+        peer: any other system; None for none.
         peer_runs: runs of the peer per sequence.
         skip_frames: see ``seeds``.
         progress: called with (step, sequences done, sequences in all).
-        kept: folder in which the peer's results are kept for other measurements over the same frames.
         build: makes the system, for tests; None for the real one.
 
     Returns:
@@ -71,8 +69,8 @@ def measure_accuracy(
 
     def run_sequence(job: tuple[str, int]) -> list[Row]:
         source, seed = job
-        with _opened(source, seed, skip_frames, peer, kept) as (frames, foreign):
-            found = _run_both(frames, seed, system, foreign, peer_runs, build)
+        frames = _opened(source, seed, skip_frames)
+        found = _run_both(frames, seed, system, peer, peer_runs, build)
         return [{"source": source, "seed": seed, **row} for row in found]
 
     wanted = [(source, seed) for seed in seeds for source in sources]
@@ -117,33 +115,22 @@ def _of_sequence(rows: pd.DataFrame) -> Row:
     }
 
 
-@contextmanager
-def _opened(
-    source: str, seed: int, skip_frames: int, peer: str | None, kept: Path | None
-) -> Iterator[tuple[Frames, ForeignSystem | None]]:
+def _opened(source: str, seed: int, skip_frames: int) -> Frames:
     frames = open_sequence(source, seed)
     if frames.T_world_cam is None:
         raise InputError(source, "has no ground truth", "name a sequence or scenario with ground truth")
     skipped = (seed - 1) * skip_frames if is_folder(Path(source)) else 0
-    if skipped:
-        if skipped >= len(frames):
-            problem = f"leaves out {skipped} of {len(frames)} frames"
-            raise InputError(
-                f"--seeds {seed}: {source}", problem, "give fewer seeds, or a smaller --skip-frames"
-            )
-        frames, source = frames.only(np.arange(skipped, len(frames))), f"{source}, from frame {skipped}"
-    if peer is None:
-        yield frames, None
-        return
-    with open_foreign_system(peer, source, frames, kept=kept) as foreign:
-        yield frames, foreign
+    if skipped >= len(frames):
+        problem = f"leaves out {skipped} of {len(frames)} frames"
+        raise InputError(f"--seeds {seed}: {source}", problem, "give fewer seeds, or a smaller --skip-frames")
+    return frames.only(np.arange(skipped, len(frames))) if skipped else frames
 
 
 def _run_both(
     frames: Frames,
     seed: int,
     system: SystemKind,
-    foreign: ForeignSystem | None,
+    peer: System | None,
     runs: int,
     build: SystemFactory | None,
 ) -> list[Row]:
@@ -151,21 +138,21 @@ def _run_both(
     path = record.trajectories[0] if record.trajectories else None
     ours = _pairs(path, frames)
     rows: list[Row] = [{"system": OURS, "run": 0, **_own_figures(record), **_figures(ours, len(frames))}]
-    for run, result in enumerate(foreign.run() for _ in range(runs)) if foreign is not None else ():
-        theirs = _pairs(result.trajectory, frames)
-        own = {"tracked": result.tracked, "cpu_ms_median": result.cpu_ms_median, "cpu_s": result.cpu_s}
-        common = _on_common_frames(ours, theirs)
-        rows.append({"system": PEER, "run": run, **own, **_figures(theirs, len(frames)), **common})
+    for run in range(runs) if peer is not None else ():
+        result = ended_well(run_system(peer, frames, seed))
+        theirs = _pairs(result.trajectories[0] if result.trajectories else None, frames)
+        figures = {**_own_figures(result), **_figures(theirs, len(frames)), **_on_common_frames(ours, theirs)}
+        rows.append({"system": PEER, "run": run, **figures})
     return rows
 
 
 def _own_figures(record: RunRecord) -> Row:
-    each_ms = [sum(r.cpu_ms.values()) for r in record.results]
+    each_ms = [sum(r.cpu_ms.values()) for r in record.results if r.cpu_ms]
     beside_ms = sum(r.mapping_cpu_ms + r.loop_cpu_ms for r in record.results)
     return {
         "tracked": sum(is_tracked(r) for r in record.results),
-        "cpu_ms_median": float(np.median(each_ms)),
-        "cpu_s": (sum(each_ms) + beside_ms) / 1000,
+        "cpu_ms_median": float(np.median(each_ms)) if each_ms else None,
+        "cpu_s": (sum(each_ms) + beside_ms) / 1000 if record.cpu_s is None else record.cpu_s,
     }
 
 

@@ -9,14 +9,13 @@ from dslab.experiments.evaluation import metrics
 from dslab.experiments.evaluation.alignment import Undefined
 from dslab.experiments.evaluation.summary import is_tracked
 from dslab.experiments.runs.execution import RunRecord
-from dslab.experiments.runs.foreign_systems import ForeignRun
 from dslab.sim.sequence import Sequence
 from dslab.slam.core.results import MapTrajectory
 
 FIGURES = ("cpu_ms_median", "ate_m", "share_tracked", "share_with_pose", "first_tracked_frame")
 
 
-def compare(sequence: Sequence, ours: Many[RunRecord], peers: Many[ForeignRun]) -> dict[str, Any]:
+def compare(sequence: Sequence, ours: Many[RunRecord], peers: Many[RunRecord]) -> dict[str, Any]:
     """Medians over the runs of both, their ratios, and every run.
 
     Args:
@@ -32,7 +31,7 @@ def compare(sequence: Sequence, ours: Many[RunRecord], peers: Many[ForeignRun]) 
     rows = [
         {"run": number, "system": name, **row}
         for number, (record, peer) in enumerate(zip(ours, peers, strict=True))
-        for name, row in (("ours", _our_row(record, sequence)), ("peer", _foreign_row(peer, sequence)))
+        for name, row in (("ours", _row(record, sequence)), ("peer", _row(peer, sequence)))
     ]
     medians = {
         name: {figure: _median([r[figure] for r in rows if r["system"] == name]) for figure in FIGURES}
@@ -43,32 +42,19 @@ def compare(sequence: Sequence, ours: Many[RunRecord], peers: Many[ForeignRun]) 
     return {**medians, "ratio": ratio, "ate_reasons": reasons, "runs": rows}
 
 
-def _our_row(record: RunRecord, all_frames: Sequence) -> dict[str, Any]:
+def _row(record: RunRecord, all_frames: Sequence) -> dict[str, Any]:
     tracked = [r.stamp_s for r in record.results if is_tracked(r)]
     first = int(np.searchsorted(all_frames.stamps_s, tracked[0])) if tracked else None
     path = record.trajectories[0] if record.trajectories else None
     ate_m, reason = _ate(path, record.sequence)
     return {
-        "cpu_ms_median": _median([sum(r.cpu_ms.values()) for r in record.results]),
+        "cpu_ms_median": _median([sum(r.cpu_ms.values()) for r in record.results if r.cpu_ms]),
         "ate_m": ate_m,
         "ate_reason": reason,
         "share_tracked": len(tracked) / len(all_frames),
         "share_with_pose": _share_with_pose(path, all_frames),
         "first_tracked_frame": first,
         "dropped_frames": record.dropped_frames,
-    }
-
-
-def _foreign_row(run: ForeignRun, all_frames: Sequence) -> dict[str, Any]:
-    ate_m, reason = _ate(run.trajectory, all_frames)
-    return {
-        "cpu_ms_median": run.cpu_ms_median,
-        "ate_m": ate_m,
-        "ate_reason": reason,
-        "share_tracked": run.tracked / len(all_frames),
-        "share_with_pose": _share_with_pose(run.trajectory, all_frames),
-        "first_tracked_frame": run.first_tracked_frame,
-        "dropped_frames": None,
     }
 
 

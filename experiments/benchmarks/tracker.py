@@ -9,7 +9,6 @@ from dslab.experiments.benchmarks.fusions import fusion_figures
 from dslab.experiments.evaluation.summary import is_tracked, stage_times, time_figures
 from dslab.experiments.runs import execution
 from dslab.experiments.runs.execution import Mode, RunRecord, SystemFactory, SystemKind, execute
-from dslab.experiments.runs.foreign_systems import ForeignRun, ForeignSystem
 from dslab.experiments.runs.pacing import RealTime
 from dslab.sim.sequence import Sequence
 
@@ -26,7 +25,7 @@ def bench(
     build: SystemFactory | None = None,
     mode: Mode = "lockstep",
     real_time: bool = False,
-    peer: ForeignSystem | None = None,
+    peer: Callable[[], RunRecord] | None = None,
     dual: "DualConfig | None" = None,
 ) -> dict:
     """Run a system several times over the same frames; the times of all runs are pooled.
@@ -40,7 +39,7 @@ def bench(
         build: makes the system; by default ``slam.factory.build_system``, whose kernels are compiled first.
         mode: schedule of the system's parts, unless ``build`` is given.
         real_time: feed the frames at the pace of their stamps.
-        peer: a system to compare with, run after each of our runs.
+        peer: runs a system to compare with, called after each of our runs.
         dual: settings of Dual-SLAM, unless ``build`` is given; None for its defaults.
 
     Returns:
@@ -58,7 +57,7 @@ def bench(
         warm_up(show)
         build = execution.system_factory(mode, dual)
     records: list[RunRecord] = []
-    peer_runs: list[ForeignRun] = []
+    peer_runs: list[RunRecord] = []
     for run in range(runs):
         title = f"run {run + 1} of {runs}"
         records.append(
@@ -73,7 +72,7 @@ def bench(
         )
         if peer is not None:
             show(f"peer, {title}", 0, 1)
-            peer_runs.append(peer.run())
+            peer_runs.append(peer())
             show(f"peer, {title}", 1, 1)
     figures = _figures(sequence, system_kind, mode, records)
     if peer is not None:

@@ -1,6 +1,5 @@
 """``dslab bench``."""
 
-from contextlib import nullcontext
 from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,6 +17,7 @@ from dslab.experiments.cli.console import (
     RealTimeOption,
     RendererOption,
     SourceArgument,
+    SystemsOption,
     check_real_time,
     number,
     out,
@@ -35,6 +35,7 @@ from dslab.scenarios.input_files import is_folder
 if TYPE_CHECKING:
     import pandas as pd
 
+    from dslab.experiments.runs.systems.registry import System
     from dslab.slam.dual.config import DualConfig
 
 _HELP = """Measure the speed of the tracker (`slam`), the simulator (`sim`) or whole units (`experiment`).
@@ -49,7 +50,7 @@ map (`recoveries`), compare accuracy (`accuracy`), or hold photometric alignment
 
 `dslab bench path/to/sequence --runs 3`
 
-`dslab bench path/to/sequence --peer "orbslam3.py --features 2000"`
+`dslab bench path/to/sequence --peer orbslam3`
 
 `dslab bench sim`
 
@@ -99,10 +100,10 @@ def slam_command(
     peer: Annotated[
         str | None,
         typer.Option(
-            help="Command of another system, run in turn with ours: from a TUM-form folder and a result "
-            "folder it must write trajectory.txt and summary.json with cpu_ms_median, tracked and frames.",
+            metavar="NAME", help="Another system, run in turn with ours: one of dslab systems list."
         ),
     ] = None,
+    systems_dir: SystemsOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Measure the tracker: CPU milliseconds per stage, frames per second, memory, map size.
@@ -112,40 +113,36 @@ def slam_command(
 
     `dslab bench slam path/to/sequence --runs 3`
 
-    `dslab bench slam clean-room --seed 1 --peer "path/to/orbslam3.py --features 1000"`
+    `dslab bench slam clean-room --seed 1 --peer orbslam3`
 
     `dslab bench slam stressed --seed 3 --system dual --no-relocalization --mode threaded --real-time`
     """
     from dslab.experiments.benchmarks.tracker import bench
     from dslab.experiments.runs.files import plain
-    from dslab.experiments.runs.foreign_systems import check_command, open_foreign_system
     from dslab.experiments.runs.sources import open_sequence
+    from dslab.experiments.runs.systems.run import ended_well, run_system
 
     check_real_time(real_time, mode)
     if no_relocalization and system in (SystemChoice.BASE, SystemChoice.DSO):
         raise InputError(
             "--no-relocalization", f"{system.value} never looks for saved maps", "add --system dual"
         )
-    if peer is not None:
-        check_command(peer)
-    runs = runs or (_RUNS if peer is None else _RUNS_WITH_PEER)
+    other = _peer(peer, systems_dir)
+    runs = runs or (_RUNS if other is None else _RUNS_WITH_PEER)
     single_threaded_opencv()
     with progress_bars() as show:
         sequence = open_sequence(source, seed, show, renderer=renderer)
-        with (
-            open_foreign_system(peer, source, sequence, show) if peer is not None else nullcontext() as opened
-        ):
-            figures = bench(
-                sequence,
-                system.value,
-                runs,
-                seed or 0,
-                show,
-                mode=mode.value,
-                real_time=real_time,
-                peer=opened,
-                dual=_without_relocalization() if no_relocalization else None,
-            )
+        figures = bench(
+            sequence,
+            system.value,
+            runs,
+            seed or 0,
+            show,
+            mode=mode.value,
+            real_time=real_time,
+            peer=None if other is None else lambda: ended_well(run_system(other, sequence, seed or 0)),
+            dual=_without_relocalization() if no_relocalization else None,
+        )
     if as_json:
         print_json_line(plain(figures))
         return
@@ -164,6 +161,17 @@ def slam_command(
         print_table(_comparison_table(figures["comparison"], figures["runs"]))
         for reason in figures["comparison"]["ate_reasons"]:
             out.print(f"a run without ATE: {reason}")
+
+
+def _peer(name: str | None, systems_dir: list[Path] | None) -> "System | None":
+    """The system of a name, checked that it can be started."""
+    from dslab.experiments.runs.systems.command import CommandSystem
+    from dslab.experiments.runs.systems.registry import Registry
+
+    system = None if name is None else Registry.open(systems_dir or ()).find(name)
+    if isinstance(system, CommandSystem):
+        system.check()
+    return system
 
 
 def _without_relocalization() -> "DualConfig":
@@ -365,35 +373,30 @@ def accuracy_command(
     system: Annotated[SystemChoice, typer.Option(help="Our system.")] = SystemChoice.BASE,
     peer: Annotated[
         str | None,
-        typer.Option("--peer", metavar="COMMAND", help="Another system to run on the same frames."),
+        typer.Option(metavar="NAME", help="Another system for the same frames: one of dslab systems list."),
     ] = None,
+    systems_dir: SystemsOption = None,
     peer_runs: Annotated[int, typer.Option(min=1, help="Runs of the peer per sequence.")] = 3,
     skip_frames: Annotated[
         int, typer.Option(min=1, help="Frames that each further seed leaves out of a folder's beginning.")
     ] = 20,
-    keep_peer: Annotated[
-        Path | None,
-        typer.Option(metavar="FOLDER", help="Keep the peer's results here, and use those that are there."),
-    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compare accuracy and scale drift with a peer's over many sequences.
 
     ATE is of the frames that both have placed. Stopped and started again, it goes on where it was. A peer in
-    real time needs a quiet machine; what it finds does not depend on our code, and can be kept. For example:
+    real time needs a quiet machine. For example:
 
-    `dslab bench accuracy clean-room path/to/sequence --peer path/to/orbslam3.py --out out/accuracy`
+    `dslab bench accuracy clean-room path/to/sequence --peer orbslam3 --out out/accuracy`
     """
     from dslab.experiments.benchmarks.accuracy import measure_accuracy, sums
     from dslab.experiments.runs.files import plain
-    from dslab.experiments.runs.foreign_systems import check_command
 
-    if peer is not None:
-        check_command(peer)
+    other = _peer(peer, systems_dir)
     single_threaded_opencv()
     with progress_bars() as show:
         rows = measure_accuracy(
-            sources, parse_seeds(seeds), system.value, out_dir, peer, peer_runs, skip_frames, show, keep_peer
+            sources, parse_seeds(seeds), system.value, out_dir, other, peer_runs, skip_frames, show
         )
     found = sums(rows)
     if as_json:

@@ -65,7 +65,7 @@ def check_command(
     from dslab.experiments.runs.sources import open_sequence
     from dslab.experiments.runs.systems.check import made_up_sequence, run_once
     from dslab.experiments.runs.systems.registry import Registry
-    from dslab.scenarios.errors import InputError
+    from dslab.experiments.runs.systems.run import ended_well
 
     system = Registry.open(systems_dir or ()).find(name)
     with progress_bars() as show:
@@ -73,9 +73,7 @@ def check_command(
         record, log = run_once(system, sequence)
     if record.ending.kind is not EndKind.FINISHED:
         out.print(log, end="" if log.endswith("\n") or not log else "\n")
-        remedy = record.ending.remedy or "see what it prints, above"
-        raise InputError(f"system {system.name}", f"{record.ending.kind}: {record.ending.message}", remedy)
-    print_facts(_facts(system.name, record))
+    print_facts(_facts(system.name, ended_well(record)))
 
 
 @app.command("install")

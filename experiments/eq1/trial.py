@@ -18,12 +18,12 @@ from dslab.experiments.eq1.rescuable import overlap_columns
 from dslab.experiments.eq1.shared_lead_ins import lead_in_of
 from dslab.experiments.eq1.units import UnitSpec
 from dslab.experiments.runs.ending import FINISHED, Declares
-from dslab.experiments.runs.execution import RunRecord, execute
+from dslab.experiments.runs.execution import RunRecord
 from dslab.experiments.runs.memory import peak_rss_mb, reset_peak
 from dslab.experiments.runs.provenance import code_hash, commit
 from dslab.experiments.runs.slam_settings import factory_of
-from dslab.experiments.runs.systems.command import CommandSystem, run_command
-from dslab.experiments.runs.systems.registry import Registry, System, factory_with, system_digest
+from dslab.experiments.runs.systems.registry import OwnSystem, Registry, System, system_digest
+from dslab.experiments.runs.systems.run import run_system
 from dslab.sim.sequence import Sequence
 
 
@@ -77,16 +77,11 @@ def record_runs(unit: UnitSpec, system: System, sequence: Sequence, path: Path) 
     """Run and record the base and the unit's system from the start; ours behave as in the unit."""
     from dslab.experiments.recording import Recording
 
-    kinds = list(dict.fromkeys(("base", system.name)))
-    build = factory_with({system.name: system}, factory_of(settings_of(unit)))
-    runs = []
-    with Recording(path, sequence, kinds) as recorded:
-        for kind in kinds:
-            watcher = recorded.watch(kind)
-            if kind == system.name and isinstance(system, CommandSystem):
-                runs.append(run_command(system, sequence, unit.repeat_seed, None, watcher))
-            else:
-                runs.append(execute(sequence, kind, unit.repeat_seed, watcher, build=build))
+    systems = {"base": OwnSystem("base"), system.name: system}
+    build, seed, runs = factory_of(settings_of(unit)), unit.repeat_seed, []
+    with Recording(path, sequence, list(systems)) as recorded:
+        for kind, each in systems.items():
+            runs.append(run_system(each, sequence, seed, build, observer=recorded.watch(kind)))
         recorded.finish(runs)
     return runs
 

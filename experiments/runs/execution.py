@@ -78,6 +78,7 @@ class RunRecord:
         ending: how the run ended.
         declares: what the system says of itself.
         has_live_poses: False if ``live`` had to be made from the final poses.
+        cpu_s: CPU seconds of a program and of what it starts, its start and reading included; else None.
     """
 
     sequence: Sequence
@@ -96,6 +97,7 @@ class RunRecord:
     ending: Ending = FINISHED
     declares: Declares = Declares.EVENTS
     has_live_poses: bool = True
+    cpu_s: float | None = None
 
 
 def slam_camera(camera: Intrinsics) -> PinholeCamera:

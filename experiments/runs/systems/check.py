@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from dslab.experiments.runs.execution import RunRecord, execute, system_factory
-from dslab.experiments.runs.systems.command import LOG_FILE, CommandSystem, run_command
-from dslab.experiments.runs.systems.registry import System, factory_with
+from dslab.experiments.runs.execution import RunRecord
+from dslab.experiments.runs.systems.command import LOG_FILE
+from dslab.experiments.runs.systems.registry import System
+from dslab.experiments.runs.systems.run import run_system
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sequence import Sequence
 from dslab.sim.unfinished import scratch_folder
@@ -29,9 +30,6 @@ def run_once(system: System, sequence: Sequence) -> tuple[RunRecord, str]:
         InputError: it cannot be started or made.
     """
     with scratch_folder() as scratch:
-        if isinstance(system, CommandSystem):
-            record = run_command(system, sequence, 0, scratch)
-            log = (scratch / LOG_FILE).read_text(errors="replace")
-            return record, log[-_LOG_CHARACTERS:]
-        build = factory_with({system.name: system}, system_factory())
-        return execute(sequence, system.name, 0, build=build), ""
+        record = run_system(system, sequence, 0, folder=scratch)
+        log = scratch / LOG_FILE
+        return record, log.read_text(errors="replace")[-_LOG_CHARACTERS:] if log.exists() else ""

@@ -163,6 +163,7 @@ def _record(
         ending=_worst(run.ending, faults),
         declares=Declares.EVENTS if spec.events else declares,
         has_live_poses=spec.live is not None,
+        cpu_s=run.cpu_s,
     )
 
 

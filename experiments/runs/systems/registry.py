@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
-from dslab.experiments.runs.execution import SlamSystem, SystemFactory
 from dslab.experiments.runs.systems.command import CommandSystem
 from dslab.experiments.runs.systems.command_spec import OWN_FOLDER, Environment, read_command_spec
 from dslab.experiments.runs.systems.own_class import (
@@ -22,7 +21,6 @@ from dslab.scenarios.extensions import source_digest
 from dslab.scenarios.faults import guess
 from dslab.scenarios.input_files import file_names, is_folder
 from dslab.sim.cache import content_key
-from dslab.slam.core.camera import PinholeCamera
 from dslab.slam.factory import SYSTEMS
 
 VARIABLE = "DSLAB_SYSTEMS"
@@ -155,18 +153,3 @@ def system_digest(system: System) -> str:
 def split_names(names: str) -> list[str]:
     """The names in an option, which commas separate."""
     return [name.strip() for name in names.split(",")]
-
-
-def factory_with(systems: dict[str, System], ours: SystemFactory) -> SystemFactory:
-    """A factory of our systems and of the classes among some systems.
-
-    Args:
-        systems: by name.
-        ours: factory of our own.
-    """
-
-    def build(name: str, camera: PinholeCamera, seed: int) -> SlamSystem:
-        system = systems.get(name)
-        return system.build(camera, seed) if isinstance(system, ClassSystem) else ours(name, camera, seed)
-
-    return build

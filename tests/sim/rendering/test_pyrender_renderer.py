@@ -167,7 +167,8 @@ def test_opening_and_closing_leaks_nothing():
 
 @pytest.mark.slow
 def test_no_window_system_is_needed():
-    code = "import sys, dslab.sim.rendering.pyrender_renderer; print({'pyglet', 'tkinter'} & set(sys.modules))"
+    windows = "{'pyglet', 'tkinter'} & set(sys.modules)"
+    code = f"import sys, dslab.sim.rendering.pyrender_renderer; print({windows})"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "set()"
 

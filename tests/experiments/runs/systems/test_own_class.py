@@ -11,10 +11,10 @@ from slam_fakes import make_sequence
 
 from dslab.experiments.runs import sources
 from dslab.experiments.runs.ending import Declares, EndKind
-from dslab.experiments.runs.execution import execute
 from dslab.experiments.runs.systems import own_class
 from dslab.experiments.runs.systems.own_class import ClassSystem, class_system
-from dslab.experiments.runs.systems.registry import Registry, factory_with, system_digest
+from dslab.experiments.runs.systems.registry import Registry, system_digest
+from dslab.experiments.runs.systems.run import run_system
 from dslab.scenarios.errors import InputError
 from dslab.slam.core.events import Breakage
 
@@ -43,7 +43,7 @@ def sequence():
 
 def run(kind, sequence):
     system = ClassSystem("own", kind, "here:own")
-    return execute(sequence, "own", 0, build=factory_with({"own": system}, None))
+    return run_system(system, sequence, 0)
 
 
 def test_its_poses_are_the_live_and_the_final_ones_and_frames_without_one_are_lost(sequence):

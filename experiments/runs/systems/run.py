@@ -1,0 +1,53 @@
+"""One way of running any system: ours, a class, a program."""
+
+from pathlib import Path
+
+from dslab.experiments.runs.ending import EndKind
+from dslab.experiments.runs.execution import AtEnd, Observer, Progress, RunRecord, SystemFactory, execute
+from dslab.experiments.runs.pacing import RealTime
+from dslab.experiments.runs.systems.command import CommandSystem, run_command
+from dslab.experiments.runs.systems.own_class import ClassSystem
+from dslab.experiments.runs.systems.registry import System
+from dslab.scenarios.errors import InputError
+from dslab.sim.sequence import Sequence
+
+
+def run_system(
+    system: System,
+    sequence: Sequence,
+    seed: int,
+    build: SystemFactory | None = None,
+    folder: Path | None = None,
+    observer: Observer | None = None,
+    progress: Progress | None = None,
+    pace: RealTime | None = None,
+    at_end: AtEnd | None = None,
+) -> RunRecord:
+    """Run a system over a sequence; its truth is not passed on.
+
+    Args:
+        system: what to run.
+        sequence, seed, observer, progress: as of :func:`experiments.runs.execution.execute`.
+        build: makes ours; None for ``slam.factory.build_system``.
+        folder: of a program's log and settings; None for none that stays.
+        pace: feeds ours and classes in real time.
+        at_end: called with a finished system of ours.
+
+    Raises:
+        InputError: it cannot be started or made, or a frame cannot be read.
+    """
+    if isinstance(system, CommandSystem):
+        return run_command(system, sequence, seed, folder, observer, progress)
+    if isinstance(system, ClassSystem):
+        made = system
+        build, at_end = (lambda name, camera, seed: made.build(camera, seed)), None
+    return execute(sequence, system.name, seed, observer, progress, build, pace, at_end)
+
+
+def ended_well(record: RunRecord) -> RunRecord:
+    """The record of a run that has ended well. Raises InputError for any other."""
+    ending = record.ending
+    if ending.kind is not EndKind.FINISHED:
+        remedy = ending.remedy or "see what it prints"
+        raise InputError(f"system {record.system_kind}", f"{ending.kind}: {ending.message}", remedy)
+    return record
