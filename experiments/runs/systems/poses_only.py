@@ -70,6 +70,7 @@ class PosesOnly:
 
     def process(self, image: np.ndarray, stamp_s: float) -> TrackingResult:
         """Ask for the pose of a frame."""
+        image = image.copy()  # of its own: other systems are given these frames too
         started_s, started_cpu_s = time.perf_counter(), time.thread_time()
         T_map_cam = self._ask(lambda: self._source.process(image, stamp_s))
         ms = {"process": 1e3 * (time.perf_counter() - started_s)}

@@ -55,6 +55,17 @@ def test_its_poses_are_the_live_and_the_final_ones_and_frames_without_one_are_lo
     assert (record.ending.kind, record.declares) == (EndKind.FINISHED, Declares.NOTHING)
 
 
+def test_what_it_does_to_an_image_reaches_no_other_system(sequence):
+    class Painter(Replay):
+        def process(self, image, stamp_s):
+            image[:] = 0
+            return super().process(image, stamp_s)
+
+    before = sequence.frames.copy()
+    assert run(Painter, sequence).ending.kind is EndKind.FINISHED
+    np.testing.assert_array_equal(sequence.frames, before)
+
+
 def test_the_poses_of_finish_replace_the_live_ones(sequence):
     class Smoothing(Replay):
         def finish(self):
