@@ -1,6 +1,6 @@
 """Eq. 1 recomputed from a table of units with pandas alone, to check `dslab experiment report` by.
 
-Run: python examples/recompute.py docs/eq1-quick/units.parquet
+Run: python examples/recompute.py docs/eq1/units.parquet
 """
 
 import sys
@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
-table = pd.read_parquet(sys.argv[1] if len(sys.argv) > 1 else "docs/eq1-quick/units.parquet")
+table = pd.read_parquet(sys.argv[1] if len(sys.argv) > 1 else "docs/eq1/units.parquet")
 table = table[(table.outcome == "completed") & (table.kind != "sham")]
-if "exposed" in table:  # where its stress did not act, a unit is of another population than its cell
-    table = table[table.exposed.ne(False)]
+# Where its stress did not act, a unit is of another population than its cell.
+table = table[table.exposed.ne(False)]
 threads = sum(name.startswith("d") and name[1:].isdigit() for name in table)
 failed = [f"cross_r{j}_failed" for j in range(1, threads + 1)]
 
@@ -43,7 +43,7 @@ def product_over_different_worlds(means):
 rows = []
 for (cell, world), units in table.groupby(["cell", "world"], sort=False):
     # Equal weight per world, then sequence, then replicate.
-    levels = [name for name in ("world_seed", "sequence") if name in units and units[name].notna().all()]
+    levels = ["world_seed", "sequence"]
     replicates = units.groupby(levels)["cell"].transform("size")
     for n in range(1, threads + 1):
         # A sequence counts if it has n + 1 completed replicates, or all that the design has.

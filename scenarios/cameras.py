@@ -1,11 +1,11 @@
 """The cameras of a spec."""
 
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
 from dslab.scenarios.lenses import lens_fault
-from dslab.scenarios.strict import Grown, Strict, with_defaults_of
+from dslab.scenarios.strict import Strict, with_defaults_of
 
 PRESETS: dict[str, dict[str, Any]] = {
     # Sequences 00 to 02, rectified. Source: calib.txt of the KITTI odometry benchmark.
@@ -111,7 +111,7 @@ class CalibrationError(Strict):
     k2: float = Field(0.0, ge=-0.2, le=0.2)
 
 
-class Camera(Grown):
+class Camera(Strict):
     """A camera. Integer pixel coordinates are pixel centres, as in OpenCV.
 
     A frame's stamp is the centre of its exposure, and its true pose is the pose at that moment.
@@ -151,13 +151,6 @@ class Camera(Grown):
         None,
         description="what the calibration leaves of a rectified lens, unknown to the SLAM; none: nothing",
     )
-
-    _unwritten: ClassVar[dict[str, Any]] = {
-        "shot_noise": 0.0,
-        "softness_px": 0.0,
-        "contrast": 1.0,
-        "residual": None,
-    }
 
     @model_validator(mode="before")
     @classmethod

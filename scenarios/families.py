@@ -41,7 +41,7 @@ SEED_END = 2**63
 _SUFFIXES = (".yaml", ".yml")
 _MEMBER_ID = re.compile(r"[a-z0-9][a-z0-9_-]*")
 # Fields that cannot be drawn.
-_FIXED = ("spec_version", "name", "description", "seed")
+_FIXED = ("name", "description", "seed")
 
 
 @dataclass(frozen=True, eq=False)

@@ -75,8 +75,7 @@ def _explained(fault: Any, extra_keys: tuple[str, ...], root: type[BaseModel]) -
     model, location = _resolve(fault["loc"], root)
     context = fault.get("ctx", {})
     if fault["type"] == "extra_forbidden":
-        allowed = [name for name in model.model_fields if name != "spec_version"]
-        allowed += extra_keys if model is root else ()
+        allowed = [*model.model_fields, *(extra_keys if model is root else ())]
         return location, "unknown key", f"use {guess(str(location[-1]), allowed)}one of {', '.join(allowed)}"
     if fault["type"] in ("union_tag_invalid", "union_tag_not_found"):
         tags = str(context.get("expected_tags") or ", ".join(_kinds(location, root))).replace("'", "")

@@ -1,12 +1,12 @@
 """The motions of a spec."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
 from pydantic_core import PydanticCustomError
 
-from dslab.scenarios.strict import Grown, with_defaults_of
+from dslab.scenarios.strict import Strict, with_defaults_of
 
 KINDS: dict[str, dict[str, float]] = {
     "walk": {},
@@ -88,7 +88,7 @@ class _MotionKinds(WithJsonSchema):
 MotionKind = Annotated[str, AfterValidator(_known_kind), _MotionKinds()]
 
 
-class Trajectory(Grown):
+class Trajectory(Strict):
     """A smooth path along the world's route.
 
     ``gaze`` is where the camera looks relative to the direction of travel: 0 ahead, 90 to the left wall.
@@ -114,8 +114,6 @@ class Trajectory(Grown):
         le=45,
         description="amplitude of looking about; up, down and askew three quarters of it",
     )
-
-    _unwritten: ClassVar[dict[str, Any]] = {"look_deg": 0.0}
 
     @model_validator(mode="before")
     @classmethod

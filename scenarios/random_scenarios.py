@@ -45,8 +45,8 @@ _SHOOT_SEVERITIES: dict[str, dict[str, Any]] = {
     "frame_drops": {"share": {"choice": [1.0, {"uniform": [0.1, 0.9]}]}},
     "time_jitter": {"sigma_s": {"log_uniform": [0.001, 0.2]}},
 }
-# Kinds that came later have a lane of their own, from a stream of its own: what a seed draws besides stays.
-_LATER_SEVERITIES: dict[str, dict[str, Any]] = {
+# Of one more lane, which half of the scenarios have.
+_EXTRA_SEVERITIES: dict[str, dict[str, Any]] = {
     "shallow_focus": {"aperture_mm": {"log_uniform": [1, 100]}, "focus_m": {"log_uniform": [0.3, 10]}},
     "lens_flare": {"veil": {"log_uniform": [0.01, 5]}, "off_axis_deg": {"uniform": [0, 60]}},
     "cracked_lens": {"cracks": {"log_uniform": [1, 150]}, "bend_deg": {"uniform": [0, 3]}},
@@ -58,9 +58,9 @@ _LATER_SEVERITIES: dict[str, dict[str, Any]] = {
     "day_to_night": {"stops": {"uniform": [0, 16]}, "lamp": {"choice": [0.0, {"log_uniform": [0.001, 0.2]}]}},
     "bandwidth_loss": {"share": {"uniform": [0, 1]}},
 }
-_LATER_SHARE = 0.5
-_FIRST_SEVERITIES = _SHOOT_SEVERITIES | _IMAGE_SEVERITIES
-SEVERITIES = _FIRST_SEVERITIES | _LATER_SEVERITIES
+_EXTRA_SHARE = 0.5
+_LANE_SEVERITIES = _SHOOT_SEVERITIES | _IMAGE_SEVERITIES
+SEVERITIES = _LANE_SEVERITIES | _EXTRA_SEVERITIES
 """Distributions of the severity of every kind of degradation."""
 
 
@@ -96,10 +96,10 @@ def random_segments(seed: int, duration_s: float) -> list[dict[str, Any]]:
     segments: list[dict[str, Any]] = []
     for lane in range(lanes):
         rng = rng_for(seed, "random", "lane", lane)
-        _draw_lane(rng, _FIRST_SEVERITIES, segments, duration_s, gap_share, gap_s)
+        _draw_lane(rng, _LANE_SEVERITIES, segments, duration_s, gap_share, gap_s)
     rng = rng_for(seed, "random", "later lane")
-    if rng.random() < _LATER_SHARE:
-        _draw_lane(rng, _LATER_SEVERITIES, segments, duration_s, gap_share, gap_s)
+    if rng.random() < _EXTRA_SHARE:
+        _draw_lane(rng, _EXTRA_SEVERITIES, segments, duration_s, gap_share, gap_s)
     return segments
 
 

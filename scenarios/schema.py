@@ -7,7 +7,7 @@ from dslab.scenarios.segments import SEGMENT_KINDS
 from dslab.scenarios.spec import Scenario
 
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
-_FIXED = ("spec_version", "name", "description", "seed")
+_FIXED = ("name", "description", "seed")
 _BOUNDS = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
 _NUMBERS = ("number", "integer")
 

@@ -5,12 +5,12 @@ Segments of different kinds may lie over one another in time; those of one kind 
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from dslab.scenarios.kinds import Kinds
-from dslab.scenarios.strict import Grown, Strict
+from dslab.scenarios.strict import Strict
 
 Axis = Literal["yaw", "pitch", "roll"]
 
@@ -34,13 +34,11 @@ class SegmentBase(Strict):
     @property
     def severity(self) -> dict[str, float | str]:
         """The parameters that say how bad it is, without kind and times."""
-        return self.model_dump(exclude={"kind", "start_s", "duration_s"})
+        return self.model_dump(exclude={"kind", "start_s", "duration_s"}, exclude_none=True)
 
 
-class ImageSegment(Grown, SegmentBase):
+class ImageSegment(SegmentBase):
     """A segment that acts on the images; its severity may rise and fall in straight lines at its ends."""
-
-    _unwritten: ClassVar = {"fall_s": None}
 
     ramp_s: float = Field(0.0, ge=0, description="time in which the severity rises, and in which it falls")
     fall_s: float | None = Field(None, ge=0, description="time in which it falls, if not ramp_s")
@@ -65,15 +63,13 @@ class ImageSegment(Grown, SegmentBase):
         return self
 
 
-class LowTexture(Grown, SegmentBase):
+class LowTexture(SegmentBase):
     """The surfaces that the camera passes in this time have their texture contrast multiplied.
 
     Passed is a surface whose fullest view falls into this time; where none is, nothing fades. With view_share
     surfaces fade until they fill that share of the view in this time, those first that are seen least outside
     it. In recordings: Detail of the frames fades; shading and noise stay.
     """
-
-    _unwritten: ClassVar = {"view_share": None}
 
     kind: Literal["low_texture"]
     contrast: float = Field(

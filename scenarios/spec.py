@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, ClassVar, Literal
+from typing import Any
 
 from pydantic import Field, ValidationError, ValidationInfo, field_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
@@ -11,11 +11,10 @@ from dslab.scenarios.cameras import Camera
 from dslab.scenarios.imu import Imu
 from dslab.scenarios.motions import Trajectory
 from dslab.scenarios.segments import FastRotation, LowTexture, MotionBlur, Segment, self_overlap
-from dslab.scenarios.strict import Grown, Strict
+from dslab.scenarios.strict import Strict
 from dslab.scenarios.worlds import CorridorWorld, RoomWorld, World
 
 __all__ = [
-    "SPEC_VERSION",
     "Camera",
     "CorridorWorld",
     "FastRotation",
@@ -30,15 +29,10 @@ __all__ = [
     "World",
 ]
 
-SPEC_VERSION = 1
 
-
-class Scenario(Grown):
+class Scenario(Strict):
     """One scenario; with a seed it is one sequence, bit for bit."""
 
-    _unwritten: ClassVar = {"noise_seed": None}
-
-    spec_version: Literal[1] = SPEC_VERSION
     name: str = Field(pattern=r"^[a-z0-9][a-z0-9_/-]*$", max_length=80)
     description: str = ""
     duration_s: float = Field(30.0, gt=0, le=3600)

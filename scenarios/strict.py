@@ -1,27 +1,15 @@
 """The base of every part of a spec."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, model_serializer
+from pydantic import BaseModel, ConfigDict
 
 
 class Strict(BaseModel):
     """Base of every part of a spec: frozen, unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Grown(Strict):
-    """Base of a part that has been given fields since; ``_unwritten`` holds these with their defaults."""
-
-    _unwritten: ClassVar[dict[str, Any]] = {}
-
-    @model_serializer(mode="wrap")
-    def _without_what_is_off(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out younger fields that are off: what is identified by its content stays the same."""
-        data = handler(self)
-        return {k: v for k, v in data.items() if k not in self._unwritten or v != self._unwritten[k]}
 
 
 def with_defaults_of(data: Any, key: str, defaults: Mapping[str, Mapping[str, Any]]) -> Any:

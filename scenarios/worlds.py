@@ -1,11 +1,11 @@
 """The worlds of a spec, one model per kind."""
 
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from dslab.scenarios.kinds import Kinds
-from dslab.scenarios.strict import Grown, Strict
+from dslab.scenarios.strict import Strict
 
 
 class WorldBase(Strict):
@@ -53,12 +53,10 @@ class Aliasing(Strict):
     )
 
 
-class Aliased(WorldBase, Grown):
+class Aliased(WorldBase):
     """A world that can repeat itself."""
 
     aliased: Aliasing | None = Field(None, description="what occurs again; none: every surface is unique")
-
-    _unwritten: ClassVar[dict[str, Any]] = {"aliased": None}
 
 
 Surfaces = Annotated[
@@ -76,8 +74,6 @@ class RoomWorld(Lamps, Aliased):
     height_m: float = Field(3.2, ge=2.2, le=20)
     surfaces: Surfaces = "worn"
 
-    _unwritten: ClassVar[dict[str, Any]] = {"aliased": None, "surfaces": "worn"}
-
 
 class CorridorWorld(Lamps, Aliased):
     """A corridor with right-angled turns; its floor is at z = 0 and it starts at the origin along +x."""
@@ -89,8 +85,6 @@ class CorridorWorld(Lamps, Aliased):
     turns: int = Field(2, ge=0, le=50, description="right-angled, of an open corridor")
     loop: bool = Field(False, description="four legs round a block, again and again")
     surfaces: Surfaces = "worn"
-
-    _unwritten: ClassVar[dict[str, Any]] = {"aliased": None, "loop": False, "surfaces": "worn"}
 
 
 class CityWorld(Outdoors, Aliased):
@@ -114,8 +108,6 @@ class MotorwayWorld(Outdoors, Aliased):
     kind: Literal["motorway"] = "motorway"
     length_m: float = Field(800.0, ge=200, le=2000, description="of the route, once round for a ring")
     loop: bool = Field(False, description="the road is a ring, driven again and again")
-
-    _unwritten: ClassVar[dict[str, Any]] = {"aliased": None, "loop": False}
 
     @model_validator(mode="after")
     def _a_ring_is_wide(self) -> "MotorwayWorld":

@@ -29,7 +29,8 @@ UNITS = (
     "warehouse/motion_blur/1:0",
     "warehouse/fog-creeping/1:3",
 )
-_ABOUT_THE_RUN = {"code", "commit", "system_digest", "render_s", "slam_s", "cpu_s", "wall_s", "peak_rss_mb"}
+_ABOUT_THE_RUN = {"unit_id", "code", "commit", "system_digest"}
+_ABOUT_THE_RUN |= {"render_s", "slam_s", "cpu_s", "wall_s", "peak_rss_mb"}
 
 
 def main() -> int:

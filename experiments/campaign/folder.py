@@ -9,7 +9,7 @@ from dslab.experiments.campaign.schedule import Experiment
 from dslab.experiments.campaign.table_file import (
     read_error_table,
     read_table,
-    table_has_digest,
+    table_release,
     write_errors,
     write_table,
 )
@@ -101,25 +101,26 @@ def read_errors(folder: Path) -> list[dict[str, Any]]:
 def read_spec(folder: Path) -> "ExperimentSpec":
     """Read the spec of an experiment's folder.
 
-    The spec of an earlier version, whose cells may mix populations, is read for its exported table.
+    No unit is drawn: a table's rows can be read where the code at hand refuses the conditions of its spec.
 
     Raises:
         InputError: the folder has no spec.
     """
-    from dslab.experiments.eq1.former_spec import load_any_spec
+    from dslab.experiments.eq1.spec import read_spec_file, validated
 
     if not is_given(folder / SPEC_FILE):
         raise InputError(str(folder), f"has no {SPEC_FILE}", "give the folder of an experiment that was run")
-    return load_any_spec(folder / SPEC_FILE)
+    file = read_spec_file(folder / SPEC_FILE)
+    return validated(file.data, file)
 
 
-def has_digests(folder: Path) -> bool:
-    """False if the rows were written before they had digests: a changed value may pass for a true one.
+def release_of(folder: Path) -> str | None:
+    """The release that replays an exported table; None for a ledger.
 
     Raises:
-        InputError: it is not an experiment's folder.
+        InputError: it is no such table.
     """
-    return not _is_exported(folder) or table_has_digest(folder / TABLE_FILE)
+    return table_release(folder / TABLE_FILE) if _is_exported(folder) else None
 
 
 def claim_folder(folder: Path) -> None:
@@ -173,19 +174,6 @@ def export(folder: Path, csv: bool = False) -> Path:
             partial(data_frame(rows, len(spec.threads)).to_csv, index=False, lineterminator="\n"),
         )
     return folder / TABLE_FILE
-
-
-def rewrite_table(folder: Path, spec: "ExperimentSpec", rows: list[dict[str, Any]]) -> None:
-    """Write an exported table anew, which stands alone in its folder.
-
-    Raises:
-        InputError: it does not, or cannot be written.
-    """
-    if not _is_exported(folder):
-        remedy = f"give a folder with {SPEC_FILE} and {TABLE_FILE} alone"
-        raise InputError(str(folder), f"holds a {LEDGER_FILE}, which is as it was run", remedy)
-    whole = partial(write_table, rows=rows, spec=spec, spec_digest=_spec_digest(folder))
-    write_file(folder / TABLE_FILE, whole)
 
 
 def _is_exported(folder: Path) -> bool:

@@ -2,12 +2,12 @@
 
 import re
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dslab.experiments.campaign.folder import read_rows
+from dslab.experiments.campaign.folder import read_rows, release_of
 from dslab.experiments.campaign.runner import is_infrastructure_error
 from dslab.experiments.campaign.schedule import Experiment
 from dslab.experiments.campaign.workers import UnitWorkers
@@ -26,6 +26,7 @@ class Replay:
         unit: its spec.
         record: the new record.
         recorded: its row; None if it has none yet.
+        release: the release that replays its row, if it is of an exported table.
         differing: columns in which the two differ, except those of cost and of the code; empty if the unit is
             reproduced.
     """
@@ -33,7 +34,16 @@ class Replay:
     unit: UnitSpec
     record: dict[str, Any]
     recorded: dict[str, Any] | None
+    release: str | None
     differing: tuple[str, ...]
+
+    @property
+    def origin(self) -> str:
+        """A line about the code that replays its row; empty if it is the code at hand."""
+        if self.recorded is None or self.record["code"] == self.recorded["code"]:
+            return ""
+        known = self.release or self.recorded["commit"]
+        return f"this code is not the row's: lab@{known} replays it (`dslab systems install lab@{known}`)"
 
 
 def replay(folder: Path, name: str, workers: UnitWorkers, recording: Path | None = None) -> Replay:
@@ -50,24 +60,25 @@ def replay(folder: Path, name: str, workers: UnitWorkers, recording: Path | None
         MachineError: the unit ended in an infrastructure error.
     """
     spec, known = read_rows(folder)
-    rows = {row["unit_id"]: row for row in known}
-    unit = find_unit(spec, rows, name)
+    rows = {(row["cell"], row["index"]): row for row in known}
+    unit = find_unit(spec, known, name)
     with workers.open(recording) as pool:
         (ended,) = pool.run(deque([unit]))
     record = ended.value
     if record is None or is_infrastructure_error(record):
         problem = ended.message if record is None else record["message"]
         raise MachineError(f"unit {unit.unit_id}", problem, "see `dslab experiment status`")
-    recorded = rows.get(unit.unit_id)
-    return Replay(unit, record, recorded, differing(record, recorded) if recorded else ())
+    recorded = rows.get((unit.cell, unit.index))
+    changed = differing(record, recorded) if recorded else ()
+    return Replay(unit, record, recorded, release_of(folder), changed)
 
 
-def find_unit(spec: Experiment, rows: Mapping[str, Mapping[str, Any]], name: str) -> UnitSpec:
+def find_unit(spec: Experiment, rows: Sequence[Mapping[str, Any]], name: str) -> UnitSpec:
     """Find a unit by its name.
 
     Args:
         spec: of the experiment.
-        rows: its records by unit id.
+        rows: its records.
         name: see :func:`replay`.
 
     Raises:
@@ -78,24 +89,16 @@ def find_unit(spec: Experiment, rows: Mapping[str, Mapping[str, Any]], name: str
         if cell not in spec.cell_names():
             raise InputError(name, "no such cell", f"use one of {', '.join(spec.cell_names())}")
         return spec.unit(cell, index)
-    found = sorted(unit_id for unit_id in rows if unit_id.startswith(name.lower()))
+    found = [row for row in rows if row["unit_id"].startswith(name.lower())]
     if not found:
         raise InputError(
             name, "no unit that was run has an id that begins so", "give CELL:INDEX for any other"
         )
     if len(found) > 1:
         raise InputError(
-            name, f"{len(found)} units have ids that begin so", f"give more of it, as {found[0]}"
+            name, f"{len(found)} units have ids that begin so", f"give more of it, as {found[0]['unit_id']}"
         )
-    row = rows[found[0]]
-    unit = spec.unit(row["cell"], row["index"])
-    if unit.unit_id != found[0]:
-        raise InputError(
-            found[0],
-            f"the code now makes {row['cell']}:{row['index']} another unit, {unit.unit_id}",
-            f"go back to commit {row['commit']}",
-        )
-    return unit
+    return spec.unit(found[0]["cell"], found[0]["index"])
 
 
 def differing(record: Mapping[str, Any], recorded: Mapping[str, Any]) -> tuple[str, ...]:

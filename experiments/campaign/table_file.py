@@ -7,12 +7,13 @@ from typing import Any
 from dslab.experiments.campaign.schedule import Experiment
 from dslab.experiments.eq1.record_checks import digest_of, record_fault
 from dslab.experiments.eq1.record_table import arrow_table
-from dslab.experiments.eq1.records import FORMER_COLUMNS, added_later, columns, failure_column
+from dslab.experiments.eq1.records import columns
+from dslab.experiments.runs.provenance import release
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import open_file
 
 ERROR_COLUMNS = ("unit_id", "cell", "index", "attempt", "at", "worker", "message", "report")
-_DIGEST, _SPEC_DIGEST = b"digest", b"spec_digest"
+_DIGEST, _SPEC_DIGEST, _RELEASE = b"digest", b"spec_digest", b"release"
 _REMEDY = "export it anew from its ledger, by the version that wrote it"
 
 
@@ -31,7 +32,7 @@ def write_table(path: Path, rows: list[dict[str, Any]], spec: Experiment, spec_d
     import pyarrow.parquet as pq
 
     about = {"experiment": spec.name, "spec_hash": spec.content_hash, "spec_digest": spec_digest}
-    about["digest"] = _digest(rows)
+    about |= {"digest": _digest(rows), "release": release()}
     table = arrow_table(rows, len(spec.threads)).replace_schema_metadata(about)
     pq.write_table(table, path, write_page_checksum=True)
 
@@ -63,37 +64,29 @@ def read_error_table(path: Path) -> list[dict[str, Any]]:
 def read_table(path: Path, spec: Experiment, spec_digest: str) -> list[dict[str, Any]]:
     """Read the records of an experiment, whose spec is still the one of their export.
 
-    Columns that were added later become null if they are missing, since older tables lack them; columns of
-    earlier versions are left out. Older tables lack digests too; of these only types and domains are checked.
-
     Raises:
         InputError: it is no such table, or not as it was written.
     """
     names, found, about = _parquet(path)
-    if about.get(_SPEC_DIGEST, spec_digest.encode()) != spec_digest.encode():
+    if about.get(_SPEC_DIGEST) != spec_digest.encode():
         raise InputError(str(path), "was exported with another spec.yaml than stands beside it", _REMEDY)
     types = columns(len(spec.threads))
-    unknown = set(names) - set(types) - FORMER_COLUMNS
-    if differing := unknown | {name for name in set(types) - set(names) if not added_later(name)}:
+    if differing := set(types) ^ set(names):
         problem = f"missing or unknown columns: {', '.join(sorted(differing))}"
         raise InputError(str(path), problem, _REMEDY)
-    whole = failure_column("s", len(spec.threads))
-    former = {} if whole in names else {whole: "dual_failure"}
-    rows = [{name: row.get(former.get(name, name)) for name in types} for row in found]
-    _check(path, rows, spec)
-    written = about.get(_DIGEST)
-    if written is not None and written != _digest(found).encode():
+    _check(path, found, spec)
+    if about.get(_DIGEST) != _digest(found).encode():
         raise InputError(str(path), "is damaged: its rows are not those that were written", _REMEDY)
-    return rows
+    return found
 
 
-def table_has_digest(path: Path) -> bool:
-    """True if a change of a table would be found.
+def table_release(path: Path) -> str:
+    """The release that replays the rows of an exported table.
 
     Raises:
         InputError: it is no such table.
     """
-    return _DIGEST in _parquet(path)[2]
+    return _parquet(path)[2].get(_RELEASE, b"unknown").decode()
 
 
 def _parquet(path: Path) -> tuple[list[str], list[dict[str, Any]], dict[bytes, bytes]]:

@@ -299,7 +299,7 @@ def experiment_command(
 
     `dslab bench experiment`
 
-    `dslab bench experiment eq1-quick --units 8 --workers 4`
+    `dslab bench experiment eq1 --units 8 --workers 4`
     """
     from dslab.experiments.benchmarks.experiment import bench_experiment
     from dslab.experiments.eq1.spec import load_spec

@@ -40,7 +40,7 @@ def boundary_command(
     out_dir: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the search.")],
     spec: Annotated[
         str, typer.Option(metavar="NAME|SPEC.yaml", help="Experiment whose units are the trials.")
-    ] = "eq1-quick",
+    ] = "eq1",
     base: Annotated[
         str | None, typer.Option(help="Base of it: kind of world and of motion; default: the first.")
     ] = None,

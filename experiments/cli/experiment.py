@@ -18,7 +18,7 @@ from dslab.experiments.cli.console import (
 )
 from dslab.experiments.cli.experiment_progress import estimates_text, experiment_progress
 from dslab.experiments.cli.experiment_tables import print_answer, print_replay, status_table
-from dslab.experiments.cli.exposure import exposure_command, tell_idle_cells
+from dslab.experiments.cli.exposure import tell_idle_cells
 from dslab.experiments.cli.fuzz import fuzz_command
 from dslab.experiments.cli.merge import merge_command
 
@@ -33,7 +33,6 @@ The folder of an experiment holds its spec, a ledger with one row per unit, and 
 app = typer.Typer(help=_HELP, no_args_is_help=True)
 app.command("boundary")(boundary_command)
 app.command("fuzz")(fuzz_command)
-app.command("exposure")(exposure_command)
 app.command("merge")(merge_command)
 
 FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of an experiment.")]
@@ -155,7 +154,6 @@ def status_command(folder: FolderArgument, as_json: JsonOption = False) -> None:
     from dslab.experiments.runs.files import plain
 
     status = experiment_status(folder)
-    _note_digests(folder)
     if as_json:
         print_json_line(plain(asdict(status)))
         return
@@ -305,7 +303,8 @@ def replay_command(
     with progress_bars() as show:
         show(f"unit {unit}", 0, 1)
         done = replay(folder, unit, workers, None if rerun is None else rerun.absolute())
-    _note_digests(folder)
+    if done.origin:
+        err.print(done.origin, markup=False, soft_wrap=True)
     if as_json:
         print_json_line(
             plain({"record": done.record, "recorded": done.recorded, "differing": done.differing})
@@ -330,7 +329,6 @@ def export_command(
     from dslab.experiments.campaign.folder import export
 
     out.print(f"one row per unit in {export(folder, csv)}", soft_wrap=True)
-    _note_digests(folder)
 
 
 @app.command("report")
@@ -354,7 +352,6 @@ def report_command(
     if answer := read_json(folder / FIGURES, dict).get("answer"):
         print_answer(answer)
     out.print(f"report in {path}", soft_wrap=True)
-    _note_digests(folder)
 
 
 @app.command("schema")
@@ -370,11 +367,3 @@ def schema_command() -> None:
     from dslab.experiments.eq1.spec_schema import json_schema
 
     print(json.dumps(json_schema(), indent=2))
-
-
-def _note_digests(folder: Path) -> None:
-    from dslab.experiments.campaign.folder import has_digests
-
-    if not has_digests(folder):
-        note = "its rows were written before they had digests: a changed value may pass for a true one"
-        err.print(f"note: {folder}: {note}", markup=False, soft_wrap=True)

@@ -56,8 +56,6 @@ def print_replay(done: "Replay", rerun: Path | None) -> None:
     elif done.differing:
         for name in done.differing:
             out.print(f"{name}: {record[name]!r}, in the ledger {done.recorded[name]!r}")
-        if record["code"] != done.recorded["code"]:
-            out.print(f"the code has changed: the ledger is of commit {done.recorded['commit']}")
     else:
         out.print("agrees with the ledger in every column except time and memory")
     if rerun is not None and rerun.is_file():

@@ -50,9 +50,8 @@ def _breakages_s(where: str, summary: Any) -> Iterator[float]:
     """Times of the breakages in a summary. Raises InputError if it does not list them so."""
     listed = summary.get("breakage_list", []) if isinstance(summary, dict) else None
     for index, breakage in enumerate(listed if isinstance(listed, list) else [None]):
-        # A recording counts from the first frame, as time_s does.
-        stamp_s = breakage.get("time_s", breakage.get("stamp_s")) if isinstance(breakage, dict) else None
-        if isinstance(stamp_s, bool) or not isinstance(stamp_s, int | float):
+        time_s = breakage.get("time_s") if isinstance(breakage, dict) else None
+        if isinstance(time_s, bool) or not isinstance(time_s, int | float):
             at = f"{where}: breakage_list[{index}]"
-            raise InputError(at, "has no stamp_s", "give --at, or run again with --rerun")
-        yield stamp_s
+            raise InputError(at, "has no time_s", "give --at, or run again with --rerun")
+        yield time_s

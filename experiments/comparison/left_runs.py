@@ -64,7 +64,7 @@ def read_run(folder: Path) -> LeftRun:
     summary = _summary(folder / SUMMARY_FILE)
     truth_file = folder / TRUTH_FILE
     if not truth_file.is_file():
-        problem = f"holds no {TRUTH_FILE}: the sequence has no ground truth, or the run is an older one"
+        problem = f"holds no {TRUTH_FILE}: the sequence has no ground truth"
         raise InputError(str(folder), problem, "leave it out, or run it again")
     stamps_s = _stamps_s(truth_file)
     truth = read_tum_poses(truth_file, stamps_s, _TOLERANCE_S)
@@ -80,7 +80,7 @@ def read_run(folder: Path) -> LeftRun:
 
 def _summary(path: Path) -> dict[str, Any]:
     summary = read_json(path, dict)
-    missing = [name for name in ("sequence", "system", "stages") if name not in summary]
+    missing = [name for name in ("sequence", "system", "stages", "audit") if name not in summary]
     if missing:
         raise InputError(str(path), f"lacks {missing[0]}: it is no summary of a run", "run it again")
     return summary

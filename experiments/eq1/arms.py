@@ -209,7 +209,7 @@ class FreeArm:
 
 def settings_of(unit: UnitSpec) -> SlamSettings:
     """Settings of the systems of a unit."""
-    return unit_settings(unit.settings, unit.meant_threads, lambda at: ".".join(map(str, at)))
+    return unit_settings(unit.settings, unit.threads, lambda at: ".".join(map(str, at)))
 
 
 def run_lead_in(

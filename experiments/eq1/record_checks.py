@@ -10,7 +10,6 @@ from dslab.experiments.eq1.records import (
     DOMAINS,
     GIVEN_BREAKAGE,
     NEVER_NULL,
-    ROUNDING,
     Domain,
     Outcome,
     domains,
@@ -61,5 +60,4 @@ def _fits(value: Any, domain: Domain, nullable: bool) -> bool:
         return False
     if kind == "text":
         return bool(value) or domain != "name"
-    slack = ROUNDING if domain == "share" else 0  # in records of earlier versions
-    return math.isfinite(value) and low - slack <= value <= high + slack
+    return math.isfinite(value) and low <= value <= high

@@ -196,33 +196,6 @@ GIVEN_BREAKAGE = frozenset(
 )
 """Columns that are null without a breakage, besides those of the threads in the free arm."""
 
-_LATER = (
-    "false_loops",
-    "false_relocalizations",
-    "false_fusions",
-    "false_joins",
-    "unjudged",
-    "keyframe_ate_m",
-)
-_ADDED_COLUMNS = frozenset(
-    {
-        *(f"{system}_{name}" for system in ("base", "dual") for name in _LATER),
-        *("base", "sequence", "repeat", "sequence_seed", "repeat_seed", "start_frame"),
-        *("exposed", "view_overlap", "rescuable", "mission_cause"),
-        *("system", "system_digest", "declares", "ended", "ended_message"),
-        *("base_breakage", "base_mission_failure", "base_mission_cause"),
-    }
-)
-FORMER_COLUMNS = frozenset({"nuisance_seed", "dual_failure", "dual_relocalized"})
-"""Columns of earlier versions."""
-
-
-def added_later(column: str) -> bool:
-    """True if tables of earlier versions may lack a column; its values are then null."""
-    numbered = column[:1] in ("s", "m") and column[1:].isdigit()
-    return column in _ADDED_COLUMNS or column.startswith("pairs") or numbered
-
-
 MEASURED_COLUMNS = ("attempts", "render_s", "slam_s", "cpu_s", "wall_s", "peak_rss_mb")
 """Columns that may differ between two runs of a unit, besides the threads' ``cpu_ms``."""
 

@@ -88,6 +88,6 @@ def lead_in_key(unit: UnitSpec, sequence: Sequence, exposure: Exposure, system: 
         "system": system,
         "seed": unit.repeat_seed,
         "settings": unit.settings,
-        "threads": [thread.model_dump(mode="json") for thread in unit.meant_threads],
+        "threads": [thread.model_dump(mode="json") for thread in unit.threads],
     }
     return content_hash(told)

@@ -9,7 +9,7 @@ world, path and noise in every cell: two cells differ only in what their names s
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import yaml
 from pydantic import Field, ValidationError, model_validator
@@ -21,7 +21,6 @@ from dslab.experiments.eq1.unit_drawing import Cell, Place, draw_scenario, writt
 from dslab.experiments.eq1.unit_settings import unit_settings
 from dslab.experiments.eq1.units import (
     RECOVERING,
-    SPEC_VERSION,
     ArmName,
     ThreadChoice,
     UnitSpec,
@@ -33,7 +32,7 @@ from dslab.scenarios.errors import InputError, collect
 from dslab.scenarios.families import distributions_in, in_order_of_lines, load_family
 from dslab.scenarios.faults import all_faults, guess
 from dslab.scenarios.seeds import rng_for
-from dslab.scenarios.strict import Grown
+from dslab.scenarios.strict import Strict
 from dslab.scenarios.yaml_file import Location, YamlFile, read_yaml
 from dslab.slam.dual.recovery.registry import RECOVERY_KINDS
 
@@ -45,12 +44,9 @@ _NAME = r"^[a-z0-9][a-z0-9_-]*$"
 _SEED_END = 2**53  # exact in JSON and in every table
 
 
-class ExperimentSpec(Grown):
+class ExperimentSpec(Strict):
     """The spec of an experiment."""
 
-    _unwritten: ClassVar = {"settings": {}, "confirmatory_threads": None}
-
-    spec_version: Literal[2, 3] = SPEC_VERSION
     name: str = Field(pattern=_NAME, max_length=40)
     description: str = ""
     root_seed: int = Field(0, ge=0, lt=_SEED_END)
@@ -87,17 +83,6 @@ class ExperimentSpec(Grown):
     levels: tuple[LevelName, ...] = Field(
         (), description="within what chance is to be told apart: sequences need repeats, worlds sequences"
     )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _check_version(cls, data: Any) -> Any:
-        former = [name for name in ("units", "units_per_world", "stopping") if name in data]
-        if former or data.get("spec_version", SPEC_VERSION) == 1:
-            raise ValueError(
-                f"{' and '.join(former) or 'spec_version 1'}: of an earlier version whose cells mixed "
-                "populations, give worlds and sequences_per_world and repeats and spec_version 3 instead"
-            )
-        return data
 
     @model_validator(mode="after")
     def _check_consistency(self) -> "ExperimentSpec":
@@ -242,7 +227,6 @@ class ExperimentSpec(Grown):
             exposed_s=self.exposed_s,
             threads=self.threads,
             settings=self.settings,
-            spec_version=self.spec_version,
             system=of_cell.system,
             arms=self.arms if of_cell.system in RECOVERING else ("free",),
         )

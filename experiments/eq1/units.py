@@ -2,12 +2,12 @@
 
 import hashlib
 import json
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
 from dslab.scenarios.spec import Scenario
-from dslab.scenarios.strict import Grown
+from dslab.scenarios.strict import Strict
 from dslab.slam.dual.recovery.registry import RECOVERY_KINDS
 
 ArmName = Literal["free", "crossing", "pairs"]
@@ -15,22 +15,13 @@ RECOVERING = ("dual", "dual+", "paper", "paper+")
 """Systems with recovery threads: Eq. 1 is about them. All others run the free arm alone."""
 
 
-SPEC_VERSION = 3
-"""Since version 3 the direct recovery thread goes both ways unless told not to."""
-_MEANT_BEFORE: dict[int, dict[str, dict[str, dict[str, Any]]]] = {
-    3: {"direct": {"other_way": {"check": False}}},
-}
-
-
 def system_label(system: str) -> str:
     """Name of a system in cells and records: of ``module:Class`` the class."""
     return system.rpartition(":")[2]
 
 
-class ThreadChoice(Grown):
+class ThreadChoice(Strict):
     """One of the n recovery threads."""
-
-    _unwritten: ClassVar = {"config": {}}
 
     kind: str = Field(description=f"one of {', '.join(sorted(RECOVERY_KINDS))}")
     seed: int = Field(0, ge=0, description="distinguishes threads of one kind")
@@ -38,17 +29,8 @@ class ThreadChoice(Grown):
         default_factory=dict, description="its own settings, as in a settings file of `dslab run`"
     )
 
-    def as_meant_in(self, spec_version: int) -> "ThreadChoice":
-        """The thread with the settings written out that were the defaults in an earlier version."""
-        config = self.config
-        for version, threads in _MEANT_BEFORE.items():
-            if spec_version < version:
-                meant = threads.get(self.kind, {})
-                config = {**config, **{name: {**meant[name], **config.get(name, {})} for name in meant}}
-        return self.model_copy(update={"config": config})
 
-
-class UnitSpec(Grown):
+class UnitSpec(Strict):
     """One unit of one cell.
 
     Attributes:
@@ -69,10 +51,7 @@ class UnitSpec(Grown):
             base, and in the crossing arm; any other one in the free arm alone.
         settings: of base and system, as in a settings file of ``dslab run``.
         arms: the arms to run; ``pairs`` measures pose error against baseline in the lead-in, without a SLAM.
-        spec_version: of the experiment: what defaults of threads mean.
     """
-
-    _unwritten: ClassVar = {"settings": {}, "spec_version": 2}
 
     experiment: str
     cell: str
@@ -93,17 +72,11 @@ class UnitSpec(Grown):
     system: str = "dual"
     settings: dict[str, Any] = Field(default_factory=dict)
     arms: tuple[ArmName, ...] = ("free", "crossing")
-    spec_version: int = 2
 
     @property
     def recovers(self) -> bool:
         """True if its system has recovery threads."""
         return self.system in RECOVERING
-
-    @property
-    def meant_threads(self) -> tuple[ThreadChoice, ...]:
-        """Its threads, with what its version of the spec means by them written out."""
-        return tuple(thread.as_meant_in(self.spec_version) for thread in self.threads)
 
     @property
     def unit_id(self) -> str:

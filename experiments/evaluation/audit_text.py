@@ -5,7 +5,7 @@ from statistics import median
 from typing import Any
 
 _DECLARED = {"loop": "loops", "fusion": "fusions", "join": "joins", "relocalization": "relocalizations"}
-_OLDER = "the run is an older one"
+_NO_TRUTH = "no ground truth"
 
 
 def audit_text(summary: dict[str, Any]) -> str:
@@ -14,9 +14,9 @@ def audit_text(summary: dict[str, Any]) -> str:
     Args:
         summary: of :func:`experiments.evaluation.summary.summarise`, or as read from its file.
     """
-    audit = summary.get("audit")
+    audit = summary["audit"]
     if audit is None:
-        return f"audit by the truth: nothing looked for: {_no_audit(summary)}"
+        return f"audit by the truth: nothing looked for: {_NO_TRUTH}"
     # Overlapping segments have a finding each.
     declared = {f["declared_frame"]: f for f in audit["losses"] if f["declared_frame"] is not None}
     delays_s = [f["delay_s"] for f in declared.values() if f["delay_s"] is not None]
@@ -66,31 +66,27 @@ def silence_parts(summary: dict[str, Any]) -> list[str]:
 
 def silent_losses(summary: dict[str, Any]) -> list[dict[str, Any]]:
     """The findings of losses that were never declared."""
-    audit = summary.get("audit")
+    audit = summary["audit"]
     return [f for f in audit["losses"] if f["silent"]] if audit else []
 
 
 def corrupted_maps(summary: dict[str, Any]) -> list[dict[str, Any]]:
     """The findings of maps that are corrupted by the truth."""
-    audit = summary.get("audit")
-    return [found for found in audit.get("maps", ()) if found["corrupted"]] if audit else []
+    audit = summary["audit"]
+    return [found for found in audit["maps"] if found["corrupted"]] if audit else []
 
 
 def unlooked_for(summary: dict[str, Any]) -> str | None:
     """Why silent losses were looked for nowhere; None if they were somewhere."""
-    audit = summary.get("audit")
+    audit = summary["audit"]
     if audit is None:
-        return _no_audit(summary)
-    if "live" not in audit:
-        return _OLDER
+        return _NO_TRUTH
     return None if audit["live"]["judged"] else audit["live"]["reason"]
 
 
 def _unlooked_maps(summary: dict[str, Any]) -> str:
     """Why no final map could be judged; empty if one could."""
-    maps = summary["audit"].get("maps")
-    if maps is None:
-        return _OLDER
+    maps = summary["audit"]["maps"]
     if any(found["corrupted"] is not None for found in maps):
         return ""
     return maps[0]["reason"] if maps else "no map was left"
@@ -99,10 +95,6 @@ def _unlooked_maps(summary: dict[str, Any]) -> str:
 def count(number: int, one: str, many: str) -> str:
     """A number of things, in words."""
     return f"{number or 'no'} {one if number == 1 else many}"
-
-
-def _no_audit(summary: dict[str, Any]) -> str:
-    return "no ground truth" if "audit" in summary else _OLDER
 
 
 def _corrupted(found: dict[str, Any]) -> str:

@@ -20,18 +20,16 @@ UNITS_PER_CELL_OF_TIMELINE = 10
 def table_1(table: pd.DataFrame) -> list[dict[str, Any]]:
     """Accuracy per cell: median ATE of base and Dual-SLAM, shares tracked and failed.
 
-    The ATE is over keyframes, as in the paper, or over frames in records of versions that had no other.
+    The ATE is over keyframes, as in the paper.
     """
     rows = []
-    known = table[["base_keyframe_ate_m", "dual_keyframe_ate_m"]].notna().to_numpy().any()
-    ate_m = "keyframe_ate_m" if known else "ate_m"
     for cell, units in completed(table).groupby("cell", sort=False):
         failed = {"base": units["base_failure"], "dual": units["dual_failure"]}
         row: dict[str, Any] = {"cell": cell, "units": len(units)}
         for system, column in failed.items():
             row[system] = {
-                "median_ate_m": _median(units[f"{system}_{ate_m}"]),
-                "units_with_ate": int(units[f"{system}_{ate_m}"].notna().sum()),
+                "median_ate_m": _median(units[f"{system}_keyframe_ate_m"]),
+                "units_with_ate": int(units[f"{system}_keyframe_ate_m"].notna().sum()),
                 "median_share_tracked": _median(units[f"{system}_share_tracked"]),
                 "median_path_share": _median(units[f"{system}_path_share"]),
                 "failed": of_trials(column),

@@ -42,6 +42,11 @@ def checkout() -> Path | None:
     return folder if (folder / ".git").exists() else None
 
 
+def release() -> str:
+    """The code at hand as `dslab systems install lab@…` builds it: its commit, else its version."""
+    return (commit() or versions()[DISTRIBUTION]).removesuffix("-dirty")
+
+
 def code_hash() -> str:
     """Hash of all that makes images and poses: scenarios, sim and slam with their data, and extensions."""
     from dslab.slam.dual.recovery.registry import RECOVERY_KINDS

@@ -118,17 +118,13 @@ class HomogeneousCell:
 
 def is_exposed(table: pd.DataFrame) -> pd.Series:
     """False for the records whose stress is known not to have acted: another population than its cell's."""
-    said = table["exposed"] if "exposed" in table else pd.Series(True, index=table.index)
-    return pd.Series(said.astype("boolean").fillna(True).to_numpy(bool), index=table.index)
+    return pd.Series(table["exposed"].astype("boolean").fillna(True).to_numpy(bool), index=table.index)
 
 
 def cells_of(
     table: pd.DataFrame, threads: int, sham: bool = False, exposed: bool = True
 ) -> list[HomogeneousCell]:
     """The cells of a table, each split by kind of world, in the order of the table.
-
-    Records of earlier versions do not say of which sequence they are: of these the units of a world count as
-    sequences of one replicate, in the order of their numbers, which are the same lead-ins in every cell.
 
     Args:
         table: records, with the columns of ``records.columns``.
@@ -144,9 +140,7 @@ def cells_of(
     for cell, world in names.itertuples(index=False):
         rows = table[(table["cell"] == cell) & (table["world"] == world)]
         seeds, place = np.unique(rows["world_seed"].to_numpy(np.int64), return_inverse=True)
-        sequence, repeat = rows.groupby("world_seed").cumcount().to_numpy(), np.zeros(len(rows), int)
-        if "sequence" in rows and bool(rows["sequence"].notna().to_numpy().all()):
-            sequence, repeat = (rows[name].to_numpy(int) for name in ("sequence", "repeat"))
+        sequence, repeat = (rows[name].to_numpy(int) for name in ("sequence", "repeat"))
         shape = (len(seeds), int(sequence.max()) + 1, int(repeat.max()) + 1)
         at = (place, sequence, repeat)
         found.append(HomogeneousCell(str(cell), str(world), seeds, threads, rows, at, shape, exposed))

@@ -200,8 +200,7 @@ def _paired(both: Sequence[HomogeneousCell], column: str) -> pd.DataFrame:
             {
                 "index": cell.rows["index"].to_numpy(int),
                 "world": cell.rows["world_seed"].to_numpy(np.int64),
-                # Records of earlier versions do not say their sequence: each is one.
-                "sequence": cell.rows["sequence"].fillna(cell.rows["index"]).to_numpy(int),
+                "sequence": cell.rows["sequence"].to_numpy(int),
                 "completed": cell.counted,
                 "event": cell.rows[column].astype("Float64").to_numpy(float, na_value=np.nan),
             }

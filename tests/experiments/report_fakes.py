@@ -121,6 +121,8 @@ def _row(spec, rng, cell, index, shared, hardness, code, per_world) -> dict:
         "index": index,
         "world": "corridor",
         "world_seed": 1000 + index // per_world,
+        "sequence": index % per_world,
+        "repeat": 0,
         "code": code,
         "commit": "0123abc",
         "outcome": "completed",

@@ -145,7 +145,7 @@ def _spec(folder: Path) -> None:
 
 def _result(folder: Path) -> None:
     (folder / "base").mkdir(parents=True)
-    summary = {"breakage_list": [{"stamp_s": 1.5, "frame": 15}], "config": {}}
+    summary = {"breakage_list": [{"time_s": 1.5, "frame": 15}], "config": {}}
     for place in (folder, folder / "base"):
         (place / "summary.json").write_text(json.dumps(summary, indent=1))
     (folder / "recording.rrd").write_bytes(b"RRF2" + bytes(64))

@@ -173,6 +173,7 @@ def test_a_member_overrides_fields_of_its_family(tmp_path):
     # ... those of another kind replaced, and a distribution replaces a value and a value a distribution.
     assert room.sample(3).world.model_dump() == {
         "kind": "room", "length_m": 14, "width_m": 10, "height_m": 3.2, "lamp_level": 1.0,
+        "surfaces": "worn", "aliased": None,
     }  # fmt: skip
     assert room.sample(3).trajectory.sway_m == 0.02
     assert 0.5 <= room.sample(3).trajectory.max_speed_mps <= 1

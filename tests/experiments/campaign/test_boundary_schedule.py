@@ -216,15 +216,15 @@ def test_every_kind_has_an_axis_whose_doses_rise_in_strength_and_are_valid():
 
 
 def test_times_and_fields_are_those_of_the_spec():
-    quick = load_spec("eq1-quick")
-    plan = boundary_plan(quick, "fast_rotation", "base", 0.5, base="room")
+    run = load_spec("eq1")
+    plan = boundary_plan(run, "fast_rotation", "base", 0.5, base="room")
     (segment,) = plan.spec.unit(plan.dose_cells[3], 0).scenario.segments
     assert (segment.axis, segment.duration_s, segment.start_s) == ("yaw", 1.0, 5.5)
     assert segment.rate_degps == plan.axis.doses[3]
-    creeping = boundary_plan(quick, "fog-creeping", "base", 0.5, base="room")
+    creeping = boundary_plan(run, "fog-creeping", "base", 0.5, base="room")
     (segment,) = creeping.spec.unit(creeping.dose_cells[0], 0).scenario.segments
     assert (segment.ramp_s, segment.fall_s) == (2.0, 0.0) and creeping.kind == "fog-creeping"
-    assert boundary_plan(quick, "defocus-creeping", "dual", 0.5).spec.confirmatory_threads is None
+    assert boundary_plan(run, "defocus-creeping", "dual", 0.5).spec.confirmatory_threads is None
 
 
 @pytest.mark.parametrize(

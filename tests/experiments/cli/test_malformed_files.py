@@ -169,10 +169,10 @@ def test_a_malformed_list_of_breakages_is_one_line(refused, tmp_path, file, brea
     (tmp_path / "base").mkdir()
     (tmp_path / file).write_text(json.dumps({"breakage_list": breakages}))
     line = refused("view", tmp_path)
-    assert file in line and "breakage_list[0]: has no stamp_s; give --at" in line
+    assert file in line and "breakage_list[0]: has no time_s; give --at" in line
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{", '{"breakage_list": [{"stamp_s": NaN}]}', "[" * 5000])
+@pytest.mark.parametrize("text", ["", "[]", "{", '{"breakage_list": [{"time_s": NaN}]}', "[" * 5000])
 def test_a_malformed_summary_is_one_line(refused, tmp_path, text):
     (tmp_path / "recording.rrd").write_text("")
     (tmp_path / "summary.json").write_text(text)
@@ -185,6 +185,6 @@ def test_a_recording_opens_at_the_first_of_all_breakages(tmp_path):
     assert _first_breakage_s(tmp_path) == 0.0
     for system, stamps_s in {"base": [5, 2.5], "dual": []}.items():
         (tmp_path / system).mkdir()
-        listed = {"breakage_list": [{"stamp_s": stamp_s} for stamp_s in stamps_s]}
+        listed = {"breakage_list": [{"time_s": stamp_s} for stamp_s in stamps_s]}
         (tmp_path / system / "summary.json").write_text(json.dumps(listed))
     assert _first_breakage_s(tmp_path) == 2.5

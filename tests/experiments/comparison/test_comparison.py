@@ -105,7 +105,7 @@ def test_what_is_no_run_is_one_line(runs, tmp_path, dslab):
     (tmp_path / "empty").mkdir()
     broken = tmp_path / "broken"
     broken.mkdir()
-    (broken / "summary.json").write_text('{"sequence": "s", "system": "base", "stages": {}}')
+    (broken / "summary.json").write_text('{"sequence": "s", "system": "base", "stages": {}, "audit": null}')
     for folder, says in ((tmp_path / "empty", "holds no summary.json"), (broken, "holds no groundtruth.txt")):
         code, _, err = dslab("compare", str(folder), "--out", str(tmp_path / "page"))
         assert code == 2 and says in err and err.count("\n") == 1

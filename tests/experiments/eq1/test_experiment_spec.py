@@ -10,7 +10,6 @@ from dslab.experiments.eq1.spec_schema import json_schema
 from dslab.experiments.eq1.units import UnitSpec
 from dslab.scenarios.errors import InputError
 from dslab.slam.core.camera import PinholeCamera
-from dslab.slam.dual.recovery.direct import DirectRecoveryConfig
 from dslab.slam.tracking.tracker import TrackingConfig
 
 VALIDATOR = jsonschema.Draft202012Validator(json_schema())
@@ -89,31 +88,6 @@ def test_settings_reach_every_unit_and_its_threads(tmp_path):
     plain, own, _ = dual.recovery_threads
     assert plain.config is None
     assert own.config.tracking == TrackingConfig(min_inliers=40, cautious_inliers=60)
-
-
-def test_specs_without_settings_are_identified_as_before(spec):
-    assert "settings" not in spec.model_dump(mode="json")
-    unit = spec.unit("hall/motion_blur/1/dual", 0).model_dump(mode="json")
-    assert "settings" not in unit and unit["threads"][1] == {"kind": "orb", "seed": 1}
-
-
-def test_a_spec_of_an_earlier_version_means_the_direct_thread_of_its_time(tmp_path):
-    """Its units keep their identity, and what it says itself holds."""
-    camera = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
-    own = "threads: [direct, {kind: direct, seed: 1, config: {other_way: {check: true}}}, "
-    text = SPEC.replace("threads: [orb, {kind: orb, seed: 1}, ", own)
-    checks, ids = {}, set()
-    for version in (2, 3):
-        unit = load(tmp_path, text.replace("bases:", f"spec_version: {version}\nbases:", 1)).unit(
-            "hall/motion_blur/1/dual", 0
-        )
-        ids.add(unit.unit_id)
-        assert ("spec_version" in unit.model_dump(mode="json")) is (version == 3)
-        _, dual = settings_of(unit).of("dual", camera)
-        configs = [DirectRecoveryConfig.extending(thread.config) for thread in dual.recovery_threads[:2]]
-        checks[version] = [config.other_way.check for config in configs]
-    assert checks == {2: [False, True], 3: [True, True]}
-    assert len(ids) == 2 and load(tmp_path, text).spec_version == 3
 
 
 def test_a_unit_contains_everything_that_determines_it(spec):
@@ -241,7 +215,6 @@ def test_a_family_may_be_used_by_member_or_as_a_whole(tmp_path):
     ("old", "new", "told"),
     [
         ("worlds: 2", "worldz: 2", ":26: worldz: unknown key; use worlds (did you mean that?)"),
-        ("worlds: 2", "units: 8", "of an earlier version whose cells mixed populations; give worlds"),
         (
             "world: {kind: corridor, length_m: {uniform: [30, 60]}, turns: {uniform: [0, 3]}}",
             "world: {choice: [{kind: corridor}, {kind: room}]}",
@@ -338,8 +311,8 @@ def test_presets_are_valid_and_described(name):
 
 
 def test_the_presets_are_all_there():
-    wanted = {"smoke", "eq1-quick", "eq1-full", "direction", "conditioning", "init", "loss-rule", "timeline"}
-    assert wanted | {"tables"} <= set(preset_names())
+    wanted = {"smoke", "eq1", "eq1-full", "direction", "conditioning", "init", "loss-rule", "tables"}
+    assert wanted <= set(preset_names())
 
 
 @pytest.mark.slow

@@ -178,8 +178,7 @@ def test_of_a_part_it_is_said_which_and_of_several_runs_how_many():
     truth[225:] = np.nan
     part, lost = judged(truth), judged(drift_from=260)
     assert "no silent losses, looked for in 49 % of the live poses (no true pose)" in audit_text(part)
-    older = {name: value for name, value in part.items() if name != "audit"}
-    assert runs_text([part, lost, older]) == (
+    assert runs_text([part, lost, part | {"audit": None}]) == (
         "audit by the truth, of 3 runs: silent losses in 1, corrupted maps in 1, not looked for in 1"
     )
     assert runs_text([lost]) == audit_text(lost)

@@ -6,8 +6,7 @@ import pytest
 from report_fakes import FakeSpec, fake_table
 from test_documented_results import FIRST
 
-from dslab.experiments.campaign.folder import read_experiment
-from dslab.experiments.eq1.former_spec import load_any_spec
+from dslab.experiments.campaign.folder import read_experiment, read_spec
 from dslab.experiments.eq1.spec import load_spec, preset_names
 from dslab.experiments.report.answer import MEANINGS, answer
 from dslab.experiments.report.conditions import conditions, describe_stress, doses_of
@@ -105,6 +104,6 @@ def test_every_dose_of_a_preset_has_a_name_and_a_unit(preset):
 
 
 def test_doses_are_named_in_the_order_of_the_spec():
-    found = conditions(load_any_spec(FIRST / "spec.yaml"))
+    found = conditions(read_spec(FIRST))
     assert [d["value"] for d in doses_of(found, "low_texture")] == [0.3, 0.15, 0.05]
     assert describe_stress(found, "motion_blur") == "motion blur (exposure 0.06, 0.1 and 0.2 s)"

@@ -160,8 +160,6 @@ def test_table_1_is_over_keyframes_and_tables_2_and_3_without_the_sham():
     table = fake_table(spec)
     table["outcome"], table["dual_failure"] = "completed", table["d2"]
     assert [row["base"]["median_ate_m"] for row in table_1(table)] == [0.5] * 3
-    former = table.assign(base_keyframe_ate_m=pd.NA, dual_keyframe_ate_m=pd.NA)
-    assert table_1(former)[0]["base"]["median_ate_m"] == table[:6]["base_ate_m"].median()
     both = pd.concat([table, table[:6].assign(cell="sham", kind="sham", breakage=True)])
     cells = [*spec.cell_names(), "sham"]
     of = {cell: cell.split("/")[0] for cell in cells}, dict.fromkeys(cells, "dual")

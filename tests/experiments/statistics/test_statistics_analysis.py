@@ -102,7 +102,13 @@ def test_the_steps_of_the_chain_multiply_to_the_whole():
     hard = np.repeat(rng.uniform(0.2, 0.8, worlds), sequences * repeats)
     rows = pd.DataFrame({"world_seed": place[0], "sequence": place[1], "repeat": place[2], "index": index})
     rows = rows.assign(
-        cell="a/1", world="room", kind="a", severity=1.0, outcome="completed", silent_failure=False
+        cell="a/1",
+        world="room",
+        kind="a",
+        severity=1.0,
+        outcome="completed",
+        silent_failure=False,
+        exposed=True,
     )
     rows["breakage"], rows["cross_r1_failed"] = rng.random(len(index)) < hard, rng.random(len(index)) < hard
     rows["d1"] = rows["breakage"] & (rng.random(len(index)) < hard)
@@ -140,7 +146,7 @@ def made_up(worlds=12, sequences=1, repeats=3, seed=0, sham=False, **columns):
     broke, failed, crossed = (rng.random(len(rows)) < hard for _ in range(3))
     name, kind = ("sham", "sham") if sham else ("blur/1", "blur")
     rows = rows.assign(index=range(len(rows)), cell=name, kind=kind, severity=2.0, world="room")
-    rows = rows.assign(outcome="completed", breakage=broke, silent_failure=False)
+    rows = rows.assign(outcome="completed", exposed=True, breakage=broke, silent_failure=False)
     rows = rows.assign(d1=broke & failed, s1=broke & failed, m1=broke, cross_r1_failed=crossed)
     return rows.assign(cross_r1_stage=np.where(crossed, "propagation", None)).assign(**columns)
 
