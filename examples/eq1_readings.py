@@ -29,8 +29,7 @@ from dslab.experiments.statistics.outcomes import world_means
 from dslab.experiments.statistics.rehearsal import exchange_power, rehearse_words
 from dslab.experiments.statistics.transfer import Condition, beta_of, transfer
 from dslab.experiments.statistics.verdicts import Verdict, compare_forecast
-from dslab.experiments.statistics.way import way_interval
-from dslab.experiments.statistics.world_intervals import ratio_interval
+from dslab.experiments.statistics.world_intervals import ratio_interval, way_interval
 
 EXPERIMENTS = 400
 folder, *parts = sys.argv[1:] or ["docs/eq1"]

@@ -13,8 +13,7 @@ from dslab.experiments.campaign.table_file import (
     write_errors,
     write_table,
 )
-from dslab.experiments.eq1.record_checks import record_fault
-from dslab.experiments.eq1.record_table import data_frame
+from dslab.experiments.eq1.record_table import data_frame, record_fault
 from dslab.experiments.eq1.records import columns
 from dslab.experiments.jobs.ledger import LEDGER_FILE, LOCK_FILE, Ledger, Owner, Row
 from dslab.scenarios.errors import InputError

@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from dslab.experiments.campaign.schedule import Experiment
-from dslab.experiments.eq1.record_checks import digest_of, record_fault
-from dslab.experiments.eq1.record_table import arrow_table
+from dslab.experiments.eq1.record_table import arrow_table, digest_of, record_fault
 from dslab.experiments.eq1.records import columns
 from dslab.experiments.runs.provenance import release
 from dslab.scenarios.errors import InputError

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dslab.experiments.eq1.free_systems import LIMITS
+from dslab.experiments.eq1.free_arm import LIMITS
 from dslab.experiments.eq1.record_table import normalise
 from dslab.experiments.eq1.records import empty_record, error_message
 from dslab.experiments.eq1.spec import ExperimentSpec

@@ -1,18 +1,31 @@
-"""Records as typed tables: the types of columns in Python, SQLite, pandas and Parquet."""
+"""Records as typed rows, in Python, SQLite, pandas and Parquet; their digests and what contradicts them."""
 
+import hashlib
+import json
 import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dslab.experiments.eq1.records import DOMAINS, ROUNDING, ColumnType, Domain, columns, domains
+from dslab.experiments.eq1.records import (
+    DOMAINS,
+    GIVEN_BREAKAGE,
+    NEVER_NULL,
+    ROUNDING,
+    ColumnType,
+    Domain,
+    Outcome,
+    columns,
+    domains,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
 SQL_TYPES: dict[ColumnType, str] = {"bool": "INTEGER", "int": "INTEGER", "float": "REAL", "text": "TEXT"}
+_PYTHON_TYPES = {"bool": bool, "int": int, "float": float, "text": str}
 PANDAS_TYPES: dict[ColumnType, str] = {
     "bool": "boolean",
     "int": "Int64",
@@ -71,6 +84,40 @@ def arrow_table(records: Iterable[Mapping[str, Any]], threads: int) -> "pa.Table
     return pa.Table.from_pylist(list(records), schema=schema)
 
 
+def digest_of(values: Mapping[str, Any]) -> str:
+    """Sixteen hexadecimal digits of the SHA-256 of a row: its names and values, in order."""
+    # SQLite stores -0.0 as 0.0.
+    items = [(name, value + 0.0 if isinstance(value, float) else value) for name, value in values.items()]
+    return hashlib.sha256(json.dumps(items).encode()).hexdigest()[:16]
+
+
+def joint_digest(digests: Iterable[str]) -> str:
+    """Digest of a set of rows, independent of their order: the exclusive or of theirs."""
+    joint = 0
+    for digest in digests:
+        joint ^= int(digest, 16)
+    return f"{joint:016x}"
+
+
+def record_fault(record: Mapping[str, Any], threads: int) -> str | None:
+    """Describe what in a record contradicts its columns; None if nothing does.
+
+    Args:
+        record: with the columns of `records.columns`.
+        threads: number of recovery threads.
+    """
+    for name, domain in domains(threads).items():
+        if not _fits(record[name], domain, name not in NEVER_NULL):
+            return f"{name} is {record[name]!r}"
+    if record["outcome"] not in set(Outcome):
+        return f"outcome is {record['outcome']!r}"
+    if not record["breakage"]:
+        given = (n for n in record if n in GIVEN_BREAKAGE or n.startswith("free_r"))
+        if name := next((n for n in given if record[n] is not None), None):
+            return f"{name} is {record[name]!r} although breakage is {record['breakage']!r}"
+    return None
+
+
 def _within(name: str, value: Any, domain: Domain) -> Any:
     kind, low, high = DOMAINS[domain]
     plain = _plain(name, value, kind)
@@ -95,3 +142,14 @@ def _plain(name: str, value: Any, kind: ColumnType) -> Any:
     if fitting and math.isfinite(value) and value == int(value) and (kind == "int" or value in (0, 1)):
         return bool(value) if kind == "bool" else int(value)
     raise ValueError(f"{name}: {value!r} is not of type {kind}")
+
+
+def _fits(value: Any, domain: Domain, nullable: bool) -> bool:
+    if value is None:
+        return nullable
+    kind, low, high = DOMAINS[domain]
+    if type(value) is not _PYTHON_TYPES[kind]:
+        return False
+    if kind == "text":
+        return bool(value) or domain != "name"
+    return math.isfinite(value) and low <= value <= high

@@ -14,9 +14,8 @@ from typing import Annotated, Any, Literal, Self
 import yaml
 from pydantic import Field, ValidationError, model_validator
 
-from dslab.experiments.eq1.homogeneity import base_mixtures, stress_mixtures
 from dslab.experiments.eq1.records import SHAM
-from dslab.experiments.eq1.spec_parts import Base, Degradation, Threads
+from dslab.experiments.eq1.spec_parts import Base, Degradation, Threads, base_mixtures, stress_mixtures
 from dslab.experiments.eq1.unit_drawing import Cell, Place, draw_scenario, written_base
 from dslab.experiments.eq1.unit_settings import unit_settings
 from dslab.experiments.eq1.units import (

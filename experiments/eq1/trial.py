@@ -9,16 +9,15 @@ import numpy as np
 
 from dslab.experiments.eq1.arms import PLAIN, CpuClock, Exposure, run_crossing, run_free, settings_of
 from dslab.experiments.eq1.conditioning import judge_pairs
-from dslab.experiments.eq1.free_judging import ending_columns, judge_system
-from dslab.experiments.eq1.free_systems import run_free_system
+from dslab.experiments.eq1.free_arm import ending_columns, judge_system, run_free_system
 from dslab.experiments.eq1.judging import judge_crossing, judge_free
+from dslab.experiments.eq1.lead_in import lead_in_of
 from dslab.experiments.eq1.records import Outcome, empty_record, error_message
 from dslab.experiments.eq1.recovery_judging import Reference
-from dslab.experiments.eq1.rescuable import overlap_columns
-from dslab.experiments.eq1.shared_lead_ins import lead_in_of
 from dslab.experiments.eq1.units import UnitSpec
+from dslab.experiments.evaluation.view_overlap import best_overlap
 from dslab.experiments.runs.ending import FINISHED, Declares
-from dslab.experiments.runs.execution import RunRecord
+from dslab.experiments.runs.execution import RunRecord, slam_camera
 from dslab.experiments.runs.memory import peak_rss_mb, reset_peak
 from dslab.experiments.runs.provenance import code_hash, commit
 from dslab.experiments.runs.slam_settings import factory_of
@@ -91,6 +90,30 @@ def _render(unit: UnitSpec, cache_dir: Path | None) -> Sequence:
 
     whole = render_sequence(unit.scenario, cache_dir=cache_dir)
     return whole.only(np.arange(unit.start_frame, len(whole))) if unit.start_frame else whole
+
+
+def overlap_columns(unit: UnitSpec, sequence: Sequence, cache_dir: Path | None = None) -> dict[str, Any]:
+    """The columns of the view overlap about the stress, from truth and exact depth.
+
+    Usable are frames on which the stress does not act: as many before it as Dual-SLAM's buffer holds, and all
+    behind it.
+
+    Args:
+        unit: its spec; null columns for a sham, which has no stress, and a system without recovery.
+        sequence: its frames.
+        cache_dir: folder of rendered sequences; None for the default one.
+    """
+    acting = [segment for segment in sequence.segments if segment.first_frame >= 0]
+    if not acting or sequence.T_world_cam is None or not unit.recovers:
+        return {"view_overlap": None, "rescuable": None}
+    _, dual = settings_of(unit).of(unit.system, slam_camera(sequence.camera))
+    first = min(segment.first_frame for segment in acting)
+    last = max(segment.last_frame for segment in acting)
+    since_s = sequence.stamps_s[first] - dual.buffer_s
+    before = np.flatnonzero(sequence.stamps_s[:first] >= since_s)
+    after = range(last + 1, len(sequence))
+    found = best_overlap(unit.scenario, sequence.T_world_cam, before, after, cache_dir=cache_dir)
+    return {"view_overlap": found.overlap, "rescuable": found.is_rescuable}
 
 
 def _judged(unit: UnitSpec, system: System, sequence: Sequence, clock: CpuClock) -> dict[str, Any]:

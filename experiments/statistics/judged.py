@@ -25,13 +25,13 @@ from dslab.experiments.statistics.verdicts import (
     corrected,
     verdicts,
 )
-from dslab.experiments.statistics.way import way_interval
 from dslab.experiments.statistics.world_intervals import (
     Interval,
     Rare,
     few_events,
     ratio_interval,
     share_interval,
+    way_interval,
 )
 
 STEPS = ("world", "path", "sequence", "run", "arms", "whole")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from unit_scenes import END, FPS, FRAMES, ONSET, run, synthetic, unit
 
-from dslab.experiments.eq1 import arms, rescuable, shared_lead_ins
+from dslab.experiments.eq1 import arms, lead_in, trial
 from dslab.experiments.eq1.arms import Exposure
 from dslab.experiments.eq1.mission import Fault, final_pose_faults, first_cause
 from dslab.experiments.eq1.records import decided
@@ -69,10 +69,10 @@ def test_a_false_first_success_fails_the_system_though_a_later_thread_is_right()
 
 def test_cells_of_a_replicate_share_one_lead_in_and_change_no_record(monkeypatch):
     sequence, of = synthetic(range(85, 91)), unit("orb")
-    monkeypatch.setattr(shared_lead_ins, "_kept", {})
+    monkeypatch.setattr(lead_in, "_kept", {})
     alone = run(monkeypatch, sequence, of)
     runs = []
-    monkeypatch.setattr(shared_lead_ins, "run_lead_in", lambda *a: runs.append(a) or arms.run_lead_in(*a))
+    monkeypatch.setattr(lead_in, "run_lead_in", lambda *a: runs.append(a) or arms.run_lead_in(*a))
     again = run(monkeypatch, sequence, of)
     assert decided(again) == decided(alone) and not runs
     other = run(monkeypatch, synthetic(range(95, 99)), of)  # another cell: the same images before the onset
@@ -105,10 +105,10 @@ def test_the_overlap_is_of_frames_without_stress_within_the_buffer(monkeypatch):
         asked.append((list(before), list(after)))
         return BestOverlap(0.15, (70, 110))
 
-    monkeypatch.setattr(rescuable, "best_overlap", best)
+    monkeypatch.setattr(trial, "best_overlap", best)
     of = unit("orb", settings={"dual": {"buffer_s": 1.0}})
-    found = rescuable.overlap_columns(of, synthetic())
+    found = trial.overlap_columns(of, synthetic())
     assert found == {"view_overlap": 0.15, "rescuable": False}
     assert asked == [(list(range(ONSET - round(FPS), ONSET)), list(range(END + 1, FRAMES)))]
-    sham = rescuable.overlap_columns(of, replace(synthetic(), segments=()))
+    sham = trial.overlap_columns(of, replace(synthetic(), segments=()))
     assert sham == {"view_overlap": None, "rescuable": None}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from unit_scenes import END, FRAMES, ONSET, run, synthetic, unit
 
-from dslab.experiments.eq1 import shared_lead_ins, trial
+from dslab.experiments.eq1 import lead_in, trial
 from dslab.experiments.eq1.arms import CpuClock, Exposure, run_crossing, run_free, run_lead_in, settings_of
 from dslab.experiments.eq1.records import columns, decided, thread_column
 from dslab.experiments.runs.execution import execute
@@ -160,11 +160,11 @@ def test_features_kept_between_arms_change_no_record(broken, monkeypatch):
 
     count(OrbExtractor, "_found", "orb")
     count(SiftDetector, "detect", "sift")
-    monkeypatch.setattr(shared_lead_ins, "_kept", {})
+    monkeypatch.setattr(lead_in, "_kept", {})
     run(monkeypatch, BROKEN, unit("orb,sift"))
     kept = found.copy()
     monkeypatch.setattr(SlamEngine, "remember_features", lambda *_: None)
-    monkeypatch.setattr(shared_lead_ins, "_kept", {})
+    monkeypatch.setattr(lead_in, "_kept", {})
     record = run(monkeypatch, BROKEN, unit("orb,sift"))
     assert decided(record) == decided(broken)
     for kind in ("orb", "sift"):

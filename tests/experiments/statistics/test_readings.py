@@ -9,7 +9,7 @@ from dslab.experiments.statistics import estimates
 from dslab.experiments.statistics.difficulties import Margin, draw
 from dslab.experiments.statistics.outcomes import Outcomes, world_means
 from dslab.experiments.statistics.readings import both_readings, rescuable_readings
-from dslab.experiments.statistics.way import way_interval
+from dslab.experiments.statistics.world_intervals import way_interval
 
 HALF = Margin(0.5, 0.5)
 
