@@ -130,11 +130,11 @@ def test_a_published_table_is_replayed_without_its_ledger(dslab, smoke):
 
 def test_a_replay_of_a_row_of_other_code_names_what_replays_it(dslab, smoke):
     spec = load_spec(str(smoke / "spec.yaml"))
-    with Ledger.open(smoke, spec) as ledger:
+    with open_ledger(smoke, spec) as ledger:
         rows = [row | {"code": "1", "commit": "0123456"} for row in ledger.rows()]
     (smoke / LEDGER_FILE).unlink()
-    with Ledger.open(smoke, spec) as ledger:
-        ledger.add_rows("units", rows)
+    with open_ledger(smoke, spec) as ledger:
+        ledger.add(*rows)
     code, _, err = dslab("experiment", "replay", smoke, "low_texture/1:1")
     assert code == 0 and "systems install lab@0123456`" in err and err.count("\n") == 1
     export(smoke)
