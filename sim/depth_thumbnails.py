@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,24 +20,9 @@ DepthOf = Callable[[np.ndarray], np.ndarray]
 """Depth (h, w) float32, metres along the optical axis, 0 for no surface, at a pose T_world_cam (4, 4)."""
 
 
-def thumbnail_camera(camera: Camera, width_px: int = THUMBNAIL_WIDTH_PX) -> Intrinsics:
-    """The small pinhole camera with the field of view of a scenario's.
-
-    Args:
-        camera: of a scenario; of a distorting one the pinhole camera that holds all it sees.
-        width_px: width of the small images; their pixels stay as wide and as high as the camera's.
-    """
-    ideal = ideal_camera(taking_intrinsics(camera))
-    scale = width_px / ideal.width_px
-    return replace(
-        ideal,
-        width_px=width_px,
-        height_px=max(2, round(ideal.height_px * scale)),
-        fx=ideal.fx * scale,
-        fy=ideal.fy * scale,
-        cx=(ideal.cx + 0.5) * scale - 0.5,
-        cy=(ideal.cy + 0.5) * scale - 0.5,
-    )
+def thumbnail_camera(camera: Camera) -> Intrinsics:
+    """The small pinhole camera that holds all that a scenario's sees."""
+    return ideal_camera(taking_intrinsics(camera)).scaled(THUMBNAIL_WIDTH_PX)
 
 
 @contextmanager

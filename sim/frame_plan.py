@@ -12,7 +12,6 @@ from dslab.sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
 from dslab.sim.degradations.repeated_texture import with_repeated_texture
 from dslab.sim.motion import plan_motion
 from dslab.sim.motion.base import Motion
-from dslab.sim.rendering.lens_renderer import lens_renderer
 from dslab.sim.rendering.renderer import Renderer
 from dslab.sim.rendering.renderers import DEFAULT_RENDERER, load_renderer
 from dslab.sim.room import check_memory
@@ -169,23 +168,16 @@ def _survey(
     plan: FramePlan, world: WorldModel, camera: Camera, backend: RenderBackend, progress: Progress
 ) -> np.ndarray:
     """View share of every surface in every frame, from small renderings; see ``Survey``."""
-    scale = _SURVEY_WIDTH_PX / camera.width_px
-    small = replace(
-        camera_intrinsics(camera),
-        width_px=_SURVEY_WIDTH_PX,
-        height_px=max(1, round(camera.height_px * scale)),
-        fx=camera.fx_px * scale,
-        fy=camera.fy_px * scale,
-        cx=(camera.cx_px + 0.5) * scale - 0.5,
-        cy=(camera.cy_px + 0.5) * scale - 0.5,
-    )
+    small = camera_intrinsics(camera).scaled(_SURVEY_WIDTH_PX)
+    lens = None if small.is_pinhole else Lens(small)
     poses = plan.motion.T_world_cam(plan.stamps_s)
     check_memory("view shares", len(poses), 4 * len(poses) * len(world.surfaces))
     shares = np.zeros((len(poses), len(world.surfaces)), np.float32)
-    renderer = lens_renderer(partial(backend.renderer, world), small)
+    renderer = backend.renderer(world, lens.ideal if lens else small)
     try:
         for frame, T_world_cam in enumerate(poses):
             ids = renderer.render_surface_ids(T_world_cam)
+            ids = lens.distort_labels(ids) if lens else ids
             # Index -1, no surface, is counted first and dropped.
             counts = np.bincount(ids.ravel() + 1, minlength=len(world.surfaces) + 1)[1:]
             shares[frame] = counts / ids.size

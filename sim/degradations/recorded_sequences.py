@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from dslab.scenarios.segments import LowTexture, Segment
-from dslab.sim.degradations.base import FramePlan, Stage, during, true_runs
+from dslab.sim.degradations.base import FramePlan, Stage, during
 from dslab.sim.degradations.recorded_kinds import check_recorded_sequence, view_of
 from dslab.sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
 from dslab.sim.degradations.retake import Retake, fill_narrow_holes
-from dslab.sim.degradations.segment_link import SegmentLink, segment_links, truths_of
+from dslab.sim.degradations.segment_link import segment_links, truths_of
 from dslab.sim.io.raw import RawFrames, RawWriter
 from dslab.sim.link import USUAL_EXPOSURE_S, View, fold
-from dslab.sim.sequence import SegmentTruth, Sequence
+from dslab.sim.sequence import Sequence
 
 
 class _AsRecorded:
@@ -75,24 +75,28 @@ def degrade_sequence(
             grays.append(fold(links, image, taken)[0])
             if progress:
                 progress("degrading", index + 1, len(plan.frame))
-    truths, columns = _truths(sequence, segments, plan, links, blur_px)
-    kept = plan.frame
+    left = sequence.only(plan.frame)
+    added, columns = truths_of(segments, plan, links, blur_px)
+    columns = {
+        **left.frame_truth,
+        **{n: np.maximum(left.frame_truth.get(n, 0.0), m) for n, m in columns.items()},
+    }
+    if "exposure_s" in columns:
+        columns["exposure_s"] = plan.exposure_s
     degraded = {"segments": [segment.model_dump(mode="json") for segment in segments], "seed": seed}
     if view.camera != sequence.camera:
         degraded["window_px"] = {"left": view.left, "top": view.top}
+    turns = plan.motion.T_world_cam(plan.stamps_s)
     return replace(
-        sequence,
+        left,
         camera=view.camera,
-        stamps_s=sequence.stamps_s[kept] + plan.stamp_error_s,
-        frames=RawFrames(scratch / "gray.npy", (len(kept), *size), np.uint8),
-        T_world_cam=None
-        if sequence.T_world_cam is None
-        else sequence.T_world_cam[kept] @ plan.motion.T_world_cam(plan.stamps_s),
-        depths=None if sequence.depths is None else _RetakenDepths(retake, kept),
-        segments=truths,
+        stamps_s=left.stamps_s + plan.stamp_error_s,
+        frames=RawFrames(scratch / "gray.npy", (len(plan.frame), *size), np.uint8),
+        T_world_cam=None if left.T_world_cam is None else left.T_world_cam @ turns,
+        depths=None if sequence.depths is None else _RetakenDepths(retake, plan.frame),
+        segments=(*left.segments, *added),
         meta={**sequence.meta, "degraded": degraded},
         frame_truth=columns,
-        exposure_s=None if sequence.exposure_s is None else sequence.exposure_s[kept],
     )
 
 
@@ -133,29 +137,3 @@ def _plans(sequence: Sequence, segments: Many[Segment], seed: int) -> tuple[Fram
 def _own_exposure_s(sequence: Sequence) -> np.ndarray:
     """(N,) shutter time of the recording, 0 where unknown."""
     return sequence.frame_truth.get("exposure_s", np.zeros(len(sequence)))
-
-
-def _truths(
-    sequence: Sequence,
-    segments: Many[Segment],
-    plan: FramePlan,
-    links: list[SegmentLink],
-    blur_px: np.ndarray,
-) -> tuple[tuple[SegmentTruth, ...], dict[str, np.ndarray]]:
-    """Truths of the earlier and the new segments, and the columns of both."""
-    truths = [_renumbered(truth, plan.frame) for truth in sequence.segments]
-    columns = {name: values[plan.frame] for name, values in sequence.frame_truth.items()}
-    added, measured = truths_of(segments, plan, links, blur_px)
-    for name, measure in measured.items():
-        columns[name] = np.maximum(columns.get(name, 0.0), measure)
-    if "exposure_s" in columns:
-        columns["exposure_s"] = plan.exposure_s
-    return (*truths, *added), columns
-
-
-def _renumbered(truth: SegmentTruth, kept: np.ndarray) -> SegmentTruth:
-    """The truth in numbers of the kept frames."""
-    acts = truth.mask(int(kept[-1]) + 1)[kept]
-    runs = true_runs(acts, acts)
-    first, last = (runs[0][0], runs[-1][1]) if runs else (-1, -1)
-    return replace(truth, first_frame=first, last_frame=last, runs=runs)

@@ -43,7 +43,7 @@ class MujocoRenderer:
         self._shape = (camera.height_px, camera.width_px)
         self._frustum = Frustum.of(camera, world)
         self._context = shared_context()
-        self._gl_renderer = gl_info()["renderer"]
+        self._context.make_current()
         starts = range(0, len(world.surfaces), MOST_SURFACES)
         self._parts = [_Part(world, start, camera, self._frustum) for start in starts]
         # Multisampled depth is useless, and parts would show seams: multisampling uses one part of the whole.
@@ -52,11 +52,6 @@ class MujocoRenderer:
         self._rgb = np.empty((*self._shape, 3), np.uint8)
         self._zbuffer = np.empty(self._shape, np.float32)
         self._bias, self._offset_m = self._projection_row()
-
-    @property
-    def gl_renderer(self) -> str:
-        """The GL implementation's own name."""
-        return self._gl_renderer
 
     def render(self, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Render a frame: gray (H, W) uint8, depth (H, W) float32 metres, 0 for none."""
@@ -107,7 +102,7 @@ class MujocoRenderer:
         bias, offset_m = matrix[10], matrix[14]
         near, far = self._frustum.near_m, self._frustum.far_m
         if abs(bias - near / (far - near)) > 1e-6:
-            raise InputError("GL", f"{self._gl_renderer} has no reversed depth", "use Mesa 22 or newer")
+            raise InputError("GL", f"{gl_info()['renderer']} has no reversed depth", "use Mesa 22 or newer")
         return bias, offset_m
 
 

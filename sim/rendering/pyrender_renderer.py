@@ -8,7 +8,6 @@ llvmpipe). It takes one sample per pixel, even if a world requests more: 3.3 % t
 import numpy as np
 
 from dslab.sim.rendering.frustum import NEAR_M, Frustum, bounding_balls
-from dslab.sim.rendering.gl_context import gl_info
 from dslab.sim.rendering.pyrender_pass import Pass
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.worlds.base import Surface, WorldModel, faded_texture
@@ -32,7 +31,6 @@ class PyrenderRenderer:
 
     def __init__(self, world: WorldModel, camera: Intrinsics) -> None:
         self._frustum = Frustum.of(camera, world)
-        self._gl_renderer = gl_info()["renderer"]
         self._centres, self._radii_m = bounding_balls(world.surfaces)
         contrast = world.contrast if len(world.contrast) else np.ones(len(world.surfaces))
         self._scene = pyrender.Scene(bg_color=np.zeros(4))
@@ -52,11 +50,6 @@ class PyrenderRenderer:
         self._gray = np.empty((*shape, 1), np.uint8)
         self._rgb = np.empty((*shape, 3), np.uint8)
         self._zbuffer = np.empty(shape, np.float32)
-
-    @property
-    def gl_renderer(self) -> str:
-        """The GL implementation's own name."""
-        return self._gl_renderer
 
     def render(self, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Render a frame: gray (H, W) uint8, depth (H, W) float32 metres, 0 for none."""

@@ -24,11 +24,6 @@ class Renderer(Protocol):
         """(H, W) int32: index into ``WorldModel.surfaces`` per pixel, -1 for none."""
         ...
 
-    @property
-    def gl_renderer(self) -> str:
-        """The GL implementation's own name, to record beside the frames."""
-        ...
-
     def close(self) -> None:
         """Free the GL resources; the renderer is unusable afterwards."""
         ...

@@ -1,6 +1,6 @@
 """The camera as the simulator and its files know it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -40,6 +40,19 @@ class Intrinsics:
     def K(self) -> np.ndarray:
         """(3, 3) float64 camera matrix."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], float)
+
+    def scaled(self, width_px: int) -> "Intrinsics":
+        """The same view in images of another width, with pixels of the same shape."""
+        scale = width_px / self.width_px
+        return replace(
+            self,
+            width_px=width_px,
+            height_px=max(2, round(self.height_px * scale)),
+            fx=self.fx * scale,
+            fy=self.fy * scale,
+            cx=(self.cx + 0.5) * scale - 0.5,
+            cy=(self.cy + 0.5) * scale - 0.5,
+        )
 
     @property
     def is_pinhole(self) -> bool:

@@ -98,7 +98,6 @@ def small_backend() -> RenderBackend:
             if key not in renderers:
                 # The world is kept too, so that the ids of its surfaces are not given again.
                 renderers[key] = (real.renderer(world, camera), world)
-            self.gl_renderer = renderers[key][0].gl_renderer
             self.render = renderers[key][0].render
             self.render_surface_ids = renderers[key][0].render_surface_ids
 

@@ -37,8 +37,6 @@ SCENARIO = Scenario.model_validate(SPEC)
 class FakeRenderer:
     """A wall 1 m to the left with a texture in vertical stripes; surface k is its k-th metre."""
 
-    gl_renderer = "fake"
-
     def __init__(self, world, camera) -> None:
         self._world, self._camera = world, camera
 

@@ -19,7 +19,7 @@ from scipy.stats import spearmanr
 
 from dslab.sim.degradations.registry import DEGRADATIONS, IMAGE_KINDS
 from dslab.sim.frame_plan import camera_intrinsics, plan_frames
-from dslab.sim.rendering.lens_renderer import lens_renderer
+from dslab.sim.sensors.distortion import Lens
 from dslab.sim.sensors.tone import map_light
 from dslab.sim.sequence_rendering import render_sequence
 
@@ -124,9 +124,11 @@ def test_a_distorting_lens_acts_after_the_light_s_way_to_it(render):
     sequence = render("corridor", segment("over_exposure", stops=1), camera=camera)
     scenario, backend = small_scenario("corridor", camera=camera), small_backend()
     plan, world = plan_frames(scenario, SEED, backend, lambda step, done, total: None)
-    renderer = lens_renderer(partial(backend.renderer, world), camera_intrinsics(scenario.camera))
+    lens = Lens(camera_intrinsics(scenario.camera))
+    renderer = backend.renderer(world, lens.ideal)
     for frame, stops in ((2, 0), (6, 1)):
-        gray, depth_m = renderer.render(plan.motion.T_world_cam(plan.stamps_s[frame]))
+        sharp, ideal_m = renderer.render(plan.motion.T_world_cam(plan.stamps_s[frame]))
+        gray, depth_m = lens.distort(sharp), lens.distort_depth(ideal_m)
         np.testing.assert_array_equal(sequence.depths[frame], depth_m)
         expected = map_light(gray, partial(np.multiply, 2.0**stops))
         np.testing.assert_array_equal(sequence.frames[frame], expected)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from dslab.scenarios.errors import InputError
-from dslab.sim.rendering.lens_renderer import DistortingRenderer, lens_renderer
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sensors.distortion import (
     Lens,
@@ -49,27 +48,17 @@ class Dots:
         spread_px: (N,) size of each dot in this image, standard deviation.
     """
 
-    gl_renderer = "dots"
-    closed = False
-
     def __init__(self, camera: Intrinsics, rays: np.ndarray, spread_px: np.ndarray) -> None:
         self.camera, self._rays, self._spread_px = camera, rays, spread_px
 
-    def render(self, T_world_cam):
+    def render(self):
         c = self.camera
         image = np.zeros((c.height_px, c.width_px))
         u, v = np.arange(c.width_px), np.arange(c.height_px)
         at = self._rays * (c.fx, c.fy) + (c.cx, c.cy)
         for (x, y), spread in zip(at, self._spread_px, strict=True):
             image += np.outer(np.exp(-(((v - y) / spread) ** 2) / 2), np.exp(-(((u - x) / spread) ** 2) / 2))
-        gray = np.rint(250 * np.clip(image, 0, 1)).astype(np.uint8)
-        return gray, np.full(gray.shape, 2.0, np.float32)
-
-    def render_surface_ids(self, T_world_cam):
-        return (self.render(T_world_cam)[0] > 100).astype(np.int32) - 1
-
-    def close(self) -> None:
-        self.closed = True
+        return np.rint(250 * np.clip(image, 0, 1)).astype(np.uint8)
 
 
 def dot_pixels(camera: Intrinsics) -> np.ndarray:
@@ -90,8 +79,8 @@ def test_dots_lie_where_opencv_projects_them(name):
     camera = LENSES[name]
     rays = unproject(camera, dot_pixels(camera))
     spread_px = SIGMA_PX * wide_pixels_per_pixel(camera, dot_pixels(camera))
-    renderer = DistortingRenderer(lambda ideal: Dots(ideal, rays, spread_px), camera)
-    gray, _ = renderer.render(np.eye(4))
+    lens = Lens(camera)
+    gray = lens.distort(Dots(lens.ideal, rays, spread_px).render())
     expected = opencv_pixels(camera, rays)
     np.testing.assert_allclose(expected, dot_pixels(camera), atol=1e-6)
     for x, y in expected:
@@ -185,19 +174,10 @@ def test_the_depth_kernel_agrees_with_python():
 
 def test_labels_are_those_of_the_nearest_pixel():
     rays = unproject(EUROC, np.array([[376.0, 240.0]]))
-    made = []
-
-    def factory(ideal):
-        made.append(Dots(ideal, rays, np.ones(1)))
-        return made[-1]
-
-    renderer = DistortingRenderer(factory, EUROC)
-    labels = renderer.render_surface_ids(np.eye(4))
+    lens = Lens(EUROC)
+    labels = lens.distort_labels((Dots(lens.ideal, rays, np.ones(1)).render() > 100).astype(np.int32) - 1)
     assert labels.shape == (480, 752) and labels.dtype == np.int32 and set(np.unique(labels)) == {-1, 0}
     assert labels[240, 376] == 0 and labels[0, 0] == -1
-    assert renderer.gl_renderer == "dots"
-    renderer.close()
-    assert made[0].closed
 
 
 def test_fine_texture_is_averaged_where_the_lens_compresses_it():
@@ -208,14 +188,6 @@ def test_fine_texture_is_averaged_where_the_lens_compresses_it():
     seen = lens.distort(checks.astype(np.uint8))
     corner = seen[:40, :40].astype(float)
     assert corner.mean() == pytest.approx(127.5, abs=4) and corner.std() < 60
-
-
-def test_only_a_distorted_camera_gets_a_lens():
-    pinhole = Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5, 30.0)
-    rays = np.zeros((1, 2))
-    assert isinstance(lens_renderer(lambda c: Dots(c, rays, np.ones(1)), pinhole), Dots)
-    assert isinstance(lens_renderer(lambda c: Dots(c, rays, np.ones(1)), EUROC), DistortingRenderer)
-    assert not LENSES["ideal fisheye"].is_pinhole
 
 
 @pytest.mark.parametrize(
