@@ -17,7 +17,7 @@ from dslab.sim.rendering.compositing import metric_depth, put_nearer
 from dslab.sim.rendering.frustum import Frustum, bounding_balls
 from dslab.sim.rendering.gl_context import gl_info, shared_context
 from dslab.sim.sensors.camera import Intrinsics
-from dslab.sim.worlds.base import Surface, WorldModel, faded_texture
+from dslab.sim.worlds.base import Surface, WorldModel
 
 # MuJoCo's import must come after sim.rendering.gl_context's, which tells it to load no GL library.
 import mujoco  # isort: skip
@@ -114,11 +114,7 @@ class _Part:
     ) -> None:
         self.start = start
         surfaces = world.surfaces[start : start + MOST_SURFACES]
-        contrast = world.contrast if len(world.contrast) else np.ones(len(world.surfaces))
-        textures = [
-            faded_texture(surface, world.mean_level, float(contrast[start + k]))
-            for k, surface in enumerate(surfaces)
-        ]
+        textures = [world.faded_texture(start + k) for k in range(len(surfaces))]
         low = np.min([s.vertices.min(axis=0) for s in surfaces], axis=0)
         high = np.max([s.vertices.max(axis=0) for s in surfaces], axis=0)
         self._box = np.array(list(product(*zip(low, high, strict=True))))

@@ -10,7 +10,7 @@ import numpy as np
 from dslab.sim.rendering.frustum import NEAR_M, Frustum, bounding_balls
 from dslab.sim.rendering.pyrender_pass import Pass
 from dslab.sim.sensors.camera import Intrinsics
-from dslab.sim.worlds.base import Surface, WorldModel, faded_texture
+from dslab.sim.worlds.base import Surface, WorldModel
 
 # After sim.rendering.pyrender_pass, which prepares the import.
 import pyrender  # isort: skip
@@ -32,14 +32,10 @@ class PyrenderRenderer:
     def __init__(self, world: WorldModel, camera: Intrinsics) -> None:
         self._frustum = Frustum.of(camera, world)
         self._centres, self._radii_m = bounding_balls(world.surfaces)
-        contrast = world.contrast if len(world.contrast) else np.ones(len(world.surfaces))
         self._scene = pyrender.Scene(bg_color=np.zeros(4))
         self._nodes = [
-            self._scene.add(
-                _mesh(surface, centre, faded_texture(surface, world.mean_level, float(faded))),
-                pose=_shift(centre),
-            )
-            for surface, centre, faded in zip(world.surfaces, self._centres, contrast, strict=True)
+            self._scene.add(_mesh(surface, centre, world.faded_texture(index)), pose=_shift(centre))
+            for index, (surface, centre) in enumerate(zip(world.surfaces, self._centres, strict=True))
         ]
         numbers = np.arange(1, len(self._nodes) + 1)
         colours = np.stack([numbers & 255, numbers >> 8 & 255, numbers >> 16], -1).astype(float)

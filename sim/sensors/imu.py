@@ -76,10 +76,6 @@ class ImuModel:
         """The sensor of a scenario."""
         return cls(imu.rate_hz, imu.gyro_noise, imu.gyro_walk, imu.accel_noise, imu.accel_walk)
 
-    def without_noise(self) -> "ImuModel":
-        """The same sensor without noise."""
-        return ImuModel(self.rate_hz, 0.0, 0.0, 0.0, 0.0, self.T_cam_imu)
-
 
 @dataclass(frozen=True)
 class ImuReadings:

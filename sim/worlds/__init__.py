@@ -1,7 +1,7 @@
 """Worlds by kind."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, Protocol
 
 from dslab.scenarios.extensions import note_extension
@@ -61,12 +61,6 @@ def build_world(spec: World, seed: int) -> WorldModel:
     return world
 
 
-@dataclass(frozen=True)
-class _Registered:
-    layout: Callable[[Any, int], Route]
-    build_world: Callable[[Any, int], WorldModel]
-
-
 def register_world(
     model: type[WorldBase],
     layout: Callable[[Any, int], Route],
@@ -84,5 +78,5 @@ def register_world(
         ValueError: the model has no literal kind, or the kind is taken.
     """
     kind = WORLD_KINDS.add(model)
-    WORLDS[kind] = _Registered(layout, build_world)
+    WORLDS[kind] = SimpleNamespace(layout=layout, build_world=build_world)
     note_extension(f"world: {kind}", build_world)

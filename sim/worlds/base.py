@@ -74,8 +74,8 @@ class WorldModel:
     haze: Haze | None = None
     samples: int = 1
 
-
-def faded_texture(surface: Surface, mean_level: float, contrast: float) -> np.ndarray:
-    """(h, w) uint8: the surface's texture with its contrast about ``mean_level`` multiplied."""
-    levels = mean_level + contrast * (np.arange(256) - mean_level)
-    return cv2.LUT(surface.texture, np.clip(np.rint(levels), 0, 255).astype(np.uint8))
+    def faded_texture(self, index: int) -> np.ndarray:
+        """(h, w) uint8: a surface's texture with its contrast about ``mean_level`` multiplied."""
+        contrast = float(self.contrast[index]) if len(self.contrast) else 1.0
+        levels = self.mean_level + contrast * (np.arange(256) - self.mean_level)
+        return cv2.LUT(self.surfaces[index].texture, np.clip(np.rint(levels), 0, 255).astype(np.uint8))

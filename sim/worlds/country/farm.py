@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from dslab.sim.worlds.geometry.meshes import Mesh, Piece, grid_triangles, rise
+from dslab.sim.worlds.geometry.meshes import Mesh, Piece, bumpy_ball, grid_triangles, rise
 from dslab.sim.worlds.geometry.outdoor import Daylight
 from dslab.sim.worlds.geometry.route import arc_length
 
@@ -26,16 +26,9 @@ def stone(spot: np.ndarray, size_m: float, label: str, light: Daylight, rng: np.
         light: daylight that takes its shadow.
         rng: stream of its shape.
     """
-    elevation = np.linspace(np.pi / 2, -np.pi / 2, _STONE_RINGS)[:, None]
-    turn = np.linspace(0, 2 * np.pi, _STONE_SIDES + 1)[None]
-    ball = np.stack(
-        [np.cos(elevation) * np.cos(turn), np.cos(elevation) * np.sin(turn), np.sin(elevation) + 0 * turn],
-        axis=-1,
-    )
-    bumps = rng.uniform(0.75, 1.1, (_STONE_RINGS, _STONE_SIDES + 1))
-    bumps[:, -1], bumps[0], bumps[-1] = bumps[:, 0], bumps[0, 0], bumps[-1, 0]
+    ball, bumps = bumpy_ball(_STONE_RINGS, _STONE_SIDES, (0.75, 1.1), rng)
     shape = size_m / 2 * rng.uniform([0.8, 0.8, 0.6], [1.1, 1.1, 0.95])
-    points = spot + bumps[..., None] * ball * shape
+    points = spot + bumps * ball * shape
     sheet_m = (np.pi * size_m, np.pi * size_m / 2)
     u, v = np.meshgrid(np.linspace(0, sheet_m[0], _STONE_SIDES + 1), np.linspace(0, sheet_m[1], _STONE_RINGS))
     mesh = Mesh()

@@ -95,6 +95,19 @@ def grid_triangles(rows: int, columns: int) -> np.ndarray:
     return faces.reshape(-1, 3)
 
 
+def bumpy_ball(
+    rows: int, sides: int, radii: tuple[float, float], rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """(rows, sides + 1, 3) unit vectors from pole to pole, and (rows, sides + 1, 1) uneven radii."""
+    elevation = np.linspace(np.pi / 2, -np.pi / 2, rows)[:, None]
+    turn = np.linspace(0, 2 * np.pi, sides + 1)[None]
+    bumps = rng.uniform(*radii, (rows, sides + 1))
+    bumps[:, -1], bumps[0], bumps[-1] = bumps[:, 0], bumps[0, 0], bumps[-1, 0]
+    level = np.cos(elevation)
+    ball = np.stack([level * np.cos(turn), level * np.sin(turn), np.sin(elevation) + 0 * turn], axis=-1)
+    return ball, bumps[..., None]
+
+
 @dataclass(frozen=True)
 class Sheet:
     """A large drawing shared by several pieces, which then meet without a seam.

@@ -43,6 +43,11 @@ class Panel:
         along = np.asarray(u)[..., None] * self.width_m * self.right
         return self.corner + along + np.asarray(v)[..., None] * self.height_m * self.down
 
+    def cells(self, step_m: float) -> np.ndarray:
+        """(rows, columns, 3) world points, the middles of cells of about ``step_m``, at least 2 by 2."""
+        rows, columns = (max(2, round(side / step_m)) for side in (self.height_m, self.width_m))
+        return self.points(*np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows))
+
     def surface(self, texture: np.ndarray) -> Surface:
         """The panel with a texture whose rows run downward, slightly enlarged."""
         u, v = np.array([0.0, 1.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0, 1.0])

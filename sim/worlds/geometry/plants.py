@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dslab.sim.worlds.geometry.meshes import Mesh, Piece, grid_triangles, rise
+from dslab.sim.worlds.geometry.meshes import Mesh, Piece, bumpy_ball, grid_triangles, rise
 
 _SHEET_M = (6.0, 5.0)
 _BARK_M = (5.25, 0.75)  # where the bark begins on the sheet, and how wide it is
@@ -122,15 +122,8 @@ def _crowns(
 
 def _blob(mesh: Mesh, centre: np.ndarray, radius_m: float, rng: np.random.Generator) -> None:
     """A bumpy ball, and faces at and about its surface that look mostly outward."""
-    elevation = np.linspace(np.pi / 2, -np.pi / 2, _RINGS + 1)[:, None]
-    turn = np.linspace(0, 2 * np.pi, _SIDES + 1)[None]
-    bumps = rng.uniform(0.72, 0.95, (_RINGS + 1, _SIDES + 1))
-    bumps[:, -1], bumps[0], bumps[-1] = bumps[:, 0], bumps[0, 0], bumps[-1, 0]
-    ball = np.stack(
-        [np.cos(elevation) * np.cos(turn), np.cos(elevation) * np.sin(turn), np.sin(elevation) + 0 * turn],
-        axis=-1,
-    )
-    points = (centre + radius_m * _SQUASHED * bumps[..., None] * ball).reshape(-1, 3)
+    ball, bumps = bumpy_ball(_RINGS + 1, _SIDES, (0.72, 0.95), rng)
+    points = (centre + radius_m * _SQUASHED * bumps * ball).reshape(-1, 3)
     low, size = rng.uniform([0, 0], [2.4, 2.2]), np.array([2.6, 2.6])
     u, v = np.meshgrid(np.linspace(0, 1, _SIDES + 1), np.linspace(0, 1, _RINGS + 1))
     mesh.add(

@@ -26,9 +26,7 @@ class Lamplight:
 
     def gain(self, panel: Panel) -> np.ndarray:
         """(rows, columns) float32 factors about 1, one per cell of a coarse grid over the panel."""
-        rows, columns = (max(2, round(side / _GRID_M)) for side in (panel.height_m, panel.width_m))
-        u, v = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
-        return self._factor(panel.points(u, v), panel.normal)
+        return self._factor(panel.cells(_GRID_M), panel.normal)
 
     def piece_gain(self, piece: Piece) -> np.ndarray:
         """(rows, 1) float32 factors down a piece's sheet, at the places that its rows show."""

@@ -30,10 +30,7 @@ class Light:
 
     def gain(self, panel: Panel) -> np.ndarray:
         """(rows, columns) float32 factors about 1, one per cell of a coarse grid over the panel."""
-        rows = max(2, round(panel.height_m / _GRID_M))
-        columns = max(2, round(panel.width_m / _GRID_M))
-        u, v = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
-        points = panel.points(u, v)
+        points = panel.cells(_GRID_M)
         gain = (0.62 + 0.45 * self._lamp_light(points, panel.normal)) * self._ambient(points, panel.normal)
         return np.clip(gain, _DARKEST, _BRIGHTEST).astype(np.float32)
 

@@ -22,6 +22,10 @@ def walk() -> PoseSpline:
     return plan_walk(ROUTE, Trajectory(), 10.0, seed=4)
 
 
+def without_noise(model: ImuModel) -> ImuModel:
+    return ImuModel(model.rate_hz, 0.0, 0.0, 0.0, 0.0, model.T_cam_imu)
+
+
 def integrate(gyro, accel, rate_hz, T_world_imu, velocity):
     """(M, 4, 4) poses of the sensor, each step with the mean of its two readings."""
     dt = 1 / rate_hz
@@ -40,7 +44,7 @@ def integrate(gyro, accel, rate_hz, T_world_imu, velocity):
 
 
 def test_perfect_readings_integrate_to_the_trajectory(walk):
-    model = ImuModel().without_noise()
+    model = without_noise(ImuModel())
     readings, truth = record_imu(walk, FRAMES_S, 0, model)
     true = walk.T_world_cam(readings.stamps_s) @ model.T_cam_imu
     poses = integrate(readings.gyro_radps, readings.accel_mps2, 200, true[0], truth.velocity_mps[0])
@@ -77,7 +81,7 @@ def noise(model: ImuModel, walk: PoseSpline, seed: int, seconds: float = 10.0):
     """Errors of the readings, gyro and accelerometer, (M, 3) each."""
     stamps_s = np.arange(0, seconds + 1e-9, 0.1)
     noisy, _ = record_imu(walk, stamps_s, seed, model)
-    ideal, _ = record_imu(walk, stamps_s, seed, model.without_noise())
+    ideal, _ = record_imu(walk, stamps_s, seed, without_noise(model))
     return noisy.gyro_radps - ideal.gyro_radps, noisy.accel_mps2 - ideal.accel_mps2
 
 
