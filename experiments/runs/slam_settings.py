@@ -148,10 +148,12 @@ def unit_and_range(field: Mapping[str, Any]) -> str:
     """A field's unit and its bounds, as far as they are not those of all: ``px, more than 0``."""
     above, least, most = (field.get(key) for key in ("exclusiveMinimum", "minimum", "maximum"))
     words = [field.get("unit", "")]
-    if most is not None and most < MOST:
+    if above is None and most is not None and most < MOST:
         words.append(f"{least:g} to {most:g}")
-    elif above is not None or least:
-        words.append(f"more than {above:g}" if above is not None else f"{least:g} or more")
+    else:
+        words.append(f"more than {above:g}" if above is not None else f"{least:g} or more" if least else "")
+        words.append(f"at most {most:g}" if most is not None and most < MOST else "")
+    words.append(f"below {field['exclusiveMaximum']:g}" if "exclusiveMaximum" in field else "")
     return ", ".join(filter(None, words))
 
 

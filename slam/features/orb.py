@@ -22,37 +22,28 @@ _BLUR = cv2.getGaussianKernel(7, 2)
 class OrbConfig:
     """Settings of the extractor."""
 
-    n_features: int = setting(1000, "most features per image", gt=0)
-    n_levels: int = setting(8, "levels of the pyramid", gt=0)
-    scale_factor: float = setting(1.2, "ratio of the sizes of neighbouring levels", gt=1)
-    fast_threshold: int = setting(20, "contrast that a corner must exceed", unit=GREY)
+    n_features: int = setting(1000, "most features per image", ge=1)
+    n_levels: int = setting(8, "levels of the pyramid", ge=1, le=32)
+    scale_factor: float = setting(1.2, "ratio of the sizes of neighbouring levels", gt=1, le=4)
+    fast_threshold: int = setting(20, "contrast that a corner must exceed", unit=GREY, ge=1, le=254)
     fast_min_threshold: int = setting(
-        7, "contrast that a corner must exceed in cells where none exceeds fast_threshold", unit=GREY
+        7, "contrast that a corner must exceed in cells where none exceeds fast_threshold", unit=GREY, ge=1
     )
-    cell_px: int = setting(30, "side of the cells, in pixels of each level", gt=0)
+    cell_px: int = setting(30, "side of the cells, in pixels of each level", ge=4)
     subpixel: bool = setting(True, "find corners between pixels; false: at whole ones, as in ORB-SLAM")
     noise_px: float = setting(
-        0.5, "standard deviation of a corner, on which all bounds of errors rest; ORB-SLAM's is 1"
+        0.5,
+        "standard deviation of a corner, on which bounds of errors rest; ORB-SLAM's is 1",
+        gt=0,
+        le=10,
     )
     faint_share: float = setting(
-        1.0, "share of n_features that faint corners make up; 0: none, as in ORB-SLAM"
+        1.0, "share of n_features that faint corners make up; 0: none, as in ORB-SLAM", le=1
     )
 
     def __post_init__(self) -> None:
-        """Raise ValueError naming the first field that is out of range."""
-        checks = {
-            "n_features": self.n_features >= 1,
-            "n_levels": 1 <= self.n_levels <= 32,
-            "scale_factor": 1 < self.scale_factor <= 4,
-            "fast_threshold": 1 <= self.fast_threshold <= 254,
-            "fast_min_threshold": 1 <= self.fast_min_threshold <= self.fast_threshold,
-            "cell_px": self.cell_px >= 4,
-            "noise_px": 0 < self.noise_px <= 10,
-            "faint_share": 0 <= self.faint_share <= 1,
-        }
-        for name, holds in checks.items():
-            if not holds:
-                raise ValueError(f"OrbConfig.{name} is out of range: {getattr(self, name)}")
+        if self.fast_min_threshold > self.fast_threshold:
+            raise ValueError("fast_min_threshold is above fast_threshold, lower it")
 
     @cached_property
     def scales(self) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from collections import deque
 from dataclasses import dataclass
-from typing import get_args
 
 import numpy as np
 
@@ -38,11 +37,6 @@ class InitializationConfig:
     max_between: int = setting(100, "most frames kept between the two views, tracked afterwards")
     two_view: TwoViewConfig = setting(TwoViewConfig(), "geometry of two views")
     second_motion: SecondMotionConfig = setting(SecondMotionConfig(), "judgement of another motion")
-
-    def __post_init__(self) -> None:
-        known = get_args(MatcherKind)
-        if self.matcher not in known:
-            raise ValueError(f"unknown matcher {self.matcher!r}: one of {', '.join(known)}")
 
 
 @dataclass(frozen=True)

@@ -114,7 +114,7 @@ def test_a_thread_is_as_the_system_except_for_what_its_own_settings_say(tmp_path
         ("orb:\n  n_feature: 3\n", ":2: orb.n_feature", "n_features (did you mean that?)"),
         ("orb: 3\n", ":1: orb", "is no mapping"),
         ("tracking: {min_inliers: many}\n", ":1: tracking.min_inliers", "valid integer"),
-        ("orb: {n_features: 0}\n", ":1: orb.n_features", "greater than 0"),
+        ("orb: {n_features: 0}\n", ":1: orb.n_features", "equal to 1"),
         ("orb: {scale_factor: 1}\n", ":1: orb.scale_factor", "greater than 1"),
         ("tracking:\n  keyframe_share: 1.5\n", ":2: tracking.keyframe_share", "less than or equal to 1"),
         ("relocalization: {radii_px: [10, -1]}\n", ":1: relocalization.radii_px[1]", "equal to 0"),
