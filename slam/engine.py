@@ -27,6 +27,7 @@ from dslab.slam.mapping.local_mapping import LocalMapper
 from dslab.slam.mapping.self_calibration import SelfCalibration
 from dslab.slam.place_search import PlaceSearch
 from dslab.slam.runtime.backend import (
+    Adjusted,
     Backend,
     Calibrated,
     Change,
@@ -34,7 +35,6 @@ from dslab.slam.runtime.backend import (
     ExecutionMode,
     KeyframeTask,
     Mapped,
-    Prepared,
     Refused,
     Searched,
 )
@@ -64,7 +64,6 @@ class SlamEngine:
         backend: mapping and loop closing.
         timer: of the tracking thread.
         frames: number of frames processed so far.
-        newest: the newest frame.
         corrections: number of times that mapped keyframes were moved by loop closing.
         second_motion: the other motion that the current map's start may have had, None once it is ruled out.
         remembered: what recovery threads have found in images; None unless it is kept.
@@ -80,7 +79,7 @@ class SlamEngine:
         self.timer = StageTimer()
         self.store = MapStore(config)
         self.frames = self.corrections = 0
-        self.newest: Frame | None = None
+        self._newest: Frame | None = None
         self.remembered: Remembered | None = None
         self._self_calibration = SelfCalibration(config.self_calibration)
         self.backend = Backend(self._apply, mode, self._self_calibration)
@@ -94,6 +93,13 @@ class SlamEngine:
         self._image = np.empty((0, 0), np.uint8)  # of the newest frame
         self._mapping_cpu_ms = self._loop_cpu_ms = 0.0
         self._last_stamp_s = -np.inf
+
+    @property
+    def newest(self) -> Frame:
+        """The newest frame."""
+        if self._newest is None:
+            raise RuntimeError("there is no frame yet")
+        return self._newest
 
     @property
     def tracker(self) -> Tracker:
@@ -123,10 +129,10 @@ class SlamEngine:
         # A frame that is not offered for a start needs no more features than others.
         dense = self.state is _SEEKING and not self.search.undecided
         self._image = image
-        self.newest = Frame(self._features(self.frames, stamp_s, dense))
+        self._newest = frame = Frame(self._features(self.frames, stamp_s, dense))
         self.frames += 1
         self.backend.collect()
-        return self.newest
+        return frame
 
     def again(self, frame: Frame) -> Frame:
         """The newest frame once more, without pose and matches, with as many features as tracked frames have.
@@ -295,6 +301,10 @@ class SlamEngine:
         """Add an event of the current map."""
         self.emit_at(frame, kind, self.store.current_id, **fields)
 
+    def emit_now(self, kind: type[ev.Event], map_id: int, **fields) -> None:
+        """Add an event of a map at the newest frame."""
+        self.emit_at(self.newest, kind, map_id, **fields)
+
     def emit_at(self, frame: Frame, kind: type[ev.Event], map_id: int, **fields) -> None:
         """Add an event of a map."""
         features = frame.features
@@ -442,13 +452,13 @@ class SlamEngine:
             if self.state is TrackingState.TRACKING and self._may_refine_camera():  # not broken meanwhile
                 refined = take_refinement(change, self._frames_in_work(), self.emit_at)
                 self.camera = refined or self.camera
-        elif isinstance(change, Prepared):
-            with self.timer(change.stage) if change.stage else nullcontext():
-                change.take_over()
-        else:
+        elif isinstance(change, Adjusted):
             self._loop_cpu_ms += change.cpu_ms
             self.corrections += 1
             take_adjustment(change, self.emit_at)
+        elif change.is_still_valid():
+            with self.timer(change.stage) if change.stage else nullcontext():
+                change.commit()
 
     def _frames_in_work(self) -> list[Frame]:
         """Frames whose features are still to be used."""

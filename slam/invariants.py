@@ -137,7 +137,7 @@ def _check_frame_numbers(system: MonocularSystem, m: Map) -> None:
 
 def _check_poses(system: MonocularSystem, map_id: int, m: Map) -> None:
     """Check that every frame pose refers to an existing keyframe and that times increase."""
-    poses = system.engine.store.poses._poses.get(map_id, {})
+    poses = system.engine.store.poses.of(map_id)
     require(poses, "no frame has a pose")
     require(all(0 <= n < system.frames for n in poses), "a pose of a future frame")
     keyframes = np.array([pose.keyframe for pose in poses.values()])
@@ -162,7 +162,7 @@ def _check_current_map(system: MonocularSystem) -> None:
     m = system.current_map
     require(system.tracker.map is m, "the tracker works in another map")
     require(system.mapper.map is m, "the mapper works in another map")
-    young = system.mapper._young
+    young = system.mapper.young
     require(((young >= 0) & (young < m.n_points)).all(), "the mapper watches a point that does not exist")
     if system.state is TrackingState.TRACKING:
         _check_last(system.tracker.last, m)
@@ -182,15 +182,15 @@ def _check_map_ids(system: MonocularSystem) -> None:
     """Check that poses and places belong to existing maps."""
     for map_id in system.maps():
         require(system.map(map_id).map_id == map_id, f"map {map_id} has another number")
-    require(set(system.engine.store.poses._poses) <= set(system.maps()), "poses of a map that does not exist")
-    for map_id, places in system.engine.store._places.items():
+    require(system.engine.store.poses.maps() <= set(system.maps()), "poses of a map that does not exist")
+    for map_id, places in system.engine.store.known_places.items():
         require(map_id in system.maps(), f"places of map {map_id}, which does not exist")
         right = places.loops.map is places.relocalizer.map is system.map(map_id)
         require(right, f"places of map {map_id} are those of another one")
 
 
 def _check_dual(system: DualSlam) -> None:
-    saved, frames = system.engine.store.saved, list(system.buffer._frames)
+    saved, frames = system.engine.store.saved, list(system.buffer)
     require(len(set(saved)) == len(saved), "a map is saved twice")
     require(set(saved) <= set(system.maps()), "a saved map does not exist")
     if system.state is TrackingState.TRACKING:

@@ -119,6 +119,11 @@ class MapStore:
             self._places[map_id] = Places.of(self._maps[map_id], self._config)
         return self._places[map_id]
 
+    @property
+    def known_places(self) -> dict[int, Places]:
+        """Place recognition in the maps where it was ever asked for, by their ids."""
+        return self._places
+
     def note_loss(self, map_id: int, loss: Loss) -> None:
         """Put down that tracking was lost in a map."""
         self._losses[map_id] = loss

@@ -36,6 +36,10 @@ class FeatureBuffer:
     def __len__(self) -> int:
         return len(self._frames)
 
+    def __iter__(self) -> Iterator[FrameFeatures]:
+        """The frames, oldest first."""
+        return iter(self._frames)
+
     def append(self, features: FrameFeatures, image: np.ndarray | None = None) -> None:
         """Add the newest frame; frames older than the span (while frozen: the cap) leave.
 

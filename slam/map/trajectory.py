@@ -38,19 +38,27 @@ class FramePoses:
 
     def take_back(self, map_id: int, first_frame: int, last_frame: float = inf) -> tuple[int, ...]:
         """Remove the poses of a map's frames from the first to the last; their indices, in order."""
-        poses = self._poses.get(map_id, {})
+        poses = self.of(map_id)
         taken = tuple(sorted(index for index in poses if first_frame <= index <= last_frame))
         for index in taken:
             del poses[index]
         return taken
 
+    def maps(self) -> set[int]:
+        """Ids of the maps that have poses."""
+        return set(self._poses)
+
+    def of(self, map_id: int) -> dict[int, _Pose]:
+        """The poses of a map's frames, by the frame's index."""
+        return self._poses.get(map_id, {})
+
     def count(self, map_id: int) -> int:
         """Number of tracked frames of a map."""
-        return len(self._poses.get(map_id, {}))
+        return len(self.of(map_id))
 
     def rescale(self, map_id: int, factor: np.ndarray) -> None:
         """Follow a map whose lengths have changed by ``factor`` (n_keyframes,) around each keyframe."""
-        poses = self._poses.get(map_id, {})
+        poses = self.of(map_id)
         for index, pose in poses.items():
             if factor[pose.keyframe] != 1.0:
                 T = pose.T_cam_keyframe.copy()
@@ -74,7 +82,7 @@ class FramePoses:
 
     def trajectory(self, map_id: int, map_: Map) -> MapTrajectory:
         """Trajectory of a map's frames in the current map."""
-        poses = self._poses.get(map_id, {})
+        poses = self.of(map_id)
         frames = sorted(poses)
         T_map_cam = np.empty((len(frames), 4, 4))
         for i, index in enumerate(frames):

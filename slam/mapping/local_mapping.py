@@ -107,6 +107,11 @@ class LocalMapper:
             kernels.erase_observations(a, obs_keypoint[~good], MIN_OBSERVATIONS)
             kernels.refresh_geometries(a, points, view.scale)
 
+    @property
+    def young(self) -> np.ndarray:
+        """(n,) points that are still watched, as they may be dropped."""
+        return self._young
+
     def rebase(self, map_: Map) -> None:
         """Continue in a map that has absorbed this mapper's; young points are no longer checked."""
         self.map = map_

@@ -7,6 +7,7 @@ made on a copy of a map: a corrected loop, a fusion.
 """
 
 import threading
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
@@ -116,24 +117,32 @@ class Calibrated:
     cpu_ms: float
 
 
-TakeOver = Callable[[], None]
-"""Takes over what was made on copies of maps."""
-
-
-@dataclass(frozen=True)
-class Prepared:
-    """What was made on copies of maps, which have not changed since.
+class MapChange(ABC):
+    """A change of maps that is prepared beside tracking, on copies, and committed between two frames.
 
     Attributes:
-        take_over: makes it valid.
-        stage: name under which its time is measured; empty for none.
+        stage: name under which the time of its commit is measured; empty for none.
     """
 
-    take_over: TakeOver
-    stage: str
+    stage = ""
+
+    @abstractmethod
+    def prepare(self) -> bool:
+        """Make the change on copies; False if there is nothing to commit.
+
+        It changes no map, and may read and copy maps without the lock.
+        """
+
+    @abstractmethod
+    def is_still_valid(self) -> bool:
+        """Return True if what it was prepared for still stands; asked just before the commit."""
+
+    @abstractmethod
+    def commit(self) -> None:
+        """Put what was prepared in the place of what it was copied from."""
 
 
-Change = Mapped | Corrected | Adjusted | Refused | Searched | Calibrated | Prepared
+Change = Mapped | Corrected | Adjusted | Refused | Searched | Calibrated | MapChange
 
 
 @dataclass
@@ -190,22 +199,16 @@ class Backend:
         self.in_work.append(task)
         self._on(0, lambda: self._map(task))
 
-    def beside(self, prepare: Callable[[], TakeOver | None], stage: str = "") -> None:
-        """Change maps on copies of them, which are taken over between two frames; in lockstep at once.
+    def beside(self, change: MapChange) -> None:
+        """Prepare a change after what was submitted before, to be committed between two frames.
 
         No keyframe or point is added or removed from the beginning of the preparation to the end of the
-        take-over: tracking goes on, and keyframes that it asks for meanwhile wait.
-
-        Args:
-            prepare: called after what has been submitted before; it changes no map, and returns how its
-                result is taken over, or None if there is nothing to take over. It may read and copy maps
-                without the lock.
-            stage: name under which the time of the take-over is measured; empty for none.
+        commit: tracking goes on, and keyframes that it asks for meanwhile wait.
 
         Raises:
             Exception: the exception of an earlier task on its thread.
         """
-        self._on(1, lambda: self._prepare(prepare, stage))
+        self._on(1, lambda: self._prepare(change))
 
     def collect(self) -> None:
         """Apply the changes handed over by the threads since the last call; none in lockstep."""
@@ -256,11 +259,10 @@ class Backend:
             self._calibrate(task, task.camera, self._calibration)
         self.in_work.remove(task)
 
-    def _prepare(self, prepare: Callable[[], TakeOver | None], stage: str) -> None:
+    def _prepare(self, change: MapChange) -> None:
         with self._gate:
-            take_over = prepare()
-            if take_over is not None:
-                self._hand_over(Prepared(take_over, stage), wait=True)
+            if change.prepare():
+                self._hand_over(change, wait=True)
 
     def _close_loop(self, task: KeyframeTask, keyframe: int) -> None:
         map_, timer = task.mapper.map, StageTimer()

@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
+from dslab.slam.core.relation import Relation
 from dslab.slam.core.settings import setting, settings
 from dslab.slam.loop_closing.correction import move_map
 from dslab.slam.loop_closing.essential_graph import essential_edges
@@ -12,11 +14,13 @@ from dslab.slam.loop_closing.map_alignment import Agreement, Alignment, Sim3Alig
 from dslab.slam.loop_closing.place_check import PlaceCheckConfig
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.map import Map
+from dslab.slam.map.relation import fusion_relation
 from dslab.slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
 from dslab.slam.matching.guided import fuse_into_keyframe
 from dslab.slam.optimization.pose_graph import optimize_pose_graph
 from dslab.slam.optimization.sim3 import sim3_decompose, sim3_inverse
 from dslab.slam.optimization.sim3_algebra import invert_sim3
+from dslab.slam.places.recognition import BowVector, shipped_vocabulary
 
 
 @settings
@@ -87,6 +91,59 @@ def fuse(
     is_new = ~old.arrays.kf_bad[: old.n_keyframes] & (np.arange(old.n_keyframes) >= keyframes)
     LocalMapper(old, mapping).adjust_keyframes(is_new)
     return Fused(keyframes, points, factor)
+
+
+@dataclass(frozen=True)
+class FusedMaps:
+    """Two maps fused on copies, to be put in their place between two frames.
+
+    Attributes:
+        old_id, new_id: the maps; the old one's frame is kept.
+        map: the fused copy, with the old one's id.
+        fused: position of the new map's rows in it.
+        accepted: the alignment.
+        relation: what the fusion asserts.
+        bows: bags of words of the new map's keyframes, by their rows in the fused map.
+    """
+
+    old_id: int
+    new_id: int
+    map: Map
+    fused: Fused
+    accepted: Alignment
+    relation: Relation
+    bows: dict[int, BowVector]
+
+    @classmethod
+    def of(
+        cls,
+        old: Map,
+        new: Map,
+        alignments: Sequence[Alignment],
+        mapping: LocalMappingConfig,
+        renewed_until: int | None = None,
+    ) -> Self:
+        """Fuse copies of two maps.
+
+        Args:
+            old: left unchanged.
+            new: a copy already; changed, and not to be used afterwards.
+            alignments, mapping: as for :func:`fuse`.
+            renewed_until: last frame of the old map that a recovery has covered again, so that nothing is
+                asserted of the old map after the seam; None without a recovery.
+        """
+        accepted, last = alignments[-1], None if renewed_until is None else seam_frame(old, alignments)
+        map_ = old.copy()
+        fused = fuse(map_, new, alignments, mapping, -1 if renewed_until is None else renewed_until)
+        relation = fusion_relation(
+            map_, fused.keyframes, accepted.old_keyframe, accepted.new_keyframe + fused.keyframes, last
+        )
+        rows, vocabulary = map_.keyframes(), shipped_vocabulary()
+        bows = {
+            int(k): vocabulary.transform(map_.features(int(k)).descriptors)
+            for k in rows[rows >= fused.keyframes]
+        }
+        return cls(old.map_id, new.map_id, map_, fused, accepted, relation, bows)
 
 
 def seam_frame(old: Map, alignments: Sequence[Alignment]) -> int:

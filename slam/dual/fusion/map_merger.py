@@ -1,199 +1,79 @@
-"""Map merger: fuses maps that a recovery has aligned, or a place.
+"""Map merger: puts a fused map in the place of two, between two frames.
 
-As a loop is corrected, so are maps fused: on copies, beside tracking, after the keyframes and loops that come
-before (``Backend.beside``). The copies take the place of the maps between two frames. No keyframe or point is
-added meanwhile, so that nothing of the maps is lost; what tracking has done is carried over: the poses of its
-frames, and those that wait to become keyframes.
+No keyframe or point was added since the maps were copied (``Backend.beside``). What tracking has done since
+is carried over: the poses of its frames, and those that wait to become keyframes.
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from dataclasses import dataclass
 
 from dslab.slam.core import events as ev
 from dslab.slam.core.frame import Frame
-from dslab.slam.dual.fusion.fuse import FusionConfig, seam_frame
-from dslab.slam.dual.fusion.merge_recovered import Recovered, Whereabouts, in_present_map, merge_recovered
-from dslab.slam.dual.fusion.place_merging import PlaceMerger, inverted
-from dslab.slam.dual.fusion.prepared import PreparedFusion
-from dslab.slam.dual.fusion.rebase import rebase_frames, rebase_tracking
+from dslab.slam.core.relation import Relation
+from dslab.slam.dual.fusion.fuse import Fused, FusedMaps
 from dslab.slam.engine import SlamEngine
 from dslab.slam.loop_closing.map_alignment import Alignment
+from dslab.slam.map._map_kernels import resolve_points
 from dslab.slam.map.map import Map
-from dslab.slam.map.relation import Relation
 from dslab.slam.map_store import Loss
-from dslab.slam.runtime.backend import TakeOver
 
 STAGE = "fusion"
-"""Stage of a frame in which the tracking thread takes over a fusion."""
+"""Stage of a frame in which the tracking thread commits a fusion."""
+
+
+@dataclass(frozen=True)
+class RowOffsets:
+    """Position of a map's rows in the map that has absorbed it, or in itself.
+
+    Attributes:
+        map_id: the map that holds them.
+        keyframes, points: number of rows before them.
+    """
+
+    map_id: int
+    keyframes: int = 0
+    points: int = 0
 
 
 class MapMerger:
-    """Fuses maps; tracker, mapper, frame poses and the list of saved maps follow.
+    """Commits fusions; tracker, mapper, frame poses and the list of saved maps follow.
 
     Args:
         engine: of the maps.
-        by_place: acceptance of a saved map that is recognised by its places; None for never.
-        fused: called after every fusion, on the tracking thread.
+        on_fusion: called after every fusion with the map that is left.
     """
 
-    def __init__(self, engine: SlamEngine, by_place: FusionConfig | None, fused: Callable[[], None]) -> None:
-        self._engine = engine
-        self._places = PlaceMerger(by_place, engine.config.place, engine.seed) if by_place else None
-        self._fused = fused
-        self._corrections = 0
-        self._searching = False
-        self._absorbed: dict[int, Whereabouts] = {}
+    def __init__(self, engine: SlamEngine, on_fusion: Callable[[Map], None]) -> None:
+        self.engine = engine
+        self._on_fusion = on_fusion
+        self._absorbed: dict[int, RowOffsets] = {}
 
-    # -- on the tracking thread --------------------------------------------------------------------------
-
-    def merge_recovered(self, found: Recovered) -> None:
-        """Merge a recovery's extended copy into the new map, and fuse that with the old one.
-
-        Both maps may have changed since the recovery started. If they can no longer be fused, event
-        ``fusion`` says why; if the new map is no longer there, nothing happens.
-
-        Args:
-            found: by the recovery; its extended map is not to be used afterwards.
-        """
-        self._engine.backend.beside(partial(self._prepare_recovered, found), STAGE)
-
-    def merge_by_place(self) -> None:
-        """Search the saved maps for the current map's newest keyframes; fuse with one that they recognise."""
-        store, places = self._engine.store, self._places
-        if places is None or self._searching or not store.saved or not places.is_due(store.current):
-            return
-        self._searching = True
-        self._engine.backend.beside(partial(self._prepare_by_place, places), STAGE)
-
-    def merge_found(self, map_id: int, frames: Sequence[Frame]) -> None:
-        """Fuse the current map with a saved one in which frames of it have been confirmed.
-
-        Args:
-            map_id: the saved map.
-            frames: tracked in it; those that are keyframes of the current map relate the two.
-        """
-        if self._places is not None:
-            self._searching = True
-            self._engine.backend.beside(partial(self._prepare_found, self._places, map_id, frames), STAGE)
-
-    def skip_present_keyframes(self) -> None:
-        """Search no place of a keyframe that the current map has now."""
-        if self._places is not None and self._engine.store.current_id in self._engine.store:
-            self._places.skip(self._engine.store.current)
-
-    # -- beside tracking, where no keyframe or point is added meanwhile ----------------------------------
-
-    def _prepare_recovered(self, found: Recovered) -> TakeOver | None:
-        engine, accepted = self._engine, found.alignments[-1]
-        if found.new_id not in engine.store:
-            return None
-        new, old_id = engine.store[found.new_id].copy(), self._whereabouts(accepted.old_map_id).map_id
-        alignments = [self._in_present_map(found, a) for a in found.alignments]
-        refuse = partial(self._refuse, old_id, new.map_id, "recovery", accepted)
-        if alignments[-1] is None:
-            return partial(refuse, "old_map_has_changed")
-        merged = merge_recovered(new, found.extended, found.keyframes, found.points)
-        if merged is None:
-            return partial(refuse, "new_map_has_changed")
-        moved = [merged.moved(a, new) for a in alignments if a is not None]
-        seam = seam_frame(engine.store[old_id], moved)
-        prepared = self._prepare(engine.store[old_id], new, moved, found.since)
-        rebase_frames(found.frames, merged.keyframes, prepared.fused, moved[-1].scale)
-
-        def take_over() -> None:
-            self._withdraw_passed_over(engine.store[old_id], seam, found)
-            self._take_over(prepared, "recovery")
-            for tracked in found.frames:
-                if tracked.features.index > seam:
-                    engine.store.poses.add(old_id, tracked)
-
-        return take_over
-
-    def _whereabouts(self, map_id: int) -> Whereabouts:
-        """Where the rows of a map are, also if others have absorbed it."""
-        at = Whereabouts(map_id)
+    def find(self, map_id: int) -> RowOffsets:
+        """Position of a map's rows, also if others have absorbed it."""
+        at = RowOffsets(map_id)
         while at.map_id in self._absorbed:
             by = self._absorbed[at.map_id]
-            at = Whereabouts(by.map_id, at.keyframes + by.keyframes, at.points + by.points)
+            at = RowOffsets(by.map_id, at.keyframes + by.keyframes, at.points + by.points)
         return at
 
-    def _in_present_map(self, found: Recovered, alignment: Alignment) -> Alignment | None:
-        """The alignment with the old map as it is now; None if it no longer holds."""
-        then = next(m for m in found.old_maps if m.map_id == alignment.old_map_id)
-        at = self._whereabouts(alignment.old_map_id)
-        if at.map_id not in self._engine.store:
-            return None
-        return in_present_map(alignment, self._engine.store[at.map_id], then, at)
+    def has_both(self, fusion: FusedMaps) -> bool:
+        """Return True if both maps of a fusion are still there."""
+        return fusion.old_id in self.engine.store and fusion.new_id in self.engine.store
 
-    def _prepare_by_place(self, places: PlaceMerger) -> TakeOver | None:
-        engine, store = self._engine, self._engine.store
-        if self._corrections != engine.corrections:
-            self._corrections = engine.corrections
-            places.reset_alignments()
-        current, saved = store.current, [store[k] for k in store.saved]
-        alignments = places.search(current, saved, store.places, engine.backend.lock)
-        self._searching, refused = False, tuple(places.refused)
-        if not (alignments or refused):
-            return None
-        prepared = self._prepare_joined(current, alignments) if alignments else None
-        fusions = len(self._absorbed)
-
-        def take_over() -> None:
-            for alignment, reason in refused:
-                self._refuse(alignment.old_map_id, current.map_id, "place", alignment, reason)
-            if prepared is not None and fusions == len(self._absorbed):
-                self._take_over(prepared, "place")
-
-        return take_over
-
-    def _prepare_found(self, places: PlaceMerger, map_id: int, frames: Sequence[Frame]) -> TakeOver | None:
-        store, fusions = self._engine.store, len(self._absorbed)
-        self._searching = False
-        if map_id not in store.saved:  # joined meanwhile
-            return None
-        alignments = places.of_frames(store.current, store[map_id], frames)
-        if not alignments:
-            return None
-        prepared = self._prepare_joined(store.current, alignments)
-
-        def take_over() -> None:
-            if fusions == len(self._absorbed):
-                self._take_over(prepared, "place")
-
-        return take_over
-
-    def _prepare_joined(self, current: Map, alignments: Sequence[Alignment]) -> PreparedFusion:
-        """Fuse the current map with a saved one; the older of the two keeps its frame."""
-        saved = self._engine.store[alignments[-1].old_map_id]
-        if saved.map_id < current.map_id:
-            return self._prepare(saved, current.copy(), alignments)
-        return self._prepare(current, saved.copy(), [inverted(a, current.map_id) for a in alignments])
-
-    def _prepare(
-        self, old: Map, new: Map, alignments: Sequence[Alignment], renewed_until: int | None = None
-    ) -> PreparedFusion:
-        """Fuse copies; ``renewed_until``: last frame of the old map that a recovery has covered again."""
-        by_recovery, mapping = renewed_until is not None, self._engine.config.mapping
-        last = -1 if renewed_until is None else renewed_until
-        return PreparedFusion.of(old, new, alignments, mapping, by_recovery, last)
-
-    # -- on the tracking thread, between two frames ------------------------------------------------------
-
-    def _take_over(self, prepared: PreparedFusion, by: str) -> None:
+    def commit(self, fusion: FusedMaps, by: str) -> None:
         """Put the fused map in the place of the two; all that refers to them follows."""
-        store, old, new_id = self._engine.store, self._engine.store[prepared.old_id], prepared.new_id
-        fused, accepted = prepared.fused, prepared.accepted
-        old.adopt(prepared.map)
+        store, old, new_id = self.engine.store, self.engine.store[fusion.old_id], fusion.new_id
+        fused, accepted = fusion.fused, fusion.accepted
+        old.adopt(fusion.map)
         store.poses.join(old.map_id, new_id, fused.keyframes, accepted.scale)
         store.poses.rescale(old.map_id, fused.factor)
-        store.places(old.map_id).database.foresee(prepared.bows)
+        store.places(old.map_id).database.foresee(fusion.bows)
         both = (old.map_id, new_id)
         if store.current_id in both:
             if store.current_id == new_id:
                 store.current_id = old.map_id
-                self._rebase(old, prepared)
+                self._rebase(old, fusion)
             store.saved = [k for k in store.saved if k not in both]
-            self.skip_present_keyframes()
         else:  # the result counts as saved when the younger of the two was
             place = min(map(store.saved.index, both))
             store.saved[place] = old.map_id
@@ -201,47 +81,35 @@ class MapMerger:
             last = max((store.loss(k).at for k in both), key=lambda at: at.index)
             store.note_loss(old.map_id, Loss(last, store.loss(old.map_id).doubt))
         store.forget(new_id)
-        self._absorbed[new_id] = Whereabouts(old.map_id, fused.keyframes, fused.points)
-        if self._places is not None:
-            self._places.reset_alignments()
-        self._emit(old.map_id, old.map_id, new_id, by, accepted, "", prepared.relation)
-        self._fused()
+        self._absorbed[new_id] = RowOffsets(old.map_id, fused.keyframes, fused.points)
+        self._emit(old.map_id, old.map_id, new_id, by, accepted, "", fusion.relation)
+        self._on_fusion(old)
 
-    def _withdraw_passed_over(self, old: Map, seam: int, found: Recovered) -> None:
-        """Take back the old map's poses between seam and breakage: the breakage may have corrupted them.
+    def refuse(self, old_id: int, new_id: int, by: str, alignment: Alignment, reason: str) -> None:
+        """Report that two maps that were aligned are not fused."""
+        self._emit(new_id, old_id, new_id, by, alignment, reason)
 
-        The frames that the recovery has placed get other poses; it has passed over the others.
-        """
-        taken = self._engine.store.poses.take_back(old.map_id, seam + 1, found.since)
-        placed = {tracked.features.index for tracked in found.frames}
-        gone = [index for index in taken if index not in placed]
-        if gone:
-            self._engine.emit_at(
-                self._newest, ev.PosesWithdrawn, old.map_id,
-                first_frame=gone[0], last_frame=gone[-1], frames=len(gone),
-                keyframes=sum(old.frame_index(int(k)) in gone for k in old.keyframes()),
-                reason="passed_over_by_recovery",
-            )  # fmt: skip
-
-    @property
-    def _newest(self) -> Frame:
-        """The newest frame, at which events happen."""
-        if self._engine.newest is None:
-            raise RuntimeError("there is no frame yet")
-        return self._engine.newest
-
-    def _rebase(self, old: Map, prepared: PreparedFusion) -> None:
+    def _rebase(self, old: Map, fusion: FusedMaps) -> None:
         """Move tracking and mapping to the old map, with the keyframes in work."""
-        engine, fused = self._engine, prepared.fused
+        engine, fused = self.engine, fusion.fused
         tasks = [task for task in engine.backend.in_work if task.mapper is engine.mapper]
-        waiting = [task.frame for task in tasks if task.keyframe < 0]
-        rebase_tracking(engine.tracker, engine.mapper, old, fused, prepared.accepted.scale, waiting)
+        last, scale = engine.tracker.last, fusion.accepted.scale
+        if last is None:
+            raise RuntimeError("the tracker has not been started")
+        if engine.tracker.velocity is not None:
+            engine.tracker.velocity = engine.tracker.velocity.copy()
+            engine.tracker.velocity[:3, 3] *= scale * fused.factor[last.reference_keyframe + fused.keyframes]
+        waiting = [task.frame for task in tasks if task.keyframe < 0 and task.frame is not last]
+        rebase_frames([last, *waiting], fused.keyframes, fused, scale)
+        for frame in (last, *waiting):
+            frame.T_cam_map = frame.T_cam_reference @ old.T_cam_map(frame.reference_keyframe)
+            frame.point[frame.point >= 0] += fused.points
+            resolve_points(old.arrays, frame.point)
+        engine.tracker.rebase(old, last)
+        engine.mapper.rebase(old)
         engine.second_motion = None  # the start is the old map's
         for task in tasks:
             task.rebase(engine.store.places(old.map_id).loops, fused.keyframes)
-
-    def _refuse(self, old_id: int, new_id: int, by: str, alignment: Alignment, reason: str) -> None:
-        self._emit(new_id, old_id, new_id, by, alignment, reason)
 
     def _emit(
         self,
@@ -253,8 +121,24 @@ class MapMerger:
         reason: str,
         relation: Relation | None = None,
     ) -> None:
-        self._engine.emit_at(
-            self._newest, ev.Fusion, map_id, old_map_id=old_id, new_map_id=new_id, by=by,
+        self.engine.emit_now(
+            ev.Fusion, map_id, old_map_id=old_id, new_map_id=new_id, by=by,
             accepted=not reason, scale=alignment.scale, inliers=alignment.inliers, reason=reason,
             relation=relation,
         )  # fmt: skip
+
+
+def rebase_frames(frames: Sequence[Frame], keyframes: int, fused: Fused, scale: float) -> None:
+    """Refer tracked frames to the fused map.
+
+    Args:
+        frames: changed in place, their poses in the map and their points not updated.
+        keyframes: offset of their reference keyframes' rows in the fused map.
+        fused: position of the new map's rows.
+        scale: factor from their lengths to the old map's.
+    """
+    for frame in frames:
+        row = frame.reference_keyframe + keyframes
+        frame.reference_keyframe = row
+        frame.T_cam_reference = frame.T_cam_reference.copy()
+        frame.T_cam_reference[:3, 3] *= scale * fused.factor[row]

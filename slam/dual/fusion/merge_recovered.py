@@ -1,6 +1,6 @@
-"""Merge a recovery's extended copy of the new map into the new map.
+"""Fusion after a recovery: its extended copy is merged into the new map, and that is fused with the old one.
 
-While the copy grew backward, tracking went on and the new map grew forward.
+While the copy grew backward, tracking went on and the new map grew forward; the old map may have changed too.
 """
 
 from collections.abc import Sequence
@@ -8,11 +8,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dslab.slam.core import events as ev
 from dslab.slam.core.frame import Frame
+from dslab.slam.dual.fusion.fuse import FusedMaps, seam_frame
+from dslab.slam.dual.fusion.map_merger import STAGE, MapMerger, RowOffsets, rebase_frames
 from dslab.slam.loop_closing.map_alignment import Alignment
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.map import Map
 from dslab.slam.optimization.sim3 import horn_sim3, sim3_decompose, sim3_inverse, sim3_matrix
+from dslab.slam.runtime.backend import MapChange
 
 _MIN_SHARED = 20
 
@@ -27,7 +31,7 @@ class Recovered:
         keyframes, points: rows of the new map when it was copied.
         frames: placed backward in the copy.
         old_maps: copies of the saved maps.
-        alignments: with an old map, those that agree; the accepted one last.
+        alignments: with one old map, those that agree; the accepted one last.
         since: index of the frame of the breakage.
     """
 
@@ -39,6 +43,87 @@ class Recovered:
     old_maps: Sequence[Map]
     alignments: Sequence[Alignment]
     since: int
+
+
+class RecoveredFusion(MapChange):
+    """Fusion of the maps that a recovery has aligned.
+
+    If they can no longer be fused, event ``fusion`` says why. If the new map is gone, nothing happens.
+
+    Args:
+        merger: of the maps.
+        found: by the recovery; its extended map is not to be used afterwards.
+    """
+
+    stage = STAGE
+
+    def __init__(self, merger: MapMerger, found: Recovered) -> None:
+        self._merger = merger
+        self._found = found
+        self._old_id = found.alignments[-1].old_map_id
+        self._refusal = ""
+        self._fusion: FusedMaps | None = None
+        self._seam = -1  # frame at which the maps meet
+
+    def prepare(self) -> bool:
+        """Merge what was recovered into a copy of the new map, and fuse a copy of the old map with that."""
+        found, engine = self._found, self._merger.engine
+        if found.new_id not in engine.store:
+            return False
+        at = self._merger.find(self._old_id)
+        then = next(m for m in found.old_maps if m.map_id == self._old_id)
+        self._old_id = at.map_id
+        self._refusal = "old_map_has_changed"
+        if at.map_id not in engine.store:
+            return True
+        old, new = engine.store[at.map_id], engine.store[found.new_id].copy()
+        alignments = [in_present_map(a, old, then, at) for a in found.alignments]
+        if alignments[-1] is None:
+            return True
+        merged = merge_recovered(new, found.extended, found.keyframes, found.points)
+        if merged is None:
+            self._refusal = "new_map_has_changed"
+            return True
+        moved = [merged.moved(a, new) for a in alignments if a is not None]
+        self._seam = seam_frame(old, moved)
+        self._fusion = FusedMaps.of(old, new, moved, engine.config.mapping, found.since)
+        fused = self._fusion.fused
+        rebase_frames(found.frames, merged.keyframes + fused.keyframes, fused, moved[-1].scale)
+        return True
+
+    def is_still_valid(self) -> bool:
+        """Return True if both maps are still there."""
+        return self._fusion is None or self._merger.has_both(self._fusion)
+
+    def commit(self) -> None:
+        """Fuse the maps, or report why not; the recovered poses replace those of the breakage."""
+        found, merger = self._found, self._merger
+        if self._fusion is None:
+            merger.refuse(self._old_id, found.new_id, "recovery", found.alignments[-1], self._refusal)
+            return
+        self._withdraw_passed_over()
+        merger.commit(self._fusion, "recovery")
+        for tracked in found.frames:
+            if tracked.features.index > self._seam:
+                merger.engine.store.poses.add(self._old_id, tracked)
+
+    def _withdraw_passed_over(self) -> None:
+        """Take back the old map's poses between seam and breakage: the breakage may have corrupted them.
+
+        The frames that the recovery has placed get other poses; it has passed over the others.
+        """
+        engine, found = self._merger.engine, self._found
+        old = engine.store[self._old_id]
+        taken = engine.store.poses.take_back(self._old_id, self._seam + 1, found.since)
+        placed = {tracked.features.index for tracked in found.frames}
+        gone = [index for index in taken if index not in placed]
+        if gone:
+            engine.emit_now(
+                ev.PosesWithdrawn, self._old_id,
+                first_frame=gone[0], last_frame=gone[-1], frames=len(gone),
+                keyframes=sum(old.frame_index(int(k)) in gone for k in old.keyframes()),
+                reason="passed_over_by_recovery",
+            )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -70,21 +155,7 @@ class MergedRecovery:
         )
 
 
-@dataclass(frozen=True)
-class Whereabouts:
-    """Where the rows of a map are now.
-
-    Attributes:
-        map_id: the map itself, or the one that has absorbed it.
-        keyframes, points: offsets of its rows there.
-    """
-
-    map_id: int
-    keyframes: int = 0
-    points: int = 0
-
-
-def in_present_map(alignment: Alignment, old: Map, then: Map, at: Whereabouts) -> Alignment | None:
+def in_present_map(alignment: Alignment, old: Map, then: Map, at: RowOffsets) -> Alignment | None:
     """Convert an alignment with a copy of an old map to the map that holds its rows now.
 
     Args:

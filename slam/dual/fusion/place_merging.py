@@ -7,8 +7,9 @@ import numpy as np
 
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.seeds import rng_for
-from dslab.slam.dual.fusion.fuse import FusionConfig
+from dslab.slam.dual.fusion.fuse import FusedMaps, FusionConfig
 from dslab.slam.dual.fusion.hypotheses import Hypothesis, rival
+from dslab.slam.dual.fusion.map_merger import STAGE, MapMerger
 from dslab.slam.loop_closing.map_alignment import Alignment, agree, align, align_relocalized
 from dslab.slam.loop_closing.place_check import (
     PlaceCheckConfig,
@@ -21,6 +22,8 @@ from dslab.slam.map.map import Map
 from dslab.slam.map_store import Places
 from dslab.slam.optimization.sim3 import sim3_inverse
 from dslab.slam.places.recognition import shipped_vocabulary
+from dslab.slam.runtime.backend import MapChange
+from dslab.slam.tracking.probation import Probation
 
 _CANDIDATES = 2  # most similar keyframes of a saved map that are compared with a new keyframe
 _WAITING = 3  # newest keyframes that are searched when the search was delayed
@@ -39,6 +42,7 @@ class PlaceMerger:
         seed: the system's.
 
     Attributes:
+        searching: a search is under way or waits.
         refused: alignments that were refused in the last search, with the reasons.
     """
 
@@ -48,6 +52,8 @@ class PlaceMerger:
         self._seed = seed
         self._searched = (-1, 0)  # a map, and its keyframes that need not be searched any more
         self._hypotheses: list[Hypothesis] = []
+        self._corrections = 0
+        self.searching = False
         self.refused: list[tuple[Alignment, str]] = []
 
     def skip(self, current: Map) -> None:
@@ -56,8 +62,8 @@ class PlaceMerger:
         self._searched = (current.map_id, current.n_keyframes)
 
     def is_due(self, current: Map) -> bool:
-        """Return True if the current map has keyframes that have not been searched."""
-        return self._next_of(current) < current.n_keyframes
+        """Return True if the current map has keyframes that have not been searched, and no search waits."""
+        return not self.searching and self._next_of(current) < current.n_keyframes
 
     def search(
         self,
@@ -199,6 +205,67 @@ class PlaceMerger:
     def reset_alignments(self) -> None:
         """Discard the alignments found so far: a map has changed."""
         self._hypotheses.clear()
+
+    def note_corrections(self, corrections: int) -> None:
+        """Discard the alignments if maps were corrected since; ``corrections``: how often they ever were."""
+        if corrections != self._corrections:
+            self._corrections = corrections
+            self.reset_alignments()
+
+
+class PlaceFusion(MapChange):
+    """Fusion of the current map with a saved one whose place is recognised.
+
+    Args:
+        merger: of the maps.
+        places: recognises them, from the current map's newest keyframes.
+        confirmed: a probation in a saved map that frames of the current one have passed: by these frames
+            the two are aligned instead.
+    """
+
+    stage = STAGE
+
+    def __init__(self, merger: MapMerger, places: PlaceMerger, confirmed: Probation | None = None) -> None:
+        self._merger = merger
+        self._places = places
+        self._confirmed = confirmed
+        self._current_id = -1
+        self._refused: tuple[tuple[Alignment, str], ...] = ()
+        self._fusion: FusedMaps | None = None
+        places.searching = True
+
+    def prepare(self) -> bool:
+        """Search the places; fuse copies of the two maps, of which the older one keeps its frame."""
+        engine, places, confirmed = self._merger.engine, self._places, self._confirmed
+        store, current = engine.store, engine.store.current
+        places.searching = False
+        self._current_id = current.map_id
+        if confirmed is None:
+            saved = [store[k] for k in store.saved]
+            places.note_corrections(engine.corrections)
+            alignments = places.search(current, saved, store.places, engine.backend.lock)
+            self._refused = tuple(places.refused)
+        elif confirmed.map_id in store.saved:
+            alignments = places.of_frames(current, store[confirmed.map_id], confirmed.frames)
+        else:  # joined meanwhile
+            return False
+        if alignments:
+            old, new = store[alignments[-1].old_map_id], current
+            if old.map_id > new.map_id:
+                old, new, alignments = new, old, tuple(inverted(a, current.map_id) for a in alignments)
+            self._fusion = FusedMaps.of(old, new.copy(), alignments, engine.config.mapping)
+        return bool(alignments or self._refused)
+
+    def is_still_valid(self) -> bool:
+        """Return True if both maps are still there."""
+        return self._fusion is None or self._merger.has_both(self._fusion)
+
+    def commit(self) -> None:
+        """Report the places that were refused; fuse the maps if one was not."""
+        for alignment, reason in self._refused:
+            self._merger.refuse(alignment.old_map_id, self._current_id, "place", alignment, reason)
+        if self._fusion is not None:
+            self._merger.commit(self._fusion, "place")
 
 
 def inverted(alignment: Alignment, new_map_id: int) -> Alignment:

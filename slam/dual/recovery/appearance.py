@@ -44,7 +44,7 @@ class LooksCheck:
         self._held = {features.index for features in task.backward} | {task.first.features.index}
         self._pyramids: dict[int, ImagePyramid] = {}
 
-    def doubt(self, old: Map, found: Alignment) -> str:
+    def objection(self, old: Map, found: Alignment) -> str:
         """``images_differ`` if the surface does not look like the new frames; empty if it does.
 
         Empty too if too few patches tell anything: the features alone must decide.

@@ -28,7 +28,7 @@ from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
 from dslab.slam.direct.selection import Selection, SelectionConfig, select
 from dslab.slam.dual.recovery.appearance import LooksCheck, LooksConfig
 from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
-from dslab.slam.dual.recovery.other_way import OtherWayConfig, doubt_of_other_way
+from dslab.slam.dual.recovery.other_way import OtherWayConfig, objection_of_other_way
 from dslab.slam.dual.recovery.propagation import propagate
 from dslab.slam.dual.recovery.tracks import TrackRecoveryConfig, TrackTracker
 from dslab.slam.features.tracks import TrackedFrame, take_depth_from_points
@@ -71,7 +71,7 @@ class DirectRecovery:
             return RecoveryResult(task.new_map, stage="propagation", reason="image_too_small")
         tracker = DirectTracker(task, self.config, rectifier)
         looks = LooksCheck(task, rectifier, self.config.looks)
-        result = propagate(task, self.config, tracker, tracker.mapper(task), looks.doubt)
+        result = propagate(task, self.config, tracker, tracker.mapper(task), looks.objection)
         if result.success and self.config.other_way.check:
             return self._checked(task, result, rectifier)
         return result
@@ -79,7 +79,7 @@ class DirectRecovery:
     def _checked(self, task: RecoveryTask, result: RecoveryResult, rectifier: Rectifier) -> RecoveryResult:
         """The result, failed if the gap crossed the other way says something else."""
         config = self.config
-        reason = doubt_of_other_way(
+        reason = objection_of_other_way(
             task, result, config, config.other_way, lambda ahead: DirectTracker(ahead, config, rectifier)
         )
         if reason:

@@ -34,8 +34,8 @@ class Cancellation:
 
 
 @dataclass
-class Spared:
-    """CPU time that a run did not take as it found what others had found in images before."""
+class ReusedTime:
+    """CPU time that others spent on what a run found in images."""
 
     cpu_ms: float = 0.0
 
@@ -58,7 +58,7 @@ class RecoveryTask:
         system: settings of the system, for all that the thread's own leave open.
         remembered: what threads have found in images, with the time it took, shared by copies of the system;
             None for nothing.
-        spared: what this run was spared by that.
+        reused: the time that this run was saved by that.
     """
 
     new_map: Map
@@ -72,7 +72,7 @@ class RecoveryTask:
     cancellation: Cancellation = field(default_factory=Cancellation)
     system: SlamConfig = field(default_factory=SlamConfig)
     remembered: Remembered[tuple[Any, float]] | None = None
-    spared: Spared = field(default_factory=Spared)
+    reused: ReusedTime = field(default_factory=ReusedTime)
 
     def found_in(self, index: int, find: Callable[[np.ndarray], Found], kind: Hashable) -> Found:
         """What ``find`` returns for the image of a frame; see :class:`Remembered`."""
@@ -85,7 +85,7 @@ class RecoveryTask:
 
         image = self.image_of(index)
         found, cpu_ms = timed(image) if self.remembered is None else self.remembered.of(image, timed, kind)
-        self.spared.cpu_ms += 0.0 if is_new else cpu_ms
+        self.reused.cpu_ms += 0.0 if is_new else cpu_ms
         return found
 
 

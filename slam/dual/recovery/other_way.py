@@ -33,7 +33,7 @@ class OtherWayConfig:
     max_scale_change: float = setting(0.1, "change of scale between the two ways, where it can be told")
 
 
-def doubt_of_other_way(
+def objection_of_other_way(
     task: RecoveryTask,
     result: RecoveryResult,
     config: RecoveryConfig,

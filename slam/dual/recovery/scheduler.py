@@ -14,9 +14,8 @@ from dslab.slam.dual.recovery.interface import RecoveryResult, RecoveryTask, Rec
 from dslab.slam.runtime.backend import ExecutionMode
 from dslab.slam.runtime.worker import Worker
 
-_NICENESS = (
-    10  # tracking and mapping come first: with two cores a frame takes 16 ms beside a recovery, else 23
-)
+# Tracking and mapping come first: with two cores a frame takes 16 ms beside a recovery, else 23.
+_NICENESS = 10
 
 
 @dataclass(eq=False)
@@ -30,7 +29,8 @@ class RecoveryRun:
         submitted_s: time from which it may run.
         started_s: time at which it was given a worker; None while it waits for one.
         result: what the thread returned; None before.
-        cpu_ms: CPU milliseconds that took, what it was spared included.
+        cpu_ms: CPU milliseconds that took, with those that others had spent on its images before.
+        is_over: its end was reported.
     """
 
     number: int
@@ -40,6 +40,7 @@ class RecoveryRun:
     started_s: float | None = None
     result: RecoveryResult | None = field(default=None, repr=False)
     cpu_ms: float = 0.0
+    is_over: bool = False
 
     def execute(self) -> RecoveryResult:
         """The result; the thread is run if it was not."""
@@ -47,7 +48,7 @@ class RecoveryRun:
             timer = StageTimer()
             with timer("recovery"):
                 result = self.thread.run(self.task)
-            self.cpu_ms = timer.cpu_ms["recovery"] + self.task.spared.cpu_ms
+            self.cpu_ms = timer.cpu_ms["recovery"] + self.task.reused.cpu_ms
             self.result = result  # last: whoever sees it sees the rest
         return self.result
 

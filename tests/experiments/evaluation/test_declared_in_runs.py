@@ -14,7 +14,6 @@ from dslab.sim.sequence import Sequence
 from dslab.slam.core.frame import Frame
 from dslab.slam.dual.config import DualConfig
 from dslab.slam.dual.fusion import fuse
-from dslab.slam.dual.fusion.prepared import PreparedFusion
 from dslab.slam.dual.recovery.registry import ThreadSpec
 from dslab.slam.loop_closing.detection import LoopClosingConfig, LoopDetector
 from dslab.slam.loop_closing.judgement import JudgementConfig
@@ -158,7 +157,7 @@ def test_a_true_fusion_is_right_and_a_displaced_one_false(sequence, monkeypatch,
     (found,) = getattr(declared(sequence, "dual", dual), kind)
     assert found.audit.false is False
     assert found.audit.position_error_m < 0.5 * found.audit.position_bound_m
-    real = PreparedFusion.of
+    real = fuse.FusedMaps.of
 
     # Without points in common, by which the adjustment would take the new map back to its place.
     none = np.empty(0, np.int32)
@@ -169,7 +168,7 @@ def test_a_true_fusion_is_right_and_a_displaced_one_false(sequence, monkeypatch,
             old, new, [replace(a, S_old_new=shifted(a.S_old_new), **aside) for a in alignments], *rest
         )
 
-    monkeypatch.setattr(PreparedFusion, "of", displaced)
+    monkeypatch.setattr(fuse.FusedMaps, "of", displaced)
     monkeypatch.setattr(fuse, "_fuse_seam", lambda *_: None)
     audit = declared(sequence, "dual", dual)
     assert getattr(audit, kind)[0].audit.false is True

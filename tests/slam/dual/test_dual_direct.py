@@ -8,7 +8,7 @@ from recovery_scenes import FADED, SMEARED, blind_scene, faded_scene, same_map, 
 from slam_scenes import rigid
 
 from dslab.slam.core.events import CANCELLED
-from dslab.slam.dual.recovery import other_way, overlap
+from dslab.slam.dual.recovery import other_way, propagation
 from dslab.slam.dual.recovery.appearance import LooksConfig
 from dslab.slam.dual.recovery.direct import DirectRecoveryConfig
 from dslab.slam.dual.recovery.other_way import OtherWayConfig
@@ -82,7 +82,7 @@ def test_a_small_image_is_a_reason():
 
 def planted(monkeypatch, change):
     """Give all alignments a fault that matches of features are made to overlook."""
-    found_by = overlap.align
+    found_by = propagation.align
 
     def align(old, new, old_keyframe, *rest):
         found, reason, count = found_by(old, new, old_keyframe, *rest)
@@ -92,8 +92,8 @@ def planted(monkeypatch, change):
             found = replace(found, S_old_new=S, scale=sim3_decompose(S)[0])
         return found, reason, count
 
-    monkeypatch.setattr(overlap, "align", align)
-    monkeypatch.setattr(overlap, "doubt", lambda *_: "")
+    monkeypatch.setattr(propagation, "align", align)
+    monkeypatch.setattr(propagation, "doubt", lambda *_: "")
 
 
 WRONG = {

@@ -43,6 +43,8 @@ def test_a_recovery_without_overlap_fails_with_a_reason(elsewhere):
     assert end.stage in ("propagation", "overlap") and end.reason
     assert end.frames_passed_over > 10
     assert of(system, "fusion") == []
+    (failure,) = system.jobs.failures
+    assert (failure.new_id, failure.since, failure.reasons) == (1, 50, ((end.stage, end.reason),))
 
 
 def test_after_a_failed_recovery_both_maps_are_kept(elsewhere):
@@ -73,6 +75,7 @@ def test_the_buffer_grows_until_its_cap_and_recovery_fails_beyond_it():
     feed(system, images[fed : fed + 2], stamps_s[fed : fed + 2])
     (end,) = of(system, "recovery_end")
     assert (end.success, end.stage, end.reason) == (False, "overlap", "buffer_exceeded")
+    assert [f.reasons for f in system.jobs.failures] == [(("overlap", "buffer_exceeded"),)]
     assert "fusion" not in kinds(system)
     assert sorted(system.maps()) == [0, 1]
     grown = dual(replace(RECOVERY_ONLY, buffer_s=0.5, buffer_cap_s=10.0))
@@ -126,5 +129,5 @@ def test_threads_run_until_one_succeeds_and_a_failed_one_leaves_no_trace():
         assert ends[:2] == [(1, "failing", False, "synthetic"), (2, "orb", True, "")]
         assert ends[2:] == [(3, "failing", False, "not_needed")]
         assert [e.thread for e in of(system, "recovery_start")] == [1, 2, 3]
-        assert system.maps() == [0]
+        assert system.maps() == [0] and system.jobs.failures == []
     assert fingerprint(systems[0]) == fingerprint(systems[1])

@@ -9,8 +9,9 @@ from dual_scenes import STEP_M, of, with_own_threads
 from slam_scenes import blanked, errors_m, feed_until, rms, toy
 
 from dslab.slam.core.events import TrackingState
-from dslab.slam.dual.fusion import prepared
+from dslab.slam.dual.fusion import fuse
 from dslab.slam.dual.fusion.fuse import FusionConfig
+from dslab.slam.dual.fusion.merge_recovered import RecoveredFusion
 from dslab.slam.dual.fusion.place_merging import PlaceMerger
 from dslab.slam.dual.recovery.interface import RecoveryConfig
 from dslab.slam.dual.recovery.orb import OrbRecovery
@@ -78,8 +79,8 @@ class Threaded:
 @pytest.fixture
 def fusing(monkeypatch):
     """Holds up every fusion until it is released."""
-    held = Held(prepared.fuse)
-    monkeypatch.setattr(prepared, "fuse", held)
+    held = Held(fuse.fuse)
+    monkeypatch.setattr(fuse, "fuse", held)
     return held
 
 
@@ -123,10 +124,9 @@ def test_keyframes_mapped_before_a_fusion_are_searched_for_loops_in_the_fused_ma
     run.feed_until(lambda: of(run.system, "recovery_start"))
     monkeypatch.setattr(Backend, "_close_loop", close_loop)
     released.clear()
-    merging = Held(run.system.merger.merge_recovered)
-    merging.released.set()
-    run.system.merger.merge_recovered = merging
-    run.feed_until(merging.entered.is_set)
+    asked, begin = [], RecoveredFusion.__init__
+    monkeypatch.setattr(RecoveredFusion, "__init__", lambda *args: asked.append(begin(*args)))
+    run.feed_until(lambda: asked)
     run.feed_until(lambda: len([t for t in run.system.engine.backend.in_work if t.keyframe >= 0]) >= 3)
     released.set()
     run.feed_until(lambda: of(run.system, "fusion"))
@@ -179,7 +179,7 @@ def test_nothing_is_copied_searched_or_fused_on_the_tracking_thread(monkeypatch,
 
     noting(RecoveryJobs, "copies")
     noting(PlaceMerger, "search")
-    noting(prepared, "fuse")
+    noting(fuse, "fuse")
     run = Threaded(**({"place_merging": FusionConfig(), "start_keyframes": 50} if place else {}))
     run.feed_until(lambda: of(run.system, "fusion"))
     assert of(run.system, "fusion")[0].by == ("place" if place else "recovery")

@@ -12,7 +12,6 @@ from dslab.slam.core.frame import Frame
 from dslab.slam.dual.dual_slam import DualSlam
 from dslab.slam.dual.fusion import place_merging
 from dslab.slam.dual.fusion.fuse import FusionConfig
-from dslab.slam.dual.fusion.map_merger import MapMerger
 from dslab.slam.dual.fusion.place_merging import PlaceMerger
 from dslab.slam.dual.recovery.interface import RecoveryConfig
 from dslab.slam.dual.recovery.registry import ThreadSpec
@@ -146,7 +145,7 @@ def test_the_older_map_absorbs_the_newer_when_the_older_is_tracked():
     shown = blanked([images[i] for i in order], range(50, 56), range(97, 100))
     for i, (image, stamp_s) in enumerate(zip(shown, stamps_s, strict=True)):
         if i == 100:  # before, the two maps would have been fused
-            system.merger = MapMerger(system.engine, BY_PLACE.place_merging, system._forget_joined)
+            system.places = PlaceMerger(BY_PLACE.place_merging, system.engine.seed)
         system.process(image, float(stamp_s))
     system.finish()
     check_map(system.current_map)

@@ -8,9 +8,9 @@ from slam_scenes import CAMERA, FPS, PointWorld, make_frame, pose_error, rigid, 
 
 from dslab.slam.core.frame import Frame
 from dslab.slam.dual.fusion.fuse import FusionConfig
-from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryTask, Spared
+from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryTask, ReusedTime
 from dslab.slam.dual.recovery.orb import OrbRecovery, OrbRecoveryConfig
-from dslab.slam.dual.recovery.overlap import Overlap
+from dslab.slam.dual.recovery.propagation import Overlap
 from dslab.slam.dual.recovery_jobs import placed_keyframes
 from dslab.slam.features.remembered import Remembered
 from dslab.slam.map.invariants import check_map
@@ -338,7 +338,7 @@ def test_keyframes_are_compared_by_time_whatever_the_frame_rate(
 # -- what is found in images ---------------------------------------------------------------------------------
 
 
-def test_a_run_is_spared_what_another_has_found_in_an_image_and_the_time_is_told(start_map, sightings, saved):
+def test_a_run_reuses_what_another_has_found_in_an_image_and_tells_the_time(start_map, sightings, saved):
     images, found = [np.full((8, 8), v, np.uint8) for v in (1, 2)], []
 
     def find(image):
@@ -349,9 +349,9 @@ def test_a_run_is_spared_what_another_has_found_in_an_image_and_the_time_is_told
     plain = replace(plain, image_of=images.__getitem__)
     assert [plain.found_in(0, find, "a"), plain.found_in(0, find, "a")] == [[1], [2]]
     remembered = Remembered(8)
-    one, two = (replace(plain, remembered=remembered, spared=Spared()) for _ in range(2))
+    one, two = (replace(plain, remembered=remembered, reused=ReusedTime()) for _ in range(2))
     first = one.found_in(0, find, "a")
     assert two.found_in(0, find, "a") is first and found == [1, 1, 1]
-    assert one.spared.cpu_ms == 0 < two.spared.cpu_ms
+    assert one.reused.cpu_ms == 0 < two.reused.cpu_ms
     assert two.found_in(0, find, "b") is not first and two.found_in(1, find, "a") is not first
     assert found == [1, 1, 1, 1, 2]

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from dslab.slam.dual.recovery.interface import Cancellation, RecoveryCost, RecoveryResult, Spared
+from dslab.slam.dual.recovery.interface import Cancellation, RecoveryCost, RecoveryResult, ReusedTime
 from dslab.slam.dual.recovery.scheduler import RecoveryRun, build_scheduler
 from dslab.slam.runtime.backend import ExecutionMode
 
@@ -29,7 +29,9 @@ class Thread:
 
 
 def run(thread, number=1, at_s=0.0):
-    return RecoveryRun(number, thread, SimpleNamespace(cancellation=Cancellation(), spared=Spared()), at_s)
+    return RecoveryRun(
+        number, thread, SimpleNamespace(cancellation=Cancellation(), reused=ReusedTime()), at_s
+    )
 
 
 def names(runs):
