@@ -9,7 +9,7 @@ from dslab.slam.config import SlamConfig
 from dslab.slam.core import events as ev
 from dslab.slam.core.camera import PinholeCamera
 from dslab.slam.core.events import TrackingState
-from dslab.slam.core.frame import Frame, FrameFeatures, twist_between
+from dslab.slam.core.frame import Frame, FrameFeatures
 from dslab.slam.core.frame_input import check_frame
 from dslab.slam.core.geometry import view_geometry
 from dslab.slam.core.results import TrackingResult
@@ -17,27 +17,16 @@ from dslab.slam.core.seeds import rng_for
 from dslab.slam.core.timing import StageTimer
 from dslab.slam.features.finder import FeatureFinder
 from dslab.slam.features.remembered import Remembered
-from dslab.slam.handover import report_refusal, take_adjustment, take_correction, take_refinement
+from dslab.slam.handover import Handover, take_refinement
 from dslab.slam.initialization.initializer import Initializer, InitialMap, frames_between
 from dslab.slam.initialization.second_motion import SecondMotion
-from dslab.slam.map.relation import relocalization_relation
 from dslab.slam.map.withdrawal import cull_since
 from dslab.slam.map_store import Loss, MapStore
 from dslab.slam.mapping.local_mapping import LocalMapper
 from dslab.slam.mapping.self_calibration import SelfCalibration
 from dslab.slam.place_search import PlaceSearch
-from dslab.slam.runtime.backend import (
-    Adjusted,
-    Backend,
-    Calibrated,
-    Change,
-    Corrected,
-    ExecutionMode,
-    KeyframeTask,
-    Mapped,
-    Refused,
-    Searched,
-)
+from dslab.slam.runtime.backend import Backend, Calibrated, Change, ExecutionMode, KeyframeTask, MapChange
+from dslab.slam.tracking.local_map import note_twist, note_twists
 from dslab.slam.tracking.probation import Probation
 from dslab.slam.tracking.rescue import Rescue
 from dslab.slam.tracking.tracker import Tracker, TrackingOutcome
@@ -64,7 +53,7 @@ class SlamEngine:
         backend: mapping and loop closing.
         timer: of the tracking thread.
         frames: number of frames processed so far.
-        corrections: number of times that mapped keyframes were moved by loop closing.
+        handover: of what mapping and loop closing have done.
         second_motion: the other motion that the current map's start may have had, None once it is ruled out.
         remembered: what recovery threads have found in images; None unless it is kept.
     """
@@ -78,7 +67,8 @@ class SlamEngine:
         self.state = _SEEKING
         self.timer = StageTimer()
         self.store = MapStore(config)
-        self.frames = self.corrections = 0
+        self.handover = Handover(self.store, self.emit_at)
+        self.frames = 0
         self._newest: Frame | None = None
         self.remembered: Remembered | None = None
         self._self_calibration = SelfCalibration(config.self_calibration)
@@ -91,7 +81,6 @@ class SlamEngine:
         self.second_motion: SecondMotion | None = None
         self._rescue = Rescue(camera, config.rescue) if config.rescue.max_s > 0 else None
         self._image = np.empty((0, 0), np.uint8)  # of the newest frame
-        self._mapping_cpu_ms = self._loop_cpu_ms = 0.0
         self._last_stamp_s = -np.inf
 
     @property
@@ -167,8 +156,7 @@ class SlamEngine:
                 self._start_map(initial)
         if initial is None:
             return TrackingOutcome(False, 0, matches, reason), None
-        frame.point = initial.second.point
-        frame.T_cam_map = initial.second.T_cam_map
+        frame.point, frame.T_cam_map = initial.second.point, initial.second.T_cam_map
         frame.reference_keyframe, frame.T_cam_reference = 1, np.eye(4)
         return TrackingOutcome(True, initial.points, matches), initial
 
@@ -178,7 +166,7 @@ class SlamEngine:
             before, twist = self.tracker.last, self.tracker.twist
             outcome = self.tracker.track(frame)
             if outcome.success and before is not None:
-                self._note_twist(before, (twist + self.tracker.twist) / 2)
+                note_twist(self.tracker.map, before, (twist + self.tracker.twist) / 2)
             doubt = self.tracker.doubt
             if outcome.success and doubt.reason:
                 outcome = TrackingOutcome(False, outcome.inliers, outcome.matches, doubt.reason)
@@ -186,7 +174,9 @@ class SlamEngine:
                 self._judge_start(frame)
             wanted = outcome.success and self.tracker.wants_keyframe(frame, outcome.inliers)
             if self._rescue is not None:
-                outcome = self._rescued(self._rescue, frame, outcome)
+                outcome = self._rescue.go_on(
+                    frame, self._image, outcome, self.tracker, self.camera, self.timer, self.emit
+                )
         is_keyframe = wanted and self.backend.idle
         if is_keyframe:
             self._map(frame)
@@ -272,28 +262,26 @@ class SlamEngine:
 
     def result(self, frame: Frame, outcome: TrackingOutcome, is_keyframe: bool) -> TrackingResult:
         """End a frame: its result, with the times of its steps."""
-        mapping_cpu_ms, loop_cpu_ms = self._mapping_cpu_ms, self._loop_cpu_ms
-        self._mapping_cpu_ms = self._loop_cpu_ms = 0.0
-        T_map_cam = np.linalg.inv(frame.T_cam_map) if outcome.success else None
-        inlier_mask = (frame.point >= 0) & outcome.success
-        ms, cpu_ms = self.timer.read()
-        return TrackingResult(
+        done, (ms, cpu_ms) = self.handover, self.timer.read()
+        result = TrackingResult(
             frame=frame.features.index,
             stamp_s=frame.features.stamp_s,
             state=self.state,
-            T_map_cam=T_map_cam,
+            T_map_cam=np.linalg.inv(frame.T_cam_map) if outcome.success else None,
             map_id=self.store.current_id,
             inliers=outcome.inliers,
             matches=outcome.matches,
             reason=outcome.reason,
             is_keyframe=is_keyframe,
             keypoints_px=frame.features.xy_image,
-            inlier_mask=inlier_mask,
+            inlier_mask=(frame.point >= 0) & outcome.success,
             cpu_ms=cpu_ms,
             ms=ms,
-            mapping_cpu_ms=mapping_cpu_ms,
-            loop_cpu_ms=loop_cpu_ms,
+            mapping_cpu_ms=done.mapping_cpu_ms,
+            loop_cpu_ms=done.loop_cpu_ms,
         )
+        done.mapping_cpu_ms = done.loop_cpu_ms = 0.0
+        return result
 
     # -- events ------------------------------------------------------------------------------------------
 
@@ -332,29 +320,17 @@ class SlamEngine:
         between = frames_between(initial, self.config.tracking)
         for frame in between:
             store.poses.add(store.current_id, frame)
-        self._note_twists([initial.second, *between, initial.first])
+        note_twists(self.store.current, [initial.second, *between, initial.first])
         self.state = TrackingState.TRACKING
         self.emit(initial.second, ev.Initialized, points=initial.points, model=initial.model)
 
-    def _note_twists(self, frames: list[Frame]) -> None:
-        """Note how the camera moved in both keyframes of a new map, from its first frames, newest first."""
-        for keyframe, pair in zip((frames[-1], frames[0]), (frames[:-3:-1], frames[1::-1]), strict=True):
-            self._note_twist(keyframe, twist_between(*pair, depth=1.0))
-
-    def _note_twist(self, frame: Frame, twist: np.ndarray) -> None:
-        """Note how the camera moved in a frame, if it is a keyframe, once the next one is known."""
-        m, k = self.store.current, frame.reference_keyframe
-        if m.frame_index(k) == frame.features.index and not m.arrays.kf_bad[k]:
-            m.take_features(k, m.features(k).moving(twist))
-
     def _judge_start(self, frame: Frame) -> None:
         """Judge the motion that the current map was begun from by a tracked frame, while there is another."""
-        if self.second_motion is None:
-            return
-        with self.timer("second_motion"):
-            self.second_motion.note(frame)
-        if self.second_motion.verdict == "first":
-            self.second_motion = None
+        if self.second_motion is not None:
+            with self.timer("second_motion"):
+                self.second_motion.note(frame)
+            if self.second_motion.verdict == "first":
+                self.second_motion = None
 
     def _map(self, frame: Frame) -> None:
         """Run local mapping on a new keyframe, then loop closing and, when it is due, self-calibration."""
@@ -369,27 +345,6 @@ class SlamEngine:
         with self.timer.apart():
             self.backend.submit(KeyframeTask(frame, self.mapper, loops, rng, camera))
 
-    def _rescued(self, rescue: Rescue, frame: Frame, outcome: TrackingOutcome) -> TrackingOutcome:
-        """Before a breakage is declared, try to place the frame by intensities; the outcome then."""
-        if outcome.success:
-            self._end_rescue(frame, rescue.tracked(self.tracker.map, frame), True)
-            return outcome
-        tracker, first = self.tracker, rescue.frames == 0
-        found = None
-        if not tracker.doubt.reason:
-            with self.timer("rescue"):
-                found = rescue.attempt(frame, self._image, self.camera, tracker.map)
-        if found is None:
-            self._end_rescue(frame, rescue.ended(), False)
-            return outcome
-        if first:
-            self.emit(frame, ev.RescueStart, reason=outcome.reason, inliers=outcome.inliers)
-        return tracker.take_pose(frame, found.T_cam_map, found.keyframe, found.velocity)
-
-    def _end_rescue(self, frame: Frame, frames: int, success: bool) -> None:
-        if frames:
-            self.emit(frame, ev.RescueEnd, success=success, frames=frames)
-
     def _resume(self, probation: Probation, frame: Frame, outcome: TrackingOutcome) -> None:
         """Go on where a relocalization was confirmed."""
         store = self.store
@@ -400,65 +355,39 @@ class SlamEngine:
             store.poses.add(probation.map_id, tracked)
         self._initializer.reset()
         self.state = TrackingState.TRACKING
-        lost = store.loss(probation.map_id).at
-        self.emit(
-            frame,
-            ev.Relocalized,
-            keyframe=store.current.frame_index(probation.keyframe),
-            first_frame=probation.first.features.index,
-            inliers=outcome.inliers,
-            frames_lost=frame.features.index - lost.index,
-            lost_s=frame.features.stamp_s - lost.stamp_s,
-            relation=relocalization_relation(store.current, probation.frames),
-        )
+        self.search.report(probation, frame, outcome)
 
     def _withdraw_doubted(self, frame: Frame) -> None:
         """Take back what was said and learned since the map is doubted, if it is."""
         doubt, m = self.tracker.doubt, self.store.current
         if not doubt.reason:
             return
-        poses = self.store.poses.take_back(m.map_id, doubt.first_frame)
-        culled = cull_since(m, doubt.first_frame)
+        first_frame = doubt.first_frame
+        poses = self.store.poses.take_back(m.map_id, first_frame)
+        culled = cull_since(m, first_frame)
         if culled:  # what stays has been adjusted to what goes
             self.mapper.adjust(m.live(culled[-1]))
+        first, last = (poses[0], poses[-1]) if poses else (first_frame, first_frame)
         self.emit(
-            frame,
-            ev.PosesWithdrawn,
-            first_frame=min(poses, default=doubt.first_frame),
-            last_frame=max(poses, default=doubt.first_frame),
-            frames=len(poses),
-            keyframes=len(culled),
-            reason=doubt.reason,
-        )
+            frame, ev.PosesWithdrawn,
+            first_frame=first, last_frame=last, frames=len(poses), keyframes=len(culled), reason=doubt.reason,
+        )  # fmt: skip
 
     # -- what mapping and loop closing hand over ---------------------------------------------------------
 
     def _apply(self, change: Change) -> None:
-        """Apply a change made by mapping or loop closing."""
-        if isinstance(change, Mapped):
-            self._mapping_cpu_ms += change.cpu_ms
-            if self.tracker.last is change.frame:
-                self.tracker.keyframe_made(change.frame, change.keyframe)
-        elif isinstance(change, Searched):
-            self._loop_cpu_ms += change.cpu_ms
-        elif isinstance(change, Corrected):
-            self._loop_cpu_ms += change.cpu_ms
-            self.corrections += 1
-            take_correction(change, self.store, self.tracker, self.emit_at)
-        elif isinstance(change, Refused):
-            report_refusal(change, self.emit_at)
+        """Take over a change made by mapping or loop closing, or by what runs beside them."""
+        if isinstance(change, MapChange):
+            if change.is_still_valid():
+                with self.timer(change.stage) if change.stage else nullcontext():
+                    change.commit()
         elif isinstance(change, Calibrated):
-            self._mapping_cpu_ms += change.cpu_ms
+            self.handover.mapping_cpu_ms += change.cpu_ms
             if self.state is TrackingState.TRACKING and self._may_refine_camera():  # not broken meanwhile
                 refined = take_refinement(change, self._frames_in_work(), self.emit_at)
                 self.camera = refined or self.camera
-        elif isinstance(change, Adjusted):
-            self._loop_cpu_ms += change.cpu_ms
-            self.corrections += 1
-            take_adjustment(change, self.emit_at)
-        elif change.is_still_valid():
-            with self.timer(change.stage) if change.stage else nullcontext():
-                change.commit()
+        else:
+            self.handover.take(change, self.tracker)
 
     def _frames_in_work(self) -> list[Frame]:
         """Frames whose features are still to be used."""

@@ -9,7 +9,7 @@ from dslab.slam.core.frame import Frame
 from dslab.slam.map.adjustment import apply_adjustment
 from dslab.slam.map.relation import loop_relation
 from dslab.slam.map_store import MapStore
-from dslab.slam.runtime.backend import Adjusted, Calibrated, Corrected, Refused
+from dslab.slam.runtime.backend import Adjusted, Calibrated, Corrected, Mapped, Refused, Searched
 from dslab.slam.tracking.tracker import Tracker
 
 
@@ -20,38 +20,82 @@ class EmitAt(Protocol):
         """Add it."""
 
 
-def take_correction(change: Corrected, store: MapStore, tracker: Tracker, emit: EmitAt) -> None:
-    """Take over a closed loop: into the map, the poses of its frames and the tracker."""
-    m, loop = change.task.mapper.map, change.loop
-    relation = loop_relation(m, loop.keyframe, loop.loop_keyframe, loop.S_cam_map)
-    m.adopt(change.corrected_map)
-    store.poses.rescale(m.map_id, change.factor)
-    tracker.corrected(change.factor)
-    emit(
-        change.task.frame,
-        ev.LoopClosed,
-        m.map_id,
-        keyframe=m.frame_index(loop.keyframe),
-        loop_keyframe=m.frame_index(loop.loop_keyframe),
-        scale=float(change.factor[loop.keyframe]),
-        matches=len(loop.points),
-        cpu_ms=change.cpu_ms,
-        relation=relation,
-    )
+class Handover:
+    """Takes over what mapping and loop closing hand over; sums up their time.
 
+    Args:
+        store: the maps.
+        emit: adds an event.
 
-def take_adjustment(change: Adjusted, emit: EmitAt) -> None:
-    """Take over the global bundle adjustment behind a loop."""
-    m = change.task.mapper.map
-    apply_adjustment(m, change.adjustment)
-    emit(
-        change.task.frame,
-        ev.MapAdjusted,
-        m.map_id,
-        keyframes=len(change.adjustment.keyframes),
-        points=len(change.adjustment.points),
-        cpu_ms=change.cpu_ms,
-    )
+    Attributes:
+        corrections: number of times that mapped keyframes were moved by loop closing.
+        mapping_cpu_ms, loop_cpu_ms: CPU milliseconds of both in this frame.
+    """
+
+    def __init__(self, store: MapStore, emit: EmitAt) -> None:
+        self.corrections = 0
+        self.mapping_cpu_ms = self.loop_cpu_ms = 0.0
+        self._store = store
+        self._emit = emit
+
+    def take(self, change: Mapped | Searched | Corrected | Refused | Adjusted, tracker: Tracker) -> None:
+        """Take over a change; ``tracker``: of the current map."""
+        match change:
+            case Mapped():
+                self.mapping_cpu_ms += change.cpu_ms
+                if tracker.last is change.frame:
+                    tracker.keyframe_made(change.frame, change.keyframe)
+            case Refused():
+                self._report(change)
+            case Searched():
+                self.loop_cpu_ms += change.cpu_ms
+            case Corrected():
+                self.loop_cpu_ms += change.cpu_ms
+                self.corrections += 1
+                self._correct(change, tracker)
+            case Adjusted():
+                self.loop_cpu_ms += change.cpu_ms
+                self.corrections += 1
+                self._adjust(change)
+
+    def _correct(self, change: Corrected, tracker: Tracker) -> None:
+        """Take over a closed loop: into the map, the poses of its frames and the tracker."""
+        m, loop = change.task.mapper.map, change.loop
+        relation = loop_relation(m, loop.keyframe, loop.loop_keyframe, loop.S_cam_map)
+        m.adopt(change.corrected_map)
+        self._store.poses.rescale(m.map_id, change.factor)
+        tracker.corrected(change.factor)
+        self._emit(
+            change.task.frame,
+            ev.LoopClosed,
+            m.map_id,
+            keyframe=m.frame_index(loop.keyframe),
+            loop_keyframe=m.frame_index(loop.loop_keyframe),
+            scale=float(change.factor[loop.keyframe]),
+            matches=len(loop.points),
+            cpu_ms=change.cpu_ms,
+            relation=relation,
+        )
+
+    def _adjust(self, change: Adjusted) -> None:
+        """Take over the global bundle adjustment behind a loop."""
+        m = change.task.mapper.map
+        apply_adjustment(m, change.adjustment)
+        adjusted = {"keyframes": len(change.adjustment.keyframes), "points": len(change.adjustment.points)}
+        self._emit(change.task.frame, ev.MapAdjusted, m.map_id, **adjusted, cpu_ms=change.cpu_ms)
+
+    def _report(self, change: Refused) -> None:
+        """Report a loop that was refused."""
+        m, refusal = change.task.mapper.map, change.refusal
+        self._emit(
+            change.task.frame,
+            ev.LoopRefused,
+            m.map_id,
+            keyframe=m.frame_index(refusal.keyframe),
+            loop_keyframe=m.frame_index(refusal.loop_keyframe),
+            matches=refusal.matches,
+            reason=refusal.reason,
+        )
 
 
 def take_refinement(change: Calibrated, frames: Iterable[Frame], emit: EmitAt) -> PinholeCamera | None:
@@ -80,17 +124,3 @@ def take_refinement(change: Calibrated, frames: Iterable[Frame], emit: EmitAt) -
         cpu_ms=change.cpu_ms,
     )
     return found.camera
-
-
-def report_refusal(change: Refused, emit: EmitAt) -> None:
-    """Report a loop that was refused."""
-    m, refusal = change.task.mapper.map, change.refusal
-    emit(
-        change.task.frame,
-        ev.LoopRefused,
-        m.map_id,
-        keyframe=m.frame_index(refusal.keyframe),
-        loop_keyframe=m.frame_index(refusal.loop_keyframe),
-        matches=refusal.matches,
-        reason=refusal.reason,
-    )

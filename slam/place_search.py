@@ -8,6 +8,7 @@ from dslab.slam.core import events as ev
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.seeds import rng_for
 from dslab.slam.core.timing import StageTimer
+from dslab.slam.map.relation import relocalization_relation
 from dslab.slam.map_store import MapStore
 from dslab.slam.tracking.probation import Probation, Verdict, Withdrawn
 from dslab.slam.tracking.tracker import Tracker, TrackingOutcome
@@ -77,6 +78,21 @@ class PlaceSearch:
                 if self.probation is not None:
                     break
         return outcome, None
+
+    def report(self, probation: Probation, frame: Frame, outcome: TrackingOutcome) -> None:
+        """Report that tracking goes on where a probation was confirmed."""
+        m, lost = self._store[probation.map_id], self._store.loss(probation.map_id).at
+        self._emit(
+            frame,
+            ev.Relocalized,
+            probation.map_id,
+            keyframe=m.frame_index(probation.keyframe),
+            first_frame=probation.first.features.index,
+            inliers=outcome.inliers,
+            frames_lost=frame.features.index - lost.index,
+            lost_s=frame.features.stamp_s - lost.stamp_s,
+            relation=relocalization_relation(m, probation.frames),
+        )
 
     def reject(self, probation: Probation, frame: Frame, reason: str) -> None:
         """End a confirmed probation after all, for another reason than its frames."""

@@ -137,7 +137,7 @@ class DualSlam(MonocularSystem):
             with engine.timer.apart():
                 start.prepare()
                 start.commit()
-        elif not self.jobs.concern(engine.store.current_id) and engine.is_young:
+        elif not self.jobs.are_extending(engine.store.current_id) and engine.is_young:
             engine.drop_map(frame, "too_few_keyframes")
             return
         m = engine.store.current
@@ -290,7 +290,7 @@ class DualSlam(MonocularSystem):
     @property
     def _is_settled(self) -> bool:
         """True if no recovery of the current map is due or under way: it is not given up for a place."""
-        waits = not isinstance(self.phase, Tracking) or self.jobs.concern(self.engine.store.current_id)
+        waits = not isinstance(self.phase, Tracking) or self.jobs.are_extending(self.engine.store.current_id)
         return self.places is not None and not waits
 
     def _seek_beside(self, frame: Frame, is_keyframe: bool, places: PlaceMerger) -> None:

@@ -128,7 +128,7 @@ class RecoveryJobs:
         older = [k for k in store.saved if new is None or k < new.map.map_id]
         return [k for k in older if self.buffer.reaches(_newest_frame(store[k]))]
 
-    def concern(self, map_id: int) -> bool:
+    def are_extending(self, map_id: int) -> bool:
         """Return True if a map is being extended backward."""
         return any(job.new_id == map_id for job in self.running)
 

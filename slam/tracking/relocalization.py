@@ -15,12 +15,10 @@ from dslab.slam.core.geometry import camera_centre
 from dslab.slam.core.settings import DEPTHS, Real, setting, settings
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.map import Map
-from dslab.slam.matching import guided
-from dslab.slam.matching.brute_force import match_oriented
 from dslab.slam.places.recognition import KeyframeDatabase
+from dslab.slam.tracking.local_map import local_map, match_keyframe, optimize_frame, search_local_map
 from dslab.slam.tracking.pnp import ransac_pnp
 from dslab.slam.tracking.reach import Reach
-from dslab.slam.tracking.tracker import optimize_frame
 
 
 @settings
@@ -152,7 +150,7 @@ class Relocalizer:
 
     def _try(self, frame: Frame, keyframe: int, rng: np.random.Generator) -> RelocalizationOutcome:
         """Match unguided, estimate a pose from three points, match guided."""
-        rows, points = self._match(frame, keyframe)
+        rows, points = match_keyframe(frame, self.map, keyframe, self.config.ratio)
         matches = len(rows)
         if matches < self.config.min_matches:
             return RelocalizationOutcome(False, keyframe, 0, matches, "too_few_matches")
@@ -177,38 +175,16 @@ class Relocalizer:
             return RelocalizationOutcome(False, keyframe, inliers, matches, "too_few_inliers")
         return RelocalizationOutcome(True, keyframe, inliers, matches)
 
-    def _match(self, frame: Frame, keyframe: int) -> tuple[np.ndarray, np.ndarray]:
-        """Rows of the frame and the keyframe's map points that match them."""
-        observed = self.map.observed_points(keyframe)
-        rows = np.flatnonzero(observed >= 0)
-        known, f = self.map.features(keyframe), frame.features
-        pairs = match_oriented(
-            known.descriptors[rows],
-            known.angle_deg[rows],
-            f.descriptors,
-            f.angle_deg,
-            guided.NEAR,
-            self.config.ratio,
-        )
-        return pairs[:, 1], observed[rows[pairs[:, 0]]]
-
     def _search(self, frame: Frame, radius_px: float) -> tuple[int, int]:
         """Match the local map around the pose and refine it; (matches, inliers)."""
-        m, f = self.map, frame.features
-        _, candidates = guided.collect_local_map(
-            m.arrays, m.n_keyframes, m.n_points, frame.point, self.config.local_map_keyframes
-        )
-        guided.match_local_points(
-            m.arrays, m.view, frame.T_cam_map, candidates,
-            f.xy, f.octave, f.descriptors, f.cell_start, frame.point, radius_px / 4.0, 0.9, False,
-        )  # fmt: skip
-        matches = int((frame.point >= 0).sum())
-        return matches, optimize_frame(frame, m)
+        most, widen = self.config.local_map_keyframes, radius_px / 4.0
+        inliers, matches, _ = search_local_map(frame, self.map, most, widen, 0.9)
+        return matches, inliers
 
     def _set_reference(self, frame: Frame) -> None:
         """Refer the frame to the keyframe that shares most of its points."""
         m = self.map
-        keyframes, _ = guided.collect_local_map(m.arrays, m.n_keyframes, m.n_points, frame.point, 1)
+        keyframes, _ = local_map(m, frame.point, 1)
         frame.reference_keyframe = int(keyframes[0])
         frame.T_cam_reference = frame.T_cam_map @ np.linalg.inv(m.T_cam_map(frame.reference_keyframe))
 

@@ -5,20 +5,24 @@ to the pixels near them. Only poses come of it: no keyframe is made of a rescued
 """
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from dslab.slam.core import events as ev
 from dslab.slam.core.camera import PinholeCamera
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import share_of_motion
 from dslab.slam.core.settings import setting, settings
+from dslab.slam.core.timing import StageTimer
 from dslab.slam.direct.alignment import Reference, fan
 from dslab.slam.direct.placement import PlacementConfig, place
 from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
 from dslab.slam.direct.selection import SelectionConfig, select
 from dslab.slam.features.tracks import TrackedFrame, take_depth_from_points
 from dslab.slam.map.map import Map
+from dslab.slam.tracking.tracker import Tracker, TrackingOutcome
 
 _STEADY = 6  # frames over which the motion is taken: steps between two rescued frames are too uncertain
 
@@ -70,6 +74,30 @@ class Rescue:
         self._path: deque[Frame] = deque(maxlen=_STEADY)
         self._map: Map | None = None  # of the path
         self._tracked_s = -np.inf
+
+    def go_on(
+        self,
+        frame: Frame,
+        image: np.ndarray,
+        outcome: TrackingOutcome,
+        tracker: Tracker,
+        camera: PinholeCamera,
+        timer: StageTimer,
+        emit: Callable[..., None],
+    ) -> TrackingOutcome:
+        """Try to place a frame that ``tracker`` has not, before a breakage is declared; the outcome then."""
+        first, found = self.frames == 0, None
+        if not (outcome.success or tracker.doubt.reason):
+            with timer("rescue"):
+                found = self.attempt(frame, image, camera, tracker.map)
+        if found is None:
+            rescued = self.tracked(tracker.map, frame) if outcome.success else self.ended()
+            if rescued:
+                emit(frame, ev.RescueEnd, success=outcome.success, frames=rescued)
+            return outcome
+        if first:
+            emit(frame, ev.RescueStart, reason=outcome.reason, inliers=outcome.inliers)
+        return tracker.take_pose(frame, found.T_cam_map, found.keyframe, found.velocity)
 
     def keep(self, map_: Map, frame: Frame, image: np.ndarray) -> None:
         """Keep the image (H, W) uint8 of a frame that becomes a keyframe."""

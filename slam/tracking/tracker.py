@@ -11,12 +11,20 @@ from dslab.slam.core.timing import StageTimer
 from dslab.slam.map._map_kernels import count_observed, resolve_points
 from dslab.slam.map.map import Map
 from dslab.slam.matching import guided
-from dslab.slam.matching.brute_force import match_oriented
-from dslab.slam.optimization.pose import direction_deviation, optimize_pose
-from dslab.slam.places.evidence import EvidenceBar, cells_of, support
+from dslab.slam.optimization.pose import direction_deviation
+from dslab.slam.places.evidence import EvidenceBar, support
 from dslab.slam.tracking.doubt import Doubt, DoubtConfig
-
-_KEYPOINTS_TO_SEE = 3  # in a cell, of which chance puts one or two anywhere
+from dslab.slam.tracking.local_map import (
+    covered_share,
+    local_map,
+    match_keyframe,
+    match_local,
+    median_depth,
+    optimize_frame,
+    place_about,
+    points_of,
+    search_local_map,
+)
 
 
 @settings
@@ -91,7 +99,6 @@ class Tracker:
         self.last: Frame | None = None
         self.velocity: np.ndarray | None = None
         self.twist = np.zeros(6)
-        self._local_points = np.empty(0, np.int32)
         self.doubt = Doubt(config.doubt)
         self._in_motion = False  # the velocity is that of a tracked step
         self._last_keyframe: FrameFeatures | None = None
@@ -158,7 +165,7 @@ class Tracker:
         if not found:
             return TrackingOutcome(False, 0, int((frame.point >= 0).sum()), "too_few_matches_with_last_frame")
         if not self._passed_over and (frame.point >= 0).any():
-            frame.features = frame.features.moving(twist_between(last, frame, self._median_depth(frame)))
+            frame.features = frame.features.moving(twist_between(last, frame, median_depth(frame, self.map)))
         with self.timer("local_map"):
             inliers, matches = self._track_local_map(frame)
         if inliers < self._least_inliers(frame, self.config.min_inliers):
@@ -201,19 +208,14 @@ class Tracker:
             keyframe: that it shares its view with.
             velocity: (4, 4) from here on.
         """
-        m, f = self.map, frame.features
+        m, config = self.map, self.config
         frame.T_cam_map, frame.reference_keyframe = T_cam_map.copy(), keyframe
         frame.point[:] = -1
-        _, candidates = guided.collect_local_map(
-            m.arrays, m.n_keyframes, m.n_points, m.observed_points(keyframe), self.config.local_map_keyframes
-        )
-        guided.match_local_points(
-            m.arrays, m.view, frame.T_cam_map, candidates,
-            f.xy, f.octave, f.descriptors, f.cell_start, frame.point, 1.0, self.config.local_map_ratio, False,
-        )  # fmt: skip
+        _, candidates = local_map(m, m.observed_points(keyframe), config.local_map_keyframes)
+        match_local(frame, m, candidates, 1.0, config.local_map_ratio)
         matches = int((frame.point >= 0).sum())
-        inliers = self.optimize(frame) if matches >= self.config.min_motion_inliers else 0
-        if inliers < self._least_inliers(frame, self.config.min_inliers):
+        inliers = self.optimize(frame) if matches >= config.min_motion_inliers else 0
+        if inliers < self._least_inliers(frame, config.min_inliers):
             frame.T_cam_map = T_cam_map
         if not inliers:
             frame.point[:] = -1
@@ -233,7 +235,7 @@ class Tracker:
         if right_behind:
             return inliers < max(self.config.urgent_share * known, self.config.urgent_inliers)
         held = inliers >= self.config.keyframe_share * known
-        return not held or _covered_share(frame, self.map) < self.config.keyframe_cover
+        return not held or covered_share(frame, self.map) < self.config.keyframe_cover
 
     def optimize(self, frame: Frame) -> int:
         """Refine a frame's pose by its matches and remove outliers; number of inliers."""
@@ -280,32 +282,17 @@ class Tracker:
         """
         if self.velocity is None:
             return False
-        m = self.map
+        m, config = self.map, self.config
         starts = self.velocity @ last.T_cam_map, m.T_cam_map(m.live(last.reference_keyframe))
-        _, candidates = guided.collect_local_map(
-            m.arrays, m.n_keyframes, m.n_points, last.point, self.config.local_map_keyframes
-        )
-        for radius_px in self.config.gap_radius_px * np.array([1.0, 2.0, 4.0]):
-            found = [self._place_about(frame, np.ascontiguousarray(T), candidates, radius_px) for T in starts]
+        _, points = local_map(m, last.point, config.local_map_keyframes)
+        least, bounds = config.min_motion_matches, (config.local_map_ratio, config.max_noise)
+        for radius_px in config.gap_radius_px * np.array([1.0, 2.0, 4.0]):
+            found = [place_about(frame, m, T, points, radius_px / 4.0, least, *bounds) for T in starts]
             best = max(found, key=lambda placed: placed[0])
-            if best[0] >= self.config.min_motion_matches:
+            if best[0] >= least:
                 _, frame.T_cam_map, frame.point = best
                 return True
         return False
-
-    def _place_about(
-        self, frame: Frame, T_cam_map: np.ndarray, candidates: np.ndarray, radius_px: float
-    ) -> tuple[int, np.ndarray, np.ndarray]:
-        """Inliers, pose and matches of the frame with points projected by an assumed pose."""
-        m, f = self.map, frame.features
-        frame.point, frame.T_cam_map = np.full(len(f), -1, np.int32), T_cam_map
-        _, count = guided.match_local_points(
-            m.arrays, m.view, T_cam_map, candidates,
-            f.xy, f.octave, f.descriptors, f.cell_start, frame.point, radius_px / 4.0,
-            self.config.local_map_ratio, False,
-        )  # fmt: skip
-        inliers = self.optimize(frame) if count >= self.config.min_motion_matches else 0
-        return inliers, frame.T_cam_map, frame.point
 
     def _match_last(self, frame: Frame, last: Frame, predicted: np.ndarray, radius_px: float) -> int:
         f, g = frame.features, last.features
@@ -317,40 +304,24 @@ class Tracker:
 
     def _track_reference_keyframe(self, frame: Frame, last: Frame) -> bool:
         """Match with the reference keyframe's points without prediction."""
-        f = frame.features
-        k = self.map.live(last.reference_keyframe)
-        reference = self.map.features(k)
-        points = self.map.observed_points(k)
-        rows = np.flatnonzero(points >= 0)
+        keyframe = self.map.live(last.reference_keyframe)
+        rows, points = match_keyframe(frame, self.map, keyframe, self.config.reference_ratio)
         frame.point[:] = -1
-        if not len(rows) or not len(f):
+        if len(rows) < self.config.min_reference_matches:
             return False
-        pairs = match_oriented(
-            reference.descriptors[rows], reference.angle_deg[rows], f.descriptors, f.angle_deg,
-            guided.NEAR, self.config.reference_ratio,
-        )  # fmt: skip
-        if len(pairs) < self.config.min_reference_matches:
-            return False
-        frame.point[pairs[:, 1]] = points[rows[pairs[:, 0]]]
+        frame.point[rows] = points
         frame.T_cam_map = last.T_cam_map.copy()
         return self.optimize(frame) >= self.config.min_motion_inliers
 
     def _track_local_map(self, frame: Frame) -> tuple[int, int]:
         """Match the frame with its local map; (inliers, matches)."""
-        m, f = self.map, frame.features
-        keyframes, self._local_points = guided.collect_local_map(
-            m.arrays, m.n_keyframes, m.n_points, frame.point, self.config.local_map_keyframes
+        config = self.config
+        most, ratio, noise = config.local_map_keyframes, config.local_map_ratio, config.max_noise
+        inliers, matches, keyframe = search_local_map(
+            frame, self.map, most, 1.0, ratio, noise, self.observing
         )
-        if not len(keyframes):
-            return 0, 0
-        guided.match_local_points(
-            m.arrays, m.view, frame.T_cam_map, self._local_points,
-            f.xy, f.octave, f.descriptors, f.cell_start, frame.point, 1.0,
-            self.config.local_map_ratio, self.observing,
-        )  # fmt: skip
-        matches = int((frame.point >= 0).sum())
-        inliers = self.optimize(frame)
-        frame.reference_keyframe = int(keyframes[0])
+        if keyframe >= 0:
+            frame.reference_keyframe = keyframe
         return inliers, matches
 
     def _fault_of_crossing(self, frame: Frame, last: Frame) -> str:
@@ -362,9 +333,7 @@ class Tracker:
             return ""
         m, config = self.map, self.config.crossing
         k = m.live(last.reference_keyframe)
-        around = [k, *map(int, m.neighbours(k, config.around))]
-        points = np.unique(np.concatenate([m.observed_points(other) for other in around]))
-        points = points[points >= 0].astype(np.int32)
+        points = points_of(m, [k, *map(int, m.neighbours(k, config.around))])
         seen = support(m, points, frame.T_cam_map, frame.features, config.radius_px)
         return config.bar.fault(seen) if seen.expected >= config.min_expected else ""
 
@@ -375,15 +344,11 @@ class Tracker:
         if not self._passed_over:
             self._note_motion(frame, last)
             if (frame.point >= 0).any():
-                self.twist = twist_between(last, frame, self._median_depth(frame))
+                self.twist = twist_between(last, frame, median_depth(frame, self.map))
             self.velocity = frame.T_cam_map @ np.linalg.inv(last.T_cam_map)
             self._in_motion = True
         self._passed_over = 0
         self.last = frame
-
-    def _median_depth(self, frame: Frame) -> float:
-        points = self.map.arrays.pt_xyz[frame.point[frame.point >= 0]]
-        return float(np.median(points @ frame.T_cam_map[2, :3] + frame.T_cam_map[2, 3]))
 
     def _note_motion(self, frame: Frame, last: Frame) -> None:
         m, matched = self.map, frame.point >= 0
@@ -395,33 +360,3 @@ class Tracker:
         information = m.view.inv_sigma2[frame.features.octave[matched]]
         deviation = direction_deviation(frame.T_cam_map, xyz, information, m.view.fx, m.view.fy)
         self.doubt.note(frame, last, predicted, xyz, made.stamp_s, deviation)
-
-
-def _covered_share(frame: Frame, map_: Map) -> float:
-    """Share of the cells of the image with keypoints in which points of the map are found too."""
-    cell = cells_of(map_.view, frame.features.xy)
-    seen = np.bincount(cell) >= _KEYPOINTS_TO_SEE
-    found = np.bincount(cell[frame.point >= 0], minlength=len(seen)) > 0
-    return float((seen & found).sum() / max(1, seen.sum()))
-
-
-def optimize_frame(frame: Frame, map_: Map, max_noise: float = 1.0) -> int:
-    """Refine a frame's pose by its map matches and remove outliers; number of inliers.
-
-    Args:
-        frame: with a pose to start from and matches, of which the outliers are taken.
-        map_: of its points.
-        max_noise: how many times the noise of the map's keypoints its own may be; see :func:`optimize_pose`.
-    """
-    rows = np.flatnonzero(frame.point >= 0)
-    f, view = frame.features, map_.view
-    pose, inlier, frame.noise = optimize_pose(
-        frame.T_cam_map,
-        map_.arrays.pt_xyz[frame.point[rows]],
-        f.xy[rows],
-        view.inv_sigma2[f.octave[rows]],
-        view.fx, view.fy, view.cx, view.cy, max_noise,
-    )  # fmt: skip
-    frame.T_cam_map = pose
-    frame.point[rows[~inlier]] = -1
-    return int(inlier.sum())

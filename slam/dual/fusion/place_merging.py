@@ -242,7 +242,7 @@ class PlaceFusion(MapChange):
         self._current_id = current.map_id
         if confirmed is None:
             saved = [store[k] for k in store.saved]
-            places.note_corrections(engine.corrections)
+            places.note_corrections(engine.handover.corrections)
             alignments = places.search(current, saved, store.places, engine.backend.lock)
             self._refused = tuple(places.refused)
         elif confirmed.map_id in store.saved:

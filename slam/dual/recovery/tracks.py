@@ -9,8 +9,8 @@ from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryTask
 from dslab.slam.dual.recovery.track_mapping import TrackMapper
 from dslab.slam.features.tracks import TrackedFrame, rays, take_depth_from_points, triangulate_pairs
 from dslab.slam.map._map_kernels import count_observed, resolve_points
-from dslab.slam.matching import guided
 from dslab.slam.optimization.pose import CHI2_2DOF, optimize_pose
+from dslab.slam.tracking.local_map import local_map, match_local
 from dslab.slam.tracking.tracker import Tracker, TrackingOutcome
 
 
@@ -132,17 +132,11 @@ class TrackTracker(Tracker):
             Inlier mask of the features (k,) bool, number of map point inliers, number of map points matched.
         """
         m, frame, f = self.map, tracked.frame, tracked.frame.features
-        _, candidates = guided.collect_local_map(
-            m.arrays, m.n_keyframes, m.n_points, seen, self.config.local_map_keyframes
-        )
+        _, candidates = local_map(m, seen, self.config.local_map_keyframes)
         frame.point[:] = -1
         agree, matches = np.zeros(len(rows), np.bool_), 0
         for widen, last in ((2.0, False), (1.0, True)):
-            guided.match_local_points(
-                m.arrays, m.view, frame.T_cam_map, candidates,
-                f.xy, f.octave, f.descriptors, f.cell_start, frame.point, widen,
-                self.config.local_map_ratio, last,
-            )  # fmt: skip
+            match_local(frame, m, candidates, widen, self.config.local_map_ratio, last)
             matched = np.flatnonzero(frame.point >= 0)
             matches = len(matched)
             frame.T_cam_map, inlier, frame.noise = optimize_pose(
@@ -159,7 +153,7 @@ class TrackTracker(Tracker):
     def set_reference(self, frame: Frame, reference: Frame) -> None:
         """Set the reference: the keyframe with most common points, or the predecessor's."""
         m = self.map
-        keyframes, _ = guided.collect_local_map(m.arrays, m.n_keyframes, m.n_points, frame.point, 1)
+        keyframes, _ = local_map(m, frame.point, 1)
         frame.reference_keyframe = (
             int(keyframes[0]) if len(keyframes) else m.live(reference.reference_keyframe)
         )

@@ -15,7 +15,7 @@ from dslab.slam.loop_closing.correction import Loop
 from dslab.slam.loop_closing.judgement import JudgementConfig
 from dslab.slam.map.adjustment import MapAdjustment
 from dslab.slam.map.invariants import check_map
-from dslab.slam.runtime.backend import ExecutionMode
+from dslab.slam.runtime.backend import ExecutionMode, MapChange
 from dslab.slam.warmup import CAMERA
 
 COUNT, STEP_M = 65, 0.05
@@ -51,6 +51,37 @@ def test_threads_track_and_map_as_lockstep_does(sequence):
     errors, _ = errors_m(system.trajectories()[0], T_world_cam)
     assert rms(errors) < 0.05
     assert sum(r.mapping_cpu_ms for r in results) > 0
+
+
+class Told(MapChange):
+    """A change of nothing that notes what is asked of it."""
+
+    def __init__(self, has_work, is_valid):
+        self.has_work, self.is_valid, self.calls = has_work, is_valid, []
+
+    def prepare(self):
+        self.calls.append(("prepare", threading.current_thread().name))
+        return self.has_work
+
+    def is_still_valid(self):
+        return self.is_valid
+
+    def commit(self):
+        self.calls.append(("commit", threading.current_thread().name))
+
+
+@pytest.mark.parametrize(
+    ("mode", "beside"), [(ExecutionMode.LOCKSTEP, "MainThread"), (THREADED, "loop closing")]
+)
+@pytest.mark.parametrize(("has_work", "is_valid"), [(True, True), (True, False), (False, True)])
+def test_a_change_is_prepared_beside_tracking_and_committed_there_while_valid(
+    mode, beside, has_work, is_valid
+):
+    system, change = build_system("base", CAMERA, 0, mode=mode), Told(has_work, is_valid)
+    system.engine.backend.beside(change)
+    system.finish()
+    committed = [("commit", "MainThread")] if has_work and is_valid else []
+    assert change.calls == [("prepare", beside), *committed]
 
 
 def test_tracking_does_not_wait_for_mapping(sequence, monkeypatch):

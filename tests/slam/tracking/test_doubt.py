@@ -203,15 +203,18 @@ def sequence():
 @pytest.fixture
 def wandering(monkeypatch):
     """From the planted frame on, tracking finds poses moved round the scene, to either side in turn."""
-    found = tracker.optimize_frame
 
-    def wrong(frame, map_, max_noise=1.0):
-        inliers, index = found(frame, map_, max_noise), frame.features.index
-        if PLANTED_AT <= index < PLANTED_AT + 30:
-            frame.T_cam_map = orbit_in_map(map_, frame, 3.0 * (-1) ** index) @ frame.T_cam_map
-        return inliers
+    def wrongly(find):
+        def wrong(frame, map_, *rest):
+            found, index = find(frame, map_, *rest), frame.features.index
+            if PLANTED_AT <= index < PLANTED_AT + 30:
+                frame.T_cam_map = orbit_in_map(map_, frame, 3.0 * (-1) ** index) @ frame.T_cam_map
+            return found
 
-    monkeypatch.setattr(tracker, "optimize_frame", wrong)
+        return wrong
+
+    for name in ("optimize_frame", "search_local_map"):
+        monkeypatch.setattr(tracker, name, wrongly(getattr(tracker, name)))
 
 
 def orbit_in_map(map_, frame, degrees):
