@@ -5,9 +5,9 @@ ended, so that results do not depend on the load of the machine, and it is compu
 threaded mode workers are threads.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from math import inf
-from typing import Protocol
 
 from dslab.slam.core.timing import StageTimer
 from dslab.slam.dual.recovery.interface import RecoveryResult, RecoveryTask, RecoveryThread
@@ -58,40 +58,39 @@ class RecoveryRun:
         return inf if self.started_s is None else self.started_s + self.thread.cost.seconds(self.execute())
 
 
-class RecoveryScheduler(Protocol):
+class RecoveryScheduler(ABC):
     """Gives runs to workers, the lowest thread number first, then the oldest."""
+
+    def __init__(self) -> None:
+        self._waiting: list[RecoveryRun] = []
 
     def submit(self, run: RecoveryRun) -> None:
         """Put a run into the queue."""
-        ...
+        self._waiting.append(run)
+        self._waiting.sort(key=lambda r: r.number)  # stable: the oldest first
 
+    def _drop(self, run: RecoveryRun) -> None:
+        self._waiting = [r for r in self._waiting if r is not run]
+
+    @abstractmethod
     def start(self, now_s: float) -> list[RecoveryRun]:
         """Give the waiting runs to workers that are free; those that were given one."""
-        ...
 
+    @abstractmethod
     def has_ended(self, run: RecoveryRun, now_s: float) -> bool:
-        """True if a run has ended by now.
+        """True if a run has ended by now. Raises the exception of a run."""
 
-        Raises:
-            Exception: the exception of a run.
-        """
-        ...
-
+    @abstractmethod
     def cancel(self, run: RecoveryRun, now_s: float) -> None:
         """Give up a run that has not ended; its worker is free from now on, or soon."""
-        ...
 
+    @abstractmethod
     def wait(self) -> None:
-        """Wait until every run that was given a worker has ended.
+        """Wait until every run that was given a worker has ended. Raises the exception of a run."""
 
-        Raises:
-            Exception: the exception of a run.
-        """
-        ...
-
+    @abstractmethod
     def close(self) -> None:
         """Stop the workers; runs that wait are dropped."""
-        ...
 
 
 def build_scheduler(mode: ExecutionMode, workers: int) -> RecoveryScheduler:
@@ -99,21 +98,7 @@ def build_scheduler(mode: ExecutionMode, workers: int) -> RecoveryScheduler:
     return (ThreadedScheduler if mode is ExecutionMode.THREADED else ReckonedScheduler)(workers)
 
 
-class _Queue:
-    """Runs that wait, in the order in which they get workers."""
-
-    def __init__(self) -> None:
-        self._waiting: list[RecoveryRun] = []
-
-    def submit(self, run: RecoveryRun) -> None:
-        self._waiting.append(run)
-        self._waiting.sort(key=lambda r: r.number)  # stable: the oldest first
-
-    def _drop(self, run: RecoveryRun) -> None:
-        self._waiting = [r for r in self._waiting if r is not run]
-
-
-class ReckonedScheduler(_Queue):
+class ReckonedScheduler(RecoveryScheduler):
     """Scheduler of lockstep mode."""
 
     def __init__(self, workers: int) -> None:
@@ -155,7 +140,7 @@ class ReckonedScheduler(_Queue):
         return bool(self._free_since_s)
 
 
-class ThreadedScheduler(_Queue):
+class ThreadedScheduler(RecoveryScheduler):
     """Scheduler of threaded mode."""
 
     def __init__(self, workers: int) -> None:
