@@ -213,7 +213,7 @@ class RecoveryJobs:
             self._emit_end(job, run.number, run.thread.name, result, run.cpu_ms)
             outcome = algorithm_1(job)
             if isinstance(outcome, Recovered):
-                # To its end without the thread that has succeeded: what would the others have returned?
+                # If all are run to their end: what would the others have returned without this one?
                 job.runs, job.has_succeeded = job.open_runs, True
                 if not self._exhaustive:
                     self._cancel_runs(job, "not_needed")
