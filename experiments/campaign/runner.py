@@ -4,6 +4,7 @@ The rows of the ledger do not depend on the number of workers: a unit is a pure 
 their records in order decide which units are run (see :mod:`experiments.campaign.schedule`).
 """
 
+import re
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -13,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 from dslab.experiments.campaign.folder import SPEC_FILE, claim_folder, open_ledger, owner_of, write_spec
-from dslab.experiments.campaign.repeated_fault import RepeatedFault
 from dslab.experiments.campaign.schedule import Experiment, Record, Schedule, UnitOrder
 from dslab.experiments.campaign.table_file import ERROR_COLUMNS
 from dslab.experiments.eq1.record_table import normalise, storable
@@ -61,6 +61,9 @@ class Tally:
 
 
 Show = Callable[[Tally], None]
+_ALIKE = 2
+_VARYING = re.compile(r"[0-9a-f]{8,}|[0-9.]+")
+"""Hashes and measured numbers, in which messages of one fault differ."""
 
 
 def run_experiment(
@@ -160,7 +163,7 @@ class _Run:
         self._whole = dual_column(len(threads))
         self._crossed = [thread_column("cross", thread, "failed") for thread in threads]
         proven = {r["cell"] for r in schedule.records() if not is_infrastructure_error(r)}
-        self._faults = RepeatedFault(schedule.first_cells, proven)
+        self._faults = _RepeatedFault(schedule.first_cells, proven)
         self._most_busy = 1
         self._show = show or (lambda tally: None)
         self._due: deque[UnitSpec] = deque()
@@ -230,3 +233,50 @@ def _error_row(unit: UnitSpec, attempt: int, ended: Ended, message: str) -> dict
     at = datetime.now(UTC).isoformat(timespec="seconds")
     values = (unit.unit_id, unit.cell, unit.index, attempt, at, ended.worker, message, storable(ended.report))
     return dict(zip(ERROR_COLUMNS, values, strict=True))
+
+
+class _RepeatedFault:
+    """Infrastructure errors of one kind since the last success.
+
+    They count as a fault of the machine once more units have failed alike than were under way at once, which
+    may share a passing fault. Before any success it must be a unit of every cell too; after one, units count
+    only if their cell has had success, so that a cell whose units always fail is left to the tries of each.
+
+    Args:
+        cells: number of cells.
+        proven: cells in which a unit has ended without an infrastructure error.
+    """
+
+    def __init__(self, cells: int, proven: set[str]) -> None:
+        self._cells = cells
+        self._proven = proven
+        self._kind = ""
+        self._units: dict[str, str] = {}
+
+    def success(self, cell: str) -> None:
+        """Note that a unit has ended without an infrastructure error."""
+        self._proven.add(cell)
+        self._units.clear()
+
+    def failure(self, unit: UnitSpec, message: str, workers: int) -> None:
+        """Note an infrastructure error.
+
+        Args:
+            unit: the failed unit.
+            message: of the error.
+            workers: largest number of units under way at once.
+
+        Raises:
+            MachineError: the fault is the machine's.
+        """
+        if self._proven and unit.cell not in self._proven:
+            return
+        kind = _VARYING.sub("#", message)
+        if kind != self._kind:
+            self._kind = kind
+            self._units.clear()
+        self._units[unit.unit_id] = unit.cell
+        everywhere = bool(self._proven) or len(set(self._units.values())) == self._cells
+        if everywhere and len(self._units) >= workers + _ALIKE:
+            problem = f"the last {len(self._units)} units ended in the same error: {message}"
+            raise MachineError("the run has stopped", problem, "mend it and run the same command again")

@@ -45,12 +45,11 @@ def batch_command(
 
     `dslab batch kitti.yaml --out out/kitti --figures`
     """
-    from dslab.experiments.batch.pairs import PAIRS_FILE, pairs
     from dslab.experiments.batch.paper_figures import FIGURES_DIR, write_figures
     from dslab.experiments.batch.paper_tables import TABLES_DIR, write_tables
     from dslab.experiments.batch.run import CSV_FILE, run_batch
     from dslab.experiments.batch.spec import read_batch
-    from dslab.experiments.batch.table import sums
+    from dslab.experiments.batch.table import PAIRS_FILE, pairs, sums
     from dslab.experiments.runs.files import plain
     from dslab.sim.io.folders import write_file
 

@@ -11,15 +11,13 @@ from uuid import uuid4
 
 from distributed import Client, Future
 
-from dslab.experiments.jobs.pool import Ended, Pool, PoolSettings, error_line
+from dslab.experiments.jobs.pool import LATE_S, Ended, Pool, PoolSettings, error_line
 from dslab.experiments.jobs.worker import Task, run_watched
 from dslab.experiments.runs.ending import EndKind
 from dslab.scenarios.errors import InputError, MachineError
 
 _START_S = 120.0
 _CONNECT_S = 10.0
-_LATE_S = 60.0
-"""Time allowed beyond an item's limit; its process should have ended itself by then."""
 _TRANSFER_S = 20.0
 """Time that the result of an ended item may take; Dask waits for ever for a worker that has gone."""
 _ABSENT_S = 5.0
@@ -147,7 +145,7 @@ class ClusterPool(Pool):
         for worker, assignment in self._assigned.items():
             if worker in present:
                 assignment.absent_since_s = None
-                if limit_s is not None and now_s - assignment.started_s > limit_s + _LATE_S:
+                if limit_s is not None and now_s - assignment.started_s > limit_s + LATE_S:
                     given_up.append(worker)
             elif assignment.absent_since_s is None:
                 assignment.absent_since_s = now_s

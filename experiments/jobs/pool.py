@@ -29,7 +29,7 @@ imports."""
 SINGLE_THREADED = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )
-_LATE_S = 60.0
+LATE_S = 60.0
 """Time allowed beyond an item's limit; its process should have ended itself by then."""
 _LOOK_S = 0.1
 _TICK_S = 1.0
@@ -237,8 +237,12 @@ class ProcessPool(Pool):
         report = self._folder / f"{name}.txt"
         report.unlink(missing_ok=True)
         process = context.Process(target=serve, args=(theirs, self._task, self._settings.time_s, report))
-        with _environment(SINGLE_THREADED if self._settings.single_threaded else {}):
-            process.start()
+        try:
+            with _environment(SINGLE_THREADED if self._settings.single_threaded else {}):
+                process.start()
+        except OSError as error:
+            problem, remedy = f"cannot be started ({error})", "give fewer --workers"
+            raise MachineError("a worker process", problem, remedy) from error
         theirs.close()
         return _Worker(process, ours, report)
 
@@ -257,7 +261,7 @@ class ProcessPool(Pool):
         if not alive:
             return self._death(name)
         limit_s = self._settings.time_s
-        if limit_s is not None and time.monotonic() - worker.started_s > limit_s + _LATE_S:
+        if limit_s is not None and time.monotonic() - worker.started_s > limit_s + LATE_S:
             return self._death(name, EndKind.TIMED_OUT)
         if self._is_over(worker):
             return self._death(name, EndKind.OUT_OF_MEMORY)
@@ -287,11 +291,18 @@ class ProcessPool(Pool):
 
 
 def open_pool(task: Task, settings: PoolSettings) -> AbstractContextManager[Pool]:
-    """Open the pool that the settings describe: processes of this machine, or workers of a Dask scheduler."""
+    """Open the pool that the settings describe: processes of this machine, or workers of a Dask scheduler.
+
+    Raises:
+        InputError: the scheduler cannot be used.
+    """
     if settings.scheduler is None:
         return ProcessPool(task, settings)
-    from dslab.experiments.jobs.cluster import open_cluster_pool
-
+    try:
+        from dslab.experiments.jobs.cluster import open_cluster_pool
+    except ModuleNotFoundError as error:
+        problem = f"{error.name} is not installed, which workers of other machines need"
+        raise InputError("--scheduler", problem, "install dask and distributed, or leave it out") from None
     return open_cluster_pool(task, settings)
 
 

@@ -20,11 +20,10 @@ from slam_fakes import circle, make_sequence
 from system_programs import write_program
 
 from dslab.experiments.batch import run as batch_run
-from dslab.experiments.batch.pairs import pairs
 from dslab.experiments.batch.rows import COLUMNS
 from dslab.experiments.batch.run import CSV_FILE, run_batch
 from dslab.experiments.batch.spec import BatchSpec, read_batch
-from dslab.experiments.batch.table import sums
+from dslab.experiments.batch.table import pairs, sums
 from dslab.experiments.evaluation.intact_map import judge_intact
 from dslab.experiments.jobs.ledger import LEDGER_FILE, sole_driver
 from dslab.scenarios.errors import InputError

@@ -3,6 +3,7 @@
 import gc
 import os
 import signal
+import sys
 from collections import deque
 from types import SimpleNamespace
 
@@ -81,6 +82,13 @@ def test_a_missing_scheduler_is_one_line(monkeypatch):
         open_cluster_pool(told, PoolSettings(scheduler="tcp://127.0.0.1:9")),
     ):
         pass
+
+
+def test_a_machine_without_dask_says_so(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    monkeypatch.delitem(sys.modules, "dslab.experiments.jobs.cluster")
+    with pytest.raises(InputError, match="--scheduler: distributed is not installed"):
+        open_pool(told, PoolSettings(scheduler="tcp://there:1"))
 
 
 @pytest.mark.slow

@@ -109,7 +109,7 @@ def test_an_item_with_a_process_of_its_own_shares_it_with_none():
 
 @pytest.mark.slow
 def test_a_process_that_does_not_answer_is_ended(monkeypatch):
-    monkeypatch.setattr(pools, "_LATE_S", 0.5)
+    monkeypatch.setattr(pools, "LATE_S", 0.5)
     found = ended(["stop"], time_s=1.0)
     assert found["stop"].fault is EndKind.TIMED_OUT
 
