@@ -29,6 +29,7 @@ def serve(connection: Connection, task: Task, time_s: float | None, report: Path
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     Thread(target=_end_with_parent, daemon=True).start()
+    gc.freeze()  # imported modules stay: the collection after each item need not visit them
     while True:
         try:
             item = connection.recv()
