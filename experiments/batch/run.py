@@ -13,7 +13,7 @@ import pandas as pd
 from dslab.experiments.batch.rows import ERROR, KEY, Row, figures_of, typed
 from dslab.experiments.batch.spec import BatchSpec
 from dslab.experiments.evaluation.summary import summarise
-from dslab.experiments.jobs.ledger import Ledger, Owner, sole_driver
+from dslab.experiments.jobs.ledger import Owner, ledger_of
 from dslab.experiments.jobs.pool import Ended, PoolSettings, open_pool
 from dslab.experiments.result_folder import execute_recorded, write_run
 from dslab.experiments.runs.execution import system_factory
@@ -25,7 +25,7 @@ from dslab.experiments.runs.systems.registry import Registry, System, system_dig
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_folder
 from dslab.sim.degradations.recorded_sequences import degrade_sequence
-from dslab.sim.io.folders import new_directory, unwritable, write_file
+from dslab.sim.io.folders import new_directory, write_file
 from dslab.sim.sequence import Sequence
 from dslab.sim.unfinished import scratch_folder
 
@@ -99,12 +99,8 @@ def run_batch(
     for system in systems.values():
         if isinstance(system, CommandSystem):
             system.check()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise unwritable(folder, error) from error
     settings = {"setting of stress, start, seed or mode": spec.row_key, "version of the code": code_hash()}
-    with sole_driver(folder), Ledger.open(folder, Owner(settings, KEY)) as ledger:
+    with ledger_of(folder, Owner(settings, KEY)) as ledger:
         jobs = {job.key: job for job in _jobs(spec, sources, systems, folders, folder)}
         kept = ledger.rows()
         ledger.drop(row for row in kept if not _stands(row, jobs))

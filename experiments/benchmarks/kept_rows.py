@@ -6,11 +6,11 @@ from typing import Any
 
 import pandas as pd
 
-from dslab.experiments.jobs.ledger import Ledger, Owner, Row, sole_driver
+from dslab.experiments.jobs.ledger import Owner, Row, ledger_of
 from dslab.experiments.jobs.pool import run_each
 from dslab.experiments.runs.files import plain
 from dslab.experiments.runs.provenance import code_hash, commit
-from dslab.sim.io.folders import unwritable, write_file
+from dslab.sim.io.folders import write_file
 
 ROWS_FILE = "rows.parquet"
 
@@ -38,14 +38,10 @@ def keep_rows(
     Raises:
         InputError: the folder is of other code, of something else, in use, or cannot be written.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise unwritable(folder, error) from error
     about = {"code": code_hash(), "commit": commit()}
     owner = Owner({"measurement": of, "version of the code": about["code"]}, key)
     width = len(next(iter(jobs), ()))
-    with sole_driver(folder), Ledger.open(folder, owner) as ledger:
+    with ledger_of(folder, owner) as ledger:
         done = {tuple(row[name] for name in key[:width]) for row in ledger.rows()}
         missing = [job for of, job in jobs.items() if of not in done]
         each = ((job, work(job)) for job in missing) if workers is None else run_each(work, missing, workers)

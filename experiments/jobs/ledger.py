@@ -188,6 +188,21 @@ class Ledger:
         )
 
 
+@contextmanager
+def ledger_of(folder: Path, owner: Owner) -> Iterator[Ledger]:
+    """Make a folder unless it exists, and open its ledger for this process alone.
+
+    Raises:
+        InputError: as of :meth:`Ledger.open` and :func:`sole_driver`, or the folder cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unwritable(folder, error) from error
+    with sole_driver(folder), Ledger.open(folder, owner) as ledger:
+        yield ledger
+
+
 def renew_ledger(folder: Path, owner: Owner, is_begun: bool, drop_damaged: bool = False) -> None:
     """Write a damaged ledger anew without its damaged rows, if that is wanted.
 
