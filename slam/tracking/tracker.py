@@ -245,9 +245,8 @@ class Tracker:
 
     def _may_be_keyframe(self, frame: Frame) -> bool:
         """True if the least interval since the last keyframe is over."""
-        if self._last_keyframe is None:
-            return True
-        waited_s = abs(frame.features.stamp_s - self._last_keyframe.stamp_s)
+        last = self._last_keyframe
+        waited_s = np.inf if last is None else abs(frame.features.stamp_s - last.stamp_s)
         return waited_s > self.config.keyframe_interval_s - 1e-6
 
     def _refreshed_last(self) -> Frame:
@@ -316,10 +315,8 @@ class Tracker:
     def _track_local_map(self, frame: Frame) -> tuple[int, int]:
         """Match the frame with its local map; (inliers, matches)."""
         config = self.config
-        most, ratio, noise = config.local_map_keyframes, config.local_map_ratio, config.max_noise
-        inliers, matches, keyframe = search_local_map(
-            frame, self.map, most, 1.0, ratio, noise, self.observing
-        )
+        bounds = config.local_map_keyframes, 1.0, config.local_map_ratio, config.max_noise
+        inliers, matches, keyframe = search_local_map(frame, self.map, *bounds, self.observing)
         if keyframe >= 0:
             frame.reference_keyframe = keyframe
         return inliers, matches
