@@ -24,7 +24,7 @@ from dslab.slam.dual.recovery.registry import RECOVERY_KINDS, ThreadSpec
 ROOT = Path(__file__).resolve().parents[1]
 SITE = sorted(ROOT.glob("docs/*.md"))
 PAGES = [*(p for p in sorted(ROOT.glob("*.md")) if p.name != "CHANGELOG.md"), *SITE]
-WRAPPED = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")
+WRAPPED = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "ARCHITECTURE.md")
 LINKED = [*sorted(ROOT.glob("*.md")), *SITE, *sorted(ROOT.glob("docs/notebook/*.md"))]
 DEVIATIONS = (ROOT / "docs" / "dual-slam.md").read_text()
 # What `name: value` may refer to; ORB, SIFT and DIRECT are kinds of threads, THREAD is any.
