@@ -102,7 +102,8 @@ def smear_lengths(depth_m, k, T_open, T_close):
     """(n,) float32 smear length of every ``GRID_PX``-th pixel; arguments as ``integrate``'s."""
     height, width = depth_m.shape
     lengths = np.empty(((height + GRID_PX - 1) // GRID_PX, (width + GRID_PX - 1) // GRID_PX), np.float32)
-    open_x, open_y, close_x, close_y = np.empty((4, width), np.float32)
+    shifts = np.empty((4, width), np.float32)
+    open_x, open_y, close_x, close_y = shifts[0], shifts[1], shifts[2], shifts[3]
     for i in range(lengths.shape[0]):
         row = i * GRID_PX
         row_shifts(row, depth_m[row], k, T_open, open_x, open_y)
@@ -134,7 +135,8 @@ def integrate(gray, linear, depth_m, k, T_open, T_close, encode, near):
     height, width = gray.shape
     codes, half = np.float32(len(encode) - 1), np.float32(0.5)
     right, bottom, zero = np.float32(width - 1), np.float32(height - 1), np.float32(0)
-    open_x, open_y, close_x, close_y = np.empty((4, width), np.float32)
+    shifts = np.empty((4, width), np.float32)
+    open_x, open_y, close_x, close_y = shifts[0], shifts[1], shifts[2], shifts[3]
     light_at, one = linear.ravel(), np.uint64(1)
     out = np.empty_like(gray)
     for row in range(height):

@@ -157,7 +157,7 @@ def select_corners(
     kept = np.zeros((rows // n_bands + 1, padded), np.uint8)
     strongest = np.empty(padded, np.uint8)
     thresholds = np.zeros(padded, np.uint8)
-    count = 0
+    count = np.int64(0)
     for band in range(n_bands):
         first, end = border + rows * band // n_bands, border + rows * (band + 1) // n_bands
         strongest[:] = 0

@@ -79,7 +79,7 @@ def orient(gaussians, keypoints, sigma0, turns, owners):
         Their number, one or more per keypoint.
     """
     height, width = gaussians.shape[1:]
-    total = 0
+    total = np.int64(0)
     histogram = np.empty(_BINS + 1)
     most_radius = int(3.0 * _ORIENTATION_SIGMA * sigma0 * 2.0 ** ((LAYERS + 0.5) / LAYERS) + 0.5)
     most = (2 * most_radius + 1) ** 2
@@ -94,7 +94,7 @@ def orient(gaussians, keypoints, sigma0, turns, owners):
         for r in range(radius + 1):
             fall[r] = np.exp(-0.5 * r * r / (sigma * sigma))
         step = 1 if radius < _EVERY_PIXEL_BELOW else 2
-        n = 0
+        n = np.int64(0)
         for v in range(-radius, radius + 1, step):
             y = cy + v
             if y < 1 or y > height - 2:
@@ -150,6 +150,7 @@ def describe(gaussians, keypoints, turns, owners, sigma0, out):
     dx, dy = np.empty(_SIDE * _SIDE, np.float32), np.empty(_SIDE * _SIDE, np.float32)
     sizes, away = np.empty(_SIDE * _SIDE, np.float32), np.empty(_SIDE * _SIDE, np.float32)
     sums = np.empty((_CELLS + 2) * _DIRECTIONS * _SIDE, np.float32)
+    weights = _SAMPLE_WEIGHTS.copy()
     for i in range(len(turns)):
         x, y, scale, _, layer = keypoints[owners[i]]
         step = _CELL_SIGMA / _PER_CELL * sigma0 * 2.0 ** (scale / LAYERS)
@@ -158,7 +159,7 @@ def describe(gaussians, keypoints, turns, owners, sigma0, out):
         x, y = x + (cos - sin) * first, y + (sin + cos) * first
         flat = gaussians[int(layer)].reshape(height * width)
         _sample(flat, width, height, np.float32(x), np.float32(y), np.float32(cos), np.float32(sin), dx, dy)
-        _polar(len(dx), dx, dy, _SAMPLE_WEIGHTS, np.float32(turns[i]), sizes, away)
+        _polar(len(dx), dx, dy, weights, np.float32(turns[i]), sizes, away)
         _pool(sizes, away, sums)
         _finish(sums, out[i])
 

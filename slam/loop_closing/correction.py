@@ -99,11 +99,11 @@ def _join(map_: Map, group: np.ndarray, loop: Loop, loop_points: np.ndarray) -> 
     a, scale = map_.arrays, map_.view.scale
     rows = map_.keypoints(loop.keyframe).start + loop.rows
     for row, point in zip(rows, loop.points, strict=True):
-        own = a.kp_point[row]
+        own = int(a.kp_point[row])
         if own >= 0:
-            kernels.replace_point(a, own, point, scale)
-        elif not a.pt_bad[point] and kernels.add_observation(a, row, point):
-            kernels.refresh_point(a, point, scale)
+            kernels.replace_point(a, own, int(point), scale)
+        elif not a.pt_bad[point] and kernels.add_observation(a, int(row), int(point)):
+            kernels.refresh_point(a, int(point), scale)
     for k in group:
         candidates = loop_points.copy()
         kernels.resolve_points(a, candidates)

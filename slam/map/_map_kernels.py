@@ -86,7 +86,7 @@ def add_observation(m, keypoint, point):
     """Associate a keypoint with a point; return False if either is already taken."""
     if m.kp_point[keypoint] >= 0 or m.pt_bad[point]:
         return False
-    k = m.kp_keyframe[keypoint]
+    k = np.int64(m.kp_keyframe[keypoint])
     if observed_in(m, point, k) >= 0:
         return False
     e = m.pt_head[point]
@@ -132,14 +132,14 @@ def _unlink(m, keypoint):
 def remove_point(m, point):
     """Drop a point and all its observations."""
     while m.pt_head[point] >= 0:
-        _unlink(m, m.pt_head[point])
+        _unlink(m, np.int64(m.pt_head[point]))
     m.pt_bad[point] = True
 
 
 @njit(cache=True, nogil=True)
 def erase_observation(m, keypoint, min_observations):
     """Remove one association; a point left with fewer than ``min_observations`` is dropped."""
-    point = m.kp_point[keypoint]
+    point = np.int64(m.kp_point[keypoint])
     if point < 0:
         return
     _unlink(m, keypoint)
@@ -172,7 +172,7 @@ def refresh_geometry(m, point, scale):
     reference = e
     nx, ny, nz = 0.0, 0.0, 0.0
     while e >= 0:
-        k = m.kp_keyframe[e]
+        k = np.int64(m.kp_keyframe[e])
         if k == m.pt_reference[point]:
             reference = e
         dx, dy, dz = _from_camera(m, k, point)
@@ -185,7 +185,7 @@ def refresh_geometry(m, point, scale):
     m.pt_normal[point, 0] = nx / norm
     m.pt_normal[point, 1] = ny / norm
     m.pt_normal[point, 2] = nz / norm
-    dx, dy, dz = _from_camera(m, m.kp_keyframe[reference], point)
+    dx, dy, dz = _from_camera(m, np.int64(m.kp_keyframe[reference]), point)
     m.pt_max_distance[point] = np.sqrt(dx * dx + dy * dy + dz * dz) * scale[m.kp_octave[reference]]
 
 
@@ -227,7 +227,7 @@ def replace_point(m, old, new, scale):
     if old == new or m.pt_bad[old] or m.pt_bad[new]:
         return
     while m.pt_head[old] >= 0:
-        e = m.pt_head[old]
+        e = np.int64(m.pt_head[old])
         _unlink(m, e)
         add_observation(m, e, new)
     m.pt_bad[old] = True
@@ -242,7 +242,7 @@ def replace_points(m, olds, news, scale):
     """Apply :func:`replace_point` to index arrays; a new point of -1 keeps the old one."""
     for i in range(len(olds)):
         if news[i] >= 0:
-            replace_point(m, olds[i], news[i], scale)
+            replace_point(m, np.int64(olds[i]), np.int64(news[i]), scale)
 
 
 @njit(cache=True, nogil=True)
@@ -250,10 +250,10 @@ def take_over(m, keyframe, points, scale):
     """Add given points per keypoint to a keyframe, -1 for none; join with its own."""
     start = m.kf_start[keyframe]
     for i in range(len(points)):
-        p = points[i]
+        p = np.int64(points[i])
         if p < 0:
             continue
-        own = m.kp_point[start + i]
+        own = np.int64(m.kp_point[start + i])
         if own >= 0:
             replace_point(m, p, own, scale)
         elif add_observation(m, start + i, p):
@@ -292,7 +292,7 @@ def attach_frame(m, keyframe, points, scale):
     """Add a frame's matches as observations of its new keyframe and refresh the points."""
     start = m.kf_start[keyframe]
     for i in range(len(points)):
-        p = points[i]
+        p = np.int64(points[i])
         if p >= 0 and not m.pt_bad[p] and add_observation(m, start + i, p):
             refresh_point(m, p, scale)
 
@@ -302,7 +302,7 @@ def refresh_points(m, points, scale):
     """Apply :func:`refresh_point` to an index array."""
     for i in range(len(points)):
         if not m.pt_bad[points[i]]:
-            refresh_point(m, points[i], scale)
+            refresh_point(m, np.int64(points[i]), scale)
 
 
 @njit(cache=True, nogil=True)
@@ -310,7 +310,7 @@ def refresh_geometries(m, points, scale):
     """Apply :func:`refresh_geometry` to an index array."""
     for i in range(len(points)):
         if not m.pt_bad[points[i]]:
-            refresh_geometry(m, points[i], scale)
+            refresh_geometry(m, np.int64(points[i]), scale)
 
 
 @njit(cache=True, nogil=True)
@@ -377,8 +377,8 @@ def median_depth(m, keyframe):
 def create_points(m, first, xyz, keypoints_1, keypoints_2, scale):
     """Fill rows from ``first`` on with points (n, 3), each observed by two keypoints."""
     for i in range(len(xyz)):
-        create_point(m, first + i, xyz[i], keypoints_1[i], scale)
-        add_observation(m, keypoints_2[i], first + i)
+        create_point(m, first + i, xyz[i], np.int64(keypoints_1[i]), scale)
+        add_observation(m, np.int64(keypoints_2[i]), first + i)
         refresh_point(m, first + i, scale)
 
 
@@ -386,11 +386,11 @@ def create_points(m, first, xyz, keypoints_1, keypoints_2, scale):
 def erase_observations(m, keypoints, min_observations):
     """Apply :func:`erase_observation` to an index array."""
     for i in range(len(keypoints)):
-        erase_observation(m, keypoints[i], min_observations)
+        erase_observation(m, np.int64(keypoints[i]), min_observations)
 
 
 @njit(cache=True, nogil=True)
 def remove_points(m, points):
     """Apply :func:`remove_point` to an index array."""
     for i in range(len(points)):
-        remove_point(m, points[i])
+        remove_point(m, np.int64(points[i]))

@@ -52,7 +52,7 @@ def local_problem(m, n_keyframes, n_points, is_free, max_fixed):
             camera_of[k] = n_cam
             cameras[n_cam] = k
             n_cam += 1
-    points = np.empty(n_pts, np.int32)
+    points = np.empty(n_pts, np.int64)
     obs_camera = np.empty(n_obs, np.int32)
     obs_point = np.empty(n_obs, np.int32)
     obs_keypoint = np.empty(n_obs, np.int32)

@@ -160,7 +160,7 @@ def match_last_frame(
             continue
         level = last_octave[j]
         i, d = nearest_in_window(
-            view, xy, octave, descriptors, cell_start, 0, taken, u, v, radius * view.scale[level],
+            view, xy, octave, descriptors, cell_start, np.int64(0), taken, u, v, radius * view.scale[level],
             level - 1, level + 1, m.pt_descriptor[p], 1.0,
         )  # fmt: skip
         if i >= 0 and d <= FAR:
@@ -223,7 +223,7 @@ def match_local_points(
         level = predicted_octave(view, far, distance)
         radius = (2.5 if cosine > 0.998 else 4.0) * widen * view.scale[level]
         i, d = nearest_in_window(
-            view, xy, octave, descriptors, cell_start, 0, taken, u, v, radius,
+            view, xy, octave, descriptors, cell_start, np.int64(0), taken, u, v, radius,
             level - 1, level, m.pt_descriptor[p], ratio,
         )  # fmt: skip
         if i >= 0 and d <= FAR:
@@ -317,7 +317,7 @@ def fuse_into_keyframe(m, view, keyframe, candidates, widen):
     oz = -(T[0, 2] * T[0, 3] + T[1, 2] * T[1, 3] + T[2, 2] * T[2, 3])
     done = 0
     for q in range(len(candidates)):
-        p = candidates[q]
+        p = np.int64(candidates[q])
         if p < 0 or m.pt_bad[p] or observed_in(m, p, keyframe) >= 0:
             continue
         u, v, z = project(T, view, m.pt_xyz[p])
@@ -342,7 +342,7 @@ def fuse_into_keyframe(m, view, keyframe, candidates, widen):
         du, dv = m.kp_xy[e, 0] - u, m.kp_xy[e, 1] - v
         if (du * du + dv * dv) * view.inv_sigma2[m.kp_octave[e]] > 5.991:
             continue
-        other = m.kp_point[e]
+        other = np.int64(m.kp_point[e])
         if other < 0:
             if add_observation(m, e, p):
                 refresh_point(m, p, view.scale)

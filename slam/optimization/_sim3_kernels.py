@@ -293,7 +293,7 @@ def refine(
     """Refine ``S`` by Levenberg-Marquardt, in place, over the ``active`` (N,) pairs; the final cost."""
     H, trial_H, damped = np.empty((7, 7)), np.empty((7, 7)), np.empty((7, 7))
     gradient, trial_gradient, step = np.empty(7), np.empty(7), np.empty(7)
-    trial, rows = S.copy(), whole_rows(7)
+    trial, rows = S.copy(), whole_rows(np.int64(7))
     damping = 1e-5
     cost = linearise(
         S, points_1, points_2, pixels_1, pixels_2, weights_1, weights_2, intrinsics, active,

@@ -167,7 +167,7 @@ def refine_pose(T, points, pixels, inv_sigma2, active, huber2, fx, fy, cx, cy):
     damped = np.empty((6, 6), np.float64)
     step = np.empty(6, np.float64)
     trial = T.copy()
-    rows = whole_rows(6)
+    rows = whole_rows(np.int64(6))
     damping, growth = 1e-5, 2.0
     cost = linearise(T, points, pixels, inv_sigma2, active, huber2, fx, fy, cx, cy, H, gradient)
     for _ in range(_ITERATIONS):

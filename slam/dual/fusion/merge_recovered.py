@@ -273,4 +273,4 @@ def _release_observations(grown: Map, copied: int) -> None:
     Culling would drop points left with two; here they are as good as before they were copied.
     """
     span = grown.keypoints(copied)
-    kernels.erase_observations(grown.arrays, np.arange(span.start, span.stop), 2)
+    kernels.erase_observations(grown.arrays, np.arange(span.start, span.stop, dtype=np.int32), 2)
