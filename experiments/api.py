@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from dslab.experiments.kernels import compile_kernels
 from dslab.experiments.plugins import load_plugins
 from dslab.experiments.result_folder import execute_recorded
 from dslab.experiments.runs.execution import Mode, RunRecord, SystemFactory, execute, system_factory
@@ -135,6 +136,7 @@ def run(
         InputError: the system is unknown, or the sequence is not valid.
     """
     load_plugins()
+    compile_kernels()
     plugin = Registry.open().find(system) if isinstance(system, str) and system not in SYSTEMS else None
     opened = _opened(sequence, seed)
     seed = int(opened.meta.get("seed", 0)) if seed is None else seed
@@ -189,6 +191,7 @@ def run_experiment(
     from dslab.experiments.eq1.spec import load_spec
 
     load_plugins()
+    compile_kernels()
     spec = load_spec(experiment) if isinstance(experiment, str | Path) else experiment
     units = unit_workers(spec, workers=workers)
     return run_units(spec, Path(folder), units.open, show=progress, digests=units.digests)

@@ -1,105 +1,80 @@
-"""Compilation of all kernels, by running the whole system on a small synthetic sequence."""
+"""The kernels of a package: ``kernels.txt`` lists them, with the types of their arguments.
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+Compiling one that others call first spares it to be compiled with each of them.
+"""
 
-import cv2
-import numpy as np
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from importlib.resources import files
+from typing import Any
 
-from dslab.slam.core.camera import PinholeCamera
-
-CAMERA = PinholeCamera(320, 240, 260.0, 260.0, 159.5, 119.5, 30.0)
-_LAYERS = ((7.0, 0.0, 1.0), (5.0, 0.0, 0.35), (4.0, 0.55, 0.85), (6.0, 0.35, 0.6))  # depth, top, bottom
-_PX_PER_M = 90.0
+from numba import types
+from numba.core.dispatcher import Dispatcher
 
 
-def toy_frames(
-    count: int, blank: range = range(0), seed: int = 0, step_m: float = 0.03
-) -> Iterator[tuple[np.ndarray, float, np.ndarray]]:
-    """Synthetic sequence of a camera moving past textured boards at several depths.
+@dataclass(frozen=True)
+class Kernel:
+    """A kernel and the one signature with which systems call it.
 
-    Args:
-        count: number of frames.
-        blank: frames with an empty image.
-        seed: seed of the textures and the noise.
-        step_m: sideways motion per frame.
-
-    Yields:
-        image (240, 320) uint8, stamp_s, T_world_cam (4, 4).
+    Attributes:
+        function: the dispatcher.
+        arguments: its numba types.
     """
-    rng = np.random.default_rng(seed)
-    travel = count * step_m
-    boards = [_board(rng, travel) for _ in _LAYERS]
-    for i in range(count):
-        T_world_cam = np.eye(4)
-        T_world_cam[:3, 3] = i * step_m, 0.05 * np.sin(i / 9), 0.1 * np.sin(i / 15)
-        image = np.full((CAMERA.height_px, CAMERA.width_px), 120, np.uint8)
-        if i not in blank:
-            for board, (depth, top, bottom) in zip(boards, _LAYERS, strict=True):
-                _draw(image, board, depth, top, bottom, T_world_cam[:3, 3])
-            noise = rng.normal(0, 1.5, image.shape)
-            image = np.clip(image + noise, 0, 255).astype(np.uint8)
-        yield image, i / CAMERA.fps, T_world_cam
+
+    function: Any
+    arguments: tuple[types.Type, ...]
+
+    def compile(self) -> None:
+        """Load it from numba's cache, or compile it and store it there."""
+        self.function.compile(self.arguments)
 
 
-def _board(rng: np.random.Generator, travel_m: float) -> np.ndarray:
-    """Texture of coarse and fine random blocks, wide enough for the whole path."""
-    width, height = int((travel_m + 12) * _PX_PER_M), int(9 * _PX_PER_M)
-    texture = np.zeros((height, width), np.float32)
-    for block, weight in ((6, 0.3), (14, 0.3), (40, 0.4)):
-        coarse = rng.integers(0, 256, (height // block + 1, width // block + 1)).astype(np.float32)
-        texture += weight * np.kron(coarse, np.ones((block, block), np.float32))[:height, :width]
-    return cv2.GaussianBlur(texture, (0, 0), 0.8).astype(np.uint8)
+def kernel_lines(package: str) -> list[tuple[str, str, str]]:
+    """Module, name and argument types of each kernel of a package, such as ``dslab.slam``, as text.
+
+    Named tuples that are arguments of kernels come first, with the types of their fields.
+    """
+    lines = files(package).joinpath("kernels.txt").read_text(encoding="utf-8").splitlines()
+    found = [re.fullmatch(r"(.+)\.(\w+)\((.*)\)", line) for line in lines]
+    return [(f"{package}.{one[1]}", one[2], one[3]) for one in found if one]
 
 
-def _draw(
-    image: np.ndarray, board: np.ndarray, depth: float, top: float, bottom: float, centre: np.ndarray
-) -> None:
-    """Draw one fronto-parallel board between the shares ``top`` and ``bottom`` of its height."""
-    z = depth - centre[2]
-    focal = CAMERA.fx / z
-    board_to_image = np.array(
-        [
-            [focal / _PX_PER_M, 0, CAMERA.cx - focal * (6 + centre[0])],
-            [0, focal / _PX_PER_M, CAMERA.cy - focal * (4.5 + centre[1])],
-            [0, 0, 1.0],
-        ]
-    )
-    size = (image.shape[1], image.shape[0])
-    mask = np.zeros(board.shape, np.uint8)
-    rows = slice(int((0.25 + 0.5 * top) * len(board)), int((0.25 + 0.5 * bottom) * len(board)))
-    mask[rows if bottom - top < 1 else slice(None)] = 255
-    seen = cv2.warpPerspective(mask, board_to_image, size, flags=cv2.INTER_NEAREST) > 0
-    image[seen] = cv2.warpPerspective(board, board_to_image, size, flags=cv2.INTER_AREA)[seen]
+def read_kernels(*packages: str) -> list[Kernel]:
+    """All kernels of packages: those that others call before them, and of the others the longest first."""
+    kernels = []
+    for package in packages:
+        names = {name: kind for name, kind in vars(types).items() if isinstance(kind, types.Type | type)}
+        for module, name, text in kernel_lines(package):
+            found = getattr(import_module(module), name)
+            arguments = eval(f"({text},)", {}, names)
+            if isinstance(found, type):
+                names[name] = types.BaseTuple.from_types(arguments, found)
+            else:
+                kernels.append(Kernel(found, arguments))
+    return sorted(kernels, key=lambda k: (_height(k.function), -len(k.function.py_func.__code__.co_code)))
+
+
+@cache
+def _height(function: Dispatcher) -> int:
+    """Longest chain of calls from a kernel to one that calls none."""
+    scope = function.py_func.__globals__
+    called = map(scope.get, function.py_func.__code__.co_names)
+    return max((1 + _height(inner) for inner in called if isinstance(inner, Dispatcher)), default=0)
 
 
 def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
-    """Compile (or load from the cache) every kernel of the system.
+    """Load every kernel of the systems into this process; those not in numba's cache are compiled.
 
     Args:
-        progress: called with a message, the number of frames done and the total.
+        progress: called with a message, the number of kernels done and the total.
     """
-    from dslab.slam.config import default_config
-    from dslab.slam.dual.config import DualConfig
-    from dslab.slam.dual.recovery.registry import parse_threads
-    from dslab.slam.factory import build_system
-    from dslab.slam.mapping.self_calibration import SelfCalibrationConfig
-
-    # Dual-SLAM: a saved map, a breakage, a recovery by three threads and a fusion, which relocalization
-    # or a place found would prevent. The base: a relocalization. Dual-SLAM+: its matcher, up to the first
-    # map. DSO: a window that keyframes leave.
-    threads = parse_threads("orb,sift,direct")
-    every = DualConfig(recovery_threads=threads, exhaustive=True, relocalization=False, place_merging=None)
-    config = replace(default_config(CAMERA), self_calibration=SelfCalibrationConfig(at_keyframes=(3,)))
-    counts = {"dual": 110, "base": 75, "dual+": 10, "ldso": 45}
-    done, total = 0, sum(counts.values())
-    for kind, count in counts.items():
-        system = build_system(kind, CAMERA, seed=0, config=config, dual=every)
-        for image, stamp_s, _ in toy_frames(count, range(60, 66), step_m=0.05):
-            if progress:
-                progress("compiling kernels (kept for later runs)", done, total)
-            system.process(image, stamp_s)
-            done += 1
-        system.finish()
+    kernels = read_kernels("dslab.slam")
+    for done, kernel in enumerate(kernels):
+        if progress:
+            progress("loading kernels", done, len(kernels))
+        kernel.compile()
     if progress:
-        progress("kernels ready", total, total)
+        progress("loading kernels", len(kernels), len(kernels))

@@ -109,8 +109,12 @@ def single_threaded_opencv() -> None:
 
 
 @contextmanager
-def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
-    """Show progress on stderr, one bar per step; yields a callback of (step, done, total)."""
+def progress_bars(kernels: bool = True) -> Iterator[Callable[[str, int, int], None]]:
+    """Show progress on stderr, one bar per step; yields a callback of (step, done, total).
+
+    Args:
+        kernels: compile those that are not there yet, as a first step; False for what runs no SLAM.
+    """
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
@@ -125,6 +129,10 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
                 tasks[step] = progress.add_task(step, total=total)
             progress.update(tasks[step], completed=done, total=total)
 
+        if kernels:
+            from dslab.experiments.kernels import compile_kernels
+
+            compile_kernels(show)
         yield show
 
 

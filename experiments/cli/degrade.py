@@ -104,7 +104,7 @@ def degrade_command(
     from dslab.sim.room import check_room, images_need
 
     segments = [parse_segment(text) for text in segment]
-    with progress_bars() as show:
+    with progress_bars(kernels=False) as show:
         sequence = load_sequence(source, camera, show, force)
     check_recorded_sequence(sequence, segments)
     found = Form.TUM if camera is not None else detect_form(sequence_folder(source))
@@ -120,7 +120,7 @@ def degrade_command(
     check_room(str(source), len(sequence), [images_need(out_dir, len(sequence), size_px), images], force)
     single_threaded_opencv()
     # Beside the result: the temporary disk may be too small.
-    with scratch_beside(out_dir) as scratch, progress_bars() as show:
+    with scratch_beside(out_dir) as scratch, progress_bars(kernels=False) as show:
         degraded = degrade_sequence(sequence, segments, seed, scratch, show)
         with_depth = target in WITH_DEPTH and degraded.depths is not None
         write_sequence(degraded, out_dir, target, readings, with_depth, show)

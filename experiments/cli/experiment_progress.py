@@ -10,7 +10,7 @@ from rich.console import RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.text import Text
 
-from dslab.experiments.cli.console import err
+from dslab.experiments.cli.console import err, progress_bars
 
 if TYPE_CHECKING:
     from dslab.experiments.campaign.runner import Tally
@@ -41,6 +41,8 @@ def experiment_progress(
         BarColumn(bar_width=None),
         TextColumn("{task.description}", markup=False),
     )
+    with progress_bars():
+        pass  # compiles the kernels, which no worker is to do
     started_s = time.monotonic()
     with _Bar(*columns, console=err, transient=True, disable=not err.is_terminal, expand=True) as progress:
         progress.estimates = name

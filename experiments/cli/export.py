@@ -68,7 +68,7 @@ def export_command(
     if depth and not has_depth:
         raise InputError("--depth", f"the form {form} has no depth images", "use --format tum")
     check_free(out_dir)
-    with progress_bars() as show:
+    with progress_bars(kernels=False) as show:
         sequence = open_sequence(
             source, seed, show, depth=bool(depth), out_dir=out_dir, force=force, camera=camera
         )

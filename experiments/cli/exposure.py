@@ -16,7 +16,7 @@ def tell_idle_cells(spec: "ExperimentSpec", folder: Path) -> None:
 
     if (folder / LEDGER_FILE).exists():
         return
-    with progress_bars() as progress:
+    with progress_bars(kernels=False) as progress:
         drawn = draw_exposure(spec, progress)
     for cell in drawn:
         if not cell.is_exposed:

@@ -68,7 +68,7 @@ def render_command(
     started_s = time.monotonic()
     # Beside the result: the temporary disk may be too small.
     scratch = scratch_beside(out_dir) if no_cache else nullcontext()
-    with scratch as cache_dir, progress_bars() as show:
+    with scratch as cache_dir, progress_bars(kernels=False) as show:
         sequence = render_sequence(
             spec,
             cache_dir=cache_dir,

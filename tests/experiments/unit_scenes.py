@@ -9,7 +9,7 @@ from dslab.experiments.eq1.units import ThreadChoice, UnitSpec
 from dslab.scenarios.spec import LowTexture, RoomWorld, Scenario
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sequence import SegmentTruth, Sequence
-from dslab.slam.warmup import CAMERA, toy_frames
+from dslab.slam.toy_sequence import CAMERA, toy_frames
 
 FRAMES, ONSET, END = 170, 75, 104
 FPS = CAMERA.fps

@@ -15,7 +15,7 @@ from dslab.slam.dual.recovery.registry import RECOVERY_KINDS, ThreadSpec
 from dslab.slam.map.invariants import check_map
 from dslab.slam.optimization.sim3 import horn_sim3
 from dslab.slam.runtime.backend import ExecutionMode
-from dslab.slam.warmup import CAMERA
+from dslab.slam.toy_sequence import CAMERA
 
 STEP_M = 0.05
 # The events of a breakage with a successful recovery.

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dslab.slam import warmup
 from dslab.slam.core.camera import PinholeCamera
 from dslab.slam.core.frame import Features, Frame, FrameFeatures
 from dslab.slam.core.geometry import view_geometry
@@ -25,6 +24,8 @@ from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.invariants import check_map
 from dslab.slam.map.map import Map
 from dslab.slam.optimization.sim3 import horn_sim3
+from dslab.slam.toy_sequence import CAMERA as TOY_CAMERA
+from dslab.slam.toy_sequence import toy_frames
 
 CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
 VIEW = view_geometry(CAMERA, 8, 1.2)
@@ -265,7 +266,7 @@ def toy(count, seed=0, step_m=0.03):
 
 @cache
 def _toy(count, seed, step_m):
-    images, stamps_s, T_world_cam = zip(*warmup.toy_frames(count, seed=seed, step_m=step_m), strict=True)
+    images, stamps_s, T_world_cam = zip(*toy_frames(count, seed=seed, step_m=step_m), strict=True)
     return list(images), np.array(stamps_s), np.array(T_world_cam)
 
 
@@ -363,7 +364,7 @@ def digest_of_run(kind, count, *spans):
     """
     images, stamps_s, _ = toy(count, step_m=0.05)
     dual = DualConfig(recovery_threads=(ThreadSpec("orb"),), relocalization=False, place_merging=None)
-    system = build_system(kind, warmup.CAMERA, 0, dual=dual)
+    system = build_system(kind, TOY_CAMERA, 0, dual=dual)
     feed(system, blanked(images, *(range(*span) for span in spans)), stamps_s, check=False)
     return " ".join([fingerprint(system), *kinds(system)])
 

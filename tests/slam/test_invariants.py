@@ -11,7 +11,7 @@ from dslab.slam.core import events as ev
 from dslab.slam.core.events import TrackingState
 from dslab.slam.factory import build_system
 from dslab.slam.invariants import InvariantError, check_events, check_result, check_system
-from dslab.slam.warmup import CAMERA
+from dslab.slam.toy_sequence import CAMERA
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ from dslab.slam.config import SlamConfig
 from dslab.slam.core.events import TrackingState
 from dslab.slam.factory import build_system
 from dslab.slam.mapping.self_calibration import SelfCalibrationConfig
-from dslab.slam.warmup import CAMERA
+from dslab.slam.toy_sequence import CAMERA
 
 COUNT, STEP_M = 100, 0.05
 REPOSITORY = Path(__file__).parents[2]

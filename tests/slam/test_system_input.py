@@ -10,7 +10,7 @@ from dslab.slam.config import default_config
 from dslab.slam.core.events import TrackingState
 from dslab.slam.factory import build_system
 from dslab.slam.system import MonocularSlam
-from dslab.slam.warmup import CAMERA
+from dslab.slam.toy_sequence import CAMERA
 
 SHAPE = (CAMERA.height_px, CAMERA.width_px)
 GREY = np.zeros(SHAPE, np.uint8)

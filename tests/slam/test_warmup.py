@@ -1,26 +1,45 @@
-"""The warm-up compiles all kernels, so that no run has to."""
+"""The table of kernels holds all that the systems run, so that no run compiles."""
+
+from dataclasses import replace
 
 import pytest
+from compiled_kernels import compiled
 
-from dslab.slam import factory
-from dslab.slam.warmup import warm_up
+from dslab.slam.config import default_config
+from dslab.slam.dual.config import DualConfig
+from dslab.slam.dual.recovery.registry import parse_threads
+from dslab.slam.factory import build_system
+from dslab.slam.mapping.self_calibration import SelfCalibrationConfig
+from dslab.slam.toy_sequence import CAMERA, toy_frames
+from dslab.slam.warmup import read_kernels, warm_up
+
+# Dual-SLAM: a saved map, a breakage, a recovery by three threads and a fusion, which relocalization or a
+# place found would prevent. The base: a relocalization. Dual-SLAM+: its matcher, up to the first map. DSO: a
+# window that keyframes leave.
+FRAMES = {"dual": 110, "base": 75, "dual+": 10, "ldso": 45}
 
 
 @pytest.mark.slow
-def test_the_warmup_runs_three_recovery_threads_a_fusion_and_a_relocalization(monkeypatch):
-    built, build, told = {}, factory.build_system, []
-
-    def build_system(kind, *arguments, **options):
-        built[kind] = build(kind, *arguments, **options)
-        return built[kind]
-
-    monkeypatch.setattr(factory, "build_system", build_system)
+def test_after_the_warmup_every_part_of_the_systems_runs_without_compiling():
+    told, kernels = [], read_kernels("dslab.slam")
     warm_up(lambda *progress: told.append(progress))
-    dual = built["dual"].events
+    assert told[-1][1:] == (len(kernels), len(kernels))
+    before = [len(kernel.function.signatures) for kernel in kernels]
+    threads = parse_threads("orb,sift,direct")
+    every = DualConfig(recovery_threads=threads, exhaustive=True, relocalization=False, place_merging=None)
+    config = replace(default_config(CAMERA), self_calibration=SelfCalibrationConfig(at_keyframes=(3,)))
+    systems = {kind: build_system(kind, CAMERA, seed=0, config=config, dual=every) for kind in FRAMES}
+    with compiled() as lines:
+        for kind, system in systems.items():
+            for image, stamp_s, _ in toy_frames(FRAMES[kind], range(60, 66), step_m=0.05):
+                system.process(image, stamp_s)
+            system.finish()
+    assert lines == [], "lines that slam/kernels.txt lacks"
+    assert [len(kernel.function.signatures) for kernel in kernels] == before
+    dual = systems["dual"].events
     ends = [(e.method, e.success) for e in dual if e.kind == "recovery_end"]
     assert ends == [("orb", True), ("sift", True), ("direct", True)]
     assert [e.accepted for e in dual if e.kind == "fusion"] == [True]
-    assert "relocalized" in [e.kind for e in built["base"].events]
-    assert "initialized" in [e.kind for e in built["dual+"].events]
-    assert "initialized" in [e.kind for e in built["ldso"].events]
-    assert told[-1][1:] == (len(told) - 1, len(told) - 1)
+    assert "relocalized" in [e.kind for e in systems["base"].events]
+    assert "initialized" in [e.kind for e in systems["dual+"].events]
+    assert "initialized" in [e.kind for e in systems["ldso"].events]

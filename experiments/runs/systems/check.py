@@ -9,7 +9,7 @@ from dslab.experiments.runs.systems.run import run_system
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sequence import Sequence
 from dslab.sim.unfinished import scratch_folder
-from dslab.slam.warmup import CAMERA, toy_frames
+from dslab.slam.toy_sequence import CAMERA, toy_frames
 
 _FRAMES = 60
 _LOG_CHARACTERS = 2000

@@ -21,7 +21,7 @@ from dslab.experiments.report.plots.conditioning import draw_conditioning
 from dslab.experiments.report.plots.draw import rendered
 from dslab.experiments.report.plots.style import settings
 from dslab.experiments.statistics.conditioning import baseline_errors, lead_ins
-from dslab.slam.warmup import CAMERA
+from dslab.slam.toy_sequence import CAMERA
 
 QUICK = 19
 NAMES = [pair_column(gap, name) for gap in PAIR_GAPS for name in PAIR_COLUMNS]

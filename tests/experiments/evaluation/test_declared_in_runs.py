@@ -20,8 +20,8 @@ from dslab.slam.loop_closing.judgement import JudgementConfig
 from dslab.slam.map.relation import loop_relation
 from dslab.slam.runtime.backend import KeyframeTask
 from dslab.slam.system import MonocularSlam
+from dslab.slam.toy_sequence import CAMERA, toy_frames
 from dslab.slam.tracking.probation import Probation
-from dslab.slam.warmup import CAMERA, toy_frames
 
 RECOVERY_ALONE = DualConfig(recovery_threads=(ThreadSpec("orb"),), relocalization=False, place_merging=None)
 PLACE_ALONE = DualConfig(recovery_threads=(), relocalization=False)

@@ -24,7 +24,7 @@ from dslab.scenarios.loading import load_scenario
 from dslab.scenarios.random_scenarios import random_scenario
 from dslab.sim.sequence import Sequence
 from dslab.slam.factory import build_system
-from dslab.slam.warmup import CAMERA, toy_frames
+from dslab.slam.toy_sequence import CAMERA, toy_frames
 
 UNIT = FuzzUnit(4, ("base", "dual"))
 

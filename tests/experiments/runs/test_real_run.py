@@ -9,7 +9,7 @@ from dslab.experiments.runs.execution import system_factory
 from dslab.sim.sequence import SegmentTruth, Sequence
 from dslab.slam.dual.config import DualConfig
 from dslab.slam.dual.recovery.registry import ThreadSpec
-from dslab.slam.warmup import CAMERA, toy_frames
+from dslab.slam.toy_sequence import CAMERA, toy_frames
 
 RECOVERY_ALONE = DualConfig(recovery_threads=(ThreadSpec("orb"),), relocalization=False, place_merging=None)
 

@@ -16,7 +16,7 @@ from dslab.experiments.runs.map_files import write_maps
 from dslab.experiments.runs.sources import open_sequence
 from dslab.sim.io.forms import Form, write_sequence
 from dslab.sim.sequence import Sequence
-from dslab.slam.warmup import CAMERA, toy_frames
+from dslab.slam.toy_sequence import CAMERA, toy_frames
 
 
 @pytest.fixture(scope="module")

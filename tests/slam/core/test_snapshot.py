@@ -7,7 +7,7 @@ from slam_scenes import blanked, feed, fingerprint, toy
 
 from dslab.slam.dual.config import DualConfig
 from dslab.slam.factory import build_system
-from dslab.slam.warmup import CAMERA
+from dslab.slam.toy_sequence import CAMERA
 
 # Cuts: initializing, tracking, just broken, initializing the second map, after the fusion.
 CUTS = (2, 40, 51, 58, 110)

@@ -8,7 +8,7 @@ from slam_scenes import toy
 
 from dslab.slam.core.timing import OTHER, StageTimer
 from dslab.slam.factory import build_system
-from dslab.slam.warmup import CAMERA
+from dslab.slam.toy_sequence import CAMERA
 
 
 def busy(cpu_s):

@@ -22,7 +22,7 @@ from dslab.slam.dual.config import DualConfig
 from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryCost
 from dslab.slam.dual.recovery.orb import OrbRecovery
 from dslab.slam.map.invariants import check_map
-from dslab.slam.warmup import CAMERA
+from dslab.slam.toy_sequence import CAMERA
 
 FPS = CAMERA.fps
 

@@ -10,7 +10,7 @@ from dslab.slam.dual.recovery.common_points import align_all, pairs_close_in_tim
 from dslab.slam.dual.recovery.interface import RecoveryConfig
 from dslab.slam.factory import build_system
 from dslab.slam.optimization.sim3 import sim3_decompose
-from dslab.slam.warmup import CAMERA
+from dslab.slam.toy_sequence import CAMERA
 
 CONFIG = FusionConfig(confirmations=1, min_share=0.0, min_matches=20)
 SCALE, MOVED = 0.5, rigid((1.0, -2.0, 0.5), (10, -20, 15))

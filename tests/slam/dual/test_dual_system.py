@@ -14,7 +14,7 @@ from dslab.slam.dual.recovery.interface import RecoveryConfig
 from dslab.slam.dual.recovery.orb import OrbRecovery
 from dslab.slam.engine import SlamEngine
 from dslab.slam.factory import build_system
-from dslab.slam.warmup import CAMERA
+from dslab.slam.toy_sequence import CAMERA
 
 # -- one breakage --------------------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ import pytest
 from dslab.slam.core.events import TrackingState
 from dslab.slam.factory import build_system
 from dslab.slam.invariants import InvariantError, check_result, check_system
-from dslab.slam.warmup import CAMERA, toy_frames
+from dslab.slam.toy_sequence import CAMERA, toy_frames
 
 FRAMES, BLANK = 80, range(44, 47)
 

@@ -9,7 +9,7 @@ from dslab.slam.core.events import TrackingState
 from dslab.slam.factory import build_system
 from dslab.slam.ldso.config import DsoConfig, PhotometricConfig
 from dslab.slam.ldso.system import DsoSlam
-from dslab.slam.warmup import CAMERA, toy_frames
+from dslab.slam.toy_sequence import CAMERA, toy_frames
 
 FRAMES, BLANK = 90, range(50, 54)
 

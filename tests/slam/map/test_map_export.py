@@ -9,7 +9,7 @@ from slam_scenes import CAMERA, feed, toy
 
 from dslab.slam.factory import build_system
 from dslab.slam.map.export import colmap_model, write_colmap
-from dslab.slam.warmup import CAMERA as TOY_CAMERA
+from dslab.slam.toy_sequence import CAMERA as TOY_CAMERA
 
 
 @pytest.fixture(scope="module")

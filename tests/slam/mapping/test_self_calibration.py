@@ -14,7 +14,7 @@ from dslab.slam.dual.dual_slam import DualSlam
 from dslab.slam.factory import build_system
 from dslab.slam.mapping.self_calibration import SelfCalibrationConfig
 from dslab.slam.runtime.backend import ExecutionMode
-from dslab.slam.warmup import CAMERA, toy_frames
+from dslab.slam.toy_sequence import CAMERA, toy_frames
 
 PLANTED = (0.06, 0.0, 0.0, 0.0)
 CONFIG = replace(default_config(CAMERA), self_calibration=SelfCalibrationConfig(at_keyframes=(12,)))

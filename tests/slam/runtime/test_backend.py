@@ -16,7 +16,7 @@ from dslab.slam.loop_closing.judgement import JudgementConfig
 from dslab.slam.map.adjustment import MapAdjustment
 from dslab.slam.map.invariants import check_map
 from dslab.slam.runtime.backend import ExecutionMode, MapChange
-from dslab.slam.warmup import CAMERA
+from dslab.slam.toy_sequence import CAMERA
 
 COUNT, STEP_M = 65, 0.05
 THREADED = ExecutionMode.THREADED

@@ -10,10 +10,10 @@ from dslab.slam.config import SlamConfig
 from dslab.slam.core.events import Breakage, PosesWithdrawn, Relocalized, TrackingState
 from dslab.slam.core.frame import Features, Frame, FrameFeatures
 from dslab.slam.factory import build_system
+from dslab.slam.toy_sequence import CAMERA
 from dslab.slam.tracking import tracker
 from dslab.slam.tracking.doubt import Doubt, DoubtConfig, hidden_motion
 from dslab.slam.tracking.tracker import TrackingConfig
-from dslab.slam.warmup import CAMERA
 
 FPS = 15.0
 STEP_M, DEPTH_M, PLANTED_AT = 0.06, 5.0, 70

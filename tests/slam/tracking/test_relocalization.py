@@ -27,10 +27,10 @@ from dslab.slam.map.map import Map
 from dslab.slam.places.evidence import Support
 from dslab.slam.places.recognition import KeyframeDatabase
 from dslab.slam.places.training import train_vocabulary
+from dslab.slam.toy_sequence import CAMERA
 from dslab.slam.tracking.probation import ProbationConfig, Withdrawn
 from dslab.slam.tracking.reach import Reach, ReachConfig
 from dslab.slam.tracking.relocalization import RelocalizationConfig, Relocalizer
-from dslab.slam.warmup import CAMERA
 
 STEP_M = 0.05
 

@@ -12,8 +12,8 @@ from dslab.slam.core import events as ev
 from dslab.slam.dual.paper import paper_config
 from dslab.slam.invariants import check_system
 from dslab.slam.system import MonocularSlam
+from dslab.slam.toy_sequence import CAMERA
 from dslab.slam.tracking.rescue import RescueConfig
-from dslab.slam.warmup import CAMERA
 
 STAMPS_S = np.arange(200) / 30.0
 
