@@ -28,11 +28,11 @@ setup: .venv/.ready
 	@touch $@
 
 .venv/.ready: .venv/.installed
-	@$(BIN)/python -m dslab.sim.rendering.gl_setup --uv $(UV)
 	@# Sources are compiled here, beside the kernels: not everywhere may Python write what it compiles.
-	@packages=$$($(BIN)/python -c "import sysconfig; print(sysconfig.get_path('purelib'))"); \
-	$(BIN)/python -m compileall -qq -x '/tests?/' "$$packages" dslab/*/ & \
-	$(BIN)/dslab warmup && wait
+	@$(BIN)/python -m dslab.sim.rendering.gl_setup --uv $(UV) & gl=$$!; \
+	packages=$$($(BIN)/python -c "import sysconfig; print(sysconfig.get_path('purelib'))"); \
+	$(BIN)/python -m compileall -qq -x '/tests?/|/OpenGL/raw/' "$$packages" dslab/*/ & \
+	$(BIN)/dslab warmup && wait $$gl && wait
 	@echo "dslab setup: done; \`source .venv/bin/activate\` puts dslab onto the PATH"
 	@touch $@
 
