@@ -1,9 +1,11 @@
-"""Demonstration: three systems under the lab's three stresses, then some units of an experiment."""
+"""Demonstration: three systems under the lab's three stresses, beside some units of an experiment."""
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Event
 
 from dslab.experiments.campaign.folder import read_experiment
-from dslab.experiments.campaign.runner import run_experiment
+from dslab.experiments.campaign.runner import Tally, run_experiment
 from dslab.experiments.campaign.workers import unit_workers
 from dslab.experiments.eq1.spec import ExperimentSpec
 from dslab.experiments.result_folder import run_systems
@@ -28,7 +30,7 @@ def run_demo(
     progress: Progress | None = None,
     build: SystemFactory | None = None,
 ) -> tuple[dict[str, dict], list[JudgedCell]]:
-    """Run the systems, then the units, and write the folder of the demonstration, whole or not at all.
+    """Run the systems beside the units, and write the folder of the demonstration, whole or not at all.
 
     It holds a folder for each system, their common recording and picture, and the folder of the experiment.
 
@@ -48,24 +50,29 @@ def run_demo(
         InputError: the folder is taken or not writable, or the disk is full.
         MachineError: the processes do not start, or every unit fails.
     """
-    with new_directory(out_dir, replaces=MARKER_FILE) as folder:
-        summaries = run_systems(sequence, SYSTEMS, seed, folder, True, progress, build)
-        cells = (
-            [] if experiment is None else _run_units(experiment, folder / EXPERIMENT_DIR, workers, progress)
+    ended = Event()
+    with new_directory(out_dir, replaces=MARKER_FILE) as folder, ThreadPoolExecutor(1) as beside:
+        units = experiment and beside.submit(
+            _run_units, experiment, folder / EXPERIMENT_DIR, workers, progress, ended
         )
+        try:
+            summaries = run_systems(sequence, SYSTEMS, seed, folder, True, progress, build)
+            cells = units.result() if units else []
+        finally:
+            ended.set()
         (folder / MARKER_FILE).write_text(to_json(summaries, indent=2) + "\n", encoding="utf-8")
     return summaries, cells
 
 
 def _run_units(
-    experiment: ExperimentSpec, folder: Path, workers: int, progress: Progress | None
+    experiment: ExperimentSpec, folder: Path, workers: int, progress: Progress | None, ended: Event
 ) -> list[JudgedCell]:
-    show = progress or (lambda step, done, total: None)
-    run_experiment(
-        experiment,
-        folder,
-        unit_workers(experiment, workers=workers).open,
-        show=lambda tally: show("units", tally.done, tally.total),
-    )
+    def show(tally: Tally) -> None:
+        if ended.is_set():
+            raise KeyboardInterrupt
+        if progress:
+            progress("units", tally.done, tally.total)
+
+    run_experiment(experiment, folder, unit_workers(experiment, workers=workers).open, show=show)
     spec, table = read_experiment(folder)
     return list(analyse(table, len(spec.threads)).cells)

@@ -49,7 +49,7 @@ def demo_command(
     no_units: Annotated[bool, typer.Option("--no-units", help="Leave out the second part.")] = False,
     force: ForceOption = False,
 ) -> None:
-    """Break monocular SLAM on purpose, and see what Dual-SLAM makes of it: three to four minutes.
+    """Break monocular SLAM on purpose, and see what Dual-SLAM makes of it: two to three minutes.
 
     First part: base (ORB-SLAM's method), dual+ (Dual-SLAM, initialized by GMS) and ldso (direct sparse
     odometry with loops) run over one rendered scenario with low texture, motion blur and fast rotation.

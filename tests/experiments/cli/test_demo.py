@@ -1,5 +1,7 @@
 """The demonstration writes its files, replaces only its own, and prints what happened in runs and units."""
 
+import time
+
 import pytest
 from pool_fakes import open_local_pool
 from rerun.chunk import RrdReader
@@ -11,6 +13,7 @@ from dslab.experiments.cli.demo import SCENARIO
 from dslab.experiments.cli.run_tables import systems_table
 from dslab.experiments.cli.view import view_command
 from dslab.experiments.demo import run_demo
+from dslab.experiments.eq1.spec import load_spec
 from dslab.experiments.statistics.analysis import analyse
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.loading import load_scenario
@@ -116,6 +119,23 @@ def test_an_interrupted_demonstration_leaves_nothing(demo_command, monkeypatch, 
     monkeypatch.setattr("dslab.experiments.eq1.trial.run_unit", interrupted)
     assert demo_command()[0] == 130
     assert list(tmp_path.iterdir()) == []
+
+
+def test_units_end_with_systems_that_fail(made_up_units, monkeypatch, tmp_path):
+    done = []
+    monkeypatch.setattr(
+        "dslab.experiments.eq1.trial.run_unit", lambda unit, **_: done.append(unit) or made_up_unit(unit)
+    )
+
+    def fails(*_):
+        while not done:
+            time.sleep(0.01)
+        raise ValueError
+
+    many = load_spec("demo").model_copy(update={"worlds": 2_000})
+    with pytest.raises(ValueError):
+        run_demo(make_sequence(10, segment=None), 0, tmp_path / "d", many, build=fails)
+    assert len(done) < many.worlds and list(tmp_path.iterdir()) == []
 
 
 def test_its_scenario_has_the_three_stresses_one_after_the_other_with_clean_time_around():
