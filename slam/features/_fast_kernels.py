@@ -184,7 +184,7 @@ def select_corners(
         for y in range(first, end):
             _drop_weak(kept[y - first], thresholds)
             count = _collect_row(kept[y - first], border, y, xs, ys, contrasts, count)
-    return count
+    return int(count)
 
 
 @njit(cache=True, nogil=True)
