@@ -1,5 +1,6 @@
 """The package installs with plain pip, which knows no overrides."""
 
+import re
 import tomllib
 from importlib import resources
 from pathlib import Path
@@ -15,11 +16,13 @@ def test_dependencies_need_no_overrides():
     assert tomllib.loads((ROOT / "uv.lock").read_text()).get("manifest", {}).get("overrides") is None
 
 
-def test_make_and_ci_never_install_system_packages():
-    for name in ("Makefile", ".ci/run"):
-        assert "apt-get" not in (ROOT / name).read_text()
+def test_make_never_installs_system_packages_and_ci_a_browser_at_most():
+    assert "apt-get" not in (ROOT / "Makefile").read_text()
+    assert re.findall(r"apt-get install [^>]*", (ROOT / ".ci/run").read_text()) == [
+        "apt-get install -y -qq --no-install-recommends chromium "
+    ]
 
 
-@pytest.mark.parametrize("package", ["experiments", "scenarios", "sim", "slam"])
+@pytest.mark.parametrize("package", ["dslab.experiments", "dslab.scenarios", "dslab.sim", "dslab.slam"])
 def test_every_package_declares_its_types(package):
     assert resources.files(package).joinpath("py.typed").is_file()
