@@ -19,6 +19,8 @@ STAGE = "stage_"
 """Start of the columns with the median CPU time of a stage, milliseconds."""
 ERROR = "error"
 """In ``ended``: the run could not be made, which says nothing of the system."""
+DECLARED = ("loops", "relocalizations", "joins", "fusions")
+"""What the audit judges, of all that a system declares."""
 COLUMNS = {
     "source": ("string", "the sequence, as named"),
     "sequence": ("string", "its own name"),
@@ -43,6 +45,7 @@ COLUMNS = {
     "time_to_initialise_s": ("Float64", "from the first frame to the first live pose"),
     "ate_keyframes_m": ("Float64", "RMSE of the keyframes of the main map after Sim(3) alignment"),
     "ate_frames_m": ("Float64", "RMSE of its frames"),
+    "scale_first_over_last": ("Float64", "scale of the path's first quarter over that of its last"),
     "end_alignment_m": ("Float64", "RMS between the path aligned to its start and to its end"),
     "ate_reason": ("string", "why there is none"),
     "rpe_m": ("Float64", "RMSE of the translation over one second"),
@@ -55,12 +58,16 @@ COLUMNS = {
     "recovery_s": ("Float64", "mean time from a breakage to the fusion that a recovery brought"),
     "relocalizations": ("Int64", "of them relocalized"),
     "relocalization_s": ("Float64", "mean time from a breakage to its relocalization"),
+    **{f"declared_{name}": ("Int64", f"{name} that it declared; none without truth") for name in DECLARED},
+    **{f"false_{name}": ("Int64", "of them false") for name in DECLARED},
+    "unjudged": ("Int64", "of all these, such as the truth does not judge"),
     "maps": ("Int64", "maps in the end"),
     "ms_median": ("Float64", "tracking per frame, wall"),
     "cpu_ms_median": ("Float64", "tracking per frame, CPU of its thread"),
     "cpu_ms_p95": ("Float64", "likewise, 95th percentile"),
     "mapping_cpu_ms_median": ("Float64", "mapping per keyframe"),
     "loop_cpu_ms_median": ("Float64", "loop closing per keyframe"),
+    "cpu_s": ("Float64", "CPU of tracking, mapping and loop closing; of a program all that it used"),
     "wall_s": ("Float64", "time in the system; of a program with its start"),
     "peak_rss_mb": ("Float64", "largest resident memory"),
     "spec": ("string", "hash of the settings of the batch"),
@@ -72,7 +79,7 @@ _OF_SUMMARY = (
     "dropped_frames", "ended", "ended_message", "declares", "live_poses", "path_share",
     "frames_to_initialise", "time_to_initialise_s", "breakages", "recoveries", "relocalizations", "maps",
     "ms_median", "cpu_ms_median", "cpu_ms_p95", "mapping_cpu_ms_median", "loop_cpu_ms_median", "peak_rss_mb",
-    "commit", "ate_reason",
+    "commit", "ate_reason", "scale_first_over_last",
 )  # fmt: skip
 
 
@@ -100,8 +107,10 @@ def figures_of(record: RunRecord, summary: dict) -> Row:
         "end_alignment_m": _end_alignment_m(record),
         "rpe_m": rpe.get("translation_rmse_m"),
         "rpe_deg": rpe.get("rotation_rmse_deg"),
+        "cpu_s": _cpu_s(record),
         "wall_s": record.wall_s,
         **_recoveries(summary["breakage_list"]),
+        **_declared(summary["audit"]),
         **{f"{STAGE}{name}": times["cpu_ms_median"] for name, times in summary["stages"].items()},
     }
 
@@ -127,6 +136,23 @@ def _recoveries(breakages: list[dict]) -> Row:
         "recovery_s": float(np.mean(took_s)) if took_s else None,
         "relocalization_s": float(np.mean(lost_s)) if lost_s else None,
     }
+
+
+def _declared(audit: dict | None) -> Row:
+    """Number of declarations by kind, how many of them are false, how many were not judged."""
+    if audit is None:
+        return {}
+    verdicts = {name: [found["false"] for found in audit[name]] for name in DECLARED}
+    return {
+        **{f"declared_{name}": len(of_kind) for name, of_kind in verdicts.items()},
+        **{f"false_{name}": of_kind.count(True) for name, of_kind in verdicts.items()},
+        "unjudged": sum(of_kind.count(None) for of_kind in verdicts.values()),
+    }
+
+
+def _cpu_s(record: RunRecord) -> float:
+    own_ms = sum(sum(r.cpu_ms.values()) + r.mapping_cpu_ms + r.loop_cpu_ms for r in record.results)
+    return own_ms / 1000 if record.cpu_s is None else record.cpu_s
 
 
 def _first_pose_s(record: RunRecord) -> float | None:

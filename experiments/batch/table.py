@@ -15,7 +15,10 @@ from dslab.experiments.result_folder import TRUTH_FILE
 from dslab.experiments.runs.ending import EndKind
 
 PAIRS_FILE = "pairs.csv"
-MEDIANS = ("ate_keyframes_m", "ate_frames_m", "rpe_m", "completeness", "cpu_ms_median", "wall_s")
+MEDIANS = (
+    "ate_keyframes_m", "ate_frames_m", "rpe_m", "completeness", "scale_first_over_last", "cpu_ms_median",
+    "cpu_s", "wall_s",
+)  # fmt: skip
 
 
 def sums(rows: pd.DataFrame) -> pd.DataFrame:
@@ -23,8 +26,9 @@ def sums(rows: pd.DataFrame) -> pd.DataFrame:
 
     Returns:
         Per ``source`` and ``system``: ``runs`` that were made, ``errors`` that were not, ``intact`` maps,
-        ``ended_badly``, ``breakages`` declared (missing if the system declares nothing), and medians of
-        MEDIANS over the runs that have the figure.
+        ``ended_badly``, ``breakages`` declared (missing if the system declares nothing), the sums of all that
+        was ``declared`` where there is a truth, of this ``false`` and ``unjudged``, and medians of MEDIANS
+        over the runs that have the figure.
     """
     groups = rows.groupby(["source", "system"], sort=False)
     return pd.DataFrame([_sum(own) for _, own in groups])
@@ -40,6 +44,8 @@ def _sum(own: pd.DataFrame) -> dict[str, Any]:
         "intact": int(made.intact.fillna(False).sum()),
         "ended_badly": int((made.ended != EndKind.FINISHED.value).sum()),
         "breakages": int(says.breakages.sum()) if len(says) else None,
+        **{part: int(made.filter(regex=f"^{part}_").sum(axis=None)) for part in ("declared", "false")},
+        "unjudged": int(made.unjudged.sum()),
         **{name: _median_of(made[name]) for name in MEDIANS},
     }
 
@@ -61,8 +67,8 @@ def pairs(rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
     Returns:
         Per ``source``, ``run`` and further ``system``: ``posed`` frames of its main map and ``first_posed``
         of the first system's, ``common`` frames, on these ``ate_m`` and ``first_ate_m``, None where
-        undefined, and ``path_m``, the length of the true path. Empty for one system, or where no sequence
-        has a truth.
+        undefined, ``cpu_ms`` and ``first_cpu_ms`` of tracking in the median of all frames, and ``path_m``,
+        the length of the true path. Empty for one system, or where no sequence has a truth.
     """
     found: list[dict[str, Any]] = []
     for _, own in rows[rows.folder.notna()].groupby(["source", "run"], sort=False):
@@ -71,12 +77,13 @@ def pairs(rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
             (folder / place / TRUTH_FILE).is_file() for place in own.folder
         ):
             continue
-        first, *others = [(row.system, read_run(folder / row.folder)) for row in own.itertuples()]
+        first, *others = [(row, read_run(folder / str(row.folder))) for row in own.itertuples()]
         path_m = metrics.path_length_m(first[1].T_world_cam)
         found += [
-            {"source": source, "run": run, "system": system, "path_m": path_m}
+            {"source": source, "run": run, "system": row.system, "path_m": path_m}
+            | {"cpu_ms": row.cpu_ms_median, "first_cpu_ms": first[0].cpu_ms_median}
             | _compared(other.pairs, first[1].pairs)
-            for system, other in others
+            for row, other in others
         ]
     return pd.DataFrame(found)
 

@@ -1,4 +1,4 @@
-"""Speed of a system on a sequence over repeated runs, alone or in turn with a peer."""
+"""Speed of a system on a sequence over repeated runs."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -25,7 +25,6 @@ def bench(
     build: SystemFactory | None = None,
     mode: Mode = "lockstep",
     real_time: bool = False,
-    peer: Callable[[], RunRecord] | None = None,
     dual: "DualConfig | None" = None,
 ) -> dict:
     """Run a system several times over the same frames; the times of all runs are pooled.
@@ -39,16 +38,14 @@ def bench(
         build: makes the system; by default ``slam.factory.build_system``, whose kernels are compiled first.
         mode: schedule of the system's parts, unless ``build`` is given.
         real_time: feed the frames at the pace of their stamps.
-        peer: runs a system to compare with, called after each of our runs.
         dual: settings of Dual-SLAM, unless ``build`` is given; None for its defaults.
 
     Returns:
         Times as in the summary of a run, with frames per second (median over runs), peak memory (largest),
-        the size of the map (last run), ``fusions`` as of ``experiments.benchmarks.fusions.fusion_figures``;
-        with a peer, ``comparison`` as of ``experiments.benchmarks.comparison.compare``.
+        the size of the map (last run), ``fusions`` as of ``experiments.benchmarks.fusions.fusion_figures``.
 
     Raises:
-        InputError: a frame cannot be read, or the peer fails.
+        InputError: a frame cannot be read.
     """
     show = progress or (lambda step, done, total: None)
     if build is None:
@@ -57,7 +54,6 @@ def bench(
         warm_up(show)
         build = execution.system_factory(mode, dual)
     records: list[RunRecord] = []
-    peer_runs: list[RunRecord] = []
     for run in range(runs):
         title = f"run {run + 1} of {runs}"
         records.append(
@@ -70,16 +66,7 @@ def bench(
                 pace=RealTime(sequence) if real_time else None,
             )
         )
-        if peer is not None:
-            show(f"peer, {title}", 0, 1)
-            peer_runs.append(peer())
-            show(f"peer, {title}", 1, 1)
-    figures = _figures(sequence, system_kind, mode, records)
-    if peer is not None:
-        from dslab.experiments.benchmarks.comparison import compare
-
-        figures["comparison"] = compare(sequence, records, peer_runs)
-    return figures
+    return _figures(sequence, system_kind, mode, records)
 
 
 def _figures(sequence: Sequence, system_kind: SystemKind, mode: Mode, records: list[RunRecord]) -> dict:

@@ -101,6 +101,7 @@ def _beside(beside: "pd.DataFrame", first: str) -> Table:
         ratios = {
             "frames in the main map": own.posed / own.first_posed,
             "ATE on common frames": own.ate_m / own.first_ate_m,
+            "CPU of tracking": own.cpu_ms / own.first_cpu_ms,
         }
         table.add_section()
         table.add_row(Text(str(system), "bold"))
@@ -116,8 +117,8 @@ def _tables(found: "pd.DataFrame") -> Iterator[Table]:
     from dslab.experiments.batch.paper_tables import short_name
 
     columns = (
-        "intact\nmap", "ended\nbadly", "break-\nages", "ATE m,\nkeyfr.", "ATE m,\nframes", "RPE m\nper s",
-        "com-\nplete", "CPU ms/\nframe",
+        "intact\nmap", "ended\nbadly", "break-\nages", "false /\ndecl.", "ATE m,\nkeyfr.", "ATE m,\nframes",
+        "RPE m\nper s", "com-\nplete", "CPU ms/\nframe",
     )  # fmt: skip
     known = found.astype(object).where(found.notna(), None)
     for source, own in known.groupby("source", sort=False):
@@ -132,6 +133,7 @@ def _tables(found: "pd.DataFrame") -> Iterator[Table]:
                 f"{row.intact} of {row.runs}",
                 str(row.ended_badly or "-"),
                 number(row.breakages, 0),
+                f"{row.false} / {row.declared}" if row.declared else "-",
                 *map(number, figures),
                 share(row.completeness),
                 number(row.cpu_ms_median, 1),

@@ -165,25 +165,6 @@ def run_command(
     _check_described(summaries)
 
 
-def chosen_systems(names: str) -> list[str]:
-    """The systems of ours that an option names.
-
-    Raises:
-        InputError: one is unknown, or named twice.
-    """
-    from dslab.scenarios.errors import InputError
-
-    known = [choice.value for choice in SystemChoice]
-    remedy = f"give one of {', '.join(known)}, or several with commas between"
-    chosen = [name.strip() for name in names.split(",")]
-    for place, name in enumerate(chosen):
-        if name not in known:
-            raise InputError("--system", f"there is no system {name!r}", remedy)
-        if name in chosen[:place]:
-            raise InputError("--system", f"{name} is given twice", remedy)
-    return chosen
-
-
 def _check_startable(chosen: "dict[str, System]", maps: bool) -> None:
     """Check, before frames are rendered, that programs are there, and that maps are asked of ours only."""
     from dslab.experiments.runs.systems.command import CommandSystem

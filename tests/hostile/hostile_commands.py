@@ -31,8 +31,6 @@ ARGUMENTS = {
     "experiment fuzz": "--out {in}/result",
     "bench slam": "{in}/nothing",
     "bench sim": "--renderer nothing",
-    "bench declarations": "{in}/nothing --out {in}/rows.parquet",
-    "bench accuracy": "{in}/nothing --out {in}/rows.parquet",
     "bench experiment": "{in}/nothing.yaml",
     "vocabulary train": "--out {in}/nothing.txt",
     "vocabulary show": "{in}/nothing.npz",

@@ -16,16 +16,18 @@ import numpy as np
 import pandas as pd
 import pytest
 from pool_fakes import open_local_pool, open_thread_pool
-from slam_fakes import circle, make_sequence
+from slam_fakes import circle, fake_factory, make_sequence
 from system_programs import write_program
 
 from dslab.experiments.batch import run as batch_run
-from dslab.experiments.batch.rows import COLUMNS
+from dslab.experiments.batch.rows import COLUMNS, figures_of, typed
 from dslab.experiments.batch.run import CSV_FILE, run_batch
 from dslab.experiments.batch.spec import BatchSpec, read_batch
 from dslab.experiments.batch.table import pairs, sums
 from dslab.experiments.evaluation.intact_map import judge_intact
+from dslab.experiments.evaluation.summary import summarise
 from dslab.experiments.jobs.ledger import LEDGER_FILE, sole_driver
+from dslab.experiments.runs.execution import execute
 from dslab.scenarios.errors import InputError
 from dslab.sim.io.forms import load_sequence
 from dslab.sim.io.tum import write_tum
@@ -68,6 +70,45 @@ def test_a_row_has_the_figures_of_its_run(folder, tmp_path, in_this_process):
     assert len(kept) == 2 and kept.system.tolist() == rows.system.tolist()
     (place,) = (tmp_path / "b" / "runs").glob("*/copy/000")
     assert {"trajectory.txt", "summary.json", "log.txt"} <= {path.name for path in place.iterdir()}
+
+
+def test_what_a_run_declares_is_counted_and_so_is_what_is_false_of_it():
+    """Two maps that are fused, rightly or at twice the size: 8 + 0.01 ms per frame, 20 ms every tenth."""
+    sequence = make_sequence()
+
+    def row(seen, **script):
+        build = fake_factory(sequence, breaks_at=160, **script)
+        record = execute(seen, "dual", 0, build=build)
+        return typed([{"source": "x", "system": "dual", "run": 0} | figures_of(record, summarise(record))])
+
+    (right,), (wrong,) = (row(sequence, new_map_scale=scale).to_dict("records") for scale in (1.0, 2.0))
+    assert (right["declared_fusions"], right["false_fusions"], wrong["false_fusions"]) == (1, 0, 1)
+    assert right["declared_loops"] == right["declared_joins"] == right["unjudged"] == 0
+    assert right["scale_first_over_last"] == pytest.approx(1) and wrong["scale_first_over_last"] > 1.5
+    keyframes = right["cpu_s"] * 1000 - sum(8 + 0.01 * f for f in range(300))
+    assert keyframes == pytest.approx(20 * 27, abs=21)
+    blind = row(replace(sequence, T_world_cam=None))
+    assert blind.declared_fusions.isna().all() and sums(blind).declared[0] == 0
+
+
+def test_frames_placed_afterwards_do_not_count_as_tracked_and_a_program_says_what_it_cost(
+    folder, tmp_path, in_this_process
+):
+    """The program places the last 48 frames, of which it had 20 live, at 16 ms each."""
+    edit = """
+rows = rows[12:]
+(out / "frames.csv").write_text("stamp_s,cpu_ms\\n" + "".join(f"{s},16.0\\n" for s in stamps))
+(out / "live.txt").write_text("".join(" ".join(row) + "\\n" for row in rows[:20]))
+"""
+    files = {"frames": "frames.csv", "live": "live.txt"}
+    path = write_program(tmp_path / "systems", make_sequence(FRAMES, segment=None), edit, **files)
+    spec = spec_of(systems=(EXAMPLE, "copy"), runs=1)
+    rows = run_batch(spec, [str(folder)], tmp_path / "b", folders=[path.parent])
+    copy = rows[rows.system == "copy"].iloc[0]
+    assert (copy.share_tracked, copy.completeness) == pytest.approx((20 / 60, 48 / 60))
+    assert (copy.cpu_ms_median, copy.frames_to_initialise) == (16.0, 13) and copy.cpu_s > 0
+    (pair,) = pairs(rows, tmp_path / "b").to_dict("records")
+    assert pair["cpu_ms"] == 16.0 and pair["first_cpu_ms"] > 0
 
 
 def test_systems_stand_beside_the_first_one_on_the_frames_that_both_have_placed(

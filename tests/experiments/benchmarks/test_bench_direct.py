@@ -32,6 +32,12 @@ def test_the_basin_ends_before_the_first_offset_that_a_tenth_misses():
     assert basin([1] * len(BASIN_PX)) == BASIN_PX[-1]
 
 
+@pytest.mark.parametrize("seeds", ["x", "5-2", "-3", "1-"])
+def test_seeds_out_of_form_are_one_line(dslab, seeds):
+    code, out, err = dslab("bench", "direct", f"--seeds={seeds}")
+    assert (code, out) == (2, "") and "write it as 7 or 1-10" in err
+
+
 def test_an_alignment_that_is_not_found_is_missed():
     pairs = [direct._Pair("room", 1, *errors) for errors in ((1e-4, 0.01), (float("nan"),) * 2, (0.1, 0.01))]
     row = direct._row("room", pairs, [])

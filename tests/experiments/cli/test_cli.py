@@ -152,6 +152,8 @@ def test_bench_pools_the_frames_of_all_runs(dslab, monkeypatch, synthetic):
     assert code == 0
     assert figures["stages"]["extract"]["frames"] == 600
     assert figures["mapping_cpu_ms_median"] == 20.0
+    code, out, _ = dslab("bench", "x")
+    assert code == 0 and "loop closing, per keyframe" in out and "MiB" in out
 
 
 @pytest.mark.parametrize("arguments", [["x"], ["slam", "x"], ["--seed", "3", "x"]], ids=" ".join)

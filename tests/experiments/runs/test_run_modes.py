@@ -128,6 +128,8 @@ def test_bench_in_real_time_counts_dropped_frames(dslab):
     assert code == 0 and figures["mode"] == "threaded"
     assert len(figures["dropped_frames"]) == 2
     assert figures["frames"] == 12
+    code, _, err = dslab("bench", "x", "--real-time")
+    assert code == 2 and err.startswith("error: --real-time: the mode is lockstep; add --mode threaded")
 
 
 def test_run_in_real_time_is_warm_and_counts_dropped_frames(dslab, tmp_path, monkeypatch):
