@@ -10,13 +10,13 @@ from shutil import rmtree
 import numpy as np
 import pandas as pd
 
+from dslab.experiments.batch.breakages import add_overlaps
 from dslab.experiments.batch.rows import ERROR, KEY, Row, figures_of, typed
 from dslab.experiments.batch.spec import BatchSpec
 from dslab.experiments.evaluation.summary import summarise
 from dslab.experiments.jobs.ledger import Owner, ledger_of
 from dslab.experiments.jobs.pool import Ended, PoolSettings, open_pool
 from dslab.experiments.result_folder import execute_recorded, write_run
-from dslab.experiments.runs.execution import system_factory
 from dslab.experiments.runs.files import plain
 from dslab.experiments.runs.provenance import code_hash, commit
 from dslab.experiments.runs.sources import open_sequence
@@ -24,6 +24,7 @@ from dslab.experiments.runs.systems.command import CommandSystem
 from dslab.experiments.runs.systems.registry import Registry, System, system_digest
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_folder
+from dslab.scenarios.loading import load_scenario
 from dslab.sim.degradations.recorded_sequences import degrade_sequence
 from dslab.sim.io.folders import new_directory, write_file
 from dslab.sim.sequence import Sequence
@@ -99,7 +100,10 @@ def run_batch(
     for system in systems.values():
         if isinstance(system, CommandSystem):
             system.check()
-    settings = {"setting of stress, start, seed or mode": spec.row_key, "version of the code": code_hash()}
+    settings = {
+        "setting of stress, start, seed, mode or systems": spec.row_key,
+        "version of the code": code_hash(),
+    }
     with ledger_of(folder, Owner(settings, KEY)) as ledger:
         jobs = {job.key: job for job in _jobs(spec, sources, systems, folders, folder)}
         kept = ledger.rows()
@@ -139,12 +143,14 @@ def make_run(job: Job) -> Row:
             _frames(job, scratch),
             [name],
             job.about["seed"],
-            build=system_factory(spec.mode),
+            build=spec.build,
             real_time=spec.real_time,
             plugins=plugins,
             folder_of=lambda _: folder,
         )[name]
         summary = summarise(record)
+        if not is_folder(job.scene[0]):
+            add_overlaps(record, summary["breakage_list"], load_scenario(*job.scene))
         write_run(folder, record, summary, picture=False)
     return job.about | figures_of(record, summary)
 

@@ -3,11 +3,12 @@
 import glob
 import re
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field, ValidationError, field_validator
 
-from dslab.experiments.runs.execution import Mode
+from dslab.experiments.runs.execution import Mode, SystemFactory
+from dslab.experiments.runs.slam_settings import factory_of, parse_slam_settings
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.faults import all_faults
 from dslab.scenarios.input_files import is_folder
@@ -19,7 +20,7 @@ from dslab.sim.cache import content_key
 
 _PATTERN = re.compile(r"[*?\[]")
 _MOST_SEED = 2**63 - 1
-_OF_A_ROW = ("vary", "skip_frames", "first_s", "stress", "seed", "mode", "real_time")
+_OF_A_ROW = ("vary", "skip_frames", "first_s", "stress", "seed", "mode", "real_time", "settings")
 
 
 class BatchSpec(Strict):
@@ -45,6 +46,9 @@ class BatchSpec(Strict):
     real_time: bool = Field(
         False, description="feed ours and classes in real time, which needs mode threaded"
     )
+    settings: dict[str, Any] = Field(
+        default_factory=dict, description="of our systems, as in a settings file of `dslab run`"
+    )
     limit_s: float = Field(7200.0, gt=0, description="longest duration of a run, its preparation included")
 
     @field_validator("systems")
@@ -59,6 +63,12 @@ class BatchSpec(Strict):
     def segments(self) -> list[SegmentBase]:
         """The segments of the stress."""
         return [parse_segment(text) for text in self.stress]
+
+    @property
+    def build(self) -> SystemFactory:
+        """Makes our systems, with the settings and the mode."""
+        settings = parse_slam_settings(self.settings, (), lambda at: ".".join(map(str, at)))
+        return factory_of(settings, self.mode)
 
     @property
     def row_key(self) -> str:
@@ -79,6 +89,9 @@ def read_batch(path: Path) -> tuple[BatchSpec, list[str]]:
         raise all_faults(error, file.where, root=BatchSpec) from None
     if spec.real_time and spec.mode != "threaded":
         raise InputError(file.where(("real_time",)), f"the mode is {spec.mode}", "add mode: threaded")
+    if "mode" in spec.settings:
+        raise InputError(file.where(("settings", "mode")), "the batch has a mode of its own", "give it there")
+    parse_slam_settings(spec.settings, ("settings",), file.where)
     for place, text in enumerate(spec.stress):
         try:
             parse_segment(text)

@@ -38,13 +38,15 @@ def batch_command(
     SPEC.yaml names sequences (folders, patterns, scenarios), systems and the number of runs. Killed and
     started again, a batch goes on where it was. Systems that take frames in real time run alone, after the
     others. Writes runs.parquet and runs.csv, a row per run, pairs.csv, in which every further system
-    stands beside the first one over the frames that both have placed, tables in the layout of the paper's,
-    its figures on request, and the result folder of each run. For example:
+    stands beside the first one over the frames that both have placed, breakages.csv, a row per breakage,
+    tables in the layout of the paper's, its figures on request, and the result folder of each run. For
+    example:
 
     `dslab batch kitti.yaml --workers 2 --out out/kitti`
 
     `dslab batch kitti.yaml --out out/kitti --figures`
     """
+    from dslab.experiments.batch.breakages import BREAKAGES_FILE, breakages, rescues
     from dslab.experiments.batch.paper_figures import FIGURES_DIR, write_figures
     from dslab.experiments.batch.paper_tables import TABLES_DIR, write_tables
     from dslab.experiments.batch.run import CSV_FILE, run_batch
@@ -58,10 +60,14 @@ def batch_command(
         rows = run_batch(spec, sources, out_dir, workers, systems_dir or (), show)
     found, beside = sums(rows), pairs(rows, out_dir)
     write_file(out_dir / PAIRS_FILE, lambda path: beside.to_csv(path, index=False))
+    broken = breakages(rows, out_dir)
+    rescued = rescues(broken)
+    write_file(out_dir / BREAKAGES_FILE, lambda path: broken.to_csv(path, index=False))
     write_tables(rows, out_dir)
     drawn = write_figures(rows, out_dir) if figures else []
     if as_json:
-        print_json_line({"rows": plain(_records(found)), "pairs": plain(_records(beside))})
+        tables = {"rows": found, "pairs": beside, "rescues": rescued}
+        print_json_line({name: plain(_records(table)) for name, table in tables.items()})
     else:
         out.print("medians over the runs")
         for table in _tables(found):
@@ -69,7 +75,9 @@ def batch_command(
             print_table(table)
         if len(beside):
             print_table(_beside(beside, rows.system.iloc[0]))
-        out.print(f"every run  {out_dir / CSV_FILE}, {out_dir / PAIRS_FILE}", soft_wrap=True)
+        for table in _rescues(rescued) if len(rescued) else ():
+            print_table(table)
+        out.print(f"every run  {out_dir / CSV_FILE}, {PAIRS_FILE}, {BREAKAGES_FILE}", soft_wrap=True)
         places = [out_dir / TABLES_DIR, *([out_dir / FIGURES_DIR] if drawn else [])]
         out.print(f"as in the paper  {', '.join(map(str, places))}", soft_wrap=True)
     _check_made(rows)
@@ -110,6 +118,25 @@ def _beside(beside: "pd.DataFrame", first: str) -> Table:
             figures = (known.median(), known.mean(), known.min(), known.max()) if len(known) else [None] * 4
             table.add_row(name, str(len(known)), *(number(figure, 3) for figure in figures))
     return table
+
+
+def _rescues(rescued: "pd.DataFrame") -> Iterator[Table]:
+    """A table per source, with a row per system, cause and whether views on either side are shared."""
+    threads = [str(name) for name in rescued if str(name).startswith("thread_")]
+    counts = ["breakages", "recovered", *threads, "false_fusion"]
+    titles = ("broke", "res-\ncued", *(name.replace("_", "\n") for name in threads), "false")
+    for source, own in rescued.groupby("source"):
+        title = f"{Path(str(source)).name}: healthy maps that broke, and the threads that found back"
+        table = Table(title=Text(title), padding=(0, 1, 0, 0))
+        for column in ("", "during", "views"):
+            table.add_column(column)
+        for column in (*titles, "fused\nin s", "95 %"):
+            table.add_column(column, justify="right")
+        for _, row in own.iterrows():
+            cause = row.cause.replace("_", " ") or "no stress"
+            times_s = map(number, (row.to_fusion_s_median, row.to_fusion_s_p95))
+            table.add_row(row.system, cause, row.views, *map(str, row[counts]), *times_s)
+        yield table
 
 
 def _tables(found: "pd.DataFrame") -> Iterator[Table]:

@@ -7,7 +7,6 @@ from rich.table import Table
 from typer.core import TyperGroup
 
 from dslab.experiments.cli.bench_direct import direct_command
-from dslab.experiments.cli.bench_recoveries import recoveries_command
 from dslab.experiments.cli.console import (
     JsonOption,
     ModeChoice,
@@ -32,8 +31,8 @@ if TYPE_CHECKING:
 
 _HELP = """Measure the speed of the tracker (`slam`), the simulator (`sim`) or whole units (`experiment`).
 
-Or count how often recoveries rescue a map (`recoveries`), or hold photometric alignment against exact depth
-and pose (`direct`). `dslab batch` compares systems and counts what they declare falsely.
+Or hold photometric alignment against exact depth and pose (`direct`). `dslab batch` compares systems, counts
+what they declare falsely and how often recoveries rescue a map.
 
 `dslab bench` and `dslab bench SOURCE` are short for `dslab bench slam`. For example:
 
@@ -46,8 +45,6 @@ and pose (`direct`). `dslab batch` compares systems and counts what they declare
 `dslab bench experiment`
 
 `dslab bench direct`
-
-`dslab bench recoveries stressed --seeds 1-5 --out out/rescued`
 """
 
 
@@ -62,7 +59,6 @@ class _SlamByDefault(TyperGroup):
 
 app = typer.Typer(help=_HELP, cls=_SlamByDefault)
 app.command("direct")(direct_command)
-app.command("recoveries")(recoveries_command)
 
 
 @app.command("slam")

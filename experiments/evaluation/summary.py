@@ -10,6 +10,7 @@ from dslab.experiments.evaluation import metrics
 from dslab.experiments.evaluation.alignment import Undefined
 from dslab.experiments.evaluation.audit_report import audit_record
 from dslab.experiments.evaluation.breakages import BreakageOutcome, breakage_outcomes
+from dslab.experiments.evaluation.broken_maps import breakage_figures
 from dslab.experiments.runs.execution import RunRecord
 from dslab.experiments.runs.files import plain
 from dslab.experiments.runs.provenance import commit, versions
@@ -39,6 +40,7 @@ def summarise(record: RunRecord) -> dict:
     where a program does not say.
     """
     outcomes = breakage_outcomes(record.events, record.sequence.segments, list(record.sequence.stamps_s))
+    audit = audit_record(record)
     summary = {
         "sequence": sequence_label(record.sequence),
         "system": record.system_kind,
@@ -50,9 +52,9 @@ def summarise(record: RunRecord) -> dict:
         "frames_per_s": len(record.results) / record.wall_s if record.wall_s > 0 else None,
         "peak_rss_mb": round(record.peak_rss_mb, 1),
         "commit": commit(),
-        "breakage_list": [_breakage(o, record) for o in outcomes],
+        "breakage_list": [_breakage(o, record) | breakage_figures(record, o, audit) for o in outcomes],
         "segments": segment_rows(record, outcomes),
-        "audit": audit_record(record),
+        "audit": audit,
         "stages": stage_times(record.results),
         "versions": versions(),
         "config": record.config,

@@ -31,6 +31,7 @@ from dslab.experiments.runs.execution import execute
 from dslab.scenarios.errors import InputError
 from dslab.sim.io.forms import load_sequence
 from dslab.sim.io.tum import write_tum
+from dslab.slam.core.camera import PinholeCamera
 from dslab.slam.core.results import MapTrajectory
 
 ROOT = Path(__file__).parents[3]
@@ -297,6 +298,26 @@ def test_the_command_prints_a_row_per_system(dslab, folder, tmp_path, monkeypatc
     assert code == 0 and figures[0]["ate_frames_m"] is None and figures[1]["ate_frames_m"] > 0.1
 
 
+def test_the_command_prints_what_was_rescued(dslab, folder, tmp_path, monkeypatch, in_this_process):
+    row = {"source": "a/b", "system": "dual", "cause": "motion_blur", "views": "shared", "breakages": 3}
+    row |= {"recovered": 2, "thread_1": 1, "false_fusion": 0, "to_fusion_s_median": 0.25}
+    rescued = pd.DataFrame([row | {"to_fusion_s_p95": 0.5}])
+    monkeypatch.setattr("dslab.experiments.batch.breakages.rescues", lambda found: rescued)
+    (tmp_path / "batch.yaml").write_text(f"sequences: [{folder}]\nsystems: ['{EXAMPLE}']\nruns: 1\n")
+    code, out, _ = dslab("batch", tmp_path / "batch.yaml", "--out", tmp_path / "b")
+    (line,) = [line for line in out.splitlines() if "motion blur" in line]
+    assert code == 0 and " ".join(line.split()) == "dual motion blur shared 3 2 1 0 0.250 0.500"
+    code, out, _ = dslab("batch", tmp_path / "batch.yaml", "--out", tmp_path / "b", "--json")
+    assert json.loads(out)["rescues"][0]["breakages"] == 3 and (tmp_path / "b" / "breakages.csv").exists()
+
+
+def test_settings_are_those_of_our_systems():
+    spec = spec_of(settings={"dual": {"buffer_s": 3.0, "place_merging": None}}, mode="threaded")
+    system = spec.build("dual", PinholeCamera(640, 480, 500.0, 500.0, 320.0, 240.0, 30.0), 0)
+    assert system.settings["dual"]["buffer_s"] == 3.0 and system.settings["dual"]["place_merging"] is None
+    assert system.settings["mode"] == "threaded" and spec.row_key != spec_of(mode="threaded").row_key
+
+
 def test_runs_that_could_not_be_made_are_said_after_the_table(dslab, folder, tmp_path, in_this_process):
     (folder / "rgb" / sorted(p.name for p in (folder / "rgb").iterdir())[9]).write_bytes(b"no image")
     (tmp_path / "batch.yaml").write_text(f"sequences: [{folder}]\nsystems: ['{EXAMPLE}']\nruns: 1\n")
@@ -316,6 +337,8 @@ def test_runs_that_could_not_be_made_are_said_after_the_table(dslab, folder, tmp
         ("runs: 0", "batch.yaml:3: runs: 0 is not valid"),
         ("stress: ['fog:start_s=1']", "batch.yaml:4: stress[0]: "),
         ("stress: ['darkness:start_s=1']", "unknown kind 'darkness'"),
+        ("settings: {dual: {recovery_threads: [lidar]}}", "unknown recovery thread 'lidar'"),
+        ("settings: {mode: threaded}", "batch.yaml:4: settings.mode: the batch has a mode of its own"),
         ("real_time: true", "the mode is lockstep; add mode: threaded"),
         ("sequence: [x]", "unknown key; use sequences (did you mean that?)"),
     ],
