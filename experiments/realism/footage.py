@@ -5,15 +5,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dslab.experiments.evaluation import metrics
-from dslab.experiments.evaluation.alignment import Undefined
+from dslab.experiments.evaluation.summary import summarise
 from dslab.experiments.realism.images import frame_statistics
 from dslab.experiments.realism.live import live_residuals
 from dslab.experiments.realism.measures import MEASURES
 from dslab.experiments.realism.tracked import map_statistics
 from dslab.experiments.runs.execution import RunRecord, SlamSystem, execute
 from dslab.sim.sequence import Sequence
-from dslab.slam.core.events import Breakage, CameraRefined, TrackingState
+from dslab.slam.core.events import CameraRefined, TrackingState
 from dslab.slam.core.results import TrackingResult
 from dslab.slam.system import MonocularSlam
 
@@ -30,13 +29,13 @@ class Footage:
         name: of the sequence.
         values: (n,) float64 samples of each measure, by its name.
         figures: single figures; None where there is no truth, or nothing was tracked.
-        scale_along: relative scale of each tenth of the path; empty without truth.
+        scale_along: relative scale of each tenth of the path, None without a step; empty without truth.
     """
 
     name: str
     values: dict[str, np.ndarray]
     figures: dict[str, float | int | None]
-    scale_along: tuple[float, ...] = ()
+    scale_along: tuple[float | None, ...] = ()
 
 
 @dataclass
@@ -79,32 +78,27 @@ def measure_footage(
     values = {name: np.concatenate(parts) for name, parts in looking.found.items()} | of_map
     values["outliers"] = np.array([1 - r.inliers / r.matches for r in tracked])
     values["inliers"] = np.array([float(r.inliers) for r in tracked])
-    scale = _scale_along(record)
+    summary = summarise(record)
     return Footage(
         sequence.name,
         {m.name: values.get(m.name, np.empty(0)) for m in MEASURES},
-        _figures(record, values, scale),
-        () if scale is None else tuple(float(s) for s in scale.relative),
+        _figures(record, summary, values),
+        tuple(summary["scale_along"] or ()),
     )
 
 
 def _figures(
-    record: RunRecord, values: dict[str, np.ndarray], scale: metrics.ScaleAlong | None
+    record: RunRecord, summary: dict, values: dict[str, np.ndarray]
 ) -> dict[str, float | int | None]:
-    sequence, count = record.sequence, len(record.results)
-    duration_s = float(sequence.stamps_s[-1] - sequence.stamps_s[0]) if count > 1 else 0.0
-    keyframes = sum(len(path.frames) for path in record.keyframes)
-    truth = sequence.T_world_cam
-    path_m = None if truth is None else metrics.path_length_m(truth)
-    pairs = _pairs(record)
-    ate = None if pairs is None else metrics.ate(pairs)
+    stamps_s, keyframes, path_m = record.sequence.stamps_s, summary["keyframes"], summary["true_path_m"]
+    duration_s = float(stamps_s[-1] - stamps_s[0])
     residual = values.get("residual", np.empty(0))
     live = values.get("live_residual", np.empty(0))
     return {
-        "frames": count,
-        "tracked_share": sum(r.state is TrackingState.TRACKING for r in record.results) / max(count, 1),
-        "maps": len(record.trajectories),
-        "breakages": sum(isinstance(e, Breakage) for e in record.events),
+        "frames": summary["frames"],
+        "tracked_share": summary["share_tracked"],
+        "maps": summary["maps"],
+        "breakages": summary["breakages"],
         "camera_refined": sum(isinstance(e, CameraRefined) for e in record.events),
         "keyframes": keyframes,
         "keyframes_per_s": keyframes / duration_s if duration_s else None,
@@ -114,25 +108,10 @@ def _figures(
         "residual_over_2_sigma": _share(residual > 2),
         "live_residual_over_2.45_sigma": _share(live > _REMOVED_FROM),
         "live_residual_over_5_sigma": _share(live > 5),
-        "scale_first_over_last": None if scale is None else scale.first_over_last,
-        "ate_m": None if ate is None or isinstance(ate, Undefined) else ate.rmse_m,
+        "scale_first_over_last": summary["scale_first_over_last"],
+        "ate_m": summary["ate_m"],
     }
 
 
 def _share(holds: np.ndarray) -> float | None:
     return float(holds.mean()) if len(holds) else None
-
-
-def _pairs(record: RunRecord) -> metrics.PosePairs | None:
-    """Poses of the map with most frames beside the truth; None without either."""
-    truth = record.sequence.T_world_cam
-    if truth is None or not record.trajectories:
-        return None
-    pairs = metrics.associate(record.trajectories[0], record.sequence.stamps_s, truth)
-    return pairs if len(pairs) > 2 else None
-
-
-def _scale_along(record: RunRecord) -> metrics.ScaleAlong | None:
-    pairs = _pairs(record)
-    found = None if pairs is None else metrics.scale_along(pairs)
-    return None if found is None or isinstance(found, Undefined) else found
