@@ -37,7 +37,7 @@ def run(tmp_path) -> Path:
     T[:, :3, :3] = R
     T[10:15] = np.nan
     (home / "trajectory.txt").write_text(tum_poses_text(stamps_s, T))
-    (home / "summary.json").write_text('{"sequence": "walk", "system": "dual", "stages": []}')
+    (home / "summary.json").write_text('{"sequence": "walk", "system": "dual", "stages": [], "audit": {}}')
     return home
 
 

@@ -101,12 +101,6 @@ def test_pictures_recur_at_other_sizes_and_on_other_kinds_of_things():
     assert "crate" in drawn
 
 
-def test_what_identifies_older_scenarios_does_not_name_the_option():
-    for world in SMALL.values():
-        assert "aliased" not in world.model_dump()
-    assert "loop" not in SMALL["corridor"].model_dump() and "loop" in SMALL["city"].model_dump()
-
-
 @pytest.mark.parametrize("member", load_family("aliased").members)
 def test_routes_of_the_families_return(member):
     scenario = load_family("aliased").member(member).sample(3)

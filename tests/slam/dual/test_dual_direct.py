@@ -93,7 +93,7 @@ def planted(monkeypatch, change):
         return found, reason, count
 
     monkeypatch.setattr(propagation, "align", align)
-    monkeypatch.setattr(propagation, "doubt", lambda *_: "")
+    monkeypatch.setattr(propagation, "fault_of_alignment", lambda *_: "")
 
 
 WRONG = {

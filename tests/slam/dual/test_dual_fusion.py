@@ -162,7 +162,7 @@ def test_every_threshold_is_applied(maps):
     for field, value, reason in (
         ("min_candidates", 10**6, "overlap"),
         ("min_inliers", 10**6, "sim3"),
-        ("min_share", 1.01, "sim3"),
+        ("min_share", 1.0, "sim3"),
         ("min_matches", matches + 1, "sim3"),
     ):
         assert aligned(maps, 25, 25, replace(CONFIG, **{field: value}))[:2] == (None, reason)

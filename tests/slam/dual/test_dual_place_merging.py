@@ -145,7 +145,8 @@ def test_the_older_map_absorbs_the_newer_when_the_older_is_tracked():
     shown = blanked([images[i] for i in order], range(50, 56), range(97, 100))
     for i, (image, stamp_s) in enumerate(zip(shown, stamps_s, strict=True)):
         if i == 100:  # before, the two maps would have been fused
-            system.places = PlaceMerger(BY_PLACE.place_merging, system.engine.seed)
+            place, seed = system.engine.config.place, system.engine.seed
+            system.places = PlaceMerger(BY_PLACE.place_merging, place, seed)
         system.process(image, float(stamp_s))
     system.finish()
     check_map(system.current_map)

@@ -21,7 +21,8 @@ from dslab.experiments.runs.systems import guarded
 from dslab.experiments.runs.systems.command import LOG_FILE, run_command
 from dslab.experiments.runs.systems.command_spec import read_command_spec
 from dslab.scenarios.errors import InputError
-from dslab.sim.io.tum import load_sequence, write_tum
+from dslab.sim.io.forms import load_sequence
+from dslab.sim.io.tum import write_tum
 
 FRAMES = 40
 
