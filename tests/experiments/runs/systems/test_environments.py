@@ -315,13 +315,12 @@ def test_the_real_ones_track_where_they_are_installed(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["base", "ldso"])
-def test_a_system_of_a_release_gives_what_the_release_itself_gives(dslab, tmp_path, kind):
+def test_a_system_of_a_release_gives_what_the_release_itself_gives_where_it_is_installed(
+    dslab, tmp_path, kind
+):
     system = Registry.open().find(f"{kind}@0.2.0")
     if not is_installed(system.name, system.spec.environment):
-        try:
-            install(system.name, system.spec.environment)
-        except InputError as error:  # no git, no commit, no index
-            pytest.skip(str(error))
+        pytest.skip("lab@0.2.0 is not installed")
     write_tum(open_sequence("small/room"), tmp_path / "room")
     assert dslab("run", tmp_path / "room", "--system", system.name, "--out", tmp_path / "ours")[0] == 0
     python = python_of(system.name, system.spec.environment)
