@@ -47,7 +47,7 @@ def run_with_and_without_loop_closing(sequence):
     system.finish()
     branch = before.restore()
     detector = branch.engine.store.places(branch.current_map_id).loops
-    detector.config = replace(detector.config, min_gap=10**9)
+    detector.config = replace(detector.config, min_gap=10**6)
     feed(branch, images(sequence, before.frames), sequence.stamps_s[before.frames :], check=False)
     return system, branch
 

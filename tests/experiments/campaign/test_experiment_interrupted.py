@@ -43,7 +43,7 @@ if __name__ == "__main__":
     import dslab.experiments.eq1.trial
     from dslab.experiments.cli import main
     from unit_fakes import slow_unit
-    experiments.eq1.trial.run_unit = slow_unit
+    dslab.experiments.eq1.trial.run_unit = slow_unit
     main()
 """
 BOUNDARY = DSLAB.replace("slow_unit", "slow_planted_unit")
