@@ -13,6 +13,7 @@ import typer
 import yaml
 
 from dslab.experiments.cli.commands import app
+from dslab.experiments.eq1.spec import load_spec
 from dslab.experiments.runs.slam_settings import read_slam_settings
 from dslab.slam.config import SlamConfig
 from dslab.slam.core.camera import PinholeCamera
@@ -93,7 +94,9 @@ def test_commands_and_their_options_exist(page):
         words = " ".join(line.split()).replace("\\", "").split(" ")[1:]
         while words and words[0].strip(".,") in getattr(command, "commands", {}):
             command = command.commands[words.pop(0).strip(".,")]
-        assert command is not root or words[0].startswith("-"), line
+        assert not (words and getattr(command, "commands", {})) or words[0].startswith("-"), line
+        if line.startswith("dslab experiment run ") and re.fullmatch(r"[\w-]+", words[0]):
+            load_spec(words[0])
         known = {option for each in command.params for option in (*each.opts, *each.secondary_opts)}
         assert {word.partition("=")[0] for word in words if word.startswith("--")} <= known | {"--help"}, line
 

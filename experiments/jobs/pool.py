@@ -302,7 +302,7 @@ def open_pool(task: Task, settings: PoolSettings) -> AbstractContextManager[Pool
         from dslab.experiments.jobs.cluster import open_cluster_pool
     except ModuleNotFoundError as error:
         problem = f"{error.name} is not installed, which workers of other machines need"
-        raise InputError("--scheduler", problem, "install dask and distributed, or leave it out") from None
+        raise InputError("--scheduler", problem, "install dual-slam-lab[cluster], or leave it out") from None
     return open_cluster_pool(task, settings)
 
 
