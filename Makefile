@@ -40,10 +40,10 @@ demo: setup
 	@$(BIN)/dslab demo --out $(OUT)
 
 test: setup
-	@$(BIN)/pytest -m "not slow" -n 2 --dist loadfile
+	@$(BIN)/pytest -m "not slow" -n 2 --dist worksteal
 
 test-all: setup
-	@$(BIN)/pytest -n 2 --dist loadfile
+	@$(BIN)/pytest -n 2 --dist worksteal
 
 lint: .venv/.installed
 	@$(BIN)/ruff format --check .

@@ -21,7 +21,7 @@ CUT = """() => {
     const shown = e => e.checkVisibility() && e.getBoundingClientRect().right > 0 && e.clientWidth > 1;
     const hides = e => ["hidden", "clip"].includes(getComputedStyle(e).overflowX);
     const cut = [...document.querySelectorAll("body, body *")].filter(e => !e.closest("svg"))
-        .filter(e => shown(e) && hides(e) && e.innerText?.trim() && e.scrollWidth > e.clientWidth + 1);
+        .filter(e => e.scrollWidth > e.clientWidth + 1 && hides(e) && shown(e) && e.innerText?.trim());
     const over = document.documentElement.scrollWidth - window.innerWidth;
     return [...cut.map(e => `cut: <${e.tagName} class="${e.className}"> ${e.innerText.slice(0, 60)}`),
             ...(over > 0 ? [`${over} px wider than the window`] : [])];
@@ -76,13 +76,13 @@ def test_pages_work_in_a_browser(browser, write, tmp_path):
 
 def faults_of(browser, path):
     """What is wrong with a page, at every width."""
+    page = browser.new_page()
+    said = []
+    page.on("console", said.append)
+    page.on("pageerror", said.append)
     for width in WIDTHS_PX:
-        page = browser.new_page(viewport={"width": width, "height": 900})
-        said = []
-        page.on("console", lambda message, said=said: said.append(message))
-        page.on("pageerror", lambda error, said=said: said.append(error))
+        page.set_viewport_size({"width": width, "height": 900})
         page.goto(path.as_uri())
-        page.wait_for_load_state("networkidle")
         yield from (f"{width} px: {fault}" for fault in page.evaluate(CUT))
         yield from (f"{width} px: the fold {fold!r} stays shut" for fold in stuck_folds(page))
         yield from (f"{width} px, folds open: {fault}" for fault in page.evaluate(CUT))
@@ -90,10 +90,8 @@ def faults_of(browser, path):
             yield from (
                 f"dead link {link}" for link in page.evaluate(LINKS) if not leads_somewhere(page, path, link)
             )
-        yield from (
-            f"console: {getattr(m, 'text', m)}" for m in said if getattr(m, "type", "error") == "error"
-        )
-        page.close()
+    yield from (f"console: {getattr(m, 'text', m)}" for m in said if getattr(m, "type", "error") == "error")
+    page.close()
 
 
 def stuck_folds(page):

@@ -46,6 +46,7 @@ def with_segments(kinds: list[str], camera: dict) -> Scenario:
     ],
     ids=["every kind, a distorting lens", "no kind on images"],
 )
+@pytest.mark.slow
 def test_some_frames_are_those_of_the_whole_sequence(kinds, camera, tmp_path):
     scenario = with_segments(kinds, camera)
     whole = render_sequence(scenario, cache_dir=tmp_path)

@@ -25,20 +25,24 @@ def scenario(world: str = "corridor", **segment) -> Scenario:
     )
 
 
+QUICK = [
+    ({"kind": "low_texture", "contrast": 0.1, "view_share": 0.9}, True),
+    ({"kind": "motion_blur", "exposure_s": 0.2}, True),
+    ({"kind": "fog", "extinction_per_m": 0.02}, False),
+]
+MORE = [
+    ({"kind": "low_texture", "contrast": 0.1, "world": "warehouse"}, None),
+    ({"kind": "low_texture", "contrast": 1.0, "view_share": 0.9}, False),
+    ({"kind": "motion_blur", "exposure_s": 0.011}, False),
+    ({"kind": "fast_rotation", "rate_degps": 150}, True),
+    ({"kind": "frame_drops", "share": 0.9}, True),
+    ({"kind": "fog", "extinction_per_m": 3.0, "ramp_s": 0.5}, True),
+    ({"kind": "flicker", "modulation": 0.9}, True),
+]
+
+
 @pytest.mark.parametrize(
-    ("segment", "acts"),
-    [
-        ({"kind": "low_texture", "contrast": 0.1, "world": "warehouse"}, None),
-        ({"kind": "low_texture", "contrast": 0.1, "view_share": 0.9}, True),
-        ({"kind": "low_texture", "contrast": 1.0, "view_share": 0.9}, False),
-        ({"kind": "motion_blur", "exposure_s": 0.2}, True),
-        ({"kind": "motion_blur", "exposure_s": 0.011}, False),
-        ({"kind": "fast_rotation", "rate_degps": 150}, True),
-        ({"kind": "frame_drops", "share": 0.9}, True),
-        ({"kind": "fog", "extinction_per_m": 3.0, "ramp_s": 0.5}, True),
-        ({"kind": "fog", "extinction_per_m": 0.02}, False),
-        ({"kind": "flicker", "modulation": 0.9}, True),
-    ],
+    ("segment", "acts"), QUICK + [pytest.param(*each, marks=pytest.mark.slow) for each in MORE]
 )
 def test_it_is_what_the_truth_of_the_whole_sequence_says(segment, acts, tmp_path):
     of = scenario(**segment)

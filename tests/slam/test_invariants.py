@@ -31,6 +31,7 @@ def system(recovered):
 
 
 @pytest.mark.parametrize(("kind", "frames"), [("base", 53), ("dual", 100)])
+@pytest.mark.slow
 def test_a_system_is_valid_at_any_time_and_the_check_changes_nothing(recovered, kind, frames):
     images, stamps_s, _ = toy(100, 0, STEP_M)
     system = build_system(kind, CAMERA, 0, CONFIG, dual=RECOVERY_ONLY)

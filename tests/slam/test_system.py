@@ -270,6 +270,7 @@ def test_the_fewest_keyframes_of_a_kept_map_are_a_setting(sequence, snapshots, l
     assert system.state is (TrackingState.RELOCALIZING if kept else TrackingState.NOT_INITIALIZED)
 
 
+@pytest.mark.slow
 def test_corners_between_the_pixels_and_less_noise_give_a_better_path(sequence):
     images, stamps_s, truth = sequence
 
@@ -287,6 +288,7 @@ def test_corners_between_the_pixels_and_less_noise_give_a_better_path(sequence):
 # -- starts --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_map_begun_from_the_wrong_motion_is_dropped_with_its_poses_and_begun_again(sequence, monkeypatch):
     images, stamps_s, T_world_cam = sequence
     accuse(monkeypatch, range(10), at=25)

@@ -156,6 +156,7 @@ def test_seeds_vary_by_default(tmp_path, folder, in_this_process):
     assert rows.seed.tolist() == [4, 5] and rows.first_frame.tolist() == [0, 0]
 
 
+@pytest.mark.slow
 def test_scenes_vary_with_their_seeds_and_are_paired_by_run(tmp_path):
     """Two systems meet the same scene in each run, another one in the next. In processes, for OpenGL."""
     spec = spec_of(sequences=("small/room",), systems=("base", EXAMPLE), vary="scenes", seed=5, first_s=1)
@@ -205,6 +206,7 @@ def rows_so_far(folder):
     return 0
 
 
+@pytest.mark.slow
 def test_a_batch_that_was_killed_goes_on_and_gives_the_same_table(tmp_path, in_this_process):
     whole = run_batch(spec_of(), ["drive"], tmp_path / "whole" / "b", task=batch_fakes.made_up)
     there = tmp_path / "killed"

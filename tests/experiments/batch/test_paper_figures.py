@@ -86,6 +86,7 @@ def test_figure_9_has_the_error_of_intact_maps_and_black_for_the_others(batch):
     assert np.asarray(dual.images[0].get_array()).ravel().tolist() == [1, 1]
 
 
+@pytest.mark.slow
 def test_figures_are_written_and_what_has_no_runs_is_left_out(batch, tmp_path):
     rows, folder = batch
     assert [path.name for path in write_figures(rows, folder)] == [f"figure_{n}.png" for n in (6, 7, 8, 9)]

@@ -49,6 +49,7 @@ def test_slam_failures_are_never_tried_again(run_made_up, tmp_path):
     assert {(path.stat().st_size) for path in (tmp_path / "tries").iterdir()} == {1}
 
 
+@pytest.mark.slow
 def test_a_unit_that_hangs_or_crashes_is_reported_and_tried_again_and_harms_no_other(run_made_up, tmp_path):
     plan = MadeUp({"spin-1": 1, "crash-1": 1, "slow-0.1": 4})
     tally = run_made_up(plan, workers=PoolSettings(2, time_s=2.0))

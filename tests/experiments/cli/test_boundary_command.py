@@ -43,6 +43,7 @@ def test_a_search_prints_its_answer_and_writes_json_and_picture(search, tmp_path
         assert min(picture.size) > 300
 
 
+@pytest.mark.slow
 def test_the_same_command_goes_on_or_says_the_same_again(search, tmp_path):
     search(*BLUR, "--trials", 20)
     first = read_rows(tmp_path / "b")[1]
@@ -66,6 +67,7 @@ def test_the_boundary_of_another_system_is_searched_by_its_name(search, tmp_path
         assert code == 2 and says in err and err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_less_contrast_is_stronger(search, tmp_path):
     arguments = (
         "experiment",
@@ -93,6 +95,7 @@ def test_less_contrast_is_stronger(search, tmp_path):
         (("0.3", "0.9"), "exceeded", "exceeds 0.5 even at the weakest dose, exposure 0.3 s"),
     ],
 )
+@pytest.mark.slow
 def test_a_boundary_outside_the_doses_is_said(search, ends, status, said):
     given = ("--weakest", ends[0], "--strongest", ends[1], "--trials", 40, "--json")
     found = json.loads(search(*BLUR, *given)[1])

@@ -175,6 +175,7 @@ def simulated(rng, slope, worlds=25, per_world=4, level=1.0, noise=0.4):
     return table
 
 
+@pytest.mark.slow
 def test_a_known_slope_is_found_and_its_interval_covers_it():
     rng, covered, found = np.random.default_rng(3), [], []
     for _ in range(30):

@@ -67,6 +67,7 @@ def test_a_system_that_goes_on_neither_breaks_nor_fails(monkeypatch, tmp_path):
         ("if 85 <= f: return 'garbage'", "unreadable", 85),
     ],
 )
+@pytest.mark.slow
 def test_whatever_it_does_is_a_breakage_and_a_failed_mission(monkeypatch, tmp_path, edit, reason, frame):
     monkeypatch.setattr(free_arm, "LIMITS", Limits(start_s=10, slow_down=0.1))
     record = judged(monkeypatch, replay(tmp_path, edit))
@@ -91,6 +92,7 @@ def test_what_declares_losses_and_not_this_one_fails_silently(monkeypatch, tmp_p
     assert (record["m1"], record["mission_cause"]) == (True, "silent_failure")
 
 
+@pytest.mark.slow
 def test_an_unhealthy_lead_in_is_void_and_says_how_it_ended(monkeypatch, tmp_path):
     record = judged(monkeypatch, replay(tmp_path, "if f == 30: raise ValueError('no')"))
     assert record["outcome"] == "void" and "crashed: ValueError: no" in record["void_reason"]
@@ -113,6 +115,7 @@ def test_a_program_that_leaves_nothing_under_stress_is_not_void(monkeypatch, tmp
     assert runs == [ONSET, len(SEQUENCE), len(SEQUENCE)]
 
 
+@pytest.mark.slow
 def test_the_base_alone_is_the_base_beside_dual_slam(monkeypatch):
     blank = synthetic(range(85, 130), frames=130)
     alone = run(monkeypatch, blank, unit("orb", system="base", arms=("free",)))
@@ -126,6 +129,7 @@ def test_the_base_alone_is_the_base_beside_dual_slam(monkeypatch):
     assert alone["dual_ate_m"] == beside["base_ate_m"] and beside["declares"] == "events"
 
 
+@pytest.mark.slow
 def test_a_class_gives_the_same_record_again(monkeypatch, tmp_path):
     system = replay(tmp_path, "if 85 <= f: return None")
     first, again = (judged(monkeypatch, system) for _ in range(2))

@@ -67,6 +67,7 @@ def test_a_false_first_success_fails_the_system_though_a_later_thread_is_right()
     assert system_failures(False, failed=[True, True], declared=[False, False]) == ([False] * 2, [False] * 2)
 
 
+@pytest.mark.slow
 def test_cells_of_a_replicate_share_one_lead_in_and_change_no_record(monkeypatch):
     sequence, of = synthetic(range(85, 91)), unit("orb")
     monkeypatch.setattr(lead_in, "_kept", {})
@@ -81,6 +82,7 @@ def test_cells_of_a_replicate_share_one_lead_in_and_change_no_record(monkeypatch
     assert len(runs) == 1  # another replicate
 
 
+@pytest.mark.slow
 def test_beside_a_system_with_its_own_initialisation_stands_the_plain_base(monkeypatch):
     sequence = synthetic(range(85, 91))
     plain = run(monkeypatch, sequence, unit("orb", arms=("free",)))

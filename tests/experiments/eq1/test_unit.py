@@ -80,6 +80,7 @@ def test_the_crossing_arm_crosses_all_of_the_segment(broken):
         )
 
 
+@pytest.mark.slow
 def test_without_a_breakage_the_columns_of_the_free_arm_are_null(monkeypatch):
     record = run(monkeypatch, synthetic())
     assert (record["breakage"], record["silent_failure"], record["base_failure"]) == (False, False, False)
@@ -151,6 +152,7 @@ def test_two_runs_give_the_same_record_except_for_times(broken, monkeypatch):
     assert decided(broken).keys() < broken.keys()
 
 
+@pytest.mark.slow
 def test_features_kept_between_arms_change_no_record(broken, monkeypatch):
     found = []
 
@@ -191,9 +193,9 @@ def test_a_unit_can_record_base_and_dual(monkeypatch, tmp_path):
 # -- branches and modes --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    "sequence",
-    [pytest.param(BROKEN, id="broken"), pytest.param(synthetic(), id="whole", marks=pytest.mark.slow)],
+    "sequence", [pytest.param(BROKEN, id="broken"), pytest.param(synthetic(), id="whole")]
 )
 def test_branches_equal_runs_from_the_start(sequence):
     of = unit()

@@ -131,6 +131,7 @@ def test_a_loop_that_a_tampered_detector_finds_is_judged_as_asserted_not_as_corr
 # -- relocalization ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_true_relocalization_is_right_and_a_displaced_one_false(sequence, monkeypatch):
     (found,) = declared(sequence).relocalizations
     assert found.false is False and found.frames_false == 0 and found.frames_judged > 20
@@ -153,6 +154,7 @@ def test_a_true_relocalization_is_right_and_a_displaced_one_false(sequence, monk
 
 
 @pytest.mark.parametrize(("dual", "kind"), [(RECOVERY_ALONE, "fusions"), (PLACE_ALONE, "joins")])
+@pytest.mark.slow
 def test_a_true_fusion_is_right_and_a_displaced_one_false(sequence, monkeypatch, dual, kind):
     (found,) = getattr(declared(sequence, "dual", dual), kind)
     assert found.audit.false is False

@@ -105,6 +105,7 @@ def scenario_file(tmp_path):
     return tmp_path / "tiny.yaml"
 
 
+@pytest.mark.slow
 def test_page_and_figures_even_where_nothing_is_tracked(dslab, tmp_path, scenario_file):
     code, out, _ = dslab("footage", scenario_file, "--out", tmp_path / "out")
     assert code == 0 and "index.html" in out

@@ -70,7 +70,7 @@ def test_the_figures_of_direct_methods_follow_from_their_tables():
     assert f"{false} of {declared + other['cross_r3_declared'].sum()}" in page
 
 
-@pytest.mark.parametrize("folder", [FIRST, RUN])
+@pytest.mark.parametrize("folder", [FIRST, pytest.param(RUN, marks=pytest.mark.slow)])
 def test_the_report_follows_from_the_records(reports, folder):
     report = reports[folder]
     again = json.loads(to_json(report_content(*read_experiment(folder), folder)))

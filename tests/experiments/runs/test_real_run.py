@@ -44,6 +44,7 @@ def runs(sequence, tmp_path_factory):
     return base, dual, folder
 
 
+@pytest.mark.slow
 def test_base_relocalizes_after_the_blank_frames_and_dual_slam_fuses_its_maps(runs):
     base, dual, folder = runs
     assert base["breakage_list"][0]["segment"] == dual["breakage_list"][0]["segment"] == "low_texture"
@@ -61,6 +62,7 @@ def test_base_relocalizes_after_the_blank_frames_and_dual_slam_fuses_its_maps(ru
     assert (folder / "dual" / "recording.rrd").stat().st_size > 1e5
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_trajectory_recorded_or_not(sequence, runs, tmp_path):
     run_sequence(sequence, "dual", 0, tmp_path / "again", build=system_factory(dual=RECOVERY_ALONE))
     one, other = (

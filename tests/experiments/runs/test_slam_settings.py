@@ -62,8 +62,9 @@ def test_the_page_of_settings_says_what_the_code_has():
     page = Path(__file__).parents[3] / "docs" / "settings.md"
     rows = re.findall(r"^\| `([\w.]+)` \| (.*?) \| (.*?) ?\|", page.read_text(), re.MULTILINE)
     assert len(rows) == 25
+    schema, defaults = settings_schema(), yaml.safe_load(settings_yaml())
     for path, default, span in rows:
-        node, value = settings_schema(), yaml.safe_load(settings_yaml())
+        node, value = schema, defaults
         for step in path.split("."):
             node, value = node["properties"][step], value[step]
         assert (default, span) == (str(value).replace("'", ""), unit_and_range(node)), path

@@ -42,6 +42,7 @@ def test_the_posterior_is_the_product_of_the_likelihoods_in_any_order_of_trials(
     assert before == pytest.approx(1 / len(before))
 
 
+@pytest.mark.slow
 def test_each_dose_of_a_batch_adds_most_to_what_all_outcomes_tell():
     weights, p = GRID.posterior(*TRIALS), GRID.failure(np.asarray(STRENGTHS))
 

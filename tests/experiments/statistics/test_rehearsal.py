@@ -18,6 +18,7 @@ def cells(difficulty, worlds=100, number=3, shares=(0.5, 0.5)):
     return [outcomes(draw(margins, 0.5, rng, (worlds, 1, 3))) for _ in range(number)]
 
 
+@pytest.mark.slow
 def test_the_power_within_sequences_grows_with_the_shared_runs_and_is_the_level_without():
     own = cells(0.7)
     rng = np.random.default_rng(1)

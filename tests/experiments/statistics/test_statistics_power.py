@@ -6,6 +6,7 @@ from dslab.experiments.statistics.power import Design, power_of, worlds_needed
 
 
 @pytest.mark.parametrize(("p", "ratio", "expected"), [(0.2, 2.0, 0.82), (0.5, 1.29, 0.95), (0.8, 1.06, 0.80)])
+@pytest.mark.slow
 def test_the_power_is_as_planned(p, ratio, expected):
     """With 100 worlds of three replicates, of which the world determines six tenths."""
     found = power_of(p, (p,), ratio, Design(100), experiments=300)
@@ -13,12 +14,14 @@ def test_the_power_is_as_planned(p, ratio, expected):
     assert found.predicted == pytest.approx(p * p) and found.measured == pytest.approx(ratio * p * p)
 
 
+@pytest.mark.slow
 def test_without_an_effect_the_tests_keep_their_level_and_holm_takes_power():
     assert power_of(0.5, (0.5,), 1.0, Design(60), experiments=300).independence <= 0.09
     one, many = (power_of(0.5, (0.5,), 1.29, Design(60, tests=t), experiments=150) for t in (1, 9))
     assert one.independence > many.independence + 0.1
 
 
+@pytest.mark.slow
 def test_the_worlds_needed_reach_the_power_and_half_of_them_do_not():
     found = worlds_needed(0.4, (0.4,), 1.5, 0.8, Design(0), experiments=150)
     assert found is not None and found.independence >= 0.8

@@ -12,6 +12,7 @@ def test_the_statistics_do_on_known_experiments_what_is_claimed():
     assert [proof.name for proof in proofs if not proof.holds(errors=3.0)] == []
 
 
+@pytest.mark.slow
 def test_the_forecast_keeps_its_size_where_failures_are_rare_and_finds_a_common_cause():
     proofs = list(prove(200, only="forecast"))
     assert len(proofs) == 9 and [proof.name for proof in proofs if not proof.holds(errors=3.0)] == []

@@ -71,6 +71,7 @@ def test_odds_ratio_tells_unlike_threads_from_like_ones():
     assert like.odds_ratio.low > 1 and unlike.odds_ratio.high < 1
 
 
+@pytest.mark.slow
 def test_interval_of_the_odds_ratio_takes_worlds_as_the_sample():
     """Replicates that repeat their world tell nothing more: the interval stays as wide."""
     rng = np.random.default_rng(2)

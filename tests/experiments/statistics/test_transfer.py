@@ -62,6 +62,7 @@ def test_a_world_is_predicted_from_the_others(conditions):
     assert weakest.errors[0] == pytest.approx((149 * 1.5 + 0.5) / 150**2 - 1 / 150)
 
 
+@pytest.mark.slow
 def test_the_interval_of_beta_holds_the_truth():
     """A share .4 of the failures of both is common, the rest independent."""
     rng, missed = np.random.default_rng(2), 0

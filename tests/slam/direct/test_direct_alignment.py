@@ -183,6 +183,7 @@ def test_a_line_of_light_holds_all_of_it_about_the_middle(direction):
     assert (light[~on_line] == 0).all() and (light[on_line] > 0).sum() >= 7
 
 
+@pytest.mark.slow
 def test_the_gradient_is_the_derivative_of_the_energy():
     """On an image that bilinear interpolation and central differences reproduce exactly."""
     y, x = np.mgrid[:HEIGHT, :WIDTH].astype(float)

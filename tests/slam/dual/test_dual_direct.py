@@ -23,6 +23,7 @@ def faded():
     return faded_scene().run("direct")
 
 
+@pytest.mark.slow
 def test_blank_frames_are_passed_over():
     scene = blind_scene()
     result = scene.run("direct")
@@ -48,6 +49,7 @@ def test_the_same_seed_gives_the_same_recovery_bit_by_bit(faded):
     assert again.alignment.S_old_new.tobytes() == faded.alignment.S_old_new.tobytes()
 
 
+@pytest.mark.slow
 def test_smeared_frames_are_entered_and_left_through_blur():
     scene = smeared_scene()
     result = scene.run("direct")
@@ -61,6 +63,7 @@ def test_smeared_frames_are_entered_and_left_through_blur():
     assert not set(SMEARED) & {f.features.index for f in sharp.frames}
 
 
+@pytest.mark.slow
 def test_faint_images_of_something_else_do_not_look_alike():
     """Their residuals are small, as they hold next to nothing; only the patterns tell."""
     scene = faded_scene()
@@ -105,6 +108,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("wrong", WRONG.values(), ids=WRONG)
+@pytest.mark.slow
 def test_an_alignment_under_which_the_old_surface_looks_wrong_is_refused(monkeypatch, wrong):
     planted(monkeypatch, wrong)
     refused = blind_scene().run("direct")
@@ -133,6 +137,7 @@ FAR = WRONG | {
 
 
 @pytest.mark.parametrize("wrong", FAR.values(), ids=FAR)
+@pytest.mark.slow
 def test_an_alignment_that_the_other_way_does_not_lead_to_is_refused(monkeypatch, wrong):
     planted(monkeypatch, wrong)
     refused = blind_scene().run("direct", UNLOOKED)

@@ -119,6 +119,7 @@ class Failing:
         return RecoveryResult(task.new_map, stage="propagation", reason="synthetic")
 
 
+@pytest.mark.slow
 def test_threads_run_until_one_succeeds_and_a_failed_one_leaves_no_trace():
     systems = [
         with_threads(100, [range(50, 56)], [Failing(spoil), OrbRecovery(RecoveryConfig()), Failing(True)])

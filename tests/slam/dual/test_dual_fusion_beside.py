@@ -109,6 +109,7 @@ def test_tracking_goes_on_while_maps_are_fused_and_nothing_of_it_is_lost(fusing)
         assert abs(r.T_map_cam[:3, 3] - at[r.frame][:3, 3]).max() < 0.03
 
 
+@pytest.mark.slow
 def test_keyframes_mapped_before_a_fusion_are_searched_for_loops_in_the_fused_map(monkeypatch):
     """They have waited behind the fusion for the thread of loop closing."""
     run, released, seen = Threaded(), threading.Event(), []
@@ -134,6 +135,7 @@ def test_keyframes_mapped_before_a_fusion_are_searched_for_loops_in_the_fused_ma
     assert len(seen) >= 3 and all(map(all, seen))
 
 
+@pytest.mark.slow
 def test_a_map_that_breaks_during_its_fusion_is_lost_as_the_fused_one(fusing):
     run = Threaded(range(110, COUNT))
     run.feed_until(fusing.entered.is_set)
@@ -165,6 +167,7 @@ def test_a_map_fused_meanwhile_is_not_dropped_for_a_place_in_a_saved_one(monkeyp
 
 
 @pytest.mark.parametrize("place", [False, True])
+@pytest.mark.slow
 def test_nothing_is_copied_searched_or_fused_on_the_tracking_thread(monkeypatch, place):
     on = {}
 
@@ -187,6 +190,7 @@ def test_nothing_is_copied_searched_or_fused_on_the_tracking_thread(monkeypatch,
     assert on == dict.fromkeys(["search", "fuse"] if place else ["copies", "fuse"], "loop closing")
 
 
+@pytest.mark.slow
 def test_the_time_of_a_take_over_is_a_stage_of_its_frame():
     run = Threaded()
     run.feed_until(lambda: of(run.system, "fusion"))

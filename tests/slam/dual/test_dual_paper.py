@@ -55,6 +55,7 @@ def test_maps_that_share_too_little_have_no_similarity(maps):
     assert align_all(far, new, pairs, np.random.default_rng(0), CONFIG)[1] == "sim3"
 
 
+@pytest.mark.slow
 def test_the_whole_buffer_is_crossed_and_the_maps_compared_once():
     scene = blind_scene()
     usual = scene.run("orb")

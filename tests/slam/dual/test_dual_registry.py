@@ -60,6 +60,7 @@ def test_shared_settings_reach_every_kind(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.slow
 def test_what_a_thread_leaves_open_is_as_in_the_system(kind):
     scene = blind_scene()
     slow = replace(SlamConfig(), tracking=TrackingConfig(keyframe_interval_s=100.0))
@@ -79,6 +80,7 @@ def test_what_a_thread_leaves_open_is_as_in_the_system(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.slow
 def test_the_first_pose_behind_a_gap_needs_as_many_inliers_in_every_kind(kind):
     assert min(f.features.index for f in blind_scene().run(kind).frames) < BLIND[0]
     never = RecoveryConfig(tracking=TrackingConfig(cautious_inliers=10**6))

@@ -35,6 +35,7 @@ def faded(faded_run):
     return faded_run[0]
 
 
+@pytest.mark.slow
 def test_the_orb_thread_fails_to_cross_faded_frames():
     """No limit of unusable frames helps."""
     result = faded_scene().run("orb", RecoveryConfig(max_unusable_s=float("inf")))

@@ -143,6 +143,7 @@ def rescaled():
     return system
 
 
+@pytest.mark.slow
 def test_maps_of_different_scale_are_fused_to_one_scale():
     """Map, frames tracked forward and backward and motion model are rescaled.
 
@@ -184,6 +185,7 @@ class PassingOver(OrbRecovery):
         return super().run(replace(task, backward=[f for f in task.backward if f.index not in range(40, 50)]))
 
 
+@pytest.mark.slow
 def test_poses_behind_the_seam_that_recovery_does_not_renew_are_withdrawn():
     system = with_threads(130, [range(50, 56)], [PassingOver()])
     assert kinds(system) == ["initialized", *RECOVERED[:-1], "poses_withdrawn", "fusion"]
@@ -213,6 +215,7 @@ class Recording(OrbRecovery):
         return super().run(replace(task, backward=backward))
 
 
+@pytest.mark.slow
 def test_two_breakages_in_a_row_are_both_recovered():
     thread = Recording()
     system = with_threads(185, [range(50, 56), range(120, 126)], [thread])
@@ -233,6 +236,7 @@ def test_two_breakages_in_a_row_are_both_recovered():
         assert task.step[0, 3] * metres == pytest.approx(STEP_M, rel=0.4)
 
 
+@pytest.mark.slow
 def test_a_new_map_that_breaks_before_its_recovery_is_dropped():
     """The next map's recovery then reaches the first map, over the frames of both."""
     system, _, T_world_cam = play(140, range(50, 56), range(66, 69))
@@ -261,6 +265,7 @@ def test_a_first_map_with_too_few_keyframes_is_dropped_as_in_the_base():
     assert system.maps() == [1]
 
 
+@pytest.mark.slow
 def test_a_map_begun_from_smeared_frames_is_dropped_before_its_recovery(monkeypatch):
     """The frames to the 70th do not fit; the map that is begun then is recovered from, over all of them."""
     track = SlamEngine.track
@@ -285,6 +290,7 @@ def test_a_map_begun_from_smeared_frames_is_dropped_before_its_recovery(monkeypa
 
 
 @pytest.mark.parametrize(("at", "cancelled"), [(62, 0), (76, 1)])
+@pytest.mark.slow
 def test_the_map_after_one_begun_from_the_wrong_motion_is_recovered_from(monkeypatch, at, cancelled):
     """It is found wrong before its own recovery starts, or while it runs."""
     accuse(monkeypatch, range(50, 62), at)

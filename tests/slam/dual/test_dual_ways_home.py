@@ -71,6 +71,7 @@ def test_a_place_that_is_all_but_confirmed_counts_though_a_recovery_has_begun_me
 
 
 @pytest.mark.parametrize("exhaustive", [False, True])
+@pytest.mark.slow
 def test_a_recovery_ends_when_its_maps_are_joined_by_place(exhaustive):
     """Unless all threads are to be run to their end."""
     images, stamps_s, _ = toy(130, 0, STEP_M)

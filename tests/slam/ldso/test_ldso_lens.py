@@ -143,6 +143,7 @@ def run(images, **lens):
     return system, [e for e in system.events if isinstance(e, ev.CameraRefined)]
 
 
+@pytest.mark.slow
 def test_the_system_goes_on_with_the_lens_that_it_finds(rounds):
     images, centres = rounds
     seen = [taken(image, RADIAL) for image in images]
@@ -159,6 +160,7 @@ def test_the_system_goes_on_with_the_lens_that_it_finds(rounds):
     assert position_error(paths[1], centres) < position_error(paths[0], centres)
 
 
+@pytest.mark.slow
 def test_a_map_begun_anew_is_that_of_a_camera_known_from_the_start(rounds):
     images = [taken(image, RADIAL) for image in rounds[0][:35]]
     camera = replace(CAMERA, residual=RADIAL)
@@ -174,6 +176,7 @@ def test_a_map_begun_anew_is_that_of_a_camera_known_from_the_start(rounds):
     np.testing.assert_array_equal(again.T_map_cam, path.T_map_cam)
 
 
+@pytest.mark.slow
 def test_a_lens_that_is_as_given_is_left_alone(rounds):
     images, _ = rounds
     system, refined = run(images)

@@ -193,6 +193,7 @@ def rounds():
     return system, paths, branch, np.array([T[:3, 3] for _, T in frames])
 
 
+@pytest.mark.slow
 def test_a_loop_is_closed_and_drift_shrinks(rounds):
     system, paths, _, centres = rounds
     closed = [e for e in system.events if isinstance(e, ev.LoopClosed)]
@@ -209,6 +210,7 @@ def test_a_loop_is_closed_and_drift_shrinks(rounds):
     assert moved_by[-3:].max() < 0.02 * moved_by[:3].min()  # the window is held, the past comes to it
 
 
+@pytest.mark.slow
 def test_every_correction_starts_from_what_odometry_and_loops_said(rounds):
     """Keyframes lie where one pose graph of all observations puts them, whatever was corrected before."""
     system, _, _, _ = rounds
@@ -224,12 +226,14 @@ def test_every_correction_starts_from_what_odometry_and_loops_said(rounds):
     np.testing.assert_allclose(found, at_once, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_nothing_is_closed_before_the_place_is_seen_again(rounds):
     system, _, _, _ = rounds
     whole = (COUNT - 1) / TURNS
     assert not [e for e in system.events if isinstance(e, ev.LoopClosed) and e.frame < whole - 25]
 
 
+@pytest.mark.slow
 def test_a_branch_closes_the_same_loops_bit_for_bit(rounds):
     system, _, branch, _ = rounds
     told = [[(e.kind, e.frame) for e in s.events] for s in (system, branch)]

@@ -33,6 +33,7 @@ def through_lens(residual: Residual, count: int = 75) -> Iterator[tuple[np.ndarr
 @pytest.mark.parametrize(
     ("kind", "mode"), [("base", "lockstep"), ("dual", "lockstep"), ("base", "threaded"), ("dual", "threaded")]
 )
+@pytest.mark.slow
 def test_a_refined_lens_is_taken_out_of_map_and_buffer(kind: str, mode: str):
     # This scene hardly determines the lens: any estimate is applied here.
     always = SelfCalibrationConfig(at_keyframes=(6,), min_significance=0.0, min_shift_px=0.0)
@@ -94,6 +95,7 @@ def shaken(readout_s: float, count: int = 75) -> Iterator[tuple[np.ndarray, floa
 
 
 @pytest.mark.parametrize("readout_s", [0.025, 0.0])
+@pytest.mark.slow
 def test_a_rolling_shutter_is_found_where_there_is_one(readout_s: float):
     at = SelfCalibrationConfig(at_keyframes=(12,))
     system = build_system("base", CAMERA, config=replace(default_config(CAMERA), self_calibration=at))

@@ -194,6 +194,7 @@ def test_a_loop_is_corrected_and_tracking_continues(sequence, monkeypatch, mode)
 
 
 @pytest.mark.parametrize("mode", list(ExecutionMode))
+@pytest.mark.slow
 def test_a_loop_that_the_corrected_map_contradicts_is_refused(sequence, monkeypatch, mode):
     images, stamps_s, _ = sequence
     plain = build_system("base", CAMERA, 0)

@@ -279,6 +279,7 @@ def test_dual_slam_recovers_from_a_doubted_map(sequence, wandering):
     assert {"poses_withdrawn", "map_saved"} <= set(kinds(system))
 
 
+@pytest.mark.slow
 def test_a_clean_sequence_is_never_doubted(sequence):
     system, _ = run("base", sequence)
     assert kinds(system) == ["initialized"]

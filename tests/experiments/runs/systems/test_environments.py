@@ -55,6 +55,7 @@ def wheel(tmp_path):
 
 
 @pytest.mark.parametrize("with_uv", [True, False])
+@pytest.mark.slow
 def test_an_environment_is_made_apart_and_only_counts_when_whole(monkeypatch, cache, wheel, with_uv):
     uv = shutil.which("uv") or shutil.which("uv", path=str(ROOT / ".tools" / "bin"))
     if with_uv and uv is None:
@@ -159,6 +160,7 @@ def test_systems_of_releases_are_known_by_name(dslab, cache, name, says):
     assert code == 2 and says in err and err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_one_that_cannot_be_made_leaves_nothing_and_says_so(monkeypatch, cache, wheel):
     broken = Environment(packages=(str(wheel),), imports=("no_such_module",), note="install libslam")
     with pytest.raises(MachineError, match=r"No module named 'no_such_module'; install libslam"):
@@ -253,6 +255,7 @@ class Slam:
 """
 
 
+@pytest.mark.slow
 def test_the_driver_of_orbslam3_keeps_the_poses_of_tracked_frames_only(tmp_path):
     """Its package is a stub, as the real one is not among ours."""
     (tmp_path / "pyorbslam3.py").write_text(STUB)
