@@ -12,6 +12,7 @@ from dslab.experiments.campaign.runner import is_infrastructure_error
 from dslab.experiments.campaign.schedule import Experiment
 from dslab.experiments.campaign.workers import UnitWorkers
 from dslab.experiments.eq1.records import decided
+from dslab.experiments.eq1.trial import record_unit
 from dslab.experiments.eq1.units import UnitSpec
 from dslab.scenarios.errors import InputError, MachineError
 
@@ -62,12 +63,14 @@ def replay(folder: Path, name: str, workers: UnitWorkers, recording: Path | None
     spec, known = read_rows(folder)
     rows = {(row["cell"], row["index"]): row for row in known}
     unit = find_unit(spec, known, name)
-    with workers.open(recording) as pool:
+    with workers.open() as pool:
         (ended,) = pool.run(deque([unit]))
     record = ended.value
     if record is None or is_infrastructure_error(record):
         problem = ended.message if record is None else record["message"]
         raise MachineError(f"unit {unit.unit_id}", problem, "see `dslab experiment status`")
+    if recording is not None:
+        record_unit(unit, recording, workers.folders)
     recorded = rows.get((unit.cell, unit.index))
     changed = differing(record, recorded) if recorded else ()
     return Replay(unit, record, recorded, release_of(folder), changed)

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dslab.experiments.eq1.free_arm import LIMITS
+from dslab.experiments.eq1.arms import LIMITS
 from dslab.experiments.eq1.record_table import normalise
 from dslab.experiments.eq1.records import empty_record, error_message
 from dslab.experiments.eq1.spec import ExperimentSpec
@@ -22,7 +22,7 @@ from dslab.scenarios.errors import InputError
 TIME_S, MEMORY_MB = 1800.0, 4000
 """Limits of a unit, if no others are given."""
 RunUnit = Callable[..., dict[str, Any]]
-"""Takes a unit, ``cache_dir`` and ``recording``, returns its record; a function of a module."""
+"""Takes a unit, ``cache_dir`` and ``folders``, returns its record; a function of a module."""
 
 
 @dataclass(frozen=True)
@@ -39,16 +39,11 @@ class UnitWorkers:
     folders: tuple[Path, ...] = ()
     digests: dict[str, str] = field(default_factory=dict)
 
-    def open(self, recording: Path | None = None) -> AbstractContextManager[Pool]:
-        """Open a pool that takes units and returns their records.
-
-        Args:
-            recording: file for the recording of a single unit; None for none.
-        """
+    def open(self) -> AbstractContextManager[Pool]:
+        """Open a pool that takes units and returns their records."""
         from dslab.experiments.eq1.trial import run_unit
 
-        job = partial(run_unit, recording=recording, folders=self.folders)
-        return open_pool(partial(unit_record, job), self.settings)
+        return open_pool(partial(unit_record, run_unit, folders=self.folders), self.settings)
 
 
 def unit_workers(

@@ -1,91 +1,74 @@
-"""The arms of a unit, branched from one lead-in.
+"""The arms of a unit: what is run over its frames, from one lead-in on.
 
 Free: base and Dual-SLAM see the same images. Crossing: the map is saved at the onset and a new one is started
-after the exposed segment, even if tracking would not have failed in it.
+after the exposed segment, even if tracking would not have failed in it. Any other system, ours or not, runs
+the free arm alone.
+
+Whatever a lead-in depends on is in its key: a unit's record is the same with or without an earlier one.
 """
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+import hashlib
+from collections.abc import Callable
+from collections.abc import Sequence as Many
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from dslab.experiments.eq1.unit_settings import unit_settings
-from dslab.experiments.eq1.units import UnitSpec
-from dslab.experiments.evaluation.breakages import EXPOSURE_GRACE_S
-from dslab.experiments.runs.execution import RunRecord, record_of, slam_camera, without_features
+from dslab.experiments.eq1.units import content_hash
+from dslab.experiments.evaluation import metrics
+from dslab.experiments.evaluation.alignment import Undefined, align_poses
+from dslab.experiments.evaluation.audit_report import audit_loss_in
+from dslab.experiments.evaluation.summary import is_tracked
+from dslab.experiments.runs.ending import EndKind
+from dslab.experiments.runs.execution import (
+    RunRecord,
+    execute,
+    live_trajectories,
+    record_of,
+    slam_camera,
+    without_features,
+)
 from dslab.experiments.runs.slam_settings import SlamSettings, factory_of
-from dslab.sim.sequence import SegmentTruth, Sequence
-from dslab.slam.core.events import Breakage, RecoveryStart
-from dslab.slam.core.results import TrackingResult
+from dslab.experiments.runs.systems.class_process import run_class_apart
+from dslab.experiments.runs.systems.command import CommandSystem, run_command
+from dslab.experiments.runs.systems.command_spec import Limits
+from dslab.experiments.runs.systems.own_class import ClassSystem
+from dslab.experiments.runs.systems.registry import System, system_digest
+from dslab.sim.sequence import Sequence
+from dslab.slam.core.events import Breakage, Event, RecoveryStart
+from dslab.slam.core.results import MapTrajectory, TrackingResult
 from dslab.slam.core.snapshot import Snapshot
 from dslab.slam.dual.dual_slam import DualSlam
 from dslab.slam.system import MonocularSystem
 
+LEAD_IN_HEALTHY_S = 1.0
+"""Time before the exposed segment for which the map must have been tracked without a gap."""
+LEAD_IN_ERROR_SHARE = 0.05
+"""Largest position error (RMS) on the lead-in, as a share of its path, of a healthy map."""
+LIMITS = Limits()
+"""What a class may take, as a program whose description does not say."""
+PLAIN: dict[str, str] = {"dual+": "dual", "paper+": "paper"}
+"""Systems beside which the base is that of another one, without its initialisation."""
 _SAVE_EVERY_S = 1.0
-_ROUNDING_S = 1e-6
+_KEPT = 16
+"""Lead-ins of programs that are kept; of ours, which are large, one and a plain one beside it."""
+
+
+# -- a run that can be saved and go on -----------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Exposure:
-    """The exposed segment.
+class Saved:
+    """State of a run between two frames, from which any number of runs can resume."""
 
-    Attributes:
-        onset_s, exposed_s: start and length.
-        onset_frame, end_frame: its first and last frame.
-        last_frame: last frame at which a breakage is still attributed to it.
-    """
+    snapshot: Snapshot
+    results: tuple[TrackingResult, ...]
 
-    onset_s: float
-    exposed_s: float
-    onset_frame: int
-    end_frame: int
-    last_frame: int
-
-    @staticmethod
-    def of(unit: UnitSpec, sequence: Sequence) -> "Exposure":
-        """Find the exposed segment of a unit in the frames of its sequence.
-
-        Raises:
-            ValueError: there is no frame before it, in it or after it.
-        """
-        onset_s, exposed_s = unit.onset_s, unit.exposed_s
-        if onset_s is None or exposed_s is None:
-            first = unit.scenario.segments[0]
-            onset_s, exposed_s = onset_s or first.start_s, exposed_s or first.duration_s
-        stamps_s = sequence.stamps_s
-        onset = int(np.searchsorted(stamps_s, onset_s - _ROUNDING_S))
-        end = int(np.searchsorted(stamps_s, onset_s + exposed_s - _ROUNDING_S)) - 1
-        if not 0 < onset <= end < len(sequence) - 1:
-            raise ValueError(f"the exposed segment is frames {onset} to {end} of {len(sequence)}")
-        last = int(np.searchsorted(stamps_s, stamps_s[end] + EXPOSURE_GRACE_S, "right")) - 1
-        return Exposure(onset_s, exposed_s, onset, end, last)
-
-    def as_segment(self, kind: str) -> SegmentTruth:
-        """The exposed segment as a degradation that acts on all of its frames."""
-        end_s = self.onset_s + self.exposed_s
-        return SegmentTruth(kind, {}, self.onset_s, end_s, self.onset_frame, self.end_frame)
-
-
-@dataclass
-class CpuClock:
-    """CPU time of this process, summed over blocks of work.
-
-    Attributes:
-        seconds: sum so far.
-    """
-
-    seconds: float = 0.0
-
-    @contextmanager
-    def running(self) -> Iterator[None]:
-        """Add the CPU time of the block."""
-        started = time.process_time()
-        try:
-            yield
-        finally:
-            self.seconds += time.process_time() - started
+    @property
+    def frames(self) -> int:
+        """Number of frames fed before."""
+        return len(self.results)
 
 
 class BranchRun:
@@ -94,25 +77,27 @@ class BranchRun:
     Args:
         system: the SLAM system.
         sequence: its input.
-        clock: sums the CPU time within the system.
         results: of the frames fed so far.
 
     Attributes:
-        first_frame_of: first frame of every new map from which a recovery has started, by map id.
+        first_new_frame: first frame of the new map from which the first recovery started; None before it.
     """
 
     def __init__(
-        self,
-        system: MonocularSystem,
-        sequence: Sequence,
-        clock: CpuClock,
-        results: tuple[TrackingResult, ...] = (),
+        self, system: MonocularSystem, sequence: Sequence, results: tuple[TrackingResult, ...] = ()
     ) -> None:
         self.system = system
         self.sequence = sequence
         self.results = list(results)
-        self.first_frame_of: dict[int, int] = {}
-        self._clock = clock
+        self.first_new_frame: int | None = None
+
+    @classmethod
+    def resume(cls, saved: Saved, sequence: Sequence, as_base: bool = False) -> "BranchRun":
+        """Go on from a saved state, over a sequence that is the same so far; ``as_base``: as the base."""
+        system = saved.snapshot.restore()
+        if as_base and isinstance(system, DualSlam):
+            system = system.as_base()
+        return cls(system, sequence, saved.results)
 
     @property
     def frames(self) -> int:
@@ -132,65 +117,151 @@ class BranchRun:
     def step(self) -> None:
         """Feed one frame."""
         index, happened = self.frames, len(self.system.events)
-        image = self.sequence.frames[index]
-        with self._clock.running():
-            result = self.system.process(image, float(self.sequence.stamps_s[index]))
+        result = self.system.process(self.sequence.frames[index], float(self.sequence.stamps_s[index]))
         self.results.append(without_features(result))
         for event in self.system.events[happened:]:
-            if isinstance(event, RecoveryStart) and event.map_id not in self.first_frame_of:
-                self._note_new_map(event.map_id)
+            if isinstance(event, RecoveryStart) and self.first_new_frame is None:
+                paths = self.system.keyframe_trajectories()
+                firsts = [int(path.frames[0]) for path in paths if path.map_id == event.map_id]
+                self.first_new_frame = next(iter(firsts), None)
 
     def feed(self, until: int) -> None:
         """Feed the frames before ``until``."""
         while self.frames < until:
             self.step()
 
-    def finish(self) -> None:
-        """Signal the end of the input to the system."""
-        with self._clock.running():
-            self.system.finish()
+    def run_out(self) -> None:
+        """Feed all frames that are left, and signal the end of the input."""
+        self.feed(len(self.sequence))
+        self.system.finish()
 
-    def save(self) -> "SavedBranch":
-        """Save the state, from which any number of runs can resume."""
-        with self._clock.running():
-            snapshot = self.system.snapshot()
-        return SavedBranch(snapshot, self.sequence, self._clock, tuple(self.results))
+    def save(self) -> Saved:
+        """Save the state."""
+        return Saved(self.system.snapshot(), tuple(self.results))
 
     def record(self, kind: str, seed: int) -> RunRecord:
-        """The record of the finished run; its time is that of all runs by this clock."""
-        return record_of(self.system, self.sequence, kind, seed, self.results, self._clock.seconds)
+        """The record of the finished run, without its times."""
+        return record_of(self.system, self.sequence, kind, seed, self.results, 0.0)
 
-    def _note_new_map(self, map_id: int) -> None:
-        paths = self.system.keyframe_trajectories()
-        self.first_frame_of.update((map_id, int(path.frames[0])) for path in paths if path.map_id == map_id)
+
+# -- lead-in -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class SavedBranch:
-    """State of a run between two frames."""
+class LeadIn:
+    """A lead-in that leaves a healthy map.
 
-    snapshot: Snapshot
-    sequence: Sequence
-    clock: CpuClock
-    results: tuple[TrackingResult, ...]
+    Attributes:
+        saved: its end, from which arms resume.
+        path: poses of the lead-in in its map.
+    """
 
-    @property
-    def frames(self) -> int:
-        """Number of frames fed before."""
-        return len(self.results)
+    saved: Saved
+    path: MapTrajectory
 
-    def resume(self) -> BranchRun:
-        """Start a run that continues from this state."""
-        with self.clock.running():
-            system = self.snapshot.restore()
-        return BranchRun(system, self.sequence, self.clock, self.results)
 
-    def resume_as_base(self) -> BranchRun:
-        """Start a run of the base system that continues from this state."""
-        branch = self.resume()
-        if isinstance(branch.system, DualSlam):
-            branch.system = branch.system.as_base()
-        return branch
+_lead_ins: dict[str, LeadIn | str] = {}
+_program_lead_ins: dict[str, tuple[RunRecord, str]] = {}
+
+
+def lead_in_of(
+    system: str, sequence: Sequence, onset: int, seed: int, settings: SlamSettings
+) -> LeadIn | str:
+    """The lead-in of one of our systems, or the reason why its map is not healthy at the onset.
+
+    It is run now unless that of the same replicate in another cell is at hand.
+
+    Args:
+        system: name of the system.
+        sequence: the frames of the unit.
+        onset: first frame of the exposed segment.
+        seed: of the system.
+        settings: of the system.
+    """
+    key = _lead_in_key(sequence, onset, [system, seed, repr(settings)])
+    return _kept(_lead_ins, 2, key, lambda: _checked(run_lead_in(system, sequence, onset, seed, settings)))
+
+
+def run_lead_in(system: str, sequence: Sequence, onset: int, seed: int, settings: SlamSettings) -> BranchRun:
+    """Run the frames before the onset, which all arms share; arguments as of :func:`lead_in_of`.
+
+    Its arms, and those of the cells that share it, see most images again: their features are kept.
+    """
+    made = factory_of(settings)(system, slam_camera(sequence.camera), seed)
+    made.engine.remember_features(2 * len(sequence))
+    branch = BranchRun(made, sequence)
+    branch.feed(onset)
+    return branch
+
+
+def _checked(branch: BranchRun) -> LeadIn | str:
+    system = branch.system
+    fault = lead_in_fault(branch.results, system.events, branch.sequence, branch.frames)
+    keyframes = 0 if fault else len(system.current_map.keyframes())
+    if not fault and keyframes <= system.config.min_map_keyframes:
+        fault = f"{keyframes} keyframes only at the onset: a breakage would drop the map"
+    if fault:
+        return fault
+    path = next(path for path in system.trajectories() if path.map_id == system.current_map_id)
+    return LeadIn(branch.save(), path)
+
+
+def _kept(store: dict[str, Any], most: int, key: str, make: Callable[[], Any]) -> Any:
+    """What was made for a key, made now unless it is among the latest."""
+    found = store.pop(key, None)
+    store[key] = make() if found is None else found
+    while len(store) > most:
+        del store[next(iter(store))]
+    return store[key]
+
+
+def _lead_in_key(sequence: Sequence, onset: int, system: list[object]) -> str:
+    """Hash of all that a lead-in depends on: its frames, their times and truth, the system and its seed."""
+    images = hashlib.sha256()
+    for frame in range(onset):
+        images.update(sequence.frames[frame])
+    truth = None if sequence.T_world_cam is None else sequence.T_world_cam[:onset].tobytes().hex()
+    stamps_s, camera = sequence.stamps_s[:onset].tolist(), repr(sequence.camera)
+    return content_hash([images.hexdigest(), stamps_s, truth, camera, *system])
+
+
+def lead_in_fault(results: Many[TrackingResult], events: Many[Event], sequence: Sequence, onset: int) -> str:
+    """Reason why the map is not healthy at the onset; empty if it is healthy.
+
+    Args:
+        results: of the frames before the onset at least.
+        events: of the same run.
+        sequence: the input of the run.
+        onset: first frame of the exposed segment.
+    """
+    before = results[onset - 1]
+    if not is_tracked(before):
+        return "not tracking at the onset"
+    if any(isinstance(e, Breakage) and e.frame < onset for e in events):
+        return "broke in the lead-in"
+    live = live_trajectories(results[:onset])[before.map_id]
+    lead_s = before.stamp_s - live.stamps_s[0]
+    if lead_s < LEAD_IN_HEALTHY_S:
+        return f"tracked for {lead_s:.2f} s only before the onset"
+    return _position_fault(live, sequence)
+
+
+def _position_fault(live: MapTrajectory, sequence: Sequence) -> str:
+    truth = sequence.T_world_cam
+    if truth is None:
+        return "no ground truth"
+    pairs = metrics.associate(live, sequence.stamps_s, truth)
+    path_m = metrics.coverage(pairs.frames, truth).path_m
+    alignment = align_poses(pairs.T_map_cam, pairs.T_world_cam)
+    if isinstance(alignment, Undefined):
+        return f"the lead-in cannot be judged: {alignment.reason}"
+    error_m = metrics.rms(metrics.position_errors_m(pairs, alignment))
+    if error_m > LEAD_IN_ERROR_SHARE * path_m:
+        return f"position error {error_m:.3f} m on {path_m:.2f} m of lead-in"
+    return ""
+
+
+# -- arms ----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -199,74 +270,98 @@ class FreeArm:
 
     Attributes:
         base, dual: the two runs, from the first frame to the last.
-        first_frame_of: see BranchRun, of the dual.
+        first_new_frame: see BranchRun, of the dual.
     """
 
     base: RunRecord
     dual: RunRecord
-    first_frame_of: dict[int, int]
+    first_new_frame: int | None
 
 
-def settings_of(unit: UnitSpec) -> SlamSettings:
-    """Settings of the systems of a unit."""
-    return unit_settings(unit.settings, unit.threads, lambda at: ".".join(map(str, at)))
-
-
-def run_lead_in(
-    unit: UnitSpec, sequence: Sequence, exposure: Exposure, clock: CpuClock, kind: str | None = None
-) -> BranchRun:
-    """Run the lead-in, which all arms share: the frames before the onset; ``kind``: None for the unit's.
-
-    Its arms, and those of the cells that share it, see most images again: their features are kept.
-    """
-    camera = slam_camera(sequence.camera)
-    system = factory_of(settings_of(unit))(kind or unit.system, camera, unit.repeat_seed)
-    system.engine.remember_features(2 * len(sequence))
-    branch = BranchRun(system, sequence, clock)
-    branch.feed(exposure.onset_frame)
-    return branch
-
-
-PLAIN: dict[str, str] = {"dual+": "dual", "paper+": "paper"}
-"""Systems beside which the base is that of another one, without its initialisation."""
-
-
-def run_free(lead_in: SavedBranch, unit: UnitSpec, plain: SavedBranch | None = None) -> FreeArm:
+def run_free(
+    lead_in: Saved, sequence: Sequence, system: str, seed: int, plain: Saved | None = None
+) -> FreeArm:
     """Run base and Dual-SLAM to the end.
 
     Up to the first breakage the two are identical bit for bit and run as one; the base then resumes from a
     snapshot just before it. With a ``plain`` lead-in, of the system in ``PLAIN``, it resumes from that.
     """
-    seed, saved = unit.repeat_seed, lead_in
-    stride = max(1, round(_SAVE_EVERY_S * lead_in.sequence.camera.fps))
-    dual = lead_in.resume()
+    saved, stride = lead_in, max(1, round(_SAVE_EVERY_S * sequence.camera.fps))
+    dual = BranchRun.resume(lead_in, sequence)
     while not (dual.at_end or dual.is_broken):
         if dual.frames - saved.frames >= stride:
             saved = dual.save()
         dual.step()
-    base = saved.resume_as_base() if dual.is_broken else None
-    if plain is not None:
-        base = plain.resume_as_base()
-    for branch in filter(None, (base, dual)):
-        branch.feed(len(branch.sequence))
-        branch.finish()
-    record = dual.record(unit.system, seed)
+    base = None
+    if plain is not None or dual.is_broken:
+        base = BranchRun.resume(plain or saved, sequence, as_base=True)
+        base.run_out()
+    dual.run_out()
+    record = dual.record(system, seed)
     base_record = replace(record, system_kind="base") if base is None else base.record("base", seed)
-    return FreeArm(base_record, record, dual.first_frame_of)
+    return FreeArm(base_record, record, dual.first_new_frame)
 
 
-def run_crossing(lead_in: SavedBranch, exposure: Exposure) -> BranchRun:
+def run_crossing(lead_in: Saved, sequence: Sequence, end_frame: int) -> BranchRun:
     """Run every recovery thread over the whole exposed segment, even if tracking does not fail in it.
 
-    The run ends as soon as a recovery has started and its threads have run.
+    The run ends as soon as a recovery has started and its threads have run. ``end_frame``: last of the
+    segment.
     """
-    branch = lead_in.resume()
+    branch = BranchRun.resume(lead_in, sequence)
     system = branch.system
     assert isinstance(system, DualSlam)
     system.cut()
-    branch.feed(exposure.end_frame + 1)
+    branch.feed(end_frame + 1)
     system.restart()
-    while not (branch.at_end or branch.first_frame_of):
+    while not (branch.at_end or branch.first_new_frame is not None):
         branch.step()
-    branch.finish()
+    system.finish()
     return branch
+
+
+def run_other(
+    system: System, sequence: Sequence, onset: int, seed: int, settings: SlamSettings
+) -> tuple[RunRecord, str]:
+    """Run a system without recovery threads: the base, DSO, or one of someone else's.
+
+    What is not ours runs in a process of its own, so that a crash or a hang is its outcome. Whether the
+    lead-in is healthy never depends on what comes after it. What gives poses frame by frame is judged by
+    them. Of a program only what it leaves is known, which its end decides: its lead-in has a run of its own.
+
+    Args:
+        system: what to run.
+        sequence: the frames of the unit.
+        onset: first frame of the exposed segment.
+        seed: of the system.
+        settings: of ours.
+
+    Returns:
+        The record of the whole unit, or of the lead-in alone if that is at fault and the rest was not run;
+        and why the lead-in is not healthy, empty if it is.
+    """
+    if isinstance(system, CommandSystem):
+
+        def run_lead() -> tuple[RunRecord, str]:
+            record = run_command(system, sequence.only(np.arange(onset)), seed)
+            return record, _other_fault(record, onset)
+
+        key = _lead_in_key(sequence, onset, [system.name, system_digest(system), seed])
+        record, fault = _kept(_program_lead_ins, _KEPT, key, run_lead)
+        return (record, fault) if fault else (run_command(system, sequence, seed), "")
+    if isinstance(system, ClassSystem):
+        record = run_class_apart(system, sequence, seed, LIMITS)
+    else:
+        record = execute(sequence, system.name, seed, build=factory_of(settings))
+    return record, _other_fault(record, onset)
+
+
+def _other_fault(record: RunRecord, onset: int) -> str:
+    fault = lead_in_fault(record.results, record.events, record.sequence, onset)
+    if not fault and len(record.results) > onset:
+        # Only the poses before the onset decide whether a loss after it can be judged.
+        judged = audit_loss_in(record, onset, onset)
+        fault = f"a loss could not be judged: {judged.reason}" if isinstance(judged, Undefined) else ""
+    elif fault and record.ending.kind is not EndKind.FINISHED:
+        fault += f"; {record.ending.kind.value.replace('_', ' ')}: {record.ending.message}"
+    return fault

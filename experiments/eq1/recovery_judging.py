@@ -1,13 +1,13 @@
 """Outcome of the recovery threads of a unit, as declared and as audited."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
-from dslab.experiments.eq1.arms import Exposure
 from dslab.experiments.eq1.records import thread_column
+from dslab.experiments.eq1.units import Exposure
 from dslab.experiments.evaluation.audit import FusionAudit, audit_relation
 from dslab.sim.sequence import Sequence as ImageSequence
 from dslab.slam.core.events import Event, Fusion, MapDropped, RecoveryEnd, RecoveryStart, ReinitDone
@@ -24,14 +24,12 @@ class Reference:
         sequence: images with their truth.
         exposure: the exposed segment.
         lead_in: poses of the lead-in in its map at the onset.
-        kind: of the degradation.
         threads: number of recovery threads.
     """
 
     sequence: ImageSequence
     exposure: Exposure
     lead_in: MapTrajectory
-    kind: str
     threads: int
 
 
@@ -55,14 +53,14 @@ class Recovery:
 
 
 def judge_recovery(
-    arm: Arm, events: Sequence[Event], first_frame_of: Mapping[int, int], since: int, reference: Reference
+    arm: Arm, events: Sequence[Event], first_frame: int | None, since: int, reference: Reference
 ) -> Recovery:
     """Judge the first recovery of the saved map.
 
     Args:
         arm: the arm of the run.
         events: all events of the system.
-        first_frame_of: first frames of the maps from which recoveries have started, by map id.
+        first_frame: of the new map from which the first recovery started.
         since: frame after which a new map was attempted.
         reference: truth and lead-in.
     """
@@ -77,7 +75,7 @@ def judge_recovery(
     for end in _ends(events, attempt):
         judged = _thread(end, _audit(end, reference), _refused(events, end))
         columns |= {thread_column(arm, end.thread, name): value for name, value in judged.items()}
-    return Recovery(reinit, first_frame_of.get(attempt), columns)
+    return Recovery(reinit, first_frame, columns)
 
 
 def _audit(end: RecoveryEnd, reference: Reference) -> FusionAudit | None:

@@ -17,7 +17,6 @@ from pydantic import Field, ValidationError, model_validator
 from dslab.experiments.eq1.records import SHAM
 from dslab.experiments.eq1.spec_parts import Base, Degradation, Threads, base_mixtures, stress_mixtures
 from dslab.experiments.eq1.unit_drawing import Cell, Place, draw_scenario, written_base
-from dslab.experiments.eq1.unit_settings import unit_settings
 from dslab.experiments.eq1.units import (
     RECOVERING,
     ArmName,
@@ -25,6 +24,7 @@ from dslab.experiments.eq1.units import (
     UnitSpec,
     content_hash,
     system_label,
+    unit_settings,
 )
 from dslab.scenarios.distributions import NotationError
 from dslab.scenarios.errors import InputError, collect

@@ -1,149 +1,238 @@
-"""One unit of an experiment: one lead-in, its arms and their judgement, as one flat record."""
+"""One unit of an experiment: its frames, one lead-in, its arms and their judgement, as one flat record."""
 
 import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from dslab.experiments.eq1.arms import PLAIN, CpuClock, Exposure, run_crossing, run_free, settings_of
+from dslab.experiments.eq1.arms import (
+    PLAIN,
+    LeadIn,
+    lead_in_of,
+    run_crossing,
+    run_free,
+    run_other,
+)
 from dslab.experiments.eq1.conditioning import judge_pairs
-from dslab.experiments.eq1.free_arm import ending_columns, judge_system, run_free_system
-from dslab.experiments.eq1.judging import judge_crossing, judge_free
-from dslab.experiments.eq1.lead_in import lead_in_of
+from dslab.experiments.eq1.judging import judge_crossing, judge_free, judge_other
 from dslab.experiments.eq1.records import Outcome, empty_record, error_message
 from dslab.experiments.eq1.recovery_judging import Reference
-from dslab.experiments.eq1.units import UnitSpec
+from dslab.experiments.eq1.units import ArmName, Exposure, UnitSpec, unit_settings
 from dslab.experiments.evaluation.view_overlap import best_overlap
 from dslab.experiments.runs.ending import FINISHED, Declares
 from dslab.experiments.runs.execution import RunRecord, slam_camera
 from dslab.experiments.runs.memory import peak_rss_mb, reset_peak
 from dslab.experiments.runs.provenance import code_hash, commit
-from dslab.experiments.runs.slam_settings import factory_of
+from dslab.experiments.runs.slam_settings import SlamSettings, factory_of
 from dslab.experiments.runs.systems.registry import OwnSystem, Registry, System, system_digest
 from dslab.experiments.runs.systems.run import run_system
+from dslab.scenarios.spec import Scenario
 from dslab.sim.sequence import Sequence
 
+Row = dict[str, Any]
 
-def run_unit(
-    unit: UnitSpec,
-    cache_dir: Path | None = None,
-    recording: Path | None = None,
-    folders: tuple[Path, ...] = (),
-) -> dict[str, Any]:
+
+def run_unit(unit: UnitSpec, cache_dir: Path | None = None, folders: Iterable[Path] = ()) -> Row:
     """Run one unit: a pure function of its spec, except for the measured times. Never raises.
 
     Args:
         unit: everything that determines the record.
         cache_dir: folder of rendered sequences; None for the default one.
-        recording: file for a recording of the base and the unit's system, which takes two more runs.
         folders: of descriptions of systems, beside ours and those of ``DSLAB_SYSTEMS``.
 
     Returns:
         The columns of ``experiments.eq1.records``. An error in the programs gives the outcome
         ``infrastructure_error`` with its message, never a failure of the SLAM.
     """
-    record = empty_record(unit)
+    row = empty_record(unit)
     started, cpu_started = time.perf_counter(), time.process_time()
-    render, slam = CpuClock(), CpuClock()
     reset_peak()
     try:
         cv2.setNumThreads(1)
-        record |= {"code": code_hash(), "commit": commit()}
+        row |= {"code": code_hash(), "commit": commit()}
         system = Registry.open(folders).find(unit.system)
-        record["system_digest"] = system_digest(system) or None
-        with render.running():
-            sequence = _render(unit, cache_dir)
+        row["system_digest"] = system_digest(system) or None
+        settings = unit_settings(unit.settings, unit.threads)
+        with _timed(row, "render_s"):
+            sequence = frames_of(unit.scenario, unit.start_frame, cache_dir)
             if unit.scenario.segments:
-                record["exposed"] = any(segment.first_frame >= 0 for segment in sequence.segments)
-            record |= overlap_columns(unit, sequence, cache_dir)
-        record |= _judged(unit, system, sequence, slam)
-        if recording is not None:
-            record_runs(unit, system, sequence, recording)
+                row["exposed"] = any(segment.first_frame >= 0 for segment in sequence.segments)
+            if unit.recovers:
+                _, dual = settings.of(unit.system, slam_camera(sequence.camera))
+                row |= overlap_columns(unit.scenario, sequence, dual.buffer_s, cache_dir)
+        exposure = Exposure.of(unit.onset_s, unit.exposed_s, sequence.stamps_s)
+        row |= exposure.columns
+        case = Case(system, settings, unit.repeat_seed, len(unit.threads), sequence, exposure)
+        if unit.recovers:
+            _run_recovering(row, case, unit.arms)
+        else:
+            _run_other(row, case)
     except Exception as error:  # a broken unit must not end the experiment
-        record |= {"outcome": Outcome.INFRASTRUCTURE_ERROR.value, "message": error_message(error)}
-    return record | {
-        "render_s": render.seconds,
-        "slam_s": slam.seconds,
+        row |= {"outcome": Outcome.INFRASTRUCTURE_ERROR.value, "message": error_message(error)}
+    return row | {
         "cpu_s": time.process_time() - cpu_started,
         "wall_s": time.perf_counter() - started,
         "peak_rss_mb": peak_rss_mb(),
     }
 
 
-def record_runs(unit: UnitSpec, system: System, sequence: Sequence, path: Path) -> list[RunRecord]:
-    """Run and record the base and the unit's system from the start; ours behave as in the unit."""
+def record_unit(
+    unit: UnitSpec, path: Path, folders: Iterable[Path] = (), cache_dir: Path | None = None
+) -> list[RunRecord]:
+    """Run and record the base and the unit's system from the start; ours behave as in the unit.
+
+    Args:
+        unit, cache_dir, folders: as of :func:`run_unit`.
+        path: of the recording.
+
+    Returns:
+        The runs of the two; one of the base alone.
+    """
     from dslab.experiments.recording import Recording
 
+    system = Registry.open(folders).find(unit.system)
+    sequence = frames_of(unit.scenario, unit.start_frame, cache_dir)
+    build = factory_of(unit_settings(unit.settings, unit.threads))
     systems = {"base": OwnSystem("base"), system.name: system}
-    build, seed, runs = factory_of(settings_of(unit)), unit.repeat_seed, []
     with Recording(path, sequence, list(systems)) as recorded:
-        for kind, each in systems.items():
-            runs.append(run_system(each, sequence, seed, build, observer=recorded.watch(kind)))
+        runs = [
+            run_system(each, sequence, unit.repeat_seed, build, observer=recorded.watch(kind))
+            for kind, each in systems.items()
+        ]
         recorded.finish(runs)
     return runs
 
 
-def _render(unit: UnitSpec, cache_dir: Path | None) -> Sequence:
+def frames_of(scenario: Scenario, start_frame: int, cache_dir: Path | None = None) -> Sequence:
+    """The frames of a scenario from one on, rendered or from the cache."""
     from dslab.sim.sequence_rendering import render_sequence
 
-    whole = render_sequence(unit.scenario, cache_dir=cache_dir)
-    return whole.only(np.arange(unit.start_frame, len(whole))) if unit.start_frame else whole
+    whole = render_sequence(scenario, cache_dir=cache_dir)
+    return whole.only(np.arange(start_frame, len(whole))) if start_frame else whole
 
 
-def overlap_columns(unit: UnitSpec, sequence: Sequence, cache_dir: Path | None = None) -> dict[str, Any]:
-    """The columns of the view overlap about the stress, from truth and exact depth.
+def overlap_columns(
+    scenario: Scenario, sequence: Sequence, buffer_s: float, cache_dir: Path | None = None
+) -> Row:
+    """The columns of the view overlap about the stress, from truth and exact depth; none without stress.
 
     Usable are frames on which the stress does not act: as many before it as Dual-SLAM's buffer holds, and all
     behind it.
 
     Args:
-        unit: its spec; null columns for a sham, which has no stress, and a system without recovery.
-        sequence: its frames.
+        scenario: of the frames.
+        sequence: the frames.
+        buffer_s: length of the buffer.
         cache_dir: folder of rendered sequences; None for the default one.
     """
     acting = [segment for segment in sequence.segments if segment.first_frame >= 0]
-    if not acting or sequence.T_world_cam is None or not unit.recovers:
-        return {"view_overlap": None, "rescuable": None}
-    _, dual = settings_of(unit).of(unit.system, slam_camera(sequence.camera))
+    if not acting or sequence.T_world_cam is None:
+        return {}
     first = min(segment.first_frame for segment in acting)
     last = max(segment.last_frame for segment in acting)
-    since_s = sequence.stamps_s[first] - dual.buffer_s
-    before = np.flatnonzero(sequence.stamps_s[:first] >= since_s)
+    before = np.flatnonzero(sequence.stamps_s[:first] >= sequence.stamps_s[first] - buffer_s)
     after = range(last + 1, len(sequence))
-    found = best_overlap(unit.scenario, sequence.T_world_cam, before, after, cache_dir=cache_dir)
+    found = best_overlap(scenario, sequence.T_world_cam, before, after, cache_dir=cache_dir)
     return {"view_overlap": found.overlap, "rescuable": found.is_rescuable}
 
 
-def _judged(unit: UnitSpec, system: System, sequence: Sequence, clock: CpuClock) -> dict[str, Any]:
-    exposure = Exposure.of(unit, sequence)
-    row: dict[str, Any] = {
-        "onset_s": exposure.onset_s,
-        "exposed_s": exposure.exposed_s,
-        "onset_frame": exposure.onset_frame,
-        "end_frame": exposure.end_frame,
-    }
-    if not unit.recovers:
-        run = run_free_system(unit, system, sequence, exposure, clock)
-        row |= ending_columns(run.record)
-        if run.fault:
-            return row | {"outcome": Outcome.VOID.value, "void_reason": run.fault}
-        judged = judge_system(run.record, exposure, unit.kind, len(unit.threads))
-        return row | judged | {"outcome": Outcome.COMPLETED.value}
+@dataclass(frozen=True)
+class Case:
+    """What the arms of a unit run over, and by what they are judged.
+
+    Attributes:
+        system: that is run.
+        settings: of it, if it is ours, and of the base.
+        seed: of the systems.
+        threads: number of recovery threads of the experiment.
+        sequence: the frames with their truth.
+        exposure: the exposed segment.
+    """
+
+    system: System
+    settings: SlamSettings
+    seed: int
+    threads: int
+    sequence: Sequence
+    exposure: Exposure
+
+    def lead_in(self, system: str) -> LeadIn | str:
+        """The lead-in of one of our systems, or why it is not healthy."""
+        return lead_in_of(system, self.sequence, self.exposure.onset_frame, self.seed, self.settings)
+
+    def reference(self, lead_in: LeadIn) -> Reference:
+        """By what its recoveries are judged."""
+        return Reference(self.sequence, self.exposure, lead_in.path, self.threads)
+
+
+def _run_recovering(row: Row, case: Case, arms: Iterable[ArmName]) -> None:
+    """Run the arms of a system with recovery threads, and put their columns into the row of the unit."""
     row |= {"declares": Declares.EVENTS.value, "ended": FINISHED.kind.value}
-    lead_in = lead_in_of(unit, sequence, exposure, clock)
-    of_base = PLAIN.get(unit.system) if "free" in unit.arms else None
-    plain = None if of_base is None else lead_in_of(unit, sequence, exposure, clock, of_base)
-    faults = [f"{of_base}: {plain.fault}"] if plain is not None and plain.fault else []
-    if lead_in.branch is None or lead_in.path is None or faults:
-        return row | {"outcome": Outcome.VOID.value, "void_reason": lead_in.fault or faults[0]}
-    reference = Reference(sequence, exposure, lead_in.path, unit.kind, len(unit.threads))
-    if "free" in unit.arms:
-        beside = None if plain is None else plain.branch
-        row |= judge_free(run_free(lead_in.branch, unit, beside), reference)
-    if "crossing" in unit.arms:
-        row |= judge_crossing(run_crossing(lead_in.branch, exposure), reference)
-    if "pairs" in unit.arms:
-        row |= judge_pairs(sequence, exposure.onset_frame, unit.repeat_seed)
-    return row | {"outcome": Outcome.COMPLETED.value}
+    of_base = PLAIN.get(case.system.name) if "free" in arms else None
+    with _timed(row, "slam_s"):
+        lead_in = case.lead_in(case.system.name)
+        plain = None if of_base is None else case.lead_in(of_base)
+    if isinstance(lead_in, str) or isinstance(plain, str):
+        row |= _void(lead_in if isinstance(lead_in, str) else f"{of_base}: {plain}")
+        return
+    for arm in arms:
+        _ARMS[arm](row, case, lead_in, plain)
+    row["outcome"] = Outcome.COMPLETED.value
+
+
+def _free(row: Row, case: Case, lead_in: LeadIn, plain: LeadIn | None) -> None:
+    beside = None if plain is None else plain.saved
+    with _timed(row, "slam_s"):
+        arm = run_free(lead_in.saved, case.sequence, case.system.name, case.seed, beside)
+    row |= judge_free(arm, case.reference(lead_in))
+
+
+def _crossing(row: Row, case: Case, lead_in: LeadIn, plain: LeadIn | None) -> None:
+    with _timed(row, "slam_s"):
+        branch = run_crossing(lead_in.saved, case.sequence, case.exposure.end_frame)
+    row |= judge_crossing(branch, case.reference(lead_in))
+
+
+def _pairs(row: Row, case: Case, lead_in: LeadIn, plain: LeadIn | None) -> None:
+    row |= judge_pairs(case.sequence, case.exposure.onset_frame, case.seed)
+
+
+_ARMS: dict[ArmName, Callable[[Row, Case, LeadIn, LeadIn | None], None]] = {
+    "free": _free,
+    "crossing": _crossing,
+    "pairs": _pairs,
+}
+
+
+def _run_other(row: Row, case: Case) -> None:
+    """Run any other system in the free arm alone."""
+    with _timed(row, "slam_s"):
+        onset = case.exposure.onset_frame
+        run, fault = run_other(case.system, case.sequence, onset, case.seed, case.settings)
+    if not isinstance(case.system, OwnSystem):  # its time is not that of this process
+        row["slam_s"] = sum(sum(result.cpu_ms.values()) for result in run.results) / 1e3
+    row |= {"declares": run.declares.value, "ended": run.ending.kind.value}
+    row |= {"ended_message": run.ending.message}
+    if fault:
+        row |= _void(fault)
+    else:
+        row |= judge_other(run, case.exposure, case.threads) | {"outcome": Outcome.COMPLETED.value}
+
+
+def _void(fault: str) -> Row:
+    return {"outcome": Outcome.VOID.value, "void_reason": fault}
+
+
+@contextmanager
+def _timed(row: Row, column: str) -> Iterator[None]:
+    """Add the CPU time of a block to a column."""
+    started = time.process_time()
+    try:
+        yield
+    finally:
+        row[column] = (row[column] or 0.0) + time.process_time() - started

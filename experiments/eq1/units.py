@@ -2,17 +2,27 @@
 
 import hashlib
 import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+import numpy as np
 from pydantic import Field
 
+from dslab.experiments.evaluation.breakages import EXPOSURE_GRACE_S
+from dslab.experiments.runs.slam_settings import SlamSettings, parse_slam_settings
+from dslab.scenarios.errors import InputError
 from dslab.scenarios.spec import Scenario
 from dslab.scenarios.strict import Strict
+from dslab.scenarios.yaml_file import Location
 from dslab.slam.dual.recovery.registry import RECOVERY_KINDS
 
 ArmName = Literal["free", "crossing", "pairs"]
 RECOVERING = ("dual", "dual+", "paper", "paper+")
 """Systems with recovery threads: Eq. 1 is about them. All others run the free arm alone."""
+
+
+_ROUNDING_S = 1e-6
 
 
 def system_label(system: str) -> str:
@@ -45,7 +55,7 @@ class UnitSpec(Strict):
         repeat_seed: of sensor noise, start frame, SLAM and threads.
         scenario: as drawn with these seeds: lead-in, exposed segment with the degradation, tail.
         start_frame: first frame of the scenario that is fed to the systems.
-        onset_s, exposed_s: the exposed segment; None for that of the scenario's first injected segment.
+        onset_s, exposed_s: start and length of the exposed segment.
         threads: the recovery threads, in order; n of Eq. 1 is their number.
         system: as the experiment names it. One with recovery threads is run in the free arm besides the
             base, and in the crossing arm; any other one in the free arm alone.
@@ -66,8 +76,8 @@ class UnitSpec(Strict):
     repeat_seed: int = Field(ge=0)
     scenario: Scenario
     start_frame: int = Field(0, ge=0)
-    onset_s: float | None = Field(None, ge=0)
-    exposed_s: float | None = Field(None, gt=0)
+    onset_s: float = Field(gt=0)
+    exposed_s: float = Field(gt=0)
     threads: tuple[ThreadChoice, ...] = Field(min_length=1)
     system: str = "dual"
     settings: dict[str, Any] = Field(default_factory=dict)
@@ -82,6 +92,81 @@ class UnitSpec(Strict):
     def unit_id(self) -> str:
         """Sixteen hexadecimal digits of the content hash."""
         return content_hash(self.model_dump(mode="json"))[:16]
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """The exposed segment.
+
+    Attributes:
+        onset_s, exposed_s: start and length.
+        onset_frame, end_frame: its first and last frame.
+        last_frame: last frame at which a breakage is still attributed to it.
+    """
+
+    onset_s: float
+    exposed_s: float
+    onset_frame: int
+    end_frame: int
+    last_frame: int
+
+    @staticmethod
+    def of(onset_s: float, exposed_s: float, stamps_s: np.ndarray) -> "Exposure":
+        """Find the exposed segment in the times (N,) of the frames.
+
+        Raises:
+            ValueError: there is no frame before it, in it or after it.
+        """
+        onset = int(np.searchsorted(stamps_s, onset_s - _ROUNDING_S))
+        end = int(np.searchsorted(stamps_s, onset_s + exposed_s - _ROUNDING_S)) - 1
+        if not 0 < onset <= end < len(stamps_s) - 1:
+            raise ValueError(f"the exposed segment is frames {onset} to {end} of {len(stamps_s)}")
+        last = int(np.searchsorted(stamps_s, stamps_s[end] + EXPOSURE_GRACE_S, "right")) - 1
+        return Exposure(onset_s, exposed_s, onset, end, last)
+
+    @property
+    def columns(self) -> dict[str, float]:
+        """Its columns in the record."""
+        return {name: value for name, value in vars(self).items() if name != "last_frame"}
+
+
+# What the design of the experiment sets.
+_OWN = ("recovery_threads", "exhaustive", "relocalization", "place_merging")
+
+
+def unit_settings(
+    settings: Mapping[str, Any],
+    threads: Sequence[ThreadChoice],
+    where: Callable[[Location], str] = lambda at: ".".join(map(str, at)),
+) -> SlamSettings:
+    """The settings of a unit's systems.
+
+    Relocalization in saved maps and place-based merging are off: they would prevent recovery, or be counted
+    as recovery. Every thread is run to its end.
+
+    Args:
+        settings: of the spec, as in a settings file.
+        threads: the recovery threads, with settings of their own.
+        where: file, line and field of a location in the spec.
+
+    Raises:
+        InputError: an unknown key, a value of the wrong type or range, or a setting of the design.
+    """
+    dual = settings.get("dual") or {}
+    for at in (("mode",), *(("dual", name) for name in _OWN)):
+        if at[-1] in (dual if len(at) > 1 and isinstance(dual, Mapping) else settings):
+            raise InputError(where(("settings", *at)), "is set by the experiment", "leave it out")
+
+    def locate(at: Location) -> str:
+        given = at[:2] == ("dual", "recovery_threads")
+        return where(("threads", *at[2:]) if given else ("settings", *at))
+
+    chosen = [{"kind": t.kind, "seed": t.seed, "config": dict(t.config) or None} for t in threads]
+    if isinstance(dual, Mapping):
+        dual = {**dual, "recovery_threads": chosen}
+    parsed = parse_slam_settings({**settings, "dual": dual}, (), locate)
+    design = {"exhaustive": True, "relocalization": False, "place_merging": None}
+    return replace(parsed, dual_options=design)
 
 
 def content_hash(data: Any) -> str:

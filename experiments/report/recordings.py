@@ -42,11 +42,9 @@ def add_recordings(
 
 
 def _record(unit: "UnitSpec", unit_id: str, folder: Path) -> None:
-    from dslab.experiments.eq1.trial import record_runs
-    from dslab.sim.sequence_rendering import render_sequence
+    from dslab.experiments.eq1.trial import record_unit
 
     def write(path: Path) -> None:
-        runs = record_runs(unit, render_sequence(unit.scenario), path)
-        add_paths(folder, unit_id, paths_of(runs))
+        add_paths(folder, unit_id, paths_of(record_unit(unit, path)))
 
     write_file(folder / FOLDER / f"{unit_id}.rrd", write)

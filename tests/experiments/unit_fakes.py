@@ -49,16 +49,15 @@ class MadeUp:
         return UnitSpec(
             experiment=self.name, cell=cell, kind="made_up", severity=1.0, index=index,
             world_seed=seed, sequence_seed=seed, repeat_seed=seed,
-            scenario=Scenario(name="made-up", world=RoomWorld(), seed=seed), threads=self.threads,
+            scenario=Scenario(name="made-up", world=RoomWorld(), seed=seed), onset_s=5.0, exposed_s=10.0,
+            threads=self.threads,
         )  # fmt: skip
 
     def as_yaml(self) -> str:
         return yaml.safe_dump({"name": self.name, "cells": self.cells, "root_seed": self.root_seed})
 
 
-def made_up_unit(
-    unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None, **_: object
-) -> dict:
+def made_up_unit(unit: UnitSpec, cache_dir: Path | None = None, **_: object) -> dict:
     """Do what the cell says, up to the given number of tries; return a record drawn from the unit's seed."""
     what, *arguments = unit.cell.split("-")
     tries = _count_try(unit, cache_dir)
@@ -80,17 +79,13 @@ def made_up_unit(
     return made_up_record(unit)
 
 
-def slow_unit(
-    unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None, **_: object
-) -> dict:
+def slow_unit(unit: UnitSpec, cache_dir: Path | None = None, **_: object) -> dict:
     """Return a record after a moment, in every cell."""
     time.sleep(0.05)
     return made_up_record(unit)
 
 
-def rendered_unit(
-    unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None, **_: object
-) -> dict:
+def rendered_unit(unit: UnitSpec, cache_dir: Path | None = None, **_: object) -> dict:
     """Render a small scenario and return the hash of its frames in the record."""
     import hashlib
 
@@ -104,9 +99,7 @@ def rendered_unit(
     return made_up_record(unit) | {"outcome": "void", "void_reason": digest}
 
 
-def planted_unit(
-    unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None, **_: object
-) -> dict:
+def planted_unit(unit: UnitSpec, cache_dir: Path | None = None, **_: object) -> dict:
     """A system that breaks ever more often: in half of the units at an exposure of 0.1 s, a contrast of 0.1.
 
     No recovery thread succeeds. One unit in ten is void. The machine fails in the unit whose index is in
@@ -126,9 +119,7 @@ def planted_unit(
     return record | {"outcome": "completed", "breakage": broke} | columns
 
 
-def slow_planted_unit(
-    unit: UnitSpec, cache_dir: Path | None = None, recording: Path | None = None, **_: object
-) -> dict:
+def slow_planted_unit(unit: UnitSpec, cache_dir: Path | None = None, **_: object) -> dict:
     """The same after a moment."""
     time.sleep(0.2)
     return planted_unit(unit)

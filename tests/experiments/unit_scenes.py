@@ -48,6 +48,8 @@ def unit(threads: str = "orb,gms", **changes) -> UnitSpec:
         "sequence_seed": 2,
         "repeat_seed": 3,
         "scenario": scenario,
+        "onset_s": ONSET / FPS,
+        "exposed_s": (END - ONSET + 1) / FPS,
         "threads": tuple(ThreadChoice(kind=kind) for kind in threads.split(",")),
     }
     return UnitSpec(**{**given, **changes})
@@ -55,6 +57,6 @@ def unit(threads: str = "orb,gms", **changes) -> UnitSpec:
 
 def run(monkeypatch, sequence: Sequence, of: UnitSpec | None = None, **options) -> dict:
     """The record of a unit on given images."""
-    monkeypatch.setattr(trial, "_render", lambda *_: sequence)
+    monkeypatch.setattr(trial, "frames_of", lambda *_: sequence)
     monkeypatch.setattr(trial, "overlap_columns", lambda *_: {})  # the images are of no rendered world
     return trial.run_unit(of or unit(), **options)

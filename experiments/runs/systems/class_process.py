@@ -1,9 +1,9 @@
 """A class of one's own in a process of its own, in which it may crash, hang or fill the memory.
 
-    python -m dslab.experiments.runs.systems.class_process FOLDER NAME SEED
+    python -m dslab.experiments.runs.systems.class_process FOLDER SOURCE SEED
 
-runs the class of a name over the frames in a folder, and writes what it says there, frame by frame: whatever
-ends the process, what it had said until then stays known.
+runs the class of a source over the frames in a folder, and writes what it says there, frame by frame:
+whatever ends the process, what it had said until then stays known.
 """
 
 import pickle
@@ -11,7 +11,6 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from dslab.experiments.runs.ending import Declares, Ending, EndKind
 from dslab.experiments.runs.execution import RunRecord, live_trajectories, slam_camera
 from dslab.experiments.runs.systems.command_spec import Limits
 from dslab.experiments.runs.systems.guarded import GuardedRun, run_guarded
-from dslab.experiments.runs.systems.own_class import ClassSystem
+from dslab.experiments.runs.systems.own_class import ClassSystem, class_system
 from dslab.experiments.runs.systems.poses_only import PosesOnly, frame_result
 from dslab.sim.sequence import Sequence
 from dslab.sim.unfinished import scratch_folder
@@ -48,14 +47,11 @@ class _End:
     ending: Ending
 
 
-def run_class_apart(
-    named: str, system: ClassSystem, sequence: Sequence, seed: int, limits: Limits
-) -> RunRecord:
+def run_class_apart(system: ClassSystem, sequence: Sequence, seed: int, limits: Limits) -> RunRecord:
     """Run a class over a sequence in a process of its own. How it ends is in the record, whatever it does.
 
     Args:
-        named: by which the registry finds the class, there as here.
-        system: the class.
+        system: the class, found there by its source.
         sequence: the frames; the truth is not passed on.
         seed: given to the class.
         limits: of time and memory.
@@ -64,7 +60,7 @@ def run_class_apart(
     with scratch_folder() as folder:
         _write_frames(folder, sequence)
         # Without the present folder before all others on the path: a file there may have any name.
-        words = [sys.executable, "-P", "-m", __name__, str(folder), named, str(seed)]
+        words = [sys.executable, "-P", "-m", __name__, str(folder), system.source, str(seed)]
         time_s = limits.start_s + limits.slow_down * duration_s
         run = run_guarded(words, folder / _LOG, time_s, limits.memory_mb, Path.cwd())
         said = list(_said(folder / _SAID))
@@ -135,16 +131,15 @@ def _said(path: Path) -> Iterator[_Step | _End]:
             yield said
 
 
-def _run(folder: Path, named: str, seed: int) -> None:
-    """Run the class of a name in this process."""
+def _run(folder: Path, source: str, seed: int) -> None:
+    """Run the class of a source in this process."""
     import cv2
 
     from dslab.experiments.plugins import load_plugins
-    from dslab.experiments.runs.systems.registry import Registry
 
     cv2.setNumThreads(1)
     load_plugins()
-    system: Any = Registry.open().find(named)
+    system = class_system(source)
     about = pickle.loads((folder / _ABOUT).read_bytes())
     frames = np.load(folder / _FRAMES, mmap_mode="r")
     made: PosesOnly = system.build(about["camera"], seed)

@@ -8,7 +8,7 @@ from unit_fakes import MadeUp, made_up_record
 from dslab.experiments.benchmarks.experiment import bench_experiment
 
 
-def busy_unit(unit, cache_dir=None, recording=None):
+def busy_unit(unit, cache_dir=None):
     """Spend a quarter of a second of CPU, and report a part as rendering, most as SLAM."""
     assert cache_dir is not None
     end_s = time.process_time() + 0.25

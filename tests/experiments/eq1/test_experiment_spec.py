@@ -4,10 +4,9 @@ import jsonschema
 import pytest
 import yaml
 
-from dslab.experiments.eq1.arms import settings_of
 from dslab.experiments.eq1.spec import ExperimentSpec, load_spec, preset_names
 from dslab.experiments.eq1.spec_schema import json_schema
-from dslab.experiments.eq1.units import UnitSpec
+from dslab.experiments.eq1.units import UnitSpec, unit_settings
 from dslab.scenarios.errors import InputError
 from dslab.slam.core.camera import PinholeCamera
 from dslab.slam.tracking.tracker import TrackingConfig
@@ -81,7 +80,8 @@ def test_settings_reach_every_unit_and_its_threads(tmp_path):
         "seed: 1}", "seed: 1, config: {tracking: {cautious_inliers: 60}}}"
     )
     unit = load(tmp_path, text).unit("hall/motion_blur/1/dual", 0)
-    settings = settings_of(UnitSpec.model_validate(unit.model_dump(mode="json")))
+    unit = UnitSpec.model_validate(unit.model_dump(mode="json"))
+    settings = unit_settings(unit.settings, unit.threads)
     _, dual = settings.of("dual", PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0))
     assert dual.workers == 1 and dual.exhaustive and not dual.relocalization
     assert settings.written == {"tracking": {"min_inliers": 40}}

@@ -7,7 +7,7 @@ import pytest
 from system_programs import write_program
 from unit_scenes import END, ONSET, run, synthetic, unit
 
-from dslab.experiments.eq1 import free_arm
+from dslab.experiments.eq1 import arms
 from dslab.experiments.eq1.records import decided
 from dslab.experiments.eq1.trial import run_unit
 from dslab.experiments.runs.systems.command_spec import Limits
@@ -69,7 +69,7 @@ def test_a_system_that_goes_on_neither_breaks_nor_fails(monkeypatch, tmp_path):
 )
 @pytest.mark.slow
 def test_whatever_it_does_is_a_breakage_and_a_failed_mission(monkeypatch, tmp_path, edit, reason, frame):
-    monkeypatch.setattr(free_arm, "LIMITS", Limits(start_s=10, slow_down=0.1))
+    monkeypatch.setattr(arms, "LIMITS", Limits(start_s=10, slow_down=0.1))
     record = judged(monkeypatch, replay(tmp_path, edit))
     assert record["outcome"] == "completed" and record["message"] == ""
     assert (record["breakage"], record["breakage_frame"], record["breakage_reason"]) == (True, frame, reason)
@@ -103,9 +103,9 @@ def test_an_unhealthy_lead_in_is_void_and_says_how_it_ended(monkeypatch, tmp_pat
 
 def test_a_program_that_leaves_nothing_under_stress_is_not_void(monkeypatch, tmp_path):
     """Its lead-in is judged in a run of its own, once for all cells of a replicate."""
-    monkeypatch.setattr(free_arm, "_lead_ins", {})
-    runs, once = [], free_arm.run_command
-    monkeypatch.setattr(free_arm, "run_command", lambda *a: runs.append(len(a[1])) or once(*a))
+    monkeypatch.setattr(arms, "_program_lead_ins", {})
+    runs, once = [], arms.run_command
+    monkeypatch.setattr(arms, "run_command", lambda *a: runs.append(len(a[1])) or once(*a))
     write_program(tmp_path, SEQUENCE, f"if len(stamps) > {END}: sys.exit(3)")
     for _ in range(2):
         record = judged(monkeypatch, "copy", folders=(tmp_path,))

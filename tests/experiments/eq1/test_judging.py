@@ -8,10 +8,10 @@ import pytest
 from slam_fakes import fake_factory, make_sequence
 
 from dslab.experiments.eq1 import judging
-from dslab.experiments.eq1.arms import Exposure, FreeArm
-from dslab.experiments.eq1.judging import judge_free
-from dslab.experiments.eq1.mission import Fault, false_declarations
+from dslab.experiments.eq1.arms import FreeArm
+from dslab.experiments.eq1.judging import AUDITED, Fault, false_declarations, judge_free
 from dslab.experiments.eq1.recovery_judging import Reference
+from dslab.experiments.eq1.units import Exposure
 from dslab.experiments.runs.execution import execute
 
 SEQUENCE = make_sequence()
@@ -26,8 +26,8 @@ def run(kind, **script):
 def judged(base=None, dual=None, **script):
     """The columns of a free arm whose two runs follow one script, or are given."""
     base, dual = base or run("base", **script), dual or run("dual", **script)
-    reference = Reference(SEQUENCE, EXPOSURE, dual.trajectories[0], "low_texture", 1)
-    return judge_free(FreeArm(base, dual, {}), reference)
+    reference = Reference(SEQUENCE, EXPOSURE, dual.trajectories[0], 1)
+    return judge_free(FreeArm(base, dual, None), reference)
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_a_final_pose_out_of_bounds_fails_the_mission_though_the_segment_was_pas
 def test_a_false_declaration_fails_the_mission_and_is_its_cause_if_it_came_first(monkeypatch):
     for frame, cause in ((120, "false_loop"), (170, "dual_failure")):
         monkeypatch.setattr(
-            judging, "false_declarations", lambda _, frame=frame: [Fault.audited(frame, "false_loop")]
+            judging, "false_declarations", lambda _, frame=frame: [Fault(frame, AUDITED, "false_loop")]
         )
         row = judged(breaks_at=160)
         assert (row["m1"], row["mission_cause"], row["base_mission_failure"]) == (True, cause, True)

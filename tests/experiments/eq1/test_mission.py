@@ -6,10 +6,17 @@ import numpy as np
 import pytest
 from unit_scenes import END, FPS, FRAMES, ONSET, run, synthetic, unit
 
-from dslab.experiments.eq1 import arms, lead_in, trial
-from dslab.experiments.eq1.arms import Exposure
-from dslab.experiments.eq1.mission import Fault, final_pose_faults, first_cause
+from dslab.experiments.eq1 import arms, trial
+from dslab.experiments.eq1.judging import (
+    AUDITED,
+    DECLARED,
+    Fault,
+    final_pose_faults,
+    first_cause,
+    system_failures,
+)
 from dslab.experiments.eq1.records import decided
+from dslab.experiments.eq1.units import Exposure
 from dslab.experiments.evaluation.view_overlap import BestOverlap
 from dslab.slam.core.results import MapTrajectory
 
@@ -45,16 +52,14 @@ def test_the_final_pose_is_out_of_bounds_by_scale_or_place(run_of, off):
 
 
 def test_the_first_cause_is_the_earliest_and_what_was_declared_before_what_was_audited():
-    late, early = Fault.audited(90, "false_loop"), Fault.audited(80, "silent_failure")
+    late, early = Fault(90, AUDITED, "false_loop"), Fault(80, AUDITED, "silent_failure")
     assert first_cause([late, early]) == "silent_failure"
-    assert first_cause([early, Fault.declared(80, "dual_failure")]) == "dual_failure"
+    assert first_cause([early, Fault(80, DECLARED, "dual_failure")]) == "dual_failure"
     assert first_cause([]) is None
 
 
 def test_a_false_first_success_fails_the_system_though_a_later_thread_is_right():
     """Planted: thread 1 declares success falsely, thread 2 rightly; so S_2 without D_2."""
-    from dslab.experiments.eq1.judging import system_failures
-
     assert system_failures(True, failed=[True, False], declared=[True, True]) == ([True, False], [True, True])
     assert system_failures(True, failed=[True, False], declared=[False, True]) == (
         [True, False],
@@ -70,10 +75,10 @@ def test_a_false_first_success_fails_the_system_though_a_later_thread_is_right()
 @pytest.mark.slow
 def test_cells_of_a_replicate_share_one_lead_in_and_change_no_record(monkeypatch):
     sequence, of = synthetic(range(85, 91)), unit("orb")
-    monkeypatch.setattr(lead_in, "_kept", {})
+    monkeypatch.setattr(arms, "_lead_ins", {})
     alone = run(monkeypatch, sequence, of)
-    runs = []
-    monkeypatch.setattr(lead_in, "run_lead_in", lambda *a: runs.append(a) or arms.run_lead_in(*a))
+    runs, once = [], arms.run_lead_in
+    monkeypatch.setattr(arms, "run_lead_in", lambda *a: runs.append(a) or once(*a))
     again = run(monkeypatch, sequence, of)
     assert decided(again) == decided(alone) and not runs
     other = run(monkeypatch, synthetic(range(95, 99)), of)  # another cell: the same images before the onset
@@ -108,9 +113,8 @@ def test_the_overlap_is_of_frames_without_stress_within_the_buffer(monkeypatch):
         return BestOverlap(0.15, (70, 110))
 
     monkeypatch.setattr(trial, "best_overlap", best)
-    of = unit("orb", settings={"dual": {"buffer_s": 1.0}})
-    found = trial.overlap_columns(of, synthetic())
+    scenario = unit().scenario
+    found = trial.overlap_columns(scenario, synthetic(), 1.0)
     assert found == {"view_overlap": 0.15, "rescuable": False}
     assert asked == [(list(range(ONSET - round(FPS), ONSET)), list(range(END + 1, FRAMES)))]
-    sham = trial.overlap_columns(of, replace(synthetic(), segments=()))
-    assert sham == {"view_overlap": None, "rescuable": None}
+    assert trial.overlap_columns(scenario, replace(synthetic(), segments=()), 1.0) == {}

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from unit_scenes import END, FRAMES, ONSET, run, synthetic, unit
 
-from dslab.experiments.eq1 import lead_in, trial
-from dslab.experiments.eq1.arms import CpuClock, Exposure, run_crossing, run_free, run_lead_in, settings_of
+from dslab.experiments.eq1 import arms, trial
+from dslab.experiments.eq1.arms import run_crossing, run_free, run_lead_in
 from dslab.experiments.eq1.records import columns, decided, thread_column
+from dslab.experiments.eq1.units import unit_settings
 from dslab.experiments.runs.execution import execute
 from dslab.experiments.runs.slam_settings import factory_of
 from dslab.scenarios.errors import InputError
@@ -133,12 +134,12 @@ def test_an_error_in_the_programs_is_an_infrastructure_error(monkeypatch):
     def refuse(*_):
         raise InputError("GL", "no headless OpenGL here", "install libegl1")
 
-    monkeypatch.setattr(trial, "_render", refuse)
+    monkeypatch.setattr(trial, "frames_of", refuse)
     record = trial.run_unit(unit())
     assert record["outcome"] == "infrastructure_error" and "libegl1" in record["message"]
-    monkeypatch.setattr("dslab.experiments.eq1.arms.run_lead_in", None)
+    monkeypatch.setattr(arms, "run_lead_in", None)
     record = run(monkeypatch, synthetic(frames=ONSET + 3))  # ends within the exposed segment
-    assert record["outcome"] == "infrastructure_error" and "arms.py" in record["message"]
+    assert record["outcome"] == "infrastructure_error" and "units.py" in record["message"]
     assert record["d1"] is None and record["wall_s"] > 0
 
 
@@ -162,11 +163,11 @@ def test_features_kept_between_arms_change_no_record(broken, monkeypatch):
 
     count(OrbExtractor, "_found", "orb")
     count(SiftDetector, "detect", "sift")
-    monkeypatch.setattr(lead_in, "_kept", {})
+    monkeypatch.setattr(arms, "_lead_ins", {})
     run(monkeypatch, BROKEN, unit("orb,sift"))
     kept = found.copy()
     monkeypatch.setattr(SlamEngine, "remember_features", lambda *_: None)
-    monkeypatch.setattr(lead_in, "_kept", {})
+    monkeypatch.setattr(arms, "_lead_ins", {})
     record = run(monkeypatch, BROKEN, unit("orb,sift"))
     assert decided(record) == decided(broken)
     for kind in ("orb", "sift"):
@@ -186,8 +187,9 @@ def test_every_record_has_the_same_columns_of_plain_values(broken, monkeypatch):
 @pytest.mark.slow
 def test_a_unit_can_record_base_and_dual(monkeypatch, tmp_path):
     path = tmp_path / "unit.rrd"
-    record = run(monkeypatch, BROKEN, unit("orb", arms=("crossing",)), recording=path)
-    assert record["outcome"] == "completed" and path.stat().st_size > 100_000
+    monkeypatch.setattr(trial, "frames_of", lambda *_: BROKEN)
+    runs = trial.record_unit(unit("orb"), path)
+    assert [run.system_kind for run in runs] == ["base", "dual"] and path.stat().st_size > 100_000
 
 
 # -- branches and modes --------------------------------------------------------------------------------------
@@ -199,18 +201,18 @@ def test_a_unit_can_record_base_and_dual(monkeypatch, tmp_path):
 )
 def test_branches_equal_runs_from_the_start(sequence):
     of = unit()
-    exposure, clock = Exposure.of(of, sequence), CpuClock()
-    lead_in = run_lead_in(of, sequence, exposure, clock).save()
-    free, crossing = run_free(lead_in, of), run_crossing(lead_in, exposure)
-    build = factory_of(settings_of(of))
+    settings = unit_settings({}, of.threads)
+    lead_in = run_lead_in("dual", sequence, ONSET, of.repeat_seed, settings).save()
+    free = run_free(lead_in, sequence, "dual", of.repeat_seed)
+    crossing = run_crossing(lead_in, sequence, END)
+    build = factory_of(settings)
     for kind, branched in (("base", free.base), ("dual", free.dual)):
         assert trace(branched) == trace(execute(sequence, kind, of.repeat_seed, build=build))
-    whole = run_lead_in(of, sequence, exposure, clock)
+    whole = run_lead_in("dual", sequence, ONSET, of.repeat_seed, settings)
     whole.system.cut()
     whole.feed(END + 1)
     whole.system.restart()
-    whole.feed(FRAMES)
-    whole.finish()
+    whole.run_out()
 
     def ends(branch):
         found = [e.record() for e in branch.system.events if isinstance(e, RecoveryEnd)]
@@ -225,7 +227,7 @@ def test_both_modes_give_the_same_failure_for_every_n(monkeypatch, blank):
     sequence = synthetic(blank)
     record = run(monkeypatch, sequence, unit("orb,gms", arms=("free",)))
     for n, kinds in ((1, "orb"), (2, "orb,gms")):
-        of = settings_of(unit(kinds))
+        of = unit_settings({}, unit(kinds).threads)
         usual = replace(of, dual_options={**of.dual_options, "exhaustive": False})
         shipped = execute(sequence, "dual", 2, build=factory_of(usual))
         ends = [e for e in shipped.events if isinstance(e, RecoveryEnd) and e.stage != "cancelled"]

@@ -5,7 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from slam_fakes import circle, fake_factory, make_sequence
 
-from dslab.experiments.eq1.judging import declared_columns
+from dslab.experiments.eq1.judging import judge_run
+from dslab.experiments.eq1.units import Exposure
 from dslab.experiments.evaluation.declared_audit import audit_declared
 from dslab.experiments.evaluation.relation_audit import RelationBounds, audit_asserted
 from dslab.experiments.evaluation.summary import summarise
@@ -183,12 +184,9 @@ def test_planted_false_loops_joins_and_fusions_are_counted_each_by_its_kind():
 def test_false_declarations_are_counted_in_the_record_of_a_unit():
     silent = ev.LoopClosed(**{**vars(loop(0.0)), "relation": None})
     record = run_with(loop(0.7), loop(0.7), silent, fusion("place", 0.7))
-    assert declared_columns(record, "dual", ("loops", "joins", "fusions")) == {
-        "dual_false_loops": 2,
-        "dual_false_joins": 1,
-        "dual_false_fusions": 0,
-        "dual_unjudged": 1,
-    }
+    columns = judge_run(record, "dual", Exposure(5.0, 1.0, 150, 180, 195)).columns
+    counts = {"dual_false_loops": 2, "dual_false_joins": 1, "dual_false_fusions": 0, "dual_unjudged": 1}
+    assert {name: columns[name] for name in counts} == counts
 
 
 def test_a_system_that_does_not_say_what_it_asserts_is_not_judged():

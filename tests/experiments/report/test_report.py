@@ -343,18 +343,17 @@ def folder(made, tmp_path, monkeypatch) -> Path:
 def test_recordings_are_made_once_and_linked(made, folder, monkeypatch):
     recorded = []
 
-    def record_runs(unit, sequence, path):
-        recorded.append((unit.cell, unit.index, sequence))
+    def record_unit(unit, path):
+        recorded.append((unit.cell, unit.index))
         path.write_bytes(b"rrd")
         return "runs"
 
-    monkeypatch.setattr("dslab.experiments.eq1.trial.record_runs", record_runs, raising=False)
-    monkeypatch.setattr("dslab.sim.sequence_rendering.render_sequence", lambda scenario: scenario.frame_count)
+    monkeypatch.setattr("dslab.experiments.eq1.trial.record_unit", record_unit)
     monkeypatch.setattr(recordings, "paths_of", lambda runs: {"truth": np.zeros((4, 3))})
     steps = []
     page = write_report(folder, recordings=3, progress=lambda done, total: steps.append((done, total)))
     first = made.report["failures"][:3]
-    assert recorded == [(unit["cell"], unit["index"], made.spec.frames) for unit in first]
+    assert recorded == [(unit["cell"], unit["index"]) for unit in first]
     assert steps == [(0, 3), (1, 3), (2, 3), (3, 3)]
     places = [f"recordings/{unit['unit_id']}.rrd" for unit in first]
     links = [attrs.get("href") for tag, attrs in Page(page.read_text()).elements if tag == "a"]
