@@ -9,9 +9,9 @@ from typing import Any
 
 import psutil
 
-from dslab.experiments.campaign.schedule import Experiment
-from dslab.experiments.campaign.workers import MEMORY_MB, TIME_S, RunUnit, unit_record
+from dslab.experiments.campaign.workers import MEMORY_MB, TIME_S, RunUnit
 from dslab.experiments.eq1.records import Outcome
+from dslab.experiments.eq1.spec import ExperimentSpec
 from dslab.experiments.eq1.units import UnitSpec
 from dslab.experiments.jobs.pool import Pool, PoolSettings, open_pool
 from dslab.experiments.runs.provenance import usable_cores
@@ -41,7 +41,7 @@ class Lap:
 
 
 def bench_experiment(
-    experiment: Experiment, units: int, workers: int, job: RunUnit, progress: Progress | None = None
+    experiment: ExperimentSpec, units: int, workers: int, job: RunUnit, progress: Progress | None = None
 ) -> dict[str, Any]:
     """Run the same units on one worker, then on several, each time with nothing rendered before.
 
@@ -72,7 +72,7 @@ def bench_experiment(
     }
 
 
-def _lap(experiment: Experiment, units: int, workers: int, job: RunUnit, progress: Progress) -> Lap:
+def _lap(experiment: ExperimentSpec, units: int, workers: int, job: RunUnit, progress: Progress) -> Lap:
     cells = experiment.cell_names()
     chosen = [experiment.unit(cells[k % len(cells)], k // len(cells)) for k in range(units)]
     # Worlds of their own, so that their cached frames do not serve the counted units.
@@ -80,7 +80,7 @@ def _lap(experiment: Experiment, units: int, workers: int, job: RunUnit, progres
     step = f"{workers} worker{'s' if workers > 1 else ''}"
     with scratch_folder() as folder:
         settings = PoolSettings(workers, None, TIME_S, MEMORY_MB)
-        with open_pool(partial(unit_record, job, cache_dir=folder), settings) as pool:
+        with open_pool(partial(job, cache_dir=folder), settings) as pool:
             _run(pool, first, lambda done: progress(f"{step}, loading", done, workers))
             began_s, began_cpu_s = time.perf_counter(), _cpu_s()
             records = _run(pool, chosen, lambda done: progress(step, done, units))

@@ -6,14 +6,14 @@ on who ends first; a resumed search goes on with the doses that it would have ch
 
 from collections.abc import Sequence
 
-from dslab.experiments.campaign.schedule import Record
+from dslab.experiments.campaign.schedule import Record, UnitOrder
 from dslab.experiments.eq1.boundary_plan import BoundaryPlan
 from dslab.experiments.eq1.units import UnitSpec
 from dslab.experiments.statistics.boundary import SHAM, CurveGrid, Floats, curve_grid
 from dslab.scenarios.errors import InputError
 
 
-class BoundarySchedule:
+class BoundarySchedule(UnitOrder):
     """The trials of a search that are left.
 
     A trial that was recorded keeps its dose. A void one, one that was given up, and one whose stress did not
@@ -31,14 +31,14 @@ class BoundarySchedule:
     """Cells with which it begins: the sham."""
 
     def __init__(self, plan: BoundaryPlan, done: Sequence[Record] = ()) -> None:
-        self.plan = plan
+        super().__init__()
+        self.plan, self.total = plan, plan.trials
         self.grid: CurveGrid = curve_grid(plan.strengths)
         self._place = {cell: place for place, cell in enumerate(plan.dose_cells)} | {plan.sham_cell: SHAM}
-        self._done: dict[int, Record] = {}
         self._started: set[int] = set()
         self._chosen: tuple[int, list[int]] = (-1, [])
         for record in sorted(done, key=lambda r: r["index"]):
-            if record["index"] in self._done or (record["index"] < plan.shams) != (
+            if record["index"] in self._ended or (record["index"] < plan.shams) != (
                 record["cell"] == plan.sham_cell
             ):
                 raise InputError(
@@ -47,21 +47,21 @@ class BoundarySchedule:
                     "choose a new folder",
                 )
             self.finish(record)
-        if all(trial in self._done for trial in range(plan.shams)):
+        if all(trial in self._ended for trial in range(plan.shams)):
             self._check_shams()
 
     def next(self, worker: str = "") -> UnitSpec | None:
-        """The next trial to start; None while all of its batch run, and at the end.
+        """The next trial; None while all of its batch run, and at the end.
 
         Raises:
             InputError: as many shams fail as are to fail at the dose that is sought.
         """
-        first = next((t for t in range(self.total) if t not in self._done), None)
+        first = next((t for t in range(self.total) if t not in self._ended), None)
         if first is None:
             return None
         start, size = self._batch(first)
         for trial in range(start, min(start + size, self.total)):
-            if trial not in self._done and trial not in self._started:
+            if trial not in self._ended and trial not in self._started:
                 self._started.add(trial)
                 place = self._places(start, size)[trial - start]
                 cell = self.plan.sham_cell if place == SHAM else self.plan.dose_cells[place]
@@ -69,28 +69,8 @@ class BoundarySchedule:
         return None
 
     def finish(self, record: Record) -> None:
-        """Add the record of a trial that has ended."""
         if record["index"] < self.total:
-            self._done[record["index"]] = record
-
-    @property
-    def total(self) -> int:
-        """Number of trials."""
-        return self.plan.trials
-
-    @property
-    def done(self) -> int:
-        """Number of trials that have ended."""
-        return len(self._done)
-
-    @property
-    def complete(self) -> bool:
-        """True if all trials have ended."""
-        return self.done == self.total
-
-    def records(self) -> list[Record]:
-        """Records of the trials that have ended, in their order."""
-        return [self._done[trial] for trial in sorted(self._done)]
+            self._ended[record["index"]] = record
 
     def outcomes(self, until: int | None = None) -> tuple[list[int], list[bool]]:
         """Dose and failure of every trial that has an outcome, of the first ``until`` or of all.

@@ -1,48 +1,47 @@
-"""The folder of an experiment: ``spec.yaml``, ``ledger.sqlite`` and, once exported, ``units.parquet``."""
+"""The folder of an experiment: ``spec.yaml``, ``ledger.sqlite`` and, once exported, ``units.parquet``.
+
+The exported table has a digest over its rows, and that of the spec beside it.
+"""
 
 import hashlib
+import json
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dslab.experiments.campaign.schedule import Experiment
-from dslab.experiments.campaign.table_file import (
-    read_error_table,
-    read_table,
-    table_release,
-    write_errors,
-    write_table,
-)
 from dslab.experiments.eq1.record_table import data_frame, record_fault
 from dslab.experiments.eq1.records import columns
+from dslab.experiments.eq1.spec import ExperimentSpec, read_spec_file, validated
 from dslab.experiments.jobs.ledger import LEDGER_FILE, LOCK_FILE, Ledger, Owner, Row
+from dslab.experiments.runs.provenance import release
 from dslab.scenarios.errors import InputError
-from dslab.scenarios.input_files import SETTINGS_BYTES, is_given, read_bytes
+from dslab.scenarios.input_files import SETTINGS_BYTES, is_given, open_file, read_bytes
 from dslab.sim.io.folders import unwritable, write_file
 from dslab.sim.unfinished import sweep
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from dslab.experiments.eq1.spec import ExperimentSpec
-
 SPEC_FILE = "spec.yaml"
 TABLE_FILE = "units.parquet"
 ERRORS_FILE = "infrastructure_errors.parquet"
+ERROR_COLUMNS = ("unit_id", "cell", "index", "attempt", "at", "worker", "message", "report")
 _MEND = (
     "add --rerun-damaged to `dslab experiment run`, which runs damaged units again, or choose a new folder"
 )
+_EXPORT = "export it anew from its ledger, by the version that wrote it"
 
 
-def owner_of(experiment: Experiment) -> Owner:
+def owner_of(experiment: ExperimentSpec) -> Owner:
     """The experiment as the owner of a ledger, whose rows are records in the order of its cells."""
     cells = {cell: place for place, cell in enumerate(experiment.cell_names())}
     threads = len(experiment.threads)
     names = set(columns(threads))
 
     def fault(row: Row) -> str | None:
-        if set(row) != names:
-            return "it has other columns than this version of the lab writes"
+        if differing := set(row) ^ names:
+            return f"missing or unknown columns: {', '.join(sorted(differing))}"
         if row["cell"] not in cells or row["experiment"] != experiment.name:
             return f"it is of {row['experiment']!r}, cell {row['cell']!r}"
         return record_fault(row, threads)
@@ -54,7 +53,7 @@ def owner_of(experiment: Experiment) -> Owner:
     return Owner(hashes, ("unit_id",), order, fault, _MEND)
 
 
-def open_ledger(folder: Path, experiment: Experiment, read_only: bool = False) -> Ledger:
+def open_ledger(folder: Path, experiment: ExperimentSpec, read_only: bool = False) -> Ledger:
     """Open the ledger of an experiment; see :meth:`experiments.jobs.ledger.Ledger.open`."""
     return Ledger.open(folder, owner_of(experiment), read_only)
 
@@ -76,28 +75,28 @@ def read_experiment(folder: Path | str) -> "tuple[ExperimentSpec, pd.DataFrame]"
     return spec, data_frame(rows, len(spec.threads))
 
 
-def read_rows(folder: Path) -> "tuple[ExperimentSpec, list[dict[str, Any]]]":
+def read_rows(folder: Path) -> tuple[ExperimentSpec, list[Row]]:
     """Read the same as :func:`read_experiment`, the records as plain rows."""
     spec = read_spec(folder)
     if _is_exported(folder):
-        return spec, read_table(folder / TABLE_FILE, spec, _spec_digest(folder))
+        return spec, _exported_rows(folder, spec)
     with open_ledger(folder, spec, read_only=True) as ledger:
         return spec, ledger.rows()
 
 
-def read_errors(folder: Path) -> list[dict[str, Any]]:
+def read_errors(folder: Path) -> list[Row]:
     """Read the infrastructure errors of an experiment; none if they were not exported with its table.
 
     Raises:
         InputError: it is not an experiment's folder, or its rows are damaged.
     """
     if _is_exported(folder):
-        return read_error_table(folder / ERRORS_FILE) if is_given(folder / ERRORS_FILE) else []
+        return _read_parquet(folder / ERRORS_FILE)[0] if is_given(folder / ERRORS_FILE) else []
     with open_ledger(folder, read_spec(folder), read_only=True) as ledger:
         return ledger.errors()
 
 
-def read_spec(folder: Path) -> "ExperimentSpec":
+def read_spec(folder: Path) -> ExperimentSpec:
     """Read the spec of an experiment's folder.
 
     No unit is drawn: a table's rows can be read where the code at hand refuses the conditions of its spec.
@@ -105,8 +104,6 @@ def read_spec(folder: Path) -> "ExperimentSpec":
     Raises:
         InputError: the folder has no spec.
     """
-    from dslab.experiments.eq1.spec import read_spec_file, validated
-
     if not is_given(folder / SPEC_FILE):
         raise InputError(str(folder), f"has no {SPEC_FILE}", "give the folder of an experiment that was run")
     file = read_spec_file(folder / SPEC_FILE)
@@ -119,7 +116,9 @@ def release_of(folder: Path) -> str | None:
     Raises:
         InputError: it is no such table.
     """
-    return table_release(folder / TABLE_FILE) if _is_exported(folder) else None
+    if not _is_exported(folder):
+        return None
+    return _read_parquet(folder / TABLE_FILE)[1].get(b"release", b"unknown").decode()
 
 
 def claim_folder(folder: Path) -> None:
@@ -140,7 +139,7 @@ def claim_folder(folder: Path) -> None:
         raise InputError(str(folder), "already holds files", "choose a new folder, or empty this one first")
 
 
-def write_spec(folder: Path, experiment: Experiment) -> None:
+def write_spec(folder: Path, experiment: ExperimentSpec) -> None:
     """Write the spec beside its ledger.
 
     Raises:
@@ -161,18 +160,69 @@ def export(folder: Path, csv: bool = False) -> Path:
     Raises:
         InputError: it is not such a folder, or cannot be written.
     """
+    import pyarrow as pa
+
     spec = read_spec(folder)
+    threads = len(spec.threads)
     with open_ledger(folder, spec, read_only=True) as ledger:
         rows, errors = ledger.rows(), ledger.errors()
-    about = {"spec": spec, "spec_digest": _spec_digest(folder)}
-    write_file(folder / TABLE_FILE, partial(write_table, rows=rows, **about))
-    write_file(folder / ERRORS_FILE, partial(write_errors, errors=errors))
+    arrow = {"bool": pa.bool_(), "int": pa.int64(), "float": pa.float64(), "text": pa.string()}
+    about = {
+        "experiment": spec.name,
+        "spec_hash": spec.content_hash,
+        "spec_digest": _spec_digest(folder),
+        "digest": _digest(rows),
+        "release": release(),
+    }
+    kinds = {name: "int" if name in ("index", "attempt") else "text" for name in ERROR_COLUMNS}
+    for name, types, found, told in (
+        (TABLE_FILE, columns(threads), rows, about),
+        (ERRORS_FILE, kinds, errors, None),
+    ):
+        schema = pa.schema([(column, arrow[kind]) for column, kind in types.items()], told)
+        write_file(folder / name, partial(_write_parquet, rows=found, schema=schema))
     if csv:
-        write_file(
-            folder / "units.csv",
-            partial(data_frame(rows, len(spec.threads)).to_csv, index=False, lineterminator="\n"),
-        )
+        to_csv = data_frame(rows, threads).to_csv
+        write_file(folder / "units.csv", partial(to_csv, index=False, lineterminator="\n"))
     return folder / TABLE_FILE
+
+
+def _write_parquet(path: Path, rows: list[Row], schema: Any) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.Table.from_pylist(rows, schema=schema), path, write_page_checksum=True)
+
+
+def _read_parquet(path: Path) -> tuple[list[Row], dict[bytes, bytes]]:
+    """Rows and metadata of a file."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    open_file(path).close()
+    try:
+        table = pq.read_table(path, page_checksum_verification=True)
+        table.validate(full=True)
+        return table.to_pylist(), dict(table.schema.metadata or {})
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise InputError(str(path), f"is no Parquet file or damaged ({error})", _EXPORT) from error
+
+
+def _exported_rows(folder: Path, spec: ExperimentSpec) -> list[Row]:
+    """The rows of an exported table, whose spec is still the one of its export."""
+    path = folder / TABLE_FILE
+    rows, about = _read_parquet(path)
+    if about.get(b"spec_digest") != _spec_digest(folder).encode():
+        raise InputError(str(path), "was exported with another spec.yaml than stands beside it", _EXPORT)
+    owner, seen = owner_of(spec), set()
+    for row in rows:
+        own = {row.get("unit_id"), (row.get("cell"), row.get("index"))}
+        if fault := owner.fault(row) or ("it occurs twice" if own & seen else None):
+            raise InputError(f"{path}: row {row.get('unit_id')!r}", f"is damaged: {fault}", _EXPORT)
+        seen |= own
+    if about.get(b"digest") != _digest(rows).encode():
+        raise InputError(str(path), "is damaged: its rows are not those that were written", _EXPORT)
+    return rows
 
 
 def _is_exported(folder: Path) -> bool:
@@ -182,3 +232,14 @@ def _is_exported(folder: Path) -> bool:
 
 def _spec_digest(folder: Path) -> str:
     return hashlib.sha256(read_bytes(folder / SPEC_FILE, SETTINGS_BYTES)).hexdigest()
+
+
+def _digest(rows: list[Row]) -> str:
+    """Digest of rows: of theirs, in order."""
+    return _digest_of({str(number): _digest_of(row) for number, row in enumerate(rows)})
+
+
+def _digest_of(values: Mapping[str, Any]) -> str:
+    # Minus zero is stored as zero.
+    items = [(name, value + 0.0 if isinstance(value, float) else value) for name, value in values.items()]
+    return hashlib.sha256(json.dumps(items).encode()).hexdigest()[:16]

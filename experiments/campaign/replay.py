@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from dslab.experiments.campaign.folder import read_rows, release_of
-from dslab.experiments.campaign.runner import is_infrastructure_error
-from dslab.experiments.campaign.schedule import Experiment
+from dslab.experiments.campaign.runner import is_infrastructure_error, record_of
 from dslab.experiments.campaign.workers import UnitWorkers
-from dslab.experiments.eq1.records import decided
+from dslab.experiments.eq1.records import reproduced
+from dslab.experiments.eq1.spec import ExperimentSpec
 from dslab.experiments.eq1.trial import record_unit
 from dslab.experiments.eq1.units import UnitSpec
 from dslab.scenarios.errors import InputError, MachineError
-
-_ABOUT_THE_CODE = {"code", "commit"}
 
 
 @dataclass(frozen=True)
@@ -65,18 +63,19 @@ def replay(folder: Path, name: str, workers: UnitWorkers, recording: Path | None
     unit = find_unit(spec, known, name)
     with workers.open() as pool:
         (ended,) = pool.run(deque([unit]))
-    record = ended.value
-    if record is None or is_infrastructure_error(record):
-        problem = ended.message if record is None else record["message"]
-        raise MachineError(f"unit {unit.unit_id}", problem, "see `dslab experiment status`")
+    record = record_of(ended)
+    if is_infrastructure_error(record):
+        raise MachineError(f"unit {unit.unit_id}", record["message"], "see `dslab experiment status`")
     if recording is not None:
         record_unit(unit, recording, workers.folders)
     recorded = rows.get((unit.cell, unit.index))
-    changed = differing(record, recorded) if recorded else ()
+    changed = ()
+    if recorded is not None:
+        changed = tuple(name for name, value in reproduced(record).items() if value != recorded[name])
     return Replay(unit, record, recorded, release_of(folder), changed)
 
 
-def find_unit(spec: Experiment, rows: Sequence[Mapping[str, Any]], name: str) -> UnitSpec:
+def find_unit(spec: ExperimentSpec, rows: Sequence[Mapping[str, Any]], name: str) -> UnitSpec:
     """Find a unit by its name.
 
     Args:
@@ -102,9 +101,3 @@ def find_unit(spec: Experiment, rows: Sequence[Mapping[str, Any]], name: str) ->
             name, f"{len(found)} units have ids that begin so", f"give more of it, as {found[0]['unit_id']}"
         )
     return spec.unit(found[0]["cell"], found[0]["index"])
-
-
-def differing(record: Mapping[str, Any], recorded: Mapping[str, Any]) -> tuple[str, ...]:
-    """Columns determined by the spec in which two records of a unit differ."""
-    names = [name for name in decided(dict(record)) if name not in _ABOUT_THE_CODE]
-    return tuple(name for name in names if record[name] != recorded[name])

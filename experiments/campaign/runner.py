@@ -13,11 +13,18 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from dslab.experiments.campaign.folder import SPEC_FILE, claim_folder, open_ledger, owner_of, write_spec
-from dslab.experiments.campaign.schedule import Experiment, Record, Schedule, UnitOrder
-from dslab.experiments.campaign.table_file import ERROR_COLUMNS
+from dslab.experiments.campaign.folder import (
+    ERROR_COLUMNS,
+    SPEC_FILE,
+    claim_folder,
+    open_ledger,
+    owner_of,
+    write_spec,
+)
+from dslab.experiments.campaign.schedule import Record, Schedule, UnitOrder
 from dslab.experiments.eq1.record_table import normalise, storable
 from dslab.experiments.eq1.records import SHAM, Outcome, dual_column, empty_record, thread_column
+from dslab.experiments.eq1.spec import ExperimentSpec
 from dslab.experiments.eq1.units import UnitSpec
 from dslab.experiments.jobs.ledger import Ledger, renew_ledger, sole_driver
 from dslab.experiments.jobs.pool import Ended, Pool
@@ -67,13 +74,13 @@ _VARYING = re.compile(r"[0-9a-f]{8,}|[0-9.]+")
 
 
 def run_experiment(
-    experiment: Experiment,
+    experiment: ExperimentSpec,
     folder: Path,
     open_pool: Callable[[], AbstractContextManager[Pool]],
     retry_errors: bool = False,
     rerun_damaged: bool = False,
     show: Show | None = None,
-    order: Callable[[Experiment, Sequence[Record]], UnitOrder] = Schedule,
+    order: Callable[[ExperimentSpec, Sequence[Record]], UnitOrder] = Schedule,
     digests: Mapping[str, str] | None = None,
 ) -> Tally:
     """Run all units of an experiment that its folder lacks.
@@ -106,7 +113,7 @@ def run_experiment(
                 rows = ledger.rows()
             check_units(experiment, rows, folder)
             check_digests(rows, digests or {}, folder)
-            run = _Run(ledger, order(experiment, rows), experiment, show)
+            run = _Run(ledger, order(experiment, rows), len(experiment.threads), show)
             if not run.schedule.complete:
                 with open_pool() as pool:
                     run.work(pool)
@@ -122,7 +129,7 @@ def is_infrastructure_error(record: Record) -> bool:
     return record["outcome"] == Outcome.INFRASTRUCTURE_ERROR.value
 
 
-def check_units(experiment: Experiment, rows: Sequence[Record], folder: Path) -> None:
+def check_units(experiment: ExperimentSpec, rows: Sequence[Record], folder: Path) -> None:
     """Check that the rows belong to the units that the spec draws now.
 
     Raises:
@@ -151,17 +158,23 @@ def check_digests(rows: Sequence[Record], digests: Mapping[str, str], folder: Pa
             raise InputError(str(folder), problem, "choose a new folder, or undo the change")
 
 
+def record_of(ended: Ended) -> dict[str, Any]:
+    """The normalised record of a unit, whatever became of it in its worker."""
+    unit, message = ended.item, ended.message
+    if ended.value is not None:
+        try:
+            return normalise(ended.value, len(unit.threads))
+        except ValueError as error:
+            message = f"its record is wrong: {error}"
+    return normalise(empty_record(unit) | {"message": message}, len(unit.threads))
+
+
 class _Run:
     """State of a run."""
 
-    def __init__(
-        self, ledger: Ledger, schedule: UnitOrder, experiment: Experiment, show: Show | None
-    ) -> None:
+    def __init__(self, ledger: Ledger, schedule: UnitOrder, threads: int, show: Show | None) -> None:
         self.schedule = schedule
-        self._ledger = ledger
-        threads = range(1, 1 + len(experiment.threads))
-        self._whole = dual_column(len(threads))
-        self._crossed = [thread_column("cross", thread, "failed") for thread in threads]
+        self._ledger, self._threads = ledger, threads
         proven = {r["cell"] for r in schedule.records() if not is_infrastructure_error(r)}
         self._faults = _RepeatedFault(schedule.first_cells, proven)
         self._most_busy = 1
@@ -183,6 +196,7 @@ class _Run:
         completed = [r for r in tried if r["breakage"] is not None]
         crossing = [r for r in tried if r["breakage"] is None]
         given_up = Counter(r["message"] for r in records if is_infrastructure_error(r))
+        crossed = [thread_column("cross", thread, "failed") for thread in range(1, self._threads + 1)]
         return Tally(
             done=self.schedule.done,
             total=self.schedule.total,
@@ -191,11 +205,11 @@ class _Run:
             errors=given_up.total(),
             retries=self._retries,
             breakages=sum(bool(r["breakage"]) for r in completed),
-            failures=sum(bool(r[self._whole]) for r in completed),
+            failures=sum(bool(r[dual_column(self._threads)]) for r in completed),
             ended_here=self._ended_here,
             workers=workers,
             crossing=len(crossing),
-            uncrossed=sum(all(r[failed] for failed in self._crossed) for r in crossing),
+            uncrossed=sum(all(r[failed] for failed in crossed) for r in crossing),
             cause=given_up.most_common(1)[0][0] if given_up else "",
         )
 
@@ -209,30 +223,25 @@ class _Run:
 
     def _record(self, ended: Ended) -> None:
         """Record the end of a unit; after an infrastructure error, queue it again while tries are left."""
-        unit = ended.item
+        unit, record = ended.item, record_of(ended)
         tried = self._failed.get(unit.unit_id, 0) + 1
-        record = ended.value
-        if record is None or is_infrastructure_error(record):
-            record = record or normalise(empty_record(unit) | {"message": ended.message}, len(unit.threads))
-            self._ledger.add(_error_row(unit, tried, ended, record["message"]), table="errors")
+        if is_infrastructure_error(record):
+            at, message = datetime.now(UTC).isoformat(timespec="seconds"), record["message"]
+            values = (unit.unit_id, unit.cell, unit.index, tried, at, ended.worker, message)
+            error = dict(zip(ERROR_COLUMNS, (*values, storable(ended.report)), strict=True))
+            self._ledger.add(error, table="errors")
             self._failed[unit.unit_id] = tried
             self._retries += 1
-            self._faults.failure(unit, record["message"], self._most_busy)
+            self._faults.failure(unit, message, self._most_busy)
             if tried < TRIES:
                 self._due.append(unit)
                 return
         else:
             self._faults.success(unit.cell)
-        record = record | {"attempts": tried}
+        record["attempts"] = tried
         self._ledger.add(record)
         self.schedule.finish(record)
         self._ended_here += 1
-
-
-def _error_row(unit: UnitSpec, attempt: int, ended: Ended, message: str) -> dict[str, Any]:
-    at = datetime.now(UTC).isoformat(timespec="seconds")
-    values = (unit.unit_id, unit.cell, unit.index, attempt, at, ended.worker, message, storable(ended.report))
-    return dict(zip(ERROR_COLUMNS, values, strict=True))
 
 
 class _RepeatedFault:

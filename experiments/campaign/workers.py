@@ -8,10 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from dslab.experiments.eq1.arms import LIMITS
-from dslab.experiments.eq1.record_table import normalise
-from dslab.experiments.eq1.records import empty_record, error_message
 from dslab.experiments.eq1.spec import ExperimentSpec
-from dslab.experiments.eq1.units import UnitSpec, system_label
+from dslab.experiments.eq1.units import system_label
 from dslab.experiments.jobs.pool import Pool, PoolSettings, open_pool
 from dslab.experiments.runs.provenance import usable_cores
 from dslab.experiments.runs.systems.command import CommandSystem
@@ -43,7 +41,7 @@ class UnitWorkers:
         """Open a pool that takes units and returns their records."""
         from dslab.experiments.eq1.trial import run_unit
 
-        return open_pool(partial(unit_record, run_unit, folders=self.folders), self.settings)
+        return open_pool(partial(run_unit, folders=self.folders), self.settings)
 
 
 def unit_workers(
@@ -100,21 +98,6 @@ def find_systems(spec: ExperimentSpec, folders: Iterable[Path] = ()) -> dict[str
             system.check()
         found[system_label(named)] = system
     return found
-
-
-def unit_record(job: RunUnit, unit: UnitSpec, **options: Any) -> dict[str, Any]:
-    """Run a unit and return its normalised record. Never raises.
-
-    Args:
-        job: runs a unit.
-        unit: the unit to run.
-        options: of the job.
-    """
-    threads = len(unit.threads)
-    try:
-        return normalise(job(unit, **options), threads)
-    except Exception as error:  # any error ends this attempt only
-        return normalise(empty_record(unit) | {"message": error_message(error)}, threads)
 
 
 def _takes_real_time(system: System) -> bool:

@@ -1,7 +1,5 @@
-"""Records as typed rows, in Python, SQLite, pandas and Parquet; their digests and what contradicts them."""
+"""Records as typed rows of plain values, in Python and pandas, and what contradicts them."""
 
-import hashlib
-import json
 import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -22,11 +20,9 @@ from dslab.experiments.eq1.records import (
 
 if TYPE_CHECKING:
     import pandas as pd
-    import pyarrow as pa
 
-SQL_TYPES: dict[ColumnType, str] = {"bool": "INTEGER", "int": "INTEGER", "float": "REAL", "text": "TEXT"}
 _PYTHON_TYPES = {"bool": bool, "int": int, "float": float, "text": str}
-PANDAS_TYPES: dict[ColumnType, str] = {
+_PANDAS_TYPES: dict[ColumnType, str] = {
     "bool": "boolean",
     "int": "Int64",
     "float": "Float64",
@@ -49,7 +45,7 @@ def normalise(record: Mapping[str, Any], threads: int) -> dict[str, Any]:
     known = domains(threads)
     if differing := set(record) ^ set(known):
         raise ValueError(f"missing or unknown columns: {', '.join(sorted(differing))}")
-    return {name: _within(name, record[name], domain) for name, domain in known.items()}
+    return {name: _plain(name, record[name], domain) for name, domain in known.items()}
 
 
 def storable(text: str) -> str:
@@ -67,36 +63,8 @@ def data_frame(records: Iterable[Mapping[str, Any]], threads: int) -> "pd.DataFr
     import pandas as pd
 
     rows = list(records)
-    return pd.DataFrame(
-        {
-            name: pd.array([row[name] for row in rows], dtype=PANDAS_TYPES[kind])
-            for name, kind in columns(threads).items()
-        }
-    )
-
-
-def arrow_table(records: Iterable[Mapping[str, Any]], threads: int) -> "pa.Table":
-    """Records as an Arrow table, whose column types do not depend on the rows."""
-    import pyarrow as pa
-
-    kinds = {"bool": pa.bool_(), "int": pa.int64(), "float": pa.float64(), "text": pa.string()}
-    schema = pa.schema([(name, kinds[kind]) for name, kind in columns(threads).items()])
-    return pa.Table.from_pylist(list(records), schema=schema)
-
-
-def digest_of(values: Mapping[str, Any]) -> str:
-    """Sixteen hexadecimal digits of the SHA-256 of a row: its names and values, in order."""
-    # SQLite stores -0.0 as 0.0.
-    items = [(name, value + 0.0 if isinstance(value, float) else value) for name, value in values.items()]
-    return hashlib.sha256(json.dumps(items).encode()).hexdigest()[:16]
-
-
-def joint_digest(digests: Iterable[str]) -> str:
-    """Digest of a set of rows, independent of their order: the exclusive or of theirs."""
-    joint = 0
-    for digest in digests:
-        joint ^= int(digest, 16)
-    return f"{joint:016x}"
+    types = {name: _PANDAS_TYPES[kind] for name, kind in columns(threads).items()}
+    return pd.DataFrame({name: pd.array([row[name] for row in rows], dtype=t) for name, t in types.items()})
 
 
 def record_fault(record: Mapping[str, Any], threads: int) -> str | None:
@@ -106,9 +74,15 @@ def record_fault(record: Mapping[str, Any], threads: int) -> str | None:
         record: with the columns of `records.columns`.
         threads: number of recovery threads.
     """
+    try:
+        plain = normalise(record, threads)
+    except ValueError as error:
+        return str(error)
     for name, domain in domains(threads).items():
-        if not _fits(record[name], domain, name not in NEVER_NULL):
-            return f"{name} is {record[name]!r}"
+        value = record[name]
+        lacks = name in NEVER_NULL if value is None else domain == "name" and not value
+        if lacks or (type(value), value) != (type(plain[name]), plain[name]):
+            return f"{name} is {value!r}"
     if record["outcome"] not in set(Outcome):
         return f"outcome is {record['outcome']!r}"
     if not record["breakage"]:
@@ -118,38 +92,19 @@ def record_fault(record: Mapping[str, Any], threads: int) -> str | None:
     return None
 
 
-def _within(name: str, value: Any, domain: Domain) -> Any:
+def _plain(name: str, value: Any, domain: Domain) -> Any:
     kind, low, high = DOMAINS[domain]
-    plain = _plain(name, value, kind)
-    if plain is None or kind == "text":
-        return plain
-    slack = ROUNDING if domain == "share" else 0
-    if not low - slack <= plain <= high + slack:
-        raise ValueError(f"{name}: {value!r} is not from {low:g} to {high:g}")
-    return min(max(plain, float(low)), float(high)) if slack else plain
-
-
-def _plain(name: str, value: Any, kind: ColumnType) -> Any:
     if value is None:
         return None
-    fitting = (
-        isinstance(value, str) if kind == "text" else isinstance(value, int | float | np.number | np.bool_)
-    )
-    if fitting and kind == "text":
+    if kind == "text" and isinstance(value, str):
         return storable(str(value))
-    if fitting and kind == "float":
-        return float(value) if math.isfinite(value) else None
-    if fitting and math.isfinite(value) and value == int(value) and (kind == "int" or value in (0, 1)):
-        return bool(value) if kind == "bool" else int(value)
-    raise ValueError(f"{name}: {value!r} is not of type {kind}")
-
-
-def _fits(value: Any, domain: Domain, nullable: bool) -> bool:
-    if value is None:
-        return nullable
-    kind, low, high = DOMAINS[domain]
-    if type(value) is not _PYTHON_TYPES[kind]:
-        return False
-    if kind == "text":
-        return bool(value) or domain != "name"
-    return math.isfinite(value) and low <= value <= high
+    if kind == "text" or not isinstance(value, int | float | np.number | np.bool_):
+        raise ValueError(f"{name}: {value!r} is not of type {kind}")
+    if kind == "float" and not math.isfinite(value):
+        return None
+    if kind != "float" and not (math.isfinite(value) and value == int(value)):
+        raise ValueError(f"{name}: {value!r} is not of type {kind}")
+    slack = ROUNDING if domain == "share" else 0
+    if not low - slack <= value <= high + slack:
+        raise ValueError(f"{name}: {value!r} is not from {low:g} to {high:g}")
+    return _PYTHON_TYPES[kind](min(max(value, low), high) if slack else value)

@@ -8,7 +8,6 @@ from pool_fakes import LocalPool
 from unit_fakes import made_up_unit
 
 from dslab.experiments.campaign.runner import run_experiment
-from dslab.experiments.campaign.workers import unit_record
 from dslab.experiments.jobs.pool import open_pool
 
 
@@ -27,7 +26,7 @@ def run_made_up(tmp_path):
     def run(plan, folder=tmp_path / "x", workers=None, job=made_up_unit, **options):
         tries = tmp_path / "tries"
         tries.mkdir(exist_ok=True)
-        task = partial(unit_record, job, cache_dir=tries)
+        task = partial(job, cache_dir=tries)
 
         def opened():
             return nullcontext(LocalPool(task)) if workers is None else open_pool(task, workers)

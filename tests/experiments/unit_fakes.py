@@ -10,7 +10,6 @@ from pathlib import Path
 import yaml
 
 from dslab.experiments.campaign.folder import open_ledger
-from dslab.experiments.campaign.schedule import Experiment
 from dslab.experiments.eq1.records import (
     SHAM,
     decided,
@@ -144,7 +143,7 @@ def made_up_record(unit: UnitSpec) -> dict:
     return record
 
 
-def rows_of(folder: Path, plan: Experiment) -> list[dict]:
+def rows_of(folder: Path, plan: MadeUp) -> list[dict]:
     """The rows of the ledger, without times."""
     with open_ledger(folder, plan, read_only=True) as ledger:
         return [decided(row) for row in ledger.rows()]

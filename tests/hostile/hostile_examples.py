@@ -21,8 +21,7 @@ from hostile_sequences import (
 )
 from small_world import CAMERA, CORRIDOR
 
-from dslab.experiments.campaign.folder import claim_folder, export, open_ledger, write_spec
-from dslab.experiments.campaign.table_file import ERROR_COLUMNS
+from dslab.experiments.campaign.folder import ERROR_COLUMNS, claim_folder, export, open_ledger, write_spec
 from dslab.experiments.eq1.record_table import normalise
 from dslab.experiments.eq1.records import empty_record
 from dslab.experiments.eq1.spec import ExperimentSpec, load_spec

@@ -14,7 +14,6 @@ from unit_fakes import planted_unit, rows_of
 from dslab.experiments.campaign.boundary_schedule import BoundarySchedule
 from dslab.experiments.campaign.folder import open_ledger
 from dslab.experiments.campaign.runner import run_experiment
-from dslab.experiments.campaign.workers import unit_record
 from dslab.experiments.eq1.boundary_plan import boundary_plan
 from dslab.experiments.eq1.doses import AXES, DoseAxis, dose_axis
 from dslab.experiments.eq1.records import dual_column
@@ -32,7 +31,7 @@ def plan_of(kind="motion_blur", level=0.5, of="base", trials=40, **options):
 def run(plan, folder, **options):
     """Run a search with simulated units in this process and return its schedule."""
     order = partial(_order, plan)
-    pool = partial(LocalPool, partial(unit_record, planted_unit))
+    pool = partial(LocalPool, planted_unit)
     run_experiment(plan.spec, folder, lambda: nullcontext(pool()), order=order, **options)
     with open_ledger(folder, plan.spec, read_only=True) as ledger:
         return BoundarySchedule(plan, ledger.rows())
@@ -99,7 +98,7 @@ def test_doses_depend_neither_on_the_number_of_workers_nor_on_who_ends_first(uni
         for worker in map(str, range(workers)):
             if worker not in flying and (unit := schedule.next(worker)) is not None:
                 flying[worker] = unit
-        schedule.finish(unit_record(planted_unit, flying.pop(rng.choice(sorted(flying)))))
+        schedule.finish(planted_unit(flying.pop(rng.choice(sorted(flying)))))
     assert schedule.next("0") is None
     assert [(r["index"], r["cell"]) for r in schedule.records()] == [(r["index"], r["cell"]) for r in rows]
     assert found(schedule) == answer
@@ -162,7 +161,7 @@ def test_a_level_that_shams_reach_is_refused():
         units.append(unit)
     assert [unit.kind for unit in units] == ["sham"] * 8
     for unit in units:
-        schedule.finish(unit_record(planted_unit, unit) | {"breakage": unit.index < 2})
+        schedule.finish(planted_unit(unit) | {"breakage": unit.index < 2})
     refused = r"0\.25 is not above the sham rate: 2 of 8 fail without stress"
     with pytest.raises(InputError, match=refused):
         schedule.next()

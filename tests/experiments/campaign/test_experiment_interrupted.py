@@ -14,7 +14,6 @@ from unit_fakes import MadeUp, made_up_record, planted_unit, rows_of
 
 from dslab.experiments.campaign.boundary_schedule import BoundarySchedule
 from dslab.experiments.campaign.folder import open_ledger
-from dslab.experiments.campaign.workers import unit_record
 from dslab.experiments.eq1.boundary_plan import boundary_plan
 from dslab.experiments.eq1.record_table import normalise
 from dslab.experiments.eq1.records import decided
@@ -31,11 +30,10 @@ DRIVER = """
 from pathlib import Path
 from functools import partial
 from dslab.experiments.campaign.runner import run_experiment
-from dslab.experiments.campaign.workers import unit_record
 from dslab.experiments.jobs.pool import PoolSettings, open_pool
 from unit_fakes import MadeUp, made_up_unit
 if __name__ == "__main__":
-    plan, task = MadeUp({"slow-0.05": 40}), partial(unit_record, made_up_unit)
+    plan, task = MadeUp({"slow-0.05": 40}), made_up_unit
     run_experiment(plan, Path(sys.argv[1]), lambda: open_pool(task, PoolSettings(2)))
 """
 DSLAB = """
@@ -127,7 +125,7 @@ def test_a_boundary_search_that_is_killed_ends_with_the_doses_of_one_that_is_not
     plan, folder = boundary_plan(load_spec("smoke"), "motion_blur", "base", 0.5, trials=32), tmp_path / "x"
     whole = BoundarySchedule(plan)
     while (unit := whole.next()) is not None:
-        whole.finish(unit_record(planted_unit, unit))
+        whole.finish(planted_unit(unit))
     search = ["experiment", "boundary", "motion_blur", "--of", "base", "--fail", "0.5", "--spec", "smoke"]
     search += ["--trials", 32, "--out", folder]
     ended_midway(command(BOUNDARY, *search, "--workers", 2), signal.SIGKILL, folder, plan.spec)

@@ -12,7 +12,6 @@ from dslab.experiments.campaign.folder import TABLE_FILE, export, read_rows
 from dslab.experiments.campaign.merge import merge
 from dslab.experiments.campaign.runner import run_experiment
 from dslab.experiments.campaign.schedule import Schedule
-from dslab.experiments.campaign.workers import unit_record
 from dslab.experiments.eq1.spec import load_spec
 from dslab.scenarios.errors import InputError
 
@@ -33,7 +32,7 @@ def run(spec, folder, units=None, last_first=False, job=None):
         run_experiment(
             spec,
             folder,
-            lambda: nullcontext(LocalPool(job or partial(unit_record, made_up_unit))),
+            lambda: nullcontext(LocalPool(job or made_up_unit)),
             show=stop,
             order=partial(Schedule, last_first=last_first),
         )
@@ -70,7 +69,7 @@ def test_what_contradicts_is_refused_and_nothing_is_written(spec, tmp_path):
     wrong = before[1]["unit_id"]
 
     def otherwise(unit):
-        return unit_record(made_up_unit, unit) | ({"onset_frame": 77} if unit.unit_id == wrong else {})
+        return made_up_unit(unit) | ({"onset_frame": 77} if unit.unit_id == wrong else {})
 
     other = run(spec, tmp_path / "b", 6, job=otherwise)
     with pytest.raises(InputError, match=f"{before[1]['cell']}:{before[1]['index']} has another outcome"):

@@ -1,7 +1,6 @@
 """A fault that repeats on every unit stops the run before it uses up the tries of the rest."""
 
 from contextlib import nullcontext
-from functools import partial
 
 import pytest
 from pool_fakes import LocalPool
@@ -9,7 +8,6 @@ from unit_fakes import MadeUp, made_up_record, rows_of
 
 from dslab.experiments.campaign.folder import open_ledger
 from dslab.experiments.campaign.runner import run_experiment
-from dslab.experiments.campaign.workers import unit_record
 from dslab.scenarios.errors import MachineError
 
 PLAN = MadeUp(dict.fromkeys("abc", 8))
@@ -25,8 +23,7 @@ def run(tmp_path):
                 raise OSError(28, "No space left on device", f"/cache/{unit.unit_id}-{unit.index}")
             return made_up_record(unit)
 
-        task = partial(unit_record, job)
-        return run_experiment(plan, tmp_path / "x", lambda: nullcontext(LocalPool(task)))
+        return run_experiment(plan, tmp_path / "x", lambda: nullcontext(LocalPool(job)))
 
     return run_with
 

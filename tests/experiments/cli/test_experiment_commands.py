@@ -17,7 +17,6 @@ from unit_fakes import made_up_record, made_up_unit
 
 from dslab.experiments.campaign.folder import TABLE_FILE, export, open_ledger, read_experiment
 from dslab.experiments.campaign.runner import Tally, run_experiment
-from dslab.experiments.campaign.workers import unit_record
 from dslab.experiments.cli.experiment_progress import estimates_text, pace_text
 from dslab.experiments.eq1.records import columns, decided
 from dslab.experiments.eq1.spec import load_spec
@@ -40,7 +39,7 @@ def finished(tmp_path_factory, plain):
     """The folder of an experiment: three synthetic units per cell."""
     folder, spec = tmp_path_factory.mktemp("experiment") / "s", load_spec(plain)
     spec = spec.model_copy(update={"worlds": 3})
-    run_experiment(spec, folder, lambda: nullcontext(LocalPool(partial(unit_record, made_up_unit))))
+    run_experiment(spec, folder, lambda: nullcontext(LocalPool(made_up_unit)))
     return folder
 
 
@@ -75,7 +74,7 @@ def test_an_unknown_system_is_one_line_before_anything_runs(dslab, smoke, plain,
 
 def test_shams_are_units_but_not_of_the_shares_that_a_run_prints(tmp_path):
     spec = load_spec("smoke").model_copy(update={"repeats": 1})
-    pool = partial(LocalPool, partial(unit_record, made_up_unit))
+    pool = partial(LocalPool, made_up_unit)
     tally = run_experiment(spec, tmp_path / "s", lambda: nullcontext(pool()))
     done = read_experiment(tmp_path / "s")[1].query("outcome == 'completed'")
     assert tally.done == 6 and tally.completed == (done["kind"] != "sham").sum() < len(done)

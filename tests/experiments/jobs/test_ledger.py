@@ -13,8 +13,7 @@ import pandas as pd
 import pytest
 from unit_fakes import MadeUp, made_up_record
 
-from dslab.experiments.campaign.folder import open_ledger
-from dslab.experiments.campaign.table_file import ERROR_COLUMNS
+from dslab.experiments.campaign.folder import ERROR_COLUMNS, open_ledger
 from dslab.experiments.eq1.record_table import data_frame, normalise
 from dslab.experiments.eq1.records import columns, decided, domains, empty_record
 from dslab.experiments.jobs.ledger import LEDGER_FILE, LOCK_FILE, sole_driver
