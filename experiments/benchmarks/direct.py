@@ -8,7 +8,6 @@ goes on, with a fan of small turns about it, slower and faster, and none.
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -97,18 +96,18 @@ class _Pair:
 
 
 class _Views:
-    """Alignments of the frames after one with it."""
+    """Alignments of the frames after one with it; the CPU time of each step is added to ``times``."""
 
     def __init__(
         self, world: str, sequence: ImageSequence, start: int, times: dict[str, list[float]]
     ) -> None:
-        self._world, self._sequence, self._start, self._times = world, sequence, start, times
         if sequence.depths is None or sequence.T_world_cam is None:
             raise ValueError("alignment is measured against exact depth and pose, which this sequence lacks")
+        self._world, self._frames, self._start, self._times = world, sequence.frames, start, times
         self._T_world_cam = sequence.T_world_cam
         self._rectifier = Rectifier(slam_camera(sequence.camera))
-        source = self._timed("pyramid", lambda: self._pyramid(start))
-        selected = self._timed("selection", lambda: select(source, SelectionConfig(points=_POINTS)))
+        source = self._timed("pyramid", self._pyramid, start)
+        selected = self._timed("selection", select, source, SelectionConfig(points=_POINTS))
         column, row = selected.xy.T
         depth = sequence.depths[start][row, column]
         known = depth > 0
@@ -116,20 +115,23 @@ class _Views:
         self._depth = float(np.median(depth[known]))
         inverse = 1 / depth[known].astype(float)
         self._view = self._timed(
-            "reference", lambda: Reference(source, self._rectifier.intrinsics, self._xy, inverse)
+            "reference", Reference, source, self._rectifier.intrinsics, self._xy, inverse
         )
 
     def pairs(self) -> list[_Pair]:
         """Errors at every gap."""
-        T = self._T_world_cam
-        velocity = np.linalg.inv(T[self._start]) @ T[self._start - 1]
+        velocity = np.linalg.inv(self._T_world_cam[self._start]) @ self._T_world_cam[self._start - 1]
         found = []
         for gap in GAPS:
             guesses = guesses_ahead(velocity, gap, self._rectifier.intrinsics)
             target = self._pyramid(self._start + gap)
-            aligned = self._timed("alignment", partial(align, self._view, target, guesses))
+            aligned = self._timed("alignment", align, self._view, target, guesses)
             if aligned is not None:
-                self._time_location(target, aligned)
+                self._timed("location", locate_points, self._view, target, aligned)
+                self._timed(
+                    "epipolar lines", locate_on_lines, self._source, target, self._rectifier.intrinsics[0],
+                    self._xy, aligned, self._depth, _LINE_PX, _LINE_ERROR, _DISTINCT,
+                )  # fmt: skip
             found.append(_Pair(self._world, gap, *self._errors(aligned, gap)))
         return found
 
@@ -149,11 +151,10 @@ class _Views:
         return tried
 
     def _pyramid(self, index: int) -> ImagePyramid:
-        return self._rectifier.pyramid(self._sequence.frames[index])
+        return self._rectifier.pyramid(self._frames[index])
 
     def _truth(self, gap: int) -> np.ndarray:
-        T = self._T_world_cam
-        return np.linalg.inv(T[self._start + gap]) @ T[self._start]
+        return np.linalg.inv(self._T_world_cam[self._start + gap]) @ self._T_world_cam[self._start]
 
     def _errors(self, aligned: Aligned | None, gap: int) -> tuple[float, float]:
         if aligned is None:
@@ -162,20 +163,9 @@ class _Views:
         turned = Rotation.from_matrix(off[:3, :3]).magnitude()
         return float(np.linalg.norm(off[:3, 3]) / self._depth), float(np.rad2deg(turned))
 
-    def _time_location(self, target: ImagePyramid, aligned: Aligned) -> None:
-        """Locate the points, and find those without depth on their epipolar lines."""
-        self._timed("location", lambda: locate_points(self._view, target, aligned))
-        self._timed(
-            "epipolar lines",
-            lambda: locate_on_lines(
-                self._source, target, self._rectifier.intrinsics[0], self._xy, aligned, self._depth,
-                _LINE_PX, _LINE_ERROR, _DISTINCT,
-            ),
-        )  # fmt: skip
-
-    def _timed(self, step: str, work: Callable[[], Any]) -> Any:
+    def _timed(self, step: str, work: Callable[..., Any], *arguments: Any) -> Any:
         started = time.thread_time()
-        made = work()
+        made = work(*arguments)
         self._times.setdefault(step, []).append(1e3 * (time.thread_time() - started))
         return made
 

@@ -3,7 +3,6 @@
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -20,28 +19,8 @@ from dslab.sim.unfinished import scratch_folder
 Progress = Callable[[str, int, int], None]
 
 
-@dataclass(frozen=True)
-class Lap:
-    """The same units on a number of workers.
-
-    Attributes:
-        workers: processes.
-        units: number of units without infrastructure error.
-        wall_s: from the first unit to the end of the last.
-        cpu_s: CPU time of workers and driver in between.
-        render_s, slam_s: CPU time of the units in rendering and SLAM.
-    """
-
-    workers: int
-    units: int
-    wall_s: float
-    cpu_s: float
-    render_s: float
-    slam_s: float
-
-
 def bench_experiment(
-    experiment: ExperimentSpec, units: int, workers: int, job: RunUnit, progress: Progress | None = None
+    experiment: ExperimentSpec, units: int, workers: int, job: RunUnit, progress: Progress
 ) -> dict[str, Any]:
     """Run the same units on one worker, then on several, each time with nothing rendered before.
 
@@ -55,24 +34,24 @@ def bench_experiment(
         progress: called with (step, done, total) after every unit.
 
     Returns:
-        ``laps``, one dictionary each: the fields of :class:`Lap` with ``units_per_hour`` and the shares of
-        CPU time ``render_share``, ``slam_share`` and ``overhead_share`` (all else); ``speed_up`` in units per
-        hour; and ``speed_up_cores_free``, the speed-up by CPU time, as if every worker had its own core.
+        ``laps``, one dictionary each: ``workers``, ``units`` without infrastructure error, ``wall_s``,
+        ``cpu_s`` of workers and driver, ``render_s`` and ``slam_s`` of the units, ``units_per_hour`` and the
+        shares of CPU time ``render_share``, ``slam_share`` and ``overhead_share`` (all else); ``speed_up`` in
+        units per hour; and ``speed_up_cores_free``, by CPU time, as if every worker had its own core.
     """
-    laps = [
-        _lap(experiment, units, n, job, progress or (lambda step, done, total: None)) for n in (1, workers)
-    ]
-    one, many = laps
+    one, many = (_lap(experiment, units, n, job, progress) for n in (1, workers))
     return {
         "experiment": experiment.name,
         "cores": usable_cores(),
-        "laps": [_figures(lap) for lap in laps],
-        "speed_up": _ratio(_per_hour(many), _per_hour(one)),
-        "speed_up_cores_free": _ratio(workers * one.cpu_s * many.units, many.cpu_s * one.units),
+        "laps": [one, many],
+        "speed_up": _ratio(many["units_per_hour"], one["units_per_hour"]),
+        "speed_up_cores_free": _ratio(workers * one["cpu_s"] * many["units"], many["cpu_s"] * one["units"]),
     }
 
 
-def _lap(experiment: ExperimentSpec, units: int, workers: int, job: RunUnit, progress: Progress) -> Lap:
+def _lap(
+    experiment: ExperimentSpec, units: int, workers: int, job: RunUnit, progress: Progress
+) -> dict[str, Any]:
     cells = experiment.cell_names()
     chosen = [experiment.unit(cells[k % len(cells)], k // len(cells)) for k in range(units)]
     # Worlds of their own, so that their cached frames do not serve the counted units.
@@ -87,7 +66,18 @@ def _lap(experiment: ExperimentSpec, units: int, workers: int, job: RunUnit, pro
             wall_s, cpu_s = time.perf_counter() - began_s, _cpu_s() - began_cpu_s
     completed = [r for r in records if r is not None and r["outcome"] != Outcome.INFRASTRUCTURE_ERROR]
     render_s, slam_s = (sum(r[name] or 0.0 for r in completed) for name in ("render_s", "slam_s"))
-    return Lap(workers, len(completed), wall_s, cpu_s, render_s, slam_s)
+    return {
+        "workers": workers,
+        "units": len(completed),
+        "wall_s": wall_s,
+        "cpu_s": cpu_s,
+        "render_s": render_s,
+        "slam_s": slam_s,
+        "units_per_hour": 3600 * len(completed) / wall_s,
+        "render_share": _ratio(render_s, cpu_s),
+        "slam_share": _ratio(slam_s, cpu_s),
+        "overhead_share": _ratio(cpu_s - render_s - slam_s, cpu_s),
+    }
 
 
 def _run(pool: Pool, units: list[UnitSpec], show: Callable[[int], None]) -> list[dict[str, Any] | None]:
@@ -104,20 +94,6 @@ def _cpu_s() -> float:
     me = psutil.Process()
     times = [process.cpu_times() for process in (me, *me.children(recursive=True))]
     return sum(t.user + t.system for t in times)
-
-
-def _figures(lap: Lap) -> dict[str, Any]:
-    overhead_s = lap.cpu_s - lap.render_s - lap.slam_s
-    return vars(lap) | {
-        "units_per_hour": _per_hour(lap),
-        "render_share": _ratio(lap.render_s, lap.cpu_s),
-        "slam_share": _ratio(lap.slam_s, lap.cpu_s),
-        "overhead_share": _ratio(overhead_s, lap.cpu_s),
-    }
-
-
-def _per_hour(lap: Lap) -> float:
-    return 3600 * lap.units / lap.wall_s
 
 
 def _ratio(value: float, by: float) -> float | None:

@@ -13,7 +13,7 @@ from dslab.experiments.eq1.doses import DoseAxis, dose_axis
 from dslab.experiments.eq1.records import dual_column, failure_column, thread_column
 from dslab.experiments.eq1.spec import ExperimentSpec
 from dslab.experiments.eq1.spec_parts import Degradation
-from dslab.experiments.eq1.units import RECOVERING, ArmName, system_label
+from dslab.experiments.eq1.units import RECOVERING, system_label
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.faults import all_faults, guess
 
@@ -132,10 +132,11 @@ def boundary_plan(
     Raises:
         InputError: no such kind, base or failure, the level is none, or a scenario is not valid.
     """
-    _check(of, level, trials, shams)
     system = system or spec.systems[0]
-    _check_system(of, system)
+    _check(of, system, level, trials, shams)
     name, axis = _base(spec, base), axis or dose_axis(kind.removesuffix(_CREEPING))
+    # B does not depend on the threads, R_1 on the first alone.
+    threads = spec.threads[:1] if of in ("base", "recovery") else spec.threads
     design = {
         # All that decides the doses, so that no other search goes on with the ledger. The level does not.
         "name": f"{_PREFIX}{of}-{shams}-{batch}",
@@ -144,7 +145,9 @@ def boundary_plan(
         "bases": {name: spec.bases[name]},
         "degradations": (_stress(spec, kind, axis, name),),
         "worlds": trials,
-        **_fewest_runs(spec, of, system),
+        "systems": (system,),
+        "threads": threads,
+        "arms": ("crossing",) if of == "recovery" else ("free",),
         **_ONE_UNIT_PER_WORLD,
     }
     try:
@@ -157,14 +160,12 @@ def boundary_plan(
     return plan
 
 
-def _check(of: str, level: float, trials: int, shams: int) -> None:
-    """Check the question.
-
-    Raises:
-        InputError: there is no such failure or level, or no trial with stress.
-    """
+def _check(of: str, system: str, level: float, trials: int, shams: int) -> None:
     if of not in FAILURES:
         raise InputError("--of", f"{of!r} is no failure", f"use one of {', '.join(FAILURES)}")
+    if system not in RECOVERING and of not in OF_ANY:
+        problem = f"{of} is a failure of recovery threads, which {system_label(system)} does not have"
+        raise InputError("--of", problem, f"use one of {', '.join(OF_ANY)}")
     if not 0 < level < 1:
         remedy = "give a probability between that without stress and 1, as 0.5"
         raise InputError("--fail", f"{level:g} is no probability that a dose can have", remedy)
@@ -173,32 +174,12 @@ def _check(of: str, level: float, trials: int, shams: int) -> None:
         raise InputError("--trials", problem, "give more trials or fewer --sham")
 
 
-def _check_system(of: FailureName, system: str) -> None:
-    """Check that a system can fail so.
-
-    Raises:
-        InputError: the failure is one of recovery threads, which it does not have.
-    """
-    if system not in RECOVERING and of not in OF_ANY:
-        problem = f"{of} is a failure of recovery threads, which {system_label(system)} does not have"
-        raise InputError("--of", problem, f"use one of {', '.join(OF_ANY)}")
-
-
-def _fewest_runs(spec: ExperimentSpec, of: FailureName, system: str) -> dict[str, Any]:
-    """System, threads and arms on which the failure depends."""
-    arms: tuple[ArmName, ...] = ("crossing",) if of == "recovery" else ("free",)
-    # B does not depend on the threads, R_1 on the first alone.
-    threads = spec.threads[:1] if of in ("base", "recovery") else spec.threads
-    return {"systems": (system,), "threads": threads, "arms": arms}
-
-
 def is_search(spec: ExperimentSpec) -> bool:
     """True if the units of an experiment are the trials of a search."""
     return spec.name.startswith(_PREFIX)
 
 
 def _base(spec: ExperimentSpec, base: str | None) -> str:
-    """Name of the base in which to search: one kind of world and of motion."""
     name = next(iter(spec.bases)) if base is None else base
     if name not in spec.bases:
         known = list(spec.bases)
@@ -211,8 +192,6 @@ def _base(spec: ExperimentSpec, base: str | None) -> str:
 
 
 def _stress(spec: ExperimentSpec, kind: str, axis: DoseAxis, base: str) -> Degradation:
-    """The stress with the doses of the axis, and times and fields of the spec."""
-    creeping = kind.endswith(_CREEPING)
     own = next((one for one in spec.degradations if one.label == kind), None)
     like = own or spec.degradations[0]
     fields = {} if own is None else {k: v for k, v in own.fields.items() if k != axis.field}
@@ -222,16 +201,15 @@ def _stress(spec: ExperimentSpec, kind: str, axis: DoseAxis, base: str) -> Degra
             f"the doses of {kind} in {spec.name} are those of {own.dose}",
             f"leave it out, or give a --spec without {kind}",
         )
-    data = {
-        "kind": kind.removesuffix(_CREEPING),
-        "creeping": creeping,
-        "dose": axis.field,
-        "doses": {base: axis.doses},
-        "begins_s": like.begins_s,
-        "acts_s": like.acts_s,
-        "fields": fields,
-    }
     try:
-        return Degradation.model_validate(data)
+        return Degradation(
+            kind=kind.removesuffix(_CREEPING),
+            creeping=kind.endswith(_CREEPING),
+            dose=axis.field,
+            doses={base: axis.doses},
+            begins_s=like.begins_s,
+            acts_s=like.acts_s,
+            fields=fields,
+        )
     except ValidationError as error:
         raise all_faults(error, lambda at: ".".join(map(str, (kind, *at))), root=Degradation) from None

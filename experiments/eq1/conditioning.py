@@ -6,7 +6,7 @@ subject.
 Source: Huang et al., Dual-SLAM, 2020, Sec. II and Fig. 2: narrow-baseline pose estimation is ill-conditioned.
 """
 
-from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import cv2
@@ -19,7 +19,6 @@ from dslab.scenarios.seeds import rng_for
 from dslab.sim.sequence import Sequence
 from dslab.slam.config import default_config
 from dslab.slam.core.camera import PinholeCamera
-from dslab.slam.core.frame import Features
 from dslab.slam.features.orb import OrbExtractor
 from dslab.slam.matching.brute_force import match_brute_force
 
@@ -33,88 +32,57 @@ _LEAST_BASELINE_M = 1e-6
 _FARTHEST = 1e6
 
 
-@dataclass(frozen=True)
-class PairError:
-    """Error of the relative pose of two frames.
-
-    Attributes:
-        matches: number of feature matches, right or wrong.
-        baseline_m: true distance of the two cameras.
-        rotation_deg: angle of the rotation between estimate and truth.
-        direction_deg: angle between the estimated and the true direction of translation, up to 180.
-    """
-
-    matches: int
-    baseline_m: float
-    rotation_deg: float
-    direction_deg: float
-
-
-class FramePairs:
-    """Pairs of frames of a sequence, with the features that the tracker would extract.
-
-    Args:
-        sequence: images and true poses.
-        seed: of the robust estimation.
-    """
-
-    def __init__(self, sequence: Sequence, seed: int) -> None:
-        self._sequence, self._seed = sequence, seed
-        self._camera = slam_camera(sequence.camera)
-        width_px, height_px = self._camera.width_px, self._camera.height_px
-        self._extractor = OrbExtractor(width_px, height_px, default_config(self._camera).orb)
-        self._features: dict[int, Features] = {}
-
-    def error(self, first: int, second: int) -> PairError | None:
-        """The error of one pair; None without a pose, or if the camera did not move between the two.
-
-        Args:
-            first, second: indices of the frames.
-        """
-        truth = self._sequence.T_world_cam
-        if truth is None:
-            return None
-        T_second_first = np.linalg.inv(truth[second]) @ truth[first]
-        baseline_m = float(np.linalg.norm(T_second_first[:3, 3]))
-        if not baseline_m > _LEAST_BASELINE_M:  # NaN if the truth is unknown
-            return None
-        a, b = self._seen(first), self._seen(second)
-        matches = match_brute_force(a.descriptors, b.descriptors, _MAX_DISTANCE, _RATIO)
-        seed = int(rng_for(self._seed, "pairs", first, second).integers(2**31))
-        pose = relative_pose(a.xy[matches[:, 0]], b.xy[matches[:, 1]], self._camera, seed)
-        if pose is None:
-            return None
-        R, direction = pose
-        return PairError(
-            len(matches),
-            baseline_m,
-            float(rotation_angle_deg((R.T @ T_second_first[:3, :3])[None])[0]),
-            angle_deg(direction, T_second_first[:3, 3]),
-        )
-
-    def _seen(self, frame: int) -> Features:
-        if frame not in self._features:
-            self._features[frame] = self._extractor.extract(self._sequence.frames[frame])
-        return self._features[frame]
-
-
 def judge_pairs(sequence: Sequence, frames: int, seed: int) -> dict[str, Any]:
     """The columns ``pairs{gap}_…`` of a record: medians over the pairs of each gap.
+
+    A pair counts if a pose is found and the camera moved between the two. Matches are counted right or wrong;
+    the direction of the translation may be off by up to 180 degrees.
 
     Args:
         sequence: images and true poses.
         frames: length of the lead-in; later frames are not used.
         seed: of the robust estimation.
     """
-    pairs = FramePairs(sequence, seed)
+    camera = slam_camera(sequence.camera)
+    extractor = OrbExtractor(camera.width_px, camera.height_px, default_config(camera).orb)
+    features = cache(lambda frame: extractor.extract(sequence.frames[frame]))
     row: dict[str, Any] = {}
     for gap, starts in first_frames(frames).items():
-        found = [e for e in (pairs.error(start, start + gap) for start in starts) if e is not None]
+        found = []
+        for first, second in ((start, start + gap) for start in starts):
+            T_second_first = _true_motion(sequence, first, second)
+            if T_second_first is None:
+                continue
+            a, b = features(first), features(second)
+            matches = match_brute_force(a.descriptors, b.descriptors, _MAX_DISTANCE, _RATIO)
+            sampling = int(rng_for(seed, "pairs", first, second).integers(2**31))
+            pose = relative_pose(a.xy[matches[:, 0]], b.xy[matches[:, 1]], camera, sampling)
+            if pose is not None:
+                found.append((len(matches), *_errors(*pose, T_second_first)))
         row[pair_column(gap, "count")] = len(found)
-        for name in ("matches", "baseline_m", "rotation_deg", "direction_deg"):
-            values = [getattr(error, name) for error in found]
-            row[pair_column(gap, name)] = float(np.median(values)) if values else None
+        medians = np.median(found, axis=0).tolist() if found else [None] * 4
+        for name, median in zip(
+            ("matches", "baseline_m", "rotation_deg", "direction_deg"), medians, strict=True
+        ):
+            row[pair_column(gap, name)] = median
     return row
+
+
+def _true_motion(sequence: Sequence, first: int, second: int) -> np.ndarray | None:
+    """(4, 4) motion from one frame to another; None if it is not known or the camera did not move."""
+    truth = sequence.T_world_cam
+    if truth is None:
+        return None
+    T_second_first = np.linalg.inv(truth[second]) @ truth[first]
+    moved = np.linalg.norm(T_second_first[:3, 3]) > _LEAST_BASELINE_M  # not if the truth is NaN
+    return T_second_first if moved else None
+
+
+def _errors(R: np.ndarray, direction: np.ndarray, T_second_first: np.ndarray) -> tuple[float, float, float]:
+    """Length of the baseline, errors of rotation and of direction in degrees."""
+    baseline = T_second_first[:3, 3]
+    rotation_deg = float(rotation_angle_deg((R.T @ T_second_first[:3, :3])[None])[0])
+    return float(np.linalg.norm(baseline)), rotation_deg, angle_deg(direction, baseline)
 
 
 def first_frames(frames: int) -> dict[int, list[int]]:

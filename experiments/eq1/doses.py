@@ -107,11 +107,7 @@ def dose_axis(
 
 
 def _own_axis(kind: str, field: str | None, has_ends: bool) -> DoseAxis:
-    """The axis of a kind, or of another field of it whose ends are given.
-
-    Raises:
-        InputError: as for :func:`dose_axis`.
-    """
+    """The axis of a kind, or of another field of it whose ends are given."""
     if kind not in SEGMENT_KINDS:
         known = sorted(SEGMENT_KINDS)
         remedy = f"use {guess(kind, known)}one of {', '.join(known)}"
@@ -134,11 +130,6 @@ def _own_axis(kind: str, field: str | None, has_ends: bool) -> DoseAxis:
 
 
 def _check_end(option: str, value: float, kind: str, field: str) -> None:
-    """Check that a dose is one.
-
-    Raises:
-        InputError: it has no logarithm, or the kind refuses it.
-    """
     if not value > 0:
         remedy = f"give a {field} above 0: doses differ by factors"
         raise InputError(option, f"{value:g} has no logarithm", remedy)

@@ -16,7 +16,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from dslab.experiments.eq1.records import SHAM
 from dslab.experiments.eq1.spec_parts import Base, Degradation, Threads, base_mixtures, stress_mixtures
-from dslab.experiments.eq1.unit_drawing import Cell, Place, draw_scenario, written_base
+from dslab.experiments.eq1.unit_drawing import Cell, draw_scenario, written_base
 from dslab.experiments.eq1.units import (
     RECOVERING,
     ArmName,
@@ -171,24 +171,6 @@ class ExperimentSpec(Strict):
         """Number of units of a cell in one world, whose indices follow one another."""
         return self.sequences_per_world * self.repeats
 
-    def place(self, index: int) -> Place:
-        """World, sequence and replicate of an index, the same in every cell."""
-        number, repeat = divmod(index, self.repeats)
-        world, sequence = divmod(number, self.sequences_per_world)
-
-        def seed(*names: str | int) -> int:
-            return int(rng_for(self.root_seed, "experiment", *names).integers(_SEED_END))
-
-        return Place(
-            index,
-            sequence,
-            repeat,
-            seed("world", world),
-            seed("sequence", world, sequence),
-            seed("repeat", world, sequence, repeat),
-            self.repeats > 1,
-        )
-
     def unit(self, cell: str, index: int) -> UnitSpec:
         """Draw one unit, of any index from 0: a pure function of the spec.
 
@@ -203,11 +185,21 @@ class ExperimentSpec(Strict):
         if of_cell.degradation is not None and of_cell.dose is not None:
             degradation = self.degradations[of_cell.degradation]
             kind, severity = degradation.label, degradation.severities_of(of_cell.base)[of_cell.dose]
-        place = self.place(index)
-        scenario = draw_scenario(self, of_cell, place, where)
+        number, repeat = divmod(index, self.repeats)
+        world, sequence = divmod(number, self.sequences_per_world)
+
+        def seed(*names: str | int) -> int:
+            return int(rng_for(self.root_seed, "experiment", *names).integers(_SEED_END))
+
+        seeds = {
+            "world_seed": seed("world", world),
+            "sequence_seed": seed("sequence", world, sequence),
+            "repeat_seed": seed("repeat", world, sequence, repeat),
+        }
+        scenario = draw_scenario(self, of_cell, index, seeds, where)
         start_s = min(START_WITHIN_S, self.lead_in_s / 2)
         starts = max(1, round(start_s * scenario.camera.fps))
-        start = rng_for(place.repeat_seed, "experiment", "start").integers(starts)
+        start = rng_for(seeds["repeat_seed"], "experiment", "start").integers(starts)
         return UnitSpec(
             experiment=self.name,
             cell=cell,
@@ -215,11 +207,9 @@ class ExperimentSpec(Strict):
             kind=kind,
             severity=severity,
             index=index,
-            sequence=place.sequence,
-            repeat=place.repeat,
-            world_seed=place.world_seed,
-            sequence_seed=place.sequence_seed,
-            repeat_seed=place.repeat_seed,
+            sequence=sequence,
+            repeat=repeat,
+            **seeds,
             scenario=scenario,
             start_frame=int(start),
             onset_s=self.lead_in_s,

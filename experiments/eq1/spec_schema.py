@@ -3,11 +3,10 @@
 from typing import Any
 
 from dslab.experiments.eq1.spec import ExperimentSpec
+from dslab.experiments.eq1.unit_drawing import PARTS
 from dslab.scenarios import schema as scenario_schema
 from dslab.scenarios.segments import SEGMENT_KINDS
 from dslab.slam.dual.recovery.registry import RECOVERY_KINDS
-
-_PARTS = ("world", "trajectory", "camera")
 
 
 def json_schema() -> dict[str, Any]:
@@ -16,7 +15,7 @@ def json_schema() -> dict[str, Any]:
     scenario = scenario_schema.json_schema()
     schema["$defs"] = {**scenario["$defs"], **schema["$defs"]}
     base = schema["$defs"]["Base"]["properties"]
-    base.update({part: scenario["properties"][part] for part in _PARTS})
+    base.update({part: scenario["properties"][part] for part in PARTS})
     # A base with a family need not give the kind of world.
     kindless = {"not": {"anyOf": [{"required": ["kind"]}, {"required": ["choice"]}]}}
     base["world"] = {"anyOf": [base["world"], {"type": "object", **kindless}]}

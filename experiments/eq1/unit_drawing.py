@@ -1,12 +1,11 @@
 """Draw the scenario of a unit from its cell and seeds."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from dslab.experiments.eq1.spec_parts import Degradation
 from dslab.scenarios.drawing import Draw
 from dslab.scenarios.families import load_family, merged
 from dslab.scenarios.faults import all_faults
@@ -14,20 +13,10 @@ from dslab.scenarios.seeds import rng_for
 from dslab.scenarios.spec import Scenario
 from dslab.scenarios.yaml_file import Location
 
-_PARTS = ("world", "trajectory", "camera")
+if TYPE_CHECKING:
+    from dslab.experiments.eq1.spec import ExperimentSpec
 
-
-class UnitPlan(Protocol):
-    """The fields of an experiment's spec that determine the scenario of a unit."""
-
-    @property
-    def lead_in_s(self) -> float: ...
-    @property
-    def exposed_s(self) -> float: ...
-    @property
-    def tail_s(self) -> float: ...
-    @property
-    def degradations(self) -> Sequence[Degradation]: ...
+PARTS = ("world", "trajectory", "camera")
 
 
 @dataclass(frozen=True)
@@ -51,26 +40,6 @@ class Cell:
     system: Any
 
 
-@dataclass(frozen=True)
-class Place:
-    """Where a unit stands in its cell, the same in every cell.
-
-    Attributes:
-        index: number of the unit.
-        sequence, repeat: of its sequence in its world, of its replicate in the sequence.
-        world_seed, sequence_seed, repeat_seed: see :class:`experiments.eq1.units.UnitSpec`.
-        is_repeated: sequences have several replicates.
-    """
-
-    index: int
-    sequence: int
-    repeat: int
-    world_seed: int
-    sequence_seed: int
-    repeat_seed: int
-    is_repeated: bool
-
-
 def written_base(family: str | None, member: str | None, own: dict[str, Any]) -> tuple[dict[str, Any], ...]:
     """World, trajectory and camera of a base: its own fields over those of its family.
 
@@ -83,19 +52,16 @@ def written_base(family: str | None, member: str | None, own: dict[str, Any]) ->
         InputError: the family or member does not exist.
     """
     if family is None:
-        return ({**{part: {} for part in _PARTS}, **own},)
+        return ({**{part: {} for part in PARTS}, **own},)
     found = load_family(family)
     chosen = (member,) if member is not None else found.members
     families = [found.member(one) for one in chosen] or [found]
-    parts = [{part: f.written.get(part, {}) for part in _PARTS} for f in families]
+    parts = [{part: f.written.get(part, {}) for part in PARTS} for f in families]
     return tuple(merged(part, own) for part in parts)
 
 
 def draw_scenario(
-    spec: UnitPlan,
-    cell: Cell,
-    place: Place,
-    where: Callable[[Location], str],
+    spec: "ExperimentSpec", cell: Cell, index: int, seeds: dict[str, int], where: Callable[[Location], str]
 ) -> Scenario:
     """Draw the scenario of a unit.
 
@@ -106,36 +72,39 @@ def draw_scenario(
     Args:
         spec: of the experiment.
         cell: one of its cells.
-        place: of the unit in the cell.
+        index: of the unit in the cell.
+        seeds: ``world_seed``, ``sequence_seed`` and ``repeat_seed``, see
+            :class:`experiments.eq1.units.UnitSpec`.
         where: describes a location in the spec, for error messages.
 
     Raises:
         InputError: the drawn scenario is not valid.
     """
-    variant = rng_for(place.world_seed, "experiment", "variant").random()
+    world_seed, sequence_seed = seeds["world_seed"], seeds["sequence_seed"]
+    variant = rng_for(world_seed, "experiment", "variant").random()
     written = cell.written[int(variant * len(cell.written))]
-    of_world, of_rest = Draw(place.world_seed), Draw(place.sequence_seed)
+    of_world, of_rest = Draw(world_seed), Draw(sequence_seed)
     data: dict[str, Any] = {
-        "name": f"{cell.image}/{place.index}",
+        "name": f"{cell.image}/{index}",
         "duration_s": spec.lead_in_s + spec.exposed_s + spec.tail_s,
         "world": of_world(written["world"], ("world",), ("world",)),
         "trajectory": of_rest(written["trajectory"], ("trajectory",), ("trajectory",)),
         "camera": of_rest(written["camera"], ("camera",), ("camera",)),
         "segments": _segments(spec, cell, of_rest),
-        "seed": place.sequence_seed,
-        "world_seed": place.world_seed,
-        "noise_seed": place.repeat_seed if place.is_repeated else None,
+        "seed": sequence_seed,
+        "world_seed": world_seed,
+        "noise_seed": seeds["repeat_seed"] if spec.repeats > 1 else None,
     }
     for draw in (of_world, of_rest):
         draw.round_whole_numbers(data)
     try:
         return Scenario.model_validate(data)
     except ValidationError as error:
-        of_sample = f", in cell {cell.image} as drawn for unit {place.index}"
+        of_sample = f", in cell {cell.image} as drawn for unit {index}"
         raise all_faults(error, lambda at: where(_in_spec(spec, cell, at)), of_sample) from None
 
 
-def _segments(spec: UnitPlan, cell: Cell, draw: Draw) -> list[dict[str, Any]]:
+def _segments(spec: "ExperimentSpec", cell: Cell, draw: Draw) -> list[dict[str, Any]]:
     """The degradation as a segment; none in a sham."""
     if cell.degradation is None or cell.dose is None:
         return []
@@ -157,7 +126,7 @@ def _segments(spec: UnitPlan, cell: Cell, draw: Draw) -> list[dict[str, Any]]:
     return [segment | ({"ramp_s": acts_s, "fall_s": 0.0} if degradation.creeping else {})]
 
 
-def _in_spec(spec: UnitPlan, cell: Cell, at: Location) -> Location:
+def _in_spec(spec: "ExperimentSpec", cell: Cell, at: Location) -> Location:
     """Location in the spec of a field of the scenario."""
     if at[:1] != ("segments",) or cell.degradation is None:
         return ("bases", cell.base, *at)

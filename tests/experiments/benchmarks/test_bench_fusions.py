@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dslab.experiments.benchmarks.fusions import fusion_figures
+from dslab.experiments.benchmarks.tracker import fusion_figures
 from dslab.slam.core.events import Fusion, RecoveryEnd, RecoveryStart
 
 FED = [0, 1, 2, 3, 5, 6, 9, 10, 11]  # three frames were dropped
