@@ -1,7 +1,7 @@
 """Trial draws of an experiment before it runs: does the stress of its units act?"""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from dslab.experiments.eq1.spec import ExperimentSpec
 
@@ -13,14 +13,8 @@ LEAST_EXPOSED = 0.9
 """Share of a cell's draws in which its stress should act."""
 
 
-@dataclass(frozen=True)
-class Drawn:
-    """A trial draw of one cell.
-
-    Attributes:
-        cell: its name.
-        acted, drawn: sequences whose stress acts, and all that were drawn.
-    """
+class Drawn(NamedTuple):
+    """A trial draw of one cell: its name, sequences whose stress acts, and all that were drawn."""
 
     cell: str
     acted: int
@@ -44,10 +38,11 @@ def draw_exposure(spec: ExperimentSpec, progress: Progress = lambda step, done, 
     from dslab.sim.stress_check import stress_acts
 
     cells = {cell.image: name for name, cell in spec.cells.items() if cell.dose is not None}
-    worlds = range(DRAWN_WORLDS if spec.worlds >= DRAWN_WORLDS else 0)
+    if spec.worlds < DRAWN_WORLDS:
+        return []
     acted = dict.fromkeys(cells.values(), 0)
-    for world in worlds:
-        for number, cell in enumerate(cells.values()):
-            acted[cell] += stress_acts(spec.unit(cell, world * spec.replicates_per_world).scenario)
-            progress("drawing", world * len(cells) + number + 1, len(worlds) * len(cells))
-    return [Drawn(cell, acted[cell], len(worlds)) for cell in acted] if worlds else []
+    for number in range(DRAWN_WORLDS * len(cells)):
+        world, cell = number // len(cells), list(acted)[number % len(cells)]
+        acted[cell] += stress_acts(spec.unit(cell, world * spec.replicates_per_world).scenario)
+        progress("drawing", number + 1, DRAWN_WORLDS * len(cells))
+    return [Drawn(cell, count, DRAWN_WORLDS) for cell, count in acted.items()]

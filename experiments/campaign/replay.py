@@ -60,7 +60,7 @@ def replay(folder: Path, name: str, workers: UnitWorkers, recording: Path | None
     """
     spec, known = read_rows(folder)
     rows = {(row["cell"], row["index"]): row for row in known}
-    unit = find_unit(spec, known, name)
+    unit = _find_unit(spec, known, name)
     with workers.open() as pool:
         (ended,) = pool.run(deque([unit]))
     record = record_of(ended)
@@ -75,29 +75,14 @@ def replay(folder: Path, name: str, workers: UnitWorkers, recording: Path | None
     return Replay(unit, record, recorded, release_of(folder), changed)
 
 
-def find_unit(spec: ExperimentSpec, rows: Sequence[Mapping[str, Any]], name: str) -> UnitSpec:
-    """Find a unit by its name.
-
-    Args:
-        spec: of the experiment.
-        rows: its records.
-        name: see :func:`replay`.
-
-    Raises:
-        InputError: no unit has the name, or several.
-    """
+def _find_unit(spec: ExperimentSpec, rows: Sequence[Mapping[str, Any]], name: str) -> UnitSpec:
     if match := re.fullmatch(r"(.+):(\d+)", name):
-        cell, index = match[1], int(match[2])
-        if cell not in spec.cell_names():
-            raise InputError(name, "no such cell", f"use one of {', '.join(spec.cell_names())}")
-        return spec.unit(cell, index)
+        return spec.unit(match[1], int(match[2]))
     found = [row for row in rows if row["unit_id"].startswith(name.lower())]
     if not found:
-        raise InputError(
-            name, "no unit that was run has an id that begins so", "give CELL:INDEX for any other"
-        )
+        problem = "no unit that was run has an id that begins so"
+        raise InputError(name, problem, "give CELL:INDEX for any other")
     if len(found) > 1:
-        raise InputError(
-            name, f"{len(found)} units have ids that begin so", f"give more of it, as {found[0]['unit_id']}"
-        )
+        problem, more = f"{len(found)} units have ids that begin so", found[0]["unit_id"]
+        raise InputError(name, problem, f"give more of it, as {more}")
     return spec.unit(found[0]["cell"], found[0]["index"])

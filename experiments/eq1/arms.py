@@ -51,8 +51,8 @@ LIMITS = Limits()
 PLAIN: dict[str, str] = {"dual+": "dual", "paper+": "paper"}
 """Systems beside which the base is that of another one, without its initialisation."""
 _SAVE_EVERY_S = 1.0
-_KEPT = 16
-"""Lead-ins of programs that are kept; of ours, which are large, one and a plain one beside it."""
+_OURS_KEPT, _PROGRAMS_KEPT = 2, 16
+"""Lead-ins that are kept; of ours, which are large, that of a system and a plain one beside it."""
 
 
 # -- a run that can be saved and go on -----------------------------------------------------------------------
@@ -179,7 +179,9 @@ def lead_in_of(
         settings: of the system.
     """
     key = _lead_in_key(sequence, onset, [system, seed, repr(settings)])
-    return _kept(_lead_ins, 2, key, lambda: _checked(run_lead_in(system, sequence, onset, seed, settings)))
+    return _kept(
+        _lead_ins, _OURS_KEPT, key, lambda: _checked(run_lead_in(system, sequence, onset, seed, settings))
+    )
 
 
 def run_lead_in(system: str, sequence: Sequence, onset: int, seed: int, settings: SlamSettings) -> BranchRun:
@@ -234,7 +236,7 @@ def lead_in_fault(results: Many[TrackingResult], events: Many[Event], sequence: 
         sequence: the input of the run.
         onset: first frame of the exposed segment.
     """
-    before = results[onset - 1]
+    before, truth = results[onset - 1], sequence.T_world_cam
     if not is_tracked(before):
         return "not tracking at the onset"
     if any(isinstance(e, Breakage) and e.frame < onset for e in events):
@@ -243,13 +245,7 @@ def lead_in_fault(results: Many[TrackingResult], events: Many[Event], sequence: 
     lead_s = before.stamp_s - live.stamps_s[0]
     if lead_s < LEAD_IN_HEALTHY_S:
         return f"tracked for {lead_s:.2f} s only before the onset"
-    return _position_fault(live, sequence)
-
-
-def _position_fault(live: MapTrajectory, sequence: Sequence) -> str:
-    truth = sequence.T_world_cam
-    if truth is None:
-        return "no ground truth"
+    assert truth is not None  # it was rendered
     pairs = metrics.associate(live, sequence.stamps_s, truth)
     path_m = metrics.coverage(pairs.frames, truth).path_m
     alignment = align_poses(pairs.T_map_cam, pairs.T_world_cam)
@@ -347,7 +343,7 @@ def run_other(
             return record, _other_fault(record, onset)
 
         key = _lead_in_key(sequence, onset, [system.name, system_digest(system), seed])
-        record, fault = _kept(_program_lead_ins, _KEPT, key, run_lead)
+        record, fault = _kept(_program_lead_ins, _PROGRAMS_KEPT, key, run_lead)
         return (record, fault) if fault else (run_command(system, sequence, seed), "")
     if isinstance(system, ClassSystem):
         record = run_class_apart(system, sequence, seed, LIMITS)

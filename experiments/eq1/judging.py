@@ -205,17 +205,14 @@ def judge_free(arm: FreeArm, reference: Reference) -> dict[str, Any]:
     }
     if broke is not None:
         at = broke.breakage.frame
-        recovery = judge_recovery("free", arm.dual.events, arm.first_new_frame, at, reference)
         row |= {
             "breakage_frame": at,
             "breakage_reason": broke.breakage.reason,
             "declaration_delay_s": declaration_delay_s(reference.sequence.stamps_s, dual.lost, at),
-            "reinit": recovery.reinit_frame is not None,
-            "reinit_frame": recovery.reinit_frame,
-            # The old map's last correct pose is that of the frame before the loss.
-            "free_frames_to_cross": recovery.frames_from((at if dual.lost is None else dual.lost) - 1),
-            **recovery.columns,
         }
+        # The old map's last correct pose is that of the frame before the loss.
+        right = (at if dual.lost is None else dual.lost) - 1
+        row |= judge_recovery("free", arm.dual.events, arm.first_new_frame, at, right, reference)
     return row | _dual_failures(dual, row, reference.threads)
 
 
@@ -274,16 +271,8 @@ def _base_mission(base: JudgedRun) -> dict[str, Any]:
 
 def judge_crossing(branch: BranchRun, reference: Reference) -> dict[str, Any]:
     """The columns of every recovery thread in the crossing arm."""
-    exposure = reference.exposure
-    recovery = judge_recovery(
-        "cross", branch.system.events, branch.first_new_frame, exposure.end_frame, reference
-    )
-    return {
-        "cross_reinit": recovery.reinit_frame is not None,
-        "cross_reinit_frame": recovery.reinit_frame,
-        "cross_frames_to_cross": recovery.frames_from(exposure.onset_frame),
-        **recovery.columns,
-    }
+    onset, end = reference.exposure.onset_frame, reference.exposure.end_frame
+    return judge_recovery("cross", branch.system.events, branch.first_new_frame, end, onset, reference)
 
 
 # -- any other system ----------------------------------------------------------------------------------------

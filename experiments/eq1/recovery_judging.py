@@ -33,49 +33,36 @@ class Reference:
     threads: int
 
 
-@dataclass(frozen=True)
-class Recovery:
-    """A judged recovery.
-
-    Attributes:
-        reinit_frame: frame at which a new map was initialized; None if none was.
-        first_frame: first frame of the new map from which the threads started; None if they never did.
-        columns: of every thread.
-    """
-
-    reinit_frame: int | None
-    first_frame: int | None
-    columns: dict[str, Any]
-
-    def frames_from(self, frame: int) -> int | None:
-        """Number of frames from ``frame`` to the new map's first."""
-        return None if self.first_frame is None else self.first_frame - frame
-
-
 def judge_recovery(
-    arm: Arm, events: Sequence[Event], first_frame: int | None, since: int, reference: Reference
-) -> Recovery:
-    """Judge the first recovery of the saved map.
+    arm: Arm, events: Sequence[Event], first_frame: int | None, since: int, after: int, reference: Reference
+) -> dict[str, Any]:
+    """The columns of the first recovery of the saved map, and of each of its threads.
 
     Args:
         arm: the arm of the run.
         events: all events of the system.
-        first_frame: of the new map from which the first recovery started.
+        first_frame: of the new map from which the first recovery started; None if none did.
         since: frame after which a new map was attempted.
+        after: frame from which those to cross are counted.
         reference: truth and lead-in.
     """
     reinit = next((e.frame for e in events if isinstance(e, ReinitDone) and e.frame > since), None)
     attempt = next((e.map_id for e in events if isinstance(e, RecoveryStart)), None)
+    prefix = "" if arm == "free" else "cross_"
+    columns: dict[str, Any] = {
+        f"{prefix}reinit": reinit is not None,
+        f"{prefix}reinit_frame": reinit,
+        f"{arm}_frames_to_cross": None if first_frame is None else first_frame - after,
+    }
     if attempt is None:
         reason = _why_no_recovery(events, reinit)
         none = {"failed": True, "declared": False, "stage": "no_reinit", "reason": reason}
         each = range(1, reference.threads + 1)
-        return Recovery(reinit, None, {thread_column(arm, j, k): v for j in each for k, v in none.items()})
-    columns: dict[str, Any] = {}
+        return columns | {thread_column(arm, j, name): value for j in each for name, value in none.items()}
     for end in _ends(events, attempt):
         judged = _thread(end, _audit(end, reference), _refused(events, end))
         columns |= {thread_column(arm, end.thread, name): value for name, value in judged.items()}
-    return Recovery(reinit, first_frame, columns)
+    return columns
 
 
 def _audit(end: RecoveryEnd, reference: Reference) -> FusionAudit | None:

@@ -10,14 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dslab.experiments.eq1.arms import (
-    PLAIN,
-    LeadIn,
-    lead_in_of,
-    run_crossing,
-    run_free,
-    run_other,
-)
+from dslab.experiments.eq1.arms import PLAIN, LeadIn, lead_in_of, run_crossing, run_free, run_other
 from dslab.experiments.eq1.conditioning import judge_pairs
 from dslab.experiments.eq1.judging import judge_crossing, judge_free, judge_other
 from dslab.experiments.eq1.records import Outcome, empty_record, error_message
@@ -216,8 +209,8 @@ def _run_other(row: Row, case: Case) -> None:
         run, fault = run_other(case.system, case.sequence, onset, case.seed, case.settings)
     if not isinstance(case.system, OwnSystem):  # its time is not that of this process
         row["slam_s"] = sum(sum(result.cpu_ms.values()) for result in run.results) / 1e3
-    row |= {"declares": run.declares.value, "ended": run.ending.kind.value}
-    row |= {"ended_message": run.ending.message}
+    ending = run.ending
+    row |= {"declares": run.declares.value, "ended": ending.kind.value, "ended_message": ending.message}
     if fault:
         row |= _void(fault)
     else:
