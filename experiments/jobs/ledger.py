@@ -80,10 +80,13 @@ class Ledger:
         if read_only and not path.is_file():
             remedy = "give the folder of an experiment that was run"
             raise InputError(str(folder), f"has no {LEDGER_FILE}", remedy)
-        connection = _connect(path, owner, "ro" if read_only else "rwc")
+        # SQLite removes its log with the last connection, if that may write.
+        connection = _connect(path, owner, "rw" if read_only else "rwc")
         try:
             with _explained(path, owner):
-                if not read_only:
+                if read_only:
+                    connection.execute("PRAGMA query_only=ON")
+                else:
                     connection.execute("PRAGMA journal_mode=WAL")
                     # A commit costs little beside its job, so it may as well outlive a power failure.
                     connection.execute("PRAGMA synchronous=FULL")
@@ -280,7 +283,7 @@ def _joint(digests: Iterable[str]) -> str:
 
 
 def _connect(path: Path, owner: Owner, mode: str) -> sqlite3.Connection:
-    """Open an SQLite file: ``ro``, ``rw``, or ``rwc`` to create it."""
+    """Open an SQLite file: ``rw``, or ``rwc`` to create it."""
     with _explained(path, owner):
         uri = f"{path.absolute().as_uri()}?mode={mode}"
         connection = sqlite3.connect(uri, uri=True, timeout=_BUSY_S, isolation_level=None)

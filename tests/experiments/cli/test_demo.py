@@ -103,6 +103,7 @@ def test_units_follow_with_both_shares_and_their_intervals_and_no_verdict(demo_c
     assert "too few worlds to decide" in " ".join(out.split())
     assert spec.repeats == 1 and table["world_seed"].nunique() == spec.units == len(table)
     assert dslab("experiment", "status", tmp_path / "d" / "experiment")[0] == 0
+    assert not list((tmp_path / "d" / "experiment").glob("ledger.sqlite-*"))
 
 
 def test_the_units_can_be_left_out_and_a_second_demonstration_replaces_the_first(demo_command, tmp_path):
